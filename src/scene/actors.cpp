@@ -18,6 +18,7 @@
 #include "base/list_text.hpp"
 #include "base/progress_blocks.hpp"
 #include "base/random.hpp"
+#include "scene/changing_actors.hpp"
 #include "scene/gait.hpp"
 #include "scene/point_surfels.hpp"
 
@@ -176,20 +177,26 @@ void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& sam
     const StrideEstimate found = range ? find_stride(samples, *range) : StrideEstimate{};
     std::vector<Sample> rigid = actor_samples(samples, box, options);
     if (rigid.size() < std::size_t(options.actor_min_points)) return;
-    if (notes && range)
-        notes->push_back(fmt::format("{} ({}) {}", box.id, box.category,
-                                     found.stride_m > 0.0
-                                         ? fmt::format("walks with strides of {:.2f} m", found.stride_m)
-                                         : "is rigid: " + found.why_none));
     const auto most = std::size_t(options.actor_points);
+    ChangingSurfels changing;
+    if (range && found.stride_m <= 0.0) changing = changing_surfels(samples, options, incidence, most);
+    const bool changes = changing.period_m > 0.0;
+    if (notes && range)
+        notes->push_back(
+            fmt::format("{} ({}) {}", box.id, box.category,
+                        found.stride_m > 0.0
+                            ? fmt::format("walks with strides of {:.2f} m", found.stride_m)
+                            : (changes ? "changes from frame to frame, without a gait: " : "is rigid: ") +
+                                  found.why_none));
     const Surfels surfels =
         found.stride_m > 0.0 ? surfels_that_walk(samples, found.stride_m, options, incidence, most, progress)
+        : changes            ? std::move(changing.surfels)
                              : surfels_from_points(rigid, options, incidence);
     scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
-    scene.models.push_back({box.id, static_cast<std::uint32_t>(scene.surfels.size()),
-                            static_cast<std::uint32_t>(surfels.size()),
-                            glm::vec3(0.5 * box.size_m + kPointMargin_m), static_cast<float>(found.stride_m),
-                            seen_sides(box, samples)});
+    scene.models.push_back(
+        {box.id, static_cast<std::uint32_t>(scene.surfels.size()), static_cast<std::uint32_t>(surfels.size()),
+         glm::vec3(0.5 * box.size_m + kPointMargin_m),
+         static_cast<float>(changes ? changing.period_m : found.stride_m), seen_sides(box, samples)});
     scene.surfels.append(surfels);
 }
 

@@ -11,10 +11,10 @@
 #include <numeric>
 
 #include <fmt/format.h>
-#include <nanoflann.hpp>
 
 #include "base/parallel.hpp"
 #include "base/progress_blocks.hpp"
+#include "scene/sample_index.hpp"
 
 namespace relidar {
 namespace {
@@ -22,49 +22,6 @@ namespace {
 // positions are averaged over this time, because the boxes of labels jitter
 constexpr double kAverage_s = 1.0;
 constexpr double kStands_mps = 0.2;
-
-struct PhaseCloud {
-    const std::vector<Sample>& samples;
-    std::vector<std::uint32_t> of;  ///< indices of the samples
-
-    std::size_t kdtree_get_point_count() const { return of.size(); }
-    float kdtree_get_pt(std::size_t i, std::size_t axis) const { return samples[of[i]].position[int(axis)]; }
-    template <class Box>
-    bool kdtree_get_bbox(Box&) const {
-        return false;
-    }
-};
-using PhaseTree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, PhaseCloud>,
-                                                      PhaseCloud, 3, std::size_t>;
-
-/// Spatial index of a subset of the samples.
-struct Index {
-    PhaseCloud cloud;
-    PhaseTree tree;
-    Index(const std::vector<Sample>& samples, std::vector<std::uint32_t> of)
-        : cloud{samples, std::move(of)}, tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
-
-    /// Returns the distance to the nearest sample, limited to `most_m`.
-    double distance_m(const glm::vec3& p, double most_m) const {
-        if (cloud.of.empty()) return most_m;
-        std::size_t nearest;
-        float distance2;
-        tree.knnSearch(&p.x, 1, &nearest, &distance2);
-        return std::min(most_m, std::sqrt(double(distance2)));
-    }
-    /// Returns the indices of at most `most` samples within a radius around `p`, sorted
-    /// by distance.
-    std::vector<std::uint32_t> within(const glm::vec3& p, double radius_m, std::size_t most) const {
-        std::vector<std::size_t> found(most);
-        std::vector<float> distance2(most);
-        if (cloud.of.empty()) return {};
-        found.resize(tree.knnSearch(&p.x, most, found.data(), distance2.data()));
-        std::vector<std::uint32_t> numbers;
-        for (std::size_t k = 0; k < found.size() && double(distance2[k]) < radius_m * radius_m; ++k)
-            numbers.push_back(cloud.of[found[k]]);
-        return numbers;
-    }
-};
 
 double turn(double turns) { return turns - std::floor(turns); }
 /// Returns the shortest signed difference b - a of two phases, -0.5 .. 0.5 strides.
@@ -126,19 +83,19 @@ FrameGaps frame_gaps(const std::vector<Sample>& samples) {
     constexpr std::size_t kMost = 3000;
     std::map<int, std::vector<std::uint32_t>> numbers;
     for (std::size_t i = 0; i < samples.size(); ++i) numbers[samples[i].frame].push_back(std::uint32_t(i));
-    std::vector<std::unique_ptr<Index>> frames;
+    std::vector<std::unique_ptr<SampleIndex>> frames;
     FrameGaps gaps;
     std::map<int, std::size_t> place;
     for (auto& [frame, of_frame] : numbers) {
         place[frame] = frames.size();
         gaps.walked_m.push_back(samples[of_frame[of_frame.size() / 2]].walked_m);
-        frames.push_back(std::make_unique<Index>(samples, std::move(of_frame)));
+        frames.push_back(std::make_unique<SampleIndex>(samples, std::move(of_frame)));
     }
     const std::size_t step = samples.size() / kMost + 1;
     for (std::size_t i = 0; i < samples.size(); i += step) gaps.frame.push_back(place[samples[i].frame]);
     gaps.distance_m.resize(gaps.frame.size());
     parallel_for(int(gaps.frame.size()), [&](int k) {
-        for (const std::unique_ptr<Index>& frame : frames)
+        for (const std::unique_ptr<SampleIndex>& frame : frames)
             gaps.distance_m[std::size_t(k)].push_back(
                 float(frame->distance_m(samples[std::size_t(k) * step].position, kNearSurface_m)));
     });
@@ -235,18 +192,18 @@ constexpr double kSame_m = 0.07;  // points that are closer together than this b
 struct Phases {
     const std::vector<Sample>& samples;
     double stride_m;
-    std::vector<std::unique_ptr<Index>> bins;
+    std::vector<std::unique_ptr<SampleIndex>> bins;
 
     Phases(const std::vector<Sample>& s, double stride) : samples(s), stride_m(stride) {
         std::vector<std::vector<std::uint32_t>> numbers(kBins);
         for (std::size_t i = 0; i < samples.size(); ++i)
             numbers[std::size_t(bin(of(i)))].push_back(std::uint32_t(i));
         for (std::vector<std::uint32_t>& of_bin : numbers)
-            bins.push_back(std::make_unique<Index>(samples, std::move(of_bin)));
+            bins.push_back(std::make_unique<SampleIndex>(samples, std::move(of_bin)));
     }
     double of(std::size_t i) const { return turn(samples[i].walked_m / stride_m); }
     static int bin(double turns) { return std::min(kBins - 1, int(turn(turns) * kBins)); }
-    const Index& at(int bin) const { return *bins[std::size_t((bin + kBins) % kBins)]; }
+    const SampleIndex& at(int bin) const { return *bins[std::size_t((bin + kBins) % kBins)]; }
 };
 
 /// Returns true if there are points near `p` in at least three quarters of the phases.
@@ -278,7 +235,7 @@ glm::vec3 velocity_at(const Phases& phases, std::size_t i) {
             // wins.
             double sum = 1e-4 * double(glm::length(velocity));
             for (const int ahead : {-4, -2, 2, 4}) {
-                const Index& there = phases.at(bin + ahead);
+                const SampleIndex& there = phases.at(bin + ahead);
                 for (const std::uint32_t j : patch) {
                     const double turns = (bin + ahead + 0.5) / kBins - phases.of(j);
                     sum += there.distance_m(phases.samples[j].position + float(apart(0.0, turns)) * velocity,

@@ -376,7 +376,9 @@ DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequen
         for (std::uint32_t pass = 0; pass < passes; ++pass)
             count_drops(counts, sequence, frame, batches.take(stream_, frame, first, pass));
     }
-    return counts.shrunk();
+    DropTable drops = counts.shrunk();
+    add_unseen_sectors(drops, frames_.unknown().observed_drops, sequence);
+    return drops;
 }
 
 void TrainLoop::count_drops(DropCounts& counts, const Sequence& sequence, const FrameData& frame,

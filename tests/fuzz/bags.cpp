@@ -306,8 +306,10 @@ std::vector<std::string> message_seeds(const fs::path&) {
 }
 
 /// Reads the turns of messages that all contain the same packets.
-void read_turns(const packets::PacketLog& log, const std::vector<packets::PacketView>& views) {
+void read_turns(packets::PacketLog& log, const std::vector<packets::PacketView>& views) {
     if (log.empty()) return;
+    log.finish();
+    log.problems();
     const SpinningSensor sensor = log.sensor();
     for (const packets::PacketTurn& turn : log.turns())
         log.scan(turn, std::vector(log.messages(turn).size(), views), sensor, turn.forward_ns);

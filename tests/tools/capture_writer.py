@@ -31,13 +31,33 @@ def frame(data, port=2368):
     return frames(data, port)[0]
 
 
+def frames6(data, mtu):
+    """A datagram as frames with IPv6 (RFC 8200) and, if it is longer than `mtu`, its fragment header."""
+    global _identification
+    _identification += 1
+    datagram = struct.pack(">HHHH", 2368, 2368, 8 + len(data), 0) + data
+    addresses = bytes.fromhex("fe80" + 13 * "00" + "01" + "ff02" + 13 * "00" + "01")
+    size = (mtu - 48) // 8 * 8
+    out = []
+    for at in range(0, len(datagram), size):
+        part = struct.pack(">BBHI", 17, 0, at | (at + size < len(datagram)), _identification) + datagram[at:at + size]
+        out.append(ethernet(struct.pack(">IHBB", 6 << 28, len(part), 44, 64) + addresses + part, kind=0x86dd))
+    return out
+
+
+def cooked(frame):
+    """A frame as Linux captures it on the interface "any" (LINKTYPE_LINUX_SLL)."""
+    return struct.pack(">HHH8s", 0, 1, 6, b"") + frame[12:]
+
+
 def stranger():
     """An ARP request."""
     return ethernet(bytes(28), kind=0x0806)
 
 
-def write(path, stamped, cut={}):
-    """@param stamped (ns, frame) in order; `.pcapng` names decide the format @param cut bytes that are kept of frames, by number"""
+def write(path, stamped, cut={}, link=1):
+    """@param stamped (ns, frame) in order; `.pcapng` names decide the format @param cut bytes that are kept of frames, by number
+    @param link link type of a pcap"""
     with open(path, "wb") as out:
         if path.suffix == ".pcapng":
             section = struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)
@@ -45,7 +65,7 @@ def write(path, stamped, cut={}):
             for kind, body in ((0x0A0D0D0A, section), (1, interface)):
                 out.write(struct.pack("<II", kind, len(body) + 12) + body + struct.pack("<I", len(body) + 12))
         else:
-            out.write(struct.pack("<IHHiIII", 0xA1B23C4D, 2, 4, 0, 0, 262144, 1))
+            out.write(struct.pack("<IHHiIII", 0xA1B23C4D, 2, 4, 0, 0, 262144, link))
         for number, (ns, data) in enumerate(stamped):
             kept = data[:cut.get(number, len(data))]
             if path.suffix == ".pcapng":

@@ -5,6 +5,7 @@ its time, in its ring, with its reflectivity; dropped rays are dropped.
    packets_test.py RELIDAR WORK [pcap]       77: numpy is missing
 """
 import json
+import os
 import pathlib
 import shutil
 import struct
@@ -343,6 +344,183 @@ def test_written_again():
                 expect(abs((firing[0] - old[begin + k][0] + 18000) % 36000 - 18000) <= 1, f"{product.name}: azimuth {firing[0]} of firing {k}, expected {old[begin + k][0]}")
         print(f"{product.name}, {1 + dual} returns: {len(new)} firings as they were")
 
+def near_scans(name, one, other):
+    """The same rays as in the other log, with times that differ by less than 2 us."""
+    expect(len(one[1]["frames"]) == len(other[1]["frames"]) > 1, f"{name}: {len(other[1]['frames'])} scans, expected {len(one[1]['frames'])}")
+    for frame, twin in zip(one[1]["frames"], other[1]["frames"]):
+        left, right = np.load(one[0] / frame["scan"]), np.load(other[0] / twin["scan"])
+        for key in ("range", "intensity", "directions", "ring"):
+            expect(np.array_equal(left[key], right[key]), f"{name}: {key} of {twin['scan']}")
+        apart = np.abs(frame["time_s"] - twin["time_s"] + left["time"].astype(float) - right["time"])
+        expect(apart.max() < 2e-6, f"{name}: times differ by {apart.max()} s")
+
+
+def test_network():
+    """A network delivers packets late, twice, in fragments, and on several interfaces. The log is that of the packets in order."""
+    product = lidars.PRODUCTS[5]
+    packets, _ = lidars.packets(product, 900)
+    spaced = [(T0 + ns, data) for ns, data in packets]
+
+    def capture(name, datagrams, **how):
+        path = WORK / f"network_{name.replace(' ', '_')}.pcap"
+        frames = [(ns, f) for ns, data in datagrams for f in captures.frames(data, **how)]
+        captures.write(path, frames)
+        return path
+
+    plain = converted(capture("plain", spaced))
+    swapped = list(spaced)
+    for k in (300, 301, 430):
+        swapped[k], swapped[k + 1] = swapped[k + 1], (swapped[k + 1][0] + 1000, swapped[k][1])
+    swapped[500], swapped[501] = (swapped[500][0], swapped[501][1]), (swapped[501][0], swapped[500][1])   # their stamps were not
+    late = [p for p in spaced if p != spaced[400]]
+    late.insert(405, (spaced[405][0] + 1000, spaced[400][1]))
+    doubled = [p for k, p in enumerate(spaced) for _ in range(2 if k == 250 else 1)]
+    twice = [(ns + 20_000 * again, data) for ns, data in spaced for again in (0, 1)]
+    for name, datagrams, note in (("swapped", swapped, "packets were received late"), ("late", late, "1 packets were received late"),
+                                  ("doubled", doubled, "1 packets were received twice"), ("all twice", twice, "900 packets were received twice")):
+        log = converted(capture(name, datagrams))
+        near_scans(name, plain, log)
+        expect(note in "\n".join(log[1]["notes"]), f"{name}: {log[1]['notes']}")
+        print(f"{name}: as in order")
+    # Fragments: each first fragment comes twice, and those of two datagrams alternate.
+    frames = []
+    for a, b in zip(spaced[::2], spaced[1::2]):
+        first, second = captures.frames(a[1], mtu=600), captures.frames(b[1], mtu=600)
+        frames += [(a[0], first[0]), (a[0], second[0]), (a[0], first[0])]
+        frames += [(a[0], f) for pair in zip(first[1:], second[1:]) for f in pair]
+    path = WORK / "network_fragments.pcap"
+    captures.write(path, frames)
+    near = converted(path)
+    expect("900 packets of a XT32" in "\n".join(near[1]["notes"]), f"fragments: {near[1]['notes']}")
+    expect(len(near[1]["frames"]) == len(plain[1]["frames"]), f"fragments: {near[1]['notes']}")
+    for frame, twin in zip(plain[1]["frames"], near[1]["frames"]):
+        left, right = np.load(plain[0] / frame["scan"]), np.load(near[0] / twin["scan"])
+        expect(np.array_equal(left["range"], right["range"]), "fragments: ranges")
+    # Interface "any" of Linux: a packet is captured on each interface that it passes.
+    cooked = WORK / "network_any.pcap"
+    captures.write(cooked, [(ns + 5000 * again, captures.cooked(f)) for ns, data in spaced for again in (0, 1) for f in captures.frames(data)], link=113)
+    near_scans("any", plain, converted(cooked))
+    six = WORK / "network_ipv6.pcap"
+    captures.write(six, [(ns, f) for ns, data in spaced for f in captures.frames6(data, 700)])
+    near_scans("IPv6", plain, converted(six))
+    expect("[fe80::1]:2368" in run("info", six), "address of an IPv6 capture")
+    # Two sensors that look alike: their packets must not become one.
+    mixed = sorted(spaced + [(T0 + ns + 130_000, d) for ns, d in lidars.packets(product, 900, zero_us=3_599_950_130)[0]])
+    text = run("info", capture("two sensors", mixed), code=3)
+    expect("packets of two sensors are mixed" in text, f"two sensors: {text}")
+    text = run("info", capture("half", spaced[:90]), code=3)
+    expect("90 packets of a XT32" in text and "degrees of a turn, expected whole turns" in text, f"half a turn: {text}")
+    text = run("info", capture("one", spaced[:1]), code=3)
+    expect("1 packets of a XT32" in text, f"one packet: {text}")
+    print("fragments, any, IPv6, two sensors, parts of a turn: as expected")
+
+
+def test_sectors():
+    """Sectors that the sensor does not see: firings without any return, and firings that the sensor leaves out."""
+    product = lidars.PRODUCTS[5]
+    packets, _ = lidars.packets(product, 900)
+    blanked, shares = [], []
+    for ns, data in packets:   # XT32: blocks of 130 bytes behind 12; the x axis is at 90 degrees
+        data = bytearray(data)
+        for at in range(12, 12 + 8 * 130, 130):
+            if 225 <= data[at] / 100 + data[at + 1] * 2.56 < 315:
+                data[at + 2:at + 130] = bytes(128)
+            ranges = np.frombuffer(bytes(data[at + 2:at + 130]), "<u2")[::2]
+            shares.append((ranges > 0).mean())
+        blanked.append((ns, bytes(data)))
+    bag = WORK / "blanked.mcap"
+    bags.write_mcap(bag, messages(blanked, "nebula_msgs/NebulaPackets"))
+    log, head = converted(bag)
+    for frame in head["frames"]:
+        scan = np.load(log / frame["scan"])
+        azimuth = np.degrees(np.arctan2(scan["directions"][..., 1], scan["directions"][..., 0]))
+        hit = scan["range"] > 0
+        expect(abs(hit.mean() - np.mean(shares[:2000 * 3])) < 0.002, f"{hit.mean()} returns, the packets have {np.mean(shares[:6000])}")
+        expect(not hit[np.abs(azimuth) > 136].any(), "returns in a sector without any")
+        expect(0.24 < (np.abs(azimuth) > 135).mean() < 0.26, "rays of the sector are missing")
+        expect(np.abs(scan["time"]).max() < 0.052, f"times up to {np.abs(scan['time']).max()} s")
+    print("XT32, a sector without any return: as written")
+
+    product = lidars.PRODUCTS[1]
+    expect(product.name == "VLP-32C", product.name)
+    packets, _ = lidars.packets(product, 700)
+    full, full_head = converted_bag("full_turns", packets)
+    fired = []   # a sensor that is set to 270 to 90 degrees fills its packets with the firings that are left
+    for k, (ns, data) in enumerate(packets):
+        for b in range(12):
+            block = data[100 * b:100 * b + 100]
+            azimuth = (block[2] + 256 * block[3]) / 100
+            if azimuth <= 90 or azimuth >= 270:
+                fired.append(((12 * k + b) * product.cycle_us, block))
+    limited = []
+    for at in range(0, len(fired) - 11, 12):
+        us = fired[at][0]
+        limited.append((round(us * 1000), b"".join(block for _, block in fired[at:at + 12]) +
+                        struct.pack("<I", round(us + 3_599_950_000) % 3_600_000_000) + packets[0][1][1204:]))
+    log, head = converted_bag("half_turns", limited)
+    expect("the sensor fires in 18" in "\n".join(head["notes"]), f"half turns: {head['notes']}")
+    expect(len(head["frames"]) >= 3, f"half turns: {head['notes']}")
+    full_s = np.array([f["time_s"] for f in full_head["frames"]]) + zero_of(full_head)
+    for frame in head["frames"]:
+        scan = np.load(log / frame["scan"])
+        columns = lidars.TURN_S / product.cycle_us * 1e6
+        expect(abs(scan["range"].shape[1] - columns / 2) < 8, f"half turns: {scan['range'].shape}")
+        at = np.abs(full_s - frame["time_s"] - zero_of(head)).argmin()
+        whole = np.load(full / full_head["frames"][at]["scan"])
+        shift = full_s[at] - frame["time_s"] - zero_of(head)
+        key = lambda s, dt: {(int(r), round(float(d), 4), round((float(t) + dt) / 20e-6)) for r, d, t in zip(
+            s["ring"][s["range"] > 0], s["range"][s["range"] > 0], s["time"][s["range"] > 0])}
+        half, all_of_turn = key(scan, 0.0), key(whole, shift)
+        near = all_of_turn | {(r, d, t + e) for r, d, t in all_of_turn for e in (-1, 1)}
+        expect(len(half - near) <= 64, f"half turns: {len(half - near)} of {len(half)} returns are not those of full turns")
+        expect(abs(len(half) / len(all_of_turn) - 0.5) < 0.01, f"half turns: {len(half)} returns, {len(all_of_turn)} in full turns")
+    print("VLP-32C, half turns: as written")
+
+
+def converted_bag(name, packets):
+    bag = WORK / f"{name}.mcap"
+    bags.write_mcap(bag, messages(packets, "nebula_msgs/NebulaPackets"))
+    return converted(bag)
+
+
+def zero_of(head):
+    """Seconds from T0 to time 0 of a log."""
+    text = head["conventions"].split("0 s is ")[1].split()[0]
+    return int(text.split(".")[0]) - T0 // 10**9 + float("0." + text.split(".")[1]) - 1e-9 * (T0 % 10**9)
+
+
+def test_others():
+    """Recordings of other programs. The numbers are those of the packets, or of the maker's SDK."""
+    shared = os.environ.get("RELIDAR_SHARED")
+    data = (pathlib.Path(shared) if shared else pathlib.Path(__file__).resolve().parents[2].parent / "shared") / "data" / "others"
+    if not data.is_dir():
+        print(f"skipped: {data} is not there")
+        return
+    for name, turns, share, note in (("derived/dead-sector/xt32_rear_blanked.pcap", 3, 0.712, ""),
+                                     ("derived/dead-sector/xt32_front_blanked.pcap", 3, 0.716, ""),
+                                     ("derived/packet-order/xt32_swap_middle.pcap", 3, 0.95, "1 packets were received late"),
+                                     ("derived/packet-order/xt32_dup_middle.pcap", 3, 0.95, "1 packets were received twice"),
+                                     ("derived/packet-order/xt32_all_dup.pcap", 3, 0.95, "2000 packets were received twice"),
+                                     ("derived/packet-order/os1_all_dup.pcap", 3, None, "192 packets were received twice"),
+                                     ("derived/vlp32-fov/raw.pcap", 4, None, "the sensor fires in 181 degrees"),
+                                     ("nebula-velodyne-vlp32/1713492677464078412", 4, None, "the sensor fires in 181 degrees")):
+        log, head = converted(data / name)
+        expect(len(head["frames"]) == turns and note in "\n".join(head["notes"]), f"{name}: {len(head['frames'])} turns, {head['notes']}")
+        for frame in head["frames"]:
+            scan = np.load(log / frame["scan"])
+            if "vlp32" in name:
+                expect(abs(scan["range"].size - 29_000) < 300, f"{name}: {scan['range'].size} rays")
+            if share:
+                expect(abs((scan["range"] > 0).mean() - share) < 0.0015, f"{name}: {(scan['range'] > 0).mean()} returns")
+        print(f"{name}: {turns} turns")
+    for name, reason in (("ouster-duplicate_id/duplicate_id.pcap", "1 packets of a 128-beam Ouster, OS-2-128"),
+                         ("ouster-OS-1-128_fusa/OS-1-128_767798045_1024x10_20230712_120049.pcap", "8 packets of a 128-beam Ouster, OS-1-128"),
+                         ("ouster-same_ports/legacy/same_ports_legacy.pcap", "1 packets of a 64-beam Ouster, OS-1-64-AH"),
+                         ("ouster-shot_limiting/shot_limiting_test.pcap", "the packets are of 5 degrees of a turn"),
+                         ("gadomski-vlp16/position.pcap", "1 datagrams that relidar cannot decode as LiDAR packets")):
+        text = run("info", data / name, code=3)
+        expect(reason in text, f"{name}: {text}")
+
 
 shutil.rmtree(WORK, ignore_errors=True)
 WORK.mkdir(parents=True)
@@ -350,7 +528,11 @@ test_bags()
 test_alternating()
 test_strangers()
 test_ousters()
+test_sectors()
 if PCAP:
     test_captures()
     test_written_again()
+
+    test_network()
+    test_others()
 print("done")

@@ -3,6 +3,7 @@
 // sector hidden by the recording vehicle, and rays that are dropped occasionally.
 #include "train/drops/sensor_drop.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <numeric>
 
@@ -103,6 +104,44 @@ TEST(SensorDrop, OnlyABlindSectorIsBlindInOneSweep) {
                 << n_frames << " sweeps, beam " << beam << ", column " << column;
         }
     }
+}
+
+/// Returns a log of two LiDARs. The first one does not fire in a sector, and gets no
+/// return in another sector. The highest of its beams never returns.
+Sequence log_with_sectors() {
+    Sequence log = log_of(0);
+    log.lidars.push_back(log.lidars[0]);
+    for (int f = 0; f < 6; ++f) {
+        Frame frame{f / 2, 0.1 * (f / 2), {}, f % 2};
+        for (int beam = 0; beam < 4; ++beam)
+            for (int column = 0; column < kColumns; ++column) {
+                if (frame.lidar == 0 && column >= 60 && column < 120) continue;
+                const double azimuth = kPi - (column + 0.5) * 2.0 * kPi / kColumns;
+                const bool returns = frame.lidar == 1 || (beam > 0 && !(column >= 200 && column < 240));
+                frame.scan.rays.origin.emplace_back(0.0f);
+                frame.scan.rays.direction.emplace_back(std::cos(azimuth), std::sin(azimuth), 0.0);
+                frame.scan.rays.time_offset_s.push_back(0.0f);
+                frame.scan.rays.channel.push_back(static_cast<std::uint16_t>(beam));
+                frame.scan.range_m.push_back(returns ? 10.0f : 0.0f);
+                frame.scan.intensity.push_back(0.0f);
+            }
+        log.frames.push_back(std::move(frame));
+    }
+    return log;
+}
+
+TEST(SensorDrop, ASectorWithoutReturnsIsNotSeenWhateverTheSceneHas) {
+    const Sequence log = log_with_sectors();
+    const DropTable observed = observed_drops(log, {0, 1, 2, 3, 4, 5});
+    DropTable drops = observed;
+    std::ranges::fill(drops.probability, 0.25f);
+    add_unseen_sectors(drops, observed, log);
+    for (int beam = 0; beam < 8; ++beam)
+        for (int column = 1; column < kColumns; column += 3) {  // the middle of each bin
+            const bool is_in = (column >= 60 && column < 120) || (column >= 201 && column < 240);
+            EXPECT_EQ(at(drops, beam, column), beam < 4 && is_in ? 1.0f : 0.25f)
+                << "beam " << beam << ", column " << column;
+        }
 }
 
 }  // namespace

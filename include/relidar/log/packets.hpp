@@ -34,8 +34,9 @@ struct PacketOptions {
     /// Packet format of an Ouster (udp_profile_lidar). If the text is empty, the encoder
     /// chooses RNG19_RFL8_SIG16_NIR16 or RNG19_RFL8_SIG16_NIR16_DUAL.
     std::string ouster_profile = {};
-    /// True: a computer measured the times when it received the packets of a real sensor.
-    /// The encoder then computes the number of firings between two times from the azimuth.
+    /// True: a computer measured the times when it received the packets of a real
+    /// sensor. The encoder then computes the number of firings between two times from the
+    /// azimuth.
     bool times_jitter = false;
 };
 

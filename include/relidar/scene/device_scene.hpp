@@ -49,8 +49,8 @@ struct SurfelArrays {
     /// Logarithms of the scale along the third axis of 3D Gaussians. Not allocated for
     /// surfels.
     Array<float, shared::ThirdLogScales> log_scale_w;
-    /// Walking motion (gait) of each surfel. Allocated only for scenes with walking
-    /// actors.
+    /// Window of time (gait) of each surfel. Allocated only for scenes with actors whose
+    /// shape changes.
     Array<float, shared::Gaits> gait;
     std::uint32_t n = 0;  ///< Number of surfels. The arrays may have memory for more surfels.
     Primitive primitive = Primitive::surfel;
@@ -85,8 +85,7 @@ struct LearningRates {
     double opacity_logit = 0.05;
     double sh = 2.5e-3;            ///< Learning rate of the constant (DC) coefficient of each SH channel.
     double sh_rest_factor = 0.05;  ///< Learning rate of the other SH coefficients, relative to `sh`.
-    /// Learning rate of the gait parameters, for phases in gait cycles and motions in
-    /// metres.
+    /// Learning rate of the gait parameters, for phases and for motions in metres.
     double gait = 1e-4;
     /// Learning rate of the intensity coefficients, relative to the rate of the drop
     /// logits.
@@ -108,7 +107,7 @@ struct ParameterGroup {
     bool harmonics;  ///< True if the last dimension holds spherical harmonics (SH) coefficients.
     bool scales;     ///< True if the group holds standard deviations, which may have upper bounds.
     /// Selects the surfels that have this group: all surfels, only primitives with a
-    /// third scale, or only surfels of scenes with walking actors (`bends`).
+    /// third scale, or only surfels of scenes with changing actors (`bends`).
     enum class Of { all, third_scale, bends } of;
     const Array<float>& (*device)(const SurfelArrays&);  ///< Returns the device array, [n, floats()].
     /// Returns the device array for writing, [n, floats()].
@@ -273,8 +272,8 @@ public:
     /// poses after its next update() or move().
     void place(Stream& stream, const std::vector<InstancePose>& placed);
     const std::vector<InstancePose>& poses() const;
-    /// Returns true if the new poses have another gait phase for a walking actor. The
-    /// surfel records must then be computed again.
+    /// Returns true if the new poses have another phase for an actor whose shape changes.
+    /// The surfel records must then be computed again.
     bool has_new_gait_phases(const std::vector<InstancePose>& placed) const;
     /// Records the GPU kernel that computes surfel records from the parameters (M1, M2,
     /// M9). With ShDirection::surfel, the kernel also evaluates intensity and logits for

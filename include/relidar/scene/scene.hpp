@@ -63,18 +63,17 @@ constexpr const PrimitiveKind& kind_of(Primitive primitive) {
     return kPrimitives[static_cast<std::size_t>(primitive)];
 }
 
-/// Periodic motion of a surfel on a walking actor. p is the gait phase of the actor,
-/// where 1 is a full gait cycle (InstancePose::phase, docs/method.md M14):
+/// Window of time of a surfel on an actor whose shape changes. p is the phase of the
+/// actor's motion (InstancePose::phase, docs/method.md M14):
 ///
 ///   opacity exp(sharpness^2 (cos 2 pi (p - phase) - 1)),   mean + swing sin 2 pi (p - phase)
 ///
-/// If all fields are zero, the surfel is always visible and does not move.
+/// For a large sharpness, this is a Gaussian with a standard deviation of 1 / (2 pi
+/// sharpness). If all fields are zero, the surfel is always visible and does not move.
 struct Gait {
-    /// Gait phase at which the surfel is most opaque and at its mean position. 1 = a full
-    /// gait cycle.
+    /// Phase at which the surfel is most opaque and at its mean position.
     float phase = 0.0f;
-    /// Determines how quickly the surfel fades at other gait phases. 0 = visible at every
-    /// phase.
+    /// Determines how quickly the surfel fades at other phases. 0 = always visible.
     float sharpness = 0.0f;
     glm::vec3 swing{0.0f};  ///< Amplitude of the motion, [3] metres, model frame.
 };
@@ -82,7 +81,7 @@ struct Gait {
 /// Selects the parameters that the surfels of a scene have.
 struct ParameterSet {
     Primitive primitive;
-    bool bends;  ///< True if the surfels also have a gait (walking motion).
+    bool bends;  ///< True if the surfels also have a gait (window of time).
     constexpr ParameterSet(Primitive p = Primitive::surfel, bool b = false) : primitive(p), bends(b) {}
     bool operator==(const ParameterSet&) const = default;
 };
@@ -102,9 +101,9 @@ struct Surfels {
     /// Standard deviations along the third axis, [n] ln metres. Empty for surfels, which
     /// have only two axes.
     std::vector<float> log_scale_w;
-    std::vector<Gait> gait;  ///< Walking motions, [n] if `bends` is true, otherwise empty.
+    std::vector<Gait> gait;  ///< Windows of time, [n] if `bends` is true, otherwise empty.
     Primitive primitive = Primitive::surfel;
-    bool bends = false;  ///< True if the surfels have a gait (walking motion).
+    bool bends = false;  ///< True if the surfels have a gait (window of time).
 
     std::size_t size() const { return mean.size(); }
     ParameterSet parameters() const { return {primitive, bends}; }
@@ -137,7 +136,8 @@ struct Model {
     /// Half size of the box around the origin that contains the model's surfels, metres,
     /// model frame. 0 = the model has no box.
     glm::vec3 half_size_m{0.0f};
-    /// Distance walked in one gait cycle (two steps), metres. 0 = the model is rigid.
+    /// Walked distance after which the motion repeats, metres: a gait cycle (two steps of
+    /// a person), or the recorded distance if no gait was found. 0 = the model is rigid.
     float stride_m = 0.0f;
     std::optional<SideShares> seen_sides = {};  ///< what the log has seen of the box; empty: unknown
 };
@@ -300,10 +300,10 @@ struct InitialiseOptions {
     /// Comma-separated track ids that become actors, regardless of class and motion.
     /// Empty = select actors by class.
     std::string actor_tracks;
-    /// Comma-separated kinds or class names of actors that may get a walking motion if
-    /// their points show one. Empty = none (paper).
+    /// Comma-separated kinds or class names of actors whose shape changes. Empty = none.
     std::string deform = "person,cyclist";
-    int actor_points = 8000;  ///< Maximum number of surfels per actor.
+    /// Maximum number of surfels per actor. Changing actors may have 200 in each frame.
+    int actor_points = 8000;
     /// Minimum number of surfels per actor. Random points in the box fill up smaller
     /// actors. 0 = off (paper: 8000).
     int actor_pad_to = 0;
@@ -321,7 +321,7 @@ struct InstancePose {
     bool present = true;
     /// Time at which the track has the pose world_from_model. place_instances() sets it.
     double time_s = 0.0;
-    double phase = 0.0;   ///< Phase of the model's walking motion. 1 = a full gait cycle.
+    double phase = 0.0;   ///< Phase of the model's motion, which repeats after 1.
     PoseMotion motion{};  ///< Motion during the sweep, relative to world_from_model.
 };
 
@@ -358,7 +358,7 @@ Surfels initialise_background(const Sequence& sequence, const std::vector<int>& 
 /// selected tracks. A point in two boxes belongs to both models. Uses only points of
 /// training frames.
 /// @param notes output: for each possible walker (InitialiseOptions::deform), its stride
-/// or the reason why it is rigid
+/// or the reason why no stride was found
 /// @throws DataError if no training frame has a usable point
 Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions,
                        const InitialiseOptions& options, const Progress& progress = {},

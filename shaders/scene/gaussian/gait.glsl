@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Motion of a surfel of a walking actor (docs/method.md M14). At a phase p of the gait,
-// its opacity is multiplied by exp(sharpness^2 (cos 2 pi (p - phase) - 1)), and it is
-// moved by swing sin 2 pi (p - phase). Include after shared/scene.h.
+// Window of time of a surfel on an actor whose shape changes (docs/method.md M14). At a
+// phase p of the actor's motion, its opacity is multiplied by
+//   exp(sharpness^2 (cos 2 pi (p - phase) - 1)),
+// and it is moved by swing sin 2 pi (p - phase). Include after shared/scene.h.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAIT_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAIT_GLSL
 
@@ -10,24 +11,27 @@ struct Gait {
     vec3 swing;  // amplitude, m
     float sine;  // sine of 2 pi (p - phase)
     float cosine;
+    float less;      // cosine - 1
     float presence;  // factor on the opacity
 };
 
 const float kTurn = 6.283185307;
 
-/// Returns the periodic motion of a surfel of a walking actor.
-/// @param at  phase of the gait in full cycles (0 to 1). A negative value means that the
-/// model is rigid and its surfels do not move.
+/// Returns the state of a surfel at a phase of its actor's motion.
+/// @param at  phase, 0 to 1. A negative value means that the model is rigid and its
+/// surfels do not move.
 Gait gait_of(Floats gaits, uint surfel, float at) {
-    if (is_null(gaits) || at < 0.0) return Gait(0.0, vec3(0.0), 0.0, 1.0, 1.0);
+    if (is_null(gaits) || at < 0.0) return Gait(0.0, vec3(0.0), 0.0, 1.0, 0.0, 1.0);
     uint i = 5u * surfel;
     float off = at - gaits.at[i];
     // Wraps the phase difference to half a cycle, because sine and cosine are accurate in
     // this range.
     off = kTurn * (off - round(off));
-    float sharpness = gaits.at[i + 1u], cosine = cos(off);
-    return Gait(sharpness, vec3(gaits.at[i + 2u], gaits.at[i + 3u], gaits.at[i + 4u]), sin(off), cosine,
-                exp(sharpness * sharpness * (cosine - 1.0)));
+    // Computes cosine - 1 from the sine of half the angle, because sharp surfels multiply
+    // the rounding error of the cosine.
+    float sharpness = gaits.at[i + 1u], half_sine = sin(0.5 * off), less = -2.0 * half_sine * half_sine;
+    return Gait(sharpness, vec3(gaits.at[i + 2u], gaits.at[i + 3u], gaits.at[i + 4u]), sin(off), cos(off),
+                less, exp(sharpness * sharpness * less));
 }
 
 /// Computes the gradient of the five gait parameters.
@@ -36,7 +40,7 @@ Gait gait_of(Floats gaits, uint surfel, float at) {
 void gait_vjp(Gait g, vec3 d_mean, float d_presence, out float d_gait[5]) {
     d_gait[0] = -kTurn * (g.cosine * dot(g.swing, d_mean) -
                           g.sharpness * g.sharpness * g.sine * g.presence * d_presence);
-    d_gait[1] = 2.0 * g.sharpness * (g.cosine - 1.0) * g.presence * d_presence;
+    d_gait[1] = 2.0 * g.sharpness * g.less * g.presence * d_presence;
     for (uint k = 0u; k < 3u; ++k) d_gait[2u + k] = g.sine * d_mean[k];
 }
 #endif

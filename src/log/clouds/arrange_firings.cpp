@@ -12,6 +12,9 @@ namespace relidar {
 namespace {
 
 constexpr int kTicks = 1 << 16;  // resolution of azimuths: ticks per revolution, 0.0055 degrees each
+// A turn may have up to this many firings less than expected. If more firings are
+// missing, the sensor fired, but no beam had a return.
+constexpr int kMostMissing = 8;
 
 /// Returns the head azimuth of each firing from the first to the last. For firings
 /// without points, interpolates the deviation from a constant rotation.
@@ -37,13 +40,25 @@ std::map<int, double> head_azimuths(const Points& points, const std::vector<int>
     return heads;
 }
 
+/// Adds the firings of a sector without any return at the end of the turn. The turn
+/// continues at a constant rate until its circle or the image is full.
+/// @param columns  columns of the image; 0: unknown
+void add_end_of_turn(std::map<int, double>& heads, int columns, double step_rad) {
+    const int full = int(2.0 * kPi / std::abs(step_rad));
+    const int n_missing = (columns > 0 ? std::min(columns, full) : full) - int(heads.size());
+    const auto [last, head] = *heads.rbegin();
+    for (int k = 1; n_missing > kMostMissing && k <= n_missing; ++k)
+        heads[last + k] = std::remainder(head + k * step_rad, 2.0 * kPi);
+}
+
 }  // namespace
 
 Sweep arrange_firings(Points& points, const std::vector<int>& numbers, const SpinningSensor& sensor,
                       double step_rad) {
+    std::map<int, double> heads = head_azimuths(points, numbers, sensor, step_rad);
+    add_end_of_turn(heads, sensor.columns, step_rad);
     std::vector<std::pair<double, int>> by_azimuth;
-    for (const auto& [number, head] : head_azimuths(points, numbers, sensor, step_rad))
-        by_azimuth.emplace_back(-head, number);
+    for (const auto& [number, head] : heads) by_azimuth.emplace_back(-head, number);
     std::sort(by_azimuth.begin(), by_azimuth.end());
     Sweep sweep{{kTicks, 0.0}, {}};
     std::map<int, std::uint32_t> place;

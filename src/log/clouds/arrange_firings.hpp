@@ -13,7 +13,9 @@ namespace relidar {
 /// azimuth of their points. A sweep may be longer than one revolution, so two firings
 /// with the same azimuth stay separate. Some firings have no points, for example where
 /// the vehicle blocks all beams. Their deviation from a constant rotation is interpolated
-/// between the neighbouring firings.
+/// between the neighbouring firings. Firings without points at the end of the turn are
+/// added until the circle, or the image of `sensor.columns`, is full. A beam of such a
+/// firing is a dropped ray.
 /// @param points  points with rings, at least one
 /// @param numbers  [points] firing number of each point; numbers increase with time
 /// @param step_rad  azimuth step between firings at a constant rotation rate; negative

@@ -182,9 +182,11 @@ std::vector<double> firing_times(const Points& points, const SpinningSensor& sen
                 count[std::size_t(firing_of[i])] += 1.0;
     std::vector<double> measured = time_s;
     for (std::size_t f = 0; f < n; ++f) {
-        std::size_t from = f;  // searches alternately among later and earlier firings
-        for (std::size_t d = 0; d < n && count[from] == 0.0; ++d)
-            from = d % 2 == 0 ? (f + d / 2 + 1) % n : (f + n - d / 2 - 1) % n;
+        std::size_t from = f;  // searches among later and earlier firings of the same sweep
+        for (std::size_t d = 1; d < n && count[from] == 0.0; ++d) {
+            if (f + d < n && count[f + d] > 0.0) from = f + d;
+            else if (f >= d) from = f - d;
+        }
         if (count[from] == 0.0) return time_s;
         const double step = std::remainder(
             sweep.lattice.azimuth_of(sweep.firings[f]) - sweep.lattice.azimuth_of(sweep.firings[from]),

@@ -136,8 +136,8 @@ std::vector<FiredColumn> find_firings(const Scan& scan, double time_s, const Spi
                         "of a turn; a "
                         "motion-compensated log has no firing times",
                         sensor.name, last - first, sensor.period_s));
-    // Logs have the time of each laser. In rendered scans, all lasers of a firing have the
-    // same time.
+    // Logs have the time of each laser. In rendered scans, all lasers of a firing have
+    // the same time.
     const std::vector<double> no_offset(offset_us.size(), 0.0);
     const bool has_laser_times = time_spread(scan, image, offset_us) < time_spread(scan, image, no_offset);
     const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);

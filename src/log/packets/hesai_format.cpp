@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Packets of Hesai's Pandar40P, Pandar64, PandarXT-16 and 32 and XT32M2X (user manuals,
 // "Point cloud data packet"). The date in a packet counts years from 2000 (Pandar40P,
-// Pandar64) or from 1900 (XT). The angles of the beams are written as a file for the drivers:
-// "Laser id,Elevation,Azimuth" in degrees, azimuth clockwise.
+// Pandar64) or from 1900 (XT). The angles of the beams are written as a file for the
+// drivers: "Laser id,Elevation,Azimuth" in degrees, azimuth clockwise.
 #include <array>
 #include <chrono>
 #include <cmath>

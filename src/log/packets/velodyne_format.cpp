@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Packets of Velodyne's VLP-16, VLP-32C, HDL-32E and VLS-128 (manuals 63-9243, 63-9325,
-// 63-9113 and 63-9483): 12 blocks, then microseconds of the hour (4 bytes), return mode, product.
+// 63-9113 and 63-9483): 12 blocks, then microseconds of the hour (4 bytes), return mode,
+// product.
 #include "base/bytes.hpp"
 #include "log/packets/packet_format.hpp"
 

@@ -181,12 +181,15 @@ OutsideRange count_outside(const Scan& scan, const RangeLimits& limits) {
 /// Adds a note to the log for each LiDAR that has returns outside its range limits. The
 /// note states the number of these returns.
 /// @param counts  [frames] numbers of near, far and all returns in each frame
+/// @throws DataError if no return of the log is within the limits
 void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& counts) {
+    std::size_t n_all = 0, n_kept = 0;
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         OutsideRange sum;
         for (std::size_t i = 0; i < counts.size(); ++i)
             if (sequence.frames[i].lidar == int(l))
                 sum.near += counts[i].near, sum.far += counts[i].far, sum.all += counts[i].all;
+        n_all += sum.all, n_kept += sum.all - sum.near - sum.far;
         if (sum.near + sum.far == 0) continue;
         const Lidar& lidar = sequence.lidars[l];
         std::string parts =
@@ -199,6 +202,11 @@ void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& cou
                                              sum.near + sum.far, sum.all,
                                              100.0 * double(sum.near + sum.far) / double(sum.all), parts));
     }
+    if (n_all > 0 && n_kept == 0)
+        throw DataError(
+            fmt::format("{}: none of its {} returns is within the range limits, expected other values of "
+                        "dataset.min_range_m or dataset.max_range_m: {}",
+                        sequence.source, n_all, sequence.notes.back()));
 }
 
 /// Restricts the range limits of each LiDAR to the requested limits. Then drops all

@@ -164,9 +164,8 @@ void visit_scene(C& c, Visitor&& f) {
       expert("ids of tracks that become actors in any case, even if they are parked or of another "
              "class, separated by commas; empty: only init.actor_classes decides"));
     f("init.deform", c.init.deform, anything(),
-      "classes whose actors deform while they walk, if a gait is detected in their points, "
-      "separated by commas: vehicle, cyclist, person, other, or a class name of the dataset; "
-      "empty: all actors are rigid (paper)");
+      "classes whose actors change their shape while they walk, separated by commas: vehicle, "
+      "cyclist, person, other, or a class name of the dataset; empty: all actors are rigid (paper)");
     f("init.actor_pad_to", c.init.actor_pad_to, between(0, 1e6),
       expert("add random points inside the box of an actor until it has this number of points; 0: add "
              "none; paper: 8000"));

@@ -68,7 +68,7 @@ glm::vec3 read_half_size(const JsonField& model) {
 /// Reads the stride length of a model that deforms. Returns 0 if the model does not
 /// deform.
 float read_stride(const JsonField& model) {
-    return model.has("stride_m") ? static_cast<float>(model.at("stride_m").number(1e-3, 1e3)) : 0.0f;
+    return model.has("stride_m") ? static_cast<float>(model.at("stride_m").number(1e-3, 1e6)) : 0.0f;
 }
 
 /// Reads the share of each side of a model's box that the log has seen. Returns nothing

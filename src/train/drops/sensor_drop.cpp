@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cmath>
 
 #include "base/parallel.hpp"
 
@@ -20,11 +21,38 @@ constexpr std::uint32_t kCertainRays = 60;
 // Weight of the prior, as a number of rays. The expected drop rate includes this many
 // returned rays. The drop rate of a bin includes this many rays with the expected rate.
 constexpr double kPriorRays = 8.0;
+// smallest sector without returns, as a share of the circle
+constexpr double kLeastSector = 10.0 / 360.0;
+constexpr float kBlindFrequency = 0.95f;
 
 int bins_of(const Sequence& sequence) {
     int columns = 0;
     for (const Lidar& lidar : sequence.lidars) columns = std::max(columns, lidar.sensor.columns);
     return std::max(1, columns / kColumnsPerBin);
+}
+
+/// Calls visit(first, n) for each run of bins around the circle that fulfil a condition.
+/// Ignores runs that are narrower than the smallest sector. Does nothing if all bins
+/// fulfil the condition.
+template <class Condition, class Visit>
+void each_sector(int bins, const Condition& is_in, const Visit& visit) {
+    int begin = 0;
+    while (begin < bins && is_in(begin)) ++begin;
+    if (begin == bins) return;
+    for (int k = 1, run = 0; k <= bins; ++k) {  // ends at the bin outside where it begins
+        if (is_in((begin + k) % bins)) {
+            ++run;
+            continue;
+        }
+        if (run > 0 && double(run) >= kLeastSector * double(bins)) visit(begin + k - run, run);
+        run = 0;
+    }
+}
+
+/// Returns how much the azimuths of a LiDAR's beams differ, in bins.
+int spread_of(const SpinningSensor& sensor, int bins) {
+    const auto [least, most] = std::ranges::minmax(sensor.beams, {}, &Beam::azimuth_offset_rad);
+    return int(std::ceil((most.azimuth_offset_rad - least.azimuth_offset_rad) / (2.0 * kPi) * bins));
 }
 
 }  // namespace
@@ -62,7 +90,16 @@ DropTable DropCounts::persistent() const {
                     std::max(table.probability[i], std::min(bin_share, share(drops, rays)));
             }
         }
+    for (int channel = 0; channel < index_.channels; ++channel) add_skipped_sectors(table, channel);
     return table;
+}
+
+void DropCounts::add_skipped_sectors(DropTable& table, int channel) const {
+    each_sector(
+        index_.bins, [&](int bin) { return rays_[slot(channel, bin)] == 0; },
+        [&](int first, int n) {
+            for (int bin = first; bin < first + n; ++bin) table.probability[slot(channel, bin)] = 1.0f;
+        });
 }
 
 double DropCounts::expected(int channel, int bin) const {
@@ -95,8 +132,37 @@ DropTable observed_drops(const Sequence& sequence, const std::vector<int>& posit
     return counts.persistent();
 }
 
+void add_unseen_sectors(DropTable& drops, const DropTable& observed, const Sequence& sequence) {
+    const int bins = observed.bins;
+    for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
+        const SpinningSensor& sensor = sequence.lidars[l].sensor;
+        std::vector<std::size_t> rows;  // first bin of each beam
+        for (std::size_t beam = 0; beam < sensor.beams.size(); ++beam)
+            if (const auto number = sequence.beam_number(int(l), std::uint16_t(beam)))
+                rows.push_back(std::size_t(*number) * std::size_t(bins));
+        if (rows.empty()) continue;
+        const auto is_blind_at = [&](std::size_t row, int bin) {
+            return observed.probability[row + std::size_t((bin + bins) % bins)] >= kBlindFrequency;
+        };
+        const int spread = spread_of(sensor, bins);
+        each_sector(
+            bins,
+            [&](int bin) {
+                return std::ranges::all_of(rows, [&](std::size_t row) { return is_blind_at(row, bin); });
+            },
+            [&](int first, int n) {
+                for (const std::size_t row : rows) {
+                    int begin = first, end = first + n;  // beams with other azimuths see other sectors
+                    while (first - begin < spread && is_blind_at(row, begin - 1)) --begin;
+                    while (end - first - n < spread && is_blind_at(row, end)) ++end;
+                    for (int bin = begin; bin < end; ++bin)
+                        drops.probability[row + std::size_t((bin + bins) % bins)] = 1.0f;
+                }
+            });
+    }
+}
+
 bool is_blind(const DropTable& observed, const Sequence& sequence, const Frame& frame, std::size_t ray) {
-    constexpr float kBlindFrequency = 0.95f;
     const auto beam = sequence.beam_number(frame.lidar, frame.scan.rays.channel[ray]);
     return beam && observed.at(*beam, frame.scan.rays.direction[ray]) >= kBlindFrequency;
 }

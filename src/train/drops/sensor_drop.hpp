@@ -26,7 +26,7 @@ public:
     /// least 60 rays, for example 20 sweeps in one bin or one sweep in 20 bins. A bin
     /// gets the highest drop rate of the intervals that contain it, but at most its own
     /// drop rate. The drop rate is 0 if all bins of a beam together have fewer than 60
-    /// rays.
+    /// rays. It is 1 in a sector of at least 10 degrees in which the beam never fires.
     DropTable persistent() const;
     /// Returns the drop rate of each bin, also for a short log. The drop rate of the
     /// neighbouring bins counts as 8 more rays of the bin. To compute the drop rate of
@@ -44,6 +44,8 @@ private:
         return std::size_t(channel) * std::size_t(index_.bins) +
                std::size_t((bin + index_.bins) % index_.bins);
     }
+    /// Sets the drop rate to 1 in sectors in which a beam never fires.
+    void add_skipped_sectors(DropTable& table, int channel) const;
     /// Returns the drop rate of a bin and its neighbours together. Includes a prior of
     /// some returned rays.
     double expected(int channel, int bin) const;
@@ -52,6 +54,14 @@ private:
 /// Returns how often each beam and azimuth was dropped in the given frames, for any
 /// reason (DropCounts::persistent).
 DropTable observed_drops(const Sequence& sequence, const std::vector<int>& positions);
+
+/// Sets the drop probability to 1 in sectors that a LiDAR does not see: sectors of at
+/// least 10 degrees in which no beam has a return. The reason is a field of view that is
+/// set in the sensor, or a part of the vehicle. The scene cannot tell which rays return
+/// there.
+/// @param drops  input and output
+/// @param observed  result of observed_drops()
+void add_unseen_sectors(DropTable& drops, const DropTable& observed, const Sequence& sequence);
 
 /// Returns true if rays with this beam and azimuth were dropped at least 95 % of the
 /// time. Training does not use such rays.

@@ -9,6 +9,7 @@
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 
+#include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 #include "log/clouds/point_writers.hpp"
 #include "log/readers/kitti/kitti_drive.hpp"
@@ -18,6 +19,7 @@ namespace {
 
 using testing::Contains;
 using testing::HasSubstr;
+using testing::ThrowsMessage;
 
 constexpr int kColumns = 36, kScans = 2;
 constexpr double kElevation_deg[] = {5.0, -5.0};
@@ -92,7 +94,11 @@ TEST_F(RangeLimit, OfTheUserCountsTheReturnsThatItExcludes) {
     DatasetOptions options;
     options.max_range_m = 30.0;
     EXPECT_THAT(load("", "", options).notes,
-                Contains(HasSubstr("2 of 144 returns (1.4 %) count as dropped: 2 beyond 30 m")));
+                Contains(HasSubstr("2 of 144 returns (1.4 %) count as dropped: 2 are beyond 30 m")));
+    options.min_range_m = 1.0;
+    options.max_range_m = 10.0;
+    EXPECT_THAT([&] { load("", "", options); },
+                ThrowsMessage<DataError>(HasSubstr("none of its 144 returns is within the range limits")));
 }
 
 }  // namespace

@@ -75,7 +75,10 @@ void add_packet_options(CLI::App& command, PacketTarget& target) {
                      "with --udp: render first, then send the packets with the timing of the sensor");
 }
 
-void check_packet_options(const PacketTarget& target, const std::vector<std::string>& formats, bool merges) {
+void check_packet_options(const PacketTarget& target, const std::vector<std::string>& formats, bool merges,
+                          int n_processes) {
+    if (!target.address.empty() && n_processes > 1)
+        throw UsageError(fmt::format("--udp: found {} MPI processes; expected one", n_processes));
     const bool writes_packets =
         !target.address.empty() || std::ranges::find(formats, "pcap") != formats.end();
     if (writes_packets && merges)

@@ -30,9 +30,11 @@ void add_packet_options(CLI::App& command, PacketTarget& target);
 /// Checks the options for packets.
 /// @param formats  formats of the output files
 /// @param merges  true if the scans of all sensors are merged
-/// @throws UsageError if the address is invalid, if --realtime is used without --udp, or
-/// if merged scans should be written as packets
-void check_packet_options(const PacketTarget& target, const std::vector<std::string>& formats, bool merges);
+/// @param n_processes  number of MPI processes
+/// @throws UsageError if the address is invalid, if --realtime is used without --udp, if
+/// merged scans should be written as packets, or if several processes should send
+void check_packet_options(const PacketTarget& target, const std::vector<std::string>& formats, bool merges,
+                          int n_processes);
 
 class PacketSender {
 public:

@@ -164,9 +164,7 @@ void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks
                 format, ranks.size()));
     check_recording_names(options.names, parse_formats(options.formats), is_rig && !options.merge);
     parse_point_frame(options.point_frame), parse_weather(options.weather);
-    check_packet_options(options.packets, parse_formats(options.formats), options.merge);
-    if (!options.packets.address.empty() && ranks.size() > 1)
-        throw UsageError(fmt::format("--udp: found {} MPI processes; expected one", ranks.size()));
+    check_packet_options(options.packets, parse_formats(options.formats), options.merge, ranks.size());
     if (ranks.is_first()) check_empty(options.out, options);
     if (options.merge && !is_rig)
         throw UsageError("--merge needs a rig with several sensors, but --sensor names a single sensor");
@@ -472,9 +470,7 @@ mcap: DIR/scans.mcap, one file with all scans of all sensors, for Foxglove. rosb
 DIR/rosbag.mcap, a ROS 2 bag. Both contain the transforms of world, base_link (the log's vehicle)
 and sensors, and the boxes of actors. --deskew moves points to the time of the first ray.
 pcap: DIR/packets.pcap, the packets that the sensor sends, with its rounding and timing; with
-packets.csv (Hesai) or packets.json (Ouster), the calibration for its driver. The message for
-another sensor lists all sensors whose packets can be written. The sensor turns without a gap only
-with --trajectory and --rate.
+packets.csv (Hesai) or packets.json (Ouster), the calibration for its driver.
 )";
 
 /// Returns the help text for --channels.

@@ -11,6 +11,7 @@
 
 #include "base/files.hpp"
 #include "log/readers/bag/choose.hpp"
+#include "log/readers/bag/packets/packet_messages.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -51,9 +52,22 @@ std::string broken_text(const Bag& bag, const Survey& survey) {
                 text += fmt::format(
                     " ({}: packets that {} makes clouds of: record what it publishes while they are played)",
                     excerpt(topic.name), known.driver);
-    for (std::size_t t = 0; t < survey.facts.size(); ++t)
+    for (std::size_t t = 0; t < survey.facts.size(); ++t) {
+        const Topic& topic = bag.topics()[t];
+        const auto clouds = std::ranges::find(survey.clouds, t, &CloudTopic::topic);
+        const bool is_empty = clouds != survey.clouds.end() && clouds->clouds.empty();
+        if (is_empty && !clouds->packets.empty())
+            text += fmt::format(" ({}: {} packets of a {}, {})", excerpt(topic.name), clouds->packets.size(),
+                                clouds->packets.about(), clouds->packets.problems());
+        else if (is_empty)
+            text += fmt::format(" ({}: {} clouds without a point)", excerpt(topic.name), clouds->n_empty);
         if (survey.facts[t].n_broken > 0)
-            text += fmt::format(" ({}: {})", excerpt(bag.topics()[t].name), survey.facts[t].broken);
+            text += fmt::format(" ({}: {})", excerpt(topic.name), survey.facts[t].broken);
+        if (topic.type == packets::kOtherDatagrams)
+            text += fmt::format(" ({}: {} datagrams that relidar cannot decode as LiDAR packets)",
+                                excerpt(topic.name), survey.facts[t].n);
+    }
+    if (bag.topics().empty()) text += " (the recording has no messages)";
     return text;
 }
 

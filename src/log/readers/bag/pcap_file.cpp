@@ -3,13 +3,16 @@
 // topic, named by the LiDAR's address and the destination port. Up to kRun packets of a
 // topic form one message. The position of a message is the byte offset of its first
 // packet in the file.
+#include <arpa/inet.h>
 #include <pcap/pcap.h>
 
 #include <algorithm>
+#include <array>
 #include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <tuple>
 #include <vector>
 
 #include <fmt/format.h>
@@ -29,7 +32,10 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kRun = 64, kMostStreams = 256, kMostPending = 64, kMostDatagram = 65535;
-constexpr unsigned kIpv4 = 0x0800, kUdp = 17;
+constexpr unsigned kIpv4 = 0x0800, kIpv6 = 0x86dd, kUdp = 17;
+// Fragments of a datagram arrive within this time. Later fragments with the same
+// identification belong to another datagram.
+constexpr std::int64_t kTogether_ns = 1000000000;
 
 unsigned big_endian(std::string_view bytes, std::size_t at) {
     return at + 2 <= bytes.size()
@@ -40,72 +46,125 @@ unsigned byte_at(std::string_view bytes, std::size_t at) {
     return at < bytes.size() ? static_cast<unsigned char>(bytes[at]) : 0u;
 }
 
-/// Returns the IPv4 packet in a network frame. Returns an empty view if the frame has
-/// none.
-std::string_view ip_packet(std::string_view frame, int link) {
+/// An IP packet, or a fragment of one.
+struct IpPacket {
+    /// Sender's address as text, and the bytes that identify the datagram of a fragment.
+    std::string from, key;
+    std::size_t offset = 0;  ///< offset of the fragment; 0 for a full packet
+    bool has_more = false;   ///< true: this is a fragment, but not the last one
+    std::string_view payload;
+};
+
+std::optional<IpPacket> read_ipv4(std::string_view packet) {
+    const std::size_t head = 4 * (byte_at(packet, 0) & 15);
+    // removes the padding of the frame; a network card that splits packets states no
+    // length
+    if (const std::size_t length = big_endian(packet, 2); length >= 20) packet = packet.substr(0, length);
+    if (head < 20 || packet.size() < head || byte_at(packet, 9) != kUdp) return std::nullopt;
+    const unsigned flags = big_endian(packet, 6);
+    return IpPacket{fmt::format("{}.{}.{}.{}", byte_at(packet, 12), byte_at(packet, 13), byte_at(packet, 14),
+                                byte_at(packet, 15)),
+                    std::string(packet.substr(12, 8)).append(packet.substr(4, 2)),
+                    std::size_t(8 * (flags & 0x1fff)), (flags & 0x2000) != 0, packet.substr(head)};
+}
+
+std::optional<IpPacket> read_ipv6(std::string_view packet) {
+    constexpr std::size_t kHead = 40, kFragmentHead = 8;
+    constexpr unsigned kFragment = 44, kHopByHop = 0, kRouting = 43, kOptions = 60;
+    if (packet.size() < kHead) return std::nullopt;
+    std::array<char, INET6_ADDRSTRLEN> text{};
+    inet_ntop(AF_INET6, packet.data() + 8, text.data(), text.size());
+    IpPacket result{fmt::format("[{}]", text.data()), std::string(packet.substr(8, 32)), 0, false, {}};
+    unsigned next = byte_at(packet, 6);
+    std::string_view rest = packet.substr(kHead, big_endian(packet, 4));
+    while (next == kHopByHop || next == kRouting || next == kOptions || next == kFragment) {
+        const std::size_t size = next == kFragment ? kFragmentHead : 8 * (1 + byte_at(rest, 1));
+        if (rest.size() < size) return std::nullopt;
+        if (next == kFragment) {
+            result.offset = big_endian(rest, 2) & 0xfff8, result.has_more = (big_endian(rest, 2) & 1) != 0;
+            result.key.append(rest.substr(4, 4));
+        }
+        next = byte_at(rest, 0);
+        rest.remove_prefix(size);
+    }
+    result.payload = rest;
+    return next == kUdp ? std::optional(std::move(result)) : std::nullopt;
+}
+
+/// Returns the IP packet with UDP in a network frame.
+std::optional<IpPacket> ip_packet(std::string_view frame, int link) {
     std::size_t head = 0;
-    unsigned type = kIpv4;
+    unsigned type = 0;
     if (link == DLT_EN10MB) head = 14, type = big_endian(frame, 12);
     if (link == DLT_LINUX_SLL) head = 16, type = big_endian(frame, 14);
     if (link == DLT_LINUX_SLL2) head = 20, type = big_endian(frame, 0);
     if (link == DLT_NULL || link == DLT_LOOP) head = 4;
     // skips VLAN tags
     for (; type == 0x8100 || type == 0x88a8 || type == 0x9100; head += 4) type = big_endian(frame, head + 2);
-    if (type != kIpv4 || frame.size() < head + 20 || byte_at(frame, head) >> 4 != 4) return {};
+    if (frame.size() < head + 20) return std::nullopt;
     const std::string_view packet = frame.substr(head);
-    // removes the padding of the frame
-    return packet.substr(0, std::max<std::size_t>(big_endian(packet, 2), 20));
+    const unsigned version = byte_at(packet, 0) >> 4;
+    if (version == 4 && (type == 0 || type == kIpv4)) return read_ipv4(packet);
+    if (version == 6 && (type == 0 || type == kIpv6)) return read_ipv6(packet);
+    return std::nullopt;
 }
 
 /// A UDP datagram of a sensor.
 struct Datagram {
-    std::string source;  ///< sender's address and destination port: "192.168.1.201:2368"
-    std::uint64_t at = 0;
+    std::string source;    ///< sender's address and destination port: "192.168.1.201:2368"
+    std::uint64_t at = 0;  ///< byte offset of its first frame in the file
     std::int64_t stamp_ns = 0;
     std::string bytes;
 };
 
-/// Joins the fragments of IPv4 packets. Senders transmit fragments in order, so one
-/// incomplete packet per sender is stored.
+/// Joins the fragments of IP packets. Fragments may be late, repeated or interleaved with
+/// those of other datagrams.
 class Fragments {
 public:
-    /// Adds an IPv4 packet or fragment.
+    /// Adds an IP packet or fragment.
     /// @return UDP header and payload, if they are complete
-    std::optional<Datagram> add(std::string_view packet, std::uint64_t at, std::int64_t stamp_ns) {
-        const std::size_t head = 4 * (byte_at(packet, 0) & 15);
-        if (head < 20 || packet.size() < head || byte_at(packet, 9) != kUdp) return std::nullopt;
-        const std::string_view payload = packet.substr(head);
-        const unsigned flags = big_endian(packet, 6), id = big_endian(packet, 4);
-        const std::size_t offset = 8 * (flags & 0x1fff);
-        const bool more = flags & 0x2000;
-        const std::string from = fmt::format("{}.{}.{}.{}", byte_at(packet, 12), byte_at(packet, 13),
-                                             byte_at(packet, 14), byte_at(packet, 15));
-        Datagram datagram{from, at, stamp_ns, std::string(payload)};
-        if (offset == 0 && !more) return datagram;
-        if (offset + payload.size() > kMostDatagram) return std::nullopt;
-        const std::string sender(packet.substr(12, 8));
-        if (!pending_.contains(sender) && pending_.size() >= kMostPending) pending_.clear();
-        Pending& pending = pending_[sender];
-        if (pending.id != id || pending.n == 0) pending = {id, 0, 0, {datagram.source, at, stamp_ns, {}}};
+    std::optional<Datagram> add(const IpPacket& packet, std::uint64_t at, std::int64_t stamp_ns) {
+        const std::string_view payload = packet.payload;
+        Datagram datagram{packet.from, at, stamp_ns, std::string(payload)};
+        if (packet.offset == 0 && !packet.has_more) return datagram;
+        if (packet.offset + payload.size() > kMostDatagram) return std::nullopt;
+        std::erase_if(pending_, [&](const auto& keyed) {
+            return std::abs(stamp_ns - keyed.second.datagram.stamp_ns) > kTogether_ns;
+        });
+        if (!pending_.contains(packet.key) && pending_.size() >= kMostPending) erase_oldest();
+        Pending& pending = pending_[packet.key];
+        if (pending.parts.empty()) pending.datagram = {packet.from, at, stamp_ns, {}};
         std::string& bytes = pending.datagram.bytes;
-        bytes.resize(std::max(bytes.size(), offset + payload.size()));
-        std::copy(payload.begin(), payload.end(), bytes.begin() + std::ptrdiff_t(offset));
-        pending.n += payload.size();
-        if (!more) pending.total = offset + payload.size();
-        if (pending.n != pending.total) return std::nullopt;
+        bytes.resize(std::max(bytes.size(), packet.offset + payload.size()));
+        std::copy(payload.begin(), payload.end(), bytes.begin() + std::ptrdiff_t(packet.offset));
+        std::size_t& end = pending.parts[packet.offset];
+        end = std::max(end, packet.offset + payload.size());
+        if (!packet.has_more) pending.total = packet.offset + payload.size();
+        if (!pending.is_complete()) return std::nullopt;
         datagram = std::move(pending.datagram);
-        pending_.erase(sender);
+        pending_.erase(packet.key);
         return datagram;
     }
 
 private:
     struct Pending {
-        unsigned id = 0;
-        /// number of received bytes; total size, which the last fragment shows
-        std::size_t n = 0, total = 0;
+        std::map<std::size_t, std::size_t> parts;  ///< end of each received fragment, by its offset
+        std::size_t total = 0;                     ///< total size, which the last fragment shows
         Datagram datagram;
+
+        bool is_complete() const {
+            std::size_t received = 0;
+            for (const auto& [offset, end] : parts)
+                if (offset <= received) received = std::max(received, end);
+            return total > 0 && received == total;
+        }
     };
     std::map<std::string, Pending> pending_;
+
+    void erase_oldest() {
+        pending_.erase(std::ranges::min_element(pending_, {},
+                                                [](const auto& keyed) { return keyed.second.datagram.at; }));
+    }
 };
 
 struct ClosePcap {
@@ -143,7 +202,8 @@ public:
             Stream* stream = stream_of(*datagram, topics);
             if (!stream) continue;
             pass.done(bytes_ > 0 ? double(datagram->at) / double(bytes_) : 0.0);
-            if (stream->n++ == 0) stream->at = datagram->at, stream->log_ns = datagram->stamp_ns;
+            if (stream->n++ == 0) stream->begin_run(*datagram);
+            stream->at = std::min(stream->at, datagram->at);
             if (stream->product) append_to(stream->run, *datagram);
             if (!stream->product && stream->n_of_bytes.size() < kMostPending)
                 ++stream->n_of_bytes[payload(*datagram).size()];
@@ -166,9 +226,11 @@ public:
         seek(place.at);
         Fragments fragments;
         std::string run;
+        const auto late = stream->second.late_runs.find(place.at);
+        const std::uint64_t first_at = late == stream->second.late_runs.end() ? place.at : late->second;
         std::int64_t first_ns = 0;
         for (std::size_t n = 0; const auto datagram = next(fragments, nullptr);) {
-            if (key_of(*datagram) != stream->first) continue;
+            if (key_of(*datagram) != stream->first || (n == 0 && datagram->at != first_at)) continue;
             if (n++ == 0) first_ns = datagram->stamp_ns;
             append_to(run, *datagram);
             if (is_full(stream->second, n, datagram->stamp_ns - first_ns)) break;
@@ -177,21 +239,30 @@ public:
     }
 
 private:
-    /// Sender with destination port, and product. The product is null if the datagrams
-    /// are not LiDAR packets.
-    using Key = std::pair<std::string, const packets::Product*>;
+    /// Sender with destination port, product, and metadata of an Ouster. The product is
+    /// null if the datagrams are not LiDAR packets.
+    using Key = std::tuple<std::string, const packets::Product*, const packets::OusterFormat*>;
     struct Stream {
         std::size_t topic = 0;
         std::uint64_t number = 0;
         const packets::Product* product = nullptr;
         std::string run;
         std::size_t n = 0;
-        std::uint64_t at = 0;
+        /// Byte offset of the first frame of the run, and of the run's first datagram.
+        /// They differ if fragments of datagrams are interleaved.
+        std::uint64_t at = 0, first_at = 0;
         std::int64_t log_ns = 0;
+        /// [byte offset of a run] byte offset of its first datagram, if they differ
+        std::map<std::uint64_t, std::uint64_t> late_runs;
         /// number of datagrams for each size in bytes; only for unknown products
         std::map<std::size_t, std::size_t> n_of_bytes;
         std::shared_ptr<const packets::OusterFormat> ouster;  ///< metadata of the sensor
         std::string livox_frame;  ///< frame of the clouds of a Livox; empty for other products
+
+        void begin_run(const Datagram& datagram) {
+            at = first_at = datagram.at;
+            log_ns = datagram.stamp_ns;
+        }
     };
     packets::OusterFormats ousters_;  ///< metadata in files next to the capture
     const std::filesystem::path path_;
@@ -238,7 +309,9 @@ private:
             const std::string_view frame(reinterpret_cast<const char*>(data), head->caplen);
             // libpcap was opened with nanosecond precision, so tv_usec has nanoseconds
             const std::int64_t stamp_ns = std::int64_t(head->ts.tv_sec) * 1000000000 + head->ts.tv_usec;
-            auto datagram = fragments.add(ip_packet(frame, link_), at, stamp_ns);
+            const std::optional<IpPacket> packet = ip_packet(frame, link_);
+            if (!packet) continue;
+            auto datagram = fragments.add(*packet, at, stamp_ns);
             if (!datagram || datagram->bytes.size() < 8) continue;
             const unsigned length = big_endian(datagram->bytes, 4);
             if (length < 8 || length > datagram->bytes.size()) continue;
@@ -252,7 +325,8 @@ private:
         return packets::format_of(ousters_, datagram.source, payload(datagram));
     }
     Key key_of(const Datagram& datagram) const {
-        return {datagram.source, packets::find_product(payload(datagram), {{}, ouster_of(datagram)})};
+        const auto ouster = ouster_of(datagram);
+        return {datagram.source, packets::find_product(payload(datagram), {{}, ouster}), ouster.get()};
     }
 
     /// Adds notes about packets that are probably from an Ouster but cannot be decoded.
@@ -268,7 +342,7 @@ private:
                     ousters_, [&](const auto& format) { return format->packet_bytes == bytes; });
                 if (n > 1 && (is_told || packets::is_ouster_size(bytes)))
                     pass.note(fmt::format("{}: {}", path_.string(),
-                                          packets::ouster_text(ousters_, path_, key.first, bytes)));
+                                          packets::ouster_text(ousters_, path_, std::get<0>(key), bytes)));
             }
             if (!stream.ouster) continue;
             std::string& first = senders[stream.ouster.get()];
@@ -276,8 +350,8 @@ private:
                 pass.note(
                     fmt::format("{}: packets of {} and of {} are read by one sensor's metadata, {}, expected "
                                 "one for each",
-                                path_.string(), first, key.first, stream.ouster->where));
-            first = key.first;
+                                path_.string(), first, std::get<0>(key), stream.ouster->where));
+            first = std::get<0>(key);
         }
     }
 
@@ -287,14 +361,19 @@ private:
         if (streams_.size() >= kMostStreams) return nullptr;
         Stream stream;
         stream.number = streams_.size();
-        stream.product = key.second;
+        stream.product = std::get<1>(key);
         if (stream.product) stream.ouster = ouster_of(datagram);
         if (packets::is_livox(payload(datagram))) stream.livox_frame = datagram.source;
-        stream.topic =
-            topics.number_of(stream.livox_frame.empty()
-                                 ? Topic{datagram.source, stream.product ? packets::kDatagrams : "other UDP",
-                                         packets::kDatagrams}
-                                 : Topic{datagram.source, packets::kLivoxType, packets::kLivoxEncoding});
+        std::string name = datagram.source;
+        // two Ousters that send from one address to one port
+        for (const auto& [other, known] : streams_)
+            if (stream.ouster && known.ouster && std::get<0>(other) == datagram.source)
+                name = fmt::format("{} ({})", datagram.source, stream.ouster->serial);
+        stream.topic = topics.number_of(
+            stream.livox_frame.empty()
+                ? Topic{std::move(name), stream.product ? packets::kDatagrams : packets::kOtherDatagrams,
+                        packets::kDatagrams}
+                : Topic{std::move(name), packets::kLivoxType, packets::kLivoxEncoding});
         return &streams_.emplace(std::move(key), std::move(stream)).first->second;
     }
 
@@ -312,6 +391,7 @@ private:
     }
 
     void flush(Stream& stream, const Pass& pass) const {
+        if (stream.at != stream.first_at) stream.late_runs[stream.at] = stream.first_at;
         pass.take({stream.topic, stream.log_ns, message_of(stream, stream.run), {stream.at, stream.number}});
         stream.run.clear();
         stream.n = 0;

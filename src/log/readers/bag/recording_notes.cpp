@@ -21,11 +21,13 @@ std::string clouds_text(const CloudTopic& clouds) {
     if (!clouds.packets.empty()) {
         std::size_t n_missing = 0;
         for (const packets::PacketTurn& turn : clouds.turns) n_missing += turn.n_missing;
+        const std::string problems = clouds.packets.problems();
         return fmt::format(
-            ", frame '{}', {} packets of a {}: {} whole turns{}", excerpt(clouds.frame),
+            ", frame '{}', {} packets of a {}: {} whole turns{}{}{}", excerpt(clouds.frame),
             clouds.packets.size(), clouds.packets.about(), clouds.turns.size(),
             n_missing == 0 ? ""
-                           : fmt::format("; {} packets are missing, whose rays count as dropped", n_missing));
+                           : fmt::format("; {} packets are missing, whose rays count as dropped", n_missing),
+            problems.empty() ? "" : "; ", problems);
     }
     std::vector<std::string> names;
     for (const Cloud::Field& field : clouds.fields)

@@ -241,6 +241,7 @@ Survey survey_bag(Bag& bag, const Progress& progress) {
                  progress);
     }
     for (CloudTopic& clouds : survey.clouds) {
+        clouds.packets.finish();
         clouds.turns = clouds.packets.turns();
         for (std::size_t t = 0; t < clouds.turns.size(); ++t) {
             const packets::PacketTurn& turn = clouds.turns[t];

@@ -41,6 +41,7 @@ namespace {
 constexpr std::uint8_t kFirstDual = 0x39, kLastDual = 0x3E, kTriple = 0x3D;
 constexpr int kNoRing = -1;
 constexpr double kDegree = kPi / 180.0;
+constexpr double kLargestStep_deg = 5.0;  // maximum rotation between two blocks
 
 /// A beam of the decoded scan. A laser that fires in two firing sequences has two beams.
 struct BlockBeam {
@@ -248,8 +249,12 @@ private:
                 layout_.shift_us + layout_.cycle_us * double(layout_.at_end ? slot - (n - 1) : slot);
             if (per_block == 1) continue;
             const std::size_t next = std::size_t(slot - slot % per_block + per_block);
-            if (slot % per_block == 0 && next < packet.firings.size())
-                step_deg = std::remainder(packet.firings[next].azimuth_deg - firing.azimuth_deg, 360.0);
+            if (slot % per_block == 0 && next < packet.firings.size()) {
+                const double to_next =
+                    std::remainder(packet.firings[next].azimuth_deg - firing.azimuth_deg, 360.0);
+                // a larger step skips a sector in which the sensor does not fire
+                if (std::abs(to_next) < kLargestStep_deg) step_deg = to_next;
+            }
             firing.azimuth_deg = std::fmod(
                 firing.azimuth_deg + step_deg * double(slot % per_block) / double(per_block) + 360.0, 360.0);
         }

@@ -29,6 +29,9 @@ constexpr OusterProfile kProfiles[] = {
     {"RNG19_RFL8_SIG16_NIR16", false, 12, 0x7FFFF, 1e-3, 4, false, 1},
     {"RNG19_RFL8_SIG16_NIR16_DUAL", false, 16, 0x7FFFF, 1e-3, 3, false, 2},
     {"RNG15_RFL8_NIR8", false, 4, 0x7FFF, 8e-3, 2, false, 1},
+    {"RNG15_RFL8_NIR8_DUAL", false, 8, 0x7FFF, 8e-3, 2, false, 2},
+    // header_type FUSA replaces this name in newer firmware; the header has the same size
+    {"FUSA_RNG15_RFL8_NIR8_DUAL", false, 8, 0x7FFF, 8e-3, 2, false, 2},
 };
 constexpr int kUsualColumns = 16;  // columns per packet
 constexpr std::size_t kMostMetadata = std::size_t(1) << 20, kMostFiles = 256, kMostDatagram = 65507,
@@ -235,12 +238,16 @@ std::shared_ptr<const OusterFormat> format_of(const OusterFormats& formats, std:
                                               std::string_view packet) {
     OusterFormats left;
     const int port = port_of(topic);
+    // A packet of the profile LEGACY has no serial number. If there is only one metadata,
+    // it belongs to the sensor, even if the packets were sent to another port later.
+    const bool is_alone = std::ranges::all_of(
+        formats, [&](const auto& format) { return format->text == formats.front()->text; });
     for (const auto& format : formats) {
         const bool is_told =
             std::ranges::any_of(left, [&](const auto& other) { return other->text == format->text; });
         const bool is_of_other_port = port > 0 && format->port > 0 && port != format->port;
         if (format->packet_bytes != packet.size() || is_told ||
-            (is_of_other_port && !has_serial(packet, *format)))
+            (is_of_other_port && !has_serial(packet, *format) && !(is_alone && format->profile->is_legacy)))
             continue;
         left.push_back(format);
     }

@@ -3,9 +3,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <utility>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
@@ -21,13 +23,11 @@ constexpr int kMostFirings = 40000;
 constexpr std::int64_t kLongestTurn_ns = 2000000000;
 constexpr std::size_t kMostInMessage = 0xFFFF;
 constexpr double kBehind_deg = 180.0;
-constexpr double kBackward_deg = 1.0;  // maximum decrease of the encoder angle that is accepted as noise
 constexpr double kMostBright = 65535.0;
-
-double degrees_on(double from_deg, double to_deg) {  // clockwise, less than one revolution
-    const double step = std::remainder(to_deg - from_deg, 360.0);
-    return step < -kBackward_deg ? step + 360.0 : step;
-}
+constexpr double kJump_deg = 5.0;  // a larger step between two firings skips a sector
+// A longer run of columns that were not measured is a sector that the sensor did not see.
+constexpr std::size_t kMostUnmeasured = 8;
+constexpr double kCutOff = 0.02;  // share of a revolution above which it counts as cut off
 
 /// Azimuth, time and number of a firing, from which its points are computed.
 struct Place {
@@ -73,6 +73,24 @@ void add_firing(FiredPoints& fired, const Place& place, const std::array<Echo, 2
         if (first.range_m != 0.0f) add(first, 1);
         if (other.range_m != 0.0f) add(other, 2);
     }
+}
+
+/// Marks long runs of columns as fired that the sensor should have measured, but did not.
+/// The rays of such a sector are dropped. Copies of a neighbouring column would be
+/// invented.
+/// @param is_lost  [columns per revolution] true if the column was in a lost packet
+void add_unmeasured(std::vector<bool>& has_fired, const std::vector<bool>& fires,
+                    const std::vector<bool>& is_lost) {
+    std::size_t run = 0;
+    for (std::size_t c = 0; c <= fires.size(); ++c) {
+        if (c < fires.size() && fires[c] && !has_fired[c]) {
+            ++run;
+            continue;
+        }
+        for (std::size_t k = 1; run > kMostUnmeasured && k <= run; ++k) has_fired[c - k] = true;
+        run = 0;
+    }
+    for (std::size_t c = 0; c < fires.size(); ++c) has_fired[c] = has_fired[c] || is_lost[c];
 }
 
 /// Creates the scan of a sensor that fires at fixed azimuths.
@@ -125,41 +143,57 @@ void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
     const Packet packet = decoder_->decode(view.bytes);
     if (packet.firings.empty()) return;
     n_slots_ = packet.n_slots;
-    const Timing& timing = decoder_->timing();
-    const Firing& begin = packet.firings.front();
-    const std::int64_t after_ns = std::llround(1e3 * begin.after_us);
-    Entry entry{view.stamp_ns + after_ns,
-                packet.clock_ns + after_ns,
-                begin.azimuth_deg,
-                0.0f,
-                std::uint32_t(messages_.size() - 1),
-                in_message,
-                std::int16_t(begin.slot)};
-    for (std::size_t f = 1; f < packet.firings.size(); ++f)
-        entry.turned_deg +=
-            float(degrees_on(packet.firings[f - 1].azimuth_deg, packet.firings[f].azimuth_deg));
-    if (!packets_.empty()) {
-        const Entry& before = packets_.back();
-        const double passed_stamp_us = 1e-3 * double(entry.stamp_ns - before.stamp_ns);
-        if (timing.wrap_us > 0.0) {
-            const double passed_us = 1e-3 * double(entry.clock_ns - before.clock_ns);
-            entry.clock_ns += std::llround(1e3 * timing.wrap_us *
-                                           std::round((passed_stamp_us - passed_us) / timing.wrap_us));
-        }
-        entry.azimuth_deg =
-            before.azimuth_deg + degrees_on(std::fmod(before.azimuth_deg, 360.0), begin.azimuth_deg);
-        // If packets of more than one revolution were lost, the encoder angle alone is
-        // ambiguous. The number of lost revolutions is then estimated from the previous
-        // rotation rate.
-        const double own_us = timing.cycle_us * double(std::max(n_slots_ - 1, 1));
-        const double deg_us =
-            timing.fires.empty() ? double(before.turned_deg) / own_us : step_deg() / timing.cycle_us;
-        const double turned = 1e-3 * deg_us * double(entry.clock_ns - before.clock_ns);
-        entry.azimuth_deg +=
-            360.0 * std::max(0.0, std::round((before.azimuth_deg + turned - entry.azimuth_deg) / 360.0));
+    const auto message = std::uint32_t(messages_.size() - 1);
+    const auto hash = std::uint32_t(std::hash<std::string_view>()(view.bytes));
+    const std::size_t n = packet.firings.size();
+    const bool is_at_end = packet.firings.back().after_us < -packet.firings.front().after_us;
+    // azimuth step from each firing to the next one, and the sum of steps across a sector
+    const auto step_deg = [&](std::size_t f) {
+        return degrees_on(packet.firings[f].azimuth_deg, packet.firings[f + 1].azimuth_deg);
+    };
+    const bool may_skip = decoder_->timing().fires.empty();
+    double skipped_deg = 0.0;
+    for (std::size_t f = 0; is_at_end && may_skip && f + 1 < n; ++f)
+        skipped_deg -= step_deg(f) > kJump_deg ? step_deg(f) : 0.0;
+    for (std::size_t first = 0, f = 0; f < n; ++f) {
+        const bool is_last = f + 1 == n, jumps = !is_last && may_skip && step_deg(f) > kJump_deg;
+        if (!is_last && !jumps) continue;
+        const Firing& begin = packet.firings[first];
+        const std::int64_t after_ns = std::llround(1e3 * begin.after_us);
+        const int begin_slot = first == 0 && may_skip ? 0 : begin.slot,
+                  end_slot = is_last ? n_slots_ : packet.firings[f + 1].slot;
+        Entry entry{view.stamp_ns + after_ns,
+                    packet.clock_ns + after_ns,
+                    begin.azimuth_deg,
+                    0.0f,
+                    float(skipped_deg),
+                    message,
+                    in_message,
+                    std::uint16_t(first),
+                    std::uint16_t(f + 1 - first),
+                    std::int16_t(begin.slot),
+                    std::int16_t(end_slot - begin_slot),
+                    hash};
+        for (std::size_t k = first; k < f; ++k) entry.turned_deg += float(step_deg(k));
+        unwrap_clock(entry);
+        packets_.push_back(entry);
+        if (jumps) skipped_deg += step_deg(f);
+        first = f + 1;
     }
-    packets_.push_back(entry);
-    if (!timing.is_wide) return;
+    if (decoder_->timing().is_wide) count_bright(packet);
+}
+
+/// Counts the clock of a packet without wrapping. The stamps show how often it wrapped.
+void PacketLog::unwrap_clock(Entry& entry) const {
+    const double wrap_us = decoder_->timing().wrap_us;
+    if (packets_.empty() || !(wrap_us > 0.0)) return;
+    const Entry& before = packets_.back();
+    const double passed_stamp_us = 1e-3 * double(entry.stamp_ns - before.stamp_ns),
+                 passed_us = 1e-3 * double(entry.clock_ns - before.clock_ns);
+    entry.clock_ns += std::llround(1e3 * wrap_us * std::round((passed_stamp_us - passed_us) / wrap_us));
+}
+
+void PacketLog::count_bright(const Packet& packet) {
     n_bright_.resize(kMostBright + 1);
     for (const auto& returns : packet.echoes)
         for (const Echo& echo : returns)
@@ -168,24 +202,45 @@ void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
                     std::clamp(std::round(255.0 * double(echo.intensity)), 0.0, kMostBright))];
 }
 
-/// Computes by how many packets a packet follows the previous one. The result is 1 if no
-/// packet was lost in between.
-std::size_t PacketLog::steps_to(std::size_t packet) const {
+void PacketLog::finish() {
+    if (packets_.empty()) return;
+    faults_ = sort_packets(packets_);
+    n_packets_ = std::size_t(std::ranges::count(packets_, 0, &Entry::first_firing));
     const Timing& timing = decoder_->timing();
+    deg_us_ = unwrap_azimuths(packets_, timing);
+    if (timing.fires.empty() && deg_us_ > 0.0)
+        skipped_ = find_skipped_sector(packets_, deg_us_ * timing.cycle_us);
+    find_turns();
+}
+
+/// Computes by how many packets a packet follows the previous one, for a sensor that
+/// fires at fixed azimuths. The result is 1 if no packet was lost in between.
+std::size_t PacketLog::steps_to(std::size_t packet) const {
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
-    double n = 1e-3 * double(entry.clock_ns - before.clock_ns) / (timing.cycle_us * double(n_slots_));
-    if (!timing.fires.empty())
-        n = ((entry.azimuth_deg - before.azimuth_deg) / step_deg() - entry.first_slot + before.first_slot) /
-            double(n_slots_);
+    const double n =
+        ((entry.azimuth_deg - before.azimuth_deg) / step_deg() - entry.first_slot + before.first_slot) /
+        double(n_slots_);
     return std::size_t(std::clamp(std::round(n), 1.0, 1e9));
+}
+
+/// Computes how many slots of lost packets lie between a packet and the previous one, for
+/// a sensor that fires at any azimuth. Does not count the sector that the sensor skips.
+double PacketLog::slots_to(std::size_t packet) const {
+    const Entry &entry = packets_[packet], &before = packets_[packet - 1];
+    const double cycle_us = decoder_->timing().cycle_us,
+                 slots = 1e-3 * double(entry.clock_ns - before.clock_ns) / cycle_us,
+                 skipped_deg = skipped_.between(before.azimuth_deg, entry.azimuth_deg);
+    return slots - (skipped_deg > 0.0 ? skipped_deg / (deg_us_ * cycle_us) : 0.0) - before.n_slots;
 }
 
 /// Returns the number of packets that were lost before a packet. Packets in which the
 /// sensor does not fire are not counted.
 std::size_t PacketLog::count_missing_before(std::size_t packet) const {
-    const std::size_t n = steps_to(packet) - 1;
     const std::vector<bool>& fires = decoder_->timing().fires;
-    if (fires.empty() || n * std::size_t(n_slots_) > 2 * fires.size()) return n;
+    if (fires.empty())
+        return std::size_t(std::clamp(std::round(slots_to(packet) / double(n_slots_)), 0.0, 1e9));
+    const std::size_t n = steps_to(packet) - 1;
+    if (n * std::size_t(n_slots_) > 2 * fires.size()) return n;
     const Entry& before = packets_[packet - 1];
     std::int64_t column = std::llround((before.azimuth_deg - kBehind_deg) / step_deg()) - before.first_slot;
     std::size_t missing = 0;  // does not count packets in which nothing fires
@@ -198,12 +253,21 @@ std::size_t PacketLog::count_missing_before(std::size_t packet) const {
     return missing;
 }
 
-/// Returns the range of head angles that the packets cover. If the sensor fires at fixed
-/// azimuths, the range also includes the adjacent azimuths at which it does not fire.
+/// Returns the range of head angles that the packets cover. The range also includes
+/// adjacent azimuths at which the sensor does not fire.
 std::pair<double, double> PacketLog::reach_deg() const {
     const Entry &first = packets_.front(), &last = packets_.back();
     const std::vector<bool>& fires = decoder_->timing().fires;
-    if (fires.empty()) return {first.azimuth_deg, last.azimuth_deg};
+    if (fires.empty()) {
+        if (!(skipped_.width_deg > 0.0)) return {first.azimuth_deg, last.azimuth_deg};
+        // a packet that begins at the edge of the sector covers the sector
+        const double slack_deg = deg_us_ * decoder_->timing().cycle_us;
+        const double last_deg = last.azimuth_deg + double(last.turned_deg);
+        const double before_deg = skipped_.between(first.azimuth_deg - slack_deg, first.azimuth_deg),
+                     behind_deg = skipped_.between(last_deg, last_deg + slack_deg);
+        return {first.azimuth_deg - (before_deg > 0.0 ? skipped_.width_deg : 0.0),
+                behind_deg > 0.0 ? last_deg + skipped_.width_deg : last.azimuth_deg};
+    }
     std::int64_t begin = std::llround((first.azimuth_deg - kBehind_deg) / step_deg());
     std::int64_t end =
         std::llround((last.azimuth_deg + double(last.turned_deg) - kBehind_deg) / step_deg()) + 1;
@@ -212,11 +276,10 @@ std::pair<double, double> PacketLog::reach_deg() const {
     return {kBehind_deg + step_deg() * double(begin), kBehind_deg + step_deg() * double(end)};
 }
 
-std::vector<PacketTurn> PacketLog::turns() const {
-    std::vector<PacketTurn> turns;
-    if (packets_.size() < 2) return turns;
+void PacketLog::find_turns() {
     const auto [first_deg, end] = reach_deg();
     double begin = kBehind_deg + 360.0 * std::ceil((first_deg - kBehind_deg) / 360.0);
+    if (begin - first_deg > 360.0 * kCutOff) ++left_out_.n_cut_off;
     for (std::size_t p = 0; p < packets_.size() && begin + 360.0 <= end; begin += 360.0) {
         PacketTurn turn{0, 0, 0, 0, begin, 0};
         const auto first_behind = [&](double azimuth) {  // first packet that begins behind the azimuth
@@ -230,15 +293,42 @@ std::vector<PacketTurn> PacketLog::turns() const {
         if (decoder_->timing().parts > 1) turn.last = std::min(turn.last + 1, packets_.size() - 1);
         // all packets of this revolution were lost; continue at the next packet
         if (turn.first == turn.last) {
-            const double next = packets_[std::min(p + 1, packets_.size() - 1)].azimuth_deg;
+            const double next = packets_[std::min(p + 1, packets_.size() - 1)].azimuth_deg, lost = begin;
             begin = std::max(begin, kBehind_deg + 360.0 * (std::floor((next - kBehind_deg) / 360.0) - 1.0));
+            left_out_.n_lost += std::size_t(std::llround((begin - lost) / 360.0)) + 1;
             continue;
         }
         for (std::size_t i = turn.first + 1; i <= turn.last; ++i) turn.n_missing += count_missing_before(i);
         find_times(turn);
-        if (2 * turn.n_missing < turn.last - turn.first && is_even(turn)) turns.push_back(turn);
+        if (2 * turn.n_missing >= turn.last - turn.first) ++left_out_.n_lost;
+        else if (!is_even(turn)) ++left_out_.n_jumps;
+        else turns_.push_back(turn);
     }
-    return turns;
+    if (end - begin > 360.0 * kCutOff) ++left_out_.n_cut_off;
+}
+
+std::string PacketLog::problems() const {
+    std::vector<std::string> texts;
+    const auto add = [&](std::size_t n, const char* text) {
+        if (n > 0) texts.push_back(fmt::format("{} {}", n, text));
+    };
+    add(faults_.n_repeated, "packets were received twice");
+    add(faults_.n_late, "packets were received late and are put in order by the sensor's clock");
+    const double all_deg =
+        packets_.back().azimuth_deg + double(packets_.back().turned_deg) - packets_.front().azimuth_deg;
+    if (turns_.empty() && all_deg < 360.0)
+        texts.push_back(fmt::format("the packets are of {:.0f} degrees of a turn, expected whole turns",
+                                    std::max(all_deg, 0.0)));
+    else add(left_out_.n_cut_off, "turns are left out: the recording begins or ends in them");
+    add(left_out_.n_lost, "turns are left out: at least a third of their packets is missing");
+    add(left_out_.n_jumps,
+        "turns are left out: the sensor's clock jumps in them, or packets of two sensors are mixed");
+    if (skipped_.width_deg > 0.0)
+        texts.push_back(
+            fmt::format("the sensor fires in {:.0f} degrees of a turn, the other {:.0f} degrees "
+                        "are not seen",
+                        360.0 - skipped_.width_deg, skipped_.width_deg));
+    return fmt::format("{}", fmt::join(texts, "; "));
 }
 
 /// Computes the time at which the head faces forward. If the sensor's clock determines
@@ -260,36 +350,47 @@ void PacketLog::find_times(PacketTurn& turn) const {
     turn.forward_ns += before.clock_ns + turn.stamp_less_clock_ns - before.stamp_ns;
 }
 
-/// Returns true if the sensor's clock increases from packet to packet and the duration of
-/// the revolution is plausible.
+/// Returns true if the packets follow each other as one sensor sends them, and the
+/// duration of the revolution is plausible.
 bool PacketLog::is_even(const PacketTurn& turn) const {
-    for (std::size_t i = turn.first + 1; i <= turn.last; ++i)
-        if (packets_[i].clock_ns <= packets_[i - 1].clock_ns) return false;
+    const double slot_ns = 1e3 * decoder_->timing().cycle_us;
+    for (std::size_t i = turn.first + 1; i <= turn.last; ++i) {
+        const Entry &entry = packets_[i], &before = packets_[i - 1];
+        if (double(entry.clock_ns - before.clock_ns) < 0.5 * slot_ns * before.n_slots) return false;
+    }
     return packets_[turn.last].clock_ns - packets_[turn.first].clock_ns <= kLongestTurn_ns;
 }
 
+/// Returns the first message of a revolution. Its packets need not be in the order of the
+/// messages.
+std::uint32_t PacketLog::first_message(const PacketTurn& turn) const {
+    std::uint32_t first = packets_[turn.first].message;
+    for (std::size_t i = turn.first; i <= turn.last; ++i) first = std::min(first, packets_[i].message);
+    return first;
+}
+
 std::vector<PacketLog::Source> PacketLog::messages(const PacketTurn& turn) const {
-    return {messages_.begin() + packets_[turn.first].message,
-            messages_.begin() + packets_[turn.last].message + 1};
+    std::uint32_t last = 0;
+    for (std::size_t i = turn.first; i <= turn.last; ++i) last = std::max(last, packets_[i].message);
+    return {messages_.begin() + first_message(turn), messages_.begin() + last + 1};
 }
 
 /// Returns the average azimuth step between two firings of a revolution.
 double PacketLog::slot_deg(const PacketTurn& turn) const {
-    const std::size_t n = (turn.last - turn.first + turn.n_missing) * std::size_t(n_slots_);
-    const double all_deg = packets_[turn.last].azimuth_deg - packets_[turn.first].azimuth_deg;
-    return std::max(all_deg, 1.0) / double(std::max<std::size_t>(n, 1));
+    std::size_t n = turn.n_missing * std::size_t(n_slots_);
+    for (std::size_t i = turn.first; i < turn.last; ++i) n += std::size_t(packets_[i].n_slots);
+    const double first_deg = packets_[turn.first].azimuth_deg, last_deg = packets_[turn.last].azimuth_deg;
+    return std::max(last_deg - first_deg - skipped_.between(first_deg, last_deg), 1.0) /
+           double(std::max<std::size_t>(n, 1));
 }
 
 SpinningSensor PacketLog::sensor() const {
-    const Entry &first = packets_.front(), &last = packets_.back();
-    const double period_ns =
-        360.0 * double(last.clock_ns - first.clock_ns) / std::max(last.azimuth_deg - first.azimuth_deg, 1.0);
-    const double period_s = std::clamp(1e-9 * period_ns, 0.02, 1.0);
+    const double period_s = std::clamp(360e-6 / std::max(deg_us_, 1e-9), 0.02, 1.0);
     const Timing& timing = decoder_->timing();
     if (!timing.fires.empty()) return decoder_->sensor(int(timing.fires.size()), 1.0 / period_s);
     // number of columns: the maximum number of firings in any revolution
     double most = 1e6 * period_s / timing.cycle_us;
-    for (const PacketTurn& turn : turns()) most = std::max(most, 360.0 / slot_deg(turn));
+    for (const PacketTurn& turn : turns_) most = std::max(most, 360.0 / slot_deg(turn));
     most /= double(timing.parts);
     return decoder_->sensor(std::min(int(std::ceil(most)) + 1, kMostFirings), 1.0 / period_s);
 }
@@ -322,9 +423,10 @@ std::string PacketLog::about() const {
 }
 
 /// Decodes a packet again when the scan of its revolution is read.
-Packet PacketLog::reread_packet(const PacketTurn& turn, const Entry& entry,
+/// @param message  index of its message in `packets`
+Packet PacketLog::reread_packet(std::size_t message, const Entry& entry,
                                 const std::vector<std::vector<PacketView>>& packets) const {
-    const std::size_t m = entry.message - packets_[turn.first].message;
+    const std::size_t m = message;
     if (m >= packets.size() || entry.in_message >= packets[m].size())
         throw DataError("a message of packets has fewer of them than when it was first read");
     const PacketView& view = packets[m][entry.in_message];
@@ -340,14 +442,13 @@ int PacketLog::column_in(const PacketTurn& turn, double azimuth_deg) const {
     return int(std::clamp(std::round((azimuth_deg - turn.begin_deg) / step_deg()), -n, 2.0 * n));
 }
 
-/// Marks the columns of lost packets as fired. These packets were lost directly before
-/// `packet`.
-void PacketLog::mark_missing(const PacketTurn& turn, std::size_t packet, std::vector<bool>& has_fired) const {
+/// Marks the columns of packets that were lost directly before `packet`.
+void PacketLog::mark_missing(const PacketTurn& turn, std::size_t packet, std::vector<bool>& is_lost) const {
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
     const int begin = column_in(turn, before.azimuth_deg) - before.first_slot + n_slots_;
-    const int end = std::min(column_in(turn, entry.azimuth_deg) - entry.first_slot, int(has_fired.size()));
+    const int end = std::min(column_in(turn, entry.azimuth_deg) - entry.first_slot, int(is_lost.size()));
     for (int c = std::max(begin, 0); c < end; ++c)
-        has_fired[std::size_t(c)] = decoder_->timing().fires[std::size_t(c)];
+        is_lost[std::size_t(c)] = decoder_->timing().fires[std::size_t(c)];
 }
 
 Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<PacketView>>& packets,
@@ -357,33 +458,33 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
     const Timing& timing = decoder_->timing();
     const double mean_deg_us = 360e-6 / sensor.period_s, brightness = intensity_max();
     const int n_columns = int(timing.fires.size());
-    std::vector<bool> has_fired(timing.fires.size(), false);
-    // number of packets of the revolution before this packet, including lost packets
-    std::size_t before = 0;
+    std::vector<bool> has_fired(timing.fires.size(), false), is_lost = has_fired;
+    const std::uint32_t first_of_turn = first_message(turn);
+    std::size_t before = 0;  // slots of the revolution before this packet, with lost ones
     int previous_number = -1;
     bool is_inside = false;
     for (std::size_t p = turn.first; p <= turn.last; ++p) {
         const Entry& entry = packets_[p];
-        if (p > turn.first) before += steps_to(p);
-        Packet packet = reread_packet(turn, entry, packets);
-        if (packet.firings.empty()) continue;
-        if (p > turn.first && n_columns > 0) mark_missing(turn, p, has_fired);
+        if (p > turn.first && n_columns == 0)
+            before += std::size_t(packets_[p - 1].n_slots) + count_missing_before(p) * std::size_t(n_slots_);
+        Packet packet = reread_packet(entry.message - first_of_turn, entry, packets);
+        const std::size_t begin = entry.first_firing, end = begin + entry.n_firings;
+        if (packet.firings.size() < end) continue;
+        if (p > turn.first && n_columns > 0) mark_missing(turn, p, is_lost);
         const std::int64_t begin_ns =
             timing.fires.empty() ? entry.stamp_ns : entry.clock_ns + turn.stamp_less_clock_ns;
-        const double begin_s = 1e-9 * double(begin_ns - zero_ns), first_us = packet.firings.front().after_us;
+        const double begin_s = 1e-9 * double(begin_ns - zero_ns), first_us = packet.firings[begin].after_us;
         double azimuth = entry.azimuth_deg, step = 0.0;
-        for (std::size_t f = 0; f < packet.firings.size(); ++f) {
+        for (std::size_t f = begin; f < end; ++f) {
             const Firing& firing = packet.firings[f];
-            azimuth += f > 0 ? step : 0.0;
-            if (f + 1 < packet.firings.size())
-                step = degrees_on(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
+            azimuth += f > begin ? step : 0.0;
+            if (f + 1 < end) step = degrees_on(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
             // time and rotation since the first firing sequence of this column
             const double late_us = timing.cycle_us * double(firing.part);
             const double start_deg = azimuth - late_us * mean_deg_us;
+            const int slot = int(before) + firing.slot - entry.first_slot;
             const int number =
-                n_columns > 0
-                    ? column_in(turn, azimuth)
-                    : (int(before) * n_slots_ + firing.slot - firing.part + timing.parts) / timing.parts;
+                n_columns > 0 ? column_in(turn, azimuth) : (slot - firing.part + timing.parts) / timing.parts;
             // all firing sequences of a column belong to the same revolution
             if (number != previous_number)
                 is_inside = n_columns > 0 ? number >= 0 && number < n_columns
@@ -399,11 +500,15 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
         }
     }
     if (fired.points.size() == 0) return unordered_scan(fired.points);
-    if (n_columns > 0)
+    if (n_columns > 0) {
+        add_unmeasured(has_fired, timing.fires, is_lost);
         return scan_of_columns(fired, has_fired, sensor, std::size_t(std::ranges::count(timing.fires, true)));
-    const Sweep sweep = arrange_firings(fired.points, fired.numbers, sensor,
+    }
+    SpinningSensor seen = sensor;
+    seen.columns = int(std::ceil(double(sensor.columns) * (1.0 - skipped_.width_deg / 360.0)));
+    const Sweep sweep = arrange_firings(fired.points, fired.numbers, seen,
                                         -slot_deg(turn) * double(timing.parts) * kPi / 180.0);
-    return spinning_scan(fired.points, sensor, sweep);
+    return spinning_scan(fired.points, seen, sweep);
 }
 
 }  // namespace relidar::packets

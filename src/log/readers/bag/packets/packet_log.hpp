@@ -13,6 +13,7 @@
 
 #include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/packets/decoder.hpp"
+#include "log/readers/bag/packets/packet_order.hpp"
 
 namespace relidar::packets {
 
@@ -41,10 +42,16 @@ public:
     /// product changes
     void add(const std::vector<PacketView>& packets, std::int64_t log_ns, const bag::Place& place,
              const Calibration& calibration);
+    /// Puts the packets in order and finds the complete revolutions. Must be called once,
+    /// after all packets were added.
+    void finish();
     bool empty() const { return packets_.empty(); }
-    std::size_t size() const { return packets_.size(); }
+    std::size_t size() const { return n_packets_; }
     /// Returns the complete revolutions.
-    std::vector<PacketTurn> turns() const;
+    const std::vector<PacketTurn>& turns() const { return turns_; }
+    /// Describes packets that were late or repeated, revolutions that are left out, and
+    /// the reasons. Returns an empty string if there are none.
+    std::string problems() const;
     /// Position of a message in the recording, and the time at which the message was
     /// recorded.
     struct Source {
@@ -63,40 +70,48 @@ public:
               const SpinningSensor& sensor, std::int64_t zero_ns) const;
 
 private:
-    struct Entry {
-        /// times of the packet's first firing; the sensor's clock is counted without
-        /// wrapping
-        std::int64_t stamp_ns, clock_ns;
-        double azimuth_deg;  ///< unwrapped azimuth of its first firing
-        float turned_deg;    ///< rotation from its first firing to its last
-        std::uint32_t message;
-        std::uint16_t in_message;  ///< index in the message
-        std::int16_t first_slot;   ///< slot of its first firing
+    using Entry = PacketEntry;
+    /// Numbers of revolutions that are left out, by reason.
+    struct LeftOut {
+        std::size_t n_cut_off = 0;  ///< at an end of the recording
+        std::size_t n_lost = 0;     ///< most packets of the revolution are missing
+        std::size_t n_jumps = 0;    ///< the sensor's clock is not even
     };
     std::shared_ptr<const Decoder> decoder_;
     const Product* product_ = nullptr;
     Calibration calibration_;
-    int n_slots_ = 1;  ///< slots per packet
+    int n_slots_ = 1;            ///< slots per packet
+    std::size_t n_packets_ = 0;  ///< number of packets without repeats
     std::vector<Entry> packets_;
     std::vector<Source> messages_;
+    std::vector<PacketTurn> turns_;
+    PacketFaults faults_;
+    LeftOut left_out_;
+    double deg_us_ = 0.0;    ///< mean rotation rate in degrees per microsecond
+    SkippedSector skipped_;  ///< only for a sensor that fires at any azimuth
     /// [255 x intensity] number of returns with this intensity; empty unless intensities
     /// may exceed 1
     std::vector<std::uint32_t> n_bright_;
 
     void check_product(const PacketView& packet, const Calibration& calibration);
     void add_packet(const PacketView& view, std::uint16_t in_message);
+    void unwrap_clock(Entry& entry) const;
+    void count_bright(const Packet& packet);
     double step_deg() const;
     std::pair<double, double> reach_deg() const;
-    void mark_missing(const PacketTurn& turn, std::size_t packet, std::vector<bool>& has_fired) const;
+    void mark_missing(const PacketTurn& turn, std::size_t packet, std::vector<bool>& is_lost) const;
     int column_in(const PacketTurn& turn, double azimuth_deg) const;
+    void find_turns();
     std::size_t steps_to(std::size_t packet) const;
+    double slots_to(std::size_t packet) const;
     std::size_t count_missing_before(std::size_t packet) const;
     bool is_even(const PacketTurn& turn) const;
     void find_times(PacketTurn& turn) const;
     double slot_deg(const PacketTurn& turn) const;
+    std::uint32_t first_message(const PacketTurn& turn) const;
     double brightest() const;
     double intensity_max() const;
-    Packet reread_packet(const PacketTurn& turn, const Entry& entry,
+    Packet reread_packet(std::size_t message, const Entry& entry,
                          const std::vector<std::vector<PacketView>>& packets) const;
 };
 

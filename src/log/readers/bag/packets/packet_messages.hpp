@@ -12,9 +12,10 @@
 
 namespace relidar::packets {
 
-/// Type of the topics that are created from a network capture. A message has packets:
-/// stamp (64 bits), length (32 bits) and bytes of each packet.
-inline constexpr const char* kDatagrams = "LiDAR packets";
+/// Types of the topics that are created from a network capture. A message of kDatagrams
+/// has packets: stamp (64 bits), length (32 bits) and bytes of each packet. Datagrams of
+/// kOtherDatagrams are not LiDAR packets.
+inline constexpr const char *kDatagrams = "LiDAR packets", *kOtherDatagrams = "other UDP";
 
 /// Returns true if messages of a topic contain LiDAR packets. The packets themselves show
 /// which product sent them.

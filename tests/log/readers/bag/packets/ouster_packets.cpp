@@ -29,6 +29,10 @@ void add_pixel(std::string& bytes, const OusterImages& images, std::size_t i) {
         append(bytes, std::uint32_t(0x01F401F4)), append(bytes, std::uint32_t(77));
     } else {
         append(bytes, std::uint32_t(mm / 8 | 0x8000u | bright << 16 | 0x77000000u));
+        if (images.is_dual())
+            append(bytes, images.range_2_mm.empty()
+                              ? 0u
+                              : images.range_2_mm[i] / 8 | images.reflectivity_2[i] << 16 | 0x55000000u);
     }
 }
 
@@ -59,7 +63,9 @@ std::vector<OusterPacket> ouster_packets(const OusterImages& images) {
             bool any = false;
             std::string bytes;
             if (images.profile != kLegacy) {
-                append(bytes, std::uint16_t(1)), append(bytes, std::uint16_t(frame));
+                // a FUSA header has one byte of type, then the number of the last reboot
+                append(bytes, std::uint16_t(images.profile == kFusa ? 0xBC01 : 1));
+                append(bytes, std::uint16_t(frame));
                 bytes.append(28, '\x21');
             }
             for (std::size_t column = begin; column < end; ++column) {

@@ -12,7 +12,8 @@
 namespace relidar::test {
 
 inline constexpr const char *kLegacy = "LEGACY", *kSingle = "RNG19_RFL8_SIG16_NIR16",
-                            *kDual = "RNG19_RFL8_SIG16_NIR16_DUAL", *kLowRate = "RNG15_RFL8_NIR8";
+                            *kDual = "RNG19_RFL8_SIG16_NIR16_DUAL", *kLowRate = "RNG15_RFL8_NIR8",
+                            *kLowRateDual = "RNG15_RFL8_NIR8_DUAL", *kFusa = "FUSA_RNG15_RFL8_NIR8_DUAL";
 
 /// Staggered range images: a column holds simultaneous measurements of all beams.
 struct OusterImages {
@@ -30,8 +31,10 @@ struct OusterImages {
         return (frame * rows + row) * columns + column;
     }
     bool is_in_window(std::size_t column) const { return last == 0 || (column >= first && column <= last); }
-    /// Returns the range stored in packets. The low data rate profile uses steps of 8 mm.
-    std::uint32_t written_mm(std::uint32_t mm) const { return profile == kLowRate ? mm / 8 * 8 : mm; }
+    bool is_dual() const { return profile == kDual || profile == kLowRateDual || profile == kFusa; }
+    bool is_low_rate() const { return profile == kLowRate || profile == kLowRateDual || profile == kFusa; }
+    /// Returns the range stored in packets. The low data rate profiles use steps of 8 mm.
+    std::uint32_t written_mm(std::uint32_t mm) const { return is_low_rate() ? mm / 8 * 8 : mm; }
 };
 
 /// A packet with the measurement time of its last column.

@@ -32,7 +32,8 @@ using test::OusterImages;
 using testing::AllOf;
 using testing::HasSubstr;
 
-constexpr const char* kProfileNames[] = {test::kLegacy, test::kSingle, test::kDual, test::kLowRate};
+constexpr const char* kProfileNames[] = {test::kLegacy,  test::kSingle,      test::kDual,
+                                         test::kLowRate, test::kLowRateDual, test::kFusa};
 
 fs::path fresh_folder(const std::string& name) {
     fs::path folder = fs::path(testing::TempDir()) / "relidar_ouster_packets" / name;
@@ -76,10 +77,10 @@ std::optional<OusterImages> real_images(const std::string& name, const std::stri
     images.n_mm = array("n_mm").as_double()[0];
     for (const double mm : array("range_mm").as_double())
         // 15 bits in units of 8 mm
-        images.range_mm.push_back(profile == test::kLowRate && mm > 262136.0 ? 0 : std::uint32_t(mm));
+        images.range_mm.push_back(images.is_low_rate() && mm > 262136.0 ? 0 : std::uint32_t(mm));
     for (const double v : array("refl").as_double()) images.reflectivity.push_back(std::uint32_t(v));
     for (const double ns : array("ts").as_double()) images.time_ns.push_back(std::uint64_t(ns));
-    if (profile == test::kDual) add_second_returns(images);
+    if (images.is_dual()) add_second_returns(images);
     return images;
 }
 
@@ -100,7 +101,7 @@ OusterImages small_images(const std::string& profile) {
             }
     for (std::size_t k = 0; k < images.frames * images.columns; ++k)
         images.time_ns.push_back(5000000000 + 781250 * k + k % 2 * 900);
-    if (profile == test::kDual) add_second_returns(images);
+    if (images.is_dual()) add_second_returns(images);
     return images;
 }
 
@@ -132,7 +133,8 @@ std::string points_of(const OusterImages& images, std::size_t frame) {
             const bool is_second_first = has_second && images.reflectivity_2[i] > images.reflectivity[i];
             if (images.range_mm[i] > 0)
                 add(images.written_mm(images.range_mm[i]), images.reflectivity[i], is_second_first);
-            if (has_second) add(images.range_2_mm[i], images.reflectivity_2[i], !is_second_first);
+            if (has_second)
+                add(images.written_mm(images.range_2_mm[i]), images.reflectivity_2[i], !is_second_first);
         }
     const std::size_t n = values.size() / 7;
     std::string head = fmt::format("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 7), }}", n);
@@ -296,8 +298,7 @@ TEST(OusterPackets, SmallScansAreThoseOfTheFolder) {
         const Loaded loaded(write_capture(images));
         if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
         ASSERT_EQ(loaded.error, "");
-        EXPECT_EQ(loaded.log.frames[0].scan.second_returns.size(),
-                  profile == std::string(test::kDual) ? 1u : 0u);
+        EXPECT_EQ(loaded.log.frames[0].scan.second_returns.size(), images.is_dual() ? 1u : 0u);
         expect_same_log(images, loaded.log);
     }
 }
@@ -355,6 +356,40 @@ TEST(OusterPackets, ColumnsThatWereNotMeasuredWereNotFired) {
     }
 }
 
+TEST(OusterPackets, ASectorThatWasNotMeasuredHasNoReturn) {
+    OusterImages images = small_images(test::kSingle);
+    for (std::size_t k = 0; k < images.frames * images.columns; ++k)
+        images.is_valid.push_back(k % 128 < 40 || k % 128 >= 70);
+    const Loaded loaded(write_capture(images));
+    if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
+    ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
+    const Columns columns(loaded.log, 1);
+    for (std::size_t column = 0; column < images.columns; ++column) {
+        EXPECT_EQ(columns.rays[column], images.rows) << column;
+        EXPECT_EQ(columns.returns[column] > 0, images.is_valid[column]) << column;
+    }
+}
+
+TEST(OusterPackets, TheOnlyMetadataMayNameAnotherPort) {
+    const OusterImages images = small_images(test::kLegacy);
+    const Loaded loaded(write_capture(images, test::received(test::ouster_packets(images), 7512)));
+    if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
+    ASSERT_EQ(loaded.error, "");
+    expect_same_log(images, loaded.log);
+}
+
+TEST(OusterPackets, RepeatedAndLatePacketsAreSorted) {
+    const OusterImages images = small_images(test::kSingle);
+    auto datagrams = test::received(test::ouster_packets(images));
+    std::swap(datagrams[12].bytes, datagrams[13].bytes);
+    datagrams.insert(datagrams.begin() + 20, datagrams[17]);
+    const Loaded loaded(write_capture(images, datagrams));
+    if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
+    expect_same_log(images, loaded.log);
+    EXPECT_THAT(loaded.notes(),
+                AllOf(HasSubstr("1 packets were received twice"), HasSubstr("1 packets were received late")));
+}
+
 TEST(OusterPackets, RaysOfMissingPacketsAreDropped) {
     const OusterImages images = small_images(test::kSingle);
     auto datagrams = test::received(test::ouster_packets(images));
@@ -380,6 +415,8 @@ TEST(OusterPackets, ATurnWithoutMostOfItsPacketsIsLeftOut) {
     if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
     ASSERT_EQ(loaded.log.frames.size(), 3u) << loaded.error;
     EXPECT_NEAR(loaded.log.frames[1].time_s, 2 * 128 * 781250e-9, 1e-6);
+    EXPECT_THAT(loaded.notes(),
+                HasSubstr("1 turns are left out: at least a third of their packets is missing"));
 }
 
 TEST(OusterPackets, AWindowOfColumnsIsTheWholeTurn) {
@@ -479,10 +516,9 @@ TEST(OusterPackets, WhatIsWrongIsSaidInOneLine) {
     };
     EXPECT_THAT(error_with(metadata.substr(0, metadata.size() / 2)),
                 HasSubstr("drive.json: not valid JSON, truncated or damaged"));
-    EXPECT_THAT(
-        error_with(changed(test::kSingle, "RNG15_RFL8_NIR8_DUAL")),
-        HasSubstr(
-            "packets of the profile RNG15_RFL8_NIR8_DUAL, expected one that relidar decodes: LEGACY, RNG19"));
+    EXPECT_THAT(error_with(changed(test::kSingle, "RNG15_RFL8_NIR8_ZONE16")),
+                HasSubstr("packets of the profile RNG15_RFL8_NIR8_ZONE16, expected one that relidar decodes: "
+                          "LEGACY, RNG19"));
     EXPECT_THAT(error_with(changed(test::kSingle, test::kDual)),
                 HasSubstr("packets of 3328 bytes on port 7502, expected packets of 4352 bytes "
                           "(RNG19_RFL8_SIG16_NIR16_DUAL, 16 beams, 16 columns"));

@@ -1,0 +1,157 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/readers/bag/packets/packet_order.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+namespace relidar::packets {
+namespace {
+
+constexpr double kBackward_deg = 1.0;  // maximum decrease of the encoder angle that is accepted as noise
+// A network delays packets by milliseconds. If the sensor's clock decreases by more, it
+// was set back.
+constexpr std::int64_t kLatest_ns = 100000000;
+// A longer step between packets is a pause of the recording.
+constexpr std::int64_t kPause_ns = 200000000;
+constexpr std::size_t kBins = 720;
+constexpr double kLeastSector_deg = 10.0;
+
+bool is_repeat(const PacketEntry& a, const PacketEntry& b) {
+    return a.hash == b.hash && a.first_slot == b.first_slot;
+}
+
+/// Moves the azimuth of a packet on from the packet before. If packets of more than one
+/// revolution were lost, the encoder angle alone is ambiguous. Then the rotation rate
+/// gives the number of lost revolutions.
+void follow(PacketEntry& entry, const PacketEntry& before, double passed_us, double deg_us) {
+    const double azimuth =
+        before.azimuth_deg + degrees_on(std::fmod(before.azimuth_deg, 360.0), entry.azimuth_deg);
+    const double expected = before.azimuth_deg + deg_us * passed_us;
+    entry.azimuth_deg = azimuth + 360.0 * std::max(0.0, std::round((expected - azimuth) / 360.0));
+}
+
+double mean_rate(const std::vector<PacketEntry>& packets) {
+    double turned_deg = 0.0, passed_us = 0.0;
+    for (std::size_t p = 1; p < packets.size(); ++p) {
+        const PacketEntry &before = packets[p - 1], &entry = packets[p];
+        const std::int64_t passed_ns = entry.clock_ns - before.clock_ns;
+        if (entry.skipped_deg != 0.0f || before.skipped_deg != 0.0f || passed_ns <= 0 ||
+            passed_ns > kPause_ns)
+            continue;
+        turned_deg += entry.azimuth_deg - before.azimuth_deg;
+        passed_us += 1e-3 * double(passed_ns);
+    }
+    return passed_us > 0.0 ? turned_deg / passed_us : 0.0;
+}
+
+}  // namespace
+
+double degrees_on(double from_deg, double to_deg) {
+    const double step = std::remainder(to_deg - from_deg, 360.0);
+    return step < -kBackward_deg ? step + 360.0 : step;
+}
+
+PacketFaults sort_packets(std::vector<PacketEntry>& packets) {
+    PacketFaults faults;
+    std::size_t n = 0;  // number of sorted packets, at the front
+    for (std::size_t p = 0; p < packets.size(); ++p) {
+        PacketEntry entry = packets[p];
+        const auto is_later = [&](std::size_t k) { return packets[k].clock_ns > entry.clock_ns; };
+        std::size_t at = n;  // where the packet belongs
+        while (at > 0 && is_later(at - 1) && packets[at - 1].clock_ns - entry.clock_ns <= kLatest_ns) --at;
+        if (at > 0 && is_later(at - 1)) at = n;
+        bool is_known = false;
+        for (std::size_t k = at; k > 0 && packets[k - 1].clock_ns == entry.clock_ns; --k)
+            is_known = is_known || is_repeat(packets[k - 1], entry);
+        const bool counts = entry.first_firing == 0;  // counts the parts of a packet once
+        faults.n_repeated += is_known && counts;
+        if (is_known) continue;
+        if (at < n) {
+            // Its stamp is the time of its arrival, not of its firings. Packets that were
+            // received before it cannot have been received before they were sent.
+            const PacketEntry& beside = packets[at > 0 ? at - 1 : at];
+            const std::int64_t stamp_less_clock_ns = beside.stamp_ns - beside.clock_ns;
+            entry.stamp_ns = entry.clock_ns + stamp_less_clock_ns;
+            for (std::size_t k = at; at > 0 && k < n; ++k)
+                packets[k].stamp_ns =
+                    std::max(packets[k].stamp_ns, packets[k].clock_ns + stamp_less_clock_ns);
+            faults.n_late += counts;
+        }
+        std::move_backward(packets.begin() + std::ptrdiff_t(at), packets.begin() + std::ptrdiff_t(n),
+                           packets.begin() + std::ptrdiff_t(n) + 1);
+        packets[at] = entry;
+        ++n;
+    }
+    packets.resize(n);
+    return faults;
+}
+
+double unwrap_azimuths(std::vector<PacketEntry>& packets, const Timing& timing) {
+    double deg_us = timing.fires.empty() ? 0.0 : 360.0 / double(timing.fires.size()) / timing.cycle_us;
+    const auto skipped_us = [&](const PacketEntry& entry) {
+        return deg_us > 0.0 ? double(entry.skipped_deg) / deg_us : 0.0;
+    };
+    for (std::size_t p = 0; p < packets.size(); ++p) {
+        if (timing.fires.empty() && packets[p].n_slots > 3)
+            deg_us = double(packets[p].turned_deg) / (timing.cycle_us * double(packets[p].n_slots - 1));
+        if (p == 0) continue;
+        const double passed_us = 1e-3 * double(packets[p].clock_ns - packets[p - 1].clock_ns) +
+                                 skipped_us(packets[p]) - skipped_us(packets[p - 1]);
+        follow(packets[p], packets[p - 1], passed_us, deg_us);
+    }
+    if (const double mean = mean_rate(packets); mean > 0.0) deg_us = mean;
+    for (std::size_t p = 0; p < packets.size() && deg_us > 0.0; ++p) {
+        PacketEntry& entry = packets[p];
+        if (entry.skipped_deg == 0.0f) continue;
+        // the neighbouring packet on the same side of the sector is a better reference
+        const std::size_t beside = entry.skipped_deg > 0.0f ? p + 1 : p - 1;
+        std::int64_t skipped_ns = std::llround(1e3 * skipped_us(entry));
+        if (beside < packets.size())
+            skipped_ns = packets[beside].clock_ns - entry.clock_ns +
+                         std::llround(1e3 * (entry.azimuth_deg - packets[beside].azimuth_deg) / deg_us);
+        entry.clock_ns += skipped_ns;
+        entry.stamp_ns += skipped_ns;
+    }
+    return deg_us;
+}
+
+double SkippedSector::between(double from_deg, double to_deg) const {
+    const auto until = [&](double azimuth_deg) {  // counted from the sector of the first revolution
+        const double turns = std::floor((azimuth_deg - begin_deg) / 360.0);
+        return turns * width_deg + std::min(azimuth_deg - begin_deg - 360.0 * turns, width_deg);
+    };
+    return width_deg > 0.0 ? until(to_deg) - until(from_deg) : 0.0;
+}
+
+SkippedSector find_skipped_sector(const std::vector<PacketEntry>& packets, double step_deg) {
+    std::array<bool, kBins> fires{};
+    for (const PacketEntry& entry : packets)
+        for (double on = 0.0; on <= std::min(double(entry.turned_deg), 360.0) + step_deg; on += 0.4)
+            fires[std::size_t((entry.azimuth_deg + on) / 360.0 * kBins) % kBins] = true;
+    std::size_t widest = 0, end = 0, run = 0;
+    for (std::size_t b = 0; b < 2 * kBins; ++b) {  // twice around, because the sector may cross 0
+        run = fires[b % kBins] ? 0 : run + 1;
+        if (run > widest) widest = run, end = b + 1;
+    }
+    const double bin_deg = 360.0 / kBins;
+    if (double(widest) * bin_deg < kLeastSector_deg || widest >= kBins) return {};
+    const double inside_deg = (double(end) - 0.5 * double(widest)) * bin_deg;
+    // the firings nearest to the sector on both sides
+    double before_deg = 360.0, behind_deg = 360.0;
+    std::size_t n_skips = 0;
+    for (std::size_t p = 0; p < packets.size(); ++p) {
+        const PacketEntry& entry = packets[p];
+        const auto on = [](double degrees) { return degrees - 360.0 * std::floor(degrees / 360.0); };
+        const double last_deg = entry.azimuth_deg + double(entry.turned_deg);
+        before_deg = std::min(before_deg, on(inside_deg - last_deg));
+        behind_deg = std::min(behind_deg, on(entry.azimuth_deg - inside_deg));
+        n_skips += p > 0 && std::floor((entry.azimuth_deg - inside_deg) / 360.0) >
+                                std::floor((packets[p - 1].azimuth_deg - inside_deg) / 360.0);
+    }
+    const double width_deg = before_deg + behind_deg - step_deg;
+    if (n_skips < 2 || width_deg < kLeastSector_deg) return {};
+    return {inside_deg - before_deg + step_deg, width_deg};
+}
+
+}  // namespace relidar::packets

@@ -1,0 +1,110 @@
+// SPDX-License-Identifier: Apache-2.0
+// Makes surfels that are visible only for a moment from the points of each frame. This
+// models every change of shape: steps, pedals, doors, trailers. Between two frames, the
+// surfels of both frames are blended.
+#include "scene/changing_actors.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <memory>
+
+#include "base/parallel.hpp"
+#include "scene/sample_index.hpp"
+
+namespace relidar {
+namespace {
+
+// Points that are closer together belong to the same surface.
+constexpr double kNearPlace_m = 0.07;
+// Minimum fraction of the frames that have a point at a place that does not change.
+constexpr double kResting = 0.75;
+constexpr std::size_t kCompared = 64;  // Maximum number of frames that are searched for such points.
+// Number of surfels that each frame may have, so that actors are not sparse in long logs.
+constexpr std::size_t kInFrame = 200;
+constexpr std::size_t kFewestChanging = 3;  // Minimum number of frames.
+// Minimum distance that the actor walks in the log. Minimum spacing of frames, because
+// the frames of an actor that stands have no spacing.
+constexpr double kFewestWalked_m = 0.5, kSmallestSpacing_m = 0.02;
+// Number of frames between the last and the first frame when the motion repeats. The
+// surfels of both frames are then not visible together.
+constexpr double kFramesBetween = 3.0;
+
+/// Samples of one frame.
+struct FrameSamples {
+    SampleIndex index;
+    double walked_m = 0.0;   ///< Mean walked distance of the samples.
+    double spacing_m = 0.0;  ///< Mean difference to the frames before and after.
+
+    FrameSamples(const std::vector<Sample>& samples, std::vector<std::uint32_t> of)
+        : index(samples, std::move(of)) {
+        for (const std::uint32_t i : index.cloud.of)
+            walked_m += double(samples[i].walked_m) / double(index.cloud.of.size());
+    }
+    bool has_point_at(const glm::vec3& p) const { return index.distance_m(p, 1.0) < kNearPlace_m; }
+};
+using Frames = std::vector<std::unique_ptr<FrameSamples>>;
+
+Frames frames_of(const std::vector<Sample>& samples) {
+    std::map<int, std::vector<std::uint32_t>> numbers;
+    for (std::size_t i = 0; i < samples.size(); ++i) numbers[samples[i].frame].push_back(std::uint32_t(i));
+    Frames frames;
+    for (auto& [frame, of_frame] : numbers)
+        frames.push_back(std::make_unique<FrameSamples>(samples, std::move(of_frame)));
+    for (std::size_t k = 0; k < frames.size(); ++k) {
+        const std::size_t before = k > 0 ? k - 1 : 0, after = std::min(k + 1, frames.size() - 1);
+        frames[k]->spacing_m = std::max((frames[after]->walked_m - frames[before]->walked_m) /
+                                            double(std::max<std::size_t>(after - before, 1)),
+                                        kSmallestSpacing_m);
+    }
+    return frames;
+}
+
+/// Makes one surfel for each sample, all with the same visibility.
+Surfels surfels_at(const std::vector<Sample>& samples, const Gait& gait, const InitialiseOptions& options,
+                   double incidence) {
+    Surfels surfels = surfels_from_points(samples, options, incidence);
+    surfels.add_gait();
+    std::ranges::fill(surfels.gait, gait);
+    return surfels;
+}
+
+}  // namespace
+
+ChangingSurfels changing_surfels(const std::vector<Sample>& samples, const InitialiseOptions& options,
+                                 double incidence, std::size_t most) {
+    const Frames frames = frames_of(samples);
+    if (frames.size() < kFewestChanging) return {};
+    const double recorded_m = frames.back()->walked_m - frames.front()->walked_m;
+    if (recorded_m < kFewestWalked_m) return {};
+    ChangingSurfels actor;
+    actor.period_m = recorded_m * (1.0 + kFramesBetween / double(frames.size() - 1));
+    std::vector<char> rests(samples.size());
+    for_each_block(samples.size(), [&](std::size_t i) {
+        const std::size_t step = frames.size() / kCompared + 1;
+        std::size_t n_seen = 0, n_frames = 0;
+        for (std::size_t k = 0; k < frames.size(); k += step, ++n_frames)
+            n_seen += frames[k]->has_point_at(samples[i].position);
+        rests[i] = double(n_seen) >= kResting * double(n_frames);
+    });
+    std::vector<Sample> resting;
+    for (std::size_t i = 0; i < samples.size(); ++i)
+        if (rests[i]) resting.push_back(samples[i]);
+    if (!resting.empty()) actor.surfels = surfels_at(thin_out(resting, most / 2), {}, options, incidence);
+    const std::size_t most_in_frame = std::max((most - actor.surfels.size()) / frames.size(), kInFrame);
+    for (const std::unique_ptr<FrameSamples>& frame : frames) {
+        std::vector<Sample> changing;
+        for (const std::uint32_t i : frame->index.cloud.of)
+            if (!rests[i]) changing.push_back(samples[i]);
+        if (changing.empty()) continue;
+        // The opacity falls like a Gaussian. Its standard deviation is the spacing of the
+        // frames.
+        const Gait gait{float(frame->walked_m / actor.period_m),
+                        float(actor.period_m / (2.0 * kPi * frame->spacing_m)), glm::vec3(0.0f)};
+        actor.surfels.append(surfels_at(thin_out(changing, most_in_frame), gait, options, incidence));
+    }
+    actor.surfels = actor.surfels.permuted(kd_order(actor.surfels.mean));
+    return actor;
+}
+
+}  // namespace relidar

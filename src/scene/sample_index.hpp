@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: Apache-2.0
+// Finds the nearest samples of an actor among the samples of a frame or of a phase.
+// Private to scene.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+#include <vector>
+
+#include <nanoflann.hpp>
+
+#include "scene/point_surfels.hpp"
+
+namespace relidar {
+
+/// Adapter that gives nanoflann access to some of the samples.
+struct SampleCloud {
+    const std::vector<Sample>& samples;
+    std::vector<std::uint32_t> of;  ///< indices of the samples
+
+    std::size_t kdtree_get_point_count() const { return of.size(); }
+    float kdtree_get_pt(std::size_t i, std::size_t axis) const { return samples[of[i]].position[int(axis)]; }
+    template <class Box>
+    bool kdtree_get_bbox(Box&) const {
+        return false;
+    }
+};
+using SampleTree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, SampleCloud>,
+                                                       SampleCloud, 3, std::size_t>;
+
+/// Spatial index of a subset of the samples.
+struct SampleIndex {
+    SampleCloud cloud;
+    SampleTree tree;
+    SampleIndex(const std::vector<Sample>& samples, std::vector<std::uint32_t> of)
+        : cloud{samples, std::move(of)}, tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
+
+    /// Returns the distance to the nearest sample, limited to `most_m`.
+    double distance_m(const glm::vec3& p, double most_m) const {
+        if (cloud.of.empty()) return most_m;
+        std::size_t nearest;
+        float distance2;
+        tree.knnSearch(&p.x, 1, &nearest, &distance2);
+        return std::min(most_m, std::sqrt(double(distance2)));
+    }
+    /// Returns the indices of at most `most` samples within a radius around `p`, sorted
+    /// by distance.
+    std::vector<std::uint32_t> within(const glm::vec3& p, double radius_m, std::size_t most) const {
+        std::vector<std::size_t> found(most);
+        std::vector<float> distance2(most);
+        if (cloud.of.empty()) return {};
+        found.resize(tree.knnSearch(&p.x, most, found.data(), distance2.data()));
+        std::vector<std::uint32_t> numbers;
+        for (std::size_t k = 0; k < found.size() && double(distance2[k]) < radius_m * radius_m; ++k)
+            numbers.push_back(cloud.of[found[k]]);
+        return numbers;
+    }
+};
+
+}  // namespace relidar

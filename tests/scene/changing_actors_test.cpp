@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: Apache-2.0
+// Tests surfels that are visible only around the time of their frame (docs/method.md
+// M14).
+#include "scene/changing_actors.hpp"
+
+#include <cmath>
+
+#include <gtest/gtest.h>
+
+#include <relidar/base/math.hpp>
+
+namespace relidar {
+namespace {
+
+/// Makes points of a wall that stands and of a door that opens at once, in 20 frames. The
+/// actor moves by 10 cm in a frame.
+std::vector<Sample> points_of_door() {
+    std::vector<Sample> samples;
+    for (int frame = 0; frame < 20; ++frame)
+        for (float x = 0.0f; x < 1.0f; x += 0.1f)
+            for (float z = 0.0f; z < 1.0f; z += 0.1f)
+                for (const float y : {frame < 10 ? 0.0f : 0.5f, 1.0f})
+                    samples.push_back({{x, y, z}, 0.5f, {0.0f, 1.0f, 0.0f}, 0.1f * float(frame), frame});
+    return samples;
+}
+
+TEST(ChangingSurfels, ADoorIsOpenOnlyWhenItWasOpen) {
+    const ChangingSurfels actor = changing_surfels(points_of_door(), {}, 0.0, 8000);
+    // highest visibility (M14) of the surfels at a distance y, at the time of a frame
+    const auto visible = [&](double frame, float y) {
+        double most = 0.0;
+        for (std::size_t i = 0; i < actor.surfels.size(); ++i) {
+            const Gait& gait = actor.surfels.gait[i];
+            const double turns = 0.1 * frame / actor.period_m - double(gait.phase), k = gait.sharpness;
+            if (std::abs(actor.surfels.mean[i].y - y) < 0.01f)
+                most = std::max(most, std::exp(k * k * (std::cos(2.0 * kPi * turns) - 1.0)));
+        }
+        return most;
+    };
+    for (const double frame : {0.0, 4.0, 15.0, 19.0}) {
+        EXPECT_GT(visible(frame, frame < 10.0 ? 0.0f : 0.5f), 0.99) << frame;
+        EXPECT_LT(visible(frame, frame < 10.0 ? 0.5f : 0.0f), 0.02) << frame;
+        EXPECT_EQ(visible(frame, 1.0f), 1.0) << "the wall is always visible";
+    }
+    EXPECT_NEAR(visible(4.5, 0.0f), std::exp(-0.125), 1e-3) << "half a standard deviation";
+    EXPECT_EQ(changing_surfels({points_of_door().front()}, {}, 0.0, 8000).surfels.size(), 0u)
+        << "a single frame does not show a change";
+}
+
+/// An actor that stands in all frames is rigid, because its walked distance is no clock.
+TEST(ChangingSurfels, AnActorThatStandsIsRigid) {
+    std::vector<Sample> samples = points_of_door();
+    for (Sample& sample : samples) sample.walked_m = 0.0f;
+    EXPECT_EQ(changing_surfels(samples, {}, 0.0, 8000).period_m, 0.0);
+}
+
+}  // namespace
+}  // namespace relidar
