@@ -282,7 +282,7 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
         return range_m;
     };
     const std::vector<float> truth = ranges();
-    const auto refused = [&](const SpawnRequest& wish) {
+    const auto refused = [&](const ActorToSpawn& wish) {
         try {
             scenes.spawn(0, {wish});
         } catch (const Refusal& refusal) {

@@ -87,7 +87,7 @@ private:
 class SpawnRequest final : public ClientRequest {
 public:
     SpawnRequest(SceneSet& scenes, const grpc::ServerContext& context, std::size_t spawn_scene,
-                 const std::vector<SpawnRequest>& wishes)
+                 const std::vector<ActorToSpawn>& wishes)
         : ClientRequest(scenes, context), spawn_scene_(spawn_scene), wishes_(wishes) {}
     void submit(bool is_last) override;
 
@@ -96,7 +96,7 @@ public:
 private:
     void undo() override;
     const std::size_t spawn_scene_;
-    const std::vector<SpawnRequest>& wishes_;
+    const std::vector<ActorToSpawn>& wishes_;
 };
 
 }  // namespace relidar::serve

@@ -201,12 +201,12 @@ void RequestReader::place_actors(const std::vector<ActorRequest>& wishes, Render
     }
 }
 
-std::vector<SpawnRequest> RequestReader::read_spawns(const v1::SpawnActorsRequest& message,
+std::vector<ActorToSpawn> RequestReader::read_spawns(const v1::SpawnActorsRequest& message,
                                                      std::size_t scene) const {
     if (message.actors().empty()) refuse("actors", "none", "at least one actor");
     const std::vector<std::string> run_actors = actor_names(outlines_[scene]);
     const std::vector<PlacedActor> known = known_actors(scene);
-    std::vector<SpawnRequest> wishes;
+    std::vector<ActorToSpawn> wishes;
     for (int i = 0; i < message.actors_size(); ++i) {
         const v1::Spawn& spawn = message.actors(i);
         const std::string field = fmt::format("actors[{}]", i);

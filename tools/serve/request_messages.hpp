@@ -22,7 +22,7 @@ namespace relidar::serve {
 class AssetCatalogue;
 class SceneSet;
 class SpawnedActors;
-struct SpawnRequest;
+struct ActorToSpawn;
 
 /// An actor that is visible in the requested scan.
 struct PlacedActor {
@@ -80,7 +80,7 @@ public:
     std::pair<std::string, std::shared_ptr<const SensorChoice>> upload(const v1::SensorSpec& spec);
     /// Reads a request to spawn actors. Returns the actors.
     /// @throws Refusal if a name is invalid, or if an actor or asset is unknown
-    std::vector<SpawnRequest> read_spawns(const v1::SpawnActorsRequest& message, std::size_t scene) const;
+    std::vector<ActorToSpawn> read_spawns(const v1::SpawnActorsRequest& message, std::size_t scene) const;
     /// Reads a request for a scan.
     /// @throws Refusal that names an invalid field
     RenderRequest read(const v1::RenderLidarRequest& message);

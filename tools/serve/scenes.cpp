@@ -116,7 +116,7 @@ void SceneSet::load_with_places(std::size_t scene) {
 }
 
 std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene,
-                                                  const std::vector<SpawnRequest>& wishes) {
+                                                  const std::vector<ActorToSpawn>& wishes) {
     Loaded& loaded = loaded_[scene];
     const std::size_t n_before = spawned_.count_places(scene);
     std::vector<SpawnedActors::Place> places = spawned_.take(scene, wishes);

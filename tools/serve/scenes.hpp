@@ -42,7 +42,7 @@ public:
     /// @return the slots in the order of the requests
     /// @throws Refusal if a name is in use, if an asset does not fit, or if the device
     /// memory is too small. The scene is then unchanged.
-    std::vector<SpawnedActors::Place> spawn(std::size_t scene, const std::vector<SpawnRequest>& wishes);
+    std::vector<SpawnedActors::Place> spawn(std::size_t scene, const std::vector<ActorToSpawn>& wishes);
 
     /// Counts how often a scene was loaded. Scans that were requested before a scene was
     /// loaded again are lost, so the number shows whether a scan is still pending.

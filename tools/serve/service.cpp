@@ -72,7 +72,7 @@ grpc::Status RenderService::SpawnActors(grpc::ServerContext* context, const v1::
     return answered([&] {
         RenderQueue::Slot slot = reserve(queue_);
         const std::size_t scene = reader_.find_scene(request->scene());
-        const std::vector<SpawnRequest> wishes = reader_.read_spawns(*request, scene);
+        const std::vector<ActorToSpawn> wishes = reader_.read_spawns(*request, scene);
         SpawnRequest spawn(scenes_, *context, scene, wishes);
         spawn.run(slot);
         for (const SpawnedActors::Place& place : spawn.places)

@@ -18,26 +18,26 @@ namespace {
 // image.sh_direction=surfel each slot has its own surfels.
 constexpr std::size_t kMostSpare = 8;
 
-using SpawnedPlaces = std::vector<SpawnRequest>;
+using SpawnedPlaces = std::vector<ActorToSpawn>;
 
 auto find_spawned(SpawnedPlaces& places, const std::string& name) {
-    return std::ranges::find(places, name, &SpawnRequest::name);
+    return std::ranges::find(places, name, &ActorToSpawn::name);
 }
 
 /// Returns the index of a free slot with the same model. If no such slot is free, adds
 /// slots and returns the first new one.
-std::size_t free_place(SpawnedPlaces& places, const SpawnRequest& wish) {
-    const auto is_free = [&](const SpawnRequest& p) { return p.name.empty() && p.source == wish.source; };
+std::size_t free_place(SpawnedPlaces& places, const ActorToSpawn& wish) {
+    const auto is_free = [&](const ActorToSpawn& p) { return p.name.empty() && p.source == wish.source; };
     const auto free = std::ranges::find_if(places, is_free);
     if (free != places.end()) return std::size_t(free - places.begin());
-    const auto of_source = std::size_t(std::ranges::count(places, wish.source, &SpawnRequest::source));
+    const auto of_source = std::size_t(std::ranges::count(places, wish.source, &ActorToSpawn::source));
     if (places.size() >= SpawnedActors::kMostPlaces)
         throw Refusal(
             grpc::StatusCode::RESOURCE_EXHAUSTED,
             fmt::format("cannot spawn {}: this scene already has {} spawned actors, which is the maximum",
                         quoted(wish.name), places.size()));
     const std::size_t first = places.size();
-    SpawnRequest empty = wish;
+    ActorToSpawn empty = wish;
     empty.name.clear();
     places.resize(
         std::min(first + std::clamp<std::size_t>(of_source, 1, kMostSpare), SpawnedActors::kMostPlaces),
@@ -63,7 +63,7 @@ std::uint32_t add_asset(Scene& scene, const std::filesystem::path& folder) {
 std::vector<SpawnedActors::Place> SpawnedActors::places(std::size_t scene) const {
     const std::lock_guard lock(mutex_);
     std::vector<Place> all;
-    for (const SpawnRequest& actor : scenes_[scene]) all.push_back({all.size(), actor});
+    for (const ActorToSpawn& actor : scenes_[scene]) all.push_back({all.size(), actor});
     return all;
 }
 
@@ -79,11 +79,11 @@ std::size_t SpawnedActors::count_places(std::size_t scene) const {
 }
 
 std::vector<SpawnedActors::Place> SpawnedActors::take(std::size_t scene,
-                                                      const std::vector<SpawnRequest>& wishes) {
+                                                      const std::vector<ActorToSpawn>& wishes) {
     const std::lock_guard lock(mutex_);
     SpawnedPlaces places = scenes_[scene];  // Changes a copy, so that a rejected request changes nothing.
     std::vector<Place> new_places;
-    for (const SpawnRequest& wish : wishes) {
+    for (const ActorToSpawn& wish : wishes) {
         if (find_spawned(places, wish.name) != places.end())
             throw Refusal(grpc::StatusCode::ALREADY_EXISTS,
                           fmt::format("cannot spawn {}: an actor with this name exists; use another name",

@@ -26,7 +26,7 @@ struct SpawnSource {
 };
 
 /// Describes an actor that a client wants to spawn.
-struct SpawnRequest {
+struct ActorToSpawn {
     std::string name;  ///< Name chosen by the client.
     SpawnSource source;
     glm::dvec3 size_m{0.0};
@@ -47,7 +47,7 @@ public:
     /// A slot for a spawned actor, and its index in the scene.
     struct Place {
         std::size_t position = 0;
-        SpawnRequest actor;  ///< Actor in this slot. The name is empty if the slot is free.
+        ActorToSpawn actor;  ///< Actor in this slot. The name is empty if the slot is free.
     };
     std::vector<Place> places(std::size_t scene) const;
     /// Returns the slots that contain an actor.
@@ -58,7 +58,7 @@ public:
     /// @return the slots in the order of the requests
     /// @throws Refusal if a name is in use or the limit of slots is reached. Nothing is
     /// changed then.
-    std::vector<Place> take(std::size_t scene, const std::vector<SpawnRequest>& wishes);
+    std::vector<Place> take(std::size_t scene, const std::vector<ActorToSpawn>& wishes);
     /// Releases the slots of all named actors.
     /// @throws Refusal if a name is unknown. No slot is released then.
     void release(std::size_t scene, const std::vector<std::string>& names);
@@ -70,7 +70,7 @@ public:
 private:
     mutable std::mutex mutex_;
     /// Slots of each scene. The first index is the scene, the second index is the slot.
-    std::vector<std::vector<SpawnRequest>> scenes_;
+    std::vector<std::vector<ActorToSpawn>> scenes_;
 };
 
 /// Returns the track name of a slot in the rendered scene. No track of a run has the same
