@@ -9,9 +9,9 @@ namespace relidar::cli {
 
 /// Renders pictures of an asset with parallel rays. The upper row shows the left, right
 /// and top sides. The lower row shows the back and the front. The rays are 2 cm apart, or
-/// more if the asset is longer than 8 m. The brightness is the LiDAR intensity times the
-/// cosine of the angle of incidence. Bluish parts were not observed. They are mirrored
-/// copies of the other side.
+/// more if the asset is longer than 8 m. A pixel is brighter if its intensity is higher,
+/// and darker if the ray meets the surface at a flat angle. Bluish parts were not
+/// observed. They are mirrored copies of the other side.
 Image asset_picture(Device& device, const Asset& asset, const BoxSurface& surface);
 
 }  // namespace relidar::cli
