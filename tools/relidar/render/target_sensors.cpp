@@ -11,8 +11,8 @@ std::optional<SpinningSensor> spinning_sensor(const SensorModel& model) {
     return spinning ? std::optional(*spinning) : std::nullopt;
 }
 
-/// Returns the spinning sensor with this name, or from this file. Returns no value if the
-/// sensor does not spin, or if the rays form a regular grid.
+/// Returns the spinning sensor with this name, or from this file. Returns no value for
+/// the log's sensor, for a regular grid of rays, and for a sensor that does not spin.
 std::optional<SpinningSensor> known_spinning(const std::string& name_or_file, const SensorChoice& choice) {
     if (choice.is_own || choice.grid || choice.pattern) return std::nullopt;
     return spinning_sensor(find_sensor(name_or_file));
