@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads requests and writes responses of sensorsim.proto. All poses are in relidar's
-// world frame, whose origin is near the log. The world frame of the dataset may have its
-// origin thousands of kilometres away, where the float values of the messages are too
-// inexact.
+// world frame, whose origin is near the log. The origin of the dataset's world frame may
+// be thousands of kilometres away. The float values of the messages would be too inexact
+// there.
 #pragma once
 
 #include <memory>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Encodes scans as binary messages. Only this file defines the format; page/frame.js
-// reads it.
+// Encodes scans as binary messages for the web page. This file defines the format, and
+// page/frame.js decodes it.
 //   bytes 0..3   "RLV1"
 //   bytes 4..7   length h of the header, little-endian, a multiple of 4
 //   h bytes      JSON, padded with spaces: description of the scan, and

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Requests of the page, as JSON texts on the WebSocket:
+// Parses the requests of the web page. They are JSON texts on the WebSocket:
 //   {"do": "scan", "id": 7, "time_s": 1.5, "place": [x, y, z, yaw_deg, pitch_deg, roll_deg],
 //    "sensor": "VLP-16", "lidar": 0, "weather": "fog=50", "simulate": true, "real": false,
 //    "edits": EDITS}
@@ -8,9 +8,9 @@
 //   {"do": "save", "name": "run2", "edits": EDITS}
 // EDITS: {"copies": [{"of": TRACK, "from": RUN, "at": [x, y, z, yaw_deg, pitch_deg,
 // roll_deg, speed_mps]}], "moves": {TRACK: [x, y, z, yaw_deg]}, "removed": [TRACK],
-// "hidden": [TRACK]}. RUN is "" or another run of the message `hello`. Places are in
-// relidar's world frame, moves in the actor's frame. Requests are untrusted input, so
-// this file checks every value.
+// "hidden": [TRACK]}. RUN is "" or another run of the message `hello`. Positions are in
+// relidar's world frame. Moves are in the actor's frame. Every value is checked, because
+// clients may send invalid values.
 #pragma once
 
 #include <array>

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// A small HTTP and WebSocket server for one page. It serves a fixed table of assets, and
-// text and binary messages on one WebSocket. It does not depend on LiDAR code and never
-// opens a file. Rules of access:
+// A small HTTP and WebSocket server for one web page. It serves a fixed list of files
+// from memory, and exchanges text and binary messages on one WebSocket. It does not
+// depend on LiDAR code and never opens a file. Access rules:
 // - On a loopback address, every user of this machine has access. On other addresses,
-//   clients must present the token: once in the URL, then as a cookie.
+//   clients must send the access token: first in the URL, then as a cookie.
 // - The Host header must be an IP address, "localhost" or the name of this machine,
 //   because other names allow DNS rebinding.
-// - Requests whose Origin is not this server are refused.
+// - Requests whose Origin header names another server are rejected.
 //
-// All resources are bounded: connections, bytes of headers and messages, time for a
+// All resources are limited: connections, bytes of headers and messages, time for a
 // request, and messages queued for a slow client.
 #pragma once
 

@@ -44,9 +44,8 @@ struct WeatherInput {
     /// Traces additional rays through the scene at the time of the scan.
     std::function<Rendering(const WorldRays&)> trace = {};
     std::uint64_t seed = 0;
-    /// [rays] true if an object near the sensor, such as its housing, blocks the ray. A
-    /// blocked ray has no returns from fog, rain, snow or noise. An empty list means that
-    /// no ray is blocked.
+    /// [rays] true if an object close to the sensor blocks the ray. A blocked ray has no
+    /// returns from fog, rain, snow or noise. An empty list means that no ray is blocked.
     std::vector<std::uint8_t> blind = {};
 };
 
@@ -115,11 +114,11 @@ private:
 void add_echo(Candidates& candidates, Echo echo, const WeatherSensor& sensor, double transmission,
               double darkest = 0.0);
 
-/// Adds weather to a scan. Surfaces become darker, or their rays are dropped. If the
-/// weather itself causes the return of a ray, the ray gets the range and intensity of
-/// this return, instance -1, and no surface values. The channel `source` stores the cause
-/// of each return. In clear air, nothing else changes. The result depends only on seed
-/// and time, not on the number of threads.
+/// Adds weather to a scan. Surfaces become darker, or their rays are dropped. Where the
+/// weather itself causes a return, the ray gets the range and intensity of this return.
+/// Its instance is then -1, and it has no surface values. The channel `source` stores the
+/// cause of each return. In clear air, nothing else changes. The result depends only on
+/// seed and time, not on the number of threads.
 /// @param scan  the scan of the input
 void add_weather(RenderedScan& scan, const WeatherInput& input);
 

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Simulates blooming: light of a retro-reflector that the receivers of other beams
-// detect. The echo of a ray has the range of the reflector and the reflectivity
+// Simulates blooming: a retro-reflector is so bright that the receivers of other beams
+// detect its light. Their returns have the range of the reflector and the reflectivity
 //   X bloom * integral of (1 deg / angle)^3 over the reflector, deg^2
-// where ln X is normal with mean 0 and standard deviation 3. X is drawn for each beam.
-// The constants were measured on a log, see docs/method.md.
+// X is a random factor of each beam. ln X is normal with mean 0 and standard deviation 3.
+// The constants were measured on a log (see docs/method.md).
 #include <bit>
 #include <cmath>
 #include <map>

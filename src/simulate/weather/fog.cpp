@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fog is a soft target (Rasshofer, Spies and Spies 2011), as in Hahner et al. (ICCV
-// 2021):
+// Simulates returns from fog. Fog is a soft target (Rasshofer, Spies and Spies 2011), as
+// in Hahner et al. (ICCV 2021):
 //   power(R) = pi beta integral p(x) exp(-2 alpha r) / r^2 dx
 //     r = R + x,  p(x) = cos^2(pi x / (c tau)),  |x| <= c tau / 2,  r >= 1 m
-// For each interval of length c tau / 2, beta is drawn: log-normal with mean 0.046 /
-// visibility. The amount of variation is an assumption. From the definition of the
-// visibility V, exp(-alpha V) = 0.05.
+// beta is random for each interval of length c tau / 2. Its distribution is log-normal
+// with mean 0.046 / visibility. The amount of variation is an assumption. The definition
+// of the visibility V gives exp(-alpha V) = 0.05.
 #include <cmath>
 
 #include <relidar/base/math.hpp>

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rain and snow. The particles N(D) = N0 exp(-Lambda D) per cubic metre and millimetre
-// that are bright enough are a Poisson process along the beam, as in LISA (Kilic et al.
-// 2021) and Hahner et al. (CVPR 2022). D is the diameter of the melted particle:
+// Simulates returns from rain and snow. The particle density is N(D) = N0 exp(-Lambda D)
+// per cubic metre and millimetre, where D is the diameter of the melted particle. The
+// detectable particles form a Poisson process along the beam, as in LISA (Kilic et al.
+// 2021) and Hahner et al. (CVPR 2022):
 //   power(D, R) = rho (D / B(R))^2 exp(-2 alpha R) / R^2,  B(R): width of the beam
 // Particles remove twice the light that their cross section covers (Q_ext = 2), because
 // they are much larger than the wavelength.

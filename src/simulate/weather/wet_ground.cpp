@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Models water on level ground as a smooth film on a diffuse surface, after Lekner and
-// Dorf, "Why some things are darker when wet", Applied Optics 1988. The water darkens the
+// Models water on level ground as a smooth film on a diffuse surface (Lekner and Dorf,
+// "Why some things are darker when wet", Applied Optics 1988). The water darkens the
 // ground and mirrors objects. The effect finds the ground in a scan and traces the
 // mirrored rays. docs/architecture.md names this file as the example of a weather effect.
 #include <cmath>

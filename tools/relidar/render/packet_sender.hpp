@@ -32,8 +32,9 @@ void add_packet_options(CLI::App& command, PacketTarget& target);
 /// @param formats  formats of the output files
 /// @param merges  true if the scans of all sensors are merged into one
 /// @param n_processes  number of MPI processes
-/// @throws UsageError if the address is invalid, if --realtime is used without --udp, if
-/// merged scans should be written as packets, or if several processes should send packets
+/// @throws UsageError if the address is invalid, or --realtime is used without --udp.
+/// Also if merged scans should be written as packets, or several processes should send
+/// packets.
 void check_packet_options(const PacketTarget& target, const std::vector<std::string>& formats, bool merges,
                           int n_processes);
 

@@ -139,8 +139,7 @@ ScanFormat scan_file_format(const RenderOptions& options, const Run& run, const 
 }
 
 /// Checks that the command would not overwrite files in the output folder.
-/// @throws UsageError if the folder is a run, or if it contains rendered scans and
-/// --force is missing
+/// @throws UsageError if the folder is a run, or if --force is needed to replace scans
 void check_empty(const std::filesystem::path& folder, const RenderOptions& options) {
     if (holds_run(folder))
         throw UsageError(fmt::format(
@@ -235,9 +234,8 @@ ScanFormat merged_format(const RenderOptions& options, const Run& run,
     return scan_file_format(options, run, rig, offset, "");
 }
 
-/// Output folders of a rendering. There is one folder per sensor, or one folder for
-/// merged scans. With one folder per sensor, `recordings` additionally contains the scans
-/// of all sensors in one file.
+/// Output folders of a rendering: one folder per sensor, or one folder for merged scans.
+/// With one folder per sensor, `recordings` also contains the scans of all sensors.
 struct Output {
     std::vector<ScanFolder> folders;
     std::optional<ScanRecordings> recordings;
@@ -372,8 +370,8 @@ void run_render(const RenderOptions& typed_options) {
     const PoseTrack track =
         drives ? mounted_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
     std::optional<LockedFolder> folder;
-    // Only the first MPI process creates this object, because its destructor removes the
-    // folder if it is empty.
+    // Only the first MPI process creates this object, because the destructor may remove
+    // the folder.
     if (ranks.is_first()) folder.emplace(options.out);
     check_sets(options.sets, rendering_settings(), "render");
     Run run = load_run(options.run);
