@@ -16,7 +16,8 @@ namespace relidar::python {
 namespace py = pybind11;
 
 using Shape = std::vector<py::ssize_t>;
-/// In the expected shape of an array, means that a dimension may have any length.
+/// Placeholder in the expected shape of an array. It means that a dimension may have any
+/// length.
 inline constexpr py::ssize_t kAny = -1;
 
 /// Returns a numpy array that takes ownership of the values of a vector, without a copy.

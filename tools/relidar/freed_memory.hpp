@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Controls when freed memory is returned to the operating system. Each training stage
-// allocates and frees arrays as large as the log. If the memory were returned each time,
-// a scan registration would take a fifth to a third longer. The functions have an effect
-// only with glibc. The tests set the same limits (GLIBC_TUNABLES in CMakePresets.json).
+// allocates and frees arrays as large as the log. Returning and allocating this memory
+// again would take a fifth to a third of the time of a scan registration. The functions
+// have an effect only with glibc. The tests set the same limits (GLIBC_TUNABLES in
+// CMakePresets.json).
 #pragma once
 
 #include <cstddef>  // Any standard header defines __GLIBC__ if the C library is glibc.

@@ -42,7 +42,7 @@ void add_settings_options(CLI::App& command, Settings& settings);
 void add_channels_option(CLI::App& command, std::optional<std::string>& channels);
 /// Adds the option --weather.
 /// @param weather output: text that the user typed; parse_weather() reads the text later
-/// @param which part of the help text: says to which scans the weather applies
+/// @param which part of the help text that says to which scans the weather applies
 void add_weather_option(CLI::App& command, std::string& weather, const std::string& which);
 /// Adds the option --set. Commands that read their settings from a trained run use it,
 /// because such commands have no --preset and no --config.

@@ -168,7 +168,7 @@ void Acceptor::accept_one(int listener) {
     const bool is_full =
         connection < 0 && (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM);
     if (is_full) std::this_thread::sleep_for(kPause);
-    // Returns if no connection is waiting, because the client has already disconnected.
+    // Does nothing if the client has already disconnected.
     if (connection < 0) return;
     if (connection >= first_spare_descriptor()) ::close(connection);
     else receive_(listener, connection);

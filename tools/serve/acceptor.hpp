@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Accepts network connections and passes them to gRPC. gRPC 1.51 does not accept them
-// itself here, because it stops permanently when no file descriptor is free.
+// Accepts network connections and passes them to gRPC. gRPC 1.51 could accept connections
+// itself, but it stops permanently when no file descriptor is free.
 #pragma once
 
 #include <functional>

@@ -26,8 +26,8 @@ struct Sample {
     std::size_t rays, points;
 };
 
-/// Returns the smallest value that is not exceeded by the given share of all values. For
-/// example, `share` is 0.5 for the median.
+/// Returns a percentile of the values, for example the median if `share` is 0.5. The
+/// fraction `share` of all values is at most as large as the result.
 double percentile(std::vector<double> values, double share) {
     std::sort(values.begin(), values.end());
     const auto rank = std::size_t(std::ceil(share * double(values.size())));

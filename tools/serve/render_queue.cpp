@@ -85,7 +85,8 @@ void RenderQueue::wait(Request& request, std::unique_lock<std::mutex>& lock) {
         lock, [&] { return request.state_ == State::done || request.state_ == State::cancelled; });
 }
 
-/// Returns the next pending request that is not cancelled. Returns null if there is none.
+/// Returns the next request that is not cancelled. Returns null if no such request is
+/// pending.
 /// @param scene if set, returns null unless the next request is for this scene
 Request* RenderQueue::next(const std::optional<std::size_t>& scene) {
     while (!pending_.empty()) {

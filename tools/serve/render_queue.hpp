@@ -68,8 +68,8 @@ public:
     RenderQueue& operator=(const RenderQueue&) = delete;
 
     enum class Outcome { done, cancelled };
-    /// Right to run requests, which the queue gives to a limited number of callers. The
-    /// destructor releases the slot.
+    /// A reserved place in the queue. Only a caller that holds a slot can run requests,
+    /// and the number of slots is limited. The destructor releases the slot.
     class Slot {
     public:
         Slot(Slot&& other) noexcept : queue_(other.queue_) { other.queue_ = nullptr; }

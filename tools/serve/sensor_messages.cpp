@@ -125,8 +125,8 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
     sensor.columns = int(message.columns());
     sensor.period_s = read_between(field + ".period_s", message.period_s(), 1e-4, kLongestScan_s);
     sensor.clockwise = !message.counter_clockwise();
-    // The first column is half a turn away from azimuth 0, so that azimuth 0 is in the
-    // middle of the image.
+    // The first column is about half a turn away from azimuth 0, so that azimuth 0 is in
+    // the middle of the image.
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     return sensor;
 }

@@ -36,8 +36,8 @@ constexpr int kKeepalive_ms = 20'000;
 // Maximum time until a new connection starts to use gRPC. After this time, the connection
 // is closed.
 constexpr int kHandshake_ms = 10'000;
-// Maximum time that a connection stays open without calls. A client can then connect
-// again.
+// Maximum time that a connection stays open without calls. After this time, the client
+// must connect again.
 constexpr int kLongestIdle_ms = 600'000;
 
 std::string read_pem(const std::string& file) {

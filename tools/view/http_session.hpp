@@ -24,8 +24,8 @@ class HttpSession : public std::enable_shared_from_this<HttpSession> {
 public:
     HttpSession(boost::asio::ip::tcp::socket socket, Hub& hub);
     void read();
-    /// Sends an error that the server has too many connections, and closes this
-    /// connection.
+    /// Sends an error message, because the server has too many connections, and closes
+    /// this connection.
     void refuse_connection();
 
 private:

@@ -260,8 +260,8 @@ RenderedScan Scanner::render(const Traffic& traffic, const LiveScanRequest& wish
 }
 
 /// Returns the time of the last launch of each kernel in milliseconds. Leaves out kernels
-/// that have not run since the previous call. The length of a full list cannot show this,
-/// so its kernel is always included.
+/// that have not run since the previous call. If a kernel's list of times is full, its
+/// length no longer changes, so this kernel is always included.
 Json Scanner::kernel_times() {
     constexpr std::size_t kFull = 4096;
     Json times = Json::array();

@@ -13,8 +13,8 @@
 
 namespace relidar::scan_files {
 
-/// Converts scans to the data of a recording, in order of time. The data for scans of the
-/// same time (a RecordedMoment) are poses, points and boxes.
+/// Converts scans to the data of a recording, in order of time. A RecordedMoment contains
+/// the poses, points and boxes of all scans at the same time.
 class MomentRecorder {
 public:
     explicit MomentRecorder(std::vector<ScanFormat> sensors) : sensors_(std::move(sensors)) {}

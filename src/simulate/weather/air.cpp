@@ -8,8 +8,8 @@
 namespace relidar {
 namespace {
 
-/// Returns the second return of a dual-return sensor. This is the last return. If the
-/// strongest return is also the last, it is the second strongest.
+/// Returns the second return of a dual-return sensor. Normally, this is the last return.
+/// If the strongest return is also the last, the function returns the second strongest.
 Echo second_of(const Candidates& candidates, const Echo& strongest, double separation_m) {
     Echo last, next;
     double power = 0.0;

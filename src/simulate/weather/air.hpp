@@ -92,10 +92,10 @@ public:
     /// Creates the simulation with a given list of weather effects.
     Air(const Weather& weather, const WeatherSensor& sensor,
         std::vector<std::unique_ptr<EffectOnRays>> effects);
-    /// Computes the returns that the sensor measures along a ray. The second return is
-    /// the last return. If the strongest return is also the last, it is the second
-    /// strongest. Both returns are at least `separation_m` apart. Returns below the
-    /// detection threshold are left out.
+    /// Computes the returns that the sensor measures along a ray. Normally, the second
+    /// return is the last one. If the strongest return is also the last, the second
+    /// return is the second strongest. Both returns are at least `separation_m` apart.
+    /// Returns below the detection threshold are left out.
     RayEchoes look(RayInAir ray, std::uint64_t seed) const;
 
 private:

@@ -25,8 +25,8 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-// kLeast and kMost: minimum and maximum number of repetitions. kScans: number of scans to
-// render.
+// Minimum and maximum number of repetitions (kLeast, kMost), and number of scans to
+// render (kScans).
 constexpr int kLeast = 3, kMost = 10, kScans = 30;
 constexpr double kEnough_ms = 5000.0;
 

@@ -91,7 +91,7 @@ std::string check_json(const DeviceInfo& info, const std::vector<CheckRow>& rows
 
 void run_checks(const CheckOptions& options) {
     // The checks show whether the driver computes correctly. With this setting, relidar
-    // does not replace kernels that fail on the device.
+    // does not replace methods that fail on the device.
     const Trusting trusting(DeviceTrust{});
     CheckedDevice checked(device_options(options.device));
     const DeviceInfo& info = checked.device().info();

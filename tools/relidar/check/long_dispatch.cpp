@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks that the driver allows a GPU dispatch that runs for a quarter of a second or
-// longer. Some drivers abort long dispatches.
+// Checks that the driver allows a GPU dispatch of half a second, because some drivers
+// abort long dispatches. relidar splits longer work into several dispatches.
 #include <chrono>
 
 #include <fmt/format.h>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the GPU prefix sum and the GPU sort. The array sizes are just below and above
-// the sizes of workgroups and tiles, because errors are most likely there.
+// Checks the GPU prefix sum and the GPU sort. The array sizes are close to the sizes of
+// workgroups and tiles, because errors are most likely there.
 #include <algorithm>
 #include <numeric>
 #include <random>
