@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts between numpy arrays and types of the library. A returned vector becomes an
-// array without a copy. An array argument is read without a copy. Its dtype, shape and
-// order must therefore match exactly, because nothing is converted.
+// Converts between numpy arrays and C++ vectors, without a copy if possible. An array
+// argument is not converted, so its dtype, shape and order must match exactly.
 #pragma once
 
 #include <span>
@@ -17,11 +16,13 @@ namespace relidar::python {
 namespace py = pybind11;
 
 using Shape = std::vector<py::ssize_t>;
-/// Stands for any length of a dimension in the expected shape of an array.
+/// Placeholder in the expected shape of an array. It means that a dimension may have any
+/// length.
 inline constexpr py::ssize_t kAny = -1;
 
-/// Returns an array that takes ownership of the values of a vector.
-/// @tparam Number element type of the array; each Element consists of one or more Numbers
+/// Returns a numpy array that takes ownership of the values of a vector, without a copy.
+/// @tparam Number element type of the array; each Element of the vector consists of one
+/// or more Numbers
 template <class Number, class Element>
 py::array owned(std::vector<Element>&& values, const Shape& shape) {
     auto* kept = new std::vector<Element>(std::move(values));
@@ -29,8 +30,8 @@ py::array owned(std::vector<Element>&& values, const Shape& shape) {
     return py::array(py::dtype::of<Number>(), shape, kept->data(), owner);
 }
 
-/// Returns a read-only array of values that belong to `owner`. The array keeps `owner`
-/// alive.
+/// Returns a read-only numpy array of values that belong to the Python object `owner`.
+/// The array keeps `owner` alive.
 template <class Number, class Element>
 py::array view(const std::vector<Element>& values, const Shape& shape, const py::handle& owner) {
     py::array array(py::dtype::of<Number>(), shape, values.data(), owner);
@@ -43,15 +44,15 @@ py::array to_numpy(NamedArray&& array);
 /// Converts all arrays of an npz file to a dict of numpy arrays.
 py::dict to_dict(std::vector<NamedArray>&& arrays);
 
-/// Checks dtype, shape and C order of a numpy array.
-/// @throws DataError that names the actual type and shape, if the object is not such an
-/// array
+/// Checks the dtype, shape and C order of a numpy array.
+/// @throws DataError if the object is not such an array; the message contains the actual
+/// type and shape
 void check_array(const py::handle& object, const std::string& what, const py::dtype& dtype,
                  const Shape& shape);
 
-/// Returns the values of an array in C order, without a copy.
+/// Returns the values of a numpy array in C order, without a copy.
 /// @param what name of the values, for error messages
-/// @param shape expected shape; kAny for any length
+/// @param shape expected shape; kAny means any length
 /// @throws DataError if the dtype, shape or order of the array is wrong
 template <class Number>
 std::span<const Number> values_of(const py::handle& object, const std::string& what, const Shape& shape) {
@@ -60,8 +61,8 @@ std::span<const Number> values_of(const py::handle& object, const std::string& w
     return {static_cast<const Number*>(array.data()), static_cast<std::size_t>(array.size())};
 }
 
-/// Copies the values of an array into a vector. Each Element of the vector consists of
-/// one or more Numbers.
+/// Copies the values of a numpy array into a vector. Each Element of the vector consists
+/// of one or more Numbers.
 template <class Number, class Element>
 std::vector<Element> copied(const py::handle& object, const std::string& what, const Shape& shape) {
     const std::span<const Number> values = values_of<Number>(object, what, shape);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Lets the library call Python functions during work that has released the interpreter
-// lock (GIL).
+// Calls Python functions from C++ code that has released the global interpreter lock
+// (GIL).
 #pragma once
 
 #include <exception>
@@ -17,13 +17,13 @@ namespace relidar::python {
 
 namespace py = pybind11;
 
-/// Python callback that receives the progress: the name of the step, and the finished
-/// share from 0 to 1.
+/// Python callback that receives the progress of a step: the name of the step, and the
+/// finished share from 0 to 1.
 using Tell = std::optional<std::function<void(const std::string&, double)>>;
 
-/// Converts a Python callback to a Progress of the library. If the callback raises an
-/// exception, the work of the library is aborted immediately. Ctrl-C has the same effect.
-/// Use it only for work that may be aborted at any point.
+/// Converts a Python callback to a C++ progress callback. If the Python callback raises
+/// an exception or the user presses Ctrl-C, the work is aborted immediately. Use it only
+/// for work that can be aborted at any point.
 inline Progress collect_into(const Tell& tell) {
     return [&tell](std::string_view what, double done) {
         const py::gil_scoped_acquire interpreter;
@@ -32,13 +32,13 @@ inline Progress collect_into(const Tell& tell) {
     };
 }
 
-/// Calls Python functions from the library. After the first exception or Ctrl-C, the
-/// library stops its work at a safe point. Then the exception is raised again.
+/// Calls Python functions from C++ work. After the first exception or Ctrl-C, the work
+/// stops at a safe point, and rethrow() raises the exception again.
 class PythonCalls {
 public:
-    /// Calls a Python function and stores the first exception that a call raises.
-    /// @return false if a call has raised an exception; the caller must then stop its
-    /// work
+    /// Calls a Python function. Stores the first exception that a call raises.
+    /// @return false if any call has raised an exception, so that the caller must stop
+    /// its work
     template <class Call>
     bool operator()(Call&& call) {
         if (failure_) return false;
@@ -51,8 +51,8 @@ public:
         }
         return !failure_;
     }
-    /// Checks for Ctrl-C. Returns true if no exception was raised, so that the work can
-    /// continue.
+    /// Checks whether the user has pressed Ctrl-C. Returns true if the work can continue,
+    /// because no exception was raised.
     bool go_on() {
         return (*this)([] {});
     }

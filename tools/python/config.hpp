@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes settings from Python. The names are those of `relidar list settings`,
-// and the values are Python values.
+// Reads and writes settings from Python. `relidar list settings` prints the names of the
+// settings. The values are Python values.
 #pragma once
 
 #include <string>
@@ -12,10 +12,10 @@
 namespace relidar::python {
 
 /// Sets one setting. The value is a str, bool, int, float or path.
-/// @throws UsageError if the value has another type, or if set_key() rejects the key or
-/// the value
+/// @throws UsageError if the type of the value is wrong, or if set_key() rejects the key
+/// or the value
 void set_value(Config& config, const std::string& key, const pybind11::handle& value);
-/// Shows a note of the library as a Python warning.
+/// Shows a note of the C++ library as a Python warning.
 void warn(const std::string& text);
 /// Sets each setting that the dict contains.
 void set_values(Config& config, const pybind11::dict& values);

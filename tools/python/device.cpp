@@ -107,8 +107,8 @@ void add_device(py::module_& module) {
             "peak_bytes", [](const OpenDevice& open) { return open.device.peak_bytes(); },
             "Maximum device memory that was allocated so far, in bytes.")
         .def("__repr__", &shown);
-    // Closes the default device at exit, before the Python interpreter and the Vulkan
-    // loader end.
+    // Closes the default device at exit. The Python interpreter and the Vulkan loader
+    // must still exist at this time.
     py::module_::import("atexit").attr("register")(py::cpp_function([] { default_device().reset(); }));
 }
 

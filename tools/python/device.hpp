@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A device that several Python objects and threads share. One thread at a time uses the
-// device. The device is closed when no object uses it any more.
+// A GPU that several Python objects and threads share. Only one thread at a time uses it.
+// The device is closed when the last object that uses it is destroyed.
 #pragma once
 
 #include <atomic>
@@ -17,7 +17,7 @@ namespace relidar::python {
 
 namespace py = pybind11;
 
-/// An open device with its lock and the id of the thread that uses the device.
+/// An open device, its mutex, and the id of the thread that currently uses it.
 struct OpenDevice {
     Device device;
     std::mutex in_use;
@@ -27,18 +27,18 @@ struct OpenDevice {
 };
 using SharedDevice = std::shared_ptr<OpenDevice>;
 
-/// Returns the given device. If it is null, returns the default device and opens it if
-/// necessary.
+/// Returns the given device. If the argument is null, returns the default device, which
+/// is opened at the first call.
 /// @throws DeviceError if the device cannot be opened
 SharedDevice device_or_default(SharedDevice device);
 
-/// Locks a device for the current thread. Releases the Python interpreter lock (GIL) at
-/// the same time. No Python object may be used while this object exists.
+/// Locks a device for the current thread and releases the Python interpreter lock (GIL).
+/// The thread must not use Python objects while this object exists.
 class DeviceUse {
 public:
     /// Waits until no other thread uses the device.
-    /// @throws UsageError if this thread already uses the device. This happens if a
-    /// callback calls a function of the same device.
+    /// @throws UsageError if this thread already uses the device, for example because a
+    /// callback calls a function of the same device
     explicit DeviceUse(OpenDevice& device);
     ~DeviceUse();
     DeviceUse(const DeviceUse&) = delete;
@@ -46,13 +46,13 @@ public:
 
 private:
     OpenDevice& device_;
-    /// Must be the first member. The interpreter lock is then released before the thread
+    /// Declared before the device lock, so that the thread releases the GIL before it
     /// waits for the device.
     py::gil_scoped_release others_run_;
     std::unique_lock<std::mutex> lock_;
 };
 
-/// An object that was created on a device. It keeps the device open. It locks the device
+/// An object that was created on a device. It keeps the device open, and locks the device
 /// while the object is destroyed.
 template <class Made>
 class OnDevice {
@@ -68,8 +68,8 @@ public:
     }
     ~OnDevice() {
         if (!made_ || device_->user == std::this_thread::get_id())
-            // This thread already uses the device: a training callback destroys a
-            // renderer. The device is idle then.
+            // A training callback of this thread destroys the object, so this thread has
+            // already locked the device. The device is idle during a callback.
             return;
         const DeviceUse use(*device_);
         made_.reset();

@@ -18,7 +18,8 @@
 namespace relidar::python {
 namespace {
 
-/// A renderer, and the sizes that determine the shapes of its arrays.
+/// A differentiable renderer, and the sizes that determine the shapes of its numpy
+/// arrays.
 struct HeldRenderer {
     OnDevice<DifferentiableRenderer> renderer;
     std::vector<InstancePose> placed;  ///< [instances] pose of each instance.
@@ -101,8 +102,8 @@ py::dict forward(HeldRenderer& held, const py::object& origins, const py::object
     return dict;
 }
 
-// Texts for error messages and help. The first lists the names "depth, weight, ...". The
-// second also lists the meaning of each name.
+// Texts for error messages and help. The first text lists the names of the rendered
+// values. The second text also contains the meaning of each name.
 #define RELIDAR_NAME(name, built, value, input, slope, meaning) #name ", "
 #define RELIDAR_MEANING(name, built, value, input, slope, meaning) #name " (" meaning "), "
 

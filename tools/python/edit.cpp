@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Edits a run by chained calls: run.edit().remove("0").move("1", pose).save("edited").
+// Edits a run with chained Python calls: run.edit().remove("0").move("1",
+// pose).save("edited").
 #include <filesystem>
 #include <functional>
 
@@ -24,8 +25,7 @@ namespace fs = std::filesystem;
 struct Edits {
     Run run;
     SharedDevice device;
-    /// Absolute path of the original run. It is empty if the run was not loaded from a
-    /// folder.
+    /// Absolute path of the original run. Empty if the run was not loaded from a folder.
     std::string origin;
 
     explicit Edits(const LoadedRun& start) : run(start.run), device(start.device) {
@@ -33,17 +33,17 @@ struct Edits {
         run.folder.clear();
     }
 
-    /// Applies an edit to the run and adds a text to its history.
+    /// Applies an edit to the run and adds it to the history of the run.
     /// @param said text that describes the edit in scene.json
     Edits& apply(const std::string& said, const std::function<DrivingScene(DrivingScene)>& edit) {
-        // Applies the edit to a copy. If the edit fails, the run is unchanged.
+        // Applies the edit to a copy, so that the run does not change if the edit fails.
         run.replace(edit(run.driving()));
         run.edits.push_back({origin, said});
         return *this;
     }
 
-    /// Applies an edit that changes when an actor is present. Warns if the actor is now
-    /// absent from frames of the log.
+    /// Applies an edit that changes when an actor is present. Warns if the actor is
+    /// missing in more frames of the log than before.
     Edits& apply_times(const std::string& said, const std::string& track,
                        const std::function<DrivingScene(DrivingScene)>& edit) {
         const BoxTrack* box = find_box(run.sequence, track);
@@ -101,7 +101,7 @@ std::unique_ptr<LoadedRun> save(const Edits& edits, const fs::path& folder, bool
 }  // namespace
 
 void add_edit(py::module_& module) {
-    // Each edit returns the same Python object, so that edits can be chained.
+    // Returns the same Python object after each edit, so that edits can be chained.
     const auto same = py::return_value_policy::reference;
     py::class_<Edits>(
         module, "Edit",

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts the errors of the library to Python exceptions. Each exception class also
-// derives from the matching built-in exception of Python.
+// Converts C++ exceptions of the library to Python exceptions. Each exception class is
+// also derived from the matching built-in exception of Python.
 #include <string>
 
 #include <relidar/base/error.hpp>
@@ -15,8 +15,8 @@ struct Types {
     py::object error, usage, data, device;
 };
 
-/// The exception types are never destroyed, because exceptions may be raised until the
-/// interpreter ends.
+/// Returns the Python exception types. They are never destroyed, because exceptions may
+/// be raised until the interpreter ends.
 Types& types() {
     static auto* const all = new Types;
     return *all;

@@ -36,8 +36,8 @@ Evaluation evaluation_of(LoadedRun& loaded, const Sequence& log, const std::opti
 
 py::dict evaluate_run(LoadedRun& run, const Log* log, const std::optional<std::string>& baseline,
                       const Tell& tell) {
-    // Throws an error for an unknown baseline before the log is read, because reading
-    // takes long.
+    // Throws an error if the baseline is unknown. This is checked before the log is
+    // loaded, because loading takes a long time.
     if (baseline) (void)find_baseline(*baseline);
     if (run.run.split.test.empty())
         throw DataError(run.run.folder.string() + ": the run has no held-out frames, expected at least one");

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// These functions add the parts of the Python module, in this order. A part may use types
-// of earlier parts.
+// Declares the functions that add the parts of the Python module. They are called in this
+// order, because a part may use types of earlier parts.
 #pragma once
 
 #include <pybind11/pybind11.h>

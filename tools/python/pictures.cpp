@@ -20,8 +20,8 @@ py::object get(const py::dict& scan, const char* name) {
     return scan[name];
 }
 
-/// Converts a scan of Run.render() or of a log to a rendered scan. A scan of a log has no
-/// drop_prob. Its rays with range 0 count as dropped.
+/// Converts a scan dict from Python to a rendered scan. The dict of a measured scan has
+/// no drop_prob, so a ray with range 0 counts as a ray without return.
 RenderedScan image_of(const py::dict& scan) {
     const py::object range = get(scan, "range");
     check_array(range, "scan: range", py::dtype::of<float>(), {kAny, kAny});

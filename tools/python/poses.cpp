@@ -12,12 +12,13 @@
 namespace relidar::python {
 namespace {
 
-// Maximum difference between R^T R and the identity matrix. Rotations from text files
-// have only six digits.
+// Maximum difference between R^T R and the identity matrix. It is not smaller, because
+// rotations from text files have only six digits.
 constexpr double kRigid = 1e-4;
 
-/// Converts a 4x4 matrix to a pose. Checks that the matrix is a rigid motion.
-/// @param m 16 numbers, row by row
+/// Converts a 4x4 matrix to a pose. Throws an error unless the matrix is a rotation and a
+/// translation.
+/// @param m 16 numbers in row-major order
 Pose rigid_pose(const double* m, const std::string& what) {
     const auto fail = [&](const std::string& found) {
         throw DataError(fmt::format(
@@ -29,7 +30,8 @@ Pose rigid_pose(const double* m, const std::string& what) {
         fail("a matrix that is not finite");
     if (m[12] != 0.0 || m[13] != 0.0 || m[14] != 0.0 || m[15] != 1.0)
         fail(fmt::format("the last row {} {} {} {}", m[12], m[13], m[14], m[15]));
-    // GLM expects columns.
+    // The constructor of the GLM matrix expects columns, so the row-major numbers are
+    // reordered.
     const glm::dmat3 rotation(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]);
     const glm::dmat3 square = glm::transpose(rotation) * rotation;
     double worst = 0.0;

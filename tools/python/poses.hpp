@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts poses to numpy arrays and back. A pose is a [4,4] float64 matrix, and a track
+// Converts poses between C++ and numpy arrays. A pose is a [4,4] float64 matrix. A track
 // is a pair (times, poses).
 #pragma once
 
@@ -19,17 +19,17 @@ Pose pose_of(const py::handle& matrix, const std::string& what);
 /// Converts a single pose or a pair (times [n], poses [n,4,4]) of float64 arrays to a
 /// track.
 /// @param time_s time of a single pose
-/// @throws DataError if the object is neither of them, or if a pose is not a rigid motion
+/// @throws DataError if the object has another form, or if a pose is not a rigid motion
 PoseTrack track_of(const py::handle& object, const std::string& what, double time_s);
 
-/// Converts an array [n,4,4] to poses.
-/// @throws DataError if an element is not a rigid motion, as in pose_of()
+/// Converts an array [n,4,4] to n poses.
+/// @throws DataError if a matrix is not a rigid motion
 std::vector<Pose> poses_of(const py::handle& matrices, const std::string& what);
 
 /// Converts a pose to a [4,4] float64 array.
 py::array to_matrix_array(const Pose& pose);
 
-/// Returns the track as (times [n], poses [n,4,4]). Adds the offset to all positions.
+/// Returns a track as (times [n], poses [n,4,4]). Adds the offset to all positions.
 py::tuple to_track(const PoseTrack& track, const glm::dvec3& offset_m);
 
 }  // namespace relidar::python

@@ -44,17 +44,17 @@ PointFrame frame_of(const std::string& name) {
     throw UsageError(fmt::format("frame: found \"{}\", expected sensor or world", name));
 }
 
-/// Returns the path of one LiDAR of the log in the dataset's world frame.
+/// Returns the path of one LiDAR of the log in the world frame of the dataset.
 PoseTrack log_track(const Sequence& sequence, int lidar) {
     return shifted_track(sequence.world_from_sensor(lidar), sequence.world_offset_m);
 }
 
-/// Checks that a time is on a track or near its ends. Moving objects would be
-/// extrapolated at other times.
+/// Checks that a track covers a time. At other times, the poses of moving objects would
+/// be extrapolated.
 /// @throws UsageError if the time is more than `tolerance_s` before or after the track
 void check_covered(const PoseTrack& track, double time_s, double tolerance_s, const std::string& what) {
-    // A single pose is valid at all times. A time that is not finite is rejected later by
-    // the library.
+    // A single pose is valid at all times. The library itself rejects a time that is not
+    // finite.
     if (track.pose.size() < 2 || !std::isfinite(time_s)) return;
     const double begin_s = track.time_s.front() - tolerance_s, end_s = track.time_s.back() + tolerance_s;
     if (time_s < begin_s || time_s > end_s)
@@ -63,8 +63,8 @@ void check_covered(const PoseTrack& track, double time_s, double tolerance_s, co
 }
 
 ActorPoses actors_from(const py::dict& actors, double time_s) {
-    // Maximum time before the first or after the last pose, in seconds. A sweep begins
-    // before its nominal time and ends after it.
+    // Longest time in seconds before the first or after the last pose of an actor. It is
+    // not 0, because a sweep begins before its nominal time and ends after it.
     constexpr double kBeside_s = 1.0;
     ActorPoses poses;
     for (const auto& [name, pose] : actors) {
@@ -76,7 +76,7 @@ ActorPoses actors_from(const py::dict& actors, double time_s) {
     return poses;
 }
 
-/// Returns the index of the log's sweep that is nearest in time.
+/// Returns the index of the recorded sweep that is nearest in time.
 int nearest_sweep(const Sequence& sequence, double time_s) {
     const auto farther = [&](const Frame& a, const Frame& b) {
         return std::abs(a.time_s - time_s) < std::abs(b.time_s - time_s);
@@ -187,8 +187,8 @@ constexpr const char* kHelpAfterWeather =
     "Raises DataError for arrays of wrong shape, dtype or order and poses that are not "
     "rigid, UsageError for unknown names and weather.";
 
-/// Returns the documentation of Run.render(). The table of weather effects has a part of
-/// the text.
+/// Returns the documentation of Run.render(). The list of weather effects is inserted in
+/// the middle.
 std::string render_help() {
     return fmt::format("{}{}; drawn by `sample`, 0 without;\n    adds `source` [rows,columns] int32: {}{}",
                        kHelpBeforeWeather, weather_help(), parse_channels("source").front().meaning,
@@ -312,7 +312,7 @@ OnDevice<ScanRenderer>& LoadedRun::ready_renderer() {
         made = std::make_unique<ScanRenderer>(device->device, run);
     }
     OnDevice<ScanRenderer> fresh(device, std::move(made));
-    // Keeps the existing renderer if another thread was faster.
+    // Keeps the existing renderer if another thread has created one in the meantime.
     if (!renderer) renderer = std::move(fresh);
     return renderer;
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A run as a Python object, together with its device. Its renderer is created when the
-// first scan is requested.
+// A run as a Python object, together with its device. The renderer is created when Python
+// requests the first scan.
 #pragma once
 
 #include <optional>
@@ -13,17 +13,16 @@ namespace relidar::python {
 
 struct LoadedRun {
     Run run;
-    SharedDevice device;  ///< Device of the run. If it is null, the default device is used.
+    SharedDevice device;  ///< Device of the run. If the pointer is null, the default device is used.
     OnDevice<ScanRenderer> renderer{};
 
     /// Returns the renderer of this run. Creates the renderer at the first call. No other
-    /// object changes the renderer.
+    /// object uses this renderer.
     OnDevice<ScanRenderer>& ready_renderer();
 };
 
 /// Saves a run in a folder and sets `run.folder` to this folder.
-/// @throws UsageError if `overwrite` is false and the folder already holds a run, as in
-/// save_run()
+/// @throws UsageError if `overwrite` is false and the folder already contains a run
 void save_to(Run& run, const std::filesystem::path& folder, bool overwrite);
 
 }  // namespace relidar::python

@@ -17,8 +17,8 @@ namespace {
 
 constexpr std::string_view kThirdScale = "log_scale_w", kGait = "gait";
 
-/// Calls the function `take` for each parameter group of the surfels. Its arguments are
-/// the name, the vector of values, and the shape of the values of one surfel.
+/// Calls the function `take` for each parameter array of the surfels. The arguments are
+/// the name of the array, its values, and the shape of the values of one surfel.
 template <class Set, class Take>
 void for_each_group(Set& surfels, Take&& take) {
     take("mean", surfels.mean, Shape{3});
@@ -30,7 +30,7 @@ void for_each_group(Set& surfels, Take&& take) {
     take(kGait.data(), surfels.gait, Shape{5});
 }
 
-/// Returns true if the surfels have the parameter group with this name.
+/// Returns true if these surfels have a parameter array with this name.
 bool has_group(const Surfels& surfels, std::string_view name) {
     if (name == kGait) return surfels.bends;
     return name != kThirdScale || kind_of(surfels.primitive).third_scale;
@@ -42,7 +42,7 @@ Shape rows_of(py::ssize_t n, const Shape& row) {
     return shape;
 }
 
-/// Returns the parameters of a scene's surfels as read-only arrays, without a copy.
+/// Returns the parameters of a scene's surfels as read-only numpy arrays, without a copy.
 py::dict view_of(const py::object& scene_object) {
     const Surfels& surfels = scene_object.cast<const Scene&>().surfels;
     py::dict dict;
@@ -124,8 +124,8 @@ Surfels surfels_of(const py::dict& arrays) {
             throw UsageError(fmt::format("surfels: the array \"{}\" is unknown{} (known: {})", text,
                                          did_you_mean(text, names, "\""), fmt::join(names, ", ")));
     }
-    // Chooses the primitive shape: 3D Gaussians have the array of third scales, and 2D
-    // surfels do not have it.
+    // Chooses the shape of the surfels. The array of third scales exists only for 3D
+    // Gaussians, not for 2D surfels.
     const auto kind =
         std::ranges::find(kPrimitives, arrays.contains(kThirdScale), &PrimitiveKind::third_scale);
     surfels.primitive = kind->primitive, surfels.bends = arrays.contains(kGait);

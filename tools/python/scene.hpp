@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts surfels and scenes to dicts of arrays, and dicts of arrays to surfels. The
-// arrays have the layout of the class Surfels.
+// Converts surfels and scenes to Python dicts of arrays, and such dicts to surfels. The
+// arrays have the same layout as the class Surfels.
 #pragma once
 
 #include <pybind11/pybind11.h>
@@ -11,11 +11,12 @@ namespace relidar::python {
 
 /// Creates surfels from float32 arrays: mean [n,3], rotation [n,4], log_scale [n,2],
 /// opacity_logit [n], sh [n,3,16]. 3D Gaussians also need log_scale_w [n].
-/// @throws DataError if an array is missing or has a wrong shape; UsageError if a name is
-/// unknown
+/// @throws DataError if an array is missing or has a wrong shape
+/// @throws UsageError if a name is unknown
 Surfels surfels_of(const pybind11::dict& arrays);
 
-/// Moves the parameters of surfels into a dict of arrays, as surfels_of() reads them.
+/// Moves the parameters of surfels into a Python dict of arrays. surfels_of() reads such
+/// a dict.
 pybind11::dict to_dict(Surfels&& surfels);
 
 }  // namespace relidar::python

@@ -15,9 +15,9 @@
 namespace relidar::python {
 namespace {
 
-constexpr float kUnit = 1e-3f;  // Maximum difference between the length of a direction and 1.
+constexpr float kUnit = 1e-3f;  // Largest accepted difference between the length of a direction and 1.
 
-/// Checks the rays of a sensor.
+/// Checks the rays of a sensor that a Python user has defined.
 /// @throws DataError if a ray is not finite, or if its direction does not have length 1
 void check_rays(const RayTable& rays) {
     for (std::size_t i = 0; i < rays.size(); ++i) {

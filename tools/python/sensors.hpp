@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads sensors from Python. A sensor is a name, a CSV file with a table of beams, or a
-// dict with the arrays of an npz file.
+// Reads sensors from Python arguments. The argument is a name, a CSV file with a table of
+// beams, or a dict with the arrays of an npz file.
 #pragma once
 
 #include <pybind11/pybind11.h>
@@ -12,9 +12,10 @@ namespace relidar::python {
 
 /// Returns the sensor that a Python argument describes. None means the sensor in the
 /// settings of the run.
-/// @param lidar LiDAR of the log that the sensor is or replaces
-/// @throws UsageError or DataError if choose_sensor() rejects the sensor; DataError if
-/// rays have a wrong shape or length
+/// @param lidar LiDAR of the log that the sensor replaces
+/// @throws UsageError or DataError if choose_sensor() rejects the sensor
+/// @throws DataError if the ray arrays have a wrong shape, or a direction does not have
+/// length 1
 SensorChoice sensor_of(const pybind11::handle& sensor, const Run& run, int lidar);
 
 /// Returns the rays of a sensor as a dict of arrays: directions and origin

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A log as a Python object. It also stores the settings with which the log was read,
+// A log as a Python object. It also stores the settings with which the log was loaded,
 // because training needs them.
 #pragma once
 
@@ -12,8 +12,8 @@ namespace relidar::python {
 
 struct Log {
     Sequence sequence;
-    /// Settings. config.dataset and config.sensor.rolling_shutter are those with which
-    /// the log was read.
+    /// Settings of the log. config.dataset and config.sensor.rolling_shutter have the
+    /// values with which the log was loaded.
     Config config;
 };
 
@@ -21,11 +21,12 @@ struct Log {
 pybind11::object times_of(const Sequence& sequence);          ///< Returns the frame times, [frames] float64.
 pybind11::object frame_numbers_of(const Sequence& sequence);  ///< Returns the frame numbers, [frames] int32.
 pybind11::object lidars_of(const Sequence& sequence);         ///< Returns the LiDAR name of each frame.
-/// Returns the path of the vehicle as (times, poses) in the dataset's world frame.
+/// Returns the path of the vehicle as (times, poses) in the world frame of the dataset.
 pybind11::object trajectory_of(const Sequence& sequence);
 pybind11::object mountings_of(
-    const Sequence& sequence);  ///< Returns a dict from LiDAR name to vehicle_from_sensor.
-/// Returns a dict from track name to (times, poses). The poses are those of the box
+    /// Returns a dict from the LiDAR name to the mounting pose vehicle_from_sensor.
+    const Sequence& sequence);
+/// Returns a dict from the track name to (times, poses). The poses are poses of the box
 /// centre.
 pybind11::object actors_of(const Sequence& sequence, const std::vector<std::string>& names);
 

@@ -28,8 +28,8 @@ struct TrainArguments {
     SharedDevice device;
 };
 
-/// Returns the settings of the user. The settings with which the log was read are not
-/// replaced.
+/// Returns the settings for a training. Takes the user's settings, but keeps the settings
+/// with which the log was loaded.
 Config config_of(const Log& log, const std::optional<Config>& wanted) {
     Config config = wanted.value_or(log.config);
     config.dataset = log.config.dataset;
@@ -81,15 +81,15 @@ void placed(OpenDevice& open, Run& run, PythonCalls& python) {
     python.rethrow();
 }
 
-/// Measures the noise of the LiDAR's intensities.
+/// Measures the noise of the LiDAR intensities.
 void scatter_learnt(OpenDevice& open, Run& run, PythonCalls& python) {
     const DeviceUse use(open);
     run.intensity_scatter = learn_scatter(open.device, run, {{}, [&] { return !python.go_on(); }});
     python.rethrow();
 }
 
-/// Trains the ray-drop network. If the log has no suitable training data, or if the
-/// checkpoint belongs to another network, only a note is printed.
+/// Trains the ray-drop network. Only prints a note if the log has no suitable training
+/// data, or if the checkpoint belongs to another network.
 void refined(OpenDevice& open, Run& run, const TrainArguments& asked, PythonCalls& python) {
     const auto note = [&](const std::string& line) {
         if (asked.note) python([&] { (*asked.note)(line); });
@@ -130,8 +130,8 @@ std::unique_ptr<LoadedRun> train_run(const Log& log, const TrainArguments& asked
     try {
         result = trained(*device, run, asked, python);
     } catch (const Error&) {
-        // If a Python callback raised an exception, the library stopped with an error.
-        // Raises the exception of the callback instead of this error.
+        // If a Python callback raised an exception, raises this exception instead of the
+        // error of the library.
         python.rethrow();
         throw;
     }

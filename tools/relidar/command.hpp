@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Interface of a command. A command is a function that adds a subcommand and its options
-// to the parser. If the user chooses the command, the parser calls its callback. The
-// callback stores the function to run in `call.run`. To add a command, write a file, and
-// add one line here and one line in commands.cpp.
+// Interface between the command line parser and the commands. A command is a function
+// that adds a subcommand and its options to the parser. If the user chooses the command,
+// a callback stores the function to run in `call.run`. To add a command, write a new file
+// and add one line here and one line in commands.cpp.
 #pragma once
 
 #include <functional>
@@ -18,8 +18,8 @@ namespace relidar::cli {
 
 /// The command line, and the function of the command that the user chose.
 struct Call {
-    std::string command_line;   ///< Command line as the user typed it. Reports contain it.
-    std::function<void()> run;  ///< Runs the chosen command. It throws an exception if the command fails.
+    std::string command_line;   ///< Command line as the user typed it. Reports show this text.
+    std::function<void()> run;  ///< Runs the chosen command. Throws an exception if the command fails.
 };
 
 /// Adds all commands to the parser.

@@ -14,22 +14,23 @@
 namespace relidar::cli {
 namespace {
 
-// Times of the first and the following progress lines. Shorter work prints no progress.
+// Time until the first progress line, and time between later lines. Work of less than two
+// seconds prints no progress.
 constexpr std::chrono::seconds kPlainFirst{2}, kPlainInterval{10};
 constexpr std::chrono::milliseconds kTerminalInterval{100};
 
 // True if the terminal shows a progress line that does not yet end with a line break.
 bool line_open = false;
 
-/// Returns the number of terminal columns of a text. It is assumed that each UTF-8
+/// Returns the number of terminal columns that a text needs. Assumes that each UTF-8
 /// character needs one column.
 std::size_t width(const std::string& text) {
     return static_cast<std::size_t>(std::count_if(
         text.begin(), text.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xC0) != 0x80; }));
 }
 
-/// Shortens a line to the width of the terminal. A longer line would wrap, and a wrapped
-/// line cannot be overwritten.
+/// Cuts a line to the width of the terminal. A longer line would wrap, and the next
+/// progress line could not overwrite a wrapped line.
 std::string shorten_to_terminal(const std::string& text) {
     winsize size{};
     const bool known = ::ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 1;

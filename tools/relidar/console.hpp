@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Prints tables, durations, sizes and a progress line in the terminal. Results go to
-// stdout, progress goes to stderr. On a terminal, each progress line overwrites the
-// previous one. If the output is a file, a progress line is printed after two seconds and
-// then every ten seconds.
+// Prints tables, durations, sizes and a progress line. Results go to stdout. Progress
+// goes to stderr. On a terminal, each progress line overwrites the previous progress
+// line. If stderr is a file, a progress line is printed after two seconds and then every
+// ten seconds.
 #pragma once
 
 #include <chrono>
@@ -21,7 +21,7 @@ std::string table(const std::vector<std::vector<std::string>>& rows);
 std::string duration(double seconds);          ///< For example "0:42" or "1:54:00".
 std::string byte_size(std::uint64_t n_bytes);  ///< For example "512 B" or "1.3 GiB".
 std::string number(double value);              ///< Formats a number with four significant digits.
-/// Replaces line breaks and other control characters of a text by spaces.
+/// Replaces line breaks and other control characters in a text by spaces.
 std::string one_line(std::string text);
 /// Puts a word into quotes if a shell would split or change it.
 std::string shell_word(const std::string& word);
@@ -43,9 +43,9 @@ public:
     Progress(const Progress&) = delete;
     Progress& operator=(const Progress&) = delete;
 
-    /// Shows a progress text. Does nothing if the previous text was shown a short time
-    /// ago.
-    /// @param now true: shows the text in any case
+    /// Shows a progress text. Does nothing if the previous text was shown only a short
+    /// time ago.
+    /// @param now if true, always shows the text
     void show(const std::string& text, bool now = false);
 
     /// Shows the progress of `total` equal steps as "what 3/10  2.1/s  eta 0:03".
@@ -59,7 +59,7 @@ private:
     Clock::time_point last_{};
 };
 
-/// Returns a callback for library functions that shows their progress as "what 30 %".
+/// Returns a callback that library functions call to show their progress as "what 30 %".
 relidar::Progress make_progress(Progress& progress);
 
 }  // namespace relidar::cli

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar demo` runs all steps on a synthetic street with exactly known
-// geometry. It writes a log, trains a run, and scores the held-out frames. It also scores
-// a sensor that is shifted by 2 m to the left and 1 m up. A real log contains no scans of
-// a shifted sensor.
+// The command `relidar demo` runs all steps on a synthetic street whose geometry is known
+// exactly. It writes a log, trains a scene, and scores the held-out frames. It also
+// scores scans of a sensor that is shifted by 2 m to the left and 1 m up. A real log
+// contains no such scans.
 #include <memory>
 
 #include <fmt/format.h>
@@ -26,7 +26,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Shift of the scored sensor: 2 m to the left and 1 m up.
+// Shift of the second scored sensor: 2 m to the left and 1 m up.
 const Pose kShift{glm::dquat(1.0, 0.0, 0.0, 0.0), glm::dvec3(0.0, 2.0, 1.0)};
 constexpr const char* kDemoMetrics[] = {"strict/depth_medae_m", "strict/depth_rmse_m", "strict/intensity_mae",
                                         "strict/drop_accuracy", "strict/cd_mean_m",    "points/cd_mean_m",
@@ -43,8 +43,8 @@ struct DemoOptions {
 Config config_of(const DemoOptions& options, const fs::path& street) {
     Config config = make_preset("quick");
     set_key(config, "train.seed", options.seed);
-    // The gaps between points are wider with 32 beams than with the 64 beams that the
-    // preset assumes.
+    // The preset assumes a sensor with 64 beams. This sensor has 32 beams, so the gaps
+    // between its points are wider and the factor differs.
     config.init.scale_factor = 0.6;
     // Uses fewer iterations than the 540 of preset quick, so that the demo takes one to
     // two minutes on two processor cores.
@@ -65,8 +65,8 @@ Evaluation evaluate_held_out(Device& device, const Run& run, bool quiet) {
     return evaluation;
 }
 
-/// Renders the held-out frames from the shifted sensor. Compares them with exact scans of
-/// the street from the same sensor.
+/// Renders the held-out frames from the shifted sensor. Compares the rendered scans with
+/// exact scans of the street from the same position.
 Evaluation evaluate_shifted(Device& device, const Run& run, const SyntheticOptions& street, bool quiet) {
     Progress progress(quiet);
     ScanRenderer renderer(device, run);

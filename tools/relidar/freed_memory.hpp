@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Controls when freed memory is returned to the system. Each stage of a training
-// allocates and frees arrays as large as the log. Returning and allocating these pages
-// again would take a fifth to a third of the time of a registration. The functions have
-// an effect only with glibc. Tests set the same limits (GLIBC_TUNABLES in
+// Controls when freed memory is returned to the operating system. Each training stage
+// allocates and frees arrays as large as the log. Returning and allocating this memory
+// again would take a fifth to a third of the time of a scan registration. The functions
+// have an effect only with glibc. The tests set the same limits (GLIBC_TUNABLES in
 // CMakePresets.json).
 #pragma once
 
-#include <cstddef>  // Included because any standard header defines __GLIBC__ on systems with glibc.
+#include <cstddef>  // Any standard header defines __GLIBC__ if the C library is glibc.
 
 #ifdef __GLIBC__
 #include <malloc.h>
@@ -14,8 +14,8 @@
 
 namespace relidar::cli {
 
-/// Lets the process keep up to 256 MiB of freed memory, and freed gaps between arrays,
-/// for later allocations. Must be called once at program start.
+/// Keeps up to 256 MiB of freed memory in the process, so that later allocations can use
+/// it. Must be called once at program start.
 inline void keep_freed_memory() {
 #ifdef __GLIBC__
     constexpr int kMiB = 1 << 20;
@@ -25,8 +25,8 @@ inline void keep_freed_memory() {
 #endif
 }
 
-/// Returns freed memory to the system. Called before a stage that allocates other memory,
-/// for example on a device that shares the memory of the host.
+/// Returns all freed memory to the operating system. Call it before a stage that needs
+/// other memory, for example a GPU that shares the memory of the host.
 inline void give_back_freed_memory() {
 #ifdef __GLIBC__
     malloc_trim(0);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The signal handler stores the time of the first signal. Signals within one second of
-// the first signal are ignored, because a batch system and mpirun may both send a signal.
-// A later signal ends the program immediately.
+// The signal handler stores the time of the first signal. It ignores signals within the
+// next second, because a batch system and mpirun may both send one. A later signal ends
+// the program immediately.
 #include "interrupt.hpp"
 
 #include <atomic>
@@ -15,7 +15,7 @@ namespace {
 
 constexpr long long kSameSignal_ms = 1000;
 
-// Time of the first signal in milliseconds. It is 0 before any signal has arrived.
+// Time of the first signal in milliseconds. The value is 0 until a signal arrives.
 std::atomic<long long> first_signal_ms{0};
 static_assert(std::atomic<long long>::is_always_lock_free, "a signal handler may not wait for a lock");
 

@@ -5,11 +5,12 @@
 
 namespace relidar::cli {
 
-/// Returns true if mpirun or a batch system started several processes together. Only then
-/// is MPI initialised, because MPI may not be set up on this machine.
+/// Returns true if mpirun or a batch system started this process as one of several.
+/// Otherwise MPI is not initialised, because MPI may not be set up on this machine.
 inline bool launched_by_mpi() {
-    // Environment variables with the number of processes. Open MPI sets the first
-    // variable, MPICH and Intel MPI set the second. Slurm may set either of them.
+    // Names of environment variables that hold the number of processes. Open MPI sets the
+    // first variable. MPICH and Intel MPI set the second variable. Slurm may set either
+    // of them.
     for (const char* name : {"OMPI_COMM_WORLD_SIZE", "PMI_SIZE"})
         if (const char* size = std::getenv(name); size && std::atoi(size) > 1) return true;
     return false;

@@ -140,8 +140,8 @@ void check_sets(const std::vector<std::string>& sets, const std::vector<std::str
                 const std::string& command) {
     Config scratch;
     for (const std::string& set : sets) {
-        // Applies the setting to temporary settings, only to check it. Throws an error if
-        // the key or the value is wrong.
+        // Applies the setting to a temporary Config. This throws an error if the key or
+        // the value is invalid.
         apply_sets(scratch, {set});
         const std::string key = set.substr(0, set.find('='));
         const bool is_used = std::ranges::any_of(used, [&](const std::string& name) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Options that several commands share. Functions convert the options to settings, open a
-// device or load a log.
+// Command line options that several commands share. The functions convert option values
+// to settings, select a device, or load a log.
 #pragma once
 
 #include <filesystem>
@@ -26,11 +26,12 @@ struct DeviceChoice {
 };
 void add_device_options(CLI::App& command, DeviceChoice& choice);
 DeviceOptions device_options(const DeviceChoice& choice);
-/// Converts the options of a device back to words of a command line. Leaves out options
-/// with default values.
+/// Converts the device options back to command line words, for example to start another
+/// process. Options with default values are left out.
 std::vector<std::string> device_arguments(const DeviceChoice& choice);
 
-/// Values of --preset, --config and --set. They are applied in this order.
+/// Values of the options --preset, --config and --set. A later option in this order
+/// overwrites an earlier one.
 struct Settings {
     std::string preset = "default";
     std::string file;
@@ -40,18 +41,18 @@ void add_settings_options(CLI::App& command, Settings& settings);
 /// Adds the option --channels, which is a short form of the setting render.channels.
 void add_channels_option(CLI::App& command, std::optional<std::string>& channels);
 /// Adds the option --weather.
-/// @param weather receives the text, which parse_weather() reads later
-/// @param which words for the help text that name the affected scans
+/// @param weather output: text that the user typed; parse_weather() reads the text later
+/// @param which part of the help text that says to which scans the weather applies
 void add_weather_option(CLI::App& command, std::string& weather, const std::string& which);
-/// Adds the option --set, but not --preset and --config. Used by commands that read their
-/// settings from a run.
+/// Adds the option --set. Commands that read their settings from a trained run use it,
+/// because such commands have no --preset and no --config.
 void add_set_option(CLI::App& command, std::vector<std::string>& sets);
 Config resolve(const Settings& settings);
 void apply_sets(Config& config, const std::vector<std::string>& sets);
 /// Returns the names of the settings that affect rendering. A name that ends in a dot
-/// stands for all settings of a group.
+/// means all settings of that group.
 std::vector<std::string> rendering_settings();
-/// Rejects settings that would have no effect in a command.
+/// Throws an error if a setting of --set has no effect in a command.
 /// @param used names and groups of settings that the command uses, as in
 /// rendering_settings()
 /// @param command name of the command
@@ -59,7 +60,8 @@ std::vector<std::string> rendering_settings();
 void check_sets(const std::vector<std::string>& sets, const std::vector<std::string>& used,
                 const std::string& command);
 
-/// Values of --frames and --sequence. They select the part of a log that is read.
+/// Values of the options --frames and --sequence. They select the part of a log that is
+/// loaded.
 struct LogPart {
     std::string frames;
     std::string sequence;
@@ -67,14 +69,14 @@ struct LogPart {
 void add_log_part_options(CLI::App& command, LogPart& part);
 void apply_log_part(Config& config, const LogPart& part);
 
-/// Parses a range "a:b". Each of the two numbers may be missing.
+/// Parses a range of frames "a:b". Either number may be missing.
 /// @throws UsageError if the text has another form
 FrameRange parse_frames(const std::string& text);
-/// Prints a note if the log or run has fewer frames than requested.
+/// Prints a note if the user requested frames after the last frame of a log or run.
 /// @param last number of the last frame of the log or run
 void note_frames_beyond(const FrameRange& range, int last, const std::string& where);
 /// Parses a list of numbers that are separated by commas.
-/// @throws UsageError that names the option
+/// @throws UsageError if a word is not a number; the message names the option
 std::vector<double> parse_list(const std::string& option, const std::string& text);
 std::vector<std::string> split(const std::string& text, char separator);
 std::string without_blanks(const std::string& text);  ///< Removes spaces and tabs at both ends of a text.

@@ -31,22 +31,22 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::chrono::milliseconds kLockLook{50};
-/// Longest time to wait for the lock of a folder. mpirun and batch systems may restart a
-/// job before the processes of the old job have ended.
+/// Longest time to wait for another process to release the lock of a folder. mpirun and
+/// batch systems may restart a job before all processes of the old job have ended.
 constexpr std::chrono::milliseconds kEndOfOthers{5000};
 
 constexpr const char* kLockFile = ".lock";
 
-/// Returns true if a killed process may have left this file behind. Such a file is an
-/// unlocked lock file or a half-written file.
+/// Returns true if a killed process may have left this file behind. This is either an
+/// unlocked lock file or a half-written temporary file.
 bool is_leftover(const fs::path& path) {
     const std::string name = path.filename().string();
     return name == kLockFile || (name.starts_with('.') && name.find(".tmp-") != std::string::npos);
 }
 
-/// Returns true if a folder is empty or contains only files that killed processes have
-/// left behind. Also returns true if the folder cannot be read, because writing to it
-/// reports the error later.
+/// Returns true if a folder is empty or contains only leftover files of killed processes.
+/// Also returns true if the folder cannot be read, because a later write to the folder
+/// reports that error.
 bool is_empty_folder(const fs::path& folder) {
     std::error_code failed;
     for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end;
@@ -79,8 +79,8 @@ void remove_incomplete(const fs::path& folder) {
         remove_temporaries(in);
 }
 
-/// Returns true if the path still names the open file. The path may name another file,
-/// because a process removes the lock file when it releases the lock.
+/// Returns true if the path still names the open file. Another process may have removed
+/// the lock file and created a new file with the same path.
 bool is_same_file(int descriptor, const fs::path& file) {
     struct stat opened {
     }, named{};
@@ -90,11 +90,11 @@ bool is_same_file(int descriptor, const fs::path& file) {
 
 struct OpenLock {
     int descriptor;
-    /// True if the file is locked. It is false if the file system does not support locks.
+    /// True if the file is locked. False if the file system does not support locks.
     bool exclusive;
 };
 
-/// Opens and locks a file.
+/// Opens a file and locks it.
 /// @return no value if another process holds the lock
 std::optional<OpenLock> open_locked(const fs::path& file) {
     for (;;) {
@@ -120,8 +120,8 @@ OutputFolder::OutputFolder(const fs::path& path) : path_(path) {
 
 OutputFolder::~OutputFolder() {
     std::error_code failed;
-    // Removes the new folder. This fails if the folder is not empty, and the failure is
-    // ignored.
+    // Removes the folder that this object created. The removal fails if the folder
+    // contains files. This failure is ignored.
     if (!was_there_) fs::remove(path_, failed);
 }
 
@@ -159,14 +159,14 @@ bool FolderLock::is_held(const fs::path& folder) {
 }
 
 FolderLock::~FolderLock() {
-    // Removes the file before the lock is released. Otherwise another process could lock
-    // the file and lose it.
+    // Removes the lock file before the lock is released. Otherwise another process could
+    // lock this file just before it is removed.
     if (is_same_file(descriptor_, file_)) ::unlink(file_.c_str());
     ::close(descriptor_);
 }
 
 RunFolder::RunFolder(const fs::path& path, Existing existing) {
-    // Checks the content before the folder is locked, because locking writes a file into
+    // Checks the content before the folder is locked, because the lock writes a file into
     // the folder.
     if (!holds_run(path)) check_content(path, existing);
     folder_.emplace(path);
@@ -215,7 +215,8 @@ void NewRun::save(Run& run) const {
             return;
         } catch (const DataError&) {
             // The folder cannot be renamed, because it is a mount point or its parent
-            // folder is not writable.
+            // folder is read-only. The code below overwrites the files in the folder
+            // instead.
             run.folder = path_;
         }
     }
@@ -223,7 +224,8 @@ void NewRun::save(Run& run) const {
         remove_run_files(path_);
         remove_blocks(path_);
         std::error_code failed;
-        // Removes the checkpoints. Otherwise a later training would resume from them.
+        // Removes the old checkpoints. Otherwise a later training would continue from
+        // these checkpoints.
         fs::remove_all(checkpoint_folder(path_), failed);
     });
 }
@@ -258,8 +260,8 @@ fs::path network_checkpoint_folder(const fs::path& run) {
 void remove_network_checkpoints(const fs::path& run) {
     remove_checkpoints(network_checkpoint_folder(run));
     std::error_code failed;
-    // This fails if the folder still contains checkpoints of the scene, and the failure
-    // is ignored.
+    // The removal fails if the folder still contains checkpoints of the scene. This
+    // failure is ignored.
     fs::remove(checkpoint_folder(run), failed);
 }
 

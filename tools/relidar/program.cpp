@@ -28,8 +28,8 @@ void flush_output() {
             "cannot write all text to standard output: the disk is full or the reader has closed the pipe");
 }
 
-/// Returns the help text of the program. It has one line per command, so that it fits on
-/// one screen.
+/// Returns the help text of the program. Each command has only one line, so that the text
+/// fits on one screen.
 std::string program_help(const CLI::App& app) {
     std::string text = fmt::format("{}\nUsage: {} COMMAND [OPTIONS], COMMAND --help or --version\n\n",
                                    app.get_description(), app.get_name());
@@ -80,8 +80,8 @@ int run_program(const Program& program, int argc, char** argv) {
                       "out of memory: this machine has too little memory for this log or scene; use fewer "
                       "frames (--frames A:B) or larger voxels (--set init.voxel_m=METRES)");
     } catch (const std::filesystem::filesystem_error& error) {
-        // An error of the file system is not a bug of the program, so it is reported like
-        // invalid data.
+        // An error of the file system is not a bug of relidar. The exit code is therefore
+        // the one for invalid data.
         return report(ExitCode::data, fmt::format("{}: {}", error.path1().string(), error.code().message()));
     } catch (const std::exception& error) {
         return report(ExitCode::bug, std::string("internal error of relidar: ") + error.what());

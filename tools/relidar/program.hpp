@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Runs a program that consists of several commands. Parses the command line and prints
-// help. If a command fails, it prints one line on stderr and returns an exit code (see
-// error.hpp).
+// the help. If a command fails, prints the error on stderr in one line and returns an
+// exit code (see error.hpp).
 #pragma once
 
 #include <string>

@@ -19,15 +19,15 @@
 namespace relidar::cli {
 namespace {
 
-/// Waits for a request by polling with pauses. MPI_Wait would use processor time while it
-/// waits.
+/// Waits until an MPI request is finished. Sleeps 20 ms between the tests, because
+/// MPI_Wait would keep a processor core busy.
 void sleep_until(MPI_Request request) {
     for (int done = 0; !done; std::this_thread::sleep_for(std::chrono::milliseconds(done ? 0 : 20)))
         MPI_Test(&request, &done, MPI_STATUS_IGNORE);
 }
 
-/// Returns a hash (FNV-1a) of the program file, which identifies the build. Returns 0 if
-/// the file cannot be read.
+/// Returns a hash (FNV-1a) of the program file. Two processes with the same hash run the
+/// same build. Returns 0 if the file cannot be read.
 unsigned long long build_number() {
     std::ifstream program("/proc/self/exe", std::ios::binary);
     unsigned long long hash = 14695981039346656037ull;
@@ -38,9 +38,9 @@ unsigned long long build_number() {
     return program.bad() || !program.eof() ? 0 : hash;
 }
 
-/// Checks that all MPI processes run the same build of the program. Two builds may number
-/// settings and arrays differently.
-/// @throws UsageError in a process whose build differs from the build of the first
+/// Checks that all MPI processes run the same build of relidar. Different builds may
+/// store settings and arrays in a different order.
+/// @throws UsageError if the build of this process differs from the build of the first
 /// process
 void check_build(int rank) {
     const unsigned long long build = build_number();
@@ -53,7 +53,7 @@ void check_build(int rank) {
             rank));
 }
 
-/// Concatenates the texts of all MPI processes. Every process receives the result.
+/// Concatenates the texts of all MPI processes. Every process receives the complete text.
 std::string gather_in_all(const std::string& text, int size) {
     const auto n = static_cast<unsigned long long>(text.size());
     std::vector<unsigned long long> sizes(static_cast<std::size_t>(size));
@@ -62,7 +62,7 @@ std::string gather_in_all(const std::string& text, int size) {
                    &request);
     sleep_until(request);
     const unsigned long long total = std::accumulate(sizes.begin(), sizes.end(), 0ull);
-    // MPI counts bytes with the type int, so larger texts are rejected.
+    // MPI stores the number of bytes as int, so texts of more than 2 GiB are rejected.
     if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))
         throw Error(ExitCode::bug,
                     "cannot collect the results of the MPI processes: they exceed 2 GiB; expected at most 2 "

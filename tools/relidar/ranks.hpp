@@ -12,34 +12,36 @@
 
 namespace relidar::cli {
 
-/// One of several MPI processes that share a job and its output folder. If there is only
-/// one process, no function waits or communicates. If an exception destroys this object,
-/// the process ends without notifying the others, and mpirun terminates the others.
+/// This process as a member of a group of MPI processes that work on the same job. If
+/// there is only one process, no function waits or communicates. If an exception destroys
+/// this object, the process does not notify the others. mpirun then terminates all
+/// processes.
 class Ranks {
 public:
     /// Joins the group of processes that mpirun has started.
-    /// @throws UsageError if mpirun started a program without MPI support, or different
-    /// builds of the program
+    /// @throws UsageError if mpirun started a program that was built without MPI, or if
+    /// the processes run different builds
     Ranks();
     ~Ranks();
     Ranks(const Ranks&) = delete;
     Ranks& operator=(const Ranks&) = delete;
 
     int size() const { return group_.size; }
-    /// Returns true in the process that prints messages and writes the shared files.
+    /// Returns true in the first process, which prints messages and writes the shared
+    /// files.
     bool is_first() const { return group_.is_first(); }
-    /// Returns the process group. Library functions use it to divide work among the
+    /// Returns the process group, which library functions use to divide work among the
     /// processes.
     const ProcessGroup& group() const { return group_; }
     /// Sends the text of each process to the first process.
-    /// @return in the first process: the texts in the order of ranks; in the others: an
-    /// empty list
+    /// @return in the first process, the texts in the order of ranks; in all other
+    /// processes, an empty list
     std::vector<std::string> gather(const std::string& text) const;
-    /// Waits until all processes have called this function. A waiting process uses no
-    /// processor time.
+    /// Waits until all processes have called this function. The process sleeps while it
+    /// waits.
     void wait_for_all() const;
-    /// Selects a GPU for this process. The processes of a machine use its GPUs in turn.
-    /// If the user has chosen a device, that device is returned.
+    /// Selects a GPU for this process, so that the processes of one machine use different
+    /// GPUs. If the user has chosen a device, returns the user's choice.
     DeviceChoice device(DeviceChoice chosen) const;
 
 private:

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Replaces ranks.cpp in builds without MPI. Such a build runs as a single process. If
+// Replaces ranks.cpp in builds without MPI, which always run as a single process. If
 // mpirun starts several processes, the program stops with an error that names the missing
 // package.
 #include "ranks.hpp"

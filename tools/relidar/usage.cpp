@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The parser stores each unexpected word in the command that read the word. The first
-// unexpected word is the mistake of the user.
+// Creates the error message for an invalid command line. The parser stores each
+// unexpected word in the command that read this word. The message names the first
+// unexpected word, because it is the user's mistake.
 #include "usage.hpp"
 
 #include <vector>
@@ -29,8 +30,8 @@ std::vector<std::string> option_names(const CLI::App& command) {
     return names;
 }
 
-/// Rewrites the parser message "Could not convert: --device = x". It is the only message
-/// that does not name the expected value.
+/// Rewrites the parser message "Could not convert: --device = x", because it does not
+/// name the expected value. All other messages stay as they are.
 std::string in_our_words(const std::string& what) {
     const std::string start = "Could not convert: ", middle = " = ";
     const std::size_t at = what.find(middle);

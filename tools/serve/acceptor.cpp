@@ -26,11 +26,11 @@
 namespace relidar::serve {
 namespace {
 
-// Time to wait after the system has no free file descriptor.
+// Pause before the next attempt if the system has no free file descriptor.
 constexpr std::chrono::milliseconds kPause{50};
-// Maximum number of open file descriptors of the process, including its connections.
+// Maximum number of open file descriptors of the process. Connections count too.
 constexpr int kMostDescriptors = 16384;
-// Number of file descriptors that are reserved for files and the driver.
+// Number of file descriptors that are reserved for files and the GPU driver.
 constexpr int kReservedDescriptors = 256;
 
 std::string message_of(int error) { return std::generic_category().message(error); }
@@ -74,7 +74,7 @@ void set_option(int socket, int level, int name, int value) {
 }
 
 /// Opens a socket that listens at an address.
-/// @return the socket, or -1 if it failed; errno then holds the reason
+/// @return the socket, or -1 if an error occurs; errno then holds the reason
 int listen_at(const addrinfo& address) {
     const int listener = ::socket(address.ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
     if (listener < 0) return -1;
@@ -89,9 +89,9 @@ int listen_at(const addrinfo& address) {
     return -1;
 }
 
-/// Returns the first descriptor number that is reserved for other purposes. A connection
-/// with this or a higher number is closed. The system always assigns the lowest free
-/// number, so the number shows how many are in use.
+/// Returns the lowest file descriptor number that connections may not use. A connection
+/// with this number or a higher number is closed. The system always assigns the lowest
+/// free number, so the number shows how many descriptors are open.
 int first_spare_descriptor() {
     rlimit limit{};
     const bool is_known =
@@ -112,7 +112,8 @@ Acceptor::Acceptor(const std::string& text) {
         const int listener = listen_at(*address);
         if (listener < 0) error = errno;
         if (listener < 0 && error == EADDRINUSE && host_port.port != 0) break;
-        // Skips this address, because the machine does not support its address family.
+        // Skips this address if the machine does not support its address family (IPv4 or
+        // IPv6).
         if (listener < 0) continue;
         listeners_.push_back(listener);
         port_ = port_of(listener);
@@ -146,7 +147,7 @@ void Acceptor::stop() {
     const char any = 0;
     while (::write(wake_[1], &any, 1) < 0 && errno == EINTR) {}
     thread_.join();
-    // After the sockets are closed, the system refuses new connections.
+    // Closes the listening sockets, so that the system refuses new connections.
     for (const int listener : listeners_) ::close(listener);
     listeners_.clear();
 }
@@ -167,7 +168,8 @@ void Acceptor::accept_one(int listener) {
     const bool is_full =
         connection < 0 && (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM);
     if (is_full) std::this_thread::sleep_for(kPause);
-    if (connection < 0) return;  // The client has already disconnected.
+    // Does nothing if the client has already disconnected.
+    if (connection < 0) return;
     if (connection >= first_spare_descriptor()) ::close(connection);
     else receive_(listener, connection);
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Accepts connections and passes them to gRPC. gRPC 1.51 is not used for this, because it
-// stops accepting permanently when no file descriptor is free.
+// Accepts network connections and passes them to gRPC. gRPC 1.51 could accept connections
+// itself, but it stops permanently when no file descriptor is free.
 #pragma once
 
 #include <functional>
@@ -12,12 +12,12 @@ namespace relidar::serve {
 
 class Acceptor {
 public:
-    /// Callback that receives a new connection and must close its descriptor. It runs on
-    /// the thread of the acceptor.
+    /// Callback that receives a new connection and must close its file descriptor. It
+    /// runs on the thread of the acceptor.
     using Receive = std::function<void(int listener, int connection)>;
 
-    /// Listens at all network addresses of a host name.
-    /// @param address HOST:PORT. Port 0 selects a free port.
+    /// Opens listening sockets at all network addresses of a host name.
+    /// @param address HOST:PORT; port 0 selects a free port
     /// @throws UsageError if the text is not HOST:PORT, or if the address is not
     /// available
     explicit Acceptor(const std::string& address);
@@ -26,15 +26,15 @@ public:
     Acceptor& operator=(const Acceptor&) = delete;
 
     int port() const { return port_; }
-    /// Starts to accept connections. While few file descriptors are free, new connections
-    /// are closed immediately.
+    /// Starts to accept connections. If too few file descriptors are free, closes new
+    /// connections immediately.
     void start(Receive receive);
-    /// Stops accepting connections. Waits until the callback has returned.
+    /// Stops accepting connections. Waits until a running callback has returned.
     void stop();
 
 private:
     std::vector<int> listeners_;
-    int wake_[2] = {-1, -1};  ///< Pipe with which stop() wakes the thread that waits for connections.
+    int wake_[2] = {-1, -1};  ///< Pipe that stop() uses to wake the thread that waits for connections.
     int port_ = 0;
     Receive receive_;
     std::thread thread_;

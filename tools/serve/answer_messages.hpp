@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes rendered scans and descriptions of scenes into Protobuf messages.
+// Converts rendered scans and descriptions of scenes to Protobuf messages.
 #pragma once
 
 #include <relidar/run/run.hpp>
@@ -10,19 +10,19 @@
 
 namespace relidar::serve {
 
-/// Writes a scan into a message.
+/// Writes a scan into a Protobuf message.
 /// @param config settings of the run, which define the range limits of points
 void write_scan(const RenderedScan& scan, const RenderRequest& wanted, const Config& config,
                 v1::LidarScan& message);
-/// Writes a scan that has points but no range image.
+/// Writes a scan that has points but no range image into a Protobuf message.
 void write_scan(const RenderedPoints& scan, const RenderRequest& wanted, v1::LidarScan& message);
 
 /// Writes the description of a scene into a message.
 /// @param run run without surfels
 void write_scene(const std::string& name, const Run& run, v1::Scene& message);
 
-/// Writes the poses of the log's LiDAR and actors, in the dataset's world frame.
-/// @param actors names of actors; if it is empty, all actors are written
+/// Writes the recorded poses of a LiDAR and of actors, in the world frame of the dataset.
+/// @param actors names of actors; if the list is empty, all actors are written
 /// @throws Refusal if an actor is unknown
 void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtrField<std::string>& actors,
                   v1::GetTracksResponse& message);

@@ -9,12 +9,12 @@
 
 namespace relidar::serve {
 
-/// List of assets by name. The list does not change after construction, so any thread may
-/// read it.
+/// List of assets, searchable by name. The list never changes after construction, so
+/// several threads may read it.
 class AssetCatalogue {
 public:
-    /// Reads the description of each asset, but not its surfels. The surfels are read
-    /// when a client inserts the asset.
+    /// Reads the description of each asset. The surfels are not read until a client
+    /// inserts the asset.
     /// @param folders folders written by `relidar assets`
     /// @throws DataError if a folder cannot be read
     /// @throws UsageError if two assets have the same name

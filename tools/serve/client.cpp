@@ -12,10 +12,9 @@ namespace relidar::serve {
 
 std::shared_ptr<grpc::Channel> connect(const std::string& address) {
     grpc::ChannelArguments arguments;
-    // Removes the size limit of messages, because a scan of a million rays has 50 MB.
+    // Removes the size limit of messages, because a scan of a million rays needs 50 MB.
     arguments.SetMaxReceiveMessageSize(-1);
-    // Does not share the connection with other channels, as if the client were another
-    // process.
+    // Gives each channel its own connection, as if each client were a separate process.
     arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
     return grpc::CreateCustomChannel(address, grpc::InsecureChannelCredentials(), arguments);
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// gRPC client of the scan service, used by tests and by `relidar-dev bench --serve`.
+// gRPC client of the render service. Tests and the command `relidar-dev bench --serve`
+// use it.
 #pragma once
 
 #include <memory>
@@ -11,11 +12,11 @@
 
 namespace relidar::serve {
 
-/// Opens a new gRPC channel without TLS. The channel does not limit the size of messages,
-/// because scans can be large.
+/// Opens a new gRPC channel without TLS. The size of messages is not limited, because
+/// scans can be large.
 std::shared_ptr<grpc::Channel> connect(const std::string& address);
 
-/// Client that waits for the answer of each call.
+/// Client of the render service. Each call waits for its response.
 /// @throws DataError with the gRPC code and message if a call fails
 class ScanClient {
 public:

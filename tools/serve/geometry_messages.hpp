@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts poses and times between Protobuf messages and relidar's types. Clients are not
-// trusted, so every value is checked.
+// Converts poses and times from Protobuf messages to C++ types and back. Every value is
+// checked, because clients may send invalid values.
 #pragma once
 
 #include <string>
@@ -13,16 +13,16 @@
 
 namespace relidar::serve {
 
-/// Tolerance for the length of a unit vector or quaternion. Clients may send values in
-/// single precision or rounded text.
+/// Largest accepted error in the length of a unit vector or unit quaternion. The error is
+/// not zero, because clients may send float values or rounded text.
 inline constexpr double kUnitSlack = 1e-3;
 
-/// Reads a pose.
-/// @param field name of the field in the request, used in error messages
+/// Reads a pose and checks its values.
+/// @param field name of the field in the request, for error messages
 /// @throws Refusal if a value is not finite or too large, or if the rotation is not a
 /// unit quaternion
 Pose read_pose(const v1::Pose& message, const std::string& field);
-/// Reads a track of poses.
+/// Reads a track of poses and checks it.
 /// @throws Refusal if a pose is invalid, if the number of poses is 0 or too large, or if
 /// the times do not increase
 PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& messages,

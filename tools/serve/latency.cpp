@@ -26,7 +26,8 @@ struct Sample {
     std::size_t rays, points;
 };
 
-/// Returns the smallest value that is at least as large as the given share of all values.
+/// Returns a percentile of the values, for example the median if `share` is 0.5. The
+/// fraction `share` of all values is at most as large as the result.
 double percentile(std::vector<double> values, double share) {
     std::sort(values.begin(), values.end());
     const auto rank = std::size_t(std::ceil(share * double(values.size())));
@@ -40,7 +41,7 @@ Percentiles percentiles(const std::vector<Sample>& samples, double Sample::*valu
 }
 
 /// Returns a request for a sweep between two successive poses of the log. After the last
-/// pose of the log, the sweeps start again at the first pose.
+/// pose, the requests start again at the first pose.
 v1::RenderLidarRequest sweep(const LatencyOptions& options, const std::string& scene,
                              const v1::GetTracksResponse& tracks, int number) {
     v1::RenderLidarRequest request;
@@ -73,8 +74,8 @@ LatencyResult measure_latency(const LatencyOptions& options) {
     v1::GetTracksRequest which;
     which.set_scene(result.scene);
     const v1::GetTracksResponse tracks = first.get_tracks(which);
-    // The first call is not measured, because it makes the rays of the sensor and
-    // allocates memory.
+    // The first call is not measured. It takes longer than later calls, because it
+    // computes the rays of the sensor and allocates memory.
     call(first, sweep(options, result.scene, tracks, 0));
 
     std::vector<Sample> samples;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Measures how long the clients of a service wait for scans along the path of the log.
-// This header uses no gRPC types, so that its users do not need gRPC.
+// Measures how long the clients of a render service wait for scans along the path of the
+// log. This header contains no gRPC types, so that files that include it do not need
+// gRPC.
 #pragma once
 
 #include <cstddef>
@@ -9,12 +10,14 @@
 namespace relidar::serve {
 
 struct LatencyOptions {
-    std::string address;  ///< HOST:PORT of a service. The connection does not use TLS.
-    std::string scene;    ///< Name of the scene. If it is empty, the first scene is used.
-    /// Name of the sensor to simulate. If it is empty, the sensor of the log is used.
+    std::string address;  ///< HOST:PORT of a render service. The connection does not use TLS.
+    /// Name of the scene. If the name is empty, the first scene of the service is used.
+    std::string scene;
+    /// Name of the sensor to simulate. If the name is empty, the sensor of the log is
+    /// used.
     std::string sensor;
-    /// Number of clients. Each client has its own connection and waits for one call at a
-    /// time.
+    /// Number of simultaneous clients. Each client has its own connection and waits for
+    /// one call at a time.
     int clients = 1;
     int calls = 100;  ///< Total number of calls of all clients.
 };
@@ -26,16 +29,16 @@ struct Percentiles {
 
 struct LatencyResult {
     std::string scene;
-    Percentiles latency_ms;   ///< Time from sending a call until the client receives the answer.
-    Percentiles queued_ms;    ///< Part of the latency during which the call waited for the device.
+    Percentiles latency_ms;   ///< Time from sending a call until the client receives the response.
+    Percentiles queued_ms;    ///< Part of the latency during which the call waited in the queue.
     Percentiles rendered_ms;  ///< Part of the latency during which the scan was rendered.
     double scans_per_s = 0.0;
     std::size_t rays = 0;  ///< Number of rays per scan.
     double points = 0.0;   ///< Mean number of points per scan.
 };
 
-/// Measures the latency of a service.
-/// @throws DataError if the service does not answer or rejects a call
+/// Measures the latency of a render service.
+/// @throws DataError if the service does not respond or rejects a call
 LatencyResult measure_latency(const LatencyOptions& options);
 
 }  // namespace relidar::serve

@@ -27,7 +27,8 @@ void refuse_unknown(const std::string& field, const std::string& name,
 std::string quoted(const std::string& word) {
     constexpr std::size_t kMost = 80;
     std::size_t n = std::min(word.size(), kMost);
-    // Moves the end of the text so that no UTF-8 character is cut in two.
+    // Shortens the text at the start of a UTF-8 character, so that no character is cut in
+    // two.
     while (n < word.size() && n > 0 && (static_cast<unsigned char>(word[n]) & 0xc0) == 0x80) --n;
     std::string shown = word.substr(0, n);
     std::replace_if(
@@ -50,8 +51,8 @@ grpc::Status answered(const std::function<void()>& answer) {
     } catch (const DeviceLost& error) {
         return {grpc::StatusCode::UNAVAILABLE,
                 fmt::format("{}; this server process ends and must be restarted", error.what())};
-        // Other exceptions come from the device, from a run folder that was modified, or
-        // from a bug.
+        // Other exceptions come from the device, from a modified run folder, or from a
+        // bug.
     } catch (const std::exception& error) {
         return {grpc::StatusCode::INTERNAL, error.what()};
     }

@@ -11,7 +11,7 @@
 
 namespace relidar::serve {
 
-/// Exception for a request that cannot be answered.
+/// Exception that rejects a request. The client receives its gRPC code and message.
 class Refusal : public std::runtime_error {
 public:
     Refusal(grpc::StatusCode code, const std::string& message) : std::runtime_error(message), code_(code) {}
@@ -21,22 +21,22 @@ private:
     grpc::StatusCode code_;
 };
 
-/// Rejects a request because one field has an invalid value.
+/// Rejects a request because one of its fields has an invalid value.
 /// @throws Refusal always
 [[noreturn]] void refuse(const std::string& field, const std::string& found, const std::string& expected);
 
 /// Rejects a request because it contains an unknown name.
-/// @param known valid names, of which the error message may suggest one
+/// @param known valid names; the error message may suggest a similar one
 /// @throws Refusal always
 [[noreturn]] void refuse_unknown(const std::string& field, const std::string& name,
                                  const std::vector<std::string>& known);
 
-/// Quotes a text of a client for use in an error message. Removes line breaks and
+/// Puts a client's text into quotes for an error message. Removes line breaks and
 /// shortens long texts.
 std::string quoted(const std::string& word);
 
-/// Runs the function that answers a request, and returns a gRPC status. An exception
-/// becomes an error status with a one-line message.
+/// Calls the function that handles a request. If the function throws an exception,
+/// returns an error status with a one-line message.
 grpc::Status answered(const std::function<void()>& answer);
 
 }  // namespace relidar::serve

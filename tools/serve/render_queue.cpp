@@ -9,8 +9,8 @@
 namespace relidar::serve {
 namespace {
 
-/// A waiting call checks at this interval whether its request is cancelled. The render
-/// thread checks once more before it submits the request.
+/// Interval at which a waiting call checks whether its client has cancelled the request.
+/// The render thread checks once more before it submits the request.
 constexpr std::chrono::milliseconds kPoll{10};
 
 class FunctionRequest final : public Request {
@@ -85,8 +85,9 @@ void RenderQueue::wait(Request& request, std::unique_lock<std::mutex>& lock) {
         lock, [&] { return request.state_ == State::done || request.state_ == State::cancelled; });
 }
 
-/// Returns the next request that is not cancelled, or null if there is none.
-/// @param scene if set, only a request for this scene is returned
+/// Returns the next request that is not cancelled. Returns null if no such request is
+/// pending.
+/// @param scene if set, returns null unless the next request is for this scene
 Request* RenderQueue::next(const std::optional<std::size_t>& scene) {
     while (!pending_.empty()) {
         Request* request = pending_.front();
@@ -99,9 +100,9 @@ Request* RenderQueue::next(const std::optional<std::size_t>& scene) {
     return nullptr;
 }
 
-/// Submits or finishes a request. The request ends after its last part, or if the part
-/// throws an exception.
-/// @param submits_last argument of submit(); without a value, finishes the request
+/// Runs one part of a request: its submission to the device, or its end. A request is
+/// done after its last part, or when a part throws an exception.
+/// @param submits_last argument of submit(); without a value, runs finish() instead
 void RenderQueue::run_part(Request& request, std::optional<bool> submits_last,
                            std::unique_lock<std::mutex>& lock) {
     lock.unlock();
@@ -126,8 +127,9 @@ void RenderQueue::run_part(Request& request, std::optional<bool> submits_last,
     request.changed_.notify_one();
 }
 
-/// Submits a request, and the following requests that belong to its batch.
-/// @return the requests that are in flight
+/// Submits a request together with the following requests for the same scene. Such a
+/// group is called a batch.
+/// @return the submitted requests that are not yet finished
 RenderQueue::Batch RenderQueue::submit(Request* request, std::unique_lock<std::mutex>& lock) {
     Batch batch;
     for (std::size_t n = 1; request; ++n) {

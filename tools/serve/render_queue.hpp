@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Defines the bounded queue of requests, and the render thread that serves them in
-// batches. The render thread is the only thread that uses the device. If the queue is
-// full, a request fails immediately. A cancelled request is skipped.
+// Defines a queue of render requests, and the render thread that processes them in
+// batches. Only the render thread uses the device. If the queue is full, a new request
+// fails immediately. A cancelled request is skipped.
 #pragma once
 
 #include <chrono>
@@ -17,24 +17,28 @@
 
 namespace relidar::serve {
 
-/// A request to the render thread. A derived class also holds the response.
+/// A request to the render thread. Derived classes add the data of the request and its
+/// response.
 class Request {
 public:
     virtual ~Request() = default;
-    /// Submits the work to the device.
-    /// @param is_last false if another request of the same batch follows immediately, so
-    /// that both can be submitted together
+    /// Submits the work of this request to the device.
+    /// @param is_last false if another request of the same batch follows, so that both
+    /// can be submitted together
     virtual void submit(bool is_last) = 0;
-    /// Waits for the device and stores the response. Runs only for requests with a scene.
+    /// Waits for the device and stores the response. It is called only for requests that
+    /// have a scene.
     virtual void finish() {}
-    /// Returns true if nobody waits for the response any more: the client has
-    /// disconnected, or the deadline has passed. Called from time to time by one thread.
+    /// Returns true if no client waits for the response any more, because it has
+    /// disconnected or its deadline has passed. One thread calls this function from time
+    /// to time.
     virtual bool is_cancelled() const { return false; }
 
-    /// Requests for the same scene are in flight together: a request is submitted before
-    /// earlier ones have finished. Without a scene, the request runs alone.
+    /// Index of the scene to render. A request for the same scene may be submitted before
+    /// the previous request has finished. Without a value, the request runs alone.
     std::optional<std::size_t> scene = {};
-    /// Time between run() and submit(), and time from submit() to the response.
+    /// queued_ms() is the time between run() and submit(). rendered_ms() is the time from
+    /// submit() until the response is ready.
     double queued_ms() const { return ms_between(queued_at_, submitted_at_); }
     double rendered_ms() const { return ms_between(submitted_at_, finished_at_); }
 
@@ -55,25 +59,25 @@ private:
 class RenderQueue {
 public:
     /// Starts the render thread.
-    /// @param n_pending maximum number of pending requests, in addition to the current
-    /// one
+    /// @param n_pending maximum number of waiting requests, not counting the current
+    /// request
     explicit RenderQueue(std::size_t n_pending);
-    /// Waits until all requests have ended. All slots must be released before.
+    /// Waits until all requests have ended. The caller must release all slots first.
     ~RenderQueue();
     RenderQueue(const RenderQueue&) = delete;
     RenderQueue& operator=(const RenderQueue&) = delete;
 
     enum class Outcome { done, cancelled };
-    /// A slot in the queue. A caller with a slot can always run requests. The destructor
-    /// releases the slot.
+    /// A reserved place in the queue. Only a caller that holds a slot can run requests,
+    /// and the number of slots is limited. The destructor releases the slot.
     class Slot {
     public:
         Slot(Slot&& other) noexcept : queue_(other.queue_) { other.queue_ = nullptr; }
         Slot& operator=(Slot&&) = delete;
         ~Slot();
         /// Runs a request on the render thread and waits until it ends. Requests are
-        /// submitted in the order of these calls. A request that is cancelled before it
-        /// was submitted is skipped. Otherwise this call waits until the request ends.
+        /// submitted in the order of these calls. A request that is cancelled before its
+        /// submission is skipped. A submitted request always runs to its end.
         /// @throws all exceptions of the request
         Outcome run(Request& request);
         /// Runs a function on the render thread.
@@ -84,14 +88,14 @@ public:
         explicit Slot(RenderQueue* queue) : queue_(queue) {}
         RenderQueue* queue_;
     };
-    /// Returns a slot in the queue, or no value if the queue is full.
+    /// Reserves a slot in the queue. Returns no value if the queue is full.
     std::optional<Slot> reserve();
     std::size_t slots() const { return slots_; }
-    /// Returns the error message of the driver if the device was lost. Returns no value
-    /// while the device works.
+    /// Returns the driver's error message if the device was lost. Returns no value as
+    /// long as the device works.
     std::optional<std::string> device_loss();
-    /// Sets the maximum number of requests in a batch, see Request::submit(). The default
-    /// is 1.
+    /// Sets the maximum number of requests in a batch. The default is 1, which means that
+    /// each request is submitted alone.
     void set_batch_size(std::size_t n);
 
 private:
@@ -101,7 +105,8 @@ private:
     std::mutex mutex_;
     std::condition_variable more_;
     std::optional<std::string> device_loss_;
-    /// Pending requests. The thread that waits for a request owns it.
+    /// Requests that are not yet submitted. Each request belongs to the thread that waits
+    /// for its response.
     std::deque<Request*> pending_;
     std::size_t n_reserved_ = 0, batch_size_ = 1;
     bool closed_ = false;

@@ -18,8 +18,8 @@ std::vector<std::string> names_of_spawned(const std::vector<SpawnedActors::Place
     return names;
 }
 
-/// Calls a function with the renderer of the requested scene. Error messages name the
-/// folder of the run.
+/// Calls a function with the renderer of the requested scene. If the scene cannot be
+/// loaded, the error message names the folder of its run.
 template <class Function>
 SceneSet::Load use(SceneSet& scenes, const RenderRequest& wanted, const Function& function) {
     try {
@@ -98,8 +98,8 @@ void PointsRequest::finish() {
 
 void SpawnRequest::submit(bool) { places = scenes_.spawn(spawn_scene_, wishes_); }
 
-/// Removes the actors again, because a client that receives no response would never
-/// remove them.
+/// Removes the spawned actors. A client that receives no response would never remove
+/// them.
 void SpawnRequest::undo() { scenes_.spawned().release(spawn_scene_, names_of_spawned(places)); }
 
 }  // namespace relidar::serve

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Defines the requests of gRPC calls to the render thread, and their responses.
+// Defines the requests that gRPC calls send to the render thread. Each request also
+// stores its response.
 #pragma once
 
 #include <exception>
@@ -14,7 +15,7 @@
 
 namespace relidar::serve {
 
-/// Reserves a slot in the queue.
+/// Reserves a slot in the queue of the render thread.
 /// @throws Refusal if the queue is full
 RenderQueue::Slot reserve(RenderQueue& queue);
 
@@ -22,20 +23,21 @@ RenderQueue::Slot reserve(RenderQueue& queue);
 /// @throws Refusal always
 [[noreturn]] void refuse_cancelled(const grpc::ServerContext& context);
 
-/// A request of a client.
+/// A request that a gRPC client has sent.
 class ClientRequest : public Request {
 public:
     ClientRequest(SceneSet& scenes, const grpc::ServerContext& context)
         : scenes_(scenes), context_(context) {}
     bool is_cancelled() const override;
-    /// Runs the request and waits for the response.
-    /// @throws Refusal if the client has disconnected or the deadline has passed, or if
-    /// the folder of the run cannot be read
+    /// Runs the request on the render thread and waits for the response.
+    /// @throws Refusal if the client has disconnected, if the deadline has passed, or if
+    /// the run cannot be read
     void run(RenderQueue::Slot& slot);
 
 protected:
     SceneSet& scenes_;
-    /// Undoes the effects of a request whose client no longer waits for the response.
+    /// Called if the client no longer waits for the response. Reverts the effects of the
+    /// request.
     virtual void undo() {}
 
 private:
@@ -55,18 +57,19 @@ private:
     const RenderRequest& wanted_;
 };
 
-/// Maximum number of scans of a PointsRequest.
+/// Maximum number of scans in one PointsRequest.
 inline constexpr std::size_t kMostAtOnce = 8;
-/// Maximum number of requests in a batch. The device may hold twice as many scans,
-/// because the next scans are submitted before these are read.
+/// Maximum number of requests in a batch. The device may hold the scans of two batches,
+/// because a batch is submitted before the previous batch is read.
 inline constexpr std::size_t kBatchSize = 4;
 static_assert(2 * kBatchSize * kMostAtOnce <= ScanRenderer::kScansInFlight);
 
 /// Renders several scans of one scene and returns only their points. The device can
-/// render the scans together with scans of other requests.
+/// render them together with the scans of other requests.
 class PointsRequest final : public ClientRequest {
 public:
-    /// @param wanted at most kMostAtOnce scans
+    /// Creates the request.
+    /// @param wanted scans to render, at most kMostAtOnce
     PointsRequest(SceneSet& scenes, const grpc::ServerContext& context,
                   std::span<const RenderRequest> wanted);
     void submit(bool is_last) override;
@@ -78,12 +81,12 @@ private:
     const std::span<const RenderRequest> wanted_;
     SceneSet::Load load_{};
     std::size_t n_submitted_ = 0;
-    /// If submitting a scan fails, the earlier scans are read first, because the renderer
-    /// returns results in order. Only then is the error reported.
+    /// Exception that was thrown when a scan was submitted. It is thrown again after the
+    /// earlier scans are read, because the renderer returns scans in order.
     std::exception_ptr submit_failure_ = {};
 };
 
-/// Spawns actors in a scene.
+/// Adds ("spawns") actors to a scene.
 class SpawnRequest final : public ClientRequest {
 public:
     SpawnRequest(SceneSet& scenes, const grpc::ServerContext& context, std::size_t spawn_scene,

@@ -23,7 +23,7 @@ namespace {
 
 constexpr int kMostSensors = 64;                // Maximum number of sensors of a rig.
 constexpr std::size_t kLongestSpawnName = 200;  // Maximum length in bytes of the name of a spawned actor.
-// Maximum time between a scan and the nearest end of the sensor's path, in seconds. A
+// Longest time in seconds between a scan and the nearest end of the sensor's path. A
 // sweep may begin before the path or end after it, but a larger difference is an error.
 constexpr double kBeyondPath_s = 1.0;
 
@@ -33,7 +33,8 @@ bool is_far_beyond(double time_s, const PoseTrack& path) {
            (time_s < path.time_s.front() - kBeyondPath_s || time_s > path.time_s.back() + kBeyondPath_s);
 }
 
-/// Reads a time and checks that the sensor's path covers it, with a small tolerance.
+/// Reads a time in seconds. Rejects a time that is more than one second outside the
+/// sensor's path.
 double read_moment(double time_s, const PoseTrack& path, const std::string& field) {
     read_time(time_s, field);
     if (is_far_beyond(time_s, path))
@@ -50,7 +51,7 @@ std::vector<std::string> list_actor_names(const std::vector<PlacedActor>& actors
     return names;
 }
 
-/// Reads the actors of a request.
+/// Reads the names and poses of the actors in a request.
 /// @throws Refusal if the poses of an actor end long before the scan or begin long after
 /// it
 std::vector<ActorRequest> read_actors(const v1::ActorTracks& message, double time_s) {
@@ -132,7 +133,8 @@ std::pair<std::string, std::shared_ptr<const SensorChoice>> RequestReader::uploa
     return {handle, sensor};
 }
 
-/// Returns the sensor with this name. Its rays are made only once and then cached.
+/// Returns the sensor with this name. The rays of the sensor are computed once and then
+/// cached.
 std::shared_ptr<const SensorChoice> RequestReader::find_built_in_sensor(const std::string& name,
                                                                         std::size_t scene, int lidar) {
     const std::string key = fmt::format("{} {} {}", scene, lidar, name);
@@ -169,7 +171,8 @@ std::shared_ptr<const SensorChoice> RequestReader::find_sensor(const SensorReque
     return std::make_shared<const SensorChoice>(std::move(placed));
 }
 
-/// Returns all actors of the run and all spawned actors of the scene.
+/// Returns all actors of a scene: the actors of its run and the actors that clients have
+/// added.
 std::vector<PlacedActor> RequestReader::known_actors(std::size_t scene) const {
     const Run& run = outlines_[scene];
     std::vector<PlacedActor> actors;
@@ -188,7 +191,7 @@ std::vector<PlacedActor> RequestReader::known_actors(std::size_t scene) const {
 
 void RequestReader::place_actors(const std::vector<ActorRequest>& wishes, RenderRequest& wanted) const {
     const std::vector<PlacedActor> known_placed = known_actors(wanted.scene);
-    // Uses a map for fast look-up, because a scene may have thousands of actors.
+    // A map makes the search by name fast, because a scene may have thousands of actors.
     std::map<std::string_view, const PlacedActor*> by_name;
     for (const PlacedActor& actor : known_placed) by_name.emplace(actor.name, &actor);
     ActorPoses& poses = wanted.request.dataset_from_actor.emplace();
@@ -229,7 +232,7 @@ std::vector<ActorToSpawn> RequestReader::read_spawns(const v1::SpawnActorsReques
         if (!spawn.has_actor()) refuse(field, "neither actor nor asset", "one of them");
         const auto actor = std::ranges::find(run_actors, spawn.actor());
         if (actor == run_actors.end()) refuse_unknown(field + ".actor", spawn.actor(), run_actors);
-        // The actors of the run are at the beginning of the list.
+        // The list begins with the actors of the run, so the same index can be used.
         const PlacedActor& model = known[std::size_t(actor - run_actors.begin())];
         wishes.push_back({spawn.name(), {false, spawn.actor()}, model.size_m, model.surfels});
     }
@@ -268,7 +271,8 @@ std::vector<RenderRequest> RequestReader::read(const v1::RenderRigRequest& messa
         refuse("sensors", fmt::format("a rig with {} sensors", message.sensors_size()),
                fmt::format("1 to {}", kMostSensors));
     std::vector<RenderRequest> scans;
-    // A sensor without a name is identified by its position in the request.
+    // Names that clients gave to the sensors. A sensor without a name is identified by
+    // its position in the request instead.
     std::set<std::string_view> names;
     for (int i = 0; i < message.sensors_size(); ++i) {
         const v1::RigSensor& sensor = message.sensors(i);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the requests of clients for scans and converts them to requests of a renderer.
-// Any thread may use it.
+// Checks the scan requests of clients and converts them to requests for the renderer.
+// Several threads may use these functions at the same time.
 #pragma once
 
 #include <cstdint>
@@ -27,14 +27,16 @@ struct ActorToSpawn;
 /// An actor that is visible in the requested scan.
 struct PlacedActor {
     std::string name;   ///< Name of the actor in the request.
-    std::string track;  ///< Name of its track in the rendered scene.
+    std::string track;  ///< Name of the actor's track in the rendered scene.
     glm::dvec3 size_m{0.0};
     std::size_t surfels = 0;
 };
 
-/// Name and poses of an actor, as given in a request.
+/// Name and poses of an actor that a client wants to see in the scan.
 struct ActorRequest {
-    std::string field;  ///< Field of the request that holds the actor's name. Error messages contain it.
+    /// Field of the request that holds the actor's name. Error messages contain this
+    /// field.
+    std::string field;
     std::string name;
     PoseTrack dataset_from_actor;
 };
@@ -47,47 +49,48 @@ struct RenderRequest {
     /// Actors that are visible in the scan, in the order of the request.
     std::vector<PlacedActor> placed;
     std::optional<std::uint64_t> sample;
-    /// Weather to simulate. Without a value, the weather with which the server was
-    /// started is used.
+    /// Weather to simulate. Without a value, the renderer uses the weather with which the
+    /// server was started.
     std::optional<Weather> weather;
     double points_at_s = 0.0;
     bool points = true, range_image = false, drop_probability = false;
 };
 
-/// Returns the tracks of a run's actors. Clients use the names of the tracks as names of
-/// the actors.
+/// Returns the names of a run's actors. They equal the names of the actors' tracks.
 std::vector<std::string> actor_names(const Run& run);
 
-/// Reads requests. It keeps no state of a request, but it caches sensors. The objects
-/// that the constructor receives must outlive this object.
+/// Reads and checks scan requests. Caches the sensors, but keeps no other data of a
+/// request. The constructor's arguments must outlive this object.
 class RequestReader {
 public:
     /// Creates a reader for the scenes of a device.
-    /// @param scenes only the members that any thread may call are used
+    /// @param scenes the reader uses only members that any thread may call
     explicit RequestReader(SceneSet& scenes);
-    /// Creates a reader for runs that are not loaded on a device.
+    /// Creates a reader for runs whose surfels are not on a device.
     RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources,
                   const AssetCatalogue& assets, const SpawnedActors& spawned);
 
     /// Returns the index of the scene with this name.
-    /// @param field name of the field in the request, used in error messages
+    /// @param field name of the field in the request, for error messages
     /// @throws Refusal if the scene is unknown
     std::size_t find_scene(const std::string& name, const std::string& field = "scene") const;
     int find_lidar(std::size_t scene, const std::string& name) const;
-    /// Stores the sensor that a client has described.
-    /// @return a handle for later requests, and the sensor
+    /// Caches a sensor that a client has described.
+    /// @return a handle, with which later requests select this sensor, and the sensor
     /// @throws Refusal if the description is invalid
     std::pair<std::string, std::shared_ptr<const SensorChoice>> upload(const v1::SensorSpec& spec);
-    /// Reads a request to spawn actors. Returns the actors.
+    /// Reads a request to add actors to a scene. Returns these actors.
     /// @throws Refusal if a name is invalid, or if an actor or asset is unknown
     std::vector<ActorToSpawn> read_spawns(const v1::SpawnActorsRequest& message, std::size_t scene) const;
-    /// Reads a request for a scan.
-    /// @throws Refusal that names an invalid field
+    /// Reads a request for a scan and checks all fields.
+    /// @throws Refusal that names the first invalid field
     RenderRequest read(const v1::RenderLidarRequest& message);
-    /// Reads a request for a rig and returns one scan request per sensor.
+    /// Reads a request for several sensors on one vehicle. Returns one scan request per
+    /// sensor.
     std::vector<RenderRequest> read(const v1::RenderRigRequest& message);
-    /// Sets the actors that are visible in a scan. All other actors are absent.
-    /// @throws Refusal if an actor is unknown or is given twice
+    /// Sets the actors that are visible in a scan. All other actors of the scene are
+    /// hidden.
+    /// @throws Refusal if an actor is unknown or appears twice
     void place_actors(const std::vector<ActorRequest>& wishes, RenderRequest& wanted) const;
 
 private:
@@ -107,8 +110,8 @@ private:
                                                              int lidar);
     std::vector<PlacedActor> known_actors(std::size_t scene) const;
     /// Reads a scan request for one sensor.
-    /// @param path_from_sensor mounting of the sensor in a rig. Without a value, the path
-    /// is the path of the sensor and is used without rounding.
+    /// @param path_from_sensor pose of the sensor on its rig; without a value, the path
+    /// in the request is the path of the sensor itself
     RenderRequest read_scan(const v1::RenderLidarRequest& message, const SensorRequest& wish,
                             const std::optional<Pose>& path_from_sensor);
 };

@@ -15,22 +15,24 @@ struct Run;
 
 namespace relidar::serve {
 
-/// A run of the server, and its name for clients.
+/// A run that the server offers, and its name for clients.
 struct SceneSource {
     std::string name;
     std::filesystem::path folder;
-    /// Channels of the rendered scans. Without a value, the settings of the run apply.
+    /// Channels of the rendered scans. Without a value, the channels in the settings of
+    /// the run are used.
     std::optional<std::string> channels = {};
-    Weather weather = {};  ///< Weather of a scan if the request does not set the weather.
+    Weather weather = {};  ///< Weather that is simulated if the request does not contain a weather.
 
-    /// Loads the run and applies these settings.
-    /// @throws the exceptions of load_run(); UsageError if a channel is unknown
+    /// Loads the run and sets its channels.
+    /// @throws the exceptions of load_run()
+    /// @throws UsageError if a channel is unknown
     Run load() const;
 };
 
-/// Parses words of the form "RUN" or "NAME=RUN". Without a name, the name of the folder
-/// is used.
-/// @throws UsageError if two runs have the same name
+/// Parses words of the form "RUN" or "NAME=RUN". Without NAME, the scene gets the name of
+/// the run's folder.
+/// @throws UsageError if two scenes have the same name
 std::vector<SceneSource> scene_sources(const std::vector<std::string>& words,
                                        const std::optional<std::string>& channels = {},
                                        const Weather& weather = {});

@@ -14,15 +14,16 @@ namespace {
 
 constexpr double kMiB = 1024.0 * 1024.0;
 
-/// Returns a copy of the run without its large arrays.
+/// Returns the run without its surfels and its ray-drop network, which need most of the
+/// memory.
 Run outline_of(Run run) {
     run.scene = layout_of(run.scene);
     run.drop_network = {};
     return run;
 }
 
-/// Returns a sensor with a single ray. Rendering this ray uploads the complete scene to
-/// the device.
+/// Returns a sensor with a single ray. When this ray is rendered, the complete scene is
+/// uploaded to the device.
 SensorChoice one_ray() {
     return {.rays = {1, 1, {glm::vec3(0.0f)}, {{1.0f, 0.0f, 0.0f}}, {0.0f}, {0}}, .name = "one ray"};
 }
@@ -68,7 +69,9 @@ SceneSet::Load SceneSet::use(std::size_t scene, const std::optional<Weather>& we
         renderer.set_weather(weather.value_or(sources_[scene].weather));
         work(renderer);
     });
-    make_room(scene, 0);  // Rendering may have allocated larger arrays for a sensor with more rays.
+    // Unloads other scenes if the memory is exceeded. Rendering may have allocated larger
+    // arrays, because the sensor has more rays than earlier sensors.
+    make_room(scene, 0);
     return loaded_[scene].load;
 }
 
@@ -83,8 +86,8 @@ void SceneSet::attempt(std::size_t scene, const std::function<void(ScanRenderer&
     try {
         count_growth(scene, [&] { work(*loaded_[scene].renderer); });
     } catch (const DeviceError&) {
-        // The state of the renderer is unknown after an error. The next request loads the
-        // scene again.
+        // The state of the renderer is unknown after an error, so the renderer is
+        // destroyed. The next request loads the scene again.
         loaded_[scene].renderer.reset();
         throw;
     }
@@ -100,13 +103,14 @@ void SceneSet::load(std::size_t scene, const Run& run) {
         loaded.renderer->render(one_ray(), first_pose(run));
     });
     const std::uint64_t left = memory_bytes_ - std::min(memory_bytes_, device_.allocated_bytes());
-    // Copies of the scene allow parallel rendering. They must not displace another scene.
+    // Number of copies of the scene that fit into the free memory. Copies allow parallel
+    // rendering, but they must not displace another scene.
     const std::uint64_t copies = left / std::max<std::uint64_t>(loaded.bytes, 1);
     const int side_by_side = loaded.renderer->side_by_side();
     loaded.renderer->side_by_side(int(std::min<std::uint64_t>(1 + copies, std::uint64_t(side_by_side))));
 }
 
-/// Loads the run with the actors that clients have spawned.
+/// Loads the run together with the actors that clients have added.
 void SceneSet::load_with_places(std::size_t scene) {
     const std::vector<SpawnedActors::Place> places = spawned_.places(scene);
     Run run = sources_[scene].load();
@@ -122,7 +126,9 @@ std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene,
     std::vector<SpawnedActors::Place> places = spawned_.take(scene, wishes);
     if (loaded.renderer && loaded.n_places == spawned_.count_places(scene)) return places;
     const auto undo = [&] {
-        loaded.renderer.reset();  // The next request loads the scene without the new actors.
+        // Destroys the renderer, so that the next request loads the scene without the new
+        // actors.
+        loaded.renderer.reset();
         spawned_.undo(scene, places, n_before);
     };
     try {
@@ -155,8 +161,8 @@ std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene,
                     wishes.size(), needed_mib, double(memory_bytes_) / kMiB));
 }
 
-/// Unloads the least recently used scenes, but not this one. Stops when all scenes and
-/// the given number of bytes fit into memory.
+/// Unloads other scenes until all scenes and `bytes` more bytes fit into the memory.
+/// Starts with the least recently used scene.
 void SceneSet::make_room(std::size_t scene, std::uint64_t bytes) {
     while (device_.allocated_bytes() + bytes > memory_bytes_) {
         Loaded* oldest = nullptr;
@@ -168,8 +174,8 @@ void SceneSet::make_room(std::size_t scene, std::uint64_t bytes) {
     }
 }
 
-/// Measures how much device memory the function allocates, and adds it to the size of the
-/// scene.
+/// Calls a function. Adds the device memory that the function allocates to the recorded
+/// size of the scene.
 void SceneSet::count_growth(std::size_t scene, const std::function<void()>& work) {
     const std::uint64_t before = device_.allocated_bytes();
     work();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Manages the runs of the server. The data of each run without its surfels stays in
-// memory. The surfels of recently used runs stay on the device.
+// Manages the runs of the server. Their surfels are on the device only if the run was
+// used recently. All other data of the runs stay in host memory.
 #pragma once
 
 #include <cstdint>
@@ -17,44 +17,46 @@
 
 namespace relidar::serve {
 
-/// All scenes of one device. Only the thread of the device may use this class. Exceptions
-/// are outlines(), assets() and spawned(), which any thread may call.
+/// All scenes of one device. Only the render thread may use this class. Exceptions are
+/// outlines(), assets() and spawned(), which any thread may call.
 class SceneSet {
 public:
-    /// Loads each run once to check it and to measure its size.
-    /// @param memory_bytes device memory for all scenes together. If the scenes need more
-    /// memory, the least recently used scene is unloaded.
-    /// @param assets assets that can be spawned; must outlive this object
-    /// @throws DataError if a run cannot be read, or if a single run needs more than this
-    /// memory
+    /// Loads each run once to check it and to measure its size on the device.
+    /// @param memory_bytes device memory for all scenes together; if it is exceeded, the
+    /// least recently used scene is unloaded
+    /// @param assets assets that clients can add; must outlive this object
+    /// @throws DataError if a run cannot be read, or if a single run needs more memory
     SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes,
              const AssetCatalogue& assets);
 
-    /// Returns all runs without their surfels and ray-drop networks, in the order in
-    /// which the runs were given. The result never changes.
+    /// Returns all runs without their surfels and ray-drop networks, in the order of the
+    /// constructor's argument. The result never changes.
     const std::vector<Run>& outlines() const { return outlines_; }
     const std::vector<SceneSource>& sources() const { return sources_; }
     const AssetCatalogue& assets() const { return assets_; }
     SpawnedActors& spawned() { return spawned_; }
 
-    /// Spawns actors in a scene. If the scene has no free slots for the actors, it is
-    /// loaded again with more slots.
-    /// @return the slots in the order of the requests
+    /// Adds actors to a scene. If the scene has too few free slots, it is loaded again
+    /// with more slots.
+    /// @return the slots of the actors, in the order of the requests
     /// @throws Refusal if a name is in use, if an asset does not fit, or if the device
-    /// memory is too small. The scene is then unchanged.
+    /// memory is too small; the scene is then unchanged
     std::vector<SpawnedActors::Place> spawn(std::size_t scene, const std::vector<ActorToSpawn>& wishes);
 
-    /// Counts how often a scene was loaded. Scans that were requested before a scene was
-    /// loaded again are lost, so the number shows whether a scan is still pending.
+    /// Number that changes each time a scene is loaded. Loading a scene discards its
+    /// pending scans, so a changed number shows that such a scan is lost.
     enum class Load : std::uint64_t {};
-    /// Calls a function with the renderer of a scene. Loads the scene first if necessary.
+    /// Calls a function with the renderer of a scene. First loads the scene if it is not
+    /// on the device.
     /// @param scene index into outlines()
     /// @param weather weather to simulate; without a value, the weather of the scene's
     /// source
+    /// @return number of the current load, for reuse_scene()
     Load use(std::size_t scene, const std::optional<Weather>& weather,
              const std::function<void(ScanRenderer&)>& work);
-    /// Calls a second function that reads the results of an earlier use(). Must be called
-    /// before another scene is used.
+    /// Calls a function that reads the results of an earlier use(). Must be called before
+    /// another scene is used.
+    /// @param load the number that use() returned
     /// @throws DeviceError if the device was lost or the scene was loaded again
     void reuse_scene(std::size_t scene, Load load, const std::function<void(ScanRenderer&)>& work);
 
@@ -63,13 +65,16 @@ public:
 
 private:
     struct Loaded {
-        /// Renderer of the scene. It is null if the scene is not loaded.
+        /// Renderer of the scene. The pointer is null if the scene is not on the device.
         std::unique_ptr<ScanRenderer> renderer;
-        std::uint64_t bytes = 0;  ///< Device memory that the most recently loaded renderer uses.
-        /// Counter value of the last use. It shows which scene was used least recently.
+        /// Device memory of the renderer in bytes. Keeps the last value after the scene
+        /// is unloaded.
+        std::uint64_t bytes = 0;
+        /// Counter value of the last use. The scene with the smallest value was used
+        /// least recently.
         std::uint64_t used = 0;
-        Load load{};               ///< Number that identifies the most recent load of the scene.
-        std::size_t n_places = 0;  ///< Number of slots for spawned actors in the loaded scene.
+        Load load{};               ///< Number of the most recent load of the scene.
+        std::size_t n_places = 0;  ///< Number of slots for added actors in the loaded scene.
     };
 
     Device& device_;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Caches sensors with their rays. An uploaded sensor is found by its handle, a built-in
-// sensor by its name. If the cache is full, the least recently used sensor is removed.
+// Caches sensors together with their rays. The key is the handle of an uploaded sensor,
+// or the name of a built-in sensor. If the cache is full, the least recently used sensor
+// is removed.
 #pragma once
 
 #include <cstdint>
@@ -15,7 +16,7 @@ struct SensorChoice;
 
 namespace relidar::serve {
 
-/// Cache of sensors with their rays. Any thread may use it.
+/// Cache of sensors with their rays. Several threads may use it at the same time.
 class SensorCache {
 public:
     static constexpr std::size_t kMostSensors = 64;
@@ -26,8 +27,8 @@ public:
     /// @return a new handle for this sensor
     std::string add(SensorChoice sensor);
     std::shared_ptr<const SensorChoice> put(const std::string& key, SensorChoice sensor);
-    /// Returns the sensor for a name or handle. Returns null if the key is unknown or the
-    /// sensor was removed from the cache.
+    /// Returns the sensor for a name or handle. Returns null if the key is unknown or if
+    /// the cache has removed the sensor.
     std::shared_ptr<const SensorChoice> find(const std::string& key);
 
 private:

@@ -40,7 +40,8 @@ double read_between(const std::string& field, double value, double low, double h
     return value;
 }
 
-/// Reads an array that is either empty or has a fixed number of values per ray.
+/// Copies an array from the bytes of a message. The array must be empty or contain `n`
+/// values.
 template <class T>
 std::vector<T> read_array(const std::string& bytes, std::size_t n, const std::string& field) {
     if (!bytes.empty() && bytes.size() != n * sizeof(T))
@@ -98,7 +99,7 @@ RayTable read_rays(const v1::RayTable& message, const std::string& field) {
     return rays;
 }
 
-/// Adds a beam to the sensor after the same checks as for a beam in a file.
+/// Checks a beam like a beam in a sensor file, and adds it to the sensor.
 void read_beam(const v1::Beam& message, const std::string& field, SpinningSensor& sensor) {
     const Beam beam{read_between(field + ".elevation_rad", message.elevation_rad(), -kPi / 2, kPi / 2),
                     read_between(field + ".azimuth_offset_rad", message.azimuth_offset_rad(), -kPi, kPi),
@@ -113,8 +114,8 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
     SpinningSensor sensor;
     for (const v1::Beam& beam : message.beams())
         read_beam(beam, fmt::format("{}.beams[{}]", field, sensor.beams.size()), sensor);
-    // Neighbouring beams may be slightly out of order, because this occurs in real
-    // sensors.
+    // Compares only the first and the last beam, because neighbouring beams of real
+    // sensors may be slightly out of order.
     if (const auto& beams = sensor.beams;
         !beams.empty() && beams.back().elevation_rad > beams.front().elevation_rad)
         refuse(field + ".beams",
@@ -124,7 +125,8 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
     sensor.columns = int(message.columns());
     sensor.period_s = read_between(field + ".period_s", message.period_s(), 1e-4, kLongestScan_s);
     sensor.clockwise = !message.counter_clockwise();
-    // The turn is shifted so that azimuth 0 is in its middle.
+    // The first column is about half a turn away from azimuth 0, so that azimuth 0 is in
+    // the middle of the image.
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     return sensor;
 }
@@ -156,7 +158,7 @@ Rosette read_rosette(const v1::Rosette& message, const std::string& field) {
             .period_s = read_between(field + ".period_s", message.period_s(), 1e-4, kLongestScan_s)};
 }
 
-/// Returns the name of a sensor without its resolution and rate: "VLP-16" for
+/// Returns the name of a sensor without its resolution and rate, for example "VLP-16" for
 /// "VLP-16:900x20". Returns the full name if the part after the colon has another form.
 std::string base_name(const std::string& name) {
     const std::size_t colon = name.rfind(':');
@@ -201,8 +203,8 @@ SensorChoice read_sensor(const v1::SensorSpec& message, const std::string& field
             pattern.divergence_rad = static_cast<decltype(pattern.divergence_rad)>(divergence_rad);
         },
         sensor.pattern);
-    // Makes the rays now only to check that their values are finite. Otherwise the error
-    // would appear when a scan is rendered.
+    // Computes the rays only to check that their values are finite. Without this check,
+    // the error would occur later, when a scan is rendered.
     if (describe_pattern(sensor.pattern).has_rays_by_time) make_rays(sensor);
     return sensor_choice(sensor);
 }
@@ -225,8 +227,8 @@ SensorChoice named_sensor(const std::string& name, const Run& run, int lidar) {
 
 FiringSpan firing_span(const SensorChoice& sensor) {
     const ScanArray<float>& times = sensor.rays.time_offset_s;
-    // A sensor with a rosette pattern, or a sensor that is known only from its scans, has
-    // no fixed firing times.
+    // A rosette sensor has no fixed firing times. The firing times of a sensor that is
+    // known only from its scans are unknown too.
     if (times.empty()) {
         const double period_s = sensor.pattern ? period_of(*sensor.pattern) : 0.0;
         return {-0.5 * period_s, 0.5 * period_s};

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads sensors from Protobuf messages. Clients are not trusted, so every value is
-// checked before rays are made.
+// Reads sensor descriptions from Protobuf messages. Checks every value before the rays
+// are computed, because clients may send invalid values.
 #pragma once
 
 #include <string>
@@ -11,23 +11,24 @@
 
 namespace relidar::serve {
 
-/// Maximum number of rays of a scan. Larger scans are rejected, because even a scan of
-/// this size takes seconds on a CPU.
+/// Maximum number of rays of a scan. Larger scans are rejected, because a CPU needs
+/// seconds even for a scan of this size.
 inline constexpr std::size_t kMostRaysOfScan = std::size_t(1) << 20;
 
 /// Reads the description of a sensor.
-/// @param field name of the field in the request, used in error messages
-/// @throws Refusal that names an invalid field
+/// @param field name of the field in the request, for error messages
+/// @throws Refusal that names the first invalid field
 SensorChoice read_sensor(const v1::SensorSpec& message, const std::string& field);
 
-/// Returns the sensor of the log for the name "native", or else a built-in sensor. File
-/// names are rejected, because clients must not read files of the server.
+/// Returns the built-in sensor with this name. The names "native" and "" mean the sensor
+/// of the log. File names are rejected, because clients must not read files of the
+/// server.
 /// @param run run without surfels
 /// @throws Refusal if the name is unknown or the sensor has too many rays
 SensorChoice named_sensor(const std::string& name, const Run& run, int lidar);
 
-/// Firing times of the first and the last ray of a scan, in seconds relative to the time
-/// of the scan.
+/// Firing times of the first and the last ray, in seconds relative to the time of the
+/// scan.
 struct FiringSpan {
     double first_s = 0.0, last_s = 0.0;
 };

@@ -19,7 +19,7 @@ namespace {
 constexpr double kMicrosecond = 1e-6;
 constexpr std::uint64_t kLongestFrame_us = 60'000'000;
 
-/// Maps the name of a LiDAR type in sensorsim.proto to a sensor of relidar.
+/// Maps a LiDAR type of sensorsim.proto to the name of a built-in sensor.
 struct WireLidar {
     sensorsim::LidarType type;
     const char* name;
@@ -117,7 +117,8 @@ RenderRequest SensorsimReader::read(const sensorsim::LidarRenderRequest& message
                       read_time(double(end_us) * kMicrosecond, "frame_end_us"),
                       outlines_[wanted.scene].sequence.world_offset_m};
     wanted.sensor = sensor(message);
-    // The firing times of the rays are relative to the middle of the sweep.
+    // Uses the middle of the interval, because firing times are relative to the middle of
+    // the sweep.
     wanted.request.time_s = 0.5 * (frame.start_s + frame.end_s);
     wanted.request.dataset_from_sensor = read_track(message.sensor_pose(), frame, "sensor_pose");
     wanted.points_at_s = frame.end_s;

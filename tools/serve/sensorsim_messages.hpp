@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads requests and writes answers of sensorsim.proto. Poses are in relidar's world
-// frame, whose origin is near the log. The dataset's world frame is not used because the
-// messages have single precision, and its origin may be thousands of kilometres away.
+// Reads requests and writes responses of sensorsim.proto. All poses are in relidar's
+// world frame, whose origin is near the log. The origin of the dataset's world frame may
+// be thousands of kilometres away. The float values of the messages would be too inexact
+// there.
 #pragma once
 
 #include <memory>
@@ -19,13 +20,13 @@ namespace relidar::serve {
 
 namespace sensorsim = nre::grpc::protos::sensorsim;
 
-/// Reads requests of sensorsim.proto. Any thread may use it.
+/// Reads requests of sensorsim.proto. Several threads may use it at the same time.
 class SensorsimReader {
 public:
-    /// Creates a reader for the messages of sensorsim.proto.
-    /// @param outlines runs without surfels, one per scene of `reader`. Both must outlive
-    /// this object.
-    /// @param order order in which a pose applies its rotation and translation
+    /// Creates a reader for requests of sensorsim.proto.
+    /// @param outlines runs without surfels, one per scene of `reader`; `outlines` and
+    /// `reader` must outlive this object
+    /// @param order says whether a pose applies its rotation or its translation first
     SensorsimReader(const std::vector<Run>& outlines, const RequestReader& reader, PoseOrder order)
         : outlines_(outlines), reader_(reader), order_(order) {}
 
@@ -36,7 +37,7 @@ public:
     }
     /// Reads a request for a scan. The sensor fires its first ray at the start of the
     /// requested time interval and its last ray at the end.
-    /// @throws Refusal that names an invalid field
+    /// @throws Refusal that names the first invalid field
     RenderRequest read(const sensorsim::LidarRenderRequest& message);
 
 private:
@@ -55,11 +56,11 @@ private:
                          const std::string& field) const;
 };
 
-/// Writes the points of a rendered scan into the answer.
+/// Writes the points of a rendered scan into the response.
 void write_points(const Points& points, sensorsim::LidarRenderReturn& message);
 
-/// Writes the trajectories of the log's vehicle and of its LiDARs.
-/// @throws Refusal if the log starts before time 0, because the messages cannot hold
+/// Writes the trajectories of the log's vehicle and LiDARs into the response.
+/// @throws Refusal if the log starts before time 0, because the messages cannot store
 /// negative times
 void write_trajectories(const Run& run, PoseOrder order, sensorsim::AvailableTrajectories& message);
 

@@ -11,7 +11,7 @@
 namespace relidar::serve {
 namespace {
 
-// Maximum number of scans per call. It equals the maximum number of sensors of a rig.
+// Maximum number of scans per call. The maximum number of sensors of a rig is the same.
 constexpr int kMostScans = 64;
 
 [[noreturn]] void refuse_images(const std::string& call, const std::string& found) {
@@ -97,7 +97,8 @@ grpc::Status SensorsimService::render_aggregated(grpc::ServerContext* context,
         if (request->lidar_size() > kMostScans)
             refuse("lidar", fmt::format("{} scans", request->lidar_size()),
                    fmt::format("at most {} per call", kMostScans));
-        // All scans of the call use the same slot in the queue.
+        // Reserves one slot for all scans of the call, so that the call is not rejected
+        // after some scans.
         RenderQueue::Slot slot = reserve(queue_);
         std::vector<RenderRequest> wanted;
         for (const sensorsim::LidarRenderRequest& lidar : request->lidar())

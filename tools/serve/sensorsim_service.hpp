@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements the gRPC calls of sensorsim.proto. Scans are rendered on the same thread as
-// the scans of render.proto.
+// Implements the gRPC calls of sensorsim.proto. The render thread renders their scans
+// together with the scans of render.proto.
 #pragma once
 
 #include <memory>
@@ -19,7 +19,7 @@ struct RenderRequest;
 
 class SensorsimService final : public sensorsim::SensorsimService::Service {
 public:
-    /// Creates the service. The queue and the scenes must outlive the service.
+    /// Creates the service. The queue and the scenes must outlive this object.
     /// @param scenes used only on the render thread
     SensorsimService(RenderQueue& queue, SceneSet& scenes, PoseOrder order);
     ~SensorsimService() override;

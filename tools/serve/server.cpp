@@ -25,17 +25,19 @@
 namespace relidar::serve {
 namespace {
 
-// Maximum size of a request in bytes. Allows a sensor with the maximum number of rays at
-// 30 bytes per ray, and some margin.
+// Maximum size of a request in bytes. The largest request describes a sensor with the
+// maximum number of rays (30 bytes per ray) and needs less.
 constexpr int kLargestRequest = 40 << 20;
-// Number of threads for calls that do not render. Each call in the queue has one more
-// thread.
+// Number of threads for calls that do not render. Each call that waits in the queue needs
+// one more thread.
 constexpr std::size_t kOtherThreads = 32;
-// Interval of keepalive pings, with which the server detects that a client has vanished.
+// Interval between keepalive pings. A client that does not answer a ping has vanished.
 constexpr int kKeepalive_ms = 20'000;
-// A connection is closed if it has not started gRPC within this time.
+// Maximum time until a new connection starts to use gRPC. After this time, the connection
+// is closed.
 constexpr int kHandshake_ms = 10'000;
-// A connection without calls is closed after this time. A client then connects again.
+// Maximum time that a connection stays open without calls. After this time, the client
+// must connect again.
 constexpr int kLongestIdle_ms = 600'000;
 
 std::string read_pem(const std::string& file) {
@@ -54,13 +56,13 @@ std::shared_ptr<grpc::ServerCredentials> credentials(const ServerOptions& option
     return grpc::SslServerCredentials(tls);
 }
 
-/// Turns off the log messages of gRPC and Protobuf on stderr. gRPC only repeats errors
-/// that are reported elsewhere. Protobuf prints a line for each invalid UTF-8 text, so
-/// any client could fill the disk.
+/// Turns off the log of gRPC and Protobuf on stderr. gRPC only repeats errors that
+/// relidar reports. Protobuf prints a line for each invalid UTF-8 text, so any client
+/// could fill the disk.
 void silence_log() {
     if (std::getenv("GRPC_VERBOSITY")) return;
     gpr_set_log_function([](gpr_log_func_args*) {});
-// Later versions of Protobuf log through absl, which prints nothing by default.
+// Protobuf 22 and later log through absl, which prints nothing by default.
 #if GOOGLE_PROTOBUF_VERSION < 4022000
     google::protobuf::SetLogHandler(nullptr);
 #endif
@@ -75,7 +77,7 @@ std::uint64_t memory_bytes(const ServerOptions& options, const Device& device) {
 struct ScanServer::Impl {
     RenderQueue queue;
     std::optional<AssetCatalogue> assets;
-    /// The device and the scenes are created, used and destroyed on the queue's thread.
+    /// Only the render thread creates, uses and destroys the device and the scenes.
     std::optional<Device> device;
     std::optional<SceneSet> scenes;
     std::optional<RenderService> service;
@@ -134,7 +136,7 @@ void ScanServer::Impl::set_serving(bool serving) {
     grpc::HealthCheckServiceInterface& health = *server->GetHealthCheckService();
     health.SetServingStatus(v1::RenderService::service_full_name(), serving);
     if (sensorsim) health.SetServingStatus(sensorsim::SensorsimService::service_full_name(), serving);
-    // In the health service, the empty name stands for the complete server.
+    // The empty name means the complete server in the gRPC health protocol.
     if (!serving) health.SetServingStatus("", false);
 }
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A server of scans: the render thread with its device and scenes, and gRPC. This header
-// uses no type of gRPC, because the command line program includes only this header.
+// Server that renders scans for gRPC clients. It consists of the gRPC services and a
+// render thread with its device and scenes. This header contains no gRPC types, so that
+// files that include it do not need gRPC.
 #pragma once
 
 #include <chrono>
@@ -15,37 +16,41 @@
 
 namespace relidar::serve {
 
-/// Order in which a pose of SensorsimService transforms a point p of the child frame to
-/// the parent frame.
+/// Says how a pose (R, t) of SensorsimService transforms a point p from the child frame
+/// to the parent frame.
 enum class PoseOrder {
-    rotation_first,     ///< R p + t. The rotation is applied first, as in the rest of the program.
-    translation_first,  ///< R (p + t). The translation is applied first.
+    rotation_first,     ///< R p + t: the rotation is applied first, as everywhere else in relidar.
+    translation_first,  ///< R (p + t): the translation is applied first.
 };
 
 struct ServerOptions {
-    std::vector<std::string> runs;    ///< Runs to serve. Each is written as "RUN" or "NAME=RUN".
+    /// Runs that the server offers. Each run is written as "RUN" or "NAME=RUN".
+    std::vector<std::string> runs;
     std::vector<std::string> assets;  ///< Asset folders, as written by `relidar assets`.
     /// Channels of scans, which replace the setting render.channels of each run.
     std::optional<std::string> channels;
-    Weather weather = {};  ///< Weather of a scan if the request does not set the weather.
-    /// Pose order of SensorsimService. No value: that service is not offered.
+    Weather weather = {};  ///< Weather that is simulated if the request does not contain a weather.
+    /// Pose order of SensorsimService. Without a value, this service is disabled.
     std::optional<PoseOrder> sensorsim;
     std::string listen = "127.0.0.1:50051";  ///< Address to listen on. Port 0 selects a free port.
-    /// Device memory for all scenes together. 0: half of the device memory.
+    /// Device memory for all scenes together in MiB. The value 0 means half of the device
+    /// memory.
     std::uint64_t memory_mib = 0;
-    std::size_t waiting = 64;  ///< Maximum number of waiting requests, not counting the current one.
-    /// PEM files with the TLS certificate and key. If they are empty, TLS is not used.
+    std::size_t waiting = 64;  ///< Maximum number of waiting requests, not counting the current request.
+    /// PEM files with the TLS certificate and key. If both names are empty, the server
+    /// does not use TLS.
     std::string tls_cert, tls_key;
     DeviceOptions device;
 };
 
 class ScanServer {
 public:
-    /// Loads all runs, then listens.
-    /// @throws UsageError if the address is not available; DataError if a run or key
-    /// cannot be read; DeviceError
+    /// Loads all runs, then starts to listen for connections.
+    /// @throws UsageError if the address is not available
+    /// @throws DataError if a run or key cannot be read
+    /// @throws DeviceError if the device fails
     explicit ScanServer(const ServerOptions& options);
-    /// Ends all calls immediately. Call stop() first to wait for pending calls.
+    /// Cancels all calls immediately. Call stop() first to wait for pending calls.
     ~ScanServer();
     ScanServer(const ScanServer&) = delete;
     ScanServer& operator=(const ScanServer&) = delete;
@@ -53,12 +58,12 @@ public:
     int port() const;
     const std::string& device_name() const;
     std::vector<std::string> scenes() const;
-    /// Returns the driver's error after the device was lost, or no value while it works.
-    /// After the loss the health service reports NOT_SERVING, and render calls fail with
-    /// UNAVAILABLE.
+    /// Returns the driver's error message if the device was lost. Returns no value as
+    /// long as the device works. After the loss, the health service reports NOT_SERVING,
+    /// and render calls fail with UNAVAILABLE.
     std::optional<std::string> device_loss();
     /// Rejects new calls and waits for pending calls.
-    /// @param patience longest time to wait; remaining calls are then cancelled
+    /// @param patience longest time to wait; after it, the remaining calls are cancelled
     void stop(std::chrono::milliseconds patience);
 
 private:

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements the gRPC calls of render.proto. Each call reads its request, renders on the
-// render thread, and writes the answer. Requests are read and answers are written on
-// threads of gRPC.
+// Implements the gRPC calls of render.proto. gRPC threads read the requests and write the
+// responses. The render thread renders the scans.
 #pragma once
 
 #include <functional>
@@ -17,7 +16,7 @@ namespace relidar::serve {
 
 class RenderService final : public v1::RenderService::Service {
 public:
-    /// Creates the service. The queue and the scenes must outlive the service.
+    /// Creates the service. The queue and the scenes must outlive this object.
     /// @param scenes used only on the render thread
     RenderService(RenderQueue& queue, SceneSet& scenes) : queue_(queue), scenes_(scenes), reader_(scenes) {}
 

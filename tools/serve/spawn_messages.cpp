@@ -39,7 +39,7 @@ void write_sparse_actors(const RenderRequest& wanted, v1::LidarScan& message) {
     if (wanted.placed.empty()) return;
     const SensorChoice& sensor = *wanted.sensor;
     const double time_s = wanted.request.time_s;
-    // True if the sensor has different rays in every scan.
+    // True if the ray directions of the sensor change from scan to scan.
     const bool makes_rays = sensor.pattern && sensor.rays.size() == 0;
     const RayTable made = makes_rays ? make_rays(*sensor.pattern, time_s) : RayTable{};
     const RayTable& rays = makes_rays ? made : sensor.rays;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes assets and spawned actors into Protobuf messages.
+// Converts assets and actors that clients have added to Protobuf messages.
 #pragma once
 
 #include <relidar/simulate/assets.hpp>
@@ -13,12 +13,12 @@ namespace relidar::serve {
 
 void write_asset(const AssetFacts& facts, v1::Asset& message);
 
-/// Writes the description of a spawned actor into a message.
+/// Writes the description of an added actor into a Protobuf message.
 /// @param run run of the scene, without surfels
 void write_spawned(const SpawnedActors::Place& place, const Run& run, v1::SpawnedActor& message);
 
-/// Writes the names of requested actors whose surfels are too coarse for their distance
-/// from the sensor.
+/// Writes the names of the actors that have too few surfels for their distance from the
+/// sensor.
 void write_sparse_actors(const RenderRequest& wanted, v1::LidarScan& message);
 
 }  // namespace relidar::serve

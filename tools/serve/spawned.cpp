@@ -14,8 +14,8 @@
 namespace relidar::serve {
 namespace {
 
-// Maximum number of slots that are added together. Slots can be expensive: with
-// image.sh_direction=surfel each slot has its own surfels.
+// Maximum number of slots that are added together. Unused slots can need much memory,
+// because with image.sh_direction=surfel each slot has its own copy of the surfels.
 constexpr std::size_t kMostSpare = 8;
 
 using SpawnedPlaces = std::vector<ActorToSpawn>;
@@ -24,8 +24,8 @@ auto find_spawned(SpawnedPlaces& places, const std::string& name) {
     return std::ranges::find(places, name, &ActorToSpawn::name);
 }
 
-/// Returns the index of a free slot with the same model. If no such slot is free, adds
-/// slots and returns the first new one.
+/// Returns the index of a free slot for the same model. If no such slot is free, adds
+/// slots and returns the index of the first new slot.
 std::size_t free_place(SpawnedPlaces& places, const ActorToSpawn& wish) {
     const auto is_free = [&](const ActorToSpawn& p) { return p.name.empty() && p.source == wish.source; };
     const auto free = std::ranges::find_if(places, is_free);
@@ -52,7 +52,7 @@ std::uint32_t model_of_actor(const Scene& scene, const std::string& track) {
     return instance->model;
 }
 
-/// Adds the model of an asset to the scene.
+/// Loads an asset and adds its surfel model to the scene.
 std::uint32_t add_asset(Scene& scene, const std::filesystem::path& folder) {
     const Run asset = load_run(folder);
     return append_model(scene, asset.scene, model_of_actor(asset.scene, find_only_track(asset)));
@@ -81,7 +81,8 @@ std::size_t SpawnedActors::count_places(std::size_t scene) const {
 std::vector<SpawnedActors::Place> SpawnedActors::take(std::size_t scene,
                                                       const std::vector<ActorToSpawn>& wishes) {
     const std::lock_guard lock(mutex_);
-    SpawnedPlaces places = scenes_[scene];  // Changes a copy, so that a rejected request changes nothing.
+    // The code below changes only this copy, so that a rejected request has no effect.
+    SpawnedPlaces places = scenes_[scene];
     std::vector<Place> new_places;
     for (const ActorToSpawn& wish : wishes) {
         if (find_spawned(places, wish.name) != places.end())
@@ -121,7 +122,7 @@ void SpawnedActors::undo(std::size_t scene, const std::vector<Place>& places, st
 std::string track_of_slot(std::size_t position) { return fmt::format("\x01spawned {}", position); }
 
 void add_places(Run& run, const std::vector<SpawnedActors::Place>& places, const AssetCatalogue& assets) {
-    std::map<std::string, std::uint32_t> models;  // Models of assets.
+    std::map<std::string, std::uint32_t> models;  // Index of the surfel model of each asset.
     for (const SpawnedActors::Place& place : places) {
         const SpawnSource& source = place.actor.source;
         std::uint32_t model = 0;

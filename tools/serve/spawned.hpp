@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stores the actors that clients have spawned in scenes. Any thread may use this class.
+// Stores the actors that clients have added ("spawned") to scenes.
 #pragma once
 
 #include <cstdint>
@@ -17,7 +17,8 @@ namespace relidar::serve {
 
 class AssetCatalogue;
 
-/// Model of a spawned actor. It is either an actor of the scene's run or an asset.
+/// Says which surfels an added actor uses. They come from an actor of the scene's run or
+/// from an asset.
 struct SpawnSource {
     bool is_asset = false;
     std::string name;
@@ -25,7 +26,7 @@ struct SpawnSource {
     bool operator==(const SpawnSource&) const = default;
 };
 
-/// Describes an actor that a client wants to spawn.
+/// Describes an actor that a client wants to add to a scene.
 struct ActorToSpawn {
     std::string name;  ///< Name chosen by the client.
     SpawnSource source;
@@ -33,18 +34,17 @@ struct ActorToSpawn {
     std::size_t surfels = 0;
 };
 
-/// Assigns slots to spawned actors. A slot is an instance of a model in the scene, added
-/// after the instances of the run. A slot keeps its model as long as the server runs.
-/// After its actor is removed, the next actor of the same model reuses the slot.
-/// Therefore a scene need not be loaded again for each actor, and requests that were read
-/// earlier stay valid.
+/// Assigns a slot to each actor that a client adds. A slot is an additional instance of a
+/// model in the scene. It keeps its model as long as the server runs. If a client removes
+/// the actor, the next actor with the same model reuses the slot. A scene is therefore
+/// not loaded again for each actor. All members may be called by several threads.
 class SpawnedActors {
 public:
     static constexpr std::size_t kMostPlaces = 4096;  ///< Maximum number of slots per scene.
 
     explicit SpawnedActors(std::size_t n_scenes) : scenes_(n_scenes) {}
 
-    /// A slot for a spawned actor, and its index in the scene.
+    /// A slot and the actor in it. `position` is the number of the slot in its scene.
     struct Place {
         std::size_t position = 0;
         ActorToSpawn actor;  ///< Actor in this slot. The name is empty if the slot is free.
@@ -53,34 +53,34 @@ public:
     /// Returns the slots that contain an actor.
     std::vector<Place> taken(std::size_t scene) const;
 
-    /// Assigns a slot to each actor. If a model has no free slot, the number of its slots
-    /// is doubled, but at most 8 slots are added.
+    /// Assigns a slot to each actor. If a model has no free slot, its number of slots is
+    /// doubled, but at most 8 slots are added.
     /// @return the slots in the order of the requests
-    /// @throws Refusal if a name is in use or the limit of slots is reached. Nothing is
-    /// changed then.
+    /// @throws Refusal if a name is in use or the maximum number of slots is reached;
+    /// then nothing changes
     std::vector<Place> take(std::size_t scene, const std::vector<ActorToSpawn>& wishes);
-    /// Releases the slots of all named actors.
-    /// @throws Refusal if a name is unknown. No slot is released then.
+    /// Removes the named actors and makes their slots free again.
+    /// @throws Refusal if a name is unknown; then nothing changes
     void release(std::size_t scene, const std::vector<std::string>& names);
-    /// Reverts take(). Releases the names of the actors and removes the slots that take()
-    /// has added.
+    /// Reverts take(). Removes the actors and the slots that take() has added.
     void undo(std::size_t scene, const std::vector<Place>& places, std::size_t n_before);
     std::size_t count_places(std::size_t scene) const;
 
 private:
     mutable std::mutex mutex_;
-    /// Slots of each scene. The first index is the scene, the second index is the slot.
+    /// Slots of each scene: the first index is the scene, and the second index is the
+    /// slot.
     std::vector<std::vector<ActorToSpawn>> scenes_;
 };
 
-/// Returns the track name of a slot in the rendered scene. No track of a run has the same
+/// Returns the track name of a slot in the rendered scene. No track of a run has this
 /// name.
 std::string track_of_slot(std::size_t position);
 
-/// Adds an instance to the run for each slot. Adds the model of each asset once. Must be
-/// called before the run is rendered.
-/// @throws DataError if an asset cannot be read, or if its surfels have another primitive
-/// shape than those of the run
+/// Adds an instance for each slot to the run. Adds the model of each asset only once.
+/// Must be called before the run is rendered.
+/// @throws DataError if an asset cannot be read, or if the shape of its surfels differs
+/// from the shape in the run
 void add_places(Run& run, const std::vector<SpawnedActors::Place>& places, const AssetCatalogue& assets);
 
 }  // namespace relidar::serve

@@ -20,8 +20,8 @@ bool is_port(std::string_view text) {
            std::all_of(text.begin(), text.end(), [](char c) { return c >= '0' && c <= '9'; });
 }
 
-/// Returns the host in a text of the form "host", "host:port" or "[address]:port".
-/// Returns an empty text for other forms.
+/// Returns the host name in a text of the form "host", "host:port" or "[address]:port".
+/// Returns an empty text for any other form.
 std::string_view without_port(std::string_view host) {
     std::size_t end = host.find(':');
     if (host.starts_with('[')) {
@@ -56,8 +56,8 @@ bool is_same_origin(std::string_view origin, std::string_view host) {
 
 bool same_secret(std::string_view a, std::string_view b) {
     unsigned differs = a.size() == b.size() ? 0u : 1u;
-    // Always compares all characters of our secret b. Otherwise the duration would depend
-    // on the text a of the client.
+    // Always compares all characters of the secret `b`. Otherwise the duration would show
+    // a client how many characters of its text `a` are right.
     for (std::size_t i = 0; i < b.size(); ++i) {
         const char shown = i < a.size() ? a[i] : '\0';
         differs |= static_cast<unsigned char>(shown) ^ static_cast<unsigned char>(b[i]);

@@ -23,8 +23,8 @@ std::uint8_t as_byte(float share) {
     return static_cast<std::uint8_t>(std::lround(255.0f * std::clamp(share, 0.0f, 1.0f)));
 }
 
-/// Concatenates arrays into one buffer and lists their types, sizes and offsets for the
-/// header.
+/// Concatenates arrays into one buffer. Lists the type, size and offset of each array for
+/// the JSON header.
 class Arrays {
 public:
     template <class T>

@@ -18,7 +18,7 @@ namespace http = boost::beast::http;
 namespace {
 
 constexpr std::size_t kDrainedAtOnce = 65536;
-// Maximum number of reads that discard the remaining data of a refused request.
+// Maximum number of reads that discard the remaining data of a rejected request.
 constexpr int kMaxDrains = 16;
 constexpr std::chrono::milliseconds kDrainTime{500};
 
@@ -30,8 +30,8 @@ std::string_view query_of(std::string_view target) {
     return mark == std::string_view::npos ? std::string_view{} : target.substr(mark + 1);
 }
 
-/// Returns the HTTP status for a request that could not be read. Returns no value if the
-/// client has disconnected.
+/// Returns the HTTP status for a request that the parser rejected. Returns no value if
+/// the client has disconnected.
 std::optional<http::status> status_of(const boost::system::error_code& failed) {
     if (failed == http::error::body_limit || failed == http::error::unexpected_body)
         return http::status::payload_too_large;
@@ -48,8 +48,7 @@ std::optional<http::status> status_of(const boost::system::error_code& failed) {
 HttpSession::HttpSession(boost::asio::ip::tcp::socket socket, Hub& hub)
     : hub_(hub), counted_(hub), stream_(std::move(socket)), timer_(hub.io) {}
 
-/// Starts a timer. If the current read or write takes longer than this time, it is
-/// cancelled.
+/// Starts a timer that cancels the current read or write if it takes longer than `time`.
 void HttpSession::limit(std::chrono::milliseconds time) {
     late_ = false;
     timer_.expires_after(time);
@@ -77,9 +76,9 @@ void HttpSession::on_read(Error failed) {
     if (const std::optional<Status> status = status_of(failed)) refuse(*status);
 }
 
-/// Returns the status with which a request is refused, or no value if the request is
-/// allowed. The order of the checks reveals as little as possible to an unauthorised
-/// client.
+/// Returns the HTTP status if a request is rejected. Returns no value if the request is
+/// allowed. The order of the checks reveals as little as possible to a client without
+/// access.
 std::optional<HttpSession::Status> HttpSession::objection(const Request& request) const {
     if (request.count(http::field::host) != 1) return Status::bad_request;
     const Credentials credentials{view(request[http::field::host]), view(request[http::field::origin]),
@@ -99,8 +98,8 @@ void HttpSession::answer(const Request& request) {
     const std::string_view target = view(request.target()), path = path_of(target);
     if (path == kSocketPath) {
         if (!boost::beast::websocket::is_upgrade(request)) return refuse(Status::upgrade_required);
-        // Refuses a client that sent WebSocket frames before the server answered the
-        // handshake.
+        // Rejects a client that has sent data before the WebSocket handshake was
+        // complete.
         if (buffer_.size() > 0) return refuse(Status::bad_request);
         std::make_shared<SocketSession>(std::move(stream_), std::move(counted_), hub_)->start(request);
         return;
@@ -116,17 +115,16 @@ void HttpSession::answer(const Request& request) {
                        hub_.cookie_name + "=" + hub_.options.token + "; Path=/; HttpOnly; SameSite=Strict");
     response_->body() = std::string(asset->body);
     response_->prepare_payload();
-    // A HEAD request receives no body, but its header still states the length of the
+    // A HEAD request receives no body, although the header contains the length of the
     // body.
     if (request.method() == http::verb::head) response_->body().clear();
     response_->keep_alive(request.keep_alive());
     write();
 }
 
-/// Creates an HTTP response.
-/// @param host value of the Host header after it was checked, or empty if it is unknown.
-/// It is written into the security policy, because some browsers do not allow WebSockets
-/// for 'self'.
+/// Creates an HTTP response with the security headers.
+/// @param host checked value of the Host header, or empty. The security policy contains
+/// it, because some browsers do not accept WebSockets for 'self'.
 HttpSession::Response HttpSession::response(Status status, const std::string& host) const {
     Response response{status, 11};
     response.set(http::field::server, "relidar");
@@ -174,8 +172,8 @@ void HttpSession::write() {
     });
 }
 
-/// Reads and discards the remaining data of a refused client for a short time. If a
-/// connection is closed with unread data, the client loses the answer.
+/// Reads the remaining data of a rejected client for a short time and discards it. If a
+/// connection is closed with unread data, the client does not receive the response.
 void HttpSession::drain() {
     buffer_.consume(buffer_.size());
     stream_.async_read_some(buffer_.prepare(kDrainedAtOnce),

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Serves one HTTP connection. Reads a request, checks access, and sends a file of the
-// page or an error. Passes WebSocket connections to a SocketSession. Only the server
-// includes this header.
+// Serves one HTTP connection. Reads a request, checks access, and sends a file of the web
+// page or an error. Passes WebSocket connections on to a SocketSession.
 #pragma once
 
 #include <memory>
@@ -25,7 +24,8 @@ class HttpSession : public std::enable_shared_from_this<HttpSession> {
 public:
     HttpSession(boost::asio::ip::tcp::socket socket, Hub& hub);
     void read();
-    /// Tells the client that there are too many connections, and closes this connection.
+    /// Sends an error message, because the server has too many connections, and closes
+    /// this connection.
     void refuse_connection();
 
 private:
@@ -47,7 +47,9 @@ private:
     Counted counted_;
     boost::beast::tcp_stream stream_;
     boost::asio::steady_timer timer_;
-    bool late_ = false;  ///< True if the timer has cancelled the current read or write.
+    /// True if the timer has cancelled the current read or write because it took too
+    /// long.
+    bool late_ = false;
     int n_drains_ = 0;
     boost::beast::flat_buffer buffer_;
     std::optional<boost::beast::http::request_parser<boost::beast::http::empty_body>> parser_;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// State that all connections of a server share: options, clients, and the io_context of
-// the server's thread. Only the server includes this header.
+// State that all connections of a web server share: its options, its clients, and the
+// io_context of its thread.
 #pragma once
 
 #include <map>
@@ -20,8 +20,8 @@ class SocketSession;
 struct Hub {
     ServerOptions options;
     Events events;
-    /// Name of the cookie that holds the access token. Each server has another name,
-    /// because a browser sends the cookies of a host to all ports of this host.
+    /// Name of the cookie that holds the access token. Each server uses a different name,
+    /// because a browser sends all cookies of a host to every port of this host.
     std::string cookie_name;
     std::string host_name;  ///< Name of this machine.
     std::size_t n_connections = 0;
@@ -30,8 +30,8 @@ struct Hub {
     ClientId last_client = 0;
 };
 
-/// Counts open connections. The constructor adds one connection, the destructor subtracts
-/// it.
+/// Counts the open connections. The constructor increments the counter of the hub, and
+/// the destructor decrements it.
 class Counted {
 public:
     explicit Counted(Hub& hub) : hub_(&hub) { ++hub.n_connections; }

@@ -7,7 +7,8 @@
 
 namespace relidar {
 
-// This function is defined in a file that cmake/Assets.cmake generates.
+// Returns the names and texts of the page's files. cmake/Assets.cmake generates the
+// definition.
 std::span<const std::pair<std::string_view, std::string_view>> view_page_texts();
 
 namespace view {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Files of the web page of `relidar view`, compiled into the program. They come from
+// Files of the web page of `relidar view`. They are compiled into the program from
 // tools/view/page and src/score/report/points.
 #pragma once
 
@@ -9,7 +9,7 @@
 
 namespace relidar::view {
 
-/// Returns all files of the page. Their texts are valid until the program ends.
+/// Returns all files of the web page. Their texts stay valid until the program ends.
 const std::vector<Asset>& page_assets();
 
 }  // namespace relidar::view

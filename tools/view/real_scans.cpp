@@ -43,8 +43,8 @@ void RealScans::load() {
         std::iota(all.begin(), all.end(), 0);
         attach_scans(*frames_, all, log);
         state_ = State::ready;
-        // If the log cannot be read, the viewer works without measured scans. The reason
-        // is only shown.
+        // If the log cannot be read, the viewer shows the reason and works without
+        // measured scans.
     } catch (const std::exception& error) {
         why_ = error.what();
         state_ = State::missing;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the scans of the log in a background thread, so that the page appears
-// immediately. If the log is missing, the run can still be viewed.
+// Loads the scans of the log in a background thread, so that the web page opens
+// immediately. If the log is missing, the user can still view the run.
 #pragma once
 
 #include <atomic>
@@ -19,17 +19,17 @@ class RealScans {
 public:
     enum class State { loading, ready, missing };
 
-    /// Starts to read the log on which the run was trained.
+    /// Starts to load the log on which the run was trained.
     explicit RealScans(const Run& run);
-    /// Stops the reader thread and waits for it.
+    /// Stops the background thread and waits until it has ended.
     ~RealScans();
     RealScans(const RealScans&) = delete;
     RealScans& operator=(const RealScans&) = delete;
 
     State state() const { return state_; }
-    /// Returns the reason why the scans are missing, in one line.
+    /// Returns a one-line text that says why the scans are missing.
     std::string why() const;
-    /// Returns the frames of the run with their measured scans. Returns null until the
+    /// Returns the frames of the run with their measured scans. Returns null until all
     /// scans are loaded.
     const Sequence* sequence() const;
 

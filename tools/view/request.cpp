@@ -14,15 +14,15 @@ namespace {
 
 using Json = nlohmann::json;
 
-// Maximum absolute value of positions and moves. Larger values are rejected as errors.
+// Maximum absolute value of a position or move. Larger values are rejected with an error.
 constexpr double kFar_m = 10'000.0;
-constexpr double kFarAway_m = 1e6;  // Maximum absolute value of positions in relidar's world frame.
+constexpr double kFarAway_m = 1e6;  // Maximum absolute value of a position in relidar's world frame.
 constexpr double kFast_mps = 200.0;
 constexpr double kLate_s = 1e10;
-// Maximum number of actors that are copied, moved, removed or hidden.
+// Maximum number of actors that a request may copy, move, remove or hide.
 constexpr std::size_t kMaxActors = 256;
 constexpr std::size_t kMaxName = 64;
-// Maximum length of the name of a run. The name is the path on the command line of
+// Maximum length of the name of a run. The name is the path that the user typed after
 // `relidar view`.
 constexpr std::size_t kMaxRunName = 1024;
 
@@ -55,11 +55,11 @@ std::string text(const Json& value, const char* what, std::size_t limit = kMaxNa
     return result;
 }
 
-/// Returns the name of the run that contains an actor. An empty name means the displayed
-/// run.
+/// Returns the name of the run that contains an actor. An empty name means the run that
+/// the viewer shows.
 std::string run_name(const Json& value) { return value == "" ? "" : text(value, "from", kMaxRunName); }
 
-/// Reads an array of N numbers. The absolute value of each number has its own limit.
+/// Reads an array of N numbers. Number i must not exceed limits[i] in absolute value.
 template <std::size_t N>
 std::array<double, N> numbers(const Json& value, const char* what, const std::array<double, N>& limits) {
     if (!value.is_array() || value.size() != N) refuse(what, fmt::format("{} numbers", N));
@@ -118,7 +118,7 @@ LiveScanRequest parse_scan(const Json& json) {
     return wish;
 }
 
-/// Returns the name of a new folder. A name that contains a path is rejected, so that the
+/// Reads the name of a new folder. Rejects a name that contains a path, so that the
 /// folder cannot be created elsewhere.
 std::string folder_name(const Json& value) {
     std::string name = text(value, "name");

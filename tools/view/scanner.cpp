@@ -21,30 +21,29 @@ namespace {
 using Json = nlohmann::json;
 using Clock = std::chrono::steady_clock;
 
-// Maximum number of rays of a live scan. A scan of this size is sent as a message of 28
-// MB.
+// Maximum number of rays of a scan in the viewer. The message for such a scan has 28 MB.
 constexpr std::size_t kMaxRays = std::size_t(1) << 20;
 constexpr double kSameTime_s = 1e-6;
 constexpr const char* kFileSensor = "file";
 
-/// Returns the names of sensors that choose_sensor() accepts.
+/// Returns the sensor names that choose_sensor() accepts.
 std::vector<std::string> list_built_in_sensors() {
     std::vector<std::string> names = sensor_names();
     names.insert(names.begin(), "native");
     return names;
 }
 
-/// Returns the run and the track of each copied actor. A scene with the same list has the
-/// same surfels.
+/// Returns the run and the track of each copied actor. Two lists of copies with the same
+/// result need the same surfels, so the renderer can be reused.
 std::vector<std::pair<std::string, std::string>> models_of(const std::vector<ActorEdits::Copy>& copies) {
     std::vector<std::pair<std::string, std::string>> models;
     for (const ActorEdits::Copy& copy : copies) models.emplace_back(copy.from, copy.of);
     return models;
 }
 
-/// Returns a hash (FNV-1a) of the path of the run. After the program was restarted, a
-/// page compares the hash to detect whether the run is the same. The hash hides the path
-/// from clients.
+/// Returns a hash (FNV-1a) of the path of the run, which hides the path from clients.
+/// When the program restarts, the web page compares the hash to detect whether it shows
+/// the same run.
 std::string identity_of(const Run& run) {
     std::uint32_t hash = 2166136261u;
     for (const char c : std::filesystem::absolute(run.folder).lexically_normal().string())
@@ -52,7 +51,7 @@ std::string identity_of(const Run& run) {
     return fmt::format("{:08x}", hash);
 }
 
-/// Returns a list of the actors that can be copied.
+/// Returns a JSON list of the actors that the user can copy.
 Json actors_json(const Run& run) {
     Json actors = Json::array();
     for (const Instance& instance : run.scene.instances) {
@@ -72,10 +71,11 @@ bool is_identity(const Pose& pose) {
     return pose.translation == glm::dvec3(0.0) && std::abs(pose.rotation.w) == 1.0;
 }
 
-/// A file in a private temporary folder. The destructor removes the file and the folder.
+/// A file in a private temporary folder. The destructor removes both the file and the
+/// folder.
 class UploadedFile {
 public:
-    /// Writes the text to a new temporary file.
+    /// Writes a text to a new temporary file.
     /// @param ending extension of the file, ".csv" or ".json"
     UploadedFile(const std::string& text, const std::string& ending) {
         std::string pattern = (std::filesystem::temp_directory_path() / "relidar-sensor-XXXXXX").string();
@@ -113,14 +113,14 @@ void check_size(const SensorChoice& sensor) {
 
 Json channels_json(const Config& config) {
     Json channels = Json::array();
-    // Adds the channel `source`, which is not in the settings because it exists only in
-    // simulated weather.
+    // Adds the channel `source`. It is not in the settings, because it exists only if
+    // weather is simulated.
     for (const ChannelInfo& channel : parse_channels(config.render.channels + ",source"))
         channels.push_back({{"name", channel.name}, {"unit", channel.unit}, {"meaning", channel.meaning}});
     return channels;
 }
 
-/// Returns the help and the examples of the field for weather.
+/// Returns the help text and the examples for the weather field of the web page.
 Json weather_json() {
     std::string examples = "clear";
     for (const WeatherEffect* effect : kWeatherEffects) examples += fmt::format(" {}", effect->examples);
@@ -177,8 +177,8 @@ SensorChoice Scanner::sensor_for(TabCache& tab, const LiveScanRequest& wish) con
     }
     const std::string key = fmt::format("{}/{}", wish.lidar, wish.sensor);
     if (!tab.sensor || tab.sensor->first != key) {
-        // Accepts only names of known sensors, so that clients cannot read files of the
-        // server.
+        // Accepts only the names of built-in sensors, so that clients cannot read files
+        // of the server.
         const std::vector<std::string> names = list_built_in_sensors();
         if (std::find(names.begin(), names.end(), wish.sensor) == names.end())
             throw UsageError(fmt::format(
@@ -198,8 +198,8 @@ Json Scanner::read_sensor(TabCache& tab, const SensorFile& file) const {
     SensorChoice sensor;
     try {
         sensor = sensor_choice(find_sensor(upload.path(ending).string()));
-        // Replaces the path of the temporary file in the error message by the name that
-        // the user knows.
+        // Replaces the path of the temporary file in the error message by the name of the
+        // user's file.
     } catch (const Error& error) {
         std::string message = error.what();
         const std::string path = upload.path(ending).string();
@@ -213,8 +213,8 @@ Json Scanner::read_sensor(TabCache& tab, const SensorFile& file) const {
     return sensor_json(*tab.file_sensor, 0.0);
 }
 
-/// Returns a renderer whose scene contains the copied actors. The last renderer is reused
-/// if only poses have changed, because moves and removals do not change the surfels.
+/// Returns a renderer whose scene contains the copied actors. Reuses the last renderer if
+/// only moves and removals differ, because they do not change the surfels.
 ScanRenderer& Scanner::renderer_for(const Traffic& traffic) {
     const auto models = models_of(traffic.edits().copies);
     if (!renderer_ || rendered_ != models) {
@@ -233,8 +233,8 @@ ScanRenderer& Scanner::renderer_for(const Traffic& traffic) {
     return *renderer_;
 }
 
-/// Returns the log's frame that is nearest in time to the request, for the requested
-/// LiDAR.
+/// Returns the frame of the requested LiDAR that is nearest in time to the request.
+/// Returns null if measured scans are missing or not requested.
 const Frame* Scanner::nearest_real(const LiveScanRequest& wish) const {
     const Sequence* log = real_.sequence();
     if (!log || !wish.real) return nullptr;
@@ -259,9 +259,9 @@ RenderedScan Scanner::render(const Traffic& traffic, const LiveScanRequest& wish
     return renderer.render(sensor, request);
 }
 
-/// Returns the time of the last launch of each kernel, in milliseconds. Kernels that have
-/// not run since the previous call are left out. If the list of times of a kernel is
-/// full, it does not grow any more.
+/// Returns the time of the last launch of each kernel in milliseconds. Leaves out kernels
+/// that have not run since the previous call. If a kernel's list of times is full, its
+/// length no longer changes, so this kernel is always included.
 Json Scanner::kernel_times() {
     constexpr std::size_t kFull = 4096;
     Json times = Json::array();
@@ -276,7 +276,9 @@ Json Scanner::kernel_times() {
 
 std::string Scanner::scan(TabCache& tab, const LiveScanRequest& wish) {
     const auto start = Clock::now();
-    SensorChoice sensor = sensor_for(tab, wish);  // Throws errors before anything is rendered.
+    // Finds the sensor first, so that an invalid sensor causes an error before anything
+    // is rendered.
+    SensorChoice sensor = sensor_for(tab, wish);
     if (!tab.traffic || tab.traffic->edits() != wish.edits) tab.traffic.emplace(run_, others_, wish.edits);
     const Sequence& log = run_.sequence;
     const Frame* real = nearest_real(wish);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Renders the scans that the page shows. The page can show a simulated scan, a measured
-// scan, or both, together with the boxes of actors.
+// Renders the scans that the web page shows. The page shows a simulated scan, a measured
+// scan, or both, and the boxes of actors.
 #pragma once
 
 #include <cstddef>
@@ -22,34 +22,34 @@
 
 namespace relidar::view {
 
-/// State that is kept for one browser tab from one scan to the next.
+/// State that the server keeps for a browser tab between two scans.
 struct TabCache {
     /// Sensor in the file that the browser tab has uploaded.
     std::optional<SensorChoice> file_sensor = {};
     std::optional<Traffic> traffic = {};
-    /// Most recent sensor, with its key "lidar/name".
+    /// Sensor of the previous scan, and its key "lidar/name".
     std::optional<std::pair<std::string, SensorChoice>> sensor = {};
 };
 
-/// Renders scans of a run for the page. Only one thread may use it.
+/// Renders scans of a run for the web page. Only one thread may use this object.
 class Scanner {
 public:
     /// Creates the scanner of a run.
-    /// @param others other runs, whose actors can be inserted into this run
+    /// @param others other runs, whose actors the user can insert into this run
     Scanner(Run run, OtherRuns others, Device& device);
 
     const Run& run() const { return run_; }
     const OtherRuns& others() const { return others_; }
     const RealScans& real() const { return real_; }
-    /// Returns the data that the page needs only once: the run, its frames and path,
-    /// known sensors, actors of other runs, and the device.
+    /// Returns the data that the web page needs only once: the run, its frames and path,
+    /// built-in sensors, actors of other runs, and the device.
     nlohmann::json describe() const;
     /// Renders a scan and encodes it in the binary format of frame.hpp.
-    /// @throws UsageError or DataError if the requested scan cannot be rendered
+    /// @throws UsageError or DataError if the scan cannot be rendered
     std::string scan(TabCache& tab, const LiveScanRequest& wish);
     /// Reads a sensor file that a browser tab has uploaded.
     /// @return a description of the sensor
-    /// @throws UsageError or DataError that describes the error in the file
+    /// @throws UsageError or DataError if the file is invalid
     nlohmann::json read_sensor(TabCache& tab, const SensorFile& file) const;
 
 private:
@@ -66,7 +66,7 @@ private:
     std::optional<ScanRenderer> renderer_;
     /// Run and track of each copied actor in the scene of the current renderer.
     std::vector<std::pair<std::string, std::string>> rendered_;
-    /// Number of launches of each kernel when the times were last queried.
+    /// Number of recorded times of each kernel at the previous call of kernel_times().
     std::map<std::string, std::size_t> launches_;
 };
 

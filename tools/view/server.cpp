@@ -23,9 +23,9 @@ namespace {
 using boost::asio::ip::tcp;
 using ErrorCode = boost::system::error_code;
 
-// Time to wait after the system has no free file descriptor.
+// Pause before the next attempt if the system has no free file descriptor.
 constexpr std::chrono::milliseconds kAcceptPause{50};
-// Interval at which close() checks whether connections are still open.
+// Interval at which close() checks whether all connections are closed.
 constexpr std::chrono::milliseconds kCloseLook{5};
 
 boost::asio::ip::address parse_address(const std::string& text) {
@@ -64,7 +64,7 @@ std::string machine_name() {
 
 struct Server::Impl {
     Hub hub;
-    /// Keeps the thread of the server running while no connection is open.
+    /// Keeps the thread of the server running even if no connection is open.
     boost::asio::executor_work_guard<boost::asio::io_context::executor_type> busy =
         boost::asio::make_work_guard(hub.io);
     tcp::acceptor acceptor;
@@ -116,7 +116,7 @@ void Server::close(std::chrono::milliseconds patience) {
         ErrorCode ignored;
         impl.acceptor.close(ignored);
         // Copies the list, because a session that ends immediately removes itself from
-        // the list.
+        // the original list.
         const auto clients = impl.hub.clients;
         for (const auto& [id, client] : clients)
             if (const auto session = client.lock()) session->leave();

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// A small HTTP and WebSocket server for one page. It serves a fixed table of assets, and
-// text and binary messages on one WebSocket. It does not depend on LiDAR code and never
-// opens a file. Rules of access:
+// A small HTTP and WebSocket server for one web page. It serves a fixed list of files
+// from memory, and exchanges text and binary messages on one WebSocket. It does not
+// depend on LiDAR code and never opens a file. Access rules:
 // - On a loopback address, every user of this machine has access. On other addresses,
-//   clients must present the token: once in the URL, then as a cookie.
+//   clients must send the access token: first in the URL, then as a cookie.
 // - The Host header must be an IP address, "localhost" or the name of this machine,
 //   because other names allow DNS rebinding.
-// - Requests whose Origin is not this server are refused.
+// - Requests whose Origin header names another server are rejected.
 //
-// All resources are bounded: connections, bytes of headers and messages, time for a
+// All resources are limited: connections, bytes of headers and messages, time for a
 // request, and messages queued for a slow client.
 #pragma once
 
@@ -23,25 +23,28 @@
 
 namespace relidar::view {
 
-/// A file of the page. A client receives it if the client requests exactly this path.
+/// A file of the web page. The server sends it if a client requests exactly this path.
 struct Asset {
-    std::string_view path;  ///< Path in the URL, such as "/main.js". The path "/" is the page.
+    std::string_view path;  ///< Path in the URL, such as "/main.js". The path "/" is the start page.
     std::string_view type;  ///< Value of the header Content-Type.
     std::string_view body;
 };
 
 struct ServerOptions {
     std::string address = "127.0.0.1";  ///< Literal IPv4 or IPv6 address to listen on.
-    int port = 8080;                    ///< Port to listen on. 0 selects a free port.
-    /// Access token that every request must contain. If it is empty, no token is needed.
+    int port = 8080;                    ///< TCP port to listen on. The value 0 selects a free port.
+    /// Access token that every request must contain. If the text is empty, no token is
+    /// needed.
     std::string token = {};
     std::span<const Asset> assets = {};
     std::size_t max_connections = 64;
     std::size_t max_header_bytes = 8192;
     /// Maximum size of a WebSocket message from a client, in bytes.
     std::size_t max_message_bytes = std::size_t(1) << 20;
-    std::chrono::milliseconds request_time{5000};  ///< Maximum time to receive a complete request.
-    /// A WebSocket is closed if its client does not answer a ping within this time.
+    /// Maximum time in which the client must send a complete request.
+    std::chrono::milliseconds request_time{5000};
+    /// Maximum time in which a client must answer a ping. After this time, its WebSocket
+    /// is closed.
     std::chrono::milliseconds idle_time{30000};
 };
 
@@ -51,12 +54,12 @@ inline constexpr std::string_view kSocketPath = "/live";
 /// Identifies one open WebSocket during its lifetime.
 using ClientId = std::uint64_t;
 
-/// Callbacks for events of WebSocket clients. They run on the thread of the server, one
-/// at a time. They must not throw.
+/// Callbacks for events of WebSocket clients. The server's thread calls them one at a
+/// time. They must not throw exceptions.
 struct Events {
     std::function<void(ClientId)> opened;
-    /// Called for each text message of a client. Its size is at most max_message_bytes.
-    /// Binary messages are refused.
+    /// Called for each text message of a client. The message has at most
+    /// max_message_bytes bytes. Binary messages are rejected.
     std::function<void(ClientId, std::string)> message;
     std::function<void(ClientId)> closed;
 };
@@ -66,25 +69,24 @@ public:
     /// Starts to listen and to answer requests.
     /// @throws UsageError if the address or the port is not available
     Server(const ServerOptions& options, Events events);
-    /// Closes all connections immediately. Call close() first to send the queued
-    /// messages.
+    /// Closes all connections immediately. Call close() first, if queued messages should
+    /// still be sent.
     ~Server();
     Server(const Server&) = delete;
     Server& operator=(const Server&) = delete;
 
     int port() const;
-    /// Returns the URL of the page for a browser on this machine. It includes the access
-    /// token.
+    /// Returns the URL of the web page for a browser on this machine. The URL contains
+    /// the access token.
     std::string url() const;
 
-    /// Sends a text to a client. Does nothing if the client has disconnected. Any thread
-    /// may call it.
+    /// Sends a text to a client. Does nothing if the client has disconnected. May be
+    /// called by any thread.
     void send_text(ClientId client, std::string text);
-    /// Sends a binary message to a client. If an earlier binary message is still queued,
-    /// it is replaced, because only the newest scan matters.
+    /// Sends a binary message to a client. The message replaces an older binary message
+    /// that is still queued, because only the newest scan matters.
     void send_newest(ClientId client, std::string bytes);
-    /// Rejects new connections. Closes each WebSocket after its queued messages were
-    /// sent.
+    /// Rejects new connections. Closes each WebSocket after its queued messages are sent.
     /// @param patience longest time to wait until the messages are sent
     void close(std::chrono::milliseconds patience);
 
@@ -93,7 +95,7 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Checks the address at which the server will listen.
+/// Checks the network address on which the server will listen.
 /// @throws UsageError if the text is not an IP address
 void check_address(const std::string& address);
 

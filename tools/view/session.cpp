@@ -11,8 +11,8 @@ namespace {
 
 using Json = nlohmann::json;
 
-// Maximum number of queued requests of a browser tab, except scans. A person cannot click
-// fast enough to exceed it.
+// Maximum number of queued requests of a browser tab, not counting scans. A user cannot
+// click so fast that this limit is exceeded.
 constexpr std::size_t kMaxWaiting = 4;
 
 const char* about(const Request& request) {
@@ -72,8 +72,8 @@ void Session::receive(TabId id, const std::string& message) {
     arrived_.notify_one();
 }
 
-/// Returns the most urgent job of a browser tab, or no value if the tab has no job. The
-/// caller must hold the lock.
+/// Returns the most urgent job of a browser tab. Returns no value if the tab has no job.
+/// The caller must hold the mutex.
 std::optional<Session::Job> Session::job_of(TabId id, const std::shared_ptr<Tab>& tab) {
     if (!tab->greeted) {
         tab->greeted = true;
@@ -112,8 +112,8 @@ std::optional<Session::Job> Session::job_of(TabId id, const std::shared_ptr<Tab>
     return {};
 }
 
-/// Returns a job of the next browser tab that has one. Starts after the tab that was
-/// served last, so that all tabs are served in turn.
+/// Returns a job of a browser tab. The search starts after the tab of the previous job,
+/// so that all tabs are served in turn.
 std::optional<Session::Job> Session::next_job(std::chrono::milliseconds patience) {
     std::optional<Job> job;
     const auto look = [&] {
@@ -145,8 +145,8 @@ bool Session::work(std::chrono::milliseconds patience) {
     try {
         job->run();
     } catch (const DeviceError&) {
-        // Without a device, no browser tab can receive a scan. The error therefore ends
-        // the viewer.
+        // A device error ends the viewer, because no browser tab can receive a scan
+        // without a device.
         throw;
     } catch (const Error& error) {
         refuse(job->id, job->about, error.what());
@@ -163,7 +163,8 @@ Json Session::answer(TabCache& cache, const Request& request) const {
 }
 
 Json Session::save(const SaveRequest& wish) const {
-    // Throws an error for invalid edits before the folder is created.
+    // Applies the edits before the folder is created, so that invalid edits leave no
+    // folder behind.
     Run run = edited_run(scanner_.run(), scanner_.others(), wish.edits);
     const std::filesystem::path folder = save_folder_ / wish.name;
     std::error_code failed;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Connects many browser tabs to one renderer. Messages arrive on the thread of the
-// server. The thread that calls work() renders, and only this thread uses the device. For
-// each tab, only the newest requested scan is rendered. Tabs are served in turn.
+// Connects many browser tabs to one renderer. Messages arrive on the server's thread.
+// Only the thread that calls work() uses the device. Each tab receives only the newest
+// scan that it has requested. Tabs are served in turn.
 #pragma once
 
 #include <chrono>
@@ -23,7 +23,7 @@ namespace relidar::view {
 
 using TabId = std::uint64_t;
 
-/// Callbacks that send answers to browser tabs. Only work() calls them. Texts are JSON
+/// Callbacks that send responses to browser tabs. Only work() calls them. Texts are JSON
 /// objects with a "kind": hello (Scanner::describe), log {state, why}, sensor {name,
 /// rows, columns, rays}, ground {of, from, at}, saved {folder}, error {about, text}
 struct Answers {
@@ -35,7 +35,7 @@ struct Answers {
 class Session {
 public:
     /// Creates the session of a run.
-    /// @param others other runs, whose actors can be inserted into this run
+    /// @param others other runs, whose actors the user can insert into this run
     /// @param save_folder folder in which edited runs are saved
     Session(Run run, OtherRuns others, Device& device, std::filesystem::path save_folder, Answers answers);
 
@@ -54,15 +54,15 @@ public:
 private:
     struct Tab {
         bool greeted = false;
-        /// State of reading the log that was last sent to the browser tab.
+        /// Last state of the log reader that was sent to the browser tab.
         RealScans::State told = RealScans::State::loading;
         /// Newest scan that the browser tab has requested and that is not rendered yet.
         std::optional<LiveScanRequest> scan = {};
-        /// Pending requests that are not scans: sensor files, positions on the ground,
-        /// and runs to save.
+        /// Queued requests that are not scans: sensor files, positions on the ground, and
+        /// runs to save.
         std::deque<Request> others = {};
-        std::optional<std::string> refused = {};  ///< Reason why the last message was invalid.
-        TabCache cache = {};                      ///< State of the tab that only the rendering thread uses.
+        std::optional<std::string> refused = {};  ///< Reason why the last message of the tab was invalid.
+        TabCache cache = {};  ///< State of the tab that only the render thread uses, without the mutex.
     };
     struct Job {
         TabId id;
@@ -79,11 +79,11 @@ private:
     Scanner scanner_;
     const std::filesystem::path save_folder_;
     const Answers answers_;
-    std::mutex mutex_;  ///< Protects the members below, except the caches.
+    std::mutex mutex_;  ///< Protects the members below. The caches of the tabs need no protection.
     std::condition_variable arrived_;
     std::map<TabId, std::shared_ptr<Tab>> tabs_;
     TabId last_served_ = 0;
-    bool deaf_ = false;  ///< True after finish() was called. New messages are then ignored.
+    bool deaf_ = false;  ///< True after finish() was called, so that new messages are ignored.
 };
 
 }  // namespace relidar::view

@@ -11,19 +11,20 @@ namespace relidar::view {
 
 namespace websocket = boost::beast::websocket;
 
-// Maximum number of queued messages. If more messages wait for a slow client, the client
-// is disconnected.
+// Maximum number of queued messages for a client. A client that is too slow to receive
+// them is disconnected.
 constexpr std::size_t kMaxWaiting = 64;
 
 SocketSession::SocketSession(boost::beast::tcp_stream stream, Counted counted, Hub& hub)
     : hub_(hub), counted_(std::move(counted)), stream_(std::move(stream)) {
-    // Turns off this timer, because the WebSocket stream has its own timer.
+    // Turns off the timer of the TCP stream, because the WebSocket stream has its own
+    // timer.
     stream_.next_layer().expires_never();
     websocket::stream_base::timeout limits{hub.options.request_time, hub.options.idle_time, true};
     stream_.set_option(limits);
     stream_.read_message_max(hub.options.max_message_bytes);
-    // Sends each message as one frame. Splitting it into fragments of 4 kB would have no
-    // use, because no other message is sent between them.
+    // Sends each message as one WebSocket frame. Fragments of 4 kB would be useless,
+    // because the server sends no other message between them.
     stream_.auto_fragment(false);
 }
 
@@ -43,8 +44,8 @@ void SocketSession::read() {
 }
 
 void SocketSession::on_read(Error failed) {
-    // The client has disconnected, or it has sent an invalid or too large frame. In the
-    // second case the stream has already sent the error code.
+    // The client has disconnected, or it has sent an invalid or too large message. For an
+    // invalid message, the stream has already sent the error code.
     if (failed) return finish();
     if (!stream_.got_text()) return refuse();
     std::string text = boost::beast::buffers_to_string(incoming_.data());
@@ -55,7 +56,9 @@ void SocketSession::on_read(Error failed) {
 
 void SocketSession::send(std::string bytes, bool is_text, bool newest_only) {
     if (id_ == 0 || refused_) return;
-    if (newest_only) {  // Keeps the first message, because it is already being written.
+    // Removes older scans from the queue. Keeps the first message, because it is already
+    // being written.
+    if (newest_only) {
         const auto stale = [](const Message& m) { return m.newest_only; };
         if (outgoing_.size() > 1)
             outgoing_.erase(std::remove_if(outgoing_.begin() + 1, outgoing_.end(), stale), outgoing_.end());
@@ -95,8 +98,8 @@ void SocketSession::close_with_reason(std::uint16_t code, const char* why) {
                         [self = shared_from_this()](Error) { self->finish(); });
 }
 
-/// Closes the connection to a client that sent an invalid message. Waits until the
-/// current write has finished.
+/// Closes the connection to a client that has sent an invalid message. Waits until the
+/// current write is finished.
 void SocketSession::refuse() {
     refused_ = true;
     if (!outgoing_.empty()) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Serves one WebSocket connection. Receives texts, and sends texts and binary messages
-// one after the other. Only the server includes this header.
+// Serves one WebSocket connection. It receives text messages, and sends text and binary
+// messages one after the other.
 #pragma once
 
 #include <cstdint>
@@ -21,10 +21,10 @@ namespace relidar::view {
 class SocketSession : public std::enable_shared_from_this<SocketSession> {
 public:
     SocketSession(boost::beast::tcp_stream stream, Counted counted, Hub& hub);
-    /// Answers the WebSocket handshake. Then reads messages until the client disconnects.
+    /// Accepts the WebSocket handshake. Then reads messages until the client disconnects.
     void start(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade);
     void send(std::string bytes, bool is_text, bool newest_only);
-    /// Closes the connection after all queued messages were sent.
+    /// Closes the connection after all queued messages are sent.
     void leave();
 
 private:
@@ -47,8 +47,8 @@ private:
     Counted counted_;
     boost::beast::websocket::stream<boost::beast::tcp_stream> stream_;
     boost::beast::flat_buffer incoming_;
-    std::deque<Message> outgoing_;  ///< Queued messages. The first message is being written.
-    /// Id of the client. It is 0 before the handshake and after the connection was
+    std::deque<Message> outgoing_;  ///< Queued messages. The first message is already being written.
+    /// Id of the client. The value is 0 before the handshake and after the connection is
     /// closed.
     ClientId id_ = 0;
     bool refused_ = false;

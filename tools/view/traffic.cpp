@@ -19,8 +19,8 @@ namespace {
 
 constexpr double kRadians = kPi / 180.0;
 
-/// Returns yaw, pitch and roll of a rotation in radians. It is the inverse of
-/// rotation_of().
+/// Returns the yaw, pitch and roll of a rotation in radians. The function rotation_of()
+/// is its inverse.
 glm::dvec3 yaw_pitch_roll(const glm::dquat& rotation) {
     const glm::dmat3 m = glm::mat3_cast(rotation);
     return {std::atan2(m[0][1], m[0][0]), std::asin(std::clamp(-m[0][2], -1.0, 1.0)),
@@ -45,7 +45,7 @@ DrivingScene with_moves(DrivingScene driving, const ActorEdits& edits) {
     return driving;
 }
 
-/// Returns only the tracks and instances of a run, without its scans and surfels.
+/// Returns only the tracks and object instances of a run, without scans and surfels.
 DrivingScene layout(const Run& run) {
     DrivingScene driving{layout_of(run.scene), run.sequence};
     for (Model& model : driving.scene.models) model.first = model.count = 0;
@@ -63,8 +63,8 @@ const Run& run_called(const std::string& name, const OtherRuns& others) {
 }
 
 /// Adds the copied actors to a scene.
-/// @param scene_of returns the needed part of another run: only its tracks and instances,
-/// or also its surfels
+/// @param scene_of function that returns the needed data of another run: tracks and
+/// instances, with or without surfels
 DrivingScene copied(DrivingScene driving, const OtherRuns& others,
                     const std::vector<ActorEdits::Copy>& copies, DrivingScene (*scene_of)(const Run&)) {
     for (const ActorEdits::Copy& copy : copies) {
@@ -79,13 +79,13 @@ DrivingScene copied(DrivingScene driving, const OtherRuns& others,
 
 void check_known(const DrivingScene& driving, const std::set<std::string>& tracks) {
     const std::vector<std::string> names(tracks.begin(), tracks.end());
-    // Throws an error for an unknown name. The error message suggests the most similar
+    // Throws an error if a name is unknown. The error message suggests the most similar
     // name.
     (void)select_instances(driving.scene, names);
 }
 
-/// Converts the edits to the form that `relidar edit` uses. The saved run stores them as
-/// its history.
+/// Converts the edits to the history that `relidar edit` also writes. The saved run
+/// contains this history.
 std::vector<RunEdit> history(const Run& run, const OtherRuns& others, const ActorEdits& edits) {
     const auto folder_of = [](const Run& r) {
         return std::filesystem::absolute(r.folder).lexically_normal().string();

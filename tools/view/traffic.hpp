@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Applies the edits of one browser tab to the actors of a run.
+// Applies the edits that a user has made in one browser tab to the actors of a run.
 #pragma once
 
 #include <map>
@@ -18,34 +18,36 @@ struct Run;
 
 namespace relidar::view {
 
-/// Other runs whose actors can be inserted. The key is the name of the run on the page.
+/// Other runs whose actors the user can insert. The key is the name of the run on the web
+/// page.
 using OtherRuns = std::map<std::string, Run>;
 
-/// Adds copies of actors to a scene. The actors belong to this run or to other runs.
-/// Moves and removals are not applied here, because they do not change the surfels.
+/// Adds copies of actors to a scene. The original actors belong to this run or to other
+/// runs. Moves and removals are not applied here, because they do not change the surfels.
 /// @throws UsageError if a run or track is unknown
 DrivingScene with_copies(DrivingScene driving, const OtherRuns& others,
                          const std::vector<ActorEdits::Copy>& copies);
 
-/// Returns a copy of an actor that stands on the ground at the clicked position.
+/// Returns a copy of an actor that stands on the ground at the position where the user
+/// has clicked.
 /// @throws UsageError if there is no ground at this position
 ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& others, const GroundRequest& wish);
 
-/// The actors of a run after some edits. Uses only tracks and instances, not surfels.
+/// The actors of a run after all edits. The object stores tracks and instances, but no
+/// surfels.
 class Traffic {
 public:
     /// Applies the edits to the tracks of a run.
-    /// @throws UsageError if a track is unknown, like the functions of
-    /// <relidar/run/edit.hpp>
+    /// @throws UsageError if a track is unknown
     Traffic(const Run& run, const OtherRuns& others, const ActorEdits& edits);
 
     const ActorEdits& edits() const { return edits_; }
     const std::vector<Instance>& instances() const { return driving_.scene.instances; }
-    /// Returns the poses of all visible actors at a time, in the dataset's world frame.
-    /// They have the format of ScanRequest::dataset_from_actor.
+    /// Returns the poses of all visible actors at time `time_s`, in the world frame of
+    /// the dataset. The result can be assigned to ScanRequest::dataset_from_actor.
     ActorPoses placed(double time_s) const;
-    /// Returns a JSON list of all actors, including hidden ones: [{track, category, size,
-    /// present, pose}].
+    /// Returns a JSON list of all actors, including hidden actors: [{track, category,
+    /// size, present, pose}].
     nlohmann::json describe(double time_s) const;
 
 private:
@@ -57,8 +59,8 @@ private:
     ActorEdits edits_;
 };
 
-/// Returns the run after all edits. Hidden actors are not removed. The history of the new
-/// run lists the edits.
+/// Returns the run after all edits. Hidden actors stay in the run. The history of the new
+/// run contains the edits.
 Run edited_run(const Run& run, const OtherRuns& others, const ActorEdits& edits);
 
 }  // namespace relidar::view

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts scans to messages with Foxglove's protobuf schemas. Also writes the
-// descriptors that readers need to decode the messages.
+// Converts scans to Foxglove's protobuf messages. Also writes the descriptors that
+// readers need to decode these messages.
 #include "recording_format.hpp"
 
 #include <initializer_list>
@@ -49,8 +49,8 @@ constexpr const char *kTimestamp = ".google.protobuf.Timestamp", *kDuration = ".
 constexpr const char *kPose = ".foxglove.Pose", *kVector = ".foxglove.Vector3",
                      *kQuaternion = ".foxglove.Quaternion";
 
-/// Message types of the schema. Primitives that are never written have no fields. They
-/// are declared because readers expect their empty lists.
+/// Message types of the Foxglove schema. Shapes that relidar never writes have no fields,
+/// but they are declared, because readers expect an empty list for each shape.
 const std::initializer_list<MessageType> kMessages = {
     {"Vector3", {{1, "x", kDouble}, {2, "y", kDouble}, {3, "z", kDouble}}},
     {"Quaternion", {{1, "x", kDouble}, {2, "y", kDouble}, {3, "z", kDouble}, {4, "w", kDouble}}},
@@ -113,7 +113,7 @@ const std::initializer_list<EnumType> kEnums = {
     {"SceneEntityDeletionType", {"MATCHING_ID", "ALL"}},
 };
 
-/// Time types of google.protobuf, which hold seconds and nanoseconds.
+/// Time types of google.protobuf. Each type stores seconds and nanoseconds.
 const std::initializer_list<MessageType> kTimes = {
     {"Timestamp", {{1, "seconds", kInt64}, {2, "nanos", kInt32}}},
     {"Duration", {{1, "seconds", kInt64}, {2, "nanos", kInt32}}},
@@ -207,8 +207,8 @@ const PointField kPointFields[] = {{"x", 0, kFloat32},     {"y", 4, kFloat32},
                                    {"z", 8, kFloat32},     {"intensity", 12, kFloat32},
                                    {"time", 16, kFloat32}, {"instance", 20, kInt32Number},
                                    {"ring", 24, kUint16},  {"return", 26, kUint8}};
-// Bytes per point. This is a multiple of 4, so that floats are aligned. Optional channels
-// follow.
+// Number of bytes per point without optional channels. It is a multiple of 4, so that
+// floats are aligned.
 constexpr std::uint32_t kStride = 28;
 
 std::vector<PointField> fields_of(const Points& cloud) {
@@ -256,7 +256,7 @@ std::string points(const Points& cloud, const std::string& frame) {
     return bytes;
 }
 
-/// Returns a foxglove.FrameTransforms message with one transform.
+/// Returns a foxglove.FrameTransforms message that contains one transform.
 std::string frame_transform(std::uint64_t time_ns, const std::string& parent, const std::string& child,
                             const Pose& parent_from_child) {
     std::string all, bytes;
@@ -275,7 +275,7 @@ std::string box(const RecordedActor& actor) {
     pbf_writer writer(bytes);
     writer.add_message(1, pose_message(actor.faced.world_from_box));
     writer.add_message(2, vector(actor.size_m));
-    // a translucent orange, so that the points inside the box stay visible
+    // A translucent orange, so that the points inside the box stay visible.
     writer.add_message(3, numbers({1.0, 0.6, 0.1, 0.3}));
     return bytes;
 }
@@ -291,11 +291,12 @@ std::string key_value(const char* key, const std::string& value) {
 /// Formats a vector as "x y z".
 std::string vector_text(const glm::dvec3& v) { return fmt::format("{:.6g} {:.6g} {:.6g}", v.x, v.y, v.z); }
 
-/// Returns a foxglove.SceneUpdate message with the boxes of the actors. The boxes replace
-/// all earlier boxes. Each box has its own time. Velocities are in the world frame.
+/// Returns a foxglove.SceneUpdate message with the boxes of the actors. These boxes
+/// replace all earlier boxes. Each box has its own time stamp. Velocities are in the
+/// world frame.
 std::string boxes(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
-    // SceneEntityDeletionType ALL. It also removes the boxes of actors that are no longer
-    // present.
+    // Value ALL of SceneEntityDeletionType. It removes all earlier boxes, also of actors
+    // that have disappeared.
     constexpr int kAll = 1;
     std::string bytes, all;
     pbf_writer writer(bytes), deletion(all);
@@ -337,9 +338,9 @@ std::vector<RecordedMessage> moving_transforms(const RecordedMoment& moment) {
     return messages;
 }
 
-/// Returns the poses of the sensors on the vehicle. They are written with every scan, so
-/// that a player that starts in the middle of the file receives them. Several
-/// concatenated protobuf messages are read as one message with all transforms.
+/// Returns the poses of the sensors on the vehicle. These poses are written with every
+/// scan, so that a player that starts in the middle of the file receives them. The
+/// concatenated protobuf messages form one message with all transforms.
 std::vector<RecordedMessage> mountings(const RecordedRig& rig, const RecordedMoment& moment) {
     std::string bytes;
     for (const RecordedSensor& sensor : rig.sensors)

@@ -13,19 +13,22 @@
 namespace relidar::scan_files {
 namespace {
 
-constexpr double kLatest_s = 2147483647.0;  // latest time of a ROS stamp, whose seconds have 31 bits
-// Interval between recorded poses. Readers interpolate between poses. For a sensor 2 m
-// from the vehicle's origin that turns with 1 rad/s, the interpolation error is 0.03 mm.
+// Latest time of a ROS time stamp, whose seconds have 31 bits.
+constexpr double kLatest_s = 2147483647.0;
+// Interval between recorded poses in seconds. Readers interpolate between two poses. The
+// interpolation error is 0.03 mm for a sensor that is 2 m from the vehicle's origin and
+// turns with 1 rad/s.
 constexpr double kPoseStep_s = 0.01;
 constexpr double kVelocityStep_s = 0.005;
 
-/// Returns the pose of the sensor at a time of the log, in the dataset's world frame.
+/// Returns the pose of the sensor at time `time_s` of the log, in the world frame of the
+/// dataset.
 Pose sensor_pose(const RenderedScan& scan, double time_s) {
     return scan.track.pose.empty() ? scan.world_from_sensor : scan.track.at(time_s);
 }
 
-/// Returns the velocity of an object, computed by central differences.
-/// @param world_from_thing returns the pose of the object at a time
+/// Returns the velocity of an object, computed by central differences of its poses.
+/// @param world_from_thing returns the pose of the object at a given time
 template <class PoseAt>
 Velocity velocity_of(const PoseAt& world_from_thing, double time_s) {
     const Twist twist =
@@ -36,22 +39,23 @@ Velocity velocity_of(const PoseAt& world_from_thing, double time_s) {
             thing_from_world * glm::dvec3(twist[3], twist[4], twist[5]) / span_s};
 }
 
-/// Subset of the rays of a scan, spread evenly over the scan.
+/// A subset of the rays of a scan. The rays are spread evenly over the scan.
 class SampledRays {
 public:
     explicit SampledRays(const RenderedScan& scan) : scan_(scan) {
         constexpr std::size_t kMost = 4096;
-        // Uses an odd step, so that the selected columns differ between rows.
+        // The step is odd, so that the selected columns differ between the rows.
         const std::size_t n = scan.image.direction.size(), step = (n / kMost) | 1;
         for (std::size_t i = 0; i < n; i += step)
             rays_.push_back({scan.image.direction[i], scan.time_offset_s[i]});
     }
-    /// Returns the firing time of the ray that passes closest to a point.
-    /// @param place_m returns the position of the point at a time, in the dataset's world
-    /// frame
+    /// Returns the firing time of the ray that passes closest to a moving point.
+    /// @param place_m returns the position of the point at a given time, in the world
+    /// frame of the dataset
     template <class PlaceAt>
     double faced_at(const PlaceAt& place_m) const {
-        // Iterates, because the point and the sensor move while the head rotates.
+        // Number of iterations. Each new firing time changes the positions of the point
+        // and the sensor, so the search is repeated.
         constexpr int kRounds = 3;
         double time_s = scan_.time_s;
         for (int round = 0; round < kRounds && !rays_.empty(); ++round) {
@@ -71,8 +75,8 @@ private:
     std::vector<Ray> rays_;
 };
 
-/// Adds times between two limits at intervals of kPoseStep_s. Also adds the times of a
-/// track's poses between these limits.
+/// Adds times from `first_s` to `last_s` at intervals of kPoseStep_s. Also adds the times
+/// of all poses of a track between these limits.
 void add_times(std::vector<double>& times_s, const PoseTrack& track, double first_s, double last_s) {
     const int n = std::max(1, static_cast<int>(std::ceil((last_s - first_s) / kPoseStep_s)));
     for (int i = 0; i <= n; ++i) times_s.push_back(i == n ? last_s : first_s + (last_s - first_s) * i / n);
@@ -134,7 +138,8 @@ RecordedMoment MomentRecorder::take(std::span<const RenderedScan> scans) {
 }
 
 /// Returns the poses of the vehicle at the given times.
-/// @param scan scan of the first sensor, whose track defines the track of the vehicle
+/// @param scan scan of the first sensor; the path of the vehicle is computed from this
+/// sensor's path
 std::vector<RecordedPose> MomentRecorder::poses(const RenderedScan& scan, std::vector<double> times_s) {
     std::ranges::sort(times_s);
     const Pose sensor_from_vehicle = inverse(rig().sensors.front().vehicle_from_sensor);
@@ -142,7 +147,7 @@ std::vector<RecordedPose> MomentRecorder::poses(const RenderedScan& scan, std::v
     std::vector<RecordedPose> poses;
     for (const double t_s : times_s) {
         const std::uint64_t time_ns = stamp(t_s);
-        // Skips times for which an overlapping earlier sweep already wrote a pose.
+        // Skips a time for which a pose is already written, because sweeps can overlap.
         if (last_pose_ns_ && time_ns <= *last_pose_ns_) continue;
         poses.push_back({time_ns, world_from_vehicle(t_s), velocity_of(world_from_vehicle, t_s)});
         last_pose_ns_ = time_ns;
@@ -159,8 +164,8 @@ Points MomentRecorder::cloud(const RenderedScan& scan, const ScanFormat& format,
     return points;
 }
 
-/// Returns the boxes of the actors that are present during a scan, in the dataset's world
-/// frame.
+/// Returns the boxes of the actors that are present during a scan, in the world frame of
+/// the dataset.
 std::vector<RecordedActor> MomentRecorder::actors(const RenderedScan& scan, double stamp_s) const {
     const SampledRays rays(scan);
     std::vector<RecordedActor> actors;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts scans to the poses, points and boxes that a recording stores.
+// Converts scans to the vehicle poses, points and actor boxes that a recording stores.
 #pragma once
 
 #include <cstdint>
@@ -13,18 +13,19 @@
 
 namespace relidar::scan_files {
 
-/// Converts scans to moments, in order of time. A moment holds everything that a
-/// recording stores for scans at the same time: poses, points and boxes.
+/// Converts scans to the data of a recording, in order of time. A RecordedMoment contains
+/// the poses, points and boxes of all scans at the same time.
 class MomentRecorder {
 public:
     explicit MomentRecorder(std::vector<ScanFormat> sensors) : sensors_(std::move(sensors)) {}
     RecordedRig rig() const;
-    /// Converts the scans of all sensors that were made at the same time.
+    /// Converts the scans of all sensors at the same time.
     /// @param scans one scan per sensor
     /// @throws DataError if times decrease, or if the file format cannot represent them
     RecordedMoment take(std::span<const RenderedScan> scans);
     /// Returns the number of whole seconds that is added to the times of the log, because
-    /// times in files cannot be negative. The first scan determines this offset.
+    /// times in files cannot be negative. The time of the first scan determines this
+    /// number.
     double shift_s() const { return shift_s_.value_or(0.0); }
 
 private:
@@ -33,7 +34,7 @@ private:
     };
     std::vector<ScanFormat> sensors_;
     std::optional<double> shift_s_;
-    double last_scan_s_ = 0.0;  ///< in the log's time
+    double last_scan_s_ = 0.0;  ///< time of the previous scan in the log
     std::optional<std::uint64_t> last_pose_ns_;
 
     std::uint64_t stamp(double time_s) const;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the packets of all sensors of a rendering as captures: packets.pcap, or for the
-// sensors of a rig packets_NAME.pcap. The calibration that drivers need has the same name
-// and the ending .csv or .json.
+// Writes the network packets of all sensors as capture files. The name is packets.pcap,
+// or packets_NAME.pcap for each sensor of a rig. A file with the same name and the
+// extension .csv or .json contains the calibration that drivers need.
 #pragma once
 
 #include <filesystem>
@@ -13,15 +13,15 @@
 
 namespace relidar::scan_files {
 
-/// Name of the format that stores packets.
+/// Name of the output format that contains network packets.
 inline constexpr const char* kPacketFormat = "pcap";
 
 class PacketFiles {
 public:
-    /// Creates the captures with temporary names.
-    /// @throws UsageError if packets of a sensor cannot be written
+    /// Creates the capture files under temporary names.
+    /// @throws UsageError if relidar cannot write packets of a sensor
     PacketFiles(std::filesystem::path folder, const std::vector<ScanFormat>& sensors);
-    /// Removes the captures if finish() was not called.
+    /// Removes the temporary files if finish() was not called.
     ~PacketFiles();
     PacketFiles(const PacketFiles&) = delete;
     PacketFiles& operator=(const PacketFiles&) = delete;
@@ -29,7 +29,7 @@ public:
     void add(std::span<const RenderedScan> scans);
     void finish();
     std::vector<std::string> names() const;
-    /// Returns true if a file may be a file of this class.
+    /// Returns true if this class may have written a file with this name.
     static bool is_file(const std::filesystem::path& name);
 
 private:

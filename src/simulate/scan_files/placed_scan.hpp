@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Transforms the rays of a scan to the coordinate frame in which files store them.
+// Transforms the rays of a scan to the coordinate frame of the output files.
 #pragma once
 
 #include <optional>
@@ -21,18 +21,20 @@ struct PlacedScan {
     const ScanFormat& format;
     int frame;                                 ///< frame number of the dataset
     std::vector<glm::vec3> origin, direction;  ///< [n] in the frame of the file
-    /// [n] end points of the rays in the frame of the file, see PointsOf::rays
+    /// [n] end points of the rays in the frame of the file (see PointsOf::rays)
     std::vector<glm::vec3> end_m;
     /// optional channels with [n] values each; vectors are in the frame of the file
     std::vector<ScanChannel> channels;
     FileNotes notes;
-    std::optional<Pose> dataset_from_points;  ///< frame of the points, see place_points()
+    /// pose of the frame of the points in the world frame of the dataset; no value if
+    /// each point is in the sensor's frame at its firing time
+    std::optional<Pose> dataset_from_points;
 
     const RangeImage& image() const { return scan.image; }
 };
 
-/// Calls visit(info, values) for each channel that files store, in the order of the
-/// files. Stores second returns as the channels range_2 and intensity_2.
+/// Calls visit(info, values) for each channel that files contain, in the order of the
+/// files. Second returns are stored as the channels range_2 and intensity_2.
 template <class Visit>
 void for_each_file_channel(const PlacedScan& placed, Visit&& visit) {
     const RenderedScan& scan = placed.scan;
@@ -55,20 +57,20 @@ void for_each_file_channel(const PlacedScan& placed, Visit&& visit) {
     }
 }
 
-/// Transforms the rays of a scan to the coordinate frame that the format selects.
-/// @param world_from_deskewed pose of the frame of deskewed points
+/// Transforms the rays of a scan to the coordinate frame that the output format selects.
+/// @param world_from_deskewed pose of the frame of motion-compensated points
 /// @param notes metadata of the files
-/// @throws DataError as check_channels()
+/// @throws DataError if a channel is invalid, as check_channels()
 PlacedScan place(const RenderedScan& scan, const ScanFormat& format, const Pose& world_from_deskewed,
                  int frame, FileNotes notes = {});
 
-/// Returns the pose of the frame in which points are stored, as the format selects.
-/// Returns nothing if each point stays in the sensor's frame at its firing time.
-/// @param world_from_deskewed pose of the frame of deskewed points
+/// Returns the pose of the frame in which the output format stores points. Returns no
+/// value if each point stays in the sensor's frame at its firing time.
+/// @param world_from_deskewed pose of the frame of motion-compensated points
 std::optional<Pose> frame_of_points(const ScanFormat& format, const Pose& world_from_deskewed);
 /// Returns one point for each return of the scan.
 Points points_of(const PlacedScan& placed);
-/// Returns the number of rays that return.
+/// Returns the number of rays that have a return.
 std::size_t count_points(const RenderedScan& scan, const Config& config);
 
 }  // namespace relidar::scan_files

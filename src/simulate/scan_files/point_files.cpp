@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes point clouds as PLY (binary little-endian), PCD 0.7 (binary) and KITTI .bin. PLY
-// and PCD files have different headers, but the same packed records. KITTI files have
-// neither a header nor extra fields. Fields have the names and types that readers of
-// spinning LiDARs expect: intensity, ring (uint16), time (float32, seconds).
+// and PCD files contain the same packed points after different headers. KITTI files have
+// no header and no additional fields. Fields have the names and types that readers of
+// LiDAR data expect: intensity, ring (uint16), time (float32, seconds).
 #include <relidar/simulate/point_files.hpp>
 
 #include <algorithm>
@@ -19,8 +19,8 @@
 namespace relidar {
 namespace {
 
-/// A field of a record, with its types in PLY and PCD. PLY has two names for the 16-bit
-/// type, ushort and uint16. This uses uint16, because Open3D does not read ushort.
+/// A field of a point, with its types in PLY and PCD. PLY has two names for the 16-bit
+/// type, ushort and uint16. The files use uint16, because Open3D does not read ushort.
 struct Field {
     std::string name;
     const char* ply_type;
@@ -41,15 +41,15 @@ std::vector<Field> fields_of(const Points& points) {
     return fields;
 }
 
-/// Returns the name of a field in a PLY file. PLY calls normals nx, ny, nz.
+/// Returns the name of a field in a PLY file, where normals have the names nx, ny and nz.
 std::string ply_name(const std::string& name) {
     for (const char* axis : {"x", "y", "z"})
         if (name == std::string("normal_") + axis) return std::string("n") + axis;
     return name;
 }
 
-/// Checks that all arrays have one value per point. Optional arrays may be empty.
-/// @throws DataError if the length of an array is not the number of points
+/// Checks that each array has one value per point. Optional arrays may be empty.
+/// @throws DataError if an array has another length
 void check_lengths(const Points& points) {
     const auto check = [&](const char* name, std::size_t found, bool may_be_unknown = true) {
         if (found != points.size() && !(may_be_unknown && found == 0))
@@ -64,7 +64,7 @@ void check_lengths(const Points& points) {
     check_channels(points.channels, points.size(), "a point cloud");
 }
 
-/// Packs one record per point. The fields have the order of fields_of().
+/// Packs the fields of each point into bytes, in the order of fields_of().
 std::string packed_records(const Points& points) {
     std::string bytes;
     bytes.reserve(points.size() * 26);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Defines what a recording stores for scans at the same time, independent of the message
-// format.
+// Defines what a recording stores for all scans of the same time. These types do not
+// depend on the message format.
 #pragma once
 
 #include <cmath>
@@ -25,10 +25,12 @@ struct RecordedSensor {
 };
 struct RecordedRig {
     std::vector<RecordedSensor> sensors;
-    bool world = false;  ///< true: points are in the world frame; false: in the frame of their sensor
+    /// true: points are in the world frame; false: points are in the frame of their
+    /// sensor
+    bool world = false;
 };
 
-/// Velocity of an object, along the axes of the object.
+/// Velocity of an object. The components are along the axes of the object.
 struct Velocity {
     glm::dvec3 linear_mps{0.0}, angular_radps{0.0};
 };
@@ -47,23 +49,25 @@ struct RecordedActor {
     std::string name, category;
     glm::dvec3 size_m;  ///< length, width and height
     bool is_parked = false;
-    /// State at the time when the sensor faces the actor. The box of a moving actor fits
-    /// its points only at this time.
+    /// State at the time when the sensor points at the actor. The box of a moving actor
+    /// matches its points only at this time.
     BoxState faced;
-    BoxState at_stamp;  ///< state at the time stamp of the cloud
+    BoxState at_stamp;  ///< state at the time stamp of the point cloud
 };
 
-/// Converts a time of the file from seconds to a time stamp in nanoseconds.
+/// Converts a time in seconds to a time stamp in nanoseconds.
 inline std::uint64_t stamp_of(double time_s) { return std::uint64_t(std::llround(1e9 * time_s)); }
 
 struct RecordedMoment {
     std::uint64_t first_ns, last_ns;  ///< firing times of the first and last ray of all sensors
-    /// poses in ascending order of time; all are later than the poses of earlier scans
+    /// poses in ascending order of time; all poses are later than the poses of earlier
+    /// scans
     std::vector<RecordedPose> poses;
-    /// [sensors] Points of each sensor. `time_s` is the time of the first ray, in the
-    /// time of the file. Deskewed points are in the sensor's frame at `time_s`.
+    /// [sensors] Points of each sensor. `time_s` is the firing time of the first ray, in
+    /// the time of the file. Motion-compensated points are in the sensor's frame at
+    /// `time_s`.
     std::vector<Points> clouds;
-    /// actors at the time stamp of each cloud
+    /// actors at the time stamp of each point cloud
     std::map<std::uint64_t, std::vector<RecordedActor>> actors;
 };
 

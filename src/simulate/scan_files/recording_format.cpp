@@ -4,7 +4,7 @@
 namespace relidar::scan_files {
 
 std::span<const RecordingFormat> recording_formats() {
-    // The key `serialized_metadata` exists but is empty. Therefore rosbag2 reads
+    // The metadata contain an empty key `serialized_metadata`. This makes rosbag2 read
     // quality-of-service policies as numbers, as in bags before version 9.
     static const RecordingFormat formats[] = {
         {"mcap", "scans.mcap", "", "protobuf", "protobuf", {}, foxglove_topics},

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Lists the file formats of recordings and their topics.
+// Lists the file formats of recordings and the topics that each format contains.
 #pragma once
 
 #include <cstdint>
@@ -20,28 +20,27 @@ struct RecordedMessage {
 struct RecordedTopic {
     std::string name;
     std::string type;        ///< message type
-    std::string definition;  ///< definition of the message type and of all types that it contains
+    std::string definition;  ///< definition of the message type and of all message types that it contains
     std::map<std::string, std::string> metadata;
     std::function<std::vector<RecordedMessage>(const RecordedMoment&)> messages;
 };
 
 struct RecordingFormat {
-    const char* name;  ///< name in ScanFormat::formats
+    const char* name;  ///< name of the format in ScanFormat::formats
     const char* file;
     const char* profile;  ///< MCAP profile of the file
     const char *definition_encoding, *message_encoding;
-    /// Metadata of the file that this format requires. Metadata about the rendering is
-    /// added to it.
+    /// Metadata that this format requires. The writer adds metadata about the rendering.
     std::map<std::string, std::map<std::string, std::string>> metadata;
     /// Returns the topics of a recording. Messages with the same time are written in the
-    /// order of the topics.
+    /// order of these topics.
     std::vector<RecordedTopic> (*topics)(const RecordedRig&);
 };
 
 std::span<const RecordingFormat> recording_formats();
 
-/// Return the topics of a recording: foxglove_topics() with Foxglove's schemas in
-/// protobuf, ros_topics() with ROS 2 messages in CDR.
+/// These functions return the topics of a recording. foxglove_topics() uses Foxglove's
+/// schemas in protobuf. ros_topics() uses ROS 2 messages in CDR.
 std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig);
 std::vector<RecordedTopic> ros_topics(const RecordedRig& rig);
 

@@ -11,15 +11,15 @@ namespace {
 
 using Actors = std::vector<RecordedActor>;
 
-/// Returns a message with one detection per actor. The header of a detection has the time
-/// when the sensor faces the box.
+/// Returns a message with one detection per actor. Each detection has the time at which
+/// the sensor points at the box.
 std::string detections(std::uint64_t stamp_ns, const Actors& actors) {
     Cdr cdr;
     add_header(cdr, stamp_ns, kWorldFrame);
     cdr.add(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {
         add_header(cdr, actor.faced.time_ns, kWorldFrame);
-        // Writes one class hypothesis with a score of 1.
+        // Writes one class per detection with a score of 1, because the class is known.
         cdr.add(std::uint32_t(1)).add_text(actor.category).add(1.0);
         add_pose(cdr, actor.faced.world_from_box), add_covariance(cdr);
         add_pose(cdr, actor.faced.world_from_box), add_vector(cdr, actor.size_m);
@@ -28,9 +28,9 @@ std::string detections(std::uint64_t stamp_ns, const Actors& actors) {
     return cdr.take();
 }
 
-/// Labels of autoware_perception_msgs/ObjectClassification, selected by a word in the
-/// class name of an object. The first match is used. Therefore a word is listed before
-/// the words that it contains, for example "caravan" before "car".
+/// A word in the class name of an object, and its label in
+/// autoware_perception_msgs/ObjectClassification. The first match in the list is used.
+/// Longer words are therefore listed first, for example "caravan" before "car".
 struct Label {
     const char* word;
     std::uint8_t number;
@@ -50,8 +50,8 @@ std::uint8_t label_of(std::string category) {
 }
 
 /// Adds a UUID that depends only on a name, so that an actor has the same UUID in all
-/// files. The UUID consists of two FNV-1a hashes. Its version is 8, which is for custom
-/// UUIDs.
+/// files. The UUID consists of two FNV-1a hashes. Its version is 8, which means a custom
+/// UUID.
 void add_uuid(Cdr& cdr, const std::string& name) {
     constexpr int kVersionByte = 6, kVariantByte = 8;
     std::string bytes;
@@ -67,8 +67,9 @@ void add_uuid(Cdr& cdr, const std::string& name) {
     }
 }
 
-/// Returns a message with the boxes of all actors at the time of the stamp. Objects in
-/// this message have no times of their own. Readers can extrapolate with the velocities.
+/// Returns a message with the boxes of all actors at the time of the message. The objects
+/// in this message have no times of their own. Readers can extrapolate the poses with the
+/// velocities.
 std::string tracked_objects(std::uint64_t stamp_ns, const Actors& actors) {
     constexpr std::uint8_t kOrientationAvailable = 2, kBoundingBox = 0;
     Cdr cdr;
@@ -76,11 +77,11 @@ std::string tracked_objects(std::uint64_t stamp_ns, const Actors& actors) {
     cdr.add(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {
         add_uuid(cdr, actor.name);
-        // Existence and classification have a probability of 1.
+        // Existence and class are known, so both probabilities are 1.
         cdr.add(1.0f).add(std::uint32_t(1)).add(label_of(actor.category)).add(1.0f);
         add_pose(cdr, actor.at_stamp.world_from_box), add_covariance(cdr);
         add_velocity(cdr, actor.at_stamp.velocity);
-        add_velocity(cdr, {});  // the acceleration is unknown
+        add_velocity(cdr, {});  // zero acceleration, because the acceleration is unknown
         cdr.add(kOrientationAvailable).add(std::uint8_t(actor.is_parked));
         cdr.add(kBoundingBox).add(std::uint32_t(0));  // an empty footprint
         add_vector(cdr, actor.size_m);

@@ -71,8 +71,8 @@ const std::map<std::string, std::string>& known_types() {
     return types;
 }
 
-/// Returns the message types of the fields in a definition. Leaves out numbers and
-/// strings.
+/// Returns the message types that occur as fields in a definition. Numbers and strings
+/// are left out.
 std::vector<std::string> types_in(const std::string& fields) {
     std::vector<std::string> types;
     std::istringstream lines(fields);

@@ -6,9 +6,9 @@
 
 namespace relidar::scan_files {
 
-/// Returns the fields of a message type, followed by the definitions of all types that it
-/// contains. Readers need this text to decode messages.
-/// @param type a type that this file defines, for example "nav_msgs/msg/Odometry" or
+/// Returns the definition of a message type, followed by the definitions of all types
+/// that it contains. Readers need this text to decode messages.
+/// @param type a type that the .cpp file defines, for example "nav_msgs/msg/Odometry" or
 /// "nav_msgs/Odometry"
 std::string ros_definition(const std::string& type);
 

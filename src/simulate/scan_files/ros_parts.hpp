@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the parts of ROS 2 messages that several topics use: headers, poses and
+// Writes parts of ROS 2 messages that several topics contain: headers, poses and
 // velocities.
 #pragma once
 
@@ -12,8 +12,8 @@
 namespace relidar::scan_files {
 
 constexpr std::uint64_t kNanoseconds = 1'000'000'000;  // nanoseconds per second
-// Number of elements in a covariance matrix. All are 0, because simulated poses and
-// velocities are exact.
+// Number of elements of a covariance matrix. All elements are 0, because simulated poses
+// and velocities are exact.
 constexpr int kCovariance = 36;
 
 inline void add_time(Cdr& cdr, std::uint64_t time_ns) {
@@ -37,11 +37,11 @@ inline void add_velocity(Cdr& cdr, const Velocity& velocity) {
     add_covariance(cdr);
 }
 
-/// Returns the topics with the clouds of one sensor.
+/// Returns the topics that contain the point clouds of one sensor.
 std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t sensor);
 /// Returns the topics with the boxes of the actors.
 std::vector<RecordedTopic> ros_actor_topics();
-/// Returns a topic with reliable quality of service.
+/// Returns a topic whose quality of service is "reliable".
 /// @param is_latched true if subscribers that join later receive the last message
 RecordedTopic ros_topic(const std::string& name, const std::string& type,
                         std::function<std::vector<RecordedMessage>(const RecordedMoment&)> messages,

@@ -14,12 +14,12 @@ struct RosField {
     std::uint8_t type;  ///< datatype, a constant of sensor_msgs/PointField
 };
 constexpr std::uint8_t kRosUint8 = 2, kRosUint16 = 4, kRosInt32 = 5, kRosUint32 = 6, kRosFloat32 = 7;
-/// Fields of a point, with the names that Velodyne drivers use. Optional channels follow
-/// these fields.
+/// Fields of a point, with the names that Velodyne drivers use. Optional channels are
+/// stored after these fields.
 const std::vector<RosField> kPlain = {{"x", 0, kRosFloat32},     {"y", 4, kRosFloat32},
                                       {"z", 8, kRosFloat32},     {"intensity", 12, kRosFloat32},
                                       {"time", 16, kRosFloat32}, {"ring", 20, kRosUint16}};
-/// Fields of the point type PointXYZIRCAEDT that Autoware and Nebula use.
+/// Fields of PointXYZIRCAEDT, the point type of Autoware and Nebula.
 const std::vector<RosField> kAutoware = {{"x", 0, kRosFloat32},          {"y", 4, kRosFloat32},
                                          {"z", 8, kRosFloat32},          {"intensity", 12, kRosUint8},
                                          {"return_type", 13, kRosUint8}, {"channel", 14, kRosUint16},
@@ -30,8 +30,8 @@ const std::vector<RosField> kAutoware = {{"x", 0, kRosFloat32},          {"y", 4
 enum ReturnType : std::uint8_t { kLast = 1, kStrongest = 3, kSecondStrongest = 8 };
 
 /// Returns the type of a return: strongest, last or second strongest. A second return is
-/// the last return if its range is larger than the range of the first return. Otherwise
-/// it is the second strongest.
+/// the last return if its range is larger than the range of the first return. Otherwise,
+/// the second return is the second strongest.
 ReturnType return_type(const Points& cloud, std::size_t point) {
     const bool second = !cloud.return_number.empty() && cloud.return_number[point] == 2;
     if (!second || point == 0) return kStrongest;
@@ -39,8 +39,8 @@ ReturnType return_type(const Points& cloud, std::size_t point) {
                                                                                            : kSecondStrongest;
 }
 
-/// Packs points as PointXYZIRCAEDT records. Computes angles from x y z, in radians. The
-/// azimuth is measured from the x axis to the left, the elevation upwards.
+/// Packs points as PointXYZIRCAEDT. Computes the angles in radians from x, y and z.
+/// Azimuth increases from the x axis to the left, and elevation increases upwards.
 std::string autoware_points(const Points& cloud) {
     std::string bytes;
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
@@ -67,7 +67,7 @@ std::string plain_points(const Points& cloud) {
     return bytes;
 }
 
-/// Describes how a point is packed in a cloud.
+/// Describes which fields a point cloud message has and how its points are packed.
 struct PointType {
     const std::vector<RosField>& fields;
     std::uint32_t step;  ///< bytes per point without channels
@@ -111,7 +111,7 @@ std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t 
         });
     };
     std::vector<RecordedTopic> topics{of_type(topic, kPlainType)};
-    // Writes this topic only for points in the sensor frame, because azimuth and
+    // Adds this topic only if the points are in the sensor frame, because azimuth and
     // elevation are relative to the sensor.
     if (!rig.world) topics.push_back(of_type(topic + "_xyzircaedt", kAutowareType));
     return topics;

@@ -11,8 +11,8 @@
 namespace relidar::scan_files {
 namespace {
 
-/// Returns quality-of-service settings in the format of rosbag2. Policies are written as
-/// the numbers of rmw. Durations are infinite.
+/// Returns quality-of-service settings in the format of rosbag2. The policies are
+/// numbers, as in the rmw library of ROS. All durations are infinite.
 std::string service_quality(bool is_latched) {
     constexpr int kKeepLast = 1, kReliable = 1, kTransientLocal = 1, kVolatile = 2, kAutomatic = 1;
     constexpr const char* kEndless = "\n    sec: 9223372036\n    nsec: 854775807\n";
@@ -63,7 +63,7 @@ RecordedTopic pose_topic(const char* name, const char* type, std::string (*messa
 
 /// Returns the topic /tf_static with the poses of the sensors on the vehicle. A message
 /// is written with every scan, so that a player that starts in the middle of the file
-/// receives the poses.
+/// receives these poses.
 RecordedTopic mounting_topic(const RecordedRig& rig) {
     const auto message = [rig](const RecordedMoment& moment) {
         Cdr cdr;

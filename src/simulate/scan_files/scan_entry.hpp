@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the entries of scans.json, and removes the files of an earlier rendering.
+// Writes the entries of the file scans.json, and removes the files of an earlier
+// rendering.
 #pragma once
 
 #include <cstddef>
@@ -11,15 +12,15 @@
 
 namespace relidar::scan_files {
 
-/// Returns the description of a scan in scans.json, as a JSON object.
+/// Returns the JSON object that describes one scan in scans.json.
 /// @param frame frame number
 /// @param files names of the scan's files in the folder
 std::string entry_json(int frame, const RenderedScan& scan, std::size_t n_points,
                        const std::vector<std::string>& files);
 
-/// Removes the files of an earlier rendering from a folder. Also removes partly written
-/// files of a killed process.
-/// @throws DataError for a file that cannot be removed
+/// Removes the scan files of an earlier rendering from a folder. Also removes
+/// half-written files of a killed process.
+/// @throws DataError if a file cannot be removed
 void remove_scans(const std::filesystem::path& folder);
 
 }  // namespace relidar::scan_files

@@ -30,7 +30,7 @@ using scan_files::points_of;
 
 constexpr const char* kUnits = "metres, seconds; intensity and drop_prob 0 to 1";
 
-/// Returns the 4 x 4 matrix of a pose, row by row.
+/// Returns the 4 x 4 matrix of a pose in row-major order.
 std::vector<double> matrix_of(const Pose& pose) {
     const glm::dmat4 columns = to_matrix(pose);
     std::vector<double> numbers;
@@ -123,7 +123,7 @@ void png(const fs::path& path, const PlacedScan& placed) {
 }
 
 struct Format {
-    const char* name;  ///< name of the format and extension of its files
+    const char* name;  ///< name of the format, which is also the extension of its files
     void (*write)(const fs::path&, const PlacedScan&);
 };
 constexpr Format kFormats[] = {{"npz", npz}, {"exr", exr}, {"ply", ply},

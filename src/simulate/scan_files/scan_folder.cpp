@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the folder of a rendering. Removes the files of an earlier rendering and writes
-// scans.json.
+// Writes the output folder of a rendering. Removes the files of an earlier rendering, and
+// writes the list of scans to scans.json.
 #include <relidar/simulate/scan_files.hpp>
 
 #include <algorithm>
@@ -25,8 +25,9 @@ using Json = nlohmann::ordered_json;
 
 constexpr const char* kSummary = "scans.json";
 
-/// Returns true if a file name is scans.json, a recording, or frame_<number>.<format>.
-/// Only such files are removed, never files of other programs.
+/// Returns true if a file name is scans.json, the name of a recording or capture, or
+/// frame_<number>.<format>. Only such files are removed, so that files of other programs
+/// stay.
 bool is_of_rendering(const fs::path& name) {
     const auto is_named = [&](const scan_files::RecordingFormat& format) { return name == format.file; };
     if (name == kSummary || scan_files::PacketFiles::is_file(name) ||
@@ -47,8 +48,8 @@ Json matrix_json(const Pose& pose) {
     return rows;
 }
 
-/// Converts a setting to JSON. Numbers and booleans keep their type; other values become
-/// strings.
+/// Converts the value of a setting to JSON. Numbers and booleans keep their type. Other
+/// values become strings.
 Json value_json(const std::string& text) {
     const Json value = Json::parse(text, nullptr, false);
     return value.is_number() || value.is_boolean() ? value : Json(text);
@@ -60,7 +61,7 @@ Json settings_json(const Config& config) {
     return json;
 }
 
-/// Returns the name, unit and meaning of each channel in the files, as JSON.
+/// Returns a JSON object with the name, unit and meaning of each channel in the files.
 Json channels_json(const std::vector<ChannelInfo>& channels) {
     Json json = Json::object();
     const auto add = [&](const ChannelInfo& channel) {

@@ -38,7 +38,7 @@ struct ScanPackets::Impl {
     std::vector<std::unique_ptr<PacketEncoder>> encoders;
     bool has_started = false;
 
-    /// Creates the encoders.
+    /// Creates one packet encoder per sensor.
     /// @param shift_s  offset in whole seconds that makes all times positive
     void create(double shift_s) {
         encoders.clear();
@@ -71,7 +71,7 @@ std::vector<std::vector<SensorPacket>> ScanPackets::encode(std::span<const Rende
     if (!std::exchange(impl_->has_started, true)) {
         double first_s = 0.0;
         for (const RenderedScan& scan : scans) first_s = std::min(first_s, scan.time_s);
-        // Adds a second, because a scan starts before its reference time.
+        // Adds one second to the offset, because a scan starts before its reference time.
         if (impl_->sensors.front().packets.log_start_ns == 0) impl_->create(1.0 + std::ceil(-first_s));
     }
     std::vector<std::vector<SensorPacket>> packets;

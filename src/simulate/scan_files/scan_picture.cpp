@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts the range, intensity and ray-drop of a scan to colour pictures.
+// Draws the range, intensity and ray-drop of a scan as colour pictures.
 #include <relidar/simulate/scan_files.hpp>
 
 #include <algorithm>
@@ -11,8 +11,9 @@ namespace relidar {
 
 namespace {
 
-constexpr double kPictureAspect = 8.0;  // ratio of width to height of each of the stacked pictures
-// Upper end of the colour scale in metres. Larger ranges have the same colour.
+// Ratio of width to height of each picture. The pictures are stacked.
+constexpr double kPictureAspect = 8.0;
+// Upper end of the colour scale in metres. All larger ranges have the same colour.
 constexpr float kFarthest_m = 80.0f;
 
 std::vector<float> roots(std::vector<float> values) {

@@ -40,7 +40,7 @@ ScanRecording::~ScanRecording() {
 void ScanRecording::add(const RecordedMoment& moment, double shift_s) {
     if (!std::exchange(has_notes_, true)) {
         McapWriter::Values values(notes_.begin(), notes_.end());
-        // Offset in seconds that was added to the times of the log.
+        // Stores the offset in seconds that was added to the times of the log.
         values["time_shift_s"] = fmt::format("{}", shift_s);
         writer_.add_metadata("relidar", values);
     }
@@ -50,19 +50,20 @@ void ScanRecording::add(const RecordedMoment& moment, double shift_s) {
             messages.emplace_back(channel.id, std::move(message));
     std::ranges::stable_sort(messages, {}, [](const auto& message) { return message.second.logged_ns; });
     for (const auto& [channel, message] : messages) {
-        // Sweeps can overlap. If a message is earlier than the previous message, it gets
-        // the log time of the previous message. Therefore log times never decrease.
+        // Log times in the file must not decrease, although sweeps can overlap. A message
+        // that is earlier than the previous message gets the log time of the previous
+        // message.
         last_logged_ns_ = std::max(last_logged_ns_, message.logged_ns);
         writer_.add_message(channel, last_logged_ns_, message.bytes);
     }
-    // Ends a chunk after every scan, because players display all messages of a scan
+    // Starts a new chunk after every scan, because players display all messages of a scan
     // together.
     writer_.end_chunk();
 }
 
 void ScanRecording::finish() {
     writer_.close();
-    // Flushes the file, and renames it to its final name.
+    // Flushes the file to disk, and then renames it to its final name.
     write_atomically(path_, [&](const fs::path& file) { fs::rename(temporary_, file); });
 }
 

@@ -11,11 +11,11 @@
 
 namespace relidar::scan_files {
 
-/// Writes one recording. The file has a temporary name in the same folder until finish()
-/// is called.
+/// Writes one recording. Until finish() is called, the file has a temporary name in the
+/// same folder.
 class ScanRecording {
 public:
-    /// Creates the file and adds its topics.
+    /// Creates the file and writes the descriptions of its topics.
     /// @param notes metadata of the file
     /// @throws DataError if the file cannot be written
     ScanRecording(std::filesystem::path path, const RecordingFormat& format, const RecordedRig& rig,
@@ -25,9 +25,9 @@ public:
     ScanRecording(const ScanRecording&) = delete;
     ScanRecording& operator=(const ScanRecording&) = delete;
 
-    /// Writes the messages of all scans at one time.
-    /// @param shift_s offset that converts times of the log to times of the file; it is
-    /// the same for all calls
+    /// Writes the messages of all scans of the same time.
+    /// @param shift_s offset that converts times of the log to times of the file; all
+    /// calls must use the same offset
     void add(const RecordedMoment& moment, double shift_s);
     void finish();
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the requested recordings of a rendering. Checks the names of topics and frames.
+// Writes the requested recordings of a rendering, and checks the names of topics and
+// frames.
 #include <relidar/simulate/scan_files.hpp>
 
 #include <algorithm>
@@ -23,8 +24,8 @@ namespace fs = std::filesystem;
 
 bool is_topic_letter(char c) { return std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '_'; }
 
-/// Returns true if a name is a valid ROS topic: words of letters, digits and underscores,
-/// each after a slash. No word starts with a digit.
+/// Returns true if a name is a valid ROS topic. A topic consists of words of letters,
+/// digits and underscores. Each word follows a slash and does not begin with a digit.
 bool is_topic(const std::string& topic) {
     if (topic.size() < 2 || topic.front() != '/' || topic.back() == '/') return false;
     for (std::size_t i = 1; i < topic.size(); ++i) {
@@ -37,7 +38,7 @@ bool is_topic(const std::string& topic) {
     return true;
 }
 
-/// Checks the topic names and frame names of all sensors.
+/// Checks the topic names and frame ids of all sensors.
 /// @throws UsageError if a name is not valid in ROS, or if two sensors have the same name
 void check_names(const scan_files::RecordedRig& rig) {
     std::set<std::string> taken{scan_files::kWorldFrame, scan_files::kVehicleFrame};
@@ -57,7 +58,7 @@ void check_names(const scan_files::RecordedRig& rig) {
     }
 }
 
-/// Checks that topic names are unique.
+/// Checks that every topic has a different name.
 /// @throws UsageError if two topics have the same name
 void check_topics(const std::vector<scan_files::RecordedTopic>& topics) {
     std::set<std::string> taken;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adds weather to a scan. Stores for each ray the echo that the sensor reports.
+// Adds weather to a scan. Computes for each ray the return that the sensor reports in
+// this weather.
 #include <bit>
 
 #include "base/parallel.hpp"
@@ -8,15 +9,15 @@
 namespace relidar {
 namespace {
 
-// Constant for the hash, so that the random numbers of the weather are independent of the
-// random numbers of a sampled scan.
+// Constant of the random number hash. It makes the weather independent of the random
+// numbers with which a scan is sampled.
 constexpr std::uint64_t kOfWeather = 0x77656174686572ull;
 constexpr const char* kSource = "source";
 
 using Sources = std::vector<std::int32_t>;
 
-/// Returns the channel `source` without values. Adds the channel if the scan does not
-/// have it.
+/// Returns the channel `source` and resets its values. Adds the channel if the scan has
+/// no such channel.
 ScanChannel& source_channel(RenderedScan& scan) {
     const auto has_name = [](const ScanChannel& channel) { return channel.info.name == kSource; };
     const auto found = std::ranges::find_if(scan.channels, has_name);
@@ -29,8 +30,8 @@ ScanChannel& source_channel(RenderedScan& scan) {
     return channel;
 }
 
-/// Clears the instance of a ray, and the values of the ray in all channels that describe
-/// surfaces.
+/// Removes the surface of a ray. Sets the instance to -1, and resets the values in all
+/// channels that describe surfaces.
 void forget_surface(RenderedScan& scan, std::size_t ray) {
     scan.instance[ray] = -1;
     for (ScanChannel& channel : scan.channels)
@@ -80,9 +81,9 @@ private:
     float intensity_of(const Echo& echo) const {
         return std::min(static_cast<float>(echo.reflectivity * input_.response.at_range(echo.range_m)), 1.0f);
     }
-    /// Returns how far the light of a ray travels through air. The path ends at the
-    /// surface that the ray hits, even if the sensor reports no return, or at the maximum
-    /// range.
+    /// Returns the distance that the light of a ray travels through the air. The light
+    /// ends at the first opaque surface, even if the sensor reports no return from this
+    /// surface. Without a surface, it ends at the maximum range.
     double free_m(const RayInAir& ray) const {
         const float median_m = scan_.median_range_m[ray.index];
         const bool is_blocked =

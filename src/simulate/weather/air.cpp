@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects the returns that a sensor reports for a ray in weather. Powers are relative,
-// see <relidar/simulate/weather.hpp>.
+// Selects the returns that a sensor reports for a ray in weather. All powers are relative
+// (see <relidar/simulate/weather.hpp>).
 #include "simulate/weather/air.hpp"
 
 #include <cmath>
@@ -8,8 +8,8 @@
 namespace relidar {
 namespace {
 
-/// Returns the second return of a sensor that reports two returns. This is the last
-/// return, or the second strongest if the strongest is also the last.
+/// Returns the second return of a dual-return sensor. Normally, this is the last return.
+/// If the strongest return is also the last, the function returns the second strongest.
 Echo second_of(const Candidates& candidates, const Echo& strongest, double separation_m) {
     Echo last, next;
     double power = 0.0;
@@ -44,9 +44,9 @@ Air::Air(const Weather& weather, const WeatherSensor& sensor,
          std::vector<std::unique_ptr<EffectOnRays>> effects)
     : sensor_(sensor), alpha_(extinction(weather)), effects_(std::move(effects)) {}
 
-/// Returns the reflectivity of a surface. An intensity below one step of the sensor does
-/// not determine the reflectivity. In this case, draws a random value between the weakest
-/// detectable reflectivity and one step.
+/// Returns the reflectivity of a surface. If the intensity is below one step of the
+/// sensor, the reflectivity is unknown. In this case, draws a random value between the
+/// weakest detectable reflectivity and one step.
 double Air::surface_reflectivity(const Echo& surface, Random& random) const {
     const double step = 2.0 * sensor_.darkest;
     if (surface.reflectivity >= step) return surface.reflectivity;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Defines how effects of weather act on the rays of a scan. Each effect is a class in a
-// file of this folder, and a row of kWeatherEffects. Private to simulate.
+// Defines how weather effects (rain, snow, fog and others) act on the rays of a scan.
+// Each effect is a class in its own file in this folder, and an entry of kWeatherEffects.
+// Only the simulate library includes this header.
 #pragma once
 
 #include <algorithm>
@@ -17,79 +18,84 @@
 
 namespace relidar {
 
-// Below this range, the receiver does not see the part of the air that the beam
+// Minimum range in metres at which the receiver sees the air that the laser beam
 // illuminates (Hahner et al. 2021).
 inline constexpr double kOverlap_m = 1.0;
 inline constexpr double kLight_m_s = 299792458.0;
 
-/// Returns the minimum range of a return from the air.
+/// Returns the minimum range in metres at which the air can cause a return.
 inline double nearest_m(const WeatherSensor& sensor) { return std::max(kOverlap_m, sensor.min_range_m); }
 inline double pulse_m(const WeatherSensor& sensor) { return kLight_m_s * sensor.pulse_s; }
-/// Returns the width of a beam at a range.
+/// Returns the diameter of the laser beam at a given range, in metres.
 inline double beam_diameter_m(const WeatherSensor& sensor, double range_m) {
     return sensor.aperture_m + sensor.divergence_rad * range_m;
 }
 
-/// Input of all weather effects: a scan, its sensor, and the scene around it.
+/// Input of all weather effects: the weather, a scan, its sensor, and the scene around
+/// it.
 struct WeatherInput {
     const Weather& weather;
     const WeatherSensor& sensor;
-    const RenderedScan& scan;  ///< scan in clear air
-    /// intensity that the sensor reports for the same surface as a function of range
+    const RenderedScan& scan;  ///< scan in clear air, without weather
+    /// model of the intensity that the sensor reports for the same surface at different
+    /// ranges
     const IntensityResponse& response;
     glm::dvec3 world_offset_m{0.0};  ///< see Sequence::world_offset_m
-    /// Traces rays through the scene at the time of the scan.
+    /// Traces additional rays through the scene at the time of the scan.
     std::function<Rendering(const WorldRays&)> trace = {};
     std::uint64_t seed = 0;
-    /// [rays] true for rays that an object at the sensor blocks; empty if no ray is
-    /// blocked. Such rays measure no fog, rain, snow or noise.
+    /// [rays] true if an object close to the sensor blocks the ray. A blocked ray has no
+    /// returns from fog, rain, snow or noise. An empty list means that no ray is blocked.
     std::vector<std::uint8_t> blind = {};
 };
 
-/// A ray on which weather acts.
+/// A ray of the scan, and the values that weather effects use and change.
 struct RayInAir {
     std::size_t index = 0;             ///< index of the ray in its scan
     Echo strongest = {}, second = {};  ///< returns of surfaces in clear air
-    double free_m = 0.0;               ///< distance after which the ray is blocked
+    double free_m = 0.0;               ///< distance in metres after which a surface blocks the ray
     double through_water = 1.0;        ///< brightness of the wet ground relative to the dry ground
 };
 
-/// A possible return of a ray that is bright enough for the sensor.
+/// A possible return of a ray. The return is bright enough for the sensor.
 struct Candidate {
     Echo echo;
     double power;
 };
 using Candidates = std::vector<Candidate>;
 
-/// An effect of weather, prepared for the rays of a scan.
+/// A weather effect, such as rain, for the rays of one scan.
 class EffectOnRays {
 public:
     virtual ~EffectOnRays() = default;
-    /// Changes the surface of a ray, before the air attenuates its light.
+    /// Changes the return of the surface that a ray hits, before the air attenuates the
+    /// light.
     virtual void change_surface(RayInAir& /*ray*/) const {}
-    /// Adds the possible returns that the effect causes on a ray.
+    /// Adds the possible returns that the effect causes on a ray, for example from
+    /// raindrops.
     virtual void add_returns(Candidates& /*candidates*/, const RayInAir& /*ray*/, Random& /*random*/) const {}
 };
 
-/// The strongest return of a ray, and the second return of a sensor that reports two.
+/// The strongest return of a ray, and the second return if the sensor reports two
+/// returns.
 struct RayEchoes {
     Echo strongest, second;
 };
 
-/// Simulates what a sensor measures along a ray in weather: surfaces, which the air
-/// attenuates, and the returns of all effects.
+/// Simulates what a sensor measures along a ray in weather. The air attenuates the return
+/// of the surface, and weather effects add their own returns.
 class Air {
 public:
-    /// Prepares the effects of the weather for the rays of a scan.
-    /// @throws UsageError like check_weather()
+    /// Creates the weather effects for the rays of a scan.
+    /// @throws UsageError if the weather is invalid, like check_weather()
     explicit Air(const WeatherInput& input);
-    /// Creates air with a given list of effects.
+    /// Creates the simulation with a given list of weather effects.
     Air(const Weather& weather, const WeatherSensor& sensor,
         std::vector<std::unique_ptr<EffectOnRays>> effects);
-    /// Computes the returns that the sensor measures along a ray. The second return is
-    /// the last return, or the next strongest if the strongest is also the last. The
-    /// two returns are at least `separation_m` apart. Returns below the detection
-    /// threshold are left out.
+    /// Computes the returns that the sensor measures along a ray. Normally, the second
+    /// return is the last one. If the strongest return is also the last, the second
+    /// return is the second strongest. Both returns are at least `separation_m` apart.
+    /// Returns below the detection threshold are left out.
     RayEchoes look(RayInAir ray, std::uint64_t seed) const;
 
 private:
@@ -101,18 +107,18 @@ private:
     void add_surface(Candidates& candidates, Echo echo, double through_water, Random& random) const;
 };
 
-/// Adds an echo of light that reaches the sensor through the air, if it is bright enough.
-/// @param transmission  share of the light that remains on its path
+/// Adds a return to the candidates if it is bright enough after the air has attenuated
+/// its light.
+/// @param transmission  share of the light that the air does not absorb or scatter
 /// @param darkest  minimum reflectivity of the object
 void add_echo(Candidates& candidates, Echo echo, const WeatherSensor& sensor, double transmission,
               double darkest = 0.0);
 
-/// Adds the weather of the input to its scan. Surfaces become darker or are dropped. If
-/// an effect causes the return of a ray, the ray gets the range and intensity of this
-/// return. The ray also gets instance -1, and no values in channels that describe
-/// surfaces. The channel `source` stores the cause of each return. Clear air changes
-/// nothing else. The result depends only on seed and time, not on the number of
-/// threads.
+/// Adds weather to a scan. Surfaces become darker, or their rays are dropped. Where the
+/// weather itself causes a return, the ray gets the range and intensity of this return.
+/// Its instance is then -1, and it has no surface values. The channel `source` stores the
+/// cause of each return. In clear air, nothing else changes. The result depends only on
+/// seed and time, not on the number of threads.
 /// @param scan  the scan of the input
 void add_weather(RenderedScan& scan, const WeatherInput& input);
 

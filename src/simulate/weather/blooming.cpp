@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Simulates blooming: light of a retro-reflector that the receivers of other beams
-// detect. The echo of a ray has the range of the reflector and the reflectivity
+// Simulates blooming: a retro-reflector is so bright that the receivers of other beams
+// detect its light. Their returns have the range of the reflector and the reflectivity
 //   X bloom * integral of (1 deg / angle)^3 over the reflector, deg^2
-// where ln X is normal with mean 0 and standard deviation 3. X is drawn for each beam.
-// The constants were measured on a log, see docs/method.md.
+// X is a random factor of each beam. ln X is normal with mean 0 and standard deviation 3.
+// The constants were measured on a log (see docs/method.md).
 #include <bit>
 #include <cmath>
 #include <map>
@@ -17,18 +17,19 @@
 namespace relidar {
 namespace {
 
-// Constant for the hash, so that the random numbers of stray light are independent of the
-// random numbers of the weather.
+// Constant of the random number hash. It makes the random factor of each beam independent
+// of the other random numbers of the weather.
 constexpr std::uint64_t kOfBeams = 0x626C6F6F6D696E67ull;
 constexpr float kSaturated = 0.95f;
 constexpr double kSpread = 3.0;  // standard deviation of ln X, where X is the random factor of a beam
-// Lower limit of the angle. At smaller angles the beam itself hits the reflector.
+// Minimum angle in degrees between a ray and the reflector. At smaller angles, the laser
+// beam itself hits the reflector.
 constexpr double kNearest_deg = 0.5;
 constexpr double kSameRange_m = 0.5;
 constexpr double kPerRad = 180.0 / kPi;
 
-/// Counts the rays in a cell of one square degree, and how many of these rays hit a
-/// reflector.
+/// A cell of one square degree. It counts all rays in the cell, and the rays that hit a
+/// retro-reflector.
 struct Square {
     int rays = 0, reflectors = 0;
     glm::dvec3 direction{0.0};  // sum of the directions of the rays that hit a reflector
@@ -67,8 +68,8 @@ std::vector<Reflector> reflectors_in(const RenderedScan& scan) {
     return reflectors;
 }
 
-/// Returns the stray light of all reflectors in a direction, before it is multiplied by X
-/// and bloom.
+/// Returns the stray light of all reflectors in a direction. The caller multiplies it by
+/// the random factor X and by the setting `bloom`.
 Echo brightest(const std::vector<Reflector>& reflectors, const glm::dvec3& direction) {
     std::vector<double> share;
     std::size_t most = 0;
@@ -88,11 +89,11 @@ Echo brightest(const std::vector<Reflector>& reflectors, const glm::dvec3& direc
     return echo;
 }
 
-/// Computes for each ray of a scan the echo of stray light. Reflectors are surfaces with
-/// an intensity of at least kSaturated. Their area is counted in cells of one square
-/// degree. The reflector with the most power determines the range of the echo.
-/// @return [rays] empty echoes for rays without stray light; an empty list if no ray has
-/// any
+/// Computes the stray-light return of each ray of a scan. Surfaces with an intensity of
+/// at least kSaturated are reflectors, and their area is counted in cells of one square
+/// degree. The reflector with the most power determines the range.
+/// @return [rays] returns, empty for rays without stray light; an empty list if no ray
+/// has stray light
 std::vector<Echo> stray_light(const WeatherInput& input) {
     const RenderedScan& scan = input.scan;
     const std::vector<Reflector> reflectors = reflectors_in(scan);

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fog is a soft target (Rasshofer, Spies and Spies 2011), as in Hahner et al. (ICCV
-// 2021):
+// Simulates returns from fog. Fog is a soft target (Rasshofer, Spies and Spies 2011), as
+// in Hahner et al. (ICCV 2021):
 //   power(R) = pi beta integral p(x) exp(-2 alpha r) / r^2 dx
 //     r = R + x,  p(x) = cos^2(pi x / (c tau)),  |x| <= c tau / 2,  r >= 1 m
-// For each interval of length c tau / 2, beta is drawn: log-normal with mean 0.046 /
-// visibility. The amount of variation is an assumption. From the definition of the
-// visibility V, exp(-alpha V) = 0.05.
+// beta is random for each interval of length c tau / 2. Its distribution is log-normal
+// with mean 0.046 / visibility. The amount of variation is an assumption. The definition
+// of the visibility V gives exp(-alpha V) = 0.05.
 #include <cmath>
 
 #include <relidar/base/math.hpp>
@@ -15,14 +15,14 @@
 namespace relidar {
 namespace {
 
-constexpr double kFogStep_m = 0.05;  // range step of the table
-// Backscatter coefficient of fog multiplied by its visibility, per steradian (Rasshofer
-// et al. 2011).
+constexpr double kFogStep_m = 0.05;  // Range step in metres of the table of backscattered power.
+// Backscatter coefficient of fog (per metre and steradian), multiplied by the visibility
+// in metres (Rasshofer et al. 2011).
 constexpr double kBackscatter = 0.046;
-// Standard deviation of the logarithm of the fog density. This value is an assumption.
+// Standard deviation of the logarithm of the fog density. The value is an assumption.
 constexpr double kFogSpread = 1.0;
-// Ignores fog whose density is above this number of standard deviations, because it is
-// very rare.
+// Upper limit of the fog density, as a number of standard deviations. Denser fog is
+// ignored, because it is very rare.
 constexpr double kRareFog = 5.0;
 
 double fog_extinction(const Weather& weather) { return std::log(20.0) / weather.fog_visibility_m; }
@@ -60,11 +60,12 @@ public:
 private:
     const WeatherSensor sensor_;
     const double alpha_, visibility_m_;
-    // [k] mean power that fog returns from a range: the nearest range plus k steps.
+    // [k] mean power that fog reflects from element k of the table; the range is the
+    // nearest range plus k steps.
     std::vector<double> power_;
 
-    /// Returns the mean power of fog at a range. Integrates over the pulse with the
-    /// midpoint rule.
+    /// Returns the mean power that fog reflects from a range. Integrates over the pulse
+    /// with the midpoint rule.
     double power_at(double range_m) const {
         constexpr int kParts = 32;
         const double width_m = pulse_m(sensor_), part_m = width_m / kParts;

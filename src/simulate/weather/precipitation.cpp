@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rain and snow. The particles N(D) = N0 exp(-Lambda D) per cubic metre and millimetre
-// that are bright enough are a Poisson process along the beam, as in LISA (Kilic et al.
-// 2021) and Hahner et al. (CVPR 2022). D is the diameter of the melted particle:
+// Simulates returns from rain and snow. The particle density is N(D) = N0 exp(-Lambda D)
+// per cubic metre and millimetre, where D is the diameter of the melted particle. The
+// detectable particles form a Poisson process along the beam, as in LISA (Kilic et al.
+// 2021) and Hahner et al. (CVPR 2022):
 //   power(D, R) = rho (D / B(R))^2 exp(-2 alpha R) / R^2,  B(R): width of the beam
 // Particles remove twice the light that their cross section covers (Q_ext = 2), because
 // they are much larger than the wavelength.
@@ -15,9 +16,9 @@
 namespace relidar {
 namespace {
 
-constexpr double kParticleStep_m = 0.05;  // range step of the table
+constexpr double kParticleStep_m = 0.05;  // Range step in metres of the table of particle counts.
 
-/// Size distribution and reflectivity of the particles of rain or snow.
+/// Size distribution and reflectivity of raindrops or snowflakes.
 struct Particles {
     PointSource source;
     double per_m3_mm;     // N0
@@ -26,14 +27,15 @@ struct Particles {
     double reflectivity;
 };
 
-/// Returns the drop size distribution of Marshall and Palmer (1948). A drop reflects like
-/// water at normal incidence, ((n - 1) / (n + 1))^2.
+/// Returns the size distribution of raindrops (Marshall and Palmer 1948). A drop reflects
+/// as much light as a water surface at normal incidence, ((n - 1) / (n + 1))^2.
 Particles drops_of(const Weather& weather) {
     return {PointSource::rain, 8000.0, 4.1 * std::pow(weather.rain_mm_h, -0.21), 1.0, 0.02};
 }
 
-/// Returns the distribution of melted diameters of Gunn and Marshall (1958). A flake is
-/// wider than its melted drop, because its density is a tenth of the density of water.
+/// Returns the size distribution of snowflakes by melted diameter (Gunn and Marshall
+/// 1958). A flake is wider than its melted drop, because its density is a tenth of the
+/// density of water.
 Particles flakes_of(const Weather& weather) {
     return {PointSource::snow, 3.8e3 * std::pow(weather.snow_mm_h, -0.87),
             2.55 * std::pow(weather.snow_mm_h, -0.48), std::cbrt(10.0), 0.25};
@@ -84,13 +86,13 @@ private:
     const WeatherSensor sensor_;
     const double alpha_;
     const Particles falling_;
-    // [k] expected number of bright particles between the nearest range and the nearest
-    // range plus k steps.
+    // [k] expected number of detectable particles between the nearest range and the
+    // nearest range plus k steps.
     std::vector<double> expected_;
 
-    /// Returns the diameter of the smallest particle that the sensor detects at a
-    /// range, in millimetres of liquid water. Returns infinity if even a particle that
-    /// fills the beam reflects too little light.
+    /// Returns the diameter of the smallest particle that the sensor detects at a range,
+    /// in millimetres of liquid water. Returns infinity if even a particle as wide as the
+    /// beam reflects too little light.
     double smallest_mm(double range_m) const {
         const double share = sensor_.threshold(range_m) * range_m * range_m *
                              std::exp(2.0 * alpha_ * range_m) / falling_.reflectivity;

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Models sunlight in a receiver as shot noise. N photo-electrons during a pulse have a
-// standard deviation of sqrt(F N). False returns are a Poisson process along the ray. Its
-// rate depends on the angle between the ray and the sun. Values that data sheets do not
-// list are assumptions. They describe a typical sensor with avalanche photodiodes at 905
-// nm.
+// Models the noise of sunlight in the receiver, which causes false returns. The receiver
+// counts N photo-electrons during a pulse with a standard deviation of sqrt(F N). False
+// returns form a Poisson process along the ray. Their rate depends on the angle between
+// the ray and the sun. Values that data sheets do not list are assumptions for a typical
+// sensor with avalanche photodiodes at 905 nm.
 #include <cmath>
 #include <limits>
 #include <utility>
@@ -15,35 +15,36 @@
 namespace relidar {
 namespace {
 
-// Solar irradiance in W/m^2/nm at 905 nm per 100 klux of direct light on a clear day.
-// This value is an assumption.
+// Solar irradiance at 905 nm in W/m^2/nm, for 100 klux of direct light on a clear day.
+// The value is an assumption.
 constexpr double kIrradiance = 0.65;
 constexpr double kSun_rad = 4.65e-3;  // angular radius of the sun
 constexpr double kSun_sr = kPi * kSun_rad * kSun_rad;
-// Sunlight that a dusty window scatters by one degree, per steradian. It decreases with 1
-// / angle^2. The total scattered light is 5 %.
+// Sunlight that a dusty sensor window scatters by an angle of one degree, per steradian.
+// It decreases with 1 / angle^2. In total, the window scatters 5 % of the light.
 constexpr double kScatter_sr = 5.0;
 constexpr double kDegree_rad = kPi / 180.0;
 constexpr double kFilter_nm = 20.0;
-// Effective area of a lens with a diameter of 5 cm and a transmission of one half.
+// Effective area of the receiver in m^2: a lens with a diameter of 5 cm and a
+// transmission of one half.
 constexpr double kReceiver_m2 = 1e-3;
 constexpr double kEfficiency = 0.7;      // quantum efficiency, electrons per photon
 constexpr double kExcess = 3.0;          // excess noise factor F of an avalanche photodiode
 constexpr double kPeak_W = 75.0;         // peak power of a pulse
 constexpr double kPhoton_J = 2.195e-19;  // energy of a photon at 905 nm
 constexpr double kUsual_klux = 100.0;    // illuminance on a clear day
-// Surfaces hide the sun if their accumulated alpha is at least this value.
+// Surfaces hide the sun if their accumulated opacity is at least this value.
 constexpr float kHidesSun = 0.5f;
 
-/// Returns the direction towards the sun in the dataset's world frame.
+/// Returns the direction to the sun in the world frame of the dataset.
 glm::dvec3 direction_of(const Sun& sun) {
     const double azimuth = sun.azimuth_deg * kPi / 180.0, elevation = sun.elevation_deg * kPi / 180.0;
     return {std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth),
             std::sin(elevation)};
 }
 
-/// Returns the angles between the rays of a scan and the direction to the sun, in
-/// radians. Returns an empty list if the scene hides the sun from the sensor.
+/// Returns the angle between each ray of a scan and the direction to the sun, in radians.
+/// Returns an empty list if the scene hides the sun from the sensor.
 std::vector<float> angles_from_sun(const WeatherInput& input) {
     const RenderedScan& scan = input.scan;
     const glm::dvec3 to_sun = direction_of(input.weather.sun);
@@ -65,9 +66,9 @@ public:
     SunlightOnRays(const WeatherInput& input, std::vector<float> angles_rad)
         : sensor_(input.sensor), sun_(input.weather.sun), angles_rad_(std::move(angles_rad)) {}
 
-    /// Adds false returns caused by noise. Their powers follow the local maxima of
-    /// Gaussian noise above the weakest detectable power: power^2 = weakest^2 + 2 sigma^2
-    /// E, where E is exponentially distributed.
+    /// Adds false returns that the noise causes. Their powers are distributed like the
+    /// local maxima of Gaussian noise above the weakest detectable power: power^2 =
+    /// weakest^2 + 2 sigma^2 E, where E is exponentially distributed.
     void add_returns(Candidates& candidates, const RayInAir& ray, Random& random) const override {
         if (!(ray.free_m > 0.0)) return;
         const bool meets_surface = ray.strongest.source == PointSource::surface;
@@ -111,7 +112,8 @@ double sun_noise(const Sun& sun, const WeatherSensor& sensor, double from_sun_ra
     const double view_sr = kPi * half_rad * half_rad, electrons_per_J = kEfficiency / kPhoton_J;
     const double n =
         irradiance * per_sr * kFilter_nm * view_sr * kReceiver_m2 * sensor.pulse_s * electrons_per_J;
-    // A diffuse surface scatters 1 / pi of the reflected light per steradian.
+    // A diffuse surface scatters the fraction 1 / pi of the reflected light per
+    // steradian.
     const double of_unit_power = kPeak_W * kReceiver_m2 / kPi * sensor.pulse_s * electrons_per_J;
     return std::sqrt(kExcess * n) / of_unit_power;
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes weather as text, as the table of effects describes it.
+// Converts weather between text and numbers. kWeatherEffects describes the form of the
+// text.
 #include <relidar/simulate/weather.hpp>
 
 #include <algorithm>
@@ -19,7 +20,7 @@
 namespace relidar {
 namespace {
 
-/// Returns the numbers of an effect.
+/// Returns the numbers of a weather effect, for example the rain rate.
 std::vector<double> numbers_of(const WeatherEffect& effect, Weather weather) {
     std::vector<double> values;
     for (const WeatherNumber& number : effect.numbers) values.push_back(number.of(weather));
@@ -32,7 +33,8 @@ bool are_valid(const WeatherEffect& effect, const std::vector<double>& values) {
     return true;
 }
 
-/// Returns the word of an effect. Leaves out optional numbers with their usual values.
+/// Returns the text of a weather effect, for example "rain=5". Optional numbers with
+/// their usual values are left out.
 std::string word_of(const WeatherEffect& effect, const Weather& weather) {
     std::vector<double> values = numbers_of(effect, weather);
     while (values.size() > std::max<std::size_t>(effect.n_required, 1) &&
@@ -45,7 +47,7 @@ std::string word_of(const WeatherEffect& effect, const Weather& weather) {
     throw UsageError(fmt::format("weather: found {}, expected {}", word, expected));
 }
 
-/// Lists the words of the effects.
+/// Returns a text that lists the forms of all weather effects.
 std::string forms() {
     std::vector<std::string_view> words;
     for (const WeatherEffect* effect : kWeatherEffects) words.push_back(effect->form);
@@ -68,7 +70,7 @@ std::vector<double> read_numbers(std::string_view text) {
     return values;
 }
 
-/// Parses one word, for example "rain=5".
+/// Parses the text of one weather effect, for example "rain=5".
 void read_word(Weather& weather, std::string_view word) {
     const std::size_t equals = std::min(word.find('='), word.size());
     const auto* row = std::ranges::find(kWeatherEffects, word.substr(0, equals), &WeatherEffect::name);

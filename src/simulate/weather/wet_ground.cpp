@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Models water on level ground as a smooth film on a diffuse surface. Follows Lekner and
-// Dorf, "Why some things are darker when wet", Applied Optics 1988. The water darkens the
-// ground and mirrors objects: the effect finds the ground in a scan and traces the
-// mirrored rays. docs/architecture.md names this file as the example of an effect.
+// Models water on level ground as a smooth film on a diffuse surface (Lekner and Dorf,
+// "Why some things are darker when wet", Applied Optics 1988). The water darkens the
+// ground and mirrors objects. The effect finds the ground in a scan and traces the
+// mirrored rays. docs/architecture.md names this file as the example of a weather effect.
 #include <cmath>
 #include <limits>
 #include <unordered_map>
@@ -21,18 +21,19 @@ constexpr double kWater = 1.33;      // refractive index of water in the near in
 constexpr double kTexture_mm = 1.0;  // depth of the texture of asphalt
 
 constexpr double kCell_m = 2.0;
-// Points at most this high above the lowest point of a cell can be ground.
+// Maximum height of a ground point in metres above the lowest point of its cell.
 constexpr double kLayer_m = 0.25;
-constexpr double kFlat_m = 0.1;     // maximum root mean square distance of the points from the plane
+// maximum root mean square distance in metres of the points from the ground plane
+constexpr double kFlat_m = 0.1;
 constexpr double kSteepest = 0.25;  // maximum slope of ground, rise over run
 constexpr double kFewest = 6.0;     // minimum number of points for a plane
-// If the points form a narrower strip than this, they do not determine the slope across
-// the strip. The slope is then 0 in that direction.
+// Minimum width in metres of the area that the points cover. If the points form a
+// narrower strip, the slope across the strip is unknown and set to 0.
 constexpr double kWidth_m = 0.2;
 
-/// Statistics of the points in a cell. Holds the lowest height. For points near that
-/// height, holds the number and the sums of x, y, z and of their products. Coordinates
-/// are relative to the sensor, along the axes of the world.
+/// Statistics of the points in a grid cell, from which a plane is fitted. Contains the
+/// lowest height, and sums over the points near this height. Coordinates are relative to
+/// the sensor, along the axes of the world.
 struct Cell {
     double lowest_m = std::numeric_limits<double>::infinity();
     double n = 0.0, zz = 0.0;
@@ -53,7 +54,7 @@ using Cells = std::unordered_map<std::uint64_t, Cell>;
 
 std::uint64_t key_of(const glm::dvec3& p) { return cell_key({p.x, p.y, 0.0}, kCell_m); }
 
-/// Plane z = height + slope . (x, y) of the ground.
+/// Plane of the ground: z = height + slope . (x, y).
 struct GroundPlane {
     double height_m = 0.0;
     glm::dvec2 slope{0.0};
@@ -71,15 +72,15 @@ GroundPlane fit_plane(const Cell& c) {
     const glm::dvec2 right = c.products / c.n - mean.z * glm::dvec2(mean);
     const glm::dvec2 slope =
         glm::dvec2(yy * right.x - xy * right.y, xx * right.y - xy * right.x) / (xx * yy - xy * xy);
-    // Variance of the height that the plane does not explain. The term `ridge` makes it
-    // slightly larger.
+    // Variance of the heights around the plane. The term `ridge` makes it slightly
+    // larger.
     const double squared_m2 = zz - glm::dot(slope, right);
     return {mean.z - glm::dot(slope, glm::dvec2(mean)), slope,
             squared_m2 < kFlat_m * kFlat_m && glm::length(slope) < kSteepest};
 }
 
 /// Returns the points where rays hit the background below the sensor, relative to the
-/// sensor. The result is NaN for other rays.
+/// sensor. The value is NaN for all other rays.
 std::vector<glm::dvec3> points_below(const RenderedScan& scan) {
     const glm::dvec3 none(std::numeric_limits<double>::quiet_NaN());
     std::vector<glm::dvec3> points(scan.median_range_m.size(), none);
@@ -106,7 +107,7 @@ Cells fill_cells(const std::vector<glm::dvec3>& points) {
     return cells;
 }
 
-/// Fits a plane to the points in the cell of p and in the eight neighbouring cells.
+/// Fits a plane to the points in the cell of `p` and in the eight cells around it.
 GroundPlane plane_at(const Cells& cells, const glm::dvec3& p) {
     Cell together;
     for (int dx = -1; dx <= 1; ++dx)
@@ -117,12 +118,12 @@ GroundPlane plane_at(const Cells& cells, const glm::dvec3& p) {
     return fit_plane(together);
 }
 
-/// Finds the points of the background that lie on level ground below the sensor. The
-/// candidates in each cell are the points within kLayer_m of the lowest point. A cell is
-/// ground if the candidates of the 3 x 3 cells around it fit a plane. The material of the
-/// ground is not considered.
-/// @return [rays] unit normal of the ground in the dataset's world frame; 0 for rays that
-/// do not hit ground or do not return
+/// Finds the rays that hit level ground below the sensor. Only background points within
+/// kLayer_m of the lowest point of a cell are candidates. A cell is ground if the
+/// candidates of the 3 x 3 cells around it fit a plane. The material of the ground is
+/// ignored.
+/// @return [rays] unit normal of the ground in the world frame of the dataset; 0 for rays
+/// that do not hit ground or have no return
 std::vector<glm::dvec3> level_ground(const RenderedScan& scan) {
     const std::vector<glm::dvec3> points = points_below(scan);
     const Cells cells = fill_cells(points);
@@ -139,8 +140,8 @@ std::vector<glm::dvec3> level_ground(const RenderedScan& scan) {
     return normals;
 }
 
-/// Returns the fraction of diffuse light that a film of water reflects. This is the
-/// integral of 2 c F(c) dc, computed with the midpoint rule.
+/// Returns the fraction of diffuse light that a water film reflects. The midpoint rule
+/// computes the integral of 2 c F(c) dc, where c is the cosine and F the reflectance.
 double mean_mirrored() {
     constexpr int kParts = 1000;
     double sum = 0.0;
@@ -151,32 +152,34 @@ double mean_mirrored() {
     return sum;
 }
 
-/// Effects of wet ground on a ray that hits the ground.
+/// What wet ground changes for a ray that hits the ground.
 struct WetRay {
     double through_water = 1.0;  // brightness of the wet ground relative to the dry ground
-    Echo mirrored{};             // return of the object that the ray hits after its reflection
-    double mirrors = 0.0;        // share of the light that the water reflects twice
+    Echo mirrored{};  // return of the object that the ray hits after the water has mirrored the ray
+    // share of the light that the water reflects on both ways, to the object and back
+    double mirrors = 0.0;
 };
 
-/// Rays that leave the water after their reflection.
+/// Rays after their reflection by the water.
 struct MirroredRays {
     WorldRays rays;
     std::vector<std::size_t> of_ray;  // index of the ray in its scan
 };
 
-// Mirrored rays start at this height above the ground, because real ground is rougher
-// than a film of water.
+// Height in metres above the ground at which mirrored rays start. It is larger than 0,
+// because real ground is rougher than a film of water.
 constexpr double kLift_m = 0.1;
-// Hits of mirrored rays below this height are the ground itself and are ignored.
+// Minimum height in metres of an object that a mirrored ray hits. Lower hits are the
+// ground itself and are ignored.
 constexpr double kLowest_m = 0.3;
 
-// Computes the drop probability from the two logits of a ray (method.md, M6).
+// Computes the drop probability of ray i from its two logits (method.md, M6).
 float drop_probability(const Rendering& r, std::size_t i) {
     return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i]));
 }
 
-/// Computes how bright the wet ground is, and the rays that it mirrors. Leaves out
-/// mirrored rays whose light is weaker than the light of the ground.
+/// Computes how bright the wet ground is, and the rays that it mirrors. Leaves out a
+/// mirrored ray if its light is weaker than the light of the ground.
 MirroredRays mirror_in_wet_ground(const WeatherInput& input, const std::vector<glm::dvec3>& up,
                                   std::vector<WetRay>& wet) {
     const RenderedScan& scan = input.scan;
@@ -191,8 +194,8 @@ MirroredRays mirror_in_wet_ground(const WeatherInput& input, const std::vector<g
         const double albedo = scan.image.intensity[i] / input.response.at_range(range_m);
         wet[i].through_water = 1.0 - share + share * wet_over_dry(cosine, albedo);
         wet[i].mirrors = share * std::pow(mirrored_by_water(cosine), 2);
-        // A mirrored surface is farther away, so it cannot be brighter than the ground
-        // here.
+        // Skips the mirrored ray if it cannot be brighter than the ground. The mirrored
+        // surface is farther away, so its return is even weaker.
         if (scan.second_returns.empty() && wet[i].mirrors <= wet[i].through_water * albedo) continue;
         wet[i].mirrored.range_m = range_m;
         const glm::dvec3 foot_m =
@@ -247,7 +250,7 @@ constexpr WeatherNumber kWetNumbers[] = {
 }  // namespace
 
 double mirrored_by_water(double cosine) {
-    // cosine of the angle in water, from Snell's law
+    // cosine of the angle to the normal inside the water, from Snell's law
     const double in_water = std::sqrt(1.0 - (1.0 - cosine * cosine) / (kWater * kWater));
     const double across = (cosine - kWater * in_water) / (cosine + kWater * in_water),
                  along = (in_water - kWater * cosine) / (in_water + kWater * cosine);
@@ -255,7 +258,8 @@ double mirrored_by_water(double cosine) {
 }
 
 double wet_over_dry(double cosine, double albedo) {
-    // Fraction of the scattered light that total internal reflection keeps in the film.
+    // Fraction of the scattered light that stays in the water film because of total
+    // internal reflection.
     static const double kept = 1.0 - (1.0 - mean_mirrored()) / (kWater * kWater);
     const double passes = 1.0 - mirrored_by_water(cosine);
     return passes * passes / (kWater * kWater * (1.0 - std::clamp(albedo, 0.0, 1.0) * kept));

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Report of `relidar check --speed`. `relidar-dev bench` measures each kernel.
+// Measures the speed of a device and prints a report for `relidar check --speed`. The
+// program `relidar-dev bench` measures each kernel instead.
 #include "bench/bench.hpp"
 
 #include <algorithm>
@@ -24,21 +25,23 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-// Minimum and maximum number of repetitions, and number of scans that are rendered.
+// Minimum and maximum number of repetitions (kLeast, kMost), and number of scans to
+// render (kScans).
 constexpr int kLeast = 3, kMost = 10, kScans = 30;
 constexpr double kEnough_ms = 5000.0;
 
-/// Median wall times in milliseconds. Each time includes waiting until the device is
-/// done.
+/// Median wall times in milliseconds. The end of each time is the moment when the device
+/// has finished the work.
 struct BenchTimes {
-    /// Time to build the acceleration structure, and time to refit it.
+    /// Time to build the bounding volume hierarchy, and time to refit it.
     double build_ms = 0.0, refit_ms = 0.0;
     double forward_ms = 0.0, backward_ms = 0.0;
-    /// Time of one training iteration: refit, forward pass, losses, backward pass and
-    /// Adam, submitted to the device together.
+    /// Time of one training iteration. An iteration is a refit, the forward pass, the
+    /// losses, the backward pass and Adam in one submission.
     double iteration_ms = 0.0;
     std::size_t repetitions = 0;
-    /// Rendered scans per second. It has a value only if a run is measured.
+    /// Number of rendered scans per second. Has a value only if the benchmark measures a
+    /// run.
     std::optional<double> scans_per_s;
 };
 
@@ -90,8 +93,8 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
         stream.finish();
         time(backward, [&] { renderer.record_backward(); });
     };
-    // Time to warm up the device. The first launches compile kernels, and a GPU raises
-    // its clocks only under load.
+    // Time to warm up the device before the measurement. The first launches compile
+    // kernels, and a GPU raises its clock rate only under load.
     const double warm_up_ms = device.info().type == "CPU" ? 200.0 : 2000.0;
     Clock::time_point start = Clock::now();
     do repeat();
@@ -103,8 +106,9 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
         median(build), median(refit), median(forward), median(backward), median(iteration), build.size(), {}};
 }
 
-/// Returns the number of scans per second. Renders scans of the log's sensor, evenly
-/// spaced along its recorded path. Two scans are in progress on the device at any time.
+/// Returns how many scans are rendered per second. The scans are evenly spaced along the
+/// recorded path of the log's sensor. While one scan is read, the device already renders
+/// the next scan.
 double scans_per_second(Device& device, const Run& run) {
     ScanRenderer renderer(device, run);
     const SensorChoice sensor = choose_sensor("native", run.config, run.sequence);
@@ -115,7 +119,8 @@ double scans_per_second(Device& device, const Run& run) {
         renderer.submit_points(sensor, {time_s, path}, time_s);
     };
     request(0);
-    renderer.wait_for_points();  // The first scan is not timed, because it allocates memory.
+    // Renders one scan without measuring it, because the first scan allocates memory.
+    renderer.wait_for_points();
     const Clock::time_point start = Clock::now();
     request(0);
     for (int scan = 1; scan <= kScans; ++scan) {

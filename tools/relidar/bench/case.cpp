@@ -17,7 +17,8 @@ BenchCase make_street_case(std::uint32_t n_surfels, bool refined, const RayTable
     bench.rows = rays.rows;
     bench.columns = rays.columns;
     bench.view_origin_m = rays.origin.front();
-    // In the benchmark street, the sensor frame is the same as the world frame.
+    // The rays need no transformation, because the sensor frame of the benchmark street
+    // equals the world frame.
     bench.rays = {to_vector(rays.origin), to_vector(rays.direction)};
     const Surfels surfels = make_benchmark_street(n_surfels, 20261120, refined);
     bench.scene = make_background_scene(surfels.permuted(kd_order(surfels.mean)));

@@ -11,7 +11,8 @@
 
 namespace relidar::cli {
 
-/// A scene, the rays that are cast into it, and the settings of the kernels.
+/// Input of a benchmark: a scene, the rays that are cast into it, and the settings of the
+/// GPU kernels.
 struct BenchCase {
     /// Name in the report: "benchmark street", or the folder of the run and the frame
     /// number.
@@ -25,11 +26,11 @@ struct BenchCase {
     std::vector<InstancePose> placed;  ///< [instances] pose of each instance.
 };
 
-/// Creates the benchmark street with the settings of the paper.
+/// Creates a benchmark of the synthetic benchmark street with the settings of the paper.
 /// @param refined see make_benchmark_street()
 BenchCase make_street_case(std::uint32_t n_surfels, bool refined, const RayTable& rays);
 
-/// Creates a case from the scene of a run. The rays are those of the run's sensor at the
+/// Creates a benchmark from a trained run. Casts the rays of the run's sensor at the
 /// first held-out frame.
 /// @throws DataError if the run has no frames or no surfels
 BenchCase make_run_case(const Run& run);

@@ -27,8 +27,8 @@ std::vector<DeviceTarget> noisy_targets(const Rendering& rendering, bool normali
 TrainingStep::TrainingStep(Device& device, const BenchCase& bench, const RendererOptions& options,
                            const std::vector<DeviceTarget>& wanted)
     : renderer(device, bench.scene, bench.config.image, options,
-               // The gradients of untouched surfels need not be set to zero, because Adam
-               // skips surfels without a gradient.
+               // Adam skips surfels without a gradient, so the backward pass need not set
+               // their gradients to zero.
                {.sums = backward_options(bench.config), .zero_untouched = false}),
       targets(device, std::span<const DeviceTarget>(wanted), "targets"),
       loss_(device, bench.config.loss),

@@ -13,12 +13,13 @@ namespace relidar::cli {
 
 struct BenchCase;
 
-/// Creates target values for the losses by adding uniform noise to a rendered image.
-/// Without noise, the gradient of an L1 loss would be zero. A ray whose rendered weight
-/// is low becomes a dropped ray.
+/// Creates target values for the losses. Adds uniform noise to a rendered image, because
+/// the gradient of an L1 loss is zero where the image equals the target. A ray with a low
+/// rendered weight becomes a dropped ray (a ray without return).
 std::vector<DeviceTarget> noisy_targets(const Rendering& rendering, bool normalised_depth);
 
-/// Runs one training step. All learning rates are 0, so that the scene does not change.
+/// Runs one training step for a benchmark. All learning rates are 0, so that the step
+/// does not change the scene.
 class TrainingStep {
 public:
     TrainingStep(Device& device, const BenchCase& bench, const RendererOptions& options,
@@ -27,10 +28,11 @@ public:
     DifferentiableRenderer renderer;
     Array<DeviceTarget> targets;
 
-    /// Records the kernels of the losses. Must be called after record_forward().
+    /// Adds the loss kernels to the command buffer. Must be called after
+    /// record_forward().
     void compare(const RayBatch& rays);
-    /// Records the kernel of the optimizer (Adam). Must be called after
-    /// record_backward().
+    /// Adds the kernel of the optimizer (Adam) to the command buffer. Must be called
+    /// after record_backward().
     void optimise();
 
 private:

@@ -52,8 +52,9 @@ const char* word_of(Finding::Kind kind) {
     }
 }
 
-/// Runs a check. An error of the driver is a wrong result.
-/// @param is_lost output: true if the driver has lost the device
+/// Runs one check and measures its time. If the driver reports an error, the result of
+/// the check is "wrong".
+/// @param is_lost output: set to true if the driver has lost the device
 CheckRow run_check(const Check& check, CheckedDevice& checked, bool& is_lost) {
     CheckRow row{check.name, {}, 0.0};
     const Clock::time_point start = Clock::now();
@@ -89,7 +90,8 @@ std::string check_json(const DeviceInfo& info, const std::vector<CheckRow>& rows
 }
 
 void run_checks(const CheckOptions& options) {
-    // The checks show the results of the driver, so relidar replaces no methods.
+    // The checks show whether the driver computes correctly. With this setting, relidar
+    // does not replace methods that fail on the device.
     const Trusting trusting(DeviceTrust{});
     CheckedDevice checked(device_options(options.device));
     const DeviceInfo& info = checked.device().info();

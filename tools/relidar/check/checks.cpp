@@ -30,7 +30,7 @@ std::span<const Check> all_checks() {
 }
 
 Finding judge(double error, double tolerance) {
-    // A NaN is wrong, too.
+    // This comparison is false if the error is NaN, so a NaN counts as wrong.
     const bool is_right = error <= tolerance;
     return {is_right ? Finding::Kind::right : Finding::Kind::wrong,
             is_right && error == 0.0

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks of `relidar check`. A check runs kernels on small inputs whose results the host
-// knows exactly or computes in double precision. To add a check, write a file with a
-// function, declare the function here, and add its row in checks.cpp.
+// Declares the checks of the command `relidar check`. Each check runs GPU kernels on
+// small inputs and compares the results with exact or double-precision results of the
+// CPU. To add a check, write its function in a new file, declare the function here, and
+// add a row in checks.cpp.
 #pragma once
 
 #include <functional>
@@ -18,20 +19,23 @@ namespace relidar::cli {
 struct Finding {
     enum class Kind { right, wrong, unsupported };
     Kind kind = Kind::right;
-    std::string text;  ///< Error, or the reason of another result.
+    std::string text;  ///< Size of the error, or the reason why the check is wrong or unsupported.
 };
-/// Returns `right` with the error if it is at most the tolerance, otherwise `wrong`.
+/// Compares an error with a tolerance. Returns `right` if the error is at most the
+/// tolerance, otherwise `wrong`.
 Finding judge(double error, double tolerance);
 Finding wrong(const std::string& text);
 Finding unsupported(const std::string& why);
 
-/// A device, opened once for each traversal that a check needs.
+/// A device under test. It is opened once for each method to trace rays (software or ray
+/// query) that a check needs.
 class CheckedDevice {
 public:
     /// Opens the device with its default traversal.
     explicit CheckedDevice(const DeviceOptions& options);
     Device& device() { return *default_; }
-    /// Returns the device with a traversal. Opens it at the first call.
+    /// Returns the device with the given method to trace rays. Opens the device at the
+    /// first call.
     Device& with(Traversal traversal);
     const DeviceOptions& options() const { return options_; }
 

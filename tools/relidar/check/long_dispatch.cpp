@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks that a dispatch may take half a second. relidar cuts longer launches.
+// Checks that the driver allows a GPU dispatch of half a second, because some drivers
+// abort long dispatches. relidar splits longer work into several dispatches.
 #include <chrono>
 
 #include <fmt/format.h>
@@ -12,9 +13,11 @@ namespace relidar::cli {
 Finding check_long_dispatch(CheckedDevice& checked) {
     constexpr double kLong_s = 0.25;
     using Clock = std::chrono::steady_clock;
-    // Compiles the kernel.
+    // Runs the kernel once, so that its compile time is not measured.
     sum_error(checked.device(), true);
-    // Each turn has four times as many threads, so the last one takes at most a second.
+    // Each iteration starts four times as many threads as the previous iteration. The
+    // loop stops when a dispatch takes 0.25 s, so the last dispatch takes about one
+    // second at most.
     for (std::uint32_t n_threads = 1u << 18; n_threads <= 1u << 28; n_threads *= 4) {
         const Clock::time_point start = Clock::now();
         const double error = sum_error_of(checked.device(), n_threads);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks large allocations. A tenth of the free memory stays free for the remaining
-// programs. On a CPU, the checks use at most an eighth, because the host needs memory.
+// Checks that large allocations keep their contents. The checks use nine tenths of the
+// free GPU memory, so that other programs can still allocate memory. On a CPU device,
+// they use at most an eighth, because the host needs the memory.
 #include <algorithm>
 #include <cstring>
 #include <memory>
@@ -18,7 +19,7 @@ namespace {
 
 constexpr std::uint64_t kMiB = std::uint64_t(1) << 20;
 
-/// Returns the number of bytes that the checks may allocate.
+/// Returns the number of bytes that the memory checks may allocate.
 std::uint64_t allowed_bytes(const Device& device) {
     std::uint64_t n_free = gpu::memory_budget(impl_of(device).physical).n_free();
     if (const std::uint64_t limit = impl_of(device).memory_limit_bytes; limit > 0)
@@ -26,7 +27,7 @@ std::uint64_t allowed_bytes(const Device& device) {
     return device.info().type == "CPU" ? std::min(n_free / 8, 2048 * kMiB) : n_free / 10 * 9;
 }
 
-/// Returns true if the first and the last words of a buffer have a value.
+/// Returns true if the first and the last 16 words of a buffer all equal `value`.
 bool holds(const Buffer& buffer, std::uint32_t value) {
     for (const std::size_t offset : {std::size_t(0), buffer.size_bytes() - 64}) {
         std::uint32_t words[16];

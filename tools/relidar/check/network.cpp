@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the convolutions of the ray-drop network and their derivatives. They take most
-// of the time of the network.
+// Checks the convolutions of the ray-drop network and their derivatives. Other layers are
+// not checked, because the convolutions take most of the computing time.
 #include <algorithm>
 #include <cmath>
 #include <random>
@@ -39,7 +39,7 @@ refine::Tensor to_tensor(Device& device, const ImageBatch& images) {
     return tensor;
 }
 
-/// Returns the largest error divided by the largest expected value.
+/// Returns the largest absolute error, divided by the largest absolute expected value.
 double worst_error(const std::vector<float>& actual, const std::vector<double>& expected) {
     double worst = 0.0, largest = 0.0;
     for (std::size_t i = 0; i < expected.size(); ++i) {

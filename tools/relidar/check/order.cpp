@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the prefix sum and the sort. Sizes are close to the limits of workgroups and
-// tiles.
+// Checks the GPU prefix sum and the GPU sort. The array sizes are close to the sizes of
+// workgroups and tiles, because errors are most likely there.
 #include <algorithm>
 #include <numeric>
 #include <random>
@@ -25,8 +25,9 @@ Words random_words(std::size_t n) {
     return words;
 }
 
-/// Sorts keys by their low 24 bits on the device.
-/// @return true if keys and order equal those of a stable sort on the host
+/// Sorts random keys by their low 24 bits on the device.
+/// @return true if the sorted keys and their order equal the result of a stable sort on
+/// the host
 bool sorts(Device& device, std::uint32_t n_keys, std::uint32_t capacity) {
     const Words keys = random_words(capacity);
     const Array<std::uint32_t, shared::SortCount> count(device, Words{n_keys}, "number of keys");

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks points that the device computes against points that the host computes.
+// Checks the point cloud of a simulated scan. The points that the GPU computes must equal
+// the points that the CPU computes from the same scan.
 #include <algorithm>
 #include <cmath>
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the trees, the forward pass and the backward pass.
+// Checks the bounding volume hierarchies, the rendered images and the gradients of a
+// random scene.
 #include <algorithm>
 #include <cmath>
 
@@ -18,12 +19,13 @@
 namespace relidar::cli {
 namespace {
 
-/// Returns why a device cannot use a traversal, or an empty text.
+/// Returns the reason why a device cannot use a method to trace rays. The text is empty
+/// if the device can use it.
 std::string why_not(const DeviceInfo& info, Traversal traversal) {
     return traversal == Traversal::ray_query ? info.why_not_ray_query : info.why_not_software;
 }
 
-/// Rendered and differentiated batch of a random scene.
+/// Rendered images and gradients of a random scene.
 struct Pass {
     test::RandomScene scene;
     reference::Settings settings;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks sums of floats by many threads, and subgroup operations.
+// Checks that many threads can add to the same float without an error. Also checks the
+// subgroup operations.
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
@@ -10,7 +11,7 @@
 namespace relidar::cli {
 namespace {
 
-/// Sums of small integers must be exact.
+/// Returns "right" only if a sum has no error. Sums of small integers are exact in float.
 Finding judge_sums(double error) {
     if (error == 0.0) return {Finding::Kind::right, "exact"};
     return wrong(fmt::format("a sum is off by {:.3g} times its value", error));

@@ -14,11 +14,12 @@ constexpr double kWidest = 400.0;  // Maximum width of a view in pixels.
 constexpr double kAround_m = 0.3;  // Width of the margin around the asset's box.
 constexpr int kGap = 8;            // Gap between views in pixels.
 constexpr std::uint8_t kBackdrop = 24;
-// Minimum rendered weight (opacity) of a pixel. Pixels below it show no surface.
+// Minimum rendered weight (opacity) of a pixel. A pixel with a lower weight shows no
+// surface.
 constexpr float kLeastWeight = 0.5f;
 
-/// Directions of one view in the frame of the asset's box: viewing direction, and the
-/// right and up directions of the picture.
+/// Directions of one camera view, in the frame of the asset's box. `along` is the viewing
+/// direction. `right` and `up` are the axes of the picture.
 struct AssetView {
     glm::dvec3 along, right, up;
 };
@@ -33,8 +34,8 @@ double extent_m(const glm::dvec3& axis, const glm::dvec3& size_m) {
     return glm::dot(glm::abs(axis), size_m) + 2.0 * kAround_m;
 }
 
-/// Returns one ray per pixel. All rays have the same direction. They are in the box frame
-/// and sorted row by row, starting at the upper left.
+/// Returns one ray per pixel in the box frame, row by row from the upper left pixel. All
+/// rays have the same direction.
 RayTable parallel_rays(const AssetView& view, const glm::dvec3& size_m, double pixel_m) {
     RayTable rays;
     rays.rows = int(std::ceil(extent_m(view.up, size_m) / pixel_m));
@@ -53,8 +54,8 @@ RayTable parallel_rays(const AssetView& view, const glm::dvec3& size_m, double p
     return rays;
 }
 
-/// Returns the brightness of each pixel from 0 to 1. A negative value means that the
-/// pixel shows no surface.
+/// Returns the brightness of each pixel, from 0 to 1. A value of -1 means that the pixel
+/// shows no surface.
 std::vector<float> shades(const RenderedScan& scan, const AssetView& view, const glm::dquat& world_from_box,
                           float brightest) {
     std::vector<float> shade(scan.weight.size(), -1.0f);
@@ -82,7 +83,7 @@ float bright_intensity(const std::vector<RenderedScan>& scans) {
 }
 
 /// Draws one view of the asset into the canvas.
-/// @param row, column upper left pixel of the view in the canvas
+/// @param row, column position of the view's upper left pixel in the canvas
 void draw(Image& canvas, int row, int column, const RenderedScan& scan, const std::vector<float>& shade,
           const BoxSurface& surface) {
     for (int r = 0; r < scan.image.rows; ++r) {

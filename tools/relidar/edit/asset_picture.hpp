@@ -7,11 +7,11 @@
 
 namespace relidar::cli {
 
-/// Renders an asset with parallel rays. The upper row shows it from the left, the right
-/// and above. The lower row shows it from behind and from the front. The rays are 2 cm
-/// apart, or more if the asset is longer than 8 m. The brightness is the LiDAR intensity,
-/// reduced by the angle between ray and surface. Bluish parts were not seen, but copied
-/// from the other side by mirroring.
+/// Renders pictures of an asset with parallel rays. The upper row shows the left, right
+/// and top sides. The lower row shows the back and the front. The rays are 2 cm apart, or
+/// more if the asset is longer than 8 m. A pixel is brighter if its intensity is higher,
+/// and darker if the ray meets the surface at a flat angle. Bluish parts were not
+/// observed. They are mirrored copies of the other side.
 Image asset_picture(Device& device, const Asset& asset, const BoxSurface& surface);
 
 }  // namespace relidar::cli

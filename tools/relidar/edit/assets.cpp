@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar assets` saves the actors of a run as a folder of assets. Assets
-// can be inserted into other runs and spawned by clients of the service.
+// The command `relidar assets` saves the actors of a run as a folder of assets. A user
+// can insert assets into other runs. A client of the render service can add assets to its
+// scene.
 #include <filesystem>
 #include <memory>
 #include <set>
@@ -46,8 +47,8 @@ std::string sides_text(const AssetFacts& facts) {
     return text;
 }
 
-/// Returns the reason why an actor is not saved as an asset. Returns an empty text if it
-/// is saved.
+/// Returns the reason why an actor is not saved as an asset. The text is empty if the
+/// actor is saved.
 std::string reason_against(const AssetFacts& facts, const ActorObservations& sightings, double least) {
     if (sightings.points_m.empty()) return "no ray of the training frames hits this actor";
     if (facts.score() >= least) return "";
@@ -62,8 +63,8 @@ std::string reason_against(const AssetFacts& facts, const ActorObservations& sig
 
 std::vector<std::string> actors_of(const Run& run) {
     std::vector<std::string> tracks;
-    // Models that are already saved. A copy of an actor has the same model and is
-    // skipped.
+    // Surfel models that are already saved. A copy of an actor uses the same model, so it
+    // is skipped.
     std::set<std::uint32_t> models;
     for (const Instance& instance : run.scene.instances)
         if (!instance.track.empty() && models.insert(instance.model).second) tracks.push_back(instance.track);
@@ -73,8 +74,8 @@ std::vector<std::string> actors_of(const Run& run) {
     return tracks;
 }
 
-/// Changes the name of an asset if another asset has the same name. Names can collide
-/// because characters that are not allowed in folder names are replaced.
+/// Adds a number to the name of an asset if another asset already has this name. Names
+/// can collide, because characters that are not allowed in folder names are replaced.
 void make_unique(Asset& asset, std::set<std::string>& used_names) {
     const std::string stem = asset.facts.name;
     std::string name = stem;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar edit` writes an edited copy of a run. Actors can be removed,
-// moved, retimed, copied, or inserted from other runs. Surfels can be replaced by those
-// of a PLY file.
+// The command `relidar edit` writes an edited copy of a run. It can remove, move, delay
+// and copy actors, or insert actors from other runs. It can also replace all surfels by
+// the surfels of a PLY file.
 #include <algorithm>
 #include <filesystem>
 #include <memory>
@@ -23,8 +23,8 @@ namespace {
 struct EditOptions {
     std::string run;
     std::string out;
-    /// PLY file with surfels that replace the surfels of the run. It is empty if the run
-    /// keeps its surfels.
+    /// PLY file with surfels that replace the surfels of the run. If the name is empty,
+    /// the run keeps its surfels.
     std::string ply;
     std::vector<TypedEdit> edits;  ///< Edits in the order in which the user typed them.
     bool force = false;
@@ -45,7 +45,7 @@ bool is_same(const PoseTrack& a, const PoseTrack& b) {
     return a.time_s == b.time_s && std::ranges::equal(a.pose, b.pose, same);
 }
 
-/// Returns the track names of actors that are new or whose poses have changed.
+/// Returns the track names of the actors that an edit has added or moved.
 std::vector<std::string> list_new_tracks(const DrivingScene& driving, const Sequence& before) {
     std::vector<std::string> placed;
     for (const Instance& instance : driving.scene.instances) {
@@ -57,8 +57,8 @@ std::vector<std::string> list_new_tracks(const DrivingScene& driving, const Sequ
     return placed;
 }
 
-/// Returns one warning line for each new or moved actor that has too few surfels for its
-/// distance from the sensor.
+/// Returns a warning line for each added or moved actor that has too few surfels. An
+/// actor needs more surfels if it is closer to the sensor.
 std::string sparse_actors(const DrivingScene& driving, const Sequence& before) {
     std::string text;
     for (const std::string& track : list_new_tracks(driving, before)) {

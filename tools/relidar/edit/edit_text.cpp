@@ -21,7 +21,7 @@
 namespace relidar::cli {
 namespace {
 
-// Maximum offset or speed. Larger values are rejected as typing errors.
+// Maximum offset or speed. A larger value is probably a typing error, so it is rejected.
 constexpr double kFarOff_m = 1e6;
 
 [[noreturn]] void refuse(const TypedEdit& edit, const std::string& expected) {
@@ -35,7 +35,7 @@ const char* form_of(const TypedEdit& edit) {
         ->form;
 }
 
-/// Splits a text at a separator. Throws an error if one of the two parts is empty.
+/// Splits a text into two parts at position `at`. Throws an error if one part is empty.
 std::pair<std::string, std::string> cut(const TypedEdit& edit, const std::string& text, std::size_t at) {
     if (at == std::string::npos || at == 0 || at + 1 == text.size()) refuse(edit, form_of(edit));
     return {text.substr(0, at), text.substr(at + 1)};
@@ -50,14 +50,15 @@ std::vector<double> numbers(const TypedEdit& edit, const std::string& text, std:
     return values;
 }
 
-/// Converts numbers to a pose: x, y, z, and optionally yaw, pitch and roll in degrees.
+/// Converts numbers to a pose. The numbers are x, y and z in metres, and optionally yaw,
+/// pitch and roll in degrees.
 Pose pose_of(const std::vector<double>& v) {
     const auto radians = [&](std::size_t i) { return i < v.size() ? v[i] * kPi / 180.0 : 0.0; };
     return {rotation_of(radians(3), radians(4), radians(5)), {v[0], v[1], v[2]}};
 }
 
 /// Parses a position on the ground, "x,y,ground[,yaw_deg]". Returns no value if the third
-/// field is not "ground".
+/// field is not the word "ground".
 std::optional<GroundPlace> ground_place(const TypedEdit& edit, const std::string& text) {
     constexpr std::string_view kWord = ",ground";
     const std::size_t at = text.find(kWord);
@@ -70,15 +71,16 @@ std::optional<GroundPlace> ground_place(const TypedEdit& edit, const std::string
     return place;
 }
 
-/// An actor and the scene that contains it.
+/// An actor to insert or move, and the scene that contains this actor.
 struct SourceActor {
     const DrivingScene& owner;
     const std::string& track;
-    /// Height of the bottom of the box above the ground, if it is known.
+    /// Height of the bottom of the actor's box above the ground. Has no value if the
+    /// height is unknown.
     std::optional<double> clearance_m;
 };
 
-/// Parses a start pose and an optional speed:
+/// Parses a start pose with an optional speed. The text is
 /// "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]".
 Start start_of(const TypedEdit& edit, const std::string& text, const DrivingScene& driving,
                const SourceActor& actor) {
@@ -98,8 +100,8 @@ Start start_of(const TypedEdit& edit, const std::string& text, const DrivingScen
     return {pose_of(pose), speed_mps};
 }
 
-/// Returns a text with the height and the tilt of an actor that was placed on the ground,
-/// because the user did not type them. Returns an empty text for other actors.
+/// Describes the height and tilt of an actor that is placed on the ground, because the
+/// user did not type these values. Returns an empty text for other actors.
 std::string standing(const Start& start, const std::string& typed) {
     if (typed.find(",ground") == std::string::npos) return "";
     const glm::dvec3& p = start.dataset_from_box.translation;
@@ -110,8 +112,8 @@ std::string standing(const Start& start, const std::string& typed) {
                        tilt_deg);
 }
 
-/// Returns a warning if a part of an actor's path is outside the ground that the log has
-/// seen.
+/// Returns a warning if the actor moves over ground that the log has not observed. The
+/// height of such ground is a guess.
 std::string unseen_ground_note(const Start& start, const std::string& track) {
     if (start.unseen_m == 0.0) return "";
     return fmt::format(
@@ -120,8 +122,8 @@ std::string unseen_ground_note(const Start& start, const std::string& track) {
         track, start.unseen_m);
 }
 
-/// Returns a warning if the log has not seen some sides of an actor. Rays pass through
-/// these sides.
+/// Returns a warning if the log has not observed some sides of an actor. These sides have
+/// no surfels, so rays pass through them.
 std::string unseen_sides_note(const DrivingScene& driving) {
     const Instance& added = driving.scene.instances.back();
     const Model& model = driving.scene.models[added.model];
@@ -157,7 +159,8 @@ bool is_present_in_any_frame(const DrivingScene& driving, const std::string& tra
                                       [&](const Frame& f) { return box->present(f.time_s); });
 }
 
-/// Returns a note if an edit makes an actor absent from frames of the log.
+/// Returns a warning if an edit removes an actor from frames of the log, for example
+/// because its motion is delayed.
 /// @param before track of the actor before the edit; null for a new actor
 std::string absence_note(const DrivingScene& driving, const std::string& track, const BoxTrack* before) {
     if (!is_present_in_any_frame(driving, track))
@@ -168,7 +171,9 @@ std::string absence_note(const DrivingScene& driving, const std::string& track, 
 
 BoxTrack copy_of_box(const DrivingScene& driving, const std::string& track) {
     const BoxTrack* box = find_box(driving.sequence, track);
-    return box ? *box : BoxTrack{};  // If the track is unknown, the edit itself throws an error later.
+    // Returns an empty track if the actor is unknown, because the edit itself then throws
+    // an error.
+    return box ? *box : BoxTrack{};
 }
 
 AppliedEdit retime(DrivingScene driving, const TypedEdit& edit) {
@@ -195,14 +200,14 @@ AppliedEdit copy(DrivingScene driving, const TypedEdit& edit) {
             join_notes({unseen_ground_note(start, last_track(driving)), unseen_sides_note(driving)})};
 }
 
-/// An actor that comes from another run or from an asset.
+/// An actor that is inserted from another run or from an asset.
 struct ExternalActor {
     std::string folder, track;
     Run run;
     DrivingScene owner;
 };
 
-/// Loads the actor from "RUN#TRACK" or "ASSET".
+/// Loads an actor from a folder. The text is "RUN#TRACK" or "ASSET".
 ExternalActor load_external_actor(const TypedEdit& edit, const std::string& what) {
     const bool named = what.find('#') != std::string::npos;
     const auto [folder, named_track] =
@@ -213,7 +218,7 @@ ExternalActor load_external_actor(const TypedEdit& edit, const std::string& what
     return {folder, track, std::move(run), std::move(owner)};
 }
 
-/// Returns a note if the log of the actor was recorded with another type of sensor.
+/// Returns a warning if the actor was recorded with another type of sensor than this run.
 std::string sensor_note(const ExternalActor& actor, const DrivingScene& driving) {
     const SpinningSensor &actor_sensor = actor.run.sequence.lidars[0].sensor,
                          &run_sensor = driving.sequence.lidars[0].sensor;
@@ -252,8 +257,8 @@ glm::dvec3 size_of(const DrivingScene& driving, const std::string& track) {
     return box == driving.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m;
 }
 
-/// Parses "ENTITY=WHAT,ENTITY=WHAT". It assigns an actor (WHAT) to each entity of a
-/// scenario.
+/// Parses "ENTITY=WHAT,ENTITY=WHAT". Each pair says which actor (WHAT) plays an entity of
+/// an OpenSCENARIO file.
 std::map<std::string, std::string> roles_of(const TypedEdit& edit, const std::string& text) {
     std::map<std::string, std::string> roles;
     std::istringstream words(text);
@@ -268,8 +273,8 @@ void join_note(std::string& note, const std::string& more) {
     if (!more.empty()) note += (note.empty() ? "" : "; ") + more;
 }
 
-/// Moves an actor along the trajectory of a scenario entity. If the actor is not in the
-/// run, it is inserted from another run or an asset.
+/// Moves an actor along the trajectory of an entity of an OpenSCENARIO file. If the run
+/// does not contain the actor, inserts it from another run or an asset.
 void follow(const TypedEdit& edit, const ScenarioEntity& entity, const std::string& what,
             AppliedEdit& applied) {
     DrivingScene& driving = applied.driving;
@@ -368,8 +373,8 @@ AppliedEdit apply(DrivingScene driving, const TypedEdit& edit) {
     try {
         return function->second(std::move(driving), edit);
     } catch (const UsageError& error) {
-        // Adds the option and its value to the error message, because a command line can
-        // contain several edits.
+        // Adds the option and its value to the error message, so that the user knows
+        // which of several edits failed.
         const std::string message = error.what();
         throw UsageError(message.starts_with(edit.option)
                              ? message

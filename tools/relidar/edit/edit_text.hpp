@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parses edits on the command line, such as "--move 0:0,3.5,0". For each edit it calls a
-// function of <relidar/run/edit.hpp>.
+// Parses the edit options of the command line, such as "--move 0:0,3.5,0", and applies
+// each edit to the scene.
 #pragma once
 
 #include <string>
@@ -16,7 +16,7 @@ struct TypedEdit {
     std::string value;   ///< For example "0:0,3.5,0".
 };
 
-/// Describes an option of `relidar edit` by its name, the form of its value, and its help
+/// Describes an option of `relidar edit`: its name, the form of its value, and its help
 /// text.
 struct EditOption {
     const char* option;
@@ -29,12 +29,13 @@ const std::vector<EditOption>& edit_options();
 struct AppliedEdit {
     DrivingScene driving;
     std::string said;  ///< One line that describes the edit.
-    std::string note;  ///< Note that is printed for the user. It is empty if there is no note.
+    std::string note;  ///< Warning for the user. Empty if the edit causes no warning.
 };
 
-/// Applies an edit to a scene and its tracks.
-/// @throws UsageError that names the option and the value, if the value is malformed or
-/// its track does not exist; DataError if a file is malformed
+/// Applies an edit to a scene and to the tracks of its actors.
+/// @throws UsageError if the value is malformed or the track does not exist; the message
+/// names the option and the value
+/// @throws DataError if a file is malformed
 AppliedEdit apply(DrivingScene driving, const TypedEdit& edit);
 
 }  // namespace relidar::cli

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The command `relidar eval` renders the held-out frames of a run and compares them with
-// the log. It can also score a baseline, which needs only a log. It can also write the
-// scores of several runs into a table.
+// the log. It can also score a baseline, which needs a log but no run. A third use is a
+// table that contains the scores of several runs.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -54,10 +54,10 @@ void check_held_out(const Split& split, const std::string& where) {
             fmt::format("cannot evaluate {}: it has no held-out frames; expected at least one", where));
 }
 
-/// Output files and folders. The first process checks that they can be written before any
-/// process starts to render.
+/// Output files and folders of the command. The first MPI process checks that they are
+/// writable before any process starts to render.
 struct Output {
-    /// Output paths. If a path is empty, nothing is written there.
+    /// Paths of the output files. If a path is empty, that output is not written.
     std::filesystem::path file, pictures;
     std::optional<OutputFolder> of_file;
     std::optional<LockedFolder> of_pictures;
@@ -93,14 +93,14 @@ double seconds_since(std::chrono::steady_clock::time_point start) {
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 
-/// Writes the scores as a web page and opens the page in a browser.
+/// Writes the scores as a web page and opens this page in a browser.
 void open_page(const std::filesystem::path& page, const Report& report, bool quiet) {
     write_report(page, report);
     if (!quiet) print("page     " + absolute_path(page.string()) + "\n");
     open_in_browser(absolute_path(page.string()));
 }
 
-/// Returns a note that explains how to read the scores of an edited run.
+/// Returns a note that explains what the scores of an edited run mean.
 std::string edit_note(const Run& run) {
     if (run.edits.empty()) return "";
     if (is_recastable(run))
@@ -110,14 +110,15 @@ std::string edit_note(const Run& run) {
            "pixels do not measure the quality of the edit\n";
 }
 
-/// Adds metrics that cover only the pixels that an edit changes.
+/// Adds scores that use only the pixels changed by an edit.
 /// @param before exact scan of the street without the edit
 void add_edited_scores(ScoredFrame& frame, const Config& config, const Scan& before) {
     frame.metrics.merge(evaluate_regions(frame.rendered.image, frame.real,
                                          {edited_region(frame.real, real_image(config, before))}));
 }
 
-/// Removes the frames that other processes score.
+/// Keeps only the frames that this process scores. The other MPI processes score the
+/// remaining frames.
 void keep_rank_share(std::vector<int>& positions, const Ranks& ranks) {
     const ProcessGroup::Share share = ranks.group().share(positions.size());
     positions = {positions.begin() + std::ptrdiff_t(share.begin),
@@ -125,8 +126,8 @@ void keep_rank_share(std::vector<int>& positions, const Ranks& ranks) {
 }
 
 void score_run(const EvalOptions& options, const Ranks& ranks, const std::string& command_line) {
-    // Lock of the scored run. It is needed because metrics.json is written into the run's
-    // folder.
+    // Lock of the run's folder. No other process may write to this folder, because the
+    // command writes metrics.json there.
     std::optional<FolderLock> lock;
     if (ranks.is_first() && options.out.empty() && is_run(options.target)) lock.emplace(options.target);
     std::vector<std::string> used = rendering_settings();
@@ -183,7 +184,7 @@ const std::vector<std::string> kBaselineSettings = {
     "dataset.skip_broken",     "dataset.min_range_m", "dataset.memory_mib",    "dataset.max_range_m",
     "dataset.waymo_intensity", "sensor.grid",         "sensor.rolling_shutter"};
 
-/// Scores a baseline on a log. This needs neither a trained run nor a device.
+/// Scores a baseline on a log. A baseline needs neither a trained run nor a GPU.
 void score_log(const EvalOptions& options, const Ranks& ranks) {
     check_sets(options.sets, kBaselineSettings, "eval LOG --baseline");
     Config config = make_preset("default");
@@ -231,8 +232,8 @@ void run_eval(const EvalOptions& typed_options, const std::string& command_line)
             fmt::format("--open: found {} MPI processes; expected one, because the page has pictures of all "
                         "frames",
                         ranks.size()));
-    // Throws an error for an unknown baseline before the log is read, because reading
-    // takes long.
+    // Throws an error if the baseline is unknown. This is checked before the log is
+    // loaded, because loading takes a long time.
     if (!options.baseline.empty()) (void)find_baseline(options.baseline);
     if (!options.baseline.empty() && !is_run(options.target)) {
         if (options.open)
@@ -249,7 +250,7 @@ void run_eval(const EvalOptions& typed_options, const std::string& command_line)
     score_run(options, ranks, command_line);
 }
 
-/// Checks the options that are used together with --table.
+/// Checks the options that the user has combined with --table.
 /// @throws UsageError if one of them is an option for scoring
 void check_table_options(const CLI::App& command) {
     for (const CLI::Option* option : command.get_options()) {

@@ -14,40 +14,42 @@ namespace relidar::cli {
 class Progress;
 class Ranks;
 
-/// Returns a callback that shows the progress of an evaluation. After Ctrl-C the callback
-/// throws an Error with exit code 130, which ends the evaluation.
+/// Returns a callback that shows the progress of an evaluation. After Ctrl-C, the
+/// callback throws an Error with exit code 130 to stop the evaluation.
 relidar::Progress stop_on_interrupt(Progress& progress);
 
-/// Returns the five most important scores for the terminal, one per line. A score is left
-/// out if the evaluation does not have it.
+/// Returns the five most important scores for the terminal, one per line. A missing score
+/// is left out.
 std::string score_summary(const Evaluation& evaluation);
-/// Returns a table of the 20 worst moving boxes. The first row contains the titles.
+/// Returns a table of the 20 moving boxes with the worst scores. The first row contains
+/// the column titles.
 std::vector<std::vector<std::string>> actor_rows(const Evaluation& evaluation);
-/// Returns tables of all metrics for the terminal. They show the mean, lowest and highest
-/// value over the frames, errors by region, and the meaning of each metric.
-/// @param baseline if not null, its means are shown too
+/// Returns tables of all metrics for the terminal. They show the mean, minimum and
+/// maximum over the frames, the errors by region, and the meaning of each metric.
+/// @param baseline scores of a baseline, whose means are shown too; may be null
 std::string metric_table(const Evaluation& evaluation, const Evaluation* baseline = nullptr);
 
-/// Combines the frames that several processes have scored.
-/// @return in the first process: the evaluation of all frames, where frames of other
-/// processes have no images; in the other processes: `mine`
+/// Combines the scores of all MPI processes in the first process.
+/// @return in the first process, the scores of all frames; frames of other processes have
+/// no images. In the other processes, `mine`
 Evaluation joined(const Evaluation& mine, const Ranks& ranks);
 
-/// Returns the scored frames as JSON objects. Each object holds the frame number, LiDAR,
-/// time, number of rays, tracing time, metrics and the scores of each moving box. Used in
-/// metrics.json and in messages between processes.
+/// Returns the scored frames as JSON objects. Each object contains the frame number,
+/// LiDAR, time, number of rays, render time, metrics, and the scores of each moving box.
+/// The program writes them into metrics.json and sends them between MPI processes.
 nlohmann::ordered_json frames_json(const Evaluation& evaluation);
 
-/// Origin of the scores, which metrics.json stores in addition to the scores.
+/// Says how the scores were computed. metrics.json contains these values in addition to
+/// the scores.
 struct MetricsOrigin {
-    std::string run;  ///< Path of the run. It is empty if a baseline was scored without a run.
+    std::string run;  ///< Path of the run. Empty if a baseline was scored without a run.
     std::string device;
     std::uint64_t peak_device_bytes = 0;
     double seconds = 0.0;
     const Evaluation* baseline = nullptr;
 };
-/// Returns the text of metrics.json. It contains the scores of each frame, their means,
-/// the protocol, timings, device and memory.
+/// Returns the text of the file metrics.json. It contains the scores of each frame, their
+/// means, the evaluation protocol, timings, device and memory.
 std::string metrics_json(const Evaluation& evaluation, const Config& config, const MetricsOrigin& origin);
 
 }  // namespace relidar::cli

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Formats evaluations as tables and as metrics.json. Each score is written together with
-// its protocol and hit threshold, because scores of different protocols are not
-// comparable.
+// Formats scores as tables and as the file metrics.json. The evaluation protocol and the
+// hit threshold are always written next to the scores, because scores of different
+// protocols are not comparable.
 #include "evaluate/evaluation.hpp"
 
 #include <algorithm>
@@ -77,8 +77,8 @@ bool of_protocol(const std::string& name) {
            name.starts_with("actors/");
 }
 
-/// Returns the lowest and the highest value of a metric. Frames without this metric are
-/// skipped.
+/// Returns the minimum and the maximum of a metric over all frames. Frames without this
+/// metric are skipped.
 std::pair<double, double> spread_of(const Evaluation& evaluation, const std::string& name) {
     double low = evaluation.mean.at(name), high = low;
     for (const ScoredFrame& frame : evaluation.frames) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sends the scores of frames from all MPI processes to the first process.
+// Sends the frame scores of all MPI processes to the first process.
 #include "evaluate/evaluation.hpp"
 
 #include <utility>

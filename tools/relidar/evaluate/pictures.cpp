@@ -71,7 +71,7 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
 }
 
 void write_strips(const std::filesystem::path& folder, const ScoredFrame& frame, double max_range_m) {
-    // The names are in the order of the figures of comparison_figures().
+    // File names in the same order as the figures that comparison_figures() returns.
     std::vector<const char*> names = {"range", "intensity", "drop"};
     if (!has_intensities(frame.real)) names.erase(names.begin() + 1);
     const std::vector<ReportFigure> figures = comparison_figures(frame, "", "real", max_range_m);

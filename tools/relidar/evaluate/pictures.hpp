@@ -17,24 +17,26 @@ struct ScoredFrame;
 
 namespace relidar::cli {
 
-/// Draws range, intensity and ray-drop of a frame. Each figure shows the real image, the
-/// rendered image and the error. The intensity is left out if the log has none.
+/// Draws three figures of a frame: range, intensity and ray-drop. Each figure shows the
+/// real image, the rendered image and the error. If the log has no intensities, that
+/// figure is left out.
 /// @param title text before the name of each figure
 /// @param real caption of the real images
 std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std::string& title,
                                              const std::string& real, double max_range_m);
 
-/// Writes the files FOLDER/{range,intensity,drop}_000123.png of a frame. Each file shows
-/// the real image, the rendered image and the error, one below the other. The intensity
-/// is left out if the log has none.
+/// Writes pictures of a frame as FOLDER/{range,intensity,drop}_000123.png. Each picture
+/// shows the real image, the rendered image and the error, from top to bottom. If the log
+/// has no intensities, that picture is left out.
 void write_strips(const std::filesystem::path& folder, const ScoredFrame& frame, double max_range_m);
 
-/// Draws the real range image, and the rendered range image below it.
+/// Draws the rendered range image below the real range image.
 Image range_pair(const ScoredFrame& frame, double max_range_m);
 
-/// Draws the pattern of a sensor. Each ray is a dot, and its colour is the firing time.
-/// Azimuth increases to the right as seen from the sensor, elevation upwards, both at the
-/// same scale. If the sensor covers all azimuths, only the 40 degrees ahead are shown.
+/// Draws the ray pattern of a sensor. Each ray is a dot whose colour shows its firing
+/// time. Azimuth increases to the right as seen from the sensor, and elevation increases
+/// upwards. If the sensor covers all azimuths, the picture shows only the 40 degrees
+/// ahead.
 Image ray_picture(const RayTable& rays);
 
 }  // namespace relidar::cli

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Creates parts of the HTML report about scored frames: points in 3D, range errors, and
-// explanations of the metrics.
+// Creates the parts of the HTML report that describe scored frames: 3D points, range
+// errors, and explanations of the metrics.
 #pragma once
 
 #include <string>
@@ -17,22 +17,22 @@ struct ScoredFrame;
 
 namespace relidar::cli {
 
-/// Creates a 3D view of the real and the simulated points of a frame. The points are in
-/// the sensor frame at the time of the frame.
+/// Creates a 3D view that shows the real and the simulated points of a frame together.
+/// All points are in the sensor frame at the time of the frame.
 /// @param real label of the real points
 ReportView compare_points(const ScoredFrame& frame, const Config& config, const std::string& title,
                           const std::string& real);
 
-/// Returns bars that show the share of rays with small and large range errors. The rays
-/// of all frames are grouped by their real range.
+/// Creates a bar chart of the range errors. Each bar shows the shares of rays with small
+/// and large errors, for one interval of the real range.
 ReportBars errors_by_range(const Evaluation& evaluation, const std::string& title);
 
 /// Returns the most important metrics with their explanations.
 std::vector<ReportKeyMetric> key_metrics();
 
-/// Returns a sentence about the quality of a run, such as "half of all ranges are within
-/// 2.1 cm of the real ones, and 97.3 % of all rays return or drop as they did". Returns
-/// an empty text if the metrics are missing.
+/// Returns a sentence about the quality of a run. Example: "half of all ranges are within
+/// 2.1 cm of the real ones, and 97.3 % of all rays return or drop as they did". The text
+/// is empty if the metrics are missing.
 std::string how_good(const MetricRow& mean);
 
 }  // namespace relidar::cli

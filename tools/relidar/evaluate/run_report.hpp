@@ -15,8 +15,8 @@ struct Evaluation;
 
 namespace relidar::cli {
 
-/// Returns a report with facts, loss curves and kernel times of a training.
-/// add_evaluation() adds the scores to this report.
+/// Returns a report about a training with facts, loss curves and kernel times. The report
+/// has no scores until add_evaluation() adds them.
 Report make_report(const Run& run, const TrainResult& result, const Device& device,
                    const std::string& command_line);
 
@@ -25,13 +25,13 @@ struct EvaluationTitle {
     std::string column;  ///< Title of the column in the metric table, such as "held out".
     std::string real;    ///< Caption of the real images: "real" or "exact".
 };
-/// Adds the scores of an evaluation to a report: a column of metrics, a table of timings,
-/// errors by range, moving objects, and points and pictures of one frame. The first call
-/// also extends the summary of the report.
+/// Adds the scores of an evaluation to a report. It adds metrics, timings, errors by
+/// range, moving objects, and the points and pictures of one frame. The first call also
+/// extends the summary of the report.
 void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run,
                     const EvaluationTitle& title);
 
-/// Returns a report about an evaluation only, without facts about the training.
+/// Returns a report that contains only an evaluation and no facts about the training.
 Report make_evaluation_report(const Run& run, const Evaluation& evaluation, const Device& device,
                               const std::string& command_line);
 

@@ -29,7 +29,7 @@ struct ScoredRun {
     std::string log;
     std::size_t n_frames = 0;  ///< Number of scored held-out frames.
     double training_s = 0.0;
-    MetricRow mean;  ///< Mean of each metric over these frames. It is empty if the run has no scores.
+    MetricRow mean;  ///< Mean of each metric over these frames. Empty if the run has no scores.
     nlohmann::json protocol;
 };
 
@@ -61,7 +61,8 @@ std::vector<MetricRow> scored_rows(const std::vector<ScoredRun>& runs) {
 }
 
 /// Returns the names of the protocol settings that differ between the runs, such as
-/// "grid, range". Scores are not comparable if their protocols differ.
+/// "grid, range". The table warns about them, because scores of different protocols are
+/// not comparable.
 std::string protocol_differences(const std::vector<ScoredRun>& runs) {
     std::set<std::string> keys;
     const ScoredRun* first = nullptr;
@@ -81,7 +82,8 @@ std::string protocol_note(const std::vector<ScoredRun>& runs) {
                : fmt::format("Compare the runs with care, because their protocols differ in {}.", keys);
 }
 
-/// Returns the names of the key metrics for which at least one run has a value.
+/// Returns the names of the most important metrics for which at least one run has a
+/// value.
 std::vector<std::string> table_metrics(const MetricRow& mean) {
     std::vector<std::string> names;
     for (const ReportKeyMetric& key : key_metrics())
@@ -165,8 +167,8 @@ void write_page(const fs::path& file, const std::vector<ScoredRun>& runs) {
     write_report(file, report);
 }
 
-/// Checks that each run has scores.
-/// @throws DataError that names a run without scores
+/// Checks that every run has scores.
+/// @throws DataError if a run has no scores; the message names the run
 void check_scored(const std::vector<ScoredRun>& runs) {
     const auto missing =
         std::find_if(runs.begin(), runs.end(), [](const ScoredRun& run) { return run.mean.empty(); });

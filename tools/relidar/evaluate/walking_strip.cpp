@@ -15,13 +15,13 @@
 namespace relidar::cli {
 namespace {
 
-// Number of drawn frames, and minimum mean number of points of the actor per frame.
+// Number of frames to draw, and minimum mean number of the actor's points per frame.
 constexpr std::size_t kFrames = 8, kFewestPoints = 20;
 constexpr double kPixels_per_m = 80.0, kBeside_m = 0.25, kWider_m = 0.5;
 constexpr int kDot = 3;
 
-/// Returns the rays of a frame that may hit the box. The result is a list of rays, not an
-/// image.
+/// Returns the rays of a frame that may hit the box, as a list without image rows and
+/// columns.
 Scan rays_about(const Run& run, const Frame& frame, const BoxTrack& box) {
     const Pose sensor =
         run.sequence.world_from_vehicle.at(frame.time_s, run.sequence.lidar_of(frame).vehicle_from_sensor);
@@ -40,8 +40,8 @@ Scan rays_about(const Run& run, const Frame& frame, const BoxTrack& box) {
     return scan;
 }
 
-/// Returns the frames of one LiDAR in which the box is present. Frames without a scan are
-/// skipped.
+/// Returns the frames of the first LiDAR in which the box is present. Frames without a
+/// scan are skipped.
 std::vector<const Frame*> frames_of(const Run& run, const BoxTrack& box) {
     std::vector<const Frame*> frames;
     for (const Frame& frame : run.sequence.frames)
@@ -62,8 +62,8 @@ struct Walk {
     double distance_m = std::numeric_limits<double>::max();
 };
 
-/// Finds the walking actor that is nearest to the sensor, and the frames in which its
-/// mean distance is smallest. Near actors have the most points.
+/// Finds the walking actor that comes nearest to the sensor, and the frames in which it
+/// is nearest. Near actors have the most points.
 Walk nearest_walk(const Run& run) {
     Walk nearest;
     for (const Instance& instance : run.scene.instances) {
@@ -81,8 +81,8 @@ Walk nearest_walk(const Run& run) {
     return nearest;
 }
 
-/// Draws panels side by side, with one dot per point. Forward is to the right. The colour
-/// shows the position of the point from left to right.
+/// Draws several point clouds side by side, with one dot per point. The actor faces to
+/// the right. The colour shows how far left or right a point is on the body.
 Image drawn(const std::vector<std::vector<glm::dvec3>>& panels, const glm::dvec3& size_m) {
     const int width = int((size_m.x + 2.0 * kBeside_m) * kPixels_per_m),
               rows = int((size_m.z + 2.0 * kBeside_m) * kPixels_per_m);

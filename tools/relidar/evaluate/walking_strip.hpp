@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Draws a walking person in successive frames. The upper row shows the real points, the
-// lower row the simulated points.
+// Draws a walking person in successive frames. The upper row shows the real points. The
+// lower row shows the simulated points.
 #pragma once
 
 #include <optional>
@@ -14,10 +14,10 @@ struct Run;
 
 namespace relidar::cli {
 
-/// Draws eight successive frames of a walking actor, seen from the actor's right side.
-/// Chooses the actor with the most points in the log.
-/// @param run its sequence must hold the scans
-/// @return no value if no walking actor is visible for eight frames
+/// Draws a walking actor in eight successive frames, seen from its right side. Chooses
+/// the actor with the most points in the log.
+/// @param run run whose log is loaded with all scans
+/// @return no value if no walking actor is visible in eight frames
 std::optional<ReportFigure> walking_strip(Device& device, const Run& run);
 
 }  // namespace relidar::cli

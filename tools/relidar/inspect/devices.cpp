@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar list devices` lists the Vulkan devices of the machine and their
-// features. It also prints which ray traversal relidar would use, and why ray queries are
-// not available.
+// The command `relidar list devices` prints the Vulkan devices of the machine and their
+// features. For each device it also prints the method to trace rays, and why ray queries
+// are not available.
 #include <memory>
 
 #include <fmt/format.h>
@@ -15,7 +15,8 @@
 namespace relidar::cli {
 namespace {
 
-/// Returns the name of the ray traversal that `--traversal auto` selects on this device.
+/// Returns the name of the method to trace rays that `--traversal auto` selects on this
+/// device.
 std::string traversal_of(const DeviceInfo& info) {
     switch (best_traversal(info)) {
         case Traversal::ray_query:

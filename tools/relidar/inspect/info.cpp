@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar info: prints a summary of a log or a run.
+// The command `relidar info` prints a summary of a log or of a run.
 #include <algorithm>
 #include <filesystem>
 #include <memory>
@@ -30,7 +30,8 @@ void show_run(const InfoOptions& options) {
     print(options.json ? to_json(summary) : to_text(summary));
 }
 
-/// Prints how far the training of a run is, if the run has no scene yet.
+/// Prints how many training iterations are finished, if the run has not saved a scene
+/// yet.
 void show_unfinished(const std::filesystem::path& folder) {
     const Config config = load_saved_config(folder / "config.toml");
     print(fmt::format(
@@ -42,8 +43,8 @@ void show_unfinished(const std::filesystem::path& folder) {
 }
 
 void show_log(const InfoOptions& options) {
-    // Maximum number of scans to read per LiDAR. A bag of one hour has 36,000 scans, and
-    // reading all of them would take long.
+    // Maximum number of scans to read per LiDAR. Reading all scans would take long,
+    // because a bag of one hour has 36,000 scans.
     constexpr std::size_t kMostScans = 64;
     Config config = resolve(options.settings);
     config.dataset.path = options.path;
@@ -52,7 +53,8 @@ void show_log(const InfoOptions& options) {
         summarise(load_dataset(config, false, options.all ? 0 : int(kMostScans)), config.init);
     const bool is_long =
         std::ranges::any_of(summary.lidars, [](const LidarSummary& l) { return l.n_frames > kMostScans; });
-    // Some readers ignore the limit, so this checks whether scans were really left out.
+    // Checks whether scans were really left out, because some log readers ignore the
+    // limit and read all scans.
     summary.is_look = !options.all && is_long && summary.n_scans_read < summary.n_frames;
     print(options.json ? to_json(summary) : to_text(summary));
 }

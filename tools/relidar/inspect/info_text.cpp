@@ -36,15 +36,15 @@ std::string line(const std::string& name, const std::string& value) {
     return value.empty() ? "" : fmt::format("{:<12}{}\n", name, value);
 }
 
-/// Returns the class of a box. If the size of the box was guessed, the class that was
-/// used for the guess follows.
+/// Returns the class of a box, such as "car". If the size of the box was guessed, adds
+/// the class that was used for the guess.
 std::string class_text(const BoxSummary& b) {
     return b.size_guess.empty() ? b.category : fmt::format("{}, {}?", b.category, b.size_guess);
 }
 
-/// Returns notes about the boxes, one line per kind of note. Notes are about actors whose
-/// tracks extend beyond their labels, and about actors with guessed sizes. Returns an
-/// empty text if there are no notes.
+/// Returns notes about boxes whose tracks extend beyond their labels, and about boxes
+/// with guessed sizes. Each kind of note has one line. The text is empty if there are no
+/// notes.
 std::string box_notes(const std::vector<BoxSummary>& boxes) {
     std::vector<std::string> guesses, continued;
     for (const BoxSummary& b : boxes) {
@@ -177,7 +177,7 @@ LidarSummary summarise(const Sequence& sequence, int which) {
     const auto [low, high] = std::minmax_element(sensor.beams.begin(), sensor.beams.end(), lower);
     if (low != sensor.beams.end())
         l.bottom_deg = low->elevation_rad * 180.0 / kPi, l.top_deg = high->elevation_rad * 180.0 / kPi;
-    if (lidar.pattern) {  // Uses the nominal rays if the sensor does not spin.
+    if (lidar.pattern) {  // A sensor that does not spin has no beam table, so its nominal rays are used.
         const RayTable rays = nominal_rays(lidar, 0.0);
         const auto [lowest, highest] = std::ranges::minmax(rays.direction, {}, &glm::vec3::z);
         l.n_beams = std::size_t(rays.rows), l.columns = rays.columns, l.period_s = lidar.period_s();
@@ -258,8 +258,8 @@ LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options)
 RunSummary summarise(const Run& run) {
     RunSummary summary;
     summary.log = summarise(run.sequence, run.config.init);
-    // Actors that were removed by edits are left out, because the list of edits names
-    // them.
+    // Actors that edits have removed are left out, because the list of edits already
+    // names them.
     summary.log.masked =
         run.edits.empty() ? list_boxes(masked_boxes(run.scene, run.sequence, run.config.init)) : "";
     summary.preset = run.config.preset;

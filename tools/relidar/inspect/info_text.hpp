@@ -19,20 +19,20 @@ struct BoxSummary {
     int first_frame = 0, last_frame = 0;
     double path_m = 0.0, mean_speed_mps = 0.0;
     bool moves = false;  ///< See BoxTrack::moves().
-    /// Position of the box centre when the box first appears, in the dataset's world
-    /// frame.
+    /// Position of the box centre when the box first appears. It is given in the world
+    /// frame of the dataset.
     glm::dvec3 start_m{0.0};
     double start_yaw_deg = 0.0;
-    /// Number of the actor in the labels of rendered scans. It has no value for a log, or
-    /// if the actor has no surfels.
+    /// Number of the actor in the instance labels of rendered scans. Has no value for a
+    /// log, or if the actor has no surfels.
     std::optional<std::size_t> instance;
     std::size_t n_surfels = 0;
-    /// Class whose typical size was used because the box was only partly visible. Only
-    /// for boxes that were discovered without labels. It is empty if the measured size is
-    /// used.
+    /// Class whose typical size the box has, because the object was only partly visible.
+    /// This happens only to boxes that relidar found without labels. Empty if the size
+    /// was measured.
     std::string size_guess;
-    /// Number of poses of a labelled track that were discovered before its first or after
-    /// its last label.
+    /// Number of poses before the first or after the last label of a track. relidar found
+    /// these poses in the scans.
     std::size_t n_unlabelled_frames = 0;
 };
 
@@ -43,7 +43,8 @@ struct LidarSummary {
     double top_deg = 0.0, bottom_deg = 0.0;
     double period_s = 0.0, max_range_m = 0.0;
     std::size_t n_frames = 0;
-    /// Number of second and later returns of rays in the scans that were read.
+    /// Number of second and later returns in the scans that were read. A ray can have
+    /// several returns.
     std::size_t n_second_returns = 0;
 };
 
@@ -55,34 +56,34 @@ struct LogSummary {
     std::size_t n_frames = 0;
     int first_frame = 0, last_frame = 0;
     double seconds = 0.0, path_m = 0.0;
-    /// Share of rays with a return. It has no value if the scans are missing.
+    /// Share of rays with a return. Has no value if the scans are missing.
     std::optional<double> returns_share;
     std::size_t n_scans_read = 0;  ///< Number of scans from which returns_share is computed.
-    bool is_look = false;          ///< True if only some of the scans were read to make the summary.
+    bool is_look = false;          ///< True if the summary is based on only some of the scans.
     std::vector<BoxSummary> boxes;
-    /// Names of moving boxes that do not become actors. Their points are masked out in
-    /// training.
+    /// Names of moving boxes that do not become actors. Training ignores the points in
+    /// these boxes.
     std::string masked;
 };
 
-/// Summarises a log.
-/// @param options settings that decide which boxes are moving and which of them become
-/// actors
+/// Creates the summary of a log.
+/// @param options settings that decide which boxes move and which of them become actors
 LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options);
 
 struct RunSummary {
     LogSummary log;
     std::string preset;
     int iterations = 0;
-    /// Number of parameters of the ray-drop network. It is 0 if the run has no network.
+    /// Number of parameters of the ray-drop network. The value is 0 if the run has no
+    /// network.
     std::size_t n_drop_parameters = 0;
     std::string drop_image = {};  ///< Kind of image that the ray-drop network reads.
     std::size_t n_surfels = 0;
     Primitive primitive = Primitive::surfel;  ///< Shape of the surfels.
     /// Name and number of surfels of each model.
     std::vector<std::pair<std::string, std::size_t>> models;
-    /// Number of blocks that the background consists of. It is 0 if the background is not
-    /// divided into blocks.
+    /// Number of blocks into which the background is divided. The value is 0 if the
+    /// background is not divided.
     std::size_t n_blocks = 0;
     std::size_t n_instances = 0;
     std::vector<RunEdit> edits;

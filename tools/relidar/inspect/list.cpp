@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar list` lists names that other commands accept: devices, sensors and
-// settings.
+// The command `relidar list` prints the devices, sensors and settings that other commands
+// accept.
 #include <CLI/CLI.hpp>
 
 #include "command.hpp"

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar list sensors` lists the built-in sensors and the sources of their
-// data. It can also draw the ray pattern of a sensor.
+// The command `relidar list sensors` prints the built-in sensors and where their data
+// come from. It can also draw the ray pattern of a sensor.
 #include <algorithm>
 #include <cmath>
 #include <memory>
@@ -23,7 +23,7 @@ struct SensorsOptions {
     double time_s = 0.0;
 };
 
-/// Range of angles (degrees) that the rays of a sensor cover, and the number of rays.
+/// Number of rays of a sensor, and the range of angles in degrees that the rays cover.
 struct Extent {
     std::size_t rays = 0;
     double left_deg = 0.0, right_deg = 0.0, top_deg = 0.0, bottom_deg = 0.0;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar list settings` prints settings with their values and descriptions.
-// The output is TOML, which the option --config reads.
+// The command `relidar list settings` prints all settings with their values and
+// descriptions. The output is a TOML file that the option --config can read.
 #include <memory>
 
 #include <CLI/CLI.hpp>

@@ -10,9 +10,10 @@
 
 namespace relidar::cli {
 
-/// Returns the positions of the selected frames in the run. The selection is "first:end"
-/// (frame numbers of the dataset), "test", "train" or "all". Without a selection, the
-/// held-out frames are returned, or all frames if none is held out.
+/// Returns the positions of the selected frames in the list of frames of a run. The
+/// selection is "first:end" (frame numbers of the dataset), "test", "train" or "all".
+/// Without a selection, returns the held-out frames. If the run has no held-out frames,
+/// returns all frames.
 /// @throws UsageError if no frame is selected
 std::vector<int> choose_frames(const Run& run, const std::optional<std::string>& wanted, bool quiet);
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar convert: writes any log as a plain folder, or as a capture of packets.
+// The command `relidar convert` writes any log as a folder of plain files, or as a
+// capture of the sensor's network packets.
 #include <memory>
 
 #include <fmt/format.h>
@@ -26,7 +27,7 @@ struct ConvertOptions {
     bool quiet = false;
 };
 
-/// Writes a log as a capture of the packets that its sensor sends.
+/// Writes a log as a capture file with the network packets that the sensor would send.
 void convert_to_packets(const Sequence& sequence, const ConvertOptions& options) {
     const std::filesystem::path out = options.out;
     if (!options.overwrite && std::filesystem::exists(out))

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar export` writes the surfels of a run as a PLY file that tools for
-// 3D Gaussian splatting can open. It can also write one PLY file per frame, or the path
-// of the sensor. `relidar edit --from-ply` reads the PLY file again.
+// The command `relidar export` writes the surfels of a run as a PLY file for tools of 3D
+// Gaussian splatting. It can also write one PLY file per frame, or the path of the
+// sensor. The command `relidar edit --from-ply` can read the PLY file.
 #include <memory>
 #include <optional>
 
@@ -33,13 +33,13 @@ std::string sizes(const Scene& scene) {
                        scene.models.size() == 1 ? "" : "s");
 }
 
-/// Returns the path of the first LiDAR of the log in the dataset's world frame.
+/// Returns the path of the log's first LiDAR in the world frame of the dataset.
 PoseTrack sensor_path(const Sequence& sequence) {
     return shifted_track(sequence.world_from_sensor(0), sequence.world_offset_m);
 }
 
-/// Writes one file per frame, such as FOLDER/000010.ply. Each file contains the scene in
-/// relidar's world frame at the time when the sensor head faces forward.
+/// Writes one PLY file per frame, such as FOLDER/000010.ply. Each file contains the scene
+/// at the time when the sensor head faces forward, in relidar's world frame.
 void export_frames(const ExportOptions& options) {
     const Run run = load_run(options.run);
     const std::vector<int> positions = choose_frames(run, options.frames, options.quiet);

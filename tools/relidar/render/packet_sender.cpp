@@ -49,7 +49,8 @@ public:
     }
 
     void send(const std::string& bytes) {
-        // An earlier packet may have been refused, because nobody listens at the port.
+        // Sends the packet a second time after ECONNREFUSED. This error belongs to an
+        // earlier packet that no program received, so the current packet was not sent.
         if (::send(socket_, bytes.data(), bytes.size(), 0) < 0 && errno == ECONNREFUSED)
             (void)::send(socket_, bytes.data(), bytes.size(), 0);
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the options --udp and --realtime. Sends the packets of rendered sensors to a
-// driver.
+// Reads the options --udp and --realtime, and sends the network packets of simulated
+// sensors to a sensor driver.
 #pragma once
 
 #include <memory>
@@ -19,35 +19,38 @@ struct ScanFormat;
 namespace relidar::cli {
 
 struct PacketTarget {
-    /// HOST:PORT of the receiver. Empty: nothing is sent. The sensors of a rig send to
-    /// this port and the ports after it.
+    /// Address HOST:PORT of the receiver. If it is empty, no packets are sent. With
+    /// several sensors, the first sensor uses this port and the others use the following
+    /// ports.
     std::string address;
-    /// True: sends the packets after rendering, with the time intervals of the sensor.
-    /// False: sends each packet as soon as it is rendered.
+    /// If true, packets are sent after rendering, with the same time intervals as a real
+    /// sensor. If false, each packet is sent as soon as it is rendered.
     bool is_realtime = false;
 };
 void add_packet_options(CLI::App& command, PacketTarget& target);
-/// Checks the options for packets.
+/// Checks the options for sending packets.
 /// @param formats  formats of the output files
-/// @param merges  true if the scans of all sensors are merged
+/// @param merges  true if the scans of all sensors are merged into one
 /// @param n_processes  number of MPI processes
-/// @throws UsageError if the address is invalid, if --realtime is used without --udp, if
-/// merged scans should be written as packets, or if several processes should send
+/// @throws UsageError if the address is invalid, or --realtime is used without --udp.
+/// Also if merged scans should be written as packets, or several processes should send
+/// packets.
 void check_packet_options(const PacketTarget& target, const std::vector<std::string>& formats, bool merges,
                           int n_processes);
 
 class PacketSender {
 public:
-    /// Opens a UDP socket.
-    /// @throws UsageError if the host is unknown or packets of a sensor cannot be written
+    /// Opens a UDP socket to the receiver.
+    /// @throws UsageError if the host is unknown, or if relidar cannot write packets of a
+    /// sensor
     PacketSender(const PacketTarget& target, const std::vector<ScanFormat>& sensors);
     ~PacketSender();
 
-    /// Sends the packets of a sweep, or stores them until finish().
-    /// @param scans  a scan for each sensor
+    /// Sends the packets of one sweep, or stores them until finish() sends them.
+    /// @param scans  one scan for each sensor
     void add(std::span<const RenderedScan> scans);
     /// Sends the remaining packets.
-    /// @return a line for the user
+    /// @return a line that tells the user how many packets were sent
     std::string finish();
 
 private:

@@ -17,15 +17,15 @@ namespace {
 constexpr float kSameRange_m = 0.01f;
 constexpr const char* kKind = "synthetic:";
 
-/// Returns the folder of the synthetic street. The prefix for the kind of the dataset is
-/// removed from its path.
+/// Returns the folder of the synthetic street. The dataset path starts with a prefix such
+/// as "synthetic:", which is removed.
 std::filesystem::path street_folder(const Run& run) {
     const std::string& path = run.config.dataset.path;
     return path.starts_with(kKind) ? path.substr(std::string(kKind).size()) : path;
 }
 
-/// Returns the index of the car from which a model was trained. Wherever the model is
-/// placed, it keeps the name of this car.
+/// Returns the number of the car from which a model was trained. The name of a model is
+/// this number, even if an edit places the model elsewhere.
 std::size_t car_of(const Model& model, const std::string& track) {
     std::size_t car = 0;
     const auto [end, error] = std::from_chars(model.name.data(), model.name.data() + model.name.size(), car);
@@ -59,7 +59,7 @@ std::vector<Scan> attach_recast(Run& run) {
     const std::vector<StreetCar> cars = cars_of(run);
     const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
     const RangeLimits limits = configured_sensor(run.config, run.sequence).limits;
-    // A synthetic street has exactly one LiDAR.
+    // The index is 0, because a synthetic street has exactly one LiDAR.
     const PoseTrack track = run.sequence.world_from_sensor(0);
     std::vector<Scan> before;
     for (const int position : run.split.test) {

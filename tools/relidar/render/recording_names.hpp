@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the options --topic and --frame-id, which set the names of the sensors in
-// recordings.
+// Reads the options --topic and --frame-id. They set the ROS topic and the frame id of
+// each sensor in recordings.
 #pragma once
 
 #include <string>
@@ -16,17 +16,17 @@ struct ScanFormat;
 namespace relidar::cli {
 
 struct RecordingNames {
-    /// Topic and frame id in recordings. The text {name} is replaced by the name of the
-    /// sensor. If an option is empty, its value is derived from the name of the sensor.
+    /// ROS topic and frame id in recordings. The text {name} is replaced by the name of
+    /// the sensor. If a value is empty, it is derived from the name of the sensor.
     std::string topic, frame_id;
 };
 void add_recording_options(CLI::App& command, RecordingNames& names);
 /// Checks the options --topic and --frame-id.
 /// @param is_rig true if there are several sensors
-/// @throws UsageError if no recording is written, or if several sensors would have the
+/// @throws UsageError if no recording is written, or if several sensors would get the
 /// same name
 void check_recording_names(const RecordingNames& names, const std::vector<std::string>& formats, bool is_rig);
-/// Sets the topic and the frame id of a sensor in the output format.
+/// Sets the topic and the frame id of one sensor in its output format.
 /// @param sensor name of the sensor in the rig or in the log; may be empty
 void name_in_recordings(ScanFormat& format, const std::string& sensor, const RecordingNames& names);
 

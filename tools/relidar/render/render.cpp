@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar render` renders scans of a run to files. The sensor is at its
-// recorded poses, at shifted poses, or on a path of the user. It may be the sensor of the
-// log or another sensor.
+// The command `relidar render` renders scans of a run and writes them to files. The
+// sensor is at its recorded poses, at shifted poses, or on a path of the user. The sensor
+// may be the log's sensor or another sensor.
 #include <algorithm>
 #include <cmath>
 #include <memory>
@@ -57,11 +57,12 @@ struct RenderOptions {
     bool quiet = false;
 };
 
-// Maximum offset of the sensor. Larger offsets are rejected as typing errors. At larger
-// distances, float positions are less exact than a millimetre.
+// Maximum offset of the sensor. A larger offset is probably a typing error, so it is
+// rejected. Also, float positions at such distances have errors of more than a
+// millimetre.
 constexpr double kFarthestOffset_m = 10'000.0;
 
-/// Parses an offset "x,y,z,yaw_deg" in the sensor's frame.
+/// Parses the text "x,y,z" or "x,y,z,yaw_deg" as a pose in the sensor's frame.
 Pose parse_offset(const std::string& text) {
     if (text.empty()) return {};
     const std::vector<double> v = parse_list("--offset", text);
@@ -83,7 +84,8 @@ Pose parse_offset(const std::string& text) {
     return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), {v[0], v[1], v[2]}};
 }
 
-/// Parses a list of formats such as "npz,ply". Accepts upper and lower case, and spaces.
+/// Parses a list of file formats such as "npz,ply". Upper and lower case and spaces are
+/// allowed.
 std::vector<std::string> parse_formats(const std::string& list) {
     const std::vector<std::string> known_formats = scan_formats();
     std::vector<std::string> formats;
@@ -105,7 +107,7 @@ PointFrame parse_point_frame(const std::string& name) {
         fmt::format("--frame: found \"{}\"; expected sensor or world (use --frames to select scans)", name));
 }
 
-/// Removes the boxes of actors that are not rendered. Recordings then contain only the
+/// Removes the boxes of actors that are not rendered, so that recordings contain only the
 /// boxes of visible actors.
 void leave_out_hidden(ScanFormat& format, const Run& run, const std::vector<std::string>& only) {
     if (only.empty()) return;
@@ -117,7 +119,7 @@ void leave_out_hidden(ScanFormat& format, const Run& run, const std::vector<std:
     });
 }
 
-/// Returns the format of the output files.
+/// Returns the output format of the scans of one sensor.
 /// @param name name of the sensor in a rig; empty if there is only one sensor
 ScanFormat scan_file_format(const RenderOptions& options, const Run& run, const SensorChoice& sensor,
                             const Pose& offset, const std::string& name) {
@@ -136,9 +138,8 @@ ScanFormat scan_file_format(const RenderOptions& options, const Run& run, const 
     return format;
 }
 
-/// Checks that writing to the output folder destroys no other files.
-/// @throws UsageError if --force is missing and the folder contains an earlier rendering,
-/// or if the folder is a run
+/// Checks that the command would not overwrite files in the output folder.
+/// @throws UsageError if the folder is a run, or if --force is needed to replace scans
 void check_empty(const std::filesystem::path& folder, const RenderOptions& options) {
     if (holds_run(folder))
         throw UsageError(fmt::format(
@@ -153,7 +154,7 @@ void check_empty(const std::filesystem::path& folder, const RenderOptions& optio
     }
 }
 
-/// Checks all options that can be checked before the run is loaded.
+/// Checks all options that do not depend on the run, before the run is loaded.
 /// @throws UsageError if an option is invalid
 void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks) {
     for (const std::string& format : parse_formats(options.formats))
@@ -178,8 +179,8 @@ void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks
     if (t.rate_hz && !t.times.empty()) throw UsageError("--rate and --times cannot be used together");
 }
 
-/// A scan to render. It has a number for its file name, and the time at which the sensor
-/// head faces forward.
+/// A scan to render. `number` is part of the file name. `time_s` is the time at which the
+/// sensor head faces forward.
 struct Sweep {
     int number;
     double time_s;
@@ -207,7 +208,7 @@ std::vector<Sweep> sweeps_along(const Run& run, const RenderOptions& options, co
     return sweeps;
 }
 
-/// Returns the format of the files of each sensor.
+/// Returns the output format of each sensor.
 std::vector<ScanFormat> sensor_formats(const RenderOptions& options, const Run& run,
                                        const std::vector<TargetSensor>& targets, const Pose& offset) {
     std::vector<ScanFormat> formats;
@@ -221,7 +222,7 @@ std::vector<ScanFormat> sensor_formats(const RenderOptions& options, const Run& 
     return formats;
 }
 
-/// Returns the format of files that contain the merged scans of all sensors of a rig.
+/// Returns the output format of scans that merge all sensors of a rig.
 ScanFormat merged_format(const RenderOptions& options, const Run& run,
                          const std::vector<TargetSensor>& targets, const Pose& offset) {
     SensorChoice rig = targets.front().sensor;
@@ -233,17 +234,16 @@ ScanFormat merged_format(const RenderOptions& options, const Run& run,
     return scan_file_format(options, run, rig, offset, "");
 }
 
-/// Output folders of a rendering. There is one folder per sensor, or one folder for
-/// merged scans. If a rig has a folder per sensor, recordings of all sensors are written
-/// too.
+/// Output folders of a rendering: one folder per sensor, or one folder for merged scans.
+/// With one folder per sensor, `recordings` also contains the scans of all sensors.
 struct Output {
     std::vector<ScanFolder> folders;
     std::optional<ScanRecordings> recordings;
     std::unique_ptr<PacketSender> sender;
 };
 
-/// Creates the output folders. The first process creates them before the other processes
-/// open them.
+/// Creates the output folders in the first MPI process. The other processes wait and then
+/// open these folders.
 Output make_output(const RenderOptions& options, const Run& run, const std::vector<TargetSensor>& targets,
                    const Pose& offset, const Ranks& ranks) {
     Output output;
@@ -270,7 +270,7 @@ Output make_output(const RenderOptions& options, const Run& run, const std::vect
     return output;
 }
 
-/// Writes a list of the scans of all processes, and completes the recordings.
+/// Writes the list of scans of all MPI processes, and completes the recordings.
 void finish(Output& output, const Ranks& ranks, bool quiet) {
     if (output.recordings) output.recordings->finish();
     if (output.sender) {
@@ -288,7 +288,7 @@ void finish(Output& output, const Ranks& ranks, bool quiet) {
     }
 }
 
-/// Renders scans and writes them to files, one sweep after the other.
+/// Renders one sweep after the other and writes the scans to files.
 class SweepRenderer {
 public:
     SweepRenderer(ScanRenderer& renderer, const Run& run, const RenderOptions& options,
@@ -323,7 +323,7 @@ public:
     bool drives() const { return !options_.trajectory.file.empty(); }
     /// Returns a one-line summary for the user.
     /// @param n_sweeps number of sweeps that this process has rendered
-    /// @param n_all number of sweeps that all processes have rendered
+    /// @param n_all number of sweeps that all MPI processes have rendered
     std::string summary(std::size_t n_sweeps, std::size_t n_all, int n_processes) const {
         const double n = double(n_sweeps);
         return fmt::format(
@@ -370,8 +370,8 @@ void run_render(const RenderOptions& typed_options) {
     const PoseTrack track =
         drives ? mounted_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
     std::optional<LockedFolder> folder;
-    // Only the first process creates this object, because its destructor removes the
-    // folder if the folder is empty.
+    // Only the first MPI process creates this object, because the destructor may remove
+    // the folder.
     if (ranks.is_first()) folder.emplace(options.out);
     check_sets(options.sets, rendering_settings(), "render");
     Run run = load_run(options.run);
@@ -429,8 +429,8 @@ void add_trajectory_options(CLI::App& command, TrajectoryChoice& trajectory) {
         ->type_name("FIRST:LAST:STEP");
 }
 
-/// Adds the options that select the content of the files and the frame of their
-/// coordinates.
+/// Adds the options that select the file formats, their content, and the coordinate frame
+/// of the points.
 void add_file_options(CLI::App& command, RenderOptions& options) {
     command
         .add_option("--format", options.formats,
@@ -473,7 +473,7 @@ pcap: DIR/packets.pcap, the packets that the sensor sends, with its rounding and
 packets.csv (Hesai) or packets.json (Ouster), the calibration for its driver.
 )";
 
-/// Returns the help text for --channels.
+/// Returns the help text of the option --channels.
 std::string channels_help() {
     std::string text =
         "Channels of --channels, one value per ray in npz and exr, one per point in ply, pcd, mcap and "

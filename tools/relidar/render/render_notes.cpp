@@ -47,7 +47,8 @@ void note_weather(const Weather& weather) {
 
 namespace {
 
-/// Prints for each actor which unseen sides the scans show, and in how many scans.
+/// Prints which sides of actors appear in the scans although the log never observed them.
+/// Each side is printed with the number of scans that show it.
 void note_unseen_sides(const std::vector<std::string>& entries, const std::string& folder) {
     std::map<std::string, std::size_t> n_scans;
     for (const std::string& entry : entries)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar serve` renders scans of runs for simulators. Simulators connect
-// through gRPC. Ctrl-C ends the command.
+// The command `relidar serve` renders scans for simulators, which connect through gRPC.
+// Ctrl-C ends the command.
 #include <chrono>
 #include <memory>
 #include <optional>
@@ -37,15 +37,15 @@ struct ServeOptions {
 };
 
 constexpr int kLongestQueue = 10'000;
-// Maximum time to wait after Ctrl-C until pending calls have finished.
+// Maximum time that the server waits after Ctrl-C for pending calls to finish.
 constexpr std::chrono::seconds kPatience{30};
 constexpr std::chrono::milliseconds kLook{100};
-// Maximum time to wait after the device is lost until the clients have received the
-// error.
+// Maximum time that the server waits after the GPU is lost, so that the clients receive
+// the error.
 constexpr std::chrono::seconds kFarewell{2};
 
-/// Returns the order of rotation and translation in poses of the sensorsim interface.
-/// Returns no value if the user did not enable this interface.
+/// Returns whether poses of the sensorsim interface rotate or translate first. Returns no
+/// value if the user did not enable this interface.
 std::optional<serve::PoseOrder> sensorsim_poses(const ServeOptions& options) {
     const bool offered = options.api == "sensorsim";
     if (!offered && !options.api.empty())
@@ -79,9 +79,9 @@ serve::ServerOptions server_options(const ServeOptions& options) {
 }
 
 /// Makes all threads share one heap. By default, glibc gives each thread its own heap,
-/// and gRPC starts and ends threads all the time. Scans are allocated on one thread and
-/// freed on another, which leaves gaps in each heap. The memory of the process would grow
-/// for hours (docs/service.md).
+/// and gRPC often starts and ends threads. One thread allocates a scan and another thread
+/// frees it, which leaves gaps in each heap. Without this function, the memory of the
+/// process would grow for hours (docs/service.md).
 void limit_malloc_arenas() {
 #ifdef __GLIBC__
     mallopt(M_ARENA_MAX, 1);
@@ -105,8 +105,8 @@ void run_serve(const ServeOptions& options) {
     if (!options.quiet) {
         print(fmt::format("serving {} at {}:{} on {}\n", fmt::join(server.scenes(), ", "), host,
                           server.port(), server.device_name()));
-        // Other programs may wait for this line through a pipe, so it must be written
-        // immediately.
+        // Writes the line immediately, because another program may wait for it through a
+        // pipe.
         std::fflush(stdout);
     }
     while (!interrupted()) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Replaces serve.cpp in a build without gRPC. The command then fails with an error that
-// names the missing package.
+// Replaces serve.cpp in a build without gRPC. The command `relidar serve` then fails with
+// an error that names the missing package.
 #include <CLI/CLI.hpp>
 
 #include "command.hpp"

@@ -4,14 +4,15 @@
 namespace relidar::cli {
 namespace {
 
-/// Returns the model of a sensor if the sensor spins.
+/// Returns the spinning sensor of a sensor model. Returns no value if the sensor does not
+/// spin.
 std::optional<SpinningSensor> spinning_sensor(const SensorModel& model) {
     const auto* spinning = std::get_if<SpinningSensor>(&model.pattern);
     return spinning ? std::optional(*spinning) : std::nullopt;
 }
 
-/// Returns the model of the sensor with a name or from a file. Returns nothing for a grid
-/// and for a sensor that does not spin.
+/// Returns the spinning sensor with this name, or from this file. Returns no value for
+/// the log's sensor, for a regular grid of rays, and for a sensor that does not spin.
 std::optional<SpinningSensor> known_spinning(const std::string& name_or_file, const SensorChoice& choice) {
     if (choice.is_own || choice.grid || choice.pattern) return std::nullopt;
     return spinning_sensor(find_sensor(name_or_file));

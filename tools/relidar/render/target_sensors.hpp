@@ -12,23 +12,24 @@
 
 namespace relidar::cli {
 
-/// A sensor to simulate, and where it is mounted. It replaces the sensor of the log or
-/// follows a path of the user.
+/// A sensor to simulate and its mounting pose. The sensor replaces the log's sensor, or
+/// it follows a path of the user.
 struct TargetSensor {
-    /// Subfolder for the files of this sensor. If it is empty, the files are written into
-    /// the output folder.
+    /// Subfolder for the files of this sensor. If the name is empty, the files are
+    /// written into the output folder itself.
     std::string folder;
     SensorChoice sensor;
     Pose mounting;
-    /// Model of the sensor. Empty for the sensor of the log, for a grid and for a sensor
-    /// that does not spin.
+    /// Model of a spinning sensor. Empty for the log's sensor, for a regular grid of
+    /// rays, and for a sensor that does not spin.
     std::optional<SpinningSensor> spinning = {};
 };
 
 /// Sensors of a rig. Empty if a single sensor is simulated.
 using Rig = std::optional<std::vector<MountedSensor>>;
 
-/// @param sensor  name or file of the sensor; empty: the sensor of the log
+/// Returns the sensors that the command simulates.
+/// @param sensor  name or file of the sensor; empty means the sensor of the log
 std::vector<TargetSensor> list_target_sensors(const std::string& sensor, const Rig& rig, const Run& run,
                                               int lidar);
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the options of --trajectory: the path of the sensor, and the times of the scans
-// on this path.
+// Reads the options --trajectory, --rate and --times. They define the path of the sensor
+// and the times of the scans.
 #pragma once
 
 #include <optional>
@@ -17,12 +17,14 @@ namespace relidar::cli {
 
 /// Values of --trajectory, --rate and --times.
 struct TrajectoryChoice {
-    std::string file;  ///< File with the trajectory. If it is empty, the path of the log is used.
+    /// File that contains the trajectory. If the name is empty, the sensor follows the
+    /// path of the log.
+    std::string file;
     /// Number of scans per second between the first and the last pose. Without a value,
-    /// the rate of the log's sensor is used.
+    /// the sensor keeps the scan rate of the log.
     std::optional<double> rate_hz;
-    /// Times of the scans as "first:last:step" in seconds of the log. If it is empty, the
-    /// times follow from the rate.
+    /// Times of the scans as "first:last:step", in seconds of the log. If the text is
+    /// empty, the scans are spaced evenly at the rate.
     std::string times;
 };
 
@@ -31,9 +33,8 @@ struct TrajectoryChoice {
 /// trajectory
 std::vector<double> scan_times(const TrajectoryChoice& choice, const PoseTrack& track, double log_rate_hz);
 
-/// Prints notes about a trajectory. A note is printed if the trajectory is far from the
-/// path of the log. Another one is printed if it has times after the end of the log,
-/// because no actors exist then.
+/// Prints a note if a trajectory is far from the recorded path. Prints another note if it
+/// continues after the end of the log, because actors exist only during the log.
 void note_beyond_log(const Run& run, const PoseTrack& track, const std::vector<double>& times_s);
 
 }  // namespace relidar::cli

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar view` shows a run in the browser. It renders scans while the user
-// changes the scene.
+// The command `relidar view` shows a run in the browser. The program renders new scans
+// while the user changes the scene.
 #include <chrono>
 #include <cstdio>
 #include <filesystem>
@@ -29,7 +29,8 @@ namespace {
 
 struct ViewOptions {
     std::string run;
-    std::vector<std::string> inserts;  ///< Folders of other runs. The page can insert their actors.
+    /// Folders of other runs, whose actors the user can insert on the web page.
+    std::vector<std::string> inserts;
     std::string save_to;
     std::string address = "127.0.0.1";
     int port = 8080;
@@ -43,17 +44,18 @@ struct ViewOptions {
 
 // Interval at which the program checks for Ctrl-C.
 constexpr std::chrono::milliseconds kViewPatience{50};
-// Maximum time to wait at exit until slow browser tabs have received their data.
+// Maximum time that the program waits at exit for slow browser tabs to receive their
+// data.
 constexpr std::chrono::seconds kGoodbye{5};
 
-/// Returns the folder in which the page saves edited runs.
+/// Returns the folder in which the web page saves edited runs.
 std::filesystem::path save_folder(const ViewOptions& options, const Run& run) {
     const std::filesystem::path folder =
         options.save_to.empty() ? run.folder / ".." : std::filesystem::path(options.save_to);
     return std::filesystem::absolute(folder).lexically_normal();
 }
 
-/// Loads the other runs. The page shows them under the names that the user typed.
+/// Loads the other runs. The web page shows them under the names that the user typed.
 view::OtherRuns other_runs(const std::vector<std::string>& folders) {
     view::OtherRuns runs;
     for (const std::string& folder : folders) runs.emplace(folder, load_run(folder));
@@ -76,7 +78,8 @@ view::ServerOptions server_options(const ViewOptions& options) {
 
 void run_view(const ViewOptions& options) {
     raise_descriptor_limit();
-    // Checks the address before the run is loaded, because loading takes long.
+    // Checks the address of the server before the run is loaded, because loading takes a
+    // long time.
     const view::ServerOptions server_settings = server_options(options);
     check_sets(options.sets, rendering_settings(), "view");
     Run run = load_run(options.run);
@@ -84,12 +87,12 @@ void run_view(const ViewOptions& options) {
     run.config = with_farthest(std::move(run.config), run.sequence);
     if (options.channels) set_key(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
-    std::optional<OutputFolder> made;  // The folder is removed at exit if no run was saved in it.
+    std::optional<OutputFolder> made;  // Removes the folder at exit if it is still empty.
     if (!options.save_to.empty()) made.emplace(options.save_to);
     const std::filesystem::path folder = save_folder(options, run);
     Device device(device_options(options.device));
-    // Server that sends the answers of the session. The server calls the session, so it
-    // must be destroyed before the session.
+    // Server that sends the results of the session to the browser. The server also calls
+    // the session, so it must be destroyed before the session.
     view::Server* out = nullptr;
     view::Session session(
         std::move(run), other_runs(options.inserts), device, folder,
@@ -99,7 +102,7 @@ void run_view(const ViewOptions& options) {
                         {[&](view::ClientId tab) { session.open(tab); },
                          [&](view::ClientId tab, std::string text) { session.receive(tab, text); },
                          [&](view::ClientId tab) { session.close(tab); }});
-    out = &server;  // The pointer is set before answers are sent, because only work() sends answers.
+    out = &server;  // The session uses this pointer only in work(), which is called later.
     catch_interrupts();
     print(server.url() + "\n");
     std::fflush(stdout);

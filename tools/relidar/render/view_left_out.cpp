@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Replaces view.cpp in a build without the viewer. The command then fails with an error
-// that names the missing package.
+// Replaces view.cpp in a build without the viewer. The command `relidar view` then fails
+// with an error that names the missing package.
 #include <CLI/CLI.hpp>
 
 #include "command.hpp"

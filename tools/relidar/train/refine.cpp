@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The command `relidar refine` trains only the ray-drop network of a run. It scores the
-// held-out frames with and without the network.
+// held-out frames with the network and without it.
 #include <memory>
 #include <optional>
 
@@ -57,8 +57,8 @@ std::string resume_command(const RefineOptions& options) {
     return command;
 }
 
-/// Trains the ray-drop network and saves it. If the user interrupts the training, the
-/// error message contains the command that resumes it.
+/// Trains the ray-drop network and saves it. If the user interrupts the training, throws
+/// an error whose message contains the command that resumes the training.
 void train_network(Device& device, Run& run, const RefineOptions& options, const Checkpoint* start) {
     if (start && !options.quiet) print(fmt::format("resume  from step {}\n", start->iteration));
     const std::filesystem::path checkpoints = network_checkpoint_folder(run.folder);
@@ -72,8 +72,8 @@ void train_network(Device& device, Run& run, const RefineOptions& options, const
     save_run(run);
 }
 
-/// Scores the held-out frames of a run.
-/// @param refined true: scores with the ray-drop network; false: without it
+/// Renders and scores the held-out frames of a run.
+/// @param refined if true, applies the ray-drop network
 Evaluation score(Device& device, Run run, bool refined, bool quiet) {
     run.config.refine.enabled = refined;
     ScanRenderer renderer(device, run);
@@ -82,7 +82,7 @@ Evaluation score(Device& device, Run run, bool refined, bool quiet) {
 }
 
 /// Scores the run without and with the ray-drop network. Prints both scores and writes
-/// metrics.json.
+/// the scores with the network to metrics.json.
 void score_both(Device& device, const Run& run, const RefineOptions& options) {
     const Evaluation before = score(device, run, false, options.quiet),
                      after = score(device, run, true, options.quiet);
@@ -116,8 +116,8 @@ void run_refine(const RefineOptions& options) {
 
     train_network(device, run, options, start ? &*start : nullptr);
     if (!options.no_eval && !run.split.test.empty()) score_both(device, run, options);
-    // Removes the checkpoints last. If this process is killed earlier, --resume can use
-    // them and does not train again.
+    // Removes the checkpoints as the last step. If the process is killed earlier,
+    // --resume can still use them.
     remove_network_checkpoints(run.folder);
 }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar train` trains a run on a log, or resumes the training of a run. It
-// checks the settings, LPIPS weights, output folder, checkpoint and device before it
-// reads the log. Errors then appear early.
+// The command `relidar train` trains a run on a log, or resumes a training. It checks the
+// settings, LPIPS weights, output folder, checkpoint and device before it reads the log,
+// so that the user sees errors early.
 #include <memory>
 #include <optional>
 #include <string_view>
@@ -39,8 +39,8 @@ struct TrainOptions {
     std::string blocks;         ///< Length of the blocks into which the log is divided, such as "60m".
     std::string resume_folder;  ///< Argument of --resume.
     bool resume = false;
-    /// True if the user gave --preset or --config. In this case the settings of a resumed
-    /// run are not used.
+    /// True if the user typed --preset or --config. A resumed training then does not use
+    /// the settings of its run.
     bool from_preset = false;
     bool force = false;
     bool no_eval = false;
@@ -54,8 +54,8 @@ bool is_file(const fs::path& path) {
     return fs::is_regular_file(path, failed);
 }
 
-/// Decides which argument is the log and which is the run folder. `--resume` may come
-/// before either of them.
+/// Decides which argument is the log and which is the run folder. The option --resume may
+/// be in front of either argument.
 TrainOptions resolve_options(TrainOptions options) {
     if (options.out.empty()) options.out = options.resume_folder;
     else if (options.dataset.empty())
@@ -73,8 +73,8 @@ TrainOptions resolve_options(TrainOptions options) {
     return options;
 }
 
-/// Returns the settings from which a training starts. A run that is resumed without
-/// --preset or --config keeps its settings.
+/// Returns the initial settings of a training. A training that is resumed without
+/// --preset or --config uses the settings of its run.
 Config start_settings(const TrainOptions& options) {
     const fs::path saved = fs::path(options.out) / kConfigFile;
     if (!options.resume || options.from_preset || !is_file(saved)) return resolve(options.settings);
@@ -87,7 +87,8 @@ Config config_of(const TrainOptions& options) {
     Config config = start_settings(options);
     if (const fs::path saved = fs::path(options.out) / kConfigFile;
         options.resume && config.dataset.max_range_m == 0.0 && is_file(saved))
-        // If the maximum range is 0 (automatic), uses the range of the earlier training.
+        // If the maximum range is 0 (automatic), the resumed training uses the range of
+        // the earlier training.
         config.dataset.max_range_m = load_saved_config(saved).dataset.max_range_m;
     if (!options.dataset.empty()) config.dataset.path = absolute_dataset(options.dataset);
     if (config.dataset.poses != kNoPoses) config.dataset.poses = absolute_path(config.dataset.poses);
@@ -100,8 +101,8 @@ Config config_of(const TrainOptions& options) {
     return config;
 }
 
-/// Returns true if a run contains all files of a finished training, and its training had
-/// at least the requested number of iterations.
+/// Returns true if the training of a run is finished. The run must have a scene, a
+/// report, and at least the requested number of iterations.
 bool is_finished(const fs::path& folder, const Config& config) {
     return is_file(folder / "scene.json") && is_file(folder / "report.html") &&
            last_logged_iteration(folder) >= config.train.iterations;
@@ -115,8 +116,8 @@ bool same_group(const Config& a, const Config& b, std::string_view group) {
     return true;
 }
 
-/// Compares the current settings with those of a finished run.
-/// @throws UsageError if the run was trained with other values
+/// Compares the current settings with the settings of a finished run.
+/// @throws UsageError if the run was trained with other settings
 void check_unchanged(const fs::path& folder, const Config& config) {
     const Config trained = load_saved_config(folder / kConfigFile);
     std::string key = differing_setting(trained, config);
@@ -132,9 +133,9 @@ void check_unchanged(const fs::path& folder, const Config& config) {
             folder.string(), key));
 }
 
-/// Returns true if a run has a scene that was trained with these settings on this log,
-/// but some later steps are missing. Later steps are the placement of held-out scans, the
-/// noise of intensities, the ray-drop network, the scores and the report.
+/// Returns true if the scene of a run is trained with these settings, but later steps are
+/// missing. Later steps are the placement of held-out scans, the intensity noise, the
+/// ray-drop network, the scores and the report.
 bool has_scene(const fs::path& folder, const Config& config) {
     if (!is_file(folder / "scene.json") || is_file(folder / "report.html") ||
         last_logged_iteration(folder) < config.train.iterations)
@@ -175,8 +176,8 @@ std::string resume_command(const TrainOptions& options) {
     return command;
 }
 
-/// Trains the scene. If training fails, the error message names the last checkpoint and
-/// the command that resumes the training.
+/// Trains the scene. If the training fails, throws an error whose message names the last
+/// checkpoint and the command that resumes the training.
 TrainResult train_with_hint(Device& device, const Run& run, const TrainOptions& options,
                             const Checkpoint* start, StageTimes& stages) {
     const fs::path checkpoints = checkpoint_folder(run.folder);
@@ -194,23 +195,22 @@ TrainResult train_with_hint(Device& device, const Run& run, const TrainOptions& 
     }
 }
 
-/// Returns the error that is reported if the user interrupts a step after the scene was
-/// saved.
+/// Returns the error message for a user who interrupts a step after the scene was saved.
 Error interrupted_while(const char* what, const Run& run, const TrainOptions& options) {
     return Error(ExitCode::interrupted,
                  fmt::format("interrupted while {}; the scene is saved in {}; continue with: {}", what,
                              run.folder.string(), resume_command(options)));
 }
 
-/// Runs the steps between the training of the scene and the training of its ray-drop
-/// network.
+/// Runs the steps after the training of the scene and before the training of the ray-drop
+/// network. These steps align the held-out scans and learn the intensity noise.
 void complete_with_hint(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
     if (!complete_scene_with_progress(device, run, options.quiet, stages))
         throw interrupted_while("held-out scans were aligned and intensity scatter was learned", run,
                                 options);
 }
 
-/// Scores the held-out frames and writes metrics.json.
+/// Scores the held-out frames and writes the scores to metrics.json.
 /// @return an empty evaluation if the log has no held-out frames
 Evaluation score(Device& device, const Run& run, const TrainOptions& options) {
     if (run.split.test.empty() || options.no_eval) return {};
@@ -232,8 +232,8 @@ Evaluation score(Device& device, const Run& run, const TrainOptions& options) {
     return evaluation;
 }
 
-/// Writes the report. Unless training was interrupted, also computes and writes the
-/// scores.
+/// Writes the report. If the training was not interrupted, also computes the scores and
+/// writes them.
 void finish(Device& device, const Run& run, const TrainResult& result, const TrainOptions& options,
             const std::string& command_line, StageTimes& stages) {
     stages.begin("report");
@@ -267,9 +267,9 @@ void finish(Device& device, const Run& run, const TrainResult& result, const Tra
                       stages_text(stages), absolute_path((run.folder / "report.html").string())));
 }
 
-/// Loads the checkpoint from which training of the ray-drop network resumes. If the
-/// checkpoint belongs to another scene or other settings, it is ignored and a note is
-/// printed.
+/// Loads the checkpoint from which the training of the ray-drop network resumes. If the
+/// checkpoint belongs to another scene or other settings, prints a note and returns no
+/// value.
 std::optional<Checkpoint> find_network_start(const Run& run) {
     try {
         std::optional<Checkpoint> start = load_newest_checkpoint(network_checkpoint_folder(run.folder), note);
@@ -281,9 +281,8 @@ std::optional<Checkpoint> find_network_start(const Run& run) {
     }
 }
 
-/// Trains the ray-drop network of a saved scene and saves the network. If the log has no
-/// suitable training data, or if the device cannot run the network, only a note is
-/// printed.
+/// Trains the ray-drop network of a saved scene and saves the network. Only prints a note
+/// if the log has no suitable training data, or if the device cannot run the network.
 void refine_with_hint(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
     const std::optional<Checkpoint> start = find_network_start(run);
     if (!start) remove_network_checkpoints(run.folder);
@@ -300,7 +299,8 @@ void refine_with_hint(Device& device, Run& run, const TrainOptions& options, Sta
                                    .stages = &stages}))
             throw interrupted_while("the ray-drop network was trained", run, options);
     } catch (const DataError& error) {
-        // The checkpoints have no use, because resuming would end with the same error.
+        // Removes the checkpoints, because a resumed training would fail with the same
+        // error.
         remove_network_checkpoints(run.folder);
         return leave_out(error);
     } catch (const DeviceError& error) {
@@ -310,7 +310,7 @@ void refine_with_hint(Device& device, Run& run, const TrainOptions& options, Sta
     remove_network_checkpoints(run.folder);
 }
 
-/// Reads the result of an earlier training from the log file of the run.
+/// Reads the result of an earlier training from the file log.jsonl of the run.
 TrainResult logged_result(const fs::path& folder) {
     TrainResult result;
     result.log = read_log(folder);
@@ -320,8 +320,8 @@ TrainResult logged_result(const fs::path& folder) {
     return result;
 }
 
-/// Resumes a run whose scene is already trained. Runs only the later steps that are
-/// missing.
+/// Resumes a run whose scene is already trained. Runs only the missing steps, such as the
+/// ray-drop network and the scores.
 void finish_scene(const TrainOptions& options, const Config& config, const std::string& command_line) {
     const RunFolder folder(options.out, Existing::keep);
     Run run = load_run(options.out);
@@ -339,8 +339,8 @@ void finish_scene(const TrainOptions& options, const Config& config, const std::
     }
     catch_interrupts();
     if (!run.held_out_placed) complete_with_hint(device, run, options, stages);
-    // The checkpoints still exist if an earlier process was killed before it removed
-    // them.
+    // The network is trained, so its checkpoints are not needed. They still exist if an
+    // earlier process was killed before it removed them.
     if (has_network) remove_network_checkpoints(run.folder);
     else if (config.refine.enabled) refine_with_hint(device, run, options, stages);
     TrainResult result = logged_result(run.folder);
@@ -348,14 +348,14 @@ void finish_scene(const TrainOptions& options, const Config& config, const std::
     finish(device, run, result, options, command_line, stages);
 }
 
-/// Removes old files from the folder of a run before a training starts or resumes.
+/// Removes old files from the folder of a run before its training starts or resumes.
 void clear_folder(const fs::path& folder, const Config& config, bool keeps_blocks, bool keeps_checkpoints) {
     remove_run_files(folder);
     remove_network_checkpoints(folder);
     if (!keeps_checkpoints) remove_checkpoints(checkpoint_folder(folder));
     if (!keeps_blocks) remove_blocks(folder);
-    // Saves the settings, so that the run can be resumed with them if the process is
-    // killed.
+    // Saves the settings before the training starts. If the process is killed, the
+    // training can be resumed with them.
     write_text(folder / kConfigFile, to_toml(config));
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trains the blocks of a long scene. A finished block has a scene.json, and an
-// interrupted block has a checkpoint. No other files are needed to resume the training.
+// Trains the blocks of a long log. A finished block has a file scene.json. An interrupted
+// block has a checkpoint. The training can be resumed with these files alone.
 #include "train/train_blocks.hpp"
 
 #include <algorithm>
@@ -24,9 +24,10 @@ namespace {
 namespace fs = std::filesystem;
 using Clock = std::chrono::steady_clock;
 
-/// Returns true if a setting may differ between a trained block and the current settings.
+/// Returns true if a setting of an already trained block may differ from the current
+/// settings.
 bool is_free(const std::string& key) {
-    // The settings of actors differ between blocks, because each block lists only its own
+    // The actor settings differ between blocks, because each block lists only its own
     // actors.
     constexpr std::array kFree{"dataset.path",           "dataset.memory_mib", "train.log_every",
                                "train.frame_memory_mib", "init.actor_classes", "init.actor_tracks"};
@@ -64,7 +65,7 @@ void check_frames(const Run& trained, const BlockLog& log) {
             is.front().index, is.back().index));
 }
 
-/// Sums and averages the results of the blocks.
+/// Combines the training results of all blocks: sums the times and averages the losses.
 class Total {
 public:
     void add(const std::vector<TrainProgress>& log) {
@@ -123,7 +124,9 @@ public:
                     ? fmt::format("; the blocks are shared among {} MPI processes", how_.ranks.size())
                     : ""));
         std::vector<fs::path> folders;
-        std::vector<std::size_t> others;  // Numbers of the blocks that other processes are training.
+        // Numbers of the blocks that this call did not train, because they are finished
+        // or because another MPI process trains them.
+        std::vector<std::size_t> others;
         for (std::size_t k = 0; k < blocks_.size(); ++k) {
             folders.push_back(blocks_folder(run_.folder) / fmt::format("{:03}", k));
             if (!train(k, folders.back())) others.push_back(k);
@@ -139,12 +142,12 @@ public:
     }
 
 private:
-    /// Trains block `k` in the given folder. Does nothing if the block is already trained
-    /// or if another process trains it.
+    /// Trains block `k` in a folder. Does nothing if the block is already trained, or if
+    /// another MPI process trains it.
     /// @return true if this call has trained the block
     bool train(std::size_t k, const fs::path& folder) {
         std::error_code failed;
-        // An error is ignored here, because locking the folder reports the same error.
+        // Ignores an error, because the lock of the folder reports the same error below.
         fs::create_directories(folder, failed);
         const std::unique_ptr<FolderLock> lock = FolderLock::try_lock(folder);
         if (!lock) return false;
@@ -152,8 +155,8 @@ private:
         if (fs::is_regular_file(folder / "scene.json", failed)) {
             const Run trained = load_run(folder);
             check_frames(trained, log);
-            // An earlier process may have been killed before it removed these
-            // checkpoints.
+            // Removes old checkpoints. They still exist if an earlier process was killed
+            // before it removed them.
             remove_checkpoints(checkpoint_folder(folder));
             return false;
         }
@@ -192,7 +195,7 @@ private:
         end_progress_line();
     }
 
-    /// Appends to an error message how the user can resume the training.
+    /// Adds to an error message the command that resumes the training.
     std::string kept(const std::string& what) const {
         return fmt::format("{}; the trained blocks are kept; continue with: {}", what, how_.resume);
     }

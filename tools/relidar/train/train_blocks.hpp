@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Divides the training of a long log into blocks.
+// Divides a long log into blocks and trains one block after the other.
 #pragma once
 
 #include <string>
@@ -13,24 +13,25 @@ namespace relidar::cli {
 
 /// Options for training in blocks.
 struct BlockTraining {
-    /// Processes that share the training. A process that is free trains the next block.
+    /// MPI processes that share the training. When a process has finished a block, it
+    /// trains the next free block.
     const Ranks& ranks;
     bool quiet = false;
-    std::string resume;  ///< Command that resumes the training. Error messages contain it.
+    std::string resume;  ///< Command line that resumes the training. Error messages contain it.
 };
 
-/// Trains all blocks of a log that are not yet trained. Each block is saved as a run in
-/// RUN/blocks/NNN. When all blocks are trained, the first process joins their surfels and
-/// poses into one run.
-/// @return over all blocks: the mean of the training logs, the sum of the times, and the
-/// largest memory peak
-/// @throws Error with exit code 130 after Ctrl-C; DataError if a block was trained with
-/// other settings or frames
+/// Trains all blocks of a log that are not yet trained. Saves each block as a run in
+/// RUN/blocks/NNN. When all blocks are trained, the first MPI process joins their surfels
+/// and poses into one run.
+/// @return results over all blocks: the mean of the training logs, the sum of the times,
+/// and the largest memory peak
+/// @throws Error with exit code 130 after Ctrl-C
+/// @throws DataError if a block was trained with other settings or frames
 TrainResult train_blocks(Device& device, Run& run, const BlockTraining& how);
 
-/// Checks that the trained blocks of a run fit the current settings, so that blocks
-/// trained now can be joined with them.
-/// @throws DataError that names the first block that does not fit
+/// Checks that the trained blocks of a run match the current settings. Otherwise they
+/// could not be joined with blocks that are trained now.
+/// @throws DataError that names the first block with other settings
 void check_trained_blocks(const std::filesystem::path& run, const Config& config);
 
 }  // namespace relidar::cli

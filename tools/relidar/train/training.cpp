@@ -40,8 +40,8 @@ std::string log_text(const std::vector<TrainProgress>& lines) {
     return text;
 }
 
-/// Writes the lines of log.jsonl during training. If the disk is full, a note is printed
-/// only once. At the end, finish() tries to write the complete file again.
+/// Writes the file log.jsonl during training. If the disk is full, prints a note only
+/// once. At the end, finish() tries to write the complete file again.
 class LogFile {
 public:
     LogFile(fs::path path, const std::vector<TrainProgress>& before) : path_(std::move(path)) {
@@ -71,8 +71,8 @@ private:
     bool lost_ = false;
 };
 
-/// Places the held-out scans, shows the progress, and prints how far the scans moved.
-/// After Ctrl-C the scans keep their previous poses.
+/// Aligns the held-out scans to the scene and shows the progress. Prints how far the
+/// scans moved. After Ctrl-C, the scans keep their previous poses.
 void place_with_progress(Device& device, Run& run, bool quiet) {
     Progress progress(quiet);
     const HeldOutPlacement placed = place_held_out(device, run, {make_progress(progress), interrupted});
@@ -126,8 +126,8 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
 
 namespace {
 
-/// Measures the noise of intensities and shows the progress. After Ctrl-C the noise
-/// remains unknown.
+/// Measures the noise of the LiDAR intensities and shows the progress. After Ctrl-C, the
+/// noise remains unknown.
 void learn_scatter_with_progress(Device& device, Run& run, bool quiet) {
     Progress progress(quiet);
     run.intensity_scatter = learn_scatter(device, run, {make_progress(progress), interrupted});
