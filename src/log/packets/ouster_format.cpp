@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes packets of Ouster's sensors (firmware user manual, "Lidar Data"). The encoder
-// first writes the metadata and parses them. Then it writes packets in the format that
-// the metadata describe. Signal and ambient light are 0, because a scan does not store
-// them.
+// first writes the metadata and parses it. Then it writes packets in the format that the
+// metadata describes. Signal and ambient light are 0, because a scan does not store them.
 #include <algorithm>
 #include <array>
 #include <cmath>
