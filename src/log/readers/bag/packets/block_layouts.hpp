@@ -40,7 +40,7 @@ inline constexpr LaserTimes kQt128Loop2 = {
 inline constexpr LaserTimes kQt128Loops[] = {kQt128Loop1, kQt128Loop2};
 
 // Firing times of the OT128. It fires all lasers in each block. In its high-resolution
-// mode, it alternates between two groups of lasers. The values are from Hesai's manual,
+// mode, it alternates between two firing sequences. The values are from Hesai's manual,
 // as in tier4/nebula 606ac41f1f13.
 inline constexpr LaserTimes kOt128All = {
     49758, 43224, 36690, 30156, 21980, 15446, 8912,  2378,  49758, 43224, 36690, 30156, 2378,  15446, 8912,
