@@ -33,8 +33,8 @@ constexpr std::size_t kSamples = 6;  // number of scans per LiDAR that are used 
 // period of a sweep in seconds, used if the log has only one frame
 constexpr double kUsualPeriod_s = 0.1;
 
-/// Returns the number of first returns of a scan. The scan later reports how many of them
-/// were lost.
+/// Returns the number of first returns of a scan. If the image of the scan contains fewer
+/// first returns, some points were lost.
 std::size_t count_first_returns(const Points& points) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
