@@ -61,7 +61,8 @@ void check_points(const Points& points, std::size_t n_beams) {
     }
 }
 
-/// Returns for each azimuth step of the head the firing that is nearest in the sweep.
+/// Returns for each azimuth step of the head the index of the firing with the nearest
+/// azimuth step.
 std::vector<int> nearest_firings(const std::vector<int>& firings, int n_ticks) {
     std::vector<int> nearest(static_cast<std::size_t>(n_ticks), kEmpty);
     for (std::size_t f = 0; f < firings.size(); ++f)

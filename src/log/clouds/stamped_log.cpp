@@ -319,7 +319,9 @@ void read_points(Sequence& sequence, const std::vector<fs::path>& files, PointFo
                 "one of the nominal beam that passes nearest",
                 sensor.beams.size(), sensor.columns));
         } else {
-            format.beams.clear();  // `source` uses the same object and reads whether beams are set
+            // `source` refers to `format`; without beams, it leaves the points without
+            // rings
+            format.beams.clear();
         }
     }
     head.name = sequence.name;
