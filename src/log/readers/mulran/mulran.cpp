@@ -193,7 +193,8 @@ Sequence load_mulran(const fs::path& log_folder, const DatasetOptions& options) 
     stamped::read_points(sequence, files, format_of_points(sequence, files), options);
     if (options.poses_file.empty()) {
         const PoseTrack track = shifted_track(log.world_from_vehicle, -sequence.world_offset_m);
-        // Poses exist at all these times, because add_frames() has removed other frames.
+        // Poses exist at all these times, because add_frames() skips scans without a
+        // pose.
         const auto pose_at = [&](double t_s) { return std::optional(track.at(t_s)); };
         if (std::string note = bag::place_rays(sequence, pose_at); !note.empty())
             sequence.notes.push_back(std::move(note));
