@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits the firing angles of an HDL-64E in two steps.
-// 1. Fit the tick size of the encoder and the left offset of each beam, so that the
-// azimuths of a beam are close to multiples of the tick size: max over tick, left of |
-// mean exp(2 pi i (azimuth - asin(left / rho)) / tick) |
-// 2. Fit the azimuth offset of each beam, in full ticks. Maximise the number of ticks at
-// which this beam and other beams have returns.
+// Fits the firing angles of an HDL-64E in two steps. The first step fits the tick size of
+// the encoder and the left offset of each beam, so that the azimuths of a beam are close
+// to multiples of the tick size:
+//   max over tick, left of | mean exp(2 pi i (azimuth - asin(left / rho)) / tick) |
+// The second step fits the azimuth offset of each beam, in full ticks. It maximises the
+// number of ticks at which this beam and other beams have returns.
 #include "log/readers/kitti/firing_lattice.hpp"
 
 #include <algorithm>
