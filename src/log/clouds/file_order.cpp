@@ -13,11 +13,12 @@ namespace {
 // Maximum step of the azimuth against the direction of rotation. A larger step is the gap
 // between the end of a ring and the start of the next ring.
 constexpr double kBack_rad = 3.0 * kPi / 180.0;
-constexpr double kMostlyOneWay = 0.9;  // minimum share of the steps that have the direction of the ring
+// At least this share of the azimuth steps in a file must have the same sign.
+constexpr double kMostlyOneWay = 0.9;
 // uses only every fourth point to find the azimuth at which the rings begin
 constexpr std::size_t kStride = 4;
 constexpr std::size_t kFewestRings = 4, kMostOrderedRings = 256;
-// Minimum share of consecutive rings whose elevation changes in the same direction.
+// At least this share of the elevation steps from ring to ring must have the same sign.
 constexpr double kSorted = 0.9;
 // Maximum distance of a point from the elevation of its ring, relative to the distance
 // between rings.

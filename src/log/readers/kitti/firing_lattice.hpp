@@ -5,7 +5,8 @@
 //   azimuth = head + offset_k + asin(left_k / rho),   head = tick * n + constant
 // with the same tick size for all beams. The azimuth offset and the left offset of each
 // beam are fitted to the log. With these offsets, the firings of each sweep can be
-// computed. If a beam has no point at a firing, the ray is a dropped return.
+// computed. If a beam has no point at a firing, the ray is a dropped ray (without a
+// return).
 #pragma once
 
 #include <array>

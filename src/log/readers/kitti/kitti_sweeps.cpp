@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reconstructs the rays of an HDL-64E from KITTI scans. The order in the file gives the
 // rings. Fits to the points give the beam elevations and the firing angles. Then each
-// point is assigned to its ray. Rays without a point are dropped returns.
+// point is assigned to its ray. Rays without a point are dropped rays.
 #include "log/readers/kitti/kitti_sweeps.hpp"
 
 #include <algorithm>
