@@ -27,7 +27,7 @@ double elevation_of(const glm::vec3& p) {
     return std::atan2(double(p.z), std::hypot(double(p.x), double(p.y)));
 }
 
-/// Returns the spread of the elevations in a ring: the median over all rings.
+/// Computes the spread of the elevations in each ring. Returns the median over all rings.
 double spread_of_rings(const Points& scan) {
     std::vector<std::vector<std::pair<float, double>>> rings;  // range and elevation
     for (std::size_t i = 0; i < scan.size(); ++i) {

@@ -29,9 +29,10 @@ struct HesaiProduct {
     bool is_xt;      ///< if true, the return mode is stored before the speed, and the date before the time
     int first_year;  ///< year from which the date is counted: 2000 for Pandar, 1900 for XT
 };
-// Tail of the packet and header of each product. The header of an XT stores the protocol
-// version, the numbers of lasers and blocks, the position of the last return, the unit in
-// millimetres, the number of returns and a flag for packet numbers.
+// One row per product: the header of a packet and the fields after the blocks. The header
+// of an XT stores the protocol version, the numbers of lasers and blocks, the position of
+// the last return, the unit in millimetres, the number of returns and a flag for packet
+// numbers.
 constexpr HesaiProduct kHesais[] = {
     {"Pandar40P", {}, 0, 8, false, 2000},
     {"Pandar64", {0xEE, 0xFF, 64, 6, 0, kUnit_mm, 0, 0}, 8, 8, false, 2000},

@@ -176,9 +176,10 @@ std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std:
     return pattern;
 }
 
-/// Returns the shift of a beam, in full ticks, for which most ticks of the beam are in
-/// the pattern. Returns 0 unless another shift matches at least 1 % more of the ticks. If
-/// several shifts are equally good, returns the one nearest to 0.
+/// Returns the shift of a beam, in full ticks, for which most of its ticks are also ticks
+/// of the other beams. Returns 0 unless another shift matches at least 1 % more of the
+/// ticks. If several shifts are equally good, returns the one nearest to 0.
+/// @param pattern  [scans][ticks] true if other beams have returns at the tick
 int best_shift(const std::vector<Ticks>& ticks, std::size_t ring,
                const std::vector<std::vector<char>>& pattern, int n_ticks, int reach) {
     std::size_t n = 0;

@@ -119,7 +119,8 @@ double unwrap_azimuths(std::vector<PacketEntry>& packets, const Timing& timing) 
 }
 
 double SkippedSector::between(double from_deg, double to_deg) const {
-    // Returns the part of the sector before an azimuth, summed over all revolutions.
+    // Returns how many degrees of the sector are before an azimuth, summed over all
+    // revolutions.
     const auto until = [&](double azimuth_deg) {
         const double turns = std::floor((azimuth_deg - begin_deg) / 360.0);
         return turns * width_deg + std::min(azimuth_deg - begin_deg - 360.0 * turns, width_deg);
