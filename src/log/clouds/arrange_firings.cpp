@@ -11,18 +11,20 @@
 namespace relidar {
 namespace {
 
-constexpr int kTicks = 1 << 16;  // resolution of azimuths: ticks per revolution, 0.0055 degrees each
-// A turn may have up to this many firings less than expected. If more firings are
-// missing, the sensor fired, but no beam had a return.
+// resolution of the head azimuths: number of steps per revolution (0.0055 degrees per
+// step)
+constexpr int kTicks = 1 << 16;
+// Maximum number of missing firings in a normal turn. If more firings are missing, the
+// sensor did fire, but no beam had a return.
 constexpr int kMostMissing = 8;
 
-/// Returns the head azimuth of each firing from the first to the last. For firings
-/// without points, interpolates the deviation from a constant rotation.
+/// Returns the head azimuth of each firing, from the first to the last. For a firing
+/// without points, interpolates its deviation from a constant rotation.
 std::map<int, double> head_azimuths(const Points& points, const std::vector<int>& numbers,
                                     const SpinningSensor& sensor, double step_rad) {
     const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
-    // sums over the points of a firing, relative to a head that rotates at a constant
-    // rate
+    // For each firing, sum over its points of exp(i * deviation from a constant
+    // rotation).
     std::map<int, std::complex<double>> sums;
     for (std::size_t i = 0; i < points.size(); ++i)
         sums[numbers[i]] +=
@@ -40,9 +42,9 @@ std::map<int, double> head_azimuths(const Points& points, const std::vector<int>
     return heads;
 }
 
-/// Adds the firings of a sector without any return at the end of the turn. The turn
-/// continues at a constant rate until its circle or the image is full.
-/// @param columns  columns of the image; 0: unknown
+/// Adds firings without returns at the end of a turn. Assumes that the head continues at
+/// a constant rate until the circle or the image is full.
+/// @param columns  number of columns of the image; 0 if unknown
 void add_end_of_turn(std::map<int, double>& heads, int columns, double step_rad) {
     const int full = int(2.0 * kPi / std::abs(step_rad));
     const int n_missing = (columns > 0 ? std::min(columns, full) : full) - int(heads.size());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sorts the points of a sweep into firings. Used for datasets whose points have firing
-// times, or whose file order shows the firings.
+// Groups the points of a sweep into firings. Used for datasets whose points have firing
+// times, or whose points are stored in the order of the firings.
 #pragma once
 
 #include <vector>
@@ -9,15 +9,16 @@
 
 namespace relidar {
 
-/// Assigns each point to a firing (Points::firing). Firings are sorted by the mean head
+/// Assigns each point to a firing (Points::firing). Sorts the firings by the mean head
 /// azimuth of their points. A sweep may be longer than one revolution, so two firings
-/// with the same azimuth stay separate. Some firings have no points, for example where
-/// the vehicle blocks all beams. Their deviation from a constant rotation is interpolated
-/// between the neighbouring firings. Firings without points at the end of the turn are
-/// added until the circle, or the image of `sensor.columns`, is full. A beam of such a
-/// firing is a dropped ray.
+/// with the same azimuth stay separate.
+///
+/// Some firings have no points, for example where the vehicle blocks all beams. Their
+/// deviation from a constant rotation is interpolated between the neighbouring firings.
+/// At the end of the turn, adds firings without points until the circle, or the image of
+/// `sensor.columns`, is full. All rays of a firing without points are dropped rays.
 /// @param points  points with rings, at least one
-/// @param numbers  [points] firing number of each point; numbers increase with time
+/// @param numbers  [points] firing number of each point; the numbers increase with time
 /// @param step_rad  azimuth step between firings at a constant rotation rate; negative
 /// for a head that rotates clockwise
 Sweep arrange_firings(Points& points, const std::vector<int>& numbers, const SpinningSensor& sensor,

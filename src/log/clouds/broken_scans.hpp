@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Handles scans that cannot be read. By default, the first such scan is an error. With
-// dataset.skip_broken, such scans are skipped with a note. Scans that can be read but are
-// incomplete are always skipped with a note.
+// Handles scans that cannot be read. By default, the first such scan causes an error.
+// With dataset.skip_broken, such scans are skipped with a note. Scans that can be read
+// but are incomplete are always skipped with a note.
 #pragma once
 
 #include <cstddef>
@@ -14,14 +14,15 @@
 
 namespace relidar {
 
-/// The numbers and errors of broken scans. A reader numbers either the frames of the
-/// sequence or its files.
+/// Collects the numbers and errors of broken scans. The number of a scan is either the
+/// index of a frame in the sequence or the index of a file.
 class BrokenScans {
 public:
     explicit BrokenScans(bool skip) : skip_(skip) {}
 
-    /// Runs a step of reading scan i. Any thread can call this function. Does nothing if
-    /// an earlier step of the same scan has failed.
+    /// Runs one step of reading scan i. If the step fails and broken scans are skipped,
+    /// stores the error. Does nothing if an earlier step of scan i has failed. Several
+    /// threads can call this function at the same time.
     /// @throws DataError of the step, unless broken scans are skipped
     template <class Step>
     void attempt(std::size_t i, const Step& step) {
@@ -35,18 +36,18 @@ public:
     }
 
     bool has(std::size_t i) const;
-    /// Marks scan i as broken, even if broken scans are an error. Used for scans that can
-    /// be read but are incomplete. Their missing points would become dropped rays.
+    /// Marks scan i as broken, regardless of the setting. Used for scans that can be read
+    /// but are incomplete, because missing points would be treated as dropped rays.
     void add(std::size_t i, const std::string& reason);
     std::size_t size() const { return reasons_.size(); }
 
     /// Adds a note to the log for each broken scan.
-    /// @param n  number of all scans
+    /// @param n  total number of scans
     /// @throws DataError if all scans are broken
     void tell(Sequence& sequence, std::size_t n) const;
-    /// Adds a note for each broken scan and removes its frame from the log. Poses that no
-    /// other frame uses are also removed. The scans must have been numbered as the frames
-    /// of the sequence.
+    /// Removes the frames of broken scans from the log and adds a note for each of them.
+    /// Also removes poses that no other frame uses. Scan numbers must be indices of
+    /// frames.
     /// @throws DataError if all scans are broken
     void leave_out(Sequence& sequence) const;
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the log of every reader for invalid values. An error is one line with the frame
-// or box, the field, the value and the expected value.
+// Checks a loaded log for invalid values. Runs after every reader. An error message is
+// one line: frame or box, field, value, and expected value.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>
@@ -16,19 +16,21 @@
 namespace relidar {
 namespace {
 
-// allowed difference between 1 and the length of a direction or quaternion
+// maximum difference between 1 and the length of a direction or quaternion
 constexpr double kUnit = 1e-3;
-// Minimum time between two frames, unless they have the same time. The velocity between
-// closer poses would be dominated by noise.
+// Minimum time between two frames with different times. If poses are closer in time,
+// noise dominates the velocity.
 constexpr double kLeastStep_s = 1e-3;
-constexpr double kLongestOffset_s = 10.0;  // maximum time between a firing and its frame
-constexpr double kFarthest_m = 1e6;        // maximum distance from the world's origin, and maximum range
+constexpr double kLongestOffset_s = 10.0;  // maximum time between the firing of a ray and its frame
+// maximum distance from the origin of the world, and maximum range of a return
+constexpr double kFarthest_m = 1e6;
 constexpr double kBoxReach_m =
-    // Maximum distance between a box and the vehicle. It is longer than any log, but
-    // shorter than the distance to the origin of map coordinates.
+    // Maximum distance between a box and the vehicle. No log covers a longer distance. A
+    // box in map coordinates is usually farther away.
     1e5;
-constexpr double kLargestOrigin_m = 1000.0;  // maximum distance of a ray's origin from its sensor
-constexpr double kWidestBeam_rad = 6.3;      // limit of the divergence, as a full angle
+// maximum distance between the origin of a ray and the sensor
+constexpr double kLargestOrigin_m = 1000.0;
+constexpr double kWidestBeam_rad = 6.3;  // maximum divergence of a beam, as a full angle
 
 [[noreturn]] void fail(const std::string& where, const std::string& found, const std::string& expected) {
     throw DataError(fmt::format("{}: {}, expected {}", where, found, expected));
@@ -47,7 +49,7 @@ void check_pose(const Pose& pose, const std::string& where) {
         fail(where, fmt::format("a quaternion of length {}", glm::length(pose.rotation)), "1");
 }
 
-/// Checks a track: its times must increase, and it must have one pose per time.
+/// Checks a track. Its times must increase, and each time must have one pose.
 void check_track(const PoseTrack& track, const std::string& where) {
     if (track.pose.empty() || track.pose.size() != track.time_s.size())
         fail(where, fmt::format("{} poses at {} times", track.pose.size(), track.time_s.size()),
@@ -135,8 +137,8 @@ void check_sizes(const Scan& scan, const std::string& where) {
     }
 }
 
-/// Returns the name of the invalid value of a return, or null if range and intensity are
-/// valid. NaN is invalid.
+/// Returns the name of the invalid field of a return. Returns null if range and intensity
+/// are valid. NaN is invalid.
 const char* wrong_return(float range_m, float intensity) {
     if (!(range_m >= 0.0f && range_m <= kFarthest_m)) return "range_m";
     if (!(intensity >= 0.0f && intensity <= (range_m > 0.0f ? 1.0f : 0.0f))) return "intensity";
@@ -187,7 +189,7 @@ void check_boxes(const Sequence& sequence) {
         check_track(box.world_from_box, where);
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
             const double t_s = box.world_from_box.time_s[k];
-            // skips labels before the first or after the last frame
+            // skips labels that are before the first frame or after the last frame
             if (!sequence.world_from_vehicle.covers(t_s)) continue;
             const double distance_m = glm::distance(box.world_from_box.pose[k].translation,
                                                     sequence.world_from_vehicle.at(t_s).translation);
@@ -199,7 +201,7 @@ void check_boxes(const Sequence& sequence) {
     }
 }
 
-/// Two consecutive frames with a much longer time step than usual.
+/// Two consecutive frames whose time step is much longer than usual.
 struct Gap {
     const Frame *before, *after;
     double step_s() const { return after->time_s - before->time_s; }

@@ -10,9 +10,10 @@
 namespace relidar::bag {
 namespace {
 
-// allowed duration of a cloud, as a ratio to the time between clouds
+// Minimum and maximum duration of a cloud, relative to the time between clouds.
 constexpr double kLeastSpan = 0.05, kMostSpan = 3.0;
-constexpr double kBesideStamp_s = 2.0;  // maximum difference between a point's time and the stamp
+// maximum difference between the time of a point and the time stamp of its message
+constexpr double kBesideStamp_s = 2.0;
 
 struct TimeUnit {
     const char* name;
@@ -24,7 +25,8 @@ struct TimeRange {
     double first, last, stamp_s;
 };
 
-/// Returns the first and last point time of each cloud. Clouds without times are skipped.
+/// Returns the first and the last point time of each cloud. Skips clouds whose points
+/// have no times.
 std::vector<TimeRange> ranges_of(const std::vector<folder::PointTable>& clouds,
                                  const std::vector<double>& stamps_s) {
     std::vector<TimeRange> ranges;

@@ -10,17 +10,20 @@
 namespace relidar {
 namespace {
 
-constexpr float kSameRange = 1e-5f;  // relative difference between equal ranges, caused by rounding
-constexpr float kRound_m = 0.5f;     // a maximum range is a multiple of this length
-// minimum and maximum share of the returns that have the marker's range
+// Ranges with a smaller relative difference are equal except for rounding.
+constexpr float kSameRange = 1e-5f;
+// The maximum range of a sensor is assumed to be a multiple of this length.
+constexpr float kRound_m = 0.5f;
+// Minimum and maximum share of the returns that have the largest range, if this range
+// marks dropped rays.
 constexpr double kLeastShare = 0.005, kMostShare = 0.95;
-constexpr std::size_t kFewest = 64;     // minimum number of returns with the marker's range
-constexpr std::size_t kFewestRows = 2;  // minimum number of beams with the marker's range
+constexpr std::size_t kFewest = 64;     // minimum number of returns that have the largest range
+constexpr std::size_t kFewestRows = 2;  // minimum number of beams with a return at the largest range
 
 float rounded(float range_m) { return kRound_m * std::round(range_m / kRound_m); }
 bool is_same_range(float a, float b) { return std::abs(a - b) <= kSameRange * b; }
 
-/// The returns of a LiDAR that have its largest range.
+/// The returns of a LiDAR that are at its largest range.
 struct FarReturns {
     float range_m = 0.0f;
     std::size_t n = 0, n_all = 0;

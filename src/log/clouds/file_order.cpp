@@ -10,15 +10,18 @@
 namespace relidar::folder {
 namespace {
 
-// A larger step of the azimuth against the direction of the ring is the gap between the
-// end of a ring and the start of the next ring.
+// Maximum step of the azimuth against the direction of rotation. A larger step is the gap
+// between the end of a ring and the start of the next ring.
 constexpr double kBack_rad = 3.0 * kPi / 180.0;
-constexpr double kMostlyOneWay = 0.9;  // minimum share of the steps in the direction of the ring
-constexpr std::size_t kStride = 4;     // every fourth point is used to find the start of the rings
+// At least this share of the azimuth steps in a file must have the same sign.
+constexpr double kMostlyOneWay = 0.9;
+// uses only every fourth point to find the azimuth at which the rings begin
+constexpr std::size_t kStride = 4;
 constexpr std::size_t kFewestRings = 4, kMostOrderedRings = 256;
-// minimum share of neighbouring rings whose elevations change in the usual direction
+// At least this share of the elevation steps from ring to ring must have the same sign.
 constexpr double kSorted = 0.9;
-// maximum deviation of a point from its ring, relative to the step between rings
+// Maximum distance of a point from the elevation of its ring, relative to the distance
+// between rings.
 constexpr double kInRing = 0.5;
 
 double azimuth_of_point(const glm::vec3& p) { return std::atan2(double(p.y), double(p.x)); }
@@ -32,8 +35,8 @@ double median_of(std::vector<double>& values) {
     return *middle;
 }
 
-/// Returns 1 if the azimuth mostly increases from point to point, -1 if it mostly
-/// decreases, and nothing if both occur.
+/// Returns 1 if the azimuth increases at most points of the file. Returns -1 if it
+/// decreases at most points. Otherwise returns nothing.
 std::optional<double> direction_of(const Points& points) {
     std::size_t n_up = 0, n_down = 0;
     for (std::size_t i = 1; i < points.size(); ++i) {
@@ -47,7 +50,7 @@ std::optional<double> direction_of(const Points& points) {
     return std::nullopt;
 }
 
-/// Returns for each point how far the azimuth has turned since the start of the file.
+/// Returns the unwrapped azimuth of each point, counted from the start of the file.
 std::vector<double> turned_azimuths(const Points& points, double turning) {
     std::vector<double> turned;
     turned.reserve(points.size());
@@ -64,7 +67,7 @@ std::vector<double> turned_azimuths(const Points& points, double turning) {
     return turned;
 }
 
-/// Returns the number of the turn in which each point lies, from 0.
+/// Returns for each point the number of full turns from the start of the first ring.
 std::vector<std::uint16_t> number_turns(const std::vector<double>& turned, double first_rad) {
     std::vector<std::uint16_t> turns;
     turns.reserve(turned.size());
@@ -73,15 +76,16 @@ std::vector<std::uint16_t> number_turns(const std::vector<double>& turned, doubl
         first_turn = std::min(first_turn, std::floor((t - first_rad) / (2.0 * kPi)));
     int last = 0;
     for (const double t : turned) {
-        // A point that is rounded across the start of the next ring does not go back.
+        // The number must not decrease, because rounding may move a point back across the
+        // start of its ring.
         last = std::max(last, int(std::floor((t - first_rad) / (2.0 * kPi)) - first_turn));
         turns.push_back(std::uint16_t(std::min(last, int(kMostOrderedRings))));
     }
     return turns;
 }
 
-/// Returns the median elevation of each ring, from the farther half of its points, where
-/// the origin of a beam has less effect.
+/// Returns the median elevation of each ring. Uses only the farther half of the points,
+/// because the beam origin changes the elevation of near points.
 std::vector<double> elevations_of_rings(const Points& points, const std::vector<std::uint16_t>& ring) {
     std::vector<std::vector<std::pair<float, double>>> seen;  // range and elevation
     for (std::size_t i = 0; i < points.size(); ++i) {
@@ -104,7 +108,7 @@ std::vector<double> elevations_of_rings(const Points& points, const std::vector<
     return elevations;
 }
 
-/// Returns the median distance of points from the elevation of their ring.
+/// Returns the median distance between the elevations of points and of their rings.
 double spread_in_rings(const Points& points, const std::vector<std::uint16_t>& ring,
                        const std::vector<double>& elevations) {
     std::vector<double> off;
@@ -114,8 +118,8 @@ double spread_in_rings(const Points& points, const std::vector<std::uint16_t>& r
     return median_of(off);
 }
 
-/// Returns the mean distance of points from the elevation of their ring. Unlike the
-/// median, it shows a few points in a wrong ring.
+/// Returns the mean distance between the elevations of points and of their rings. If a
+/// few points are in a wrong ring, the mean increases, but the median does not.
 double mean_off_rings(const Points& points, const std::vector<std::uint16_t>& ring,
                       const std::vector<double>& elevations) {
     double sum = 0.0;
@@ -124,8 +128,8 @@ double mean_off_rings(const Points& points, const std::vector<std::uint16_t>& ri
     return sum / double(points.size());
 }
 
-/// Returns the azimuth at which the rings of a scan begin. Points then differ least from
-/// the elevations of their rings.
+/// Returns the azimuth at which the rings of a scan begin. Tests many azimuths and
+/// selects the one for which the points are closest to the elevations of their rings.
 double find_first_azimuth(const Points& points, const std::vector<double>& turned) {
     Points some;
     std::vector<double> some_turned;
@@ -149,7 +153,7 @@ double find_first_azimuth(const Points& points, const std::vector<double>& turne
     return best_rad;
 }
 
-/// Returns true if the rings follow one another in elevation and are distinct.
+/// Returns true if the rings are sorted by elevation and clearly separated.
 bool are_rings(const Points& points, const std::vector<std::uint16_t>& ring,
                const std::vector<double>& elevations) {
     if (elevations.size() < kFewestRings || elevations.size() > kMostOrderedRings) return false;
@@ -181,7 +185,7 @@ FileOrder::FileOrder(const std::vector<Points>& scans) {
         const std::vector<std::uint16_t> ring =
             number_turns(turned_azimuths(scan, turning_), first_azimuth_rad_);
         std::vector<double> elevations = elevations_of_rings(scan, ring);
-        // The scan with the most rings has a return on each beam.
+        // Use the scan with the most rings, because there each beam has returns.
         if (elevations.size() > elevation_rad_.size() && are_rings(scan, ring, elevations))
             elevation_rad_ = std::move(elevations);
     }

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds the rings of points that a file stores ring by ring. Along the file, the azimuth
-// then turns once per ring. This works even if the elevations of the rings overlap, as
-// those of an HDL-64E do, because its beams start far from the sensor's centre.
+// Finds the ring of each point, if a file stores the points ring by ring. In such a file,
+// the azimuth makes one turn per ring. This also works if the elevations of rings
+// overlap. They overlap for an HDL-64E, because its beams start far from the centre of
+// the sensor.
 #pragma once
 
 #include <cstdint>
@@ -11,22 +12,24 @@
 
 namespace relidar::folder {
 
-/// Order of the points in the files of a LiDAR.
+/// Order in which the files of a LiDAR store the points.
 class FileOrder {
 public:
-    /// Finds out whether some scans are stored ring by ring.
+    /// Checks whether the files store their points ring by ring.
+    /// @param scans  some scans of the LiDAR
     explicit FileOrder(const std::vector<Points>& scans);
-    /// True: the scans are stored ring by ring, with at least 4 rings.
+    /// Returns true if the files store points ring by ring, with at least 4 rings.
     bool shows_rings() const { return !elevation_rad_.empty(); }
     std::size_t n_rings() const { return elevation_rad_.size(); }
-    /// Sets the ring of each point. Ring 0 is the first one in the files. If a scan has
-    /// fewer rings, the ring with the nearest elevation is used.
+    /// Sets the ring of each point. Ring 0 is the first ring in the files. If a scan has
+    /// fewer rings than the others, each of its rings gets the number of the ring with
+    /// the nearest elevation.
     void set_rings(Points& points) const;
 
 private:
-    double first_azimuth_rad_ = 0.0;     ///< azimuth at which the rings begin
-    double turning_ = 1.0;               ///< 1: the azimuth increases along a ring; -1: it decreases
-    std::vector<double> elevation_rad_;  ///< [rings] median elevation of the far points
+    double first_azimuth_rad_ = 0.0;     ///< azimuth at which each ring begins
+    double turning_ = 1.0;               ///< 1 if the azimuth increases along a ring, -1 if it decreases
+    std::vector<double> elevation_rad_;  ///< [rings] median elevation of the farther points of each ring
 };
 
 }  // namespace relidar::folder

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Estimates the beams and columns of a spinning LiDAR from its points. The elevation of a
-// ring is a median. The number of columns follows from the azimuth steps. The azimuth
-// offsets of the rings follow from the phases of
+// ring is the median over its points. The number of columns is computed from azimuth
+// steps. The azimuth offsets of the rings are computed from the phases of
 //   S_r(N) = sum of exp(i N azimuth) over the points of ring r.
-// If N is the number of columns, the magnitude of S_r is the number of points, and its
-// phase is N times the ring's azimuth offset.
+// If N is the number of columns, |S_r| is the number of points, and the phase of S_r is N
+// times the azimuth offset of the ring.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>
@@ -19,14 +19,16 @@
 namespace relidar {
 namespace {
 
-constexpr double kLeastStep_rad = 2e-4;  // minimum azimuth step between firings: 0.01 degrees
+constexpr double kLeastStep_rad = 2e-4;  // minimum azimuth step between two firings (about 0.01 degrees)
 constexpr double kLargestStep_rad = 0.2;
-// relative range of the tested numbers of columns around the estimate
+// Maximum relative difference between the tested numbers of columns and the first
+// estimate.
 constexpr double kTried = 0.03;
-// minimum of |S_r| divided by the number of points; below it, azimuths are not on a
-// regular grid
+// Minimum of |S_r| divided by the number of points. If the value is smaller, the azimuths
+// are not on a regular grid.
 constexpr double kCoherent = 0.5;
-// maximum ratio of the number of columns to its estimate, if a ring has more points
+// Maximum ratio of the number of columns to its estimate. Used if a ring has more points
+// than the estimate.
 constexpr double kMostColumns = 1.1;
 constexpr std::size_t kFewestSteps = 16;
 constexpr std::size_t kMostRings = 4096;
@@ -39,7 +41,7 @@ double middle_of(std::vector<double>& values, double share) {
     return *at;
 }
 
-/// Indices and azimuths of the first returns in a ring.
+/// Indices and azimuths of the first returns in one ring.
 struct Ring {
     std::vector<std::size_t> point;
     std::vector<double> azimuth_rad;
@@ -56,8 +58,9 @@ Rings rings_of(const Points& scan, std::size_t n_rings) {
     return rings;
 }
 
-/// Returns the median elevation of each ring. Uses only the farther half of its points,
-/// where the beam's origin has less effect. Returns nothing for a ring without points.
+/// Returns the median elevation of each ring. Uses only the farther half of the points,
+/// because the beam origin changes the elevation of near points. Returns nothing for a
+/// ring without points.
 std::vector<std::optional<double>> elevations_of(const std::vector<Points>& scans, std::size_t n_rings) {
     struct Seen {
         double range_m, elevation_rad;
@@ -82,8 +85,8 @@ std::vector<std::optional<double>> elevations_of(const std::vector<Points>& scan
 }
 
 /// Estimates the number of columns per revolution from the azimuth steps between
-/// neighbouring points of a ring. Uses the lower quartile of the steps, because steps
-/// across dropped rays span several columns.
+/// neighbouring points of a ring. A step across dropped rays spans several columns. So
+/// the function uses the lower quartile of the steps.
 int columns_by_steps(const Points& scan, const Rings& rings) {
     std::vector<double> steps;
     for (const Ring& ring : rings) {
@@ -102,8 +105,8 @@ int columns_by_steps(const Points& scan, const Rings& rings) {
     return int(std::lround(2.0 * kPi / middle_of(steps, 0.25)));
 }
 
-/// Returns S_r(N) for each ring, where N is the number of columns (see the equation at
-/// the top).
+/// Returns the complex sum S_r(N) of exp(i N azimuth) for each ring r, where N is the
+/// number of columns.
 std::vector<std::complex<double>> phases_of(const Rings& rings, int columns) {
     std::vector<std::complex<double>> sums;
     for (const Ring& ring : rings) {
@@ -114,9 +117,9 @@ std::vector<std::complex<double>> phases_of(const Rings& rings, int columns) {
     return sums;
 }
 
-/// Returns the sum of |S_r(N)| over all rings for n consecutive values of N, starting
-/// with `first`. Computes each exp(i N azimuth) from the previous one by a
-/// multiplication.
+/// Returns the sum of |S_r(N)| over all rings, for n consecutive values of N that start
+/// with `first`. Computes exp(i N azimuth) by multiplying the previous value with exp(i
+/// azimuth).
 std::vector<double> lengths_of(const Rings& rings, int first, std::size_t n) {
     std::vector<double> lengths(n, 0.0);
     for (const Ring& ring : rings) {
@@ -139,7 +142,8 @@ std::vector<double> lengths_of(const Rings& rings, int first, std::size_t n) {
 
 struct Lattice {
     int columns = 0;
-    std::vector<double> offset_rad;  ///< [rings] azimuth offset, within half an azimuth step
+    /// [rings] azimuth offset of each ring, at most half an azimuth step
+    std::vector<double> offset_rad;
 };
 
 Lattice find_lattice(const Points& scan, const Rings& rings) {
@@ -150,7 +154,8 @@ Lattice find_lattice(const Points& scan, const Rings& rings) {
         lengths_of(rings, first, std::size_t(lattice.columns + reach + 1 - first));
     const auto best = std::ranges::max_element(lengths);
     if (*best <= kCoherent * double(scan.size())) {
-        // A ring has at most one first return per column.
+        // A ring has at most one first return per column, so use the largest number of
+        // first returns.
         std::size_t most = 0;
         for (const Ring& ring : rings) most = std::max(most, ring.point.size());
         lattice.columns = std::clamp(int(std::min<std::size_t>(most, kMaxRays)), lattice.columns,
@@ -166,9 +171,9 @@ Lattice find_lattice(const Points& scan, const Rings& rings) {
     return lattice;
 }
 
-/// Estimates the rotation rate of the head in radians per second from the azimuths and
-/// times of points. A counterclockwise rotation is positive. Returns nothing if the
-/// points have no times.
+/// Estimates the rotation rate of the head from the azimuths and times of points. The
+/// unit is radians per second, positive for a counterclockwise rotation. Returns nothing
+/// if the points have no times.
 std::optional<double> estimate_turning_rate(const Points& scan, const Rings& rings) {
     if (scan.time_offset_s.empty()) return std::nullopt;
     double turned = 0.0, passed_s = 0.0;
@@ -211,7 +216,7 @@ FittedSensor fit_sensor(const std::vector<Points>& scans, double period_s) {
     const Lattice lattice = find_lattice(*fullest, rings);
     const std::vector<std::optional<double>> elevations = elevations_of(scans, n_rings);
 
-    std::vector<std::size_t> order;  // ring numbers sorted from the highest to the lowest ring
+    std::vector<std::size_t> order;  // ring numbers, sorted from the highest to the lowest ring
     for (std::size_t r = 0; r < n_rings; ++r)
         if (elevations[r]) order.push_back(r);
     std::stable_sort(order.begin(), order.end(),

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads sequence.json. An unknown member is an error. Otherwise a misspelt member would
-// silently get its default value.
+// Reads sequence.json. An unknown key is an error, because a misspelt key would otherwise
+// be replaced by its default value without a message.
 #include "log/clouds/folder_head.hpp"
 
 #include <algorithm>
@@ -26,10 +26,10 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kLargestOfHead = 1e12;   // limit of all lengths and times
+constexpr double kLargestOfHead = 1e12;   // maximum value of all lengths and times
 constexpr double kFarthestWorld_m = 1e9;  // limit of the world's origin
 constexpr std::int64_t kMaxFrame = 99999999;
-constexpr std::size_t kMostFieldsOfPoint = 64;  // maximum number of fields per point
+constexpr std::size_t kMostFieldsOfPoint = 64;  // maximum number of fields of a point
 
 std::string text_or(const JsonField& field, const std::string& key, const std::string& usual,
                     std::size_t most = kLongestName) {
@@ -48,7 +48,7 @@ std::vector<std::string> texts_or_none(const JsonField& field, const std::string
     return texts;
 }
 
-/// Returns the index of a field's text in a list of allowed words.
+/// Returns the index of the field's text in a list of allowed words.
 std::size_t choice(const JsonField& field, const std::vector<std::string>& words) {
     const auto at = std::find(words.begin(), words.end(), field.text());
     if (at == words.end())
@@ -63,8 +63,8 @@ glm::dquat quaternion(const JsonField& field) {
     const glm::dquat rotation(q[0], q[1], q[2], q[3]);
     if (std::abs(glm::length(rotation) - 1.0) > 1e-3)
         field.fail(fmt::format("found a quaternion of length {}", glm::length(rotation)), "expected 1");
-    // The quaternion is not normalised, because this would only change its last digit.
-    // check_sequence() accepts small errors of the length.
+    // Do not normalise the quaternion, because this would only change its last digit. The
+    // function check_sequence() accepts small errors of the length.
     return rotation;
 }
 
@@ -79,10 +79,10 @@ Pose mounting(const JsonField& field, const std::string& where) {
     return {quaternion(field.at("quaternion")), {t[0], t[1], t[2]}};
 }
 
-/// Sets the sensor of a LiDAR from the name of a known sensor or of a sensor file.
+/// Sets the sensor of a LiDAR. Reads the name of a built-in sensor or of a sensor file.
 void name_sensor(const JsonField& field, const fs::path& folder, bool spins, Lidar& lidar) {
     const std::string name = field.text(kLongestPath);
-    // maximum range that is used if the sensor file has none
+    // maximum range of the sensor, used if the sensor file does not contain one
     const double max_range_m = lidar.sensor.max_range_m;
     const auto is_file = [&](const char* ending) { return name.find(ending) != std::string::npos; };
     const SensorModel model =
@@ -94,8 +94,8 @@ void name_sensor(const JsonField& field, const fs::path& folder, bool spins, Lid
     set_sensor(lidar, model);
 }
 
-/// Reads a sensor that is a JSON object. The object is {"<kind>": {...}}, or it has the
-/// members of a spinning sensor directly. The default period of a sweep is the time
+/// Reads a sensor from a JSON object. The object is {"<kind>": {...}}, or it contains the
+/// keys of a spinning sensor directly. If the object has no sweep period, uses the time
 /// between frames.
 void read_sensor(const JsonField& field, bool spins, Lidar& lidar) {
     const double max_range_m = lidar.sensor.max_range_m;
@@ -172,14 +172,14 @@ std::vector<HeadFrame> listed_frames(const JsonField& field, const std::vector<H
     return frames;
 }
 
-/// Returns true for CSV files in the folder of the log, because they may be tables of
-/// beams.
+/// Returns true if a file in the folder of the log may be a table of beams, because it is
+/// a CSV file.
 bool is_table_beside(const fs::path& file, const fs::path& folder) {
     return file.extension() == ".csv" && file.parent_path() == folder;
 }
 
-/// Lists the scans in the folder of each LiDAR, sorted by name. The frames get times at a
-/// constant rate.
+/// Lists the scan files in the folder of each LiDAR, sorted by name. Sets the times of
+/// the frames from the constant frame rate `rate_hz`.
 std::vector<HeadFrame> frames_in_folders(double rate_hz, const std::vector<HeadLidar>& lidars,
                                          const fs::path& folder) {
     std::vector<HeadFrame> frames;

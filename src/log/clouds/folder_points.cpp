@@ -19,16 +19,16 @@ namespace relidar::folder {
 namespace {
 
 constexpr float kFarthestCoordinate_m = 1e6f;
-// Maximum angle between two returns of one ray, as 1 - cosine. The angle is 1.4 mrad and
-// allows for rounded coordinates.
+// Maximum angle between two returns of one ray, stored as 1 - cosine. The angle is 1.4
+// mrad, because coordinates may be rounded.
 constexpr float kOneRay = 1e-6f;
 
-/// Returns true if a return is the strongest of its ray. The types are those of Nebula's
+/// Returns true if a return is the strongest of its ray. The argument is Nebula's
 /// ReturnType: 3 strongest, 6 identical, 9 and 10 strongest and first or last.
 bool is_strongest(double type) { return type == 3.0 || type == 6.0 || type == 9.0 || type == 10.0; }
 
-/// Returns true for each point whose range field marks a ray without a return. Returns an
-/// empty array if the points have no such field, or if it has no range of a return.
+/// Returns for each point whether its field `range` marks a ray without a return. Returns
+/// an empty array if the points have no such field, or if no range in the field is valid.
 std::vector<char> marked_by_range(const PointTable& table) {
     const FieldValues* ranges = table.find(PointValue::range);
     std::vector<char> marked;
@@ -41,7 +41,7 @@ std::vector<char> marked_by_range(const PointTable& table) {
     return marked;
 }
 
-/// Returns the indices of the points that are returns, and their positions.
+/// Returns the indices and the positions of all points that are returns.
 std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> find_returns(
     const PointTable& table, const std::array<const FieldValues*, 3>& xyz, const PointUnits& units) {
     std::vector<glm::vec3> all(table.n);
@@ -59,13 +59,13 @@ std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> find_returns(
     return returns;
 }
 
-/// Converts the values of the selected points to the units of a scan.
+/// Converts the values of selected points to the units of a scan.
 struct Conversion {
     std::vector<std::uint32_t> kept;
     const std::string& where;
 
     /// Converts one field. Calls set(k, of_value(value)) for the k-th selected point.
-    /// @throws DataError if of_value throws; the message then also has the point's number
+    /// @throws DataError if of_value throws; adds the number of the point to the message
     template <class OfValue, class Set>
     void each(const FieldValues& field, const OfValue& of_value, const Set& set) const {
         field.visit([&](const auto& value_at) {
@@ -77,7 +77,7 @@ struct Conversion {
             }
         });
     }
-    /// Fills an array with the converted value of each selected point. Does nothing if
+    /// Fills an array with the converted values of the selected points. Does nothing if
     /// the field does not exist.
     template <class T, class OfValue>
     void to(std::vector<T>& values, const FieldValues* field, const OfValue& of_value) const {
@@ -87,9 +87,9 @@ struct Conversion {
     }
 };
 
-/// Returns the number that marks first returns in a file. Some files count returns from
-/// 1, others from 0. The smallest number is the first return, because no scan has only
-/// second returns.
+/// Returns the number that the file uses for first returns. Some files count returns from
+/// 1, others from 0. So the function returns the smallest number, because every scan has
+/// first returns.
 double first_return_number(const FieldValues& number, std::size_t n) {
     double least = number[0];
     number.visit([&](const auto& number_at) {
@@ -108,8 +108,8 @@ void rearrange(std::vector<T>& values, const std::vector<std::size_t>& order) {
     values = std::move(arranged);
 }
 
-/// Numbers the returns of each ray. Points with the same ring, time and direction belong
-/// to one ray. Its strongest point becomes the first return.
+/// Sets the return number of each point. Points with the same ring, time and direction
+/// belong to one ray. The strongest point of a ray becomes the first return.
 /// @param type  [points] return type of each point
 void number_returns(Points& points, const std::vector<double>& type) {
     const std::size_t n = points.size();

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts a table of points to the points of a scan. Also defines the interface from
+// Converts a table of points to the points of a scan. Also declares the interface from
 // which the scans of a log are read.
 #pragma once
 
@@ -12,29 +12,31 @@
 
 namespace relidar::folder {
 
-/// Converts a table of points to relidar's units. The names of the fields define their
-/// meaning (value_of_field()). If the table has Nebula's return_type, points with the
-/// same ring, time and direction become returns of one ray. Leaves out rays without a
-/// return (is_return()), and points with the position units.no_return.
+/// Converts a table of points to relidar's units. Finds the meaning of each field by its
+/// name (see value_of_field()). If the table has Nebula's field return_type, points with
+/// the same ring, time and direction become returns of one ray. Omits rays without a
+/// return: points that is_return() rejects, and points at the position units.no_return.
 /// @param time_s  time that is subtracted from absolute point times
 /// @throws DataError with the number of the invalid point
 Points points_of(const PointTable& table, const PointUnits& units, double time_s, const std::string& where);
 
-/// Interface that provides the scan of each frame. Scans come from files of a folder or
-/// from messages of a recording. Any thread can call all functions.
+/// Interface that provides the scan of each frame, from files of a folder or from
+/// messages of a recording. Several threads can call the functions at the same time.
 class ScanSource {
 public:
     virtual ~ScanSource() = default;
     virtual std::string name(std::size_t frame) const = 0;  ///< name for error messages
-    /// Returns true if the frame's scan has points, and false if it has rays.
+    /// Returns true if the scan of the frame is stored as points, false if it is stored
+    /// as rays.
     virtual bool has_points(std::size_t frame) const = 0;
     virtual Points points(std::size_t frame) const = 0;
     virtual Scan rays(std::size_t frame) const = 0;
 };
 
-/// Reads the scans of sequence.frames. The frames must already have poses. If the beams
-/// of a LiDAR are unknown, estimates them from the points. Motion compensation can be
-/// undone only if the log has poses (options.poses_file is not kNoPoses).
+/// Reads the scans of all frames in sequence.frames. The frames must already have poses.
+/// If the beams of a LiDAR are unknown, estimates them from the points. Motion
+/// compensation can be undone only if the log has poses (options.poses_file is not
+/// kNoPoses).
 void read_scans(Sequence& sequence, const Head& head, const ScanSource& source,
                 const DatasetOptions& options);
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the scans of a plain folder. A scan file contains rays (npz, EXR), or points that
-// are then assigned to rays. Unknown rings and beams are first estimated from a few scans
-// of each LiDAR.
+// Reads the scans of a plain folder. A scan file contains rays (npz, EXR) or points.
+// Points are assigned to rays. If rings or beams are unknown, they are first estimated
+// from a few scans of each LiDAR.
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -29,11 +29,12 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::size_t kSamples = 6;     // number of scans per LiDAR from which its beams are estimated
-constexpr double kUsualPeriod_s = 0.1;  // period of a sweep, if there is only one frame
+constexpr std::size_t kSamples = 6;  // number of scans per LiDAR that are used to estimate its beams
+// period of a sweep in seconds, used if the log has only one frame
+constexpr double kUsualPeriod_s = 0.1;
 
-/// Counts the first returns of a scan. If each of them is on a different ray,
-/// spinning_scan() keeps all of them.
+/// Returns the number of first returns of a scan. If the image of the scan contains fewer
+/// first returns, some points were lost.
 std::size_t count_first_returns(const Points& points) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
@@ -44,14 +45,19 @@ std::size_t count_first_returns(const Points& points) {
     return n;
 }
 
-/// How the points of a LiDAR are converted to scans.
+/// Settings for converting the points of one LiDAR to scans.
 struct Plan {
-    bool ordered = false;                       ///< true: points are assigned to beams and columns
-    bool has_rings = false, has_times = false;  ///< true: the files of the LiDAR contain rings, or times
-    bool undo = false;                          ///< true: motion compensation is undone
-    /// [rings] beam of each ring; kNoBeam: points of the ring are ignored
+    /// true if points are assigned to beams and columns; false if each point becomes a
+    /// ray
+    bool ordered = false;
+    /// true if the files of the LiDAR contain rings; true if they contain times
+    bool has_rings = false, has_times = false;
+    bool undo = false;  ///< true: motion compensation is undone
+    /// [rings] beam of each ring in the file. kNoBeam means that points of the ring are
+    /// ignored.
     std::vector<std::uint16_t> beam_of_ring;
-    /// order of the points in the files, if it shows the rings that points do not have
+    /// Order in which the files store the points. Set if the points have no rings, but
+    /// their order shows the rings.
     std::optional<FileOrder> order;
 };
 
@@ -156,11 +162,13 @@ private:
     const ScanSource& source_;
     const bool has_poses_;
     BrokenScans& broken_;
-    std::vector<Plan> plans_;                ///< [lidars] settings for converting each LiDAR's points
-    std::map<std::size_t, Points> samples_;  ///< [frames] points that were read to estimate the beams
-    std::vector<std::size_t> left_out_;      ///< [frames] number of ignored points
-    std::vector<std::size_t> n_first_;       ///< [frames] number of first returns
-    /// [frames] number of first returns that are lost because their ray already has one
+    std::vector<Plan> plans_;  ///< [lidars] settings for converting the points of each LiDAR
+    /// [frames] points that were read to estimate the beams; reused when the scan is read
+    std::map<std::size_t, Points> samples_;
+    std::vector<std::size_t> left_out_;  ///< [frames] number of ignored points
+    std::vector<std::size_t> n_first_;   ///< [frames] number of first returns
+    /// [frames] number of first returns that were lost because another point was on the
+    /// same ray
     std::vector<std::size_t> behind_;
 
     void note(const std::string& text) {
@@ -180,8 +188,8 @@ private:
         return points;
     }
 
-    /// Returns the duration of a revolution if it is known. Otherwise returns the median
-    /// time between frames of the LiDAR.
+    /// Returns the duration of a revolution if the user states it. Otherwise, returns the
+    /// median time between frames of the LiDAR.
     double frame_step_s(std::size_t lidar) const {
         if (head_.lidars[lidar].turn_s > 0.0) return head_.lidars[lidar].turn_s;
         std::vector<double> steps;
@@ -196,8 +204,8 @@ private:
         return steps[steps.size() / 2];
     }
 
-    /// Sets the sweep period of a LiDAR whose files contain rays. If no beams are known
-    /// for the LiDAR, it does not spin and the period is 0.
+    /// Sets the sweep period of a LiDAR whose files contain rays. If the beams of the
+    /// LiDAR are unknown, it does not rotate, so the period is 0.
     void check_rays(std::size_t l) {
         SpinningSensor& sensor = sequence_.lidars[l].sensor;
         if (!head_.lidars[l].has_beams) sensor.period_s = 0.0;
@@ -236,7 +244,7 @@ private:
                  "rays start at the sensor of the "
                  "frame's time");
         for (std::size_t k = 0; k < samples.size(); ++k) {
-            // removes the rings, which were estimated only to fit the sensor
+            // Remove the rings again, because they were estimated only to fit the sensor.
             if (!plan.has_rings) samples[k].ring.clear();
             samples_.emplace(of_sample[k], std::move(samples[k]));
         }
@@ -287,11 +295,11 @@ private:
                                               : ""));
     }
 
-    /// Sets the rings of samples without rings. Returns false if their order and their
-    /// elevations show no rings.
+    /// Sets the rings of points without rings. Returns false if neither the elevations
+    /// nor the order of the points show rings.
     bool find_rings(std::size_t l, std::vector<Points>& samples) {
-        // The elevations come first, because the rings of an Ouster begin at different
-        // azimuths.
+        // Try the elevations before the order, because the rings of an Ouster begin at
+        // different azimuths and the order cannot show them.
         if (const std::vector<Beam> beams = find_beams(samples); !beams.empty()) {
             for (Points& sample : samples) recover_rings(sample, beams);
             return true;
@@ -303,7 +311,8 @@ private:
         return true;
     }
 
-    /// Returns the hint that a user can state the sensor of a plain folder.
+    /// Returns a hint for the user: sequence.json can state the sensor. Returns an empty
+    /// string if the log is not a plain folder.
     std::string way_out(std::size_t l) const {
         return head_.lidars[l].is_guessed ? ""
                                           : "; \"sensor\" of the LiDAR in sequence.json states its beams";
@@ -330,8 +339,8 @@ private:
         }
     }
 
-    /// Replaces the ring numbers of the file by relidar's beam numbers. Points of unknown
-    /// rings are removed.
+    /// Replaces the ring numbers of the file by relidar's beam numbers. Removes points
+    /// whose ring is not a known beam.
     Points renumbered(const Points& points, const Plan& plan, std::size_t i) {
         Points kept;
         for (std::size_t p = 0; p < points.size(); ++p) {
@@ -354,8 +363,8 @@ private:
     }
 };
 
-/// Reads some tables of points, spread over the files. Skips files that cannot be read,
-/// because reading the scans reports the error.
+/// Reads the points of some files, evenly spread over the log. Skips files that cannot be
+/// read, because the error is reported when the scans are read.
 std::vector<PointTable> sample_tables(const std::vector<fs::path>& files,
                                       const std::vector<std::string>& columns) {
     std::vector<fs::path> with_points;
@@ -372,7 +381,7 @@ std::vector<PointTable> sample_tables(const std::vector<fs::path>& files,
     return samples;
 }
 
-/// Returns the scale of the intensities in some .npz files.
+/// Estimates the intensity scale of .npz files from some of them.
 IntensityScale scale_of_images(const std::vector<fs::path>& files) {
     std::vector<fs::path> images;
     std::ranges::copy_if(files, std::back_inserter(images),
@@ -385,15 +394,15 @@ IntensityScale scale_of_images(const std::vector<fs::path>& files) {
             if (const NamedArray* array = find_array(arrays, "intensity"))
                 std::ranges::copy(array->as_double(), std::back_inserter(intensities));
         } catch (const DataError&) {
-            continue;  // reading the scan later reports the error
+            continue;  // the error is reported when the scan is read
         }
     }
     return find_scale(intensities);
 }
 
-/// Completes the units that sequence.json does not state from the points of some scans.
-/// Leaves the scale of the intensities open if it is ambiguous. An intensity above 1 is
-/// then an error.
+/// Estimates the units that sequence.json does not state, from the points of some scans.
+/// If the scale of the intensities is ambiguous, leaves it unset. Then an intensity above
+/// 1 is an error.
 void find_units(Head& head, const std::vector<fs::path>& files, std::vector<std::string>& notes) {
     const std::vector<PointTable> samples = sample_tables(files, head.units.columns);
     PointMeaning meaning = find_meaning(samples);
@@ -408,7 +417,7 @@ void find_units(Head& head, const std::vector<fs::path>& files, std::vector<std:
     notes.insert(notes.end(), meaning.notes.begin(), meaning.notes.end());
 }
 
-/// Returns the indices of the frames whose scans are read.
+/// Returns the indices of the frames whose scans will be read.
 /// @param max_scans  maximum number of scans per LiDAR
 std::vector<std::size_t> frames_to_read(const Sequence& sequence, int max_scans) {
     std::vector<std::vector<std::size_t>> own(sequence.lidars.size());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Regular grid of the head azimuths at which a spinning LiDAR fires: head = zero + tick *
-// 2 pi / n_ticks.
+// Regular grid of the head azimuths at which a spinning LiDAR fires. The head azimuth of
+// a grid step (tick) is zero + tick * 2 pi / n_ticks.
 #include <relidar/log/clouds.hpp>
 
 #include <cmath>
@@ -25,14 +25,14 @@ Sweep even_sweep(const Points& points, const SpinningSensor& sensor) {
     Sweep sweep{{sensor.columns, 0.0}, {}};
     const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
     const BeamGeometry ideal((Beam()));
-    // the phase of this sum is the mean azimuth of the head within a tick
+    // The phase of this sum is the mean distance of the head azimuths from the grid.
     std::complex<double> sum = 0.0;
     for (std::size_t i = 0; i < points.size(); ++i) {
         const BeamGeometry& beam = points.ring[i] < beams.size() ? beams[points.ring[i]] : ideal;
         sum += std::polar(1.0, sensor.columns * beam.head_azimuth(glm::dvec3(points.position_m[i])));
     }
     sweep.lattice.zero_rad = std::arg(sum) / sensor.columns;
-    // Lists the ticks in descending order. The first tick is the one nearest to +pi.
+    // List the grid steps in descending order. The first one is the step nearest to +pi.
     int last = sweep.lattice.tick(kPi);
     if (sweep.lattice.azimuth_of(last) < 0.0) last = (last + sensor.columns - 1) % sensor.columns;
     for (int i = 0; i < sensor.columns; ++i)

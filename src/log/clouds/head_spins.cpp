@@ -11,20 +11,23 @@ namespace relidar {
 namespace {
 
 // Maximum spread of the elevations in a ring of a spinning LiDAR. The spread is the
-// difference between the 10th and 90th percentile in the farther half of the points.
+// difference between the 10th and the 90th percentile. Only the farther half of the
+// points is used.
 constexpr double kMostSpread_rad = 1.5 * kPi / 180.0;
-// Minimum azimuth range without points for a limited field of view. The vehicle may block
-// smaller ranges.
+// A larger azimuth range without points means a limited field of view. A smaller range
+// may be blocked by the vehicle.
 constexpr double kLeastGap_rad = kPi / 3.0;
-// maximum relative difference between the revolution period and the time between scans
+// Maximum difference between the period of revolution and the time between scans,
+// relative to the time between scans.
 constexpr double kOtherPeriod = 0.2;
-constexpr std::size_t kFewestPoints = 50;  // minimum number of points per ring
+// minimum number of points of a ring; rings with fewer points are ignored
+constexpr std::size_t kFewestPoints = 50;
 
 double elevation_of(const glm::vec3& p) {
     return std::atan2(double(p.z), std::hypot(double(p.x), double(p.y)));
 }
 
-/// Returns the median of the elevation spreads of all rings.
+/// Computes the spread of the elevations in each ring. Returns the median over all rings.
 double spread_of_rings(const Points& scan) {
     std::vector<std::vector<std::pair<float, double>>> rings;  // range and elevation
     for (std::size_t i = 0; i < scan.size(); ++i) {
@@ -54,7 +57,7 @@ double widest_gap(const std::vector<Points>& scans) {
             seen[std::size_t((std::atan2(double(p.y), double(p.x)) / (2.0 * kPi) + 0.5) * kBins) % kBins] =
                 true;
     std::size_t widest = 0, run = 0;
-    // two revolutions, because a range may cross the last bin
+    // scans the circle twice, because a range without points may cross the last bin
     for (std::size_t b = 0; b < 2 * kBins; ++b) {
         run = seen[b % kBins] ? 0 : run + 1;
         widest = std::max(widest, std::min(run, kBins));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks whether points come from a spinning LiDAR. Other LiDARs scan a window or draw a
-// rosette.
+// Checks whether points come from a spinning LiDAR. Other LiDARs scan a window or a
+// rosette pattern.
 #pragma once
 
 #include <string>
@@ -10,9 +10,10 @@
 
 namespace relidar {
 
-/// Returns the reason why points cannot come from a spinning LiDAR, or an empty string if
-/// they can. In a spinning LiDAR, all points of a ring have nearly the same elevation. If
-/// its field of view is limited, a sweep still takes the time of a full revolution.
+/// Returns the reason why points cannot come from a spinning LiDAR. Returns an empty
+/// string if they can. In a spinning LiDAR, all points of a ring have nearly the same
+/// elevation. A sweep takes the time of a full revolution, even if the field of view is
+/// limited.
 /// @param scans  some scans, with rings
 /// @param fitted  sensor that was fitted to these scans
 /// @param step_s  time between scans in seconds

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts sequence names of the LiDAR-RT paper to a drive and its range of frames.
+// Converts a sequence name of the LiDAR-RT paper to a drive and a range of frames.
 #include "log/clouds/lidar_rt_benchmark.hpp"
 
 #include <algorithm>

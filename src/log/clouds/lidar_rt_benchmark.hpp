@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Lists the parts of KITTI-360 and Waymo drives on which the LiDAR-RT paper evaluates.
-// The names are those of its supplementary tables.
+// Lists the sequences of KITTI-360 and Waymo on which the LiDAR-RT paper evaluates. The
+// names are from the supplementary tables of the paper.
 #pragma once
 
 #include <optional>
@@ -14,10 +14,10 @@ namespace relidar {
 
 struct BenchmarkSequence {
     const char* name;
-    const char* drive;  ///< part of the drive's name in its dataset
+    const char* drive;  ///< a part of the drive's name in the dataset; it identifies the drive
     int first, last;    ///< first and last frame
-    /// The four frames that the paper uses for testing and not for training: test_first,
-    /// test_first + test_every, and so on.
+    /// The paper uses four frames for testing and the others for training. The test
+    /// frames are test_first, test_first + test_every, and so on.
     int test_first, test_every;
 };
 inline constexpr int kBenchmarkTestFrames = 4;
@@ -36,19 +36,21 @@ inline constexpr BenchmarkSequence kWaymoBenchmark[] = {
     {"wd3", "100721", 1, 50, 10, 10},     {"wd4", "105003", 148, 197, 157, 10},
 };
 
-/// Drive and frames that the user has selected.
+/// Drive and frames that the user requested.
 struct ChosenSequence {
-    std::string drive;  ///< name of the drive as given by the user, or the drive of the paper's sequence
-    /// Requested frames. For a sequence of the paper, only the requested frames that
-    /// belong to the sequence.
+    /// name of the drive that the user requested, or drive of the requested sequence of
+    /// the paper
+    std::string drive;
+    /// Requested frames. If the user requested a sequence of the paper, contains only
+    /// frames of this sequence.
     FrameRange frames;
     bool is_benchmark = false;
-    /// Requested frames that the paper uses for testing. Empty unless the user has
-    /// selected a sequence of the paper.
+    /// Requested frames that the paper uses for testing. Empty unless the user requested
+    /// a sequence of the paper.
     std::vector<int> test_frames = {};
 };
-/// Returns the drive and the frames that the options select.
-/// @throws UsageError if the requested frames do not overlap the paper's sequence
+/// Returns the drive and the frames that the options request.
+/// @throws UsageError if the requested frames do not overlap the sequence of the paper
 ChosenSequence choose_sequence(const DatasetOptions& options, std::span<const BenchmarkSequence> parts);
 
 }  // namespace relidar

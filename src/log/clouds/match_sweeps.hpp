@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Matches the sweeps of several LiDARs by time. The LiDARs are not synchronised.
+// Matches the sweeps of several LiDARs by time, because the LiDARs are not synchronised.
 #pragma once
 
 #include <cstddef>
@@ -8,17 +8,17 @@
 
 namespace relidar {
 
-/// Returns the median time between consecutive sweeps of a LiDAR. Returns 0.1 s if there
-/// is only one sweep.
+/// Returns the median time between two consecutive sweeps of a LiDAR. Returns 0.1 s if
+/// there is only one sweep.
 double median_step_s(std::vector<double> times_s);
 
-/// Finds for each sweep of the main LiDAR the sweep of another LiDAR with the nearest
-/// time. No sweep is matched twice. The sweeps of the main LiDAR define the frame
-/// numbers.
+/// Assigns sweeps of another LiDAR to the sweeps of the main LiDAR. Each sweep of the
+/// main LiDAR gets the sweep with the nearest time. No sweep is assigned twice. The
+/// sweeps of the main LiDAR define the frame numbers.
 /// @param main_s  [sweeps] times of the main LiDAR, ascending, at least one
 /// @param other_s  times of the other LiDAR in any order
 /// @param most_s  maximum time difference
-/// @return [sweeps] indices in other_s
+/// @return [sweeps] indices in other_s; empty if no sweep is near enough
 std::vector<std::optional<std::size_t>> match_sweeps(const std::vector<double>& main_s,
                                                      const std::vector<double>& other_s, double most_s);
 

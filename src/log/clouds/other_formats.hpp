@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Names the file formats that relidar does not read, and the tools that convert them.
+// Recognises file formats that relidar cannot read. Names the tools that convert these
+// files.
 #pragma once
 
 #include <filesystem>
@@ -7,12 +8,12 @@
 
 namespace relidar {
 
-/// Returns what a file is and which tool converts it to a format that relidar reads.
-/// Returns an empty string if the file's ending is not known.
+/// Returns a text with the format of a file and the tool that converts it to a supported
+/// format. Returns an empty string if the extension of the file is unknown.
 std::string describe_other_format(const std::filesystem::path& file);
 
-/// Describes the first file of a folder whose format is known but not supported. Returns
-/// an empty string if the folder has none.
+/// Returns a text about the first file of a folder whose format is known but not
+/// supported. Returns an empty string if the folder contains no such file.
 std::string describe_other_files(const std::filesystem::path& folder);
 
 }  // namespace relidar

@@ -15,14 +15,14 @@
 namespace relidar::folder {
 namespace {
 
-// Limits of the scales 0 to 100 (percent), 0 to 255 and 0 to 65535 (16 bits).
+// Maximum values of the usual intensity scales: percent, 8 bits and 16 bits.
 constexpr double kPercent = 100.0, kByte = 255.0, kTwoBytes = 65535.0;
-constexpr double kFewBrighter = 0.995;  // share of the intensities that a scale covers
-// A position that is repeated exactly marks dropped rays if a share of the points between
-// these limits, and this number of points, have it. Two returns never agree in all bits.
+constexpr double kFewBrighter = 0.995;  // minimum share of the intensities that must be within the scale
+// Share and number of points at exactly the same position, if this position marks dropped
+// rays. Two real returns never have exactly the same position.
 constexpr double kLeastMarked = 0.01, kMostMarked = 0.95;
 constexpr std::size_t kFewestMarked = 16;
-constexpr std::size_t kLooks = 1024;  // number of points that are searched for repeated positions
+constexpr std::size_t kLooks = 1024;  // maximum number of points in which repeated positions are searched
 
 template <class Use>
 void for_each_value(const FieldValues& field, std::size_t n, const Use& use) {
@@ -39,7 +39,8 @@ bool is_zero(const std::vector<PointTable>& clouds, const std::string& field) {
     return is_zero;
 }
 
-/// Chooses the field of the intensities: the first one whose values are not all 0.
+/// Selects the field that contains the intensities: the first one whose values are not
+/// all 0.
 void choose_intensity(const std::vector<PointTable>& clouds, PointMeaning& meaning) {
     const std::vector<std::string> names = clouds[0].names(PointValue::intensity);
     if (names.empty()) return;
@@ -68,7 +69,8 @@ void list_unread(const std::vector<PointTable>& clouds, PointMeaning& meaning) {
                                                     : "'" + excerpt(meaning.intensity_field) + "'"));
 }
 
-/// Returns the position that many points of a cloud share exactly.
+/// Returns the position that many points of a cloud share exactly. Returns nothing if no
+/// position is repeated often enough.
 std::optional<glm::vec3> repeated_position(const PointTable& cloud) {
     const std::array<const FieldValues*, 3> xyz = {cloud.find(PointValue::x), cloud.find(PointValue::y),
                                                    cloud.find(PointValue::z)};

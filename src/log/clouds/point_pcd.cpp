@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads PCD 0.7 files. After a text header, the points are text, binary, or binary
-// compressed with LZF. Compressed points are stored field by field.
+// Reads PCD 0.7 files. The points follow a text header. They are stored as text, as
+// binary, or as binary compressed with LZF. Compressed points are stored field by field.
 #include <cstdint>
 #include <cstring>
 
@@ -15,7 +15,7 @@ namespace relidar::folder {
 namespace {
 
 constexpr std::size_t kMostPcdFields = 256, kMostBytes = 65536;  // limits per point
-// maximum number of output bytes for three bytes of compressed data
+// maximum number of output bytes per three bytes of compressed data
 constexpr std::size_t kMostExpansion = 264;
 
 struct PcdHeader {
@@ -106,9 +106,9 @@ std::vector<PointField> fields_of(const PcdHeader& header, const std::string& wh
         fmt::format("{}: its compressed data is damaged, expected LZF of the size that is given", where));
 }
 
-/// Decompresses LZF data. A byte b below 32 is followed by b + 1 literal bytes. Any other
-/// byte starts a reference to earlier output: with one or two more bytes, it gives the
-/// length and the distance.
+/// Decompresses LZF data. If a byte b is less than 32, b + 1 literal bytes follow.
+/// Otherwise, the byte and the next one or two bytes are a reference to earlier output.
+/// They contain the length and the distance.
 std::string unpack_lzf(std::string_view packed, std::size_t size, const std::string& where) {
     std::string out;
     out.reserve(size);
@@ -130,15 +130,15 @@ std::string unpack_lzf(std::string_view packed, std::size_t size, const std::str
         length += 2;
         const std::size_t back = ((control & 31) << 8) + next() + 1;
         if (back > out.size() || length > size - out.size()) fail_packed(where);
-        // byte by byte, because the copied range may overlap the bytes that are written
+        // Copy single bytes, because the source may overlap the bytes that are written.
         for (std::size_t i = 0; i < length; ++i) out += out[out.size() - back];
     }
     if (out.size() != size) fail_packed(where);
     return out;
 }
 
-/// Decompresses the point data of a file: two sizes, then compressed bytes. The result is
-/// stored field by field.
+/// Decompresses the points of a PCD file. The data consists of two sizes and the
+/// compressed bytes. The result is stored field by field.
 std::string unpack(std::string_view data, const std::string& where) {
     if (data.size() < 8)
         throw DataError(fmt::format("{}: truncated: {} bytes behind the header, expected 8 with sizes", where,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the vertices of PLY files, as text or binary little-endian. The vertices must be
-// the first element of the file.
+// Reads the vertices of PLY files. The data is text or binary little-endian. The vertices
+// must be the first element of the file.
 #include <cstdint>
 #include <sstream>
 

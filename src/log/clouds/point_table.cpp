@@ -21,14 +21,14 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::size_t kMostPoints = std::size_t(1) << 24;  // maximum number of rays of a scan
+constexpr std::size_t kMostPoints = std::size_t(1) << 24;  // maximum number of points of a scan
 
 struct FieldName {
     std::string_view name;
     PointValue value;
 };
-/// Field names in lower case and their meaning. If a file has several names with the same
-/// meaning, the first one in this list is used.
+/// Field names in lower case and their meanings. If a file contains several fields with
+/// the same meaning, the first one in this list is used.
 constexpr FieldName kFieldNames[] = {
     {"x", PointValue::x},
     {"y", PointValue::y},
@@ -63,22 +63,23 @@ constexpr FieldName kFieldNames[] = {
 };
 constexpr std::size_t kNotRead = std::size(kFieldNames);
 
-/// Words that programs put before the name of a field.
+/// Prefixes that programs add to field names. They are ignored.
 constexpr std::string_view kPrefixes[] = {"scalar_",     "points_", "point_", "position_", "pos_",
                                           "coordinate_", "coord_",  "xyz_",   "vertex_",   "lidar_"};
 
-/// Returns the index of a name in kFieldNames, or kNotRead.
+/// Returns the index of a field name in kFieldNames. Returns kNotRead if the name is
+/// unknown.
 std::size_t find_name(std::string_view name) {
     const auto* const row = std::ranges::find(kFieldNames, name, &FieldName::name);
     return std::size_t(row - std::begin(kFieldNames));
 }
 
-/// Returns the index of a field's meaning in kFieldNames. Ignores upper case and
-/// prefixes. Returns kNotRead for fields that relidar does not read.
+/// Returns the index of a field in kFieldNames. Ignores upper case and prefixes of the
+/// name. Returns kNotRead if relidar does not read the field.
 std::size_t row_of_field(std::string_view field) {
     std::string name(trimmed(field));
     std::ranges::transform(name, name.begin(), [](unsigned char c) { return char(std::tolower(c)); });
-    // VeloView and ParaView write coordinates as elements of a vector.
+    // VeloView and ParaView store x, y and z as elements 0, 1 and 2 of a vector.
     for (const char axis : {'0', '1', '2'})
         if (name.starts_with("points") && name.ends_with(std::string(":") + axis))
             return std::size_t(axis - '0');
@@ -93,7 +94,7 @@ struct NumberTypeRow {
     char kind;
     std::size_t size;
     NumberType type;
-    std::string_view numpy;  ///< code of the number type in .npy files
+    std::string_view numpy;  ///< code of the number type in .npy files, for example "f4"
 };
 constexpr NumberTypeRow kNumberTypes[] = {{'F', 4, NumberType::f4, "f4"}, {'F', 8, NumberType::f8, "f8"},
                                           {'I', 1, NumberType::i1, "i1"}, {'I', 2, NumberType::i2, "i2"},
@@ -125,7 +126,8 @@ PointTable read_bin(const fs::path& file, const std::vector<std::string>& column
             fmt::format("{}: {} bytes, expected a multiple of {}: {} float32 a point (\"columns\")",
                         file.string(), n_bytes, record, fields.size()));
     PointTable table = read_packed(data, fields, n_bytes / record, Packing::by_point, file.string());
-    table.unread.clear();  // read_head() reports the columns that are not read
+    // Clear the list, because read_head() already reports the columns that are not read.
+    table.unread.clear();
     return table;
 }
 
@@ -164,7 +166,7 @@ std::optional<PointValue> value_of_field(std::string_view name) {
 }
 
 std::vector<std::string> PointTable::names(PointValue value) const {
-    // A field with the exact name precedes other spellings of the name.
+    // A field with exactly the listed name has priority over other spellings of the name.
     std::vector<std::tuple<std::size_t, bool, std::string>> ranked;
     for (const auto& [name, values] : fields_) {
         const std::size_t row = row_of_field(name);
@@ -206,7 +208,7 @@ PointTable read_packed(const SharedBytes& data, const std::vector<PointField>& f
                                     data.bytes.size(), n, record));
     PointTable table(n);
     table.keep(data.memory);
-    std::size_t before = 0;  // number of bytes that the preceding fields occupy in a point
+    std::size_t before = 0;  // number of bytes of the previous fields in a point
     for (const PointField& field : fields) {
         const std::size_t width = field.size * field.count;
         if (is_point_field(field.name)) {
@@ -264,10 +266,10 @@ bool is_image_file(const fs::path& file) { return file.extension() == ".npz" || 
 
 namespace {
 
-/// Returns true if a PCD or PLY header shows that relidar wrote the file and deskewed the
-/// points or moved them to the world frame.
+/// Returns true if relidar wrote a PCD or PLY file with motion-compensated points or
+/// points in the world frame. The header of the file contains this information.
 bool is_marked_deskewed(std::string_view bytes) {
-    constexpr std::size_t kHeader = 4096;  // number of bytes that are searched
+    constexpr std::size_t kHeader = 4096;  // number of bytes at the start of the file that are searched
     const std::string_view header = bytes.substr(0, kHeader);
     return header.find(" points_in sensor at time_s") != header.npos ||
            header.find(" points_in world") != header.npos;

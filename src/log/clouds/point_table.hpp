@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Table of the points in a user's file: PCD, PLY, .bin or .npy. A reader only describes
-// the layout of the fields. Values keep the number type of the file and are not copied.
+// Table of the points in a user's file (PCD, PLY, .bin or .npy). A reader of a format
+// only describes the layout of the fields. Values are not copied and keep the number type
+// of the file.
 #pragma once
 
 #include <cstddef>
@@ -22,26 +23,27 @@ namespace relidar::folder {
 /// Meaning of a point field that relidar reads.
 enum class PointValue { x, y, z, intensity, ring, time, return_number, return_type, range };
 
-/// Returns the meaning of a field name. Ignores upper case, and prefixes such as
-/// "scalar_" that programs put before the name. Returns nothing for fields that relidar
-/// does not read, such as colours and normals.
+/// Returns the meaning of a field by its name. Ignores upper case and prefixes such as
+/// "scalar_". Returns nothing for fields that relidar does not read, such as colours and
+/// normals.
 std::optional<PointValue> value_of_field(std::string_view name);
 inline bool is_point_field(std::string_view name) { return value_of_field(name).has_value(); }
 
 enum class NumberType : std::uint8_t { f4, f8, i1, i2, i4, i8, u1, u2, u4, u8 };
 
-/// The values of one field for all points. They are not copied and keep the number type
+/// Values of one field for all points. The values are not copied and keep the number type
 /// of the file.
 class FieldValues {
 public:
     /// Creates a view of values in memory.
-    /// @param first  value of point 0
-    /// @param step  bytes between the values of consecutive points
+    /// @param first  address of the value of point 0
+    /// @param step  number of bytes from the value of one point to the value of the next
+    /// point
     FieldValues(NumberType type, const char* first, std::size_t step)
         : first_(first), step_(step), type_(type) {}
 
-    /// Calls use(value_at) once. value_at(i) returns the value of point i in the number
-    /// type of the file.
+    /// Calls use(value_at) once. The function value_at(i) returns the value of point i in
+    /// the number type of the file.
     template <class Use>
     void visit(const Use& use) const {
         switch (type_) {
@@ -67,7 +69,7 @@ public:
                 return use(reader<std::uint64_t>());
         }
     }
-    /// Returns the value of one point. If all values are needed, visit() is faster.
+    /// Returns the value of one point. To read all values, use visit(), which is faster.
     double operator[](std::size_t i) const {
         double value = 0.0;
         visit([&](const auto& value_at) { value = double(value_at(i)); });
@@ -89,26 +91,28 @@ private:
     }
 };
 
-/// The fields of a point cloud that relidar reads. Copies of a table share the values.
+/// The fields of a point cloud that relidar reads. Copies of a table share the memory of
+/// the values.
 class PointTable {
 public:
     explicit PointTable(std::size_t n_points = 0) : n(n_points) {}
 
     std::size_t n;  ///< number of points
-    /// true: the file states that its points are motion-compensated (deskewed) or in the
-    /// world frame
+    /// True if the file states that its points are motion-compensated (deskewed) or in
+    /// the world frame.
     bool is_deskewed = false;
     std::vector<std::string> unread;  ///< names of the fields that relidar does not read
 
-    /// Returns the field with the given meaning, or nullptr if there is none. If several
-    /// fields have this meaning, the order of the list of field names decides.
+    /// Returns the field with a meaning, or nullptr if there is none. If several fields
+    /// have this meaning, returns the first one in the list of known field names.
     const FieldValues* find(PointValue value) const;
-    /// Returns the field with this name, or nullptr if there is none.
+    /// Returns the field with a name, or nullptr if the table has no such field.
     const FieldValues* find(const std::string& name) const;
-    /// Returns the names of all fields with the given meaning, in the order of find().
+    /// Returns the names of all fields with a meaning. The first name is the field that
+    /// find() returns.
     std::vector<std::string> names(PointValue value) const;
     /// Adds a field to the table.
-    /// @param where  file for error messages
+    /// @param where  name of the file, for error messages
     /// @throws DataError if the field already exists
     void add(const std::string& name, const FieldValues& values, const std::string& where);
     template <class T>
@@ -118,7 +122,8 @@ public:
         add(name, {type, reinterpret_cast<const char*>(memory->data()), sizeof(T)}, where);
     }
     void remove(PointValue value);
-    /// Stores a reference to memory that contains field values, so that it is not freed.
+    /// Stores a shared pointer to the memory of field values, so that the memory is not
+    /// freed.
     void keep(std::shared_ptr<const void> memory) { memory_.push_back(std::move(memory)); }
 
 private:
@@ -126,53 +131,54 @@ private:
     std::vector<std::shared_ptr<const void>> memory_;
 };
 
-/// Name of the fields of a layout that only fill gaps.
+/// Name of unused fields. They fill gaps in the layout of a point.
 inline constexpr std::string_view kPadding = "_";
 
-/// Name and number type of a field in a file.
+/// Name and number type of a field as stored in a file.
 struct PointField {
     std::string name;
-    char kind;         ///< 'F' floating point, 'I' signed, 'U' unsigned
+    char kind;         ///< 'F' means floating point, 'I' signed integer, 'U' unsigned integer
     std::size_t size;  ///< bytes per number
     std::size_t count = 1;
 };
 
-/// Order of the values of n points in memory.
+/// Order in which the values of n points are stored in memory.
 enum class Packing {
     by_point,  ///< one record per point
-    by_field   ///< all values of the first field, then all values of the second field
+    by_field   ///< all values of the first field, followed by all values of the second field, and so on
 };
 
-/// Returns a table for binary little-endian numbers. The values are not copied.
-/// @throws DataError if a number type does not exist or there are too few bytes
+/// Returns a table of binary little-endian numbers. Does not copy the values.
+/// @throws DataError if a number type does not exist or if the data is too short
 PointTable read_packed(const SharedBytes& data, const std::vector<PointField>& fields, std::size_t n,
                        Packing packing, const std::string& where);
-/// Parses n lines of numbers that are separated by blanks. Returns them as a table.
+/// Parses n lines of numbers that are separated by blanks. Returns a table of the
+/// numbers.
 PointTable read_lines(std::string_view text, const std::vector<PointField>& fields, std::size_t n,
                       const std::string& where);
 
-/// Returns true if the file name has the ending of a supported point cloud format.
+/// Returns true if the extension of a file is a supported point cloud format.
 bool is_point_file(const std::filesystem::path& file);
-/// Returns true if the file name has the ending of an image format. In these formats each
+/// Returns true if the extension of a file is an image format. In these formats, each
 /// pixel is a ray.
 bool is_image_file(const std::filesystem::path& file);
-/// Reads the points of a file. The ending of the file name determines the format.
+/// Reads the points of a file. The extension of the file defines its format.
 /// @param columns  names of the columns in .bin and .npy files; empty: x y z intensity
-/// @throws DataError with the file
+/// @throws DataError with the name of the file
 PointTable read_point_file(const std::filesystem::path& file, const std::vector<std::string>& columns);
 
-/// Read PCD and PLY files, which describe their fields in a header.
+/// Reads a PCD or PLY file. The header of the file describes the fields.
 PointTable read_pcd(const SharedBytes& file, const std::string& where);
 PointTable read_ply(const SharedBytes& file, const std::string& where);
 
 /// Reads lines of numbers that are separated by blanks, commas or semicolons. The first
-/// line may have the names of the fields.
-/// @param columns  names of the fields if the file has no header; empty: x y z, or x y z
-/// intensity
+/// line may contain the names of the fields.
+/// @param columns  names of the fields if the file has no header. If empty, the fields
+/// are x y z, or x y z intensity.
 PointTable read_text_points(const SharedBytes& file, const std::vector<std::string>& columns,
                             const std::string& where);
 
-/// Returns true for the bytes of a .npy file whose elements have named fields.
+/// Returns true if the bytes are a .npy file whose elements have named fields.
 bool is_structured_npy(std::string_view bytes);
 PointTable read_structured_npy(const SharedBytes& file, const std::string& where);
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads points from text files (CSV, XYZ) and from structured numpy arrays. Both name
-// their fields in a header.
+// Reads points from text files (CSV, XYZ) and from structured numpy arrays. A header in
+// these files contains the names of the fields.
 #include <algorithm>
 #include <array>
 #include <cstring>
@@ -16,7 +16,7 @@ namespace relidar::folder {
 namespace {
 
 constexpr std::size_t kMostTextFields = 1024;
-constexpr std::size_t kNpyPrefix = 8;  // magic and version of a .npy file
+constexpr std::size_t kNpyPrefix = 8;  // size of the magic string and the version of a .npy file
 
 std::vector<PointField> names_in(std::string_view line) {
     std::vector<PointField> fields;
@@ -36,8 +36,8 @@ std::vector<PointField> fields_named(const std::vector<std::string>& names) {
     return fields;
 }
 
-/// Returns the fields of a text file without a header.
-/// @param n  number of numbers per line
+/// Returns the fields of a text file that has no header.
+/// @param n  number of values per line
 std::vector<PointField> fields_without_header(std::size_t n, const std::vector<std::string>& columns,
                                               const std::string& where) {
     if (columns.size() == n) return fields_named(columns);
@@ -49,7 +49,8 @@ std::vector<PointField> fields_without_header(std::size_t n, const std::vector<s
                     where, n));
 }
 
-/// Parses the list of fields in the header of a structured array: [('x', '<f4'), ...].
+/// Parses the list of fields in the header of a structured numpy array: [('x', '<f4'),
+/// ...].
 class FieldList {
 public:
     FieldList(std::string_view text, const std::string& where) : text_(text), where_(where) {}
@@ -69,7 +70,7 @@ public:
         }
         return fields;
     }
-    /// Parses a tuple of numbers, and returns their product.
+    /// Parses the shape of a field, which is a tuple of numbers. Returns their product.
     std::size_t shape() {
         std::size_t n = 1;
         expect('(');
@@ -113,8 +114,8 @@ private:
         expect('\'');
         return text;
     }
-    /// Converts a type of numpy, such as '<f4'. An unnamed field, or one of type 'V',
-    /// fills a gap.
+    /// Converts a numpy type such as '<f4' to a field. A field without a name, or with
+    /// the type 'V', only fills a gap.
     PointField field_of(const std::string& name, const std::string& type) const {
         const auto size = parse_number(std::string_view(type).substr(std::min<std::size_t>(2, type.size())));
         if (type.size() < 3 || !size || !(*size >= 1.0 && *size <= 65536.0)) fail();

@@ -13,15 +13,16 @@
 namespace relidar::folder {
 namespace {
 
-// A vehicle drives forward if the mean component of its steps along its x axis is at
-// least this large.
+// Minimum forward component for a vehicle that drives forward. The component is the mean
+// over all steps, along the x axis of the vehicle.
 constexpr double kForward = 0.9;
-// Minimum advantage of another reading: of the mean forward component, and of the
-// overlap.
+// Another reading of the poses must be better by these amounts: in the mean forward
+// component, and in the overlap of the scans.
 constexpr double kMoreForward = 0.3, kMoreOverlap = 0.02;
-constexpr std::size_t kFewestSteps = 3;          // minimum number of steps that show the motion
-constexpr double kCell_m = 0.5;                  // edge length of the cells for the overlap
-constexpr float kNear_m = 3.0f, kFar_m = 40.0f;  // range of the points that are compared
+// minimum number of steps that is needed to find the driving direction
+constexpr std::size_t kFewestSteps = 3;
+constexpr double kCell_m = 0.5;  // edge length of the cells in which the overlap of scans is counted
+constexpr float kNear_m = 3.0f, kFar_m = 40.0f;  // only points in this interval of ranges are compared
 
 bool is_compared(const glm::vec3& point_m) {
     const float range_m = glm::length(point_m);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decides what the numbers of a pose file mean. Programs write the same poses with
-// another order of the quaternion, in degrees, or as the inverse transform. Under the
-// right reading, a vehicle drives along its x axis, and the scans agree.
+// Finds the meaning of the numbers in a pose file. Some programs write another order of
+// the quaternion, or degrees, or the inverse transform. With the right meaning, the
+// vehicle drives along its x axis, and consecutive scans overlap.
 #pragma once
 
 #include <functional>
@@ -17,21 +17,22 @@ namespace relidar::folder {
 struct PoseReading {
     std::string about;             ///< description for notes
     PoseTrack world_from_vehicle;  ///< poses according to this meaning
-    /// True: the motion alone does not prove this meaning, because a vehicle that drives
-    /// backwards has the same motion.
+    /// True if the scans must confirm this meaning. The motion alone cannot, because a
+    /// vehicle that drives backwards has the same motion.
     bool needs_scans = false;
 };
 
-/// Pairs of scans with which readings are compared.
+/// Pairs of scans that are used to compare the possible meanings of a pose file.
 class ScanPairs {
 public:
-    /// Adds two scans of the same LiDAR.
+    /// Adds a pair of scans from the same LiDAR.
     /// @param points_m  positions in the vehicle frame
     void add(double first_s, std::vector<glm::vec3> first_m, double second_s,
              std::vector<glm::vec3> second_m);
     bool empty() const { return pairs_.empty(); }
-    /// Returns the share of points of each second scan that have a point of the first
-    /// scan in the same cell.
+    /// Returns how well the scans overlap with the given poses. For each pair, this is
+    /// the share of points of the second scan that have a point of the first scan in the
+    /// same cell.
     double overlap(const PoseTrack& world_from_vehicle) const;
 
 private:
@@ -44,13 +45,13 @@ private:
 
 using ReadPairs = std::function<ScanPairs()>;
 
-/// Returns the index of the reading that the motion of the vehicle and the scans support.
-/// Returns 0, the documented reading, unless another one is clearly better. Adds a note
-/// if it is not the documented reading.
-/// @param readings  at least one
-/// @param read_pairs  reads pairs of scans; called if the motion does not support the
-/// documented reading. May be null.
-/// @param where  file for the note
+/// Returns the index of the meaning that fits the motion of the vehicle and the scans
+/// best. Returns 0, the documented meaning, unless another meaning is clearly better. In
+/// this case, also adds a note.
+/// @param readings  possible meanings, at least one
+/// @param read_pairs  reads pairs of scans; called only if the motion contradicts the
+/// documented meaning; may be null
+/// @param where  name of the file, for the note
 std::size_t choose_reading(const std::vector<PoseReading>& readings, const ReadPairs& read_pairs,
                            const std::string& where, std::vector<std::string>& notes);
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Determines the rings of points without ring numbers. A beam draws a cone when the head
-// rotates. Seen from the sensor's centre, all far points of a beam have nearly the same
-// elevation. So a histogram of the elevations has a narrow band for each beam, with empty
-// bins between the bands.
+// rotates. Seen from the centre of the sensor, all far points of a beam have nearly the
+// same elevation. So a histogram of the elevations has one narrow band per beam. The bins
+// between bands are empty.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>
@@ -16,28 +16,31 @@
 namespace relidar {
 namespace {
 
-// bin width of the histogram; the closest beams of real sensors are 0.1 degrees apart
+// bin width of the histogram; small enough, because beams of real sensors are at least
+// 0.1 degrees apart
 constexpr double kBin_rad = 0.01 * kPi / 180.0;
 constexpr int kLeastGap = 3;  // minimum number of empty bins between two bands
 constexpr std::size_t kFewestBands = 4;
-// maximum width of a band, relative to the distance to its nearest neighbour
+// Maximum width of a band, relative to the distance between this band and the nearest
+// other band.
 constexpr double kWidest = 0.5;
-constexpr double kStray = 0.005;  // a bin is empty if its count is below this share of a full bin
-// Maximum number of neighbouring beams, to either side, to which a point may belong
-// instead. The origins of beams shift the elevations of near points by a few beams.
+// A bin counts as empty if its number of points is below this share of a full bin.
+constexpr double kStray = 0.005;
+// A near point may belong to one of this many neighbouring beams on either side, because
+// beam origins shift the elevations of near points by a few beams.
 constexpr std::ptrdiff_t kReach = 6;
 
 double elevation_of(const glm::dvec3& v) { return std::atan2(v.z, std::hypot(v.x, v.y)); }
 
 /// Returns elevations of points, in ascending order. For each degree of elevation, uses
-/// only the farther half of the points, because the origins of the beams have less effect
-/// there. The limit is per degree, because downward beams have no far points.
+/// only the farther half of the points, because beam origins change the elevation of near
+/// points. The selection is per degree, because downward beams have no far points.
 std::vector<double> far_elevations(const std::vector<Points>& scans) {
     struct Seen {
         float range_m;
         double elevation_rad;
     };
-    std::vector<std::vector<Seen>> seen(181);  // one list per degree of elevation
+    std::vector<std::vector<Seen>> seen(181);  // points by degree of elevation
     for (const Points& scan : scans)
         for (const glm::vec3& p : scan.position_m) {
             const double elevation = elevation_of(glm::dvec3(p));
@@ -59,7 +62,8 @@ struct Band {
     double elevation_rad;  ///< median elevation of the band
 };
 
-/// Returns the groups of consecutive bins that are not empty.
+/// Returns the bands of the histogram. A band is a group of consecutive bins that are not
+/// empty.
 std::vector<Band> bands_of(const std::vector<double>& elevations) {
     const int n_bins = int(kPi / kBin_rad) + 1;
     const auto bin = [](double elevation) { return int((elevation + kPi / 2) / kBin_rad); };
@@ -86,8 +90,7 @@ std::vector<Band> bands_of(const std::vector<double>& elevations) {
     return bands;
 }
 
-/// Returns true if the width of every band is small compared with the distance to the
-/// next band.
+/// Returns true if all bands are narrow compared with the distance to the next band.
 bool are_separate(const std::vector<Band>& bands) {
     for (std::size_t i = 0; i + 1 < bands.size(); ++i) {
         const double apart = (bands[i + 1].elevation_rad - bands[i].elevation_rad) / kBin_rad;

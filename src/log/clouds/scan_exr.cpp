@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads scans from EXR range images that `relidar render --format exr` writes. The
-// channels have the same names as the arrays of npz scans.
+// Reads scans from EXR range images that `relidar render --format exr` has written. The
+// channels of an image have the same names as the arrays of an npz scan.
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 #include <relidar/base/images.hpp>
@@ -17,8 +17,8 @@ namespace {
 
 constexpr const char* kAxes[] = {".x", ".y", ".z"};
 
-/// Combines three channels to one array of vectors. Does nothing if one of the channels
-/// is missing.
+/// Combines three channels into one array of vectors. Does nothing if the image lacks one
+/// of the channels.
 void add_vectors(const ExrImage& image, const std::string& channel, const std::string& name,
                  const std::string& where, std::vector<NamedArray>& arrays) {
     const std::vector<float>* axis[3] = {};
@@ -55,7 +55,8 @@ std::vector<NamedArray> arrays_of(const ExrImage& image, const std::string& wher
                                         values.data(), values.size()));
     add_vectors(image, "direction", "directions", where, arrays);
     add_vectors(image, "origin", "origin", where, arrays);
-    const auto frame = image.notes.find("points_in");  // frame of the points, which a rendering states
+    // coordinate frame of the points, which relidar stores in rendered images
+    const auto frame = image.notes.find("points_in");
     const bool moved = frame != image.notes.end() &&
                        (frame->second.starts_with("world") || frame->second.starts_with("sensor at time_s"));
     const std::int32_t deskewed = moved ? 1 : 0;
@@ -63,9 +64,8 @@ std::vector<NamedArray> arrays_of(const ExrImage& image, const std::string& wher
     return arrays;
 }
 
-/// Adds the sensor that the image names to a LiDAR for which sequence.json gives no
-/// beams. Only names of known sensors are accepted. Otherwise the image could cause other
-/// files to be read.
+/// Completes a LiDAR without beams by the sensor that the image names. Accepts only names
+/// of built-in sensors. Otherwise, an image could cause any file to be read.
 Lidar completed(Lidar lidar, const ExrImage& image) {
     const auto note = image.notes.find("sensor");
     if (note == image.notes.end() || !lidar.sensor.beams.empty() || lidar.pattern) return lidar;

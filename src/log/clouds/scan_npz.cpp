@@ -18,8 +18,8 @@ namespace {
 constexpr double kLongestOffset_s = 10.0;
 constexpr std::size_t kMostReturns = 8;
 
-/// The named arrays of a file. The functions check that an array has one entry per ray of
-/// the image.
+/// The named arrays of a scan file. The functions check that an array has one entry for
+/// each ray of the image.
 class Arrays {
 public:
     Arrays(const std::string& where, std::vector<NamedArray> arrays)
@@ -39,19 +39,20 @@ public:
         if (const NamedArray* array = find(name)) return *array;
         throw DataError(fmt::format("{}: no array '{}', expected it", where_, name));
     }
-    /// Returns the value of an array with a single number.
+    /// Returns the value of an array that contains a single number.
     double number(const std::string& name) const {
         if (at(name).count() != 1)
             throw DataError(fmt::format("{}: {} of shape [{}], expected one number", where_, name,
                                         fmt::join(at(name).shape, ", ")));
         return at(name).as_double()[0];
     }
-    /// Returns one number per ray from the named array.
-    /// @param usual  value for all rays if the array does not exist
+    /// Returns the values of an array, one number per ray.
+    /// @param usual  value for all rays if the file does not contain the array
     std::vector<double> image(const std::string& name, double usual) const {
         return find(name) ? values(name, 1) : std::vector<double>(rows * columns, usual);
     }
-    /// Returns `width` numbers per ray from the named array, which must exist.
+    /// Returns the values of an array with `width` numbers per ray.
+    /// @throws DataError if the file does not contain the array
     std::vector<double> values(const std::string& name, std::size_t width) const {
         if (at(name).count() != rows * columns * width)
             throw DataError(fmt::format("{}: {} of shape [{}], expected {} x {} x {}", where_, name,
@@ -97,7 +98,7 @@ std::vector<float> intensities_of(const Arrays& arrays, const std::string& name,
     return intensity;
 }
 
-/// Returns the nominal rays of the sensor. Used for images that contain no ray
+/// Returns the rays of the sensor model. Used for images that do not contain ray
 /// directions.
 RayTable sensor_rays(const Arrays& arrays, const ImageSource& source) {
     RayTable rays = nominal_rays(source.lidar, source.time_s);
@@ -112,7 +113,7 @@ RayTable sensor_rays(const Arrays& arrays, const ImageSource& source) {
     return rays;
 }
 
-/// Reverses the rows of images in which the first row is the lowest beam, because row 0
+/// Reverses the order of the rows if row 0 of an image is the lowest beam, because row 0
 /// is the highest beam in relidar.
 void flip_rows(std::vector<NamedArray>& arrays, std::size_t rows) {
     for (NamedArray& array : arrays) {
@@ -127,7 +128,8 @@ void flip_rows(std::vector<NamedArray>& arrays, std::size_t rows) {
     }
 }
 
-/// Sets the times, rings and divergence of the rays if the file contains them.
+/// Reads the times, rings and divergences of the rays. Leaves values that the file does
+/// not contain unchanged.
 void read_stored_fields(const Arrays& arrays, const ImageSource& source, RayTable& rays) {
     const PointUnits& units = source.head.units;
     const std::size_t n = rays.size();
@@ -214,8 +216,8 @@ Scan scan_of_images(const std::string& where, std::vector<NamedArray> given, con
     Scan scan;
     scan.rays = has_rays ? rays_of_scan(arrays) : sensor_rays(arrays, source);
     read_stored_fields(arrays, source, scan.rays);
-    // A rendering has the median range and the mean range. The median is used, because
-    // the mean may be between two surfaces.
+    // A rendered file contains the median range and the mean range. Use the median,
+    // because the mean may be between two surfaces.
     const std::vector<float> range_m =
         ranges_of(arrays, arrays.find("median_range") ? "median_range" : "range");
     scan.range_m = to_scan_array(range_m);

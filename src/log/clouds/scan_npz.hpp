@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes scans as npz files. A file has every ray, including dropped rays. The
-// reader accepts the files of `relidar render --format npz`. scan_exr.cpp reads the same
-// data from EXR images.
+// Reads and writes scans as npz files. A file contains every ray, including dropped rays.
+// The reader accepts the files of `relidar render --format npz`. scan_exr.cpp reads the
+// same data from EXR images.
 #pragma once
 
 #include <filesystem>
@@ -13,47 +13,49 @@
 
 namespace relidar::folder {
 
-/// Data about the LiDAR and the frame of an image file, used where the file lacks data.
+/// LiDAR and frame of an image file. These values are used if the file does not contain
+/// them.
 struct ImageSource {
     const Head& head;
     const HeadLidar& of_head;  ///< the LiDAR as described in sequence.json
-    /// the LiDAR with all known properties; defines the rays if the file has no
-    /// directions
+    /// The LiDAR with all known properties. Defines the rays if the file contains no
+    /// directions.
     const Lidar& lidar;
     double time_s;  ///< time of the frame
 };
 
 /// Reads a scan from an npz file.
-/// @throws DataError if the file is damaged, an array is missing, or sizes differ
+/// @throws DataError if the file is damaged, an array is missing, or array sizes differ
 Scan read_scan_npz(const std::filesystem::path& file, const ImageSource& source);
 /// Reads a scan from an EXR image. The channels are range, median_range, intensity,
-/// drop_prob, time, ring, range_2, intensity_2 ..., and x, y and z of direction and
-/// origin.
-/// @throws DataError if the file is damaged, a channel is missing, or sizes differ
+/// drop_prob, time, ring, range_2, intensity_2 and so on, and x, y and z of the direction
+/// and of the origin.
+/// @throws DataError if the file is damaged, a channel is missing, or channel sizes
+/// differ
 Scan read_scan_exr(const std::filesystem::path& file, const ImageSource& source);
 /// Creates a scan from the named arrays of an npz or EXR file.
-/// @param where  file for error messages
+/// @param where  name of the file, for error messages
 Scan scan_of_images(const std::string& where, std::vector<NamedArray> arrays, const ImageSource& source);
 
-/// Writes a scan to an npz file. Reading the file gives exactly the same values, except
-/// that a motion-compensated scan gets time 0 for all rays.
+/// Writes a scan to an npz file. A reader gets exactly the same values. Exception: all
+/// rays of a motion-compensated scan get the time 0.
 void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool motion_compensated);
 
-/// Checks that the log is marked as motion-compensated if a scan file says so.
-/// @param is_deskewed  true: the file states that its points are motion-compensated
-/// (deskewed) or in the world frame
-/// @throws DataError if the log is not marked accordingly
+/// Checks that sequence.json states motion compensation if a scan file does.
+/// @param is_deskewed  true if the scan file states that its points are
+/// motion-compensated (deskewed) or in the world frame
+/// @throws DataError if sequence.json does not state the same
 void check_deskewed(bool is_deskewed, const Head& head, const std::string& where);
 
 /// Converts an intensity from a file to the range 0 to 1.
-/// @throws DataError if the intensity is not a number. Without a maximum in
-/// sequence.json, also if it is outside 0 to 1.
+/// @throws DataError if the intensity is not a number. If sequence.json states no
+/// maximum, also if the intensity is outside 0 to 1.
 float unit_intensity(double found, const PointUnits& units, const std::string& where);
-/// Converts a point time from a file to seconds relative to the time of its frame.
+/// Converts a point time from a file to seconds relative to the time of the frame.
 /// @throws DataError if the result is longer than any sweep
 float time_offset(double found, const PointUnits& units, double frame_time_s, const std::string& where);
 /// Converts a ring number from a file to an integer.
-/// @throws DataError if it is not a valid beam number
+/// @throws DataError if the number is not a valid beam number
 std::uint16_t ring_number(double found, const std::string& where);
 
 }  // namespace relidar::folder

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Assigns points to the rays that measured them. The ray of beam k at head azimuth theta
 // is beam_ray(beam_k, theta). The range is |point - origin|. The firing time is the
-// measured time, or
-//   -theta / (2 pi) * period (clockwise, 0 = facing forward)
-// if points have no times.
+// measured time. If the points have no times, it is
+//   -theta / (2 pi) * period   (clockwise, 0 = facing forward)
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>
@@ -19,11 +18,13 @@ namespace relidar {
 namespace {
 
 constexpr int kEmpty = -1;
-constexpr std::size_t kMostReturns = 8;  // maximum returns per ray; sensors have two or three
-constexpr int kMostTicks = 1 << 16;      // maximum number of azimuth steps per sweep: 0.005 degrees per step
-constexpr double kLeastRange_m = 1e-3;   // a point nearer to the origin has no direction
+// maximum number of returns per ray; real sensors have two or three
+constexpr std::size_t kMostReturns = 8;
+constexpr int kMostTicks = 1 << 16;     // maximum number of azimuth steps per sweep (0.005 degrees per step)
+constexpr double kLeastRange_m = 1e-3;  // A point nearer to the origin has no defined direction.
 
-/// [rings x firings] index of the point on each ray; kEmpty: the ray has no return
+/// [rings x firings] index of the point on each ray; kEmpty means that the ray has no
+/// return
 struct ImageCells {
     std::size_t n_firings;
     std::vector<int> point;
@@ -31,13 +32,14 @@ struct ImageCells {
     int& at(std::size_t ring, std::size_t firing) { return point[ring * n_firings + firing]; }
 };
 
-/// Returns the return number of a point, counted from 0.
+/// Returns the index of the return that a point belongs to: 0 for the first return of the
+/// ray.
 std::size_t number_of(const Points& points, std::size_t point) {
     return points.return_number.empty() ? 0 : std::size_t(points.return_number[point]) - 1;
 }
 
 /// Checks that all arrays have one entry per point and that the ring numbers are valid.
-/// @param n_beams  number of beams; 0: rings are not needed
+/// @param n_beams  number of beams; 0 if rings are not needed
 void check_points(const Points& points, std::size_t n_beams) {
     const auto check = [&](const char* field, std::size_t n, bool may_be_empty) {
         if (n != points.size() && !(may_be_empty && n == 0))
@@ -60,7 +62,7 @@ void check_points(const Points& points, std::size_t n_beams) {
 }
 
 /// Returns for each azimuth step of the head the index of the firing with the nearest
-/// time.
+/// azimuth step.
 std::vector<int> nearest_firings(const std::vector<int>& firings, int n_ticks) {
     std::vector<int> nearest(static_cast<std::size_t>(n_ticks), kEmpty);
     for (std::size_t f = 0; f < firings.size(); ++f)
@@ -76,8 +78,8 @@ std::vector<int> nearest_firings(const std::vector<int>& firings, int n_ticks) {
     return filled;
 }
 
-/// Returns the index of the firing for each column of the scan. If there are fewer
-/// firings than columns, some firings are repeated.
+/// Returns the firing of each column of a scan. If there are fewer firings than columns,
+/// some firings are repeated.
 std::vector<int> fill_columns(const Sweep& sweep, int columns) {
     const std::size_t n = sweep.firings.size();
     std::vector<int> repeat(n, 1);
@@ -97,12 +99,12 @@ std::vector<int> fill_columns(const Sweep& sweep, int columns) {
     return slot;
 }
 
-/// Assigns each point to a ray, separately for each return number. Index 0 has the first
-/// returns.
+/// Assigns the points of a sweep to rays, separately for each return number. Index 0
+/// contains the first returns.
 class Assignment {
 public:
     /// Assigns all points to the rays of a sweep.
-    /// @param head_rad  [points] azimuth of the head when the point was measured
+    /// @param head_rad  [points] azimuth of the head at the time of the point
     Assignment(const Points& points, const SpinningSensor& sensor, const Sweep& sweep,
                const std::vector<double>& head_rad)
         : points_(points), sensor_(sensor), sweep_(sweep), head_rad_(head_rad) {
@@ -113,14 +115,16 @@ public:
         for (std::size_t i = 0; i < points.size(); ++i) add_beyond(i);
     }
     std::vector<ImageCells> by_return;
-    std::vector<int> firing_of;  ///< [points] firing of each point; kEmpty if its range is not valid
+    /// [points] firing of each point; kEmpty if the range of the point is invalid
+    std::vector<int> firing_of;
 
 private:
     const Points& points_;
     const SpinningSensor& sensor_;
     const Sweep& sweep_;
     const std::vector<double>& head_rad_;
-    std::vector<int> nearest_;  ///< [azimuth steps] nearest firing; used if points have no firing numbers
+    /// [azimuth steps] nearest firing; used only if points have no firing numbers
+    std::vector<int> nearest_;
 
     float range_of(int point) const {
         return glm::length(points_.position_m[static_cast<std::size_t>(point)]);
@@ -147,8 +151,8 @@ private:
         ImageCells& cells = cells_of(number);
         int point = static_cast<int>(i);
         for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
-            // a second return must be on the ray of its first return, so it is not moved
-            // to another firing
+            // Do not move a second return to another firing, because it must be on the
+            // ray of its first return.
             if (cells.at(ring, f) != kEmpty || (number > 0 && f != firing)) continue;
             std::swap(cells.at(ring, f), point);
             break;
@@ -156,8 +160,8 @@ private:
         if (point != kEmpty && range < range_of(cells.at(ring, firing))) cells.at(ring, firing) = point;
     }
 
-    /// Assigns a point beyond the sensor's maximum range to its ray. Does nothing if the
-    /// ray already has a point.
+    /// Assigns a point beyond the maximum range of the sensor to its ray. Does nothing if
+    /// the ray already has a point.
     void add_beyond(std::size_t i) {
         if (!(double(range_of(static_cast<int>(i))) > sensor_.max_range_m)) return;
         const std::size_t firing = points_.firing.empty() ? nearest_firing(i) : points_.firing[i];
@@ -166,8 +170,8 @@ private:
     }
 };
 
-/// Returns the time of each firing, which is the mean time of its points. A firing
-/// without points gets a time that is extrapolated from the nearest firing with points.
+/// Returns the time of each firing, which is the mean time of its points. For a firing
+/// without points, extrapolates the time from the nearest firing with points.
 std::vector<double> firing_times(const Points& points, const SpinningSensor& sensor, const Sweep& sweep,
                                  const std::vector<int>& firing_of) {
     const std::size_t n = sweep.firings.size();
@@ -182,7 +186,9 @@ std::vector<double> firing_times(const Points& points, const SpinningSensor& sen
                 count[std::size_t(firing_of[i])] += 1.0;
     std::vector<double> measured = time_s;
     for (std::size_t f = 0; f < n; ++f) {
-        std::size_t from = f;  // searches among later and earlier firings of the same sweep
+        // index of the nearest firing with points, among later and earlier firings of the
+        // same sweep
+        std::size_t from = f;
         for (std::size_t d = 1; d < n && count[from] == 0.0; ++d) {
             if (f + d < n && count[f + d] > 0.0) from = f + d;
             else if (f >= d) from = f - d;
@@ -209,19 +215,19 @@ void resize(Scan& scan, int rows, int columns, std::size_t n_second_returns) {
     scan.second_returns.assign(n_second_returns, {std::vector<float>(n, 0.0f), std::vector<float>(n, 0.0f)});
 }
 
-/// Sets a ray without a return. Its direction is the nominal direction of the beam, and
-/// its range is 0.
+/// Marks a ray as dropped: sets its direction to the nominal direction of the beam, and
+/// its range to 0.
 void set_dropped(Scan& scan, std::size_t at, const BeamGeometry& beam, double head_rad) {
     const BeamRay model = beam.ray(head_rad);
     scan.rays.origin[at] = glm::vec3(model.origin_m);
     scan.rays.direction[at] = glm::vec3(model.direction);
 }
 
-/// Sets a ray with a return. Its direction points from the beam's origin to the point.
-/// Returns false and sets nothing if the point is too close to the origin to define a
-/// direction.
-/// @param head_rad  azimuth of the head at the point. The origin is then exact even if
-/// the firings have only regular azimuth steps.
+/// Sets the direction and range of a ray with a return. The direction is from the beam's
+/// origin to the point. If the point is too close to the origin, returns false and sets
+/// nothing.
+/// @param head_rad  azimuth of the head at the time of the point. It gives the exact
+/// origin even if the firings have only regular azimuth steps.
 bool set_returned(Scan& scan, std::size_t at, const BeamGeometry& beam, double head_rad, const Points& points,
                   std::size_t i) {
     const glm::dvec3 p(points.position_m[i]);
@@ -236,7 +242,7 @@ bool set_returned(Scan& scan, std::size_t at, const BeamGeometry& beam, double h
     return true;
 }
 
-/// Adds a second return to a ray. Does nothing if the ray has no first return.
+/// Adds the second return of a ray. Does nothing if the ray has no first return.
 void set_second_return(Scan& scan, std::size_t at, const Points& points, std::size_t i) {
     if (scan.range_m[at] == 0.0f) return;
     SecondReturn& echo = scan.second_returns[number_of(points, i) - 1];
@@ -295,7 +301,7 @@ Scan spinning_scan(const Points& points, const SpinningSensor& sensor, const Swe
 
 Scan unordered_scan(const Points& points) {
     check_points(points, 0);
-    std::vector<std::size_t> first;  // [rays] index of the point that is the first return
+    std::vector<std::size_t> first;  // [rays] index of the point that is the first return of each ray
     std::size_t n_second_returns = 0;
     if (points.size() > kMaxRays)
         throw UsageError(

@@ -22,23 +22,23 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// minimum distance between two poses for a driving direction, long compared with pose
-// errors
+// Minimum distance between two poses from which the driving direction is computed. It is
+// much larger than the errors of the poses.
 constexpr double kStep_m = 1.0;
-// Pairs of poses with a longer time difference are ignored, because the motion in between
-// is unknown.
+// Ignores two consecutive poses with a longer time difference, because the motion between
+// them is unknown.
 constexpr double kLongestStep_s = 1.0;
 constexpr std::size_t kSamples = 6;  // number of scans for estimates
 // Maximum median distance between points and their nominal beams, relative to the
-// distance between beams. For points of another LiDAR the distance is about 0.25.
+// distance between beams. If the points come from another LiDAR, the value is about 0.25.
 constexpr double kNearBeam = 0.15;
-// if a time is this close to a pose, relative to the gap between poses, the pose is used
-// without interpolation
+// Uses a pose without interpolation if its time differs by less than this from the
+// requested time. The value is relative to the time between poses.
 constexpr double kSameTime = 1e-6;
-// maximum coordinate of a pose in metres, larger than UTM coordinates, which reach 10^7
+// Maximum coordinate of a pose in metres. UTM coordinates are smaller (up to 10^7).
 constexpr double kLargestCoordinate_m = 1e8;
 
-/// Parses a timestamp in a table cell. Accepts a fraction and an exponent, because some
+/// Parses a time stamp in a table. Accepts a fraction and an exponent, because some
 /// programs write them.
 std::optional<std::int64_t> stamp_of_cell(std::string_view cell) {
     if (const auto whole = parse_stamp(cell)) return whole;
@@ -76,7 +76,7 @@ std::optional<Pose> pose_at(const StampedLog& log, double time_s) {
     return track.at(time_s);
 }
 
-/// Reads scans from files, adds missing values to their points, and rotates the points to
+/// Reads scans from files. Adds missing values to the points, and rotates the points to
 /// relidar's axes.
 class StampedPoints : public folder::ScanSource {
 public:
@@ -107,7 +107,7 @@ private:
     const PointFormat& format_;
 };
 
-/// Reads the points of a few scans. Scans that cannot be read are skipped.
+/// Reads the points of a few scans. Skips scans that cannot be read.
 std::vector<Points> sample_points(const StampedPoints& source, std::size_t n_scans) {
     std::vector<Points> samples;
     const std::size_t n = std::min(kSamples, n_scans);
@@ -116,23 +116,25 @@ std::vector<Points> sample_points(const StampedPoints& source, std::size_t n_sca
             samples.push_back(source.points(k * n_scans / n));
             if (samples.back().size() == 0) samples.pop_back();
         } catch (const DataError&) {
-            continue;  // reading the scan later reports the error
+            continue;  // the error is reported when the scan is read
         }
     }
     return samples;
 }
 
-/// Returns true if points are near the elevations of their beams, compared with the
-/// distance to the next beam. The points of another LiDAR are not.
+/// Returns true if most points have nearly the elevation of their beam. The difference is
+/// compared with the distance to the next beam. Returns false for points of another
+/// LiDAR.
 bool are_near_beams(const std::vector<Points>& samples, const FittedSensor& fit) {
     const std::vector<Beam>& beams = fit.sensor.beams;
-    // distances of points to their beams, as a ratio to the distance between beams
+    // distance of each point from its beam, relative to the distance to the next beam
     std::vector<double> off;
     for (const Points& scan : samples)
         for (std::size_t i = 0; i < scan.size(); ++i) {
             const std::size_t b = fit.beam_of_ring[scan.ring[i]];
             double apart = INFINITY;
-            for (const std::size_t next : {b - 1, b + 1})  // b - 1 is a very large number if b is 0
+            // if b is 0, b - 1 is a very large number, which is not a valid index
+            for (const std::size_t next : {b - 1, b + 1})
                 if (next < beams.size())
                     apart = std::min(apart, std::abs(beams[next].elevation_rad - beams[b].elevation_rad));
             const glm::dvec3 p(scan.position_m[i]);
@@ -144,8 +146,8 @@ bool are_near_beams(const std::vector<Points>& samples, const FittedSensor& fit)
 }
 
 /// Fits the nominal beams to the points. Returns nothing if the points come from another
-/// LiDAR. Also returns nothing if azimuths are not on a regular grid, for example because
-/// points were motion-compensated.
+/// LiDAR, or if azimuths are not on a regular grid. Motion compensation, for example,
+/// destroys the grid.
 std::optional<SpinningSensor> fit_nominal(const std::vector<Points>& samples, const PointFormat& format) {
     if (samples.empty()) return std::nullopt;
     FittedSensor fit;
@@ -158,8 +160,7 @@ std::optional<SpinningSensor> fit_nominal(const std::vector<Points>& samples, co
     const double step = 2.0 * kPi / fit.sensor.columns;
     std::vector<Beam> beams = format.beams;
     std::complex<double> sum = 0.0;
-    // The first pass fits an azimuth offset that all beams share. The second pass fits
-    // the offset of each beam.
+    // First fit one azimuth offset for all beams, then an offset for each beam.
     for (const bool is_second : {false, true})
         for (std::size_t r = 0; r < std::min(beams.size(), fit.beam_of_ring.size()); ++r) {
             if (fit.beam_of_ring[r] == kNoBeam) continue;
@@ -193,7 +194,7 @@ std::vector<StampedScan> list_scans(const fs::path& folder) {
         throw DataError(
             fmt::format("{}: no scan, expected files named by their times, such as 1598990189106857.bin",
                         folder.string()));
-    // sort by number, because sorting by name would put "10" before "9"
+    // Sort by number, because a sort by name would put "10" before "9".
     std::ranges::sort(scans, {}, &StampedScan::stamp);
     for (std::size_t i = 0; i < scans.size(); ++i) scans[i].number = int(i);
     return scans;
@@ -205,7 +206,7 @@ std::vector<StampedRow> read_rows(const fs::path& file, std::size_t n_values) {
     for (std::size_t l = 0; l < lines.size(); ++l) {
         if (trimmed(lines[l]).empty()) continue;
         const std::vector<std::string_view> cells = csv_cells(lines[l]);
-        if (l == 0 && !parse_number(cells[0])) continue;  // skips a line of column names
+        if (l == 0 && !parse_number(cells[0])) continue;  // skips a first line with column names
         StampedRow row = row_of(cells, n_values, fmt::format("{} line {}", file.string(), l + 1));
         if (!rows.empty() && row.stamp == rows.back().stamp) continue;
         if (!rows.empty() && row.stamp < rows.back().stamp)
@@ -227,8 +228,8 @@ Driving find_driving(const PoseTrack& world_from_rider) {
         const glm::dvec3 step = poses[to].translation - poses[from].translation;
         const bool is_late = world_from_rider.time_s[to] - world_from_rider.time_s[from] > kLongestStep_s;
         if (!is_late && glm::length(step) < kStep_m) continue;
-        // mean of the directions seen from both poses, which is right for the middle of a
-        // curve
+        // Compute the direction in both sensor frames and use the mean, because the
+        // vehicle may drive a curve.
         if (!is_late) {
             const glm::dvec3 d = glm::normalize(step);
             const glm::dvec3 seen =
@@ -318,7 +319,9 @@ void read_points(Sequence& sequence, const std::vector<fs::path>& files, PointFo
                 "one of the nominal beam that passes nearest",
                 sensor.beams.size(), sensor.columns));
         } else {
-            format.beams.clear();  // `source` reads the beams
+            // `source` refers to `format`; without beams, it leaves the points without
+            // rings
+            format.beams.clear();
         }
     }
     head.name = sequence.name;
@@ -336,7 +339,7 @@ Brightness find_brightness(const std::vector<fs::path>& files, const std::vector
         try {
             samples.push_back(folder::read_point_file(files[k * files.size() / n], columns));
         } catch (const DataError&) {
-            continue;  // reading the scan later reports the error
+            continue;  // the error is reported when the scan is read
         }
     }
     const folder::IntensityScale scale = folder::find_meaning(samples).scale;

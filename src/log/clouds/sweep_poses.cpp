@@ -12,22 +12,25 @@
 namespace relidar::bag {
 namespace {
 
-constexpr double kStep_s = 1e-3;  // time between corrections; corrections in between are interpolated
-// Minimum size of a correction. Smaller ones are skipped, because sensors are ten times
-// less accurate.
+// time between two computed corrections; values in between are interpolated
+constexpr double kStep_s = 1e-3;
+// Minimum size of a correction. Smaller corrections are skipped, because range errors of
+// sensors are ten times larger.
 constexpr double kLeast_m = 1e-3;
-// distance from the sensor at which the effect of a rotation is measured
+// distance from the sensor at which the effect of a rotation is computed
 constexpr double kReach_m = 50.0;
 
-/// Returns how far a correction moves points at distance kReach_m, at most.
+/// Returns the maximum distance by which a correction moves a point. The point is at most
+/// kReach_m from the sensor.
 double size_of(const Pose& correction) {
     const double sine =
         glm::length(glm::dvec3(correction.rotation.x, correction.rotation.y, correction.rotation.z));
     return glm::length(correction.translation) + kReach_m * 2.0 * std::asin(std::min(sine, 1.0));
 }
 
-/// Computes the corrections for one sweep. A correction transforms from the true sensor
-/// pose to the pose that is interpolated between frames. Times are relative to the frame.
+/// Computes the corrections of one sweep by time, relative to the time of the frame. A
+/// correction transforms from the true sensor pose to the pose that is interpolated
+/// between frames.
 PoseTrack corrections(const Sequence& sequence, const Frame& frame, const PoseAt& world_from_vehicle) {
     const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
     const auto [first, last] = std::ranges::minmax(frame.scan.rays.time_offset_s);
@@ -44,7 +47,7 @@ PoseTrack corrections(const Sequence& sequence, const Frame& frame, const PoseAt
 }
 
 /// Corrects the origins and directions of all rays of a frame.
-/// @return the largest motion of a point in metres
+/// @return maximum distance in metres by which a point is moved
 double place_rays_of(Frame& frame, const PoseTrack& corrections) {
     double farthest_m = 0.0;
     for (const Pose& pose : corrections.pose) farthest_m = std::max(farthest_m, size_of(pose));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Corrects the rays of a log with vehicle poses at times between frames. Recordings have
-// such poses, but a Sequence stores only one pose per frame.
+// Corrects the rays of a log for motion between frames. Recordings contain vehicle poses
+// between frames, but a Sequence stores only one pose per frame.
 #pragma once
 
 #include <functional>
@@ -11,13 +11,13 @@
 
 namespace relidar::bag {
 
-/// Returns the vehicle pose at a time, or nothing if the pose is unknown.
+/// Returns the vehicle pose at a time in seconds. Returns nothing if the pose is unknown.
 using PoseAt = std::function<std::optional<Pose>(double)>;
 
-/// Moves and rotates the rays of each sweep so that they start at the true sensor
-/// position. A log has only the poses of its frames and interpolates linearly between
-/// them. In a curve at 10 m/s and 0.5 rad/s, the interpolation causes an error of 5 cm.
-/// Sweeps with an error below a millimetre are not changed.
+/// Corrects the rays of each sweep, so that each ray starts at the true sensor position.
+/// A log interpolates linearly between the poses of its frames. In a curve at 10 m/s and
+/// 0.5 rad/s, the interpolated position is wrong by 5 cm. Sweeps with an error below a
+/// millimetre are not changed.
 /// @param world_from_vehicle  vehicle pose by time, in the recentred world of the log
 /// @return a note, or an empty string if no sweep was changed
 std::string place_rays(Sequence& sequence, const PoseAt& world_from_vehicle);

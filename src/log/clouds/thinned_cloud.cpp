@@ -9,13 +9,13 @@
 namespace relidar {
 namespace {
 
-constexpr double kFewFilled = 0.3;    // minimum share of rays with a return in a complete cloud
-constexpr double kFewRegular = 0.78;  // minimum share of regular steps in a complete cloud
-constexpr double kRegular = 1.5;      // maximum ratio of a regular step to the median step
-// limits of a step between neighbouring points
+constexpr double kFewFilled = 0.3;    // minimum share of rays with a return, if no points were removed
+constexpr double kFewRegular = 0.78;  // minimum share of regular azimuth steps, if no points were removed
+constexpr double kRegular = 1.5;      // A step is regular if it is at most this multiple of the median step.
+// Minimum and maximum azimuth step between neighbouring points. Other steps are ignored.
 constexpr double kShortest_rad = 1e-5, kLongest_rad = 0.2;
 
-/// Returns the share of the azimuth steps along rings that are regular.
+/// Returns the share of regular azimuth steps between neighbouring points of a ring.
 double regular_share(const Points& scan) {
     std::vector<std::pair<std::uint16_t, double>> places;  // ring and azimuth
     for (std::size_t i = 0; i < scan.size(); ++i)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recognises clouds from which a program has removed points. Their missing points are not
-// dropped rays.
+// Detects clouds from which a program has removed points. The removed points must not be
+// treated as dropped rays.
 #pragma once
 
 #include <string>
@@ -10,9 +10,10 @@
 
 namespace relidar {
 
-/// Returns the reason why points seem to come from a thinned cloud, or an empty string if
-/// they do not. Neighbouring points of a complete ring mostly have the same azimuth step.
-/// @param scans  some scans with rings, which may have been estimated
+/// Returns the reason why a program seems to have removed points from the scans. Returns
+/// an empty string for complete scans. In a complete ring, most azimuth steps between
+/// neighbouring points are equal.
+/// @param scans  some scans with rings; the rings may have been estimated
 /// @param fitted  sensor that was fitted to these scans
 std::string why_thinned(const std::vector<Points>& scans, const SpinningSensor& fitted);
 

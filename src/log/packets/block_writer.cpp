@@ -17,10 +17,12 @@
 namespace relidar::packets {
 namespace {
 
-constexpr double kMostAngle_rad = 1.0 * kPi / 180.0;  // between a beam and its nominal elevation
+// maximum angle between a beam and its nominal elevation
+constexpr double kMostAngle_rad = 1.0 * kPi / 180.0;
 constexpr double kMostRange = 65535.0;
 
-/// Checks the beams of a sensor. Drivers compute points with the angles of the product.
+/// Throws if the beams of a sensor differ from the beams of the product. Drivers compute
+/// points with the angles of the product, so other angles would give wrong points.
 void check_beams(const Layout& layout, const SpinningSensor& sensor) {
     const auto nominal = std::get<SpinningSensor>(find_built_in_sensor(layout.sensor)->pattern);
     const bool fits = nominal.beams.size() == sensor.beams.size() &&

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Groups the rays of a scan by firing. In an image, firing f of a beam is stored in the
-// column f - column_shift(beam).
+// Groups the rays of a scan by firing, because a packet stores complete firings. In an
+// image, firing f of a beam is stored in the column f - column_shift(beam).
 #include <algorithm>
 #include <cmath>
 
@@ -15,11 +15,11 @@
 namespace relidar::packets {
 namespace {
 
-constexpr double kLeastTurn = 0.05;  // share of a turn that a scan covers at least
+constexpr double kLeastTurn = 0.05;  // minimum part of a turn that a scan must cover
 constexpr double kSameFiring_us = 1.0;
-constexpr double kFar_m = 1e4;  // distance at which the direction of a dropped ray is evaluated
+constexpr double kFar_m = 1e4;  // distance at which the direction of a ray without a return is evaluated
 
-/// Indices of the rays of a scan, by ring and firing.
+/// Stores the index of the ray for each ring and each firing of a scan.
 class FiringImage {
 public:
     FiringImage(const Scan& scan, const SpinningSensor& sensor) : columns_(scan.rays.columns) {
@@ -41,8 +41,8 @@ private:
     std::vector<int> shift_;
 };
 
-/// Returns the sum over all firings of the difference between the latest and the earliest
-/// time of their returns.
+/// Measures how well laser delays fit a scan: for each firing, the difference between the
+/// latest and the earliest time of its returns. Returns the sum over all firings.
 double time_spread(const Scan& scan, const FiringImage& image, const std::vector<double>& offset_us) {
     double sum_us = 0.0;
     for (int firing = 0; firing < image.n_firings(); ++firing) {
@@ -58,8 +58,8 @@ double time_spread(const Scan& scan, const FiringImage& image, const std::vector
     return sum_us;
 }
 
-/// Computes time and azimuth of one firing from its rays. Uses the rays that return,
-/// because their directions are measured. Uses all rays if no ray returns.
+/// Computes time and azimuth of one firing from its rays. Uses only the rays with a
+/// return, because their directions are measured. If no ray has a return, uses all rays.
 FiredColumn fired_column(const Scan& scan, const FiringImage& image, int firing,
                          const std::vector<BeamGeometry>& beams, const std::vector<double>& offset_us) {
     FiredColumn column{.is_measured = true, .returns = {}};
@@ -90,8 +90,9 @@ FiredColumn fired_column(const Scan& scan, const FiringImage& image, int firing,
     return column;
 }
 
-/// Corrects the times of firings without returns. A log has no times of their lasers. The
-/// times are computed from the nearest firing with a return and the rotation since then.
+/// Corrects the times of firings without returns, because a log does not store them.
+/// Computes the time from the nearest firing with a return and from the rotation between
+/// the two firings.
 void correct_empty_times(std::vector<FiredColumn>& columns, double period_s) {
     const auto n = std::ptrdiff_t(columns.size());
     std::vector<std::ptrdiff_t> before(columns.size(), -1), after(columns.size(), -1);
@@ -113,8 +114,8 @@ void correct_empty_times(std::vector<FiredColumn>& columns, double period_s) {
     }
 }
 
-/// Sorts firings by the angle through which the head has turned. The times of a log may
-/// jitter. They only decide between angles that differ by a full turn.
+/// Sorts firings by the angle through which the head has turned. Does not sort by time,
+/// because the times of a log may jitter. The times only tell full turns apart.
 void sort_by_rotation(std::vector<FiredColumn>& columns, double period_s) {
     const FiredColumn middle = columns[columns.size() / 2];
     const auto turns_since = [&](const FiredColumn& column) {
@@ -136,8 +137,8 @@ std::vector<FiredColumn> find_firings(const Scan& scan, double time_s, const Spi
                         "of a turn; a "
                         "motion-compensated log has no firing times",
                         sensor.name, last - first, sensor.period_s));
-    // Logs have the time of each laser. In rendered scans, all lasers of a firing have
-    // the same time.
+    // In a log, each laser of a firing has a time. In a rendered scan, all lasers of a
+    // firing have the same time. Check which case fits the times better.
     const std::vector<double> no_offset(offset_us.size(), 0.0);
     const bool has_laser_times = time_spread(scan, image, offset_us) < time_spread(scan, image, no_offset);
     const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
@@ -146,7 +147,7 @@ std::vector<FiredColumn> find_firings(const Scan& scan, double time_s, const Spi
         columns.push_back(fired_column(scan, image, firing, beams, has_laser_times ? offset_us : no_offset));
     if (has_laser_times) correct_empty_times(columns, sensor.period_s);
     sort_by_rotation(columns, sensor.period_s);
-    // A log may repeat a firing to complete its image.
+    // A log may store a firing twice to complete its image, so remove the duplicates.
     const auto repeated = std::ranges::unique(columns, [&](const FiredColumn& a, const FiredColumn& b) {
         return 1e6 * std::abs(a.time_s - b.time_s) < kSameFiring_us;
     });

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Packets of Hesai's Pandar40P, Pandar64, PandarXT-16 and 32 and XT32M2X (user manuals,
-// "Point cloud data packet"). The date in a packet counts years from 2000 (Pandar40P,
-// Pandar64) or from 1900 (XT). The angles of the beams are written as a file for the
-// drivers: "Laser id,Elevation,Azimuth" in degrees, azimuth clockwise.
+// Writes packets of Hesai's Pandar40P, Pandar64, PandarXT-16, PandarXT-32 and XT32M2X
+// (user manuals, "Point cloud data packet"). Also writes the beam angles as a file for
+// the drivers: "Laser id,Elevation,Azimuth" in degrees, azimuth clockwise.
 #include <array>
 #include <chrono>
 #include <cmath>
@@ -26,13 +25,14 @@ struct HesaiProduct {
     const char* sensor;
     std::array<std::uint8_t, 12> header;
     std::size_t n_header;
-    std::size_t reserved;  ///< bytes between the blocks and the motor speed or return mode
-    bool is_xt;            ///< true: the return mode precedes the speed, and the date precedes the time
-    int first_year;        ///< year that the date counts from
+    std::size_t reserved;  ///< number of bytes between the blocks and the motor speed or return mode
+    bool is_xt;      ///< if true, the return mode is stored before the speed, and the date before the time
+    int first_year;  ///< year from which the date is counted: 2000 for Pandar, 1900 for XT
 };
-// The header of an XT holds the protocol version, the numbers of lasers and blocks,
-// the place of the last return, the unit in millimetres, the number of returns and a flag
-// for packet numbers.
+// One row per product: the header of a packet and the fields after the blocks. The header
+// of an XT stores the protocol version, the numbers of lasers and blocks, the position of
+// the last return, the unit in millimetres, the number of returns and a flag for packet
+// numbers.
 constexpr HesaiProduct kHesais[] = {
     {"Pandar40P", {}, 0, 8, false, 2000},
     {"Pandar64", {0xEE, 0xFF, 64, 6, 0, kUnit_mm, 0, 0}, 8, 8, false, 2000},
@@ -55,7 +55,7 @@ public:
         std::vector<std::string> lines(blocks_.layout().lasers());
         for (std::size_t ring = 0; ring < lines.size(); ++ring) {
             const Beam& beam = sensor_.beams[ring];
-            // the azimuth without the rotation until the laser fires
+            // azimuth of the beam, without the rotation of the head until the laser fires
             const double azimuth_rad =
                 -beam.azimuth_offset_rad - 2e-6 * kPi / sensor_.period_s * blocks_.offsets_us()[ring];
             const std::size_t laser = blocks_.laser_of(ring);
@@ -72,7 +72,7 @@ public:
         const std::int64_t clock_ns = blocks_.packet_ns(columns, &FiredColumn::clock_s);
         std::string& bytes = packet.bytes;
         bytes.append(product_.header.begin(), product_.header.begin() + std::ptrdiff_t(product_.n_header));
-        // In the manual of the XT32, the first block of two returns is the last return.
+        // In the manual of the XT32, the first of two blocks stores the last return.
         if (product_.is_xt && blocks_.is_dual()) bytes[8] = 1, bytes[10] = 2;
         blocks_.append_blocks(bytes, columns, 1e-3 * kUnit_mm);
         bytes.append(product_.reserved, '\0');
@@ -95,7 +95,7 @@ private:
     SpinningSensor sensor_;
     BlockWriter blocks_;
 
-    /// Appends year, month, day, hour, minute and second in UTC, one byte each.
+    /// Appends year, month, day, hour, minute and second in UTC, with one byte each.
     void append_date(std::string& bytes, std::int64_t unix_s) const {
         using namespace std::chrono;
         const sys_seconds time{seconds(unix_s)};

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Packets of Ouster's sensors (firmware user manual, "Lidar Data"). The encoder writes
-// the metadata, parses it with ouster_metadata.cpp, and then writes packets in the format
-// that the metadata describes. Signal and ambient light are 0, because a scan has no
-// values for them.
+// Writes packets of Ouster's sensors (firmware user manual, "Lidar Data"). The encoder
+// first writes the metadata and parses it. Then it writes packets in the format that the
+// metadata describes. Signal and ambient light are 0, because a scan does not store them.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -23,8 +22,9 @@ namespace {
 constexpr int kOusterPort = 7502, kColumnsPerPacket = 16;
 constexpr const char* kSerial = "100000000001";
 constexpr std::uint64_t kSerialNumber = 100'000'000'001;
-constexpr std::size_t kEndBytes = 32;           // size of the header and of the footer of a packet
-constexpr std::uint32_t kEncoderTicks = 90112;  // encoder ticks per turn in the legacy format
+constexpr std::size_t kEndBytes = 32;  // size of the header and of the footer of a packet
+// number of encoder ticks per turn in the legacy packet format
+constexpr std::uint32_t kEncoderTicks = 90112;
 
 /// Returns Ouster's name of a product line, such as "OS-1-64" for "OS1-64".
 std::string product_line(const std::string& name) {
@@ -32,10 +32,11 @@ std::string product_line(const std::string& name) {
 }
 
 /// Returns the first and the last column of the smallest azimuth window that contains all
-/// columns that fire. The window may continue after the last column at column 0.
+/// firing columns. The window may wrap around from the last column to column 0.
 std::array<int, 2> window_of(const std::vector<bool>& fired) {
     const int n = int(fired.size());
-    int begin = 0, longest = 0;  // longest series of columns that do not fire; `begin` follows it
+    // longest series of columns that do not fire; `begin` is the column after this series
+    int begin = 0, longest = 0;
     for (int start = 0; start < n; ++start) {
         int length = 0;
         while (length < n && !fired[std::size_t((start + length) % n)]) ++length;
@@ -44,8 +45,8 @@ std::array<int, 2> window_of(const std::vector<bool>& fired) {
     return longest == n ? std::array{0, n - 1} : std::array{begin, (begin + n - longest - 1) % n};
 }
 
-/// Returns the metadata of a sensor as JSON text. The x axis of Ouster's LiDAR frame
-/// points backward. The sensor frame is the frame of relidar.
+/// Returns the metadata of a sensor as JSON text. In the metadata, the x axis of Ouster's
+/// LiDAR frame points backward. The sensor frame is the frame that relidar uses.
 std::string metadata_of(const SpinningSensor& sensor, const std::string& profile,
                         const std::array<int, 2>& window) {
     std::vector<double> altitude_deg, azimuth_deg;
@@ -140,8 +141,8 @@ private:
         return int((std::lround(place) + columns()) % columns());
     }
 
-    /// Appends the packet type, the frame number, the start of the sensor and the serial
-    /// number.
+    /// Appends the packet type, the frame number, the initialization number of the sensor
+    /// and the serial number.
     static void append_header(std::string& bytes, std::uint16_t frame) {
         const std::size_t begin = bytes.size();
         append(bytes, std::uint16_t(1));
@@ -162,8 +163,8 @@ private:
         }
     }
 
-    /// Writes range and reflectivity of a return into a pixel. The range starts at the
-    /// axis of rotation.
+    /// Writes range and reflectivity of a return into a pixel. Ouster measures the range
+    /// from the axis of rotation, not from the beam origin.
     void set_return(std::string& pixel, std::size_t at, const LaserReturn& echo, double start_m) const {
         const OusterProfile& profile = *format_->profile;
         if (echo.range_m <= 0.0f) return;

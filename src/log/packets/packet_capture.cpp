@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes captures in the format pcap with nanoseconds (draft-ietf-opsawg-pcap), as frames
-// of Ethernet with IPv4 and UDP. Also writes all scans of a log as a capture.
+// Writes network captures in the pcap format with nanoseconds (draft-ietf-opsawg-pcap).
+// Each packet becomes an Ethernet frame with IPv4 and UDP. Also writes all scans of a log
+// as a capture.
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -40,8 +41,8 @@ unsigned ip_checksum(std::string_view header) {
     return ~sum & 0xFFFF;
 }
 
-/// Returns the Ethernet frame of a datagram.
-/// @param number  number of the datagram
+/// Returns the Ethernet frame that transports one UDP datagram.
+/// @param number  identification number of the datagram in the IPv4 header
 std::string ethernet_frame(const std::string& payload, int port, unsigned number) {
     std::string ip;
     for (const unsigned value :

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Distributes the firings of scans to packets. Every firing has a position: the number of
-// firings that the sensor has fired before. A packet holds the firings of consecutive
-// positions. Positions without a firing become firings without returns.
+// Distributes the firings of scans to packets. The position of a firing is the number of
+// firings that the sensor fired before it. A packet holds the firings of consecutive
+// positions. If the scans have no firing for a position, the packet stores a firing
+// without returns there.
 #include <algorithm>
 #include <cmath>
 #include <optional>
@@ -18,8 +19,11 @@ namespace {
 using packets::FiredColumn;
 using packets::PacketFormat;
 
-constexpr double kMostStepError = 0.02;   // relative, between the time steps of a sensor and its product
-constexpr double kMostColumnError = 0.1;  // in columns, from the azimuths of a sensor with fixed columns
+// maximum relative difference between the time steps of a sensor and of its product
+constexpr double kMostStepError = 0.02;
+// maximum distance of a firing from the nearest column, in columns, for sensors with
+// fixed columns
+constexpr double kMostColumnError = 0.1;
 constexpr double kJump_us = 1.0;
 constexpr double kBehindSensor_deg = 180.0;
 
@@ -52,10 +56,12 @@ struct PacketEncoder::Impl {
         double clock_less_time_s = 0.0;
     };
     std::optional<Anchor> last;         ///< last firing of all scans
-    std::optional<Anchor> clock_start;  ///< firing at which the even clock starts
-    std::int64_t packet = 0;            ///< number of the pending packet: its first position / firings
-    std::vector<FiredColumn> pending;   ///< [firings] firings of the pending packet
-    std::vector<bool> fired;            ///< [columns] columns of all scans
+    std::optional<Anchor> clock_start;  ///< firing at which the clock with even time steps starts
+    /// number of the pending packet: position of its first firing, divided by the firings
+    /// per packet
+    std::int64_t packet = 0;
+    std::vector<FiredColumn> pending;  ///< [firings] firings of the pending packet
+    std::vector<bool> fired;           ///< [columns] columns of all scans
     std::uint32_t n_written = 0;
     std::vector<SensorPacket> complete;
 
@@ -75,7 +81,8 @@ struct PacketEncoder::Impl {
                         1e6 * sensor.period_s / format->cycle_us(), format->cycle_us()));
     }
 
-    /// Returns the column of a firing, for a sensor that fires at fixed azimuths.
+    /// Returns the column of a firing. Valid only for a sensor that fires at fixed
+    /// azimuths.
     std::int64_t column_of(const FiredColumn& firing) const {
         const double place = (firing.azimuth_deg - kBehindSensor_deg) / 360.0 * format->columns();
         if (std::abs(place - std::round(place)) > kMostColumnError)
@@ -86,8 +93,8 @@ struct PacketEncoder::Impl {
         return (std::llround(place) + format->columns()) % format->columns();
     }
 
-    /// Returns the number of positions between two firings. It is less than 1 if the
-    /// second firing is not later.
+    /// Returns the position of a firing minus the position of the firing `from`. The
+    /// result is less than 1 if the firing is not later than `from`.
     double steps_between(const Anchor& from, const FiredColumn& firing) const {
         const double by_time = (firing.time_s - from.time_s) / cycle_s();
         if (has_columns()) {
@@ -101,8 +108,8 @@ struct PacketEncoder::Impl {
         return std::round((turned_deg + 360.0 * turns) / step_deg());
     }
 
-    /// Returns the number of positions from the last firing to this firing. Returns 0 for
-    /// a firing without returns whose position already has a firing.
+    /// Returns the position of a firing minus the position of the last firing. Returns 0
+    /// if the firing has no returns and its position already has a firing.
     std::int64_t steps_to(const FiredColumn& firing) const {
         const double steps = steps_between(*last, firing);
         if (steps < 1.0 && !firing.has_returns) return 0;
@@ -115,9 +122,9 @@ struct PacketEncoder::Impl {
         return std::int64_t(steps);
     }
 
-    /// Returns the position of the first firing. In a log, the times of packets jitter,
-    /// and the time jumps at the start of a packet. The new packets then start at the
-    /// same firings as the packets of the log.
+    /// Returns the position of the first firing. In a log, packet times jitter, and the
+    /// time jumps at the start of a packet. Uses such a jump, so that the new packets
+    /// start at the same firings as the packets of the log.
     std::int64_t first_position(const std::vector<FiredColumn>& firings_of_scan) const {
         if (has_columns()) return column_of(firings_of_scan.front());
         if (!options.times_jitter) return 1;
@@ -134,15 +141,15 @@ struct PacketEncoder::Impl {
         return firings() - start;
     }
 
-    /// Returns the number of positions up to which a gap is filled with firings without
-    /// returns. The frames of a log may follow each other more slowly than the turns of
-    /// the sensor. A log leaves out firings without returns at the end of a turn.
+    /// Returns the maximum number of positions in a gap that is filled with firings
+    /// without returns. Such gaps are normal in a log: it omits firings without returns
+    /// at the end of a turn, and its frames may be longer apart than one turn.
     std::int64_t longest_gap() const {
         return std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / cycle_s());
     }
 
-    /// Sets the time that the sensor's clock shows for a firing. The clock runs evenly
-    /// even if the times at which the packets were received do not.
+    /// Sets the time of a firing by the sensor's clock. The clock runs evenly even if the
+    /// receive times of the packets jitter.
     void set_clock(FiredColumn& firing, std::int64_t position) {
         firing.clock_s = firing.time_s;
         if (!options.times_jitter || has_columns()) return;
@@ -153,19 +160,21 @@ struct PacketEncoder::Impl {
         else firing.clock_s = even_s;
     }
 
-    /// Stores a firing in its packet. Writes the packets before it.
+    /// Stores a firing in the packet of its position. Writes all earlier packets first.
     void put(FiredColumn firing, std::int64_t position) {
         if (pending.empty()) begin(position / firings());
         while (packet < position / firings()) {
             write();
-            // A sensor with fixed columns sends no packet outside its azimuth window.
+            // A sensor with fixed columns sends no packets outside its azimuth window, so
+            // skip them.
             begin(has_columns() ? position / firings() : packet + 1);
         }
         pending[std::size_t(position % firings())] = std::move(firing);
     }
 
-    /// Fills the positions between the last firing and the next firing of a sensor that
-    /// turns freely. The head turns evenly between the two azimuths.
+    /// Fills the positions between the last firing and the next firing. Used for a sensor
+    /// that can fire at any azimuth. Assumes that the head turns evenly between the two
+    /// azimuths.
     void fill_gap(const FiredColumn& next, std::int64_t position) {
         const double turned_deg = std::remainder(next.azimuth_deg - last->azimuth_deg, 360.0);
         const double n = double(position - last->position);
@@ -199,7 +208,7 @@ struct PacketEncoder::Impl {
         pending.assign(std::size_t(firings()), FiredColumn{});
     }
 
-    /// Computes time and azimuth of the firings that no scan contains.
+    /// Computes time and azimuth of the pending firings that no scan contains.
     void complete_firings() {
         const auto first = std::ranges::find_if(pending, &FiredColumn::is_placed) - pending.begin();
         const std::int64_t begin = packet * firings();
@@ -224,8 +233,8 @@ struct PacketEncoder::Impl {
         ++n_written;
     }
 
-    /// Writes the pending packet and, for a sensor that turns freely, a packet without
-    /// returns.
+    /// Writes the pending packet. For a sensor that can fire at any azimuth, also writes
+    /// a packet without returns.
     void end_packets() {
         if (pending.empty()) return;
         write();

@@ -19,27 +19,30 @@ namespace relidar::packets {
 
 /// One return of a laser.
 struct LaserReturn {
-    float range_m = 0.0f;    ///< from the origin of the beam; 0: no return
+    float range_m = 0.0f;    ///< distance from the origin of the beam; 0 means no return
     float intensity = 0.0f;  ///< 0 to 1
 };
 
-/// All rays of a sensor that are fired at the same azimuth of the head.
+/// One firing of a sensor: the returns of all lasers at one azimuth of the rotating head.
 struct FiredColumn {
-    double time_s = 0.0;       ///< time of the first laser, in the time of the log
-    double clock_s = 0.0;      ///< the same time by the sensor's clock
+    double time_s = 0.0;       ///< time at which the first laser fires, in the time of the log
+    double clock_s = 0.0;      ///< time at which the first laser fires, by the clock of the sensor
     double azimuth_deg = 0.0;  ///< azimuth of the head, clockwise from the x axis, 0 to 360
-    bool is_measured = false;  ///< false: the scans do not contain this firing
-    bool is_filled = false;    ///< true: time and azimuth were interpolated in a gap of the scans
+    bool is_measured = false;  ///< false if the scans do not contain this firing
+    /// true if time and azimuth were interpolated, because the scans do not contain this
+    /// firing
+    bool is_filled = false;
     bool has_returns = false;
-    /// [rings] strongest and second return of each beam, highest beam first. Empty
-    /// if the firing was not measured.
+    /// [rings] strongest and second strongest return of each beam, highest beam first.
+    /// Empty if the firing was not measured.
     std::vector<std::array<LaserReturn, 2>> returns = {};
 
-    bool is_placed() const { return is_measured || is_filled; }  ///< true: time and azimuth are set
+    /// Returns true if time and azimuth are set.
+    bool is_placed() const { return is_measured || is_filled; }
 };
 
-/// Returns the firings of a scan in the order of time.
-/// @param offset_us  [rings] time of each beam after the first laser
+/// Returns the firings of a scan, sorted by time.
+/// @param offset_us  [rings] delay of each beam after the first laser of the firing
 /// @throws UsageError if the scan is not in image order or has no firing times
 std::vector<FiredColumn> find_firings(const Scan& scan, double time_s, const SpinningSensor& sensor,
                                       const std::vector<double>& offset_us);
@@ -52,41 +55,43 @@ public:
     virtual int firings() const = 0;
     /// Returns the time between two firings.
     virtual double cycle_us() const = 0;
-    /// Returns the number of azimuths per turn at which the sensor fires, beginning
-    /// behind the sensor. Returns 0 if the sensor fires at any azimuth.
+    /// Returns the number of azimuths per turn at which the sensor fires. Column 0 is at
+    /// the back of the sensor. Returns 0 if the sensor can fire at any azimuth.
     virtual int columns() const { return 0; }
-    /// Returns the time of each beam after the first laser.
+    /// Returns the delay of each beam after the first laser of a firing, in microseconds.
     virtual std::vector<double> offsets_us() const = 0;
-    /// Returns the calibration as a file.
+    /// Returns the calibration file of the sensor, which decoders of the packets need.
     /// @param fired  [columns] true if the sensor fires at this column; empty if the
     /// sensor fires at any azimuth
     virtual PacketCalibration calibration(const std::vector<bool>& fired) const {
         static_cast<void>(fired);
         return {};
     }
-    /// Returns a packet with its time. Its bytes contain the time by the sensor's clock.
+    /// Returns the bytes and the time of one packet. The bytes contain the time by the
+    /// sensor's clock.
     /// @param columns  [firings] firings of the packet
-    /// @param number  number of the packet, from 0
+    /// @param number  sequence number of the packet, from 0
     virtual SensorPacket write(std::span<const FiredColumn> columns, std::uint32_t number) const = 0;
 };
 
-/// Create the format of a sensor. Return null if a different maker built the sensor.
+/// Creates the packet format of a manufacturer. Returns null if another manufacturer
+/// built the sensor.
 std::unique_ptr<PacketFormat> make_velodyne_format(const SpinningSensor& sensor,
                                                    const PacketOptions& options);
 std::unique_ptr<PacketFormat> make_hesai_format(const SpinningSensor& sensor, const PacketOptions& options);
 std::unique_ptr<PacketFormat> make_ouster_format(const SpinningSensor& sensor, const PacketOptions& options);
 
-/// Writes the blocks that the packets of Velodyne and Hesai have in common.
+/// Writes the blocks of a packet. Velodyne and Hesai use the same kind of block.
 class BlockWriter {
 public:
-    /// @throws UsageError if the beams do not belong to the product
+    /// @throws UsageError if the beams of the sensor differ from the beams of the product
     BlockWriter(const Layout& layout, const SpinningSensor& sensor, const PacketOptions& options);
 
     const Layout& layout() const { return layout_; }
     bool is_dual() const { return returns_ == 2; }
     int firings() const;
     const std::vector<double>& offsets_us() const { return offsets_us_; }
-    /// Returns the manufacturer's number of the laser of a ring, from 0.
+    /// Returns the manufacturer's index of the laser of a ring, from 0.
     std::size_t laser_of(std::size_t ring) const { return laser_of_[ring]; }
     /// Appends all blocks of a packet.
     void append_blocks(std::string& bytes, std::span<const FiredColumn> columns, double range_unit_m) const;
@@ -105,15 +110,15 @@ private:
                         std::size_t first_laser, double range_unit_m) const;
 };
 
-/// Returns the layout of a product in kLayouts.
+/// Returns the packet layout of a product. Layouts are stored in the table kLayouts.
 const Layout& layout_of(const std::string& product);
-/// Return the names of the sensors that a maker's file can write.
+/// Returns the names of the sensors whose packets this manufacturer's format can write.
 std::vector<std::string> velodyne_names();
 std::vector<std::string> hesai_names();
 
 /// Converts a time of the log to nanoseconds since 1970.
 std::int64_t unix_ns(double time_s, std::int64_t start_ns);
-/// Returns an intensity as a reflectivity of one byte.
+/// Converts the intensity of a return (0 to 1) to a reflectivity of one byte.
 std::uint8_t reflectivity_of(const LaserReturn& echo);
 
 }  // namespace relidar::packets

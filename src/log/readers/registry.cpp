@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects the reader of a dataset path from a table. The table has one row per kind of
-// dataset. A new dataset format needs a new reader and a new row.
+// Selects the reader of a dataset by its path. The table has one row per kind of dataset.
+// To support a new kind, write a reader and add a row.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -37,14 +37,15 @@ namespace fs = std::filesystem;
 
 struct DatasetKind {
     const char* name;
-    /// Lists the files or folders that identify this kind of dataset, separated by
-    /// blanks. A path needs only one of them. "name*" matches every name that begins with
-    /// "name". ".ending" matches a file with this ending, or a folder with such a file.
+    /// Names that identify this kind of dataset, separated by blanks. A path matches if
+    /// it contains one of these files or folders. "name*" matches every name that begins
+    /// with "name". ".ending" matches a file with this extension, or a folder that
+    /// contains such a file.
     const char* marker;
     const char* describe;
     Sequence (*load)(const fs::path&, const DatasetOptions&);
-    /// True if one dataset contains several drives. DatasetOptions::sequence then selects
-    /// the drive.
+    /// True if one dataset contains several drives. The user then selects a drive with
+    /// DatasetOptions::sequence.
     bool holds_drives = false;
 };
 
@@ -103,8 +104,8 @@ bool is_kind(const fs::path& path, const DatasetKind& kind) {
     return false;
 }
 
-/// Throws if a folder contains scans but no sequence.json.
-/// @throws DataError that shows the sequence.json that the user should write
+/// Throws an error if a folder contains scans but no sequence.json.
+/// @throws DataError with an example of the sequence.json that the user should write
 void check_bare_folder(const fs::path& path) {
     std::error_code failed;
     if (!fs::is_directory(path, failed)) return;
@@ -124,10 +125,11 @@ void check_bare_folder(const fs::path& path) {
     }
 }
 
-/// Returns the range of the farthest return of a LiDAR, rounded up to a whole metre.
-/// Returns 80 m if the log has no return.
+/// Returns the range of the farthest return of a LiDAR, rounded up to full metres.
+/// Returns 80 m if the log contains no return.
 double farthest_return_m(const Sequence& sequence, int lidar) {
-    constexpr float kFarthest_m = 1000.0f;  // farther points are not returns of a LiDAR on a vehicle
+    // ignores farther points, because no LiDAR on a vehicle measures such ranges
+    constexpr float kFarthest_m = 1000.0f;
     constexpr double kWithoutReturns_m = 80.0;
     std::vector<float> farthest(sequence.frames.size(), 0.0f);
     parallel_for(static_cast<int>(farthest.size()), [&](int i) {
@@ -145,8 +147,8 @@ double farthest_return_m(const Sequence& sequence, int lidar) {
     return all > 0.0f ? std::ceil(double(all)) : kWithoutReturns_m;
 }
 
-/// Finds the LiDARs without a known maximum range. Sets their maximum range to that of
-/// the farthest return in the log, and adds a note to the log.
+/// Sets the maximum range of each LiDAR for which it is unknown. Uses the range of the
+/// farthest return in the log, and adds a note.
 void find_farthest(Sequence& sequence) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         SpinningSensor& sensor = sequence.lidars[l].sensor;
@@ -159,8 +161,8 @@ void find_farthest(Sequence& sequence) {
     }
 }
 
-/// Counts the returns of a scan: too near, too far, and all returns. The limits are the
-/// minimum and maximum range of the LiDAR.
+/// Number of returns in a scan: nearer than the minimum range of the LiDAR, farther than
+/// its maximum range, and all returns.
 struct OutsideRange {
     std::size_t near = 0, far = 0, all = 0;
 };
@@ -178,10 +180,10 @@ OutsideRange count_outside(const Scan& scan, const RangeLimits& limits) {
     return counts;
 }
 
-/// Adds a note to the log for each LiDAR that has returns outside its range limits. The
-/// note states the number of these returns.
-/// @param counts  [frames] numbers of near, far and all returns in each frame
-/// @throws DataError if no return of the log is within the limits
+/// Adds a note for each LiDAR that has returns outside the limits of its range. The note
+/// contains the number of these returns.
+/// @param counts  [frames] number of near, far and all returns in each frame
+/// @throws DataError if all returns of the log are outside the limits
 void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& counts) {
     std::size_t n_all = 0, n_kept = 0;
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
@@ -209,7 +211,7 @@ void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& cou
                         sequence.source, n_all, sequence.notes.back()));
 }
 
-/// Restricts the range limits of each LiDAR to the requested limits. Then drops all
+/// Restricts the range of each LiDAR to the limits that the user requested. Drops all
 /// returns outside the new limits.
 void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
     find_farthest(sequence);
@@ -228,8 +230,8 @@ void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
     note_outside_range(sequence, counts);
 }
 
-/// Adds a note if the log has no intensities. This is the case if it has returns and each
-/// of them has intensity 0.
+/// Adds a note if the log has no intensities: the log has returns, but all of their
+/// intensities are 0.
 void note_missing_intensities(Sequence& sequence) {
     std::vector<char> has_returns(sequence.frames.size(), 0), has_intensities(sequence.frames.size(), 0);
     parallel_for(static_cast<int>(has_returns.size()), [&](int i) {
@@ -244,8 +246,8 @@ void note_missing_intensities(Sequence& sequence) {
             "not scored");
 }
 
-/// Keeps only the named LiDARs, in the order of the log. Removes the frames of all other
-/// LiDARs, and poses that no remaining frame uses.
+/// Keeps only the LiDARs with the given names, in the order of the log. Removes the
+/// frames of the other LiDARs, and poses that no remaining frame uses.
 void keep_lidars(Sequence& sequence, const std::vector<std::string>& names) {
     std::vector<int> place(sequence.lidars.size(), -1);
     for (const std::string& name : names) place[std::size_t(find_lidar(sequence, name))] = 0;
@@ -273,8 +275,8 @@ void keep_lidars(Sequence& sequence, const std::vector<std::string>& names) {
         sequence.notes.push_back(fmt::format("LiDARs that are not read: {}", fmt::join(left_out, ", ")));
 }
 
-/// Splits the text "kind:path" into kind and path. The kind is empty if the text has no
-/// such prefix.
+/// Splits a text of the form "kind:path" into kind and path. Returns an empty kind if the
+/// text has no such prefix.
 std::pair<std::string, fs::path> parted(const std::string& dataset) {
     std::error_code failed;
     const std::size_t colon = dataset.find(':');
@@ -284,8 +286,8 @@ std::pair<std::string, fs::path> parted(const std::string& dataset) {
                     : std::pair(std::string(), fs::path(dataset));
 }
 
-/// Returns the reader of a dataset.
-/// @param sequence  name of the requested drive in the dataset; may be empty
+/// Returns the row of the table that can read a dataset.
+/// @param sequence  name of the drive that the user requested; may be empty
 /// @throws UsageError if a drive is requested but the dataset contains only one drive
 const DatasetKind& reader_of(const std::string& dataset, const std::string& sequence) {
     const auto [kind, path] = parted(dataset);
@@ -305,8 +307,8 @@ void check_range(const FrameRange& range) {
     }
 }
 
-/// Computes for each frame the start of its sweep and its deviation from the nominal
-/// azimuths.
+/// Finds for each frame the start of the sweep. Also computes the deviation of the head
+/// azimuths from the nominal azimuths.
 void find_sweeps(Sequence& sequence) {
     std::vector<RayTable> nominal;
     for (const Lidar& lidar : sequence.lidars)

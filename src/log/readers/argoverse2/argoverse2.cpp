@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads Argoverse 2 sensor logs. A sweep is a table with the points of both LiDARs. The
 // dataset stores all points in the vehicle frame at the time in the file name (motion
-// compensation). The reader undoes the compensation with the poses of the frames. The
-// same poses place the rays later, so points keep their world position.
+// compensation). The reader undoes this compensation with the poses of the frames. The
+// rays are later placed with the same poses, so points keep their position in the world.
 #include "log/readers/argoverse2/argoverse2.hpp"
 
 #include <algorithm>
@@ -29,12 +29,11 @@ namespace fs = std::filesystem;
 using namespace argoverse2;
 
 constexpr const char* kLidarNames[] = {"up_lidar", "down_lidar"};
-// Maximum time offset of a point, in nanoseconds. The limit equals two revolutions of the
-// LiDAR.
+// Maximum time offset of a point in nanoseconds: two revolutions of the LiDAR.
 constexpr std::int64_t kLongestOffset_ns = 200'000'000;
 constexpr double kFarthestHit_m = 1e4;  // limit of a point's distance
 
-/// The file of a sweep, its timestamp, and its number in the log.
+/// File, time stamp and number of a sweep.
 struct SweepFile {
     int number = 0;
     std::int64_t time_ns = 0;
@@ -72,8 +71,8 @@ std::vector<SweepFile> in_range(const std::vector<SweepFile>& sweeps, const Fram
     return {sweeps.begin() + begin, sweeps.begin() + end};
 }
 
-/// Reads one rigid transform from each row of a table: quaternion w x y z and translation
-/// in metres.
+/// Reads one rigid transform from each row of a table: quaternion w x y z, and
+/// translation in metres.
 std::vector<Pose> poses_of(const Feather& table) {
     std::vector<double> q[4], t[3];
     const char* quaternion[] = {"qw", "qx", "qy", "qz"};
@@ -91,7 +90,7 @@ std::vector<Pose> poses_of(const Feather& table) {
     return poses;
 }
 
-/// Reads the LiDARs of the log and their mounting.
+/// Reads the LiDARs of the log and their mounting poses on the vehicle.
 std::vector<Lidar> read_lidars(const fs::path& file) {
     const Feather table(file);
     const std::vector<std::string> names = table.texts("sensor_name");
@@ -103,8 +102,8 @@ std::vector<Lidar> read_lidars(const fs::path& file) {
             throw DataError(
                 fmt::format("{}, column 'sensor_name': the sensor {} is missing", table.name(), name));
         const Pose& mounted = poses[std::size_t(row - names.begin())];
-        // Both LiDARs rotate clockwise seen from above. The lower LiDAR is mounted upside
-        // down, so it rotates counterclockwise in its own frame.
+        // Both LiDARs rotate clockwise as seen from above. The lower LiDAR is mounted
+        // upside down, so it rotates counterclockwise in the frame of the sensor.
         const bool upright = (mounted.rotation * glm::dvec3(0, 0, 1)).z > 0.0;
         lidars.push_back({name, vlp32c(upright), mounted});
     }
@@ -113,7 +112,7 @@ std::vector<Lidar> read_lidars(const fs::path& file) {
 
 double seconds(std::int64_t time_ns, std::int64_t origin_ns) { return double(time_ns - origin_ns) * 1e-9; }
 
-/// Reads the vehicle poses in the city frame and returns them at the times of some
+/// Reads the vehicle poses in the city frame. Returns the poses at the times of the
 /// sweeps.
 PoseTrack read_ego_poses(const fs::path& file, const std::vector<SweepFile>& sweeps, std::int64_t origin_ns) {
     const Feather table(file);
@@ -188,8 +187,8 @@ SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Li
     return sweeps;
 }
 
-/// Adds one frame with its scan for each LiDAR and sweep. If a LiDAR has no points in a
-/// sweep, no frame is added.
+/// Adds one frame with a scan for each LiDAR and sweep. Adds no frame if a LiDAR has no
+/// points in a sweep.
 void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const PoseTrack& poses,
                 SweepPairs sweeps, const Progress& progress, const BrokenScans& broken) {
     broken.tell(sequence, files.size());
@@ -224,7 +223,7 @@ void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const P
         });
 }
 
-/// Reads the box labels at the times of the loaded sweeps. The file stores each box in
+/// Reads the box labels at the times of the loaded sweeps. The file contains each box in
 /// the vehicle frame at the time of its sweep.
 std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<SweepFile>& sweeps,
                                  const PoseTrack& poses) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of Argoverse 2 sensor logs: a folder with sensors/lidar/NS.feather,
+// Loads Argoverse 2 sensor logs. A log is a folder with sensors/lidar/NS.feather,
 // calibration/egovehicle_SE3_sensor.feather, city_SE3_egovehicle.feather and
-// annotations.feather. The logs have two stacked VLP-32C.
+// annotations.feather. The vehicle has two VLP-32C, one above the other.
 #pragma once
 
 #include <filesystem>
@@ -10,7 +10,7 @@
 
 namespace relidar {
 
-/// Reads a log. Frames are numbered in the order of the sweeps. The frames of both LiDARs
+/// Loads a log. Frames are numbered in the order of the sweeps. The frames of both LiDARs
 /// in one sweep have the same number and time. The world frame of the dataset is the city
 /// frame.
 /// @throws DataError with file and column

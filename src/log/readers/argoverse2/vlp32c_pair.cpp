@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Geometry and timing of the VLP-32C. The sensor fires its 32 lasers every 55.296 us, one
-// pair every 2.304 us, while the head rotates. The azimuth of a laser is measured from
-// the head's azimuth at the first pair. So it is the laser's azimuth offset plus the
-// rotation since the first pair.
+// Geometry and timing of the VLP-32C. The sensor fires its 32 lasers in pairs while the
+// head rotates: one pair every 2.304 us, all lasers every 55.296 us. The azimuth of a
+// laser is measured from the azimuth of the head at the first pair. So it is the azimuth
+// offset of the laser plus the rotation since the first pair.
 #include "log/readers/argoverse2/vlp32c_pair.hpp"
 
 #include <algorithm>
@@ -21,9 +21,10 @@ struct Laser {
     int number;  ///< Argoverse's laser_number, modulo 32
     double elevation_deg, azimuth_deg;
 };
-// Lasers in order of firing, one pair per firing. The nominal angles are from
-// VeloView-VLP-32C.yaml of ros-drivers/velodyne (BSD). Argoverse's laser numbers and the
-// firing order were derived from the times and elevations of points in a published sweep.
+// Lasers in the order of firing, two lasers per firing. The nominal angles are from
+// VeloView-VLP-32C.yaml of ros-drivers/velodyne (BSD). The laser numbers of Argoverse and
+// the firing order were derived from the times and elevations of points in a published
+// sweep.
 constexpr Laser kTable[kLasers] = {
     {31, -25.000, -1.4}, {13, -1.000, 4.2},  {1, -1.667, -1.4},  {17, -15.639, 1.4}, {29, -11.310, -1.4},
     {9, 0.000, 1.4},     {3, -0.667, -4.2},  {21, -8.843, 1.4},  {27, -7.254, -1.4}, {12, 0.333, 4.2},
@@ -36,7 +37,7 @@ constexpr Laser kTable[kLasers] = {
 
 double radians(double degrees) { return degrees * kPi / 180.0; }
 
-/// Returns the indices of the table's entries, sorted by elevation with the highest laser
+/// Returns the indices of the table rows, sorted by elevation with the highest laser
 /// first.
 std::array<int, kLasers> rows_of_table() {
     std::array<int, kLasers> entries;
@@ -46,8 +47,8 @@ std::array<int, kLasers> rows_of_table() {
     return entries;
 }
 
-/// Row of a laser in the range image, time from the first firing to its firing, and its
-/// elevation.
+/// Row of a laser in the range image, delay of the laser after the first firing, and
+/// elevation of the laser.
 struct LaserPlace {
     std::uint16_t row = 0;
     double after_first_ns = 0.0;
@@ -66,8 +67,8 @@ std::array<LaserPlace, kLasers> make_laser_table() {
 }
 
 /// Returns the mean absolute difference between the elevations of points and the nominal
-/// elevations of their lasers. Each difference is limited to one degree, so that outliers
-/// have little weight.
+/// elevations of their lasers. Limits each difference to one degree, so that outliers
+/// have little influence.
 double misfit(const RawSweep& sweep, int half, const Pose& vehicle_from_lidar) {
     const std::array<LaserPlace, kLasers> places = make_laser_table();
     const Pose lidar_from_vehicle = inverse(vehicle_from_lidar);
@@ -83,9 +84,9 @@ double misfit(const RawSweep& sweep, int half, const Pose& vehicle_from_lidar) {
     return n > 0.0 ? sum / n : 0.0;
 }
 
-/// Returns the number of the firing cycle that measured each point. Cycle 0 is near the
-/// sweep's timestamp. The packets have a different clock, so the phase of the cycles is
-/// estimated from all points.
+/// Returns for each point the number of the firing cycle that measured the point. Cycle 0
+/// is near the time stamp of the sweep. The clock of the packets is different, so the
+/// function estimates the phase of the cycles from all points.
 std::vector<int> firing_numbers(const std::vector<double>& first_pair_ns) {
     std::complex<double> sum = 0.0;
     for (const double t : first_pair_ns) sum += std::polar(1.0, 2.0 * kPi * t / kCycle_ns);

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Model of the two stacked VLP-32C of Argoverse 2. It has the directions of the lasers
-// and determines which laser numbers belong to which LiDAR. It also finds the firing that
-// measured each point.
+// Model of the two VLP-32C of Argoverse 2. Contains the directions of the lasers. Finds
+// the laser numbers of each LiDAR, and the firing that measured each point.
 #pragma once
 
 #include <array>
@@ -14,36 +13,37 @@ namespace relidar::argoverse2 {
 
 constexpr int kLasers = 32;  ///< lasers per LiDAR
 
-/// A sweep as stored in its file.
+/// The points of a sweep as stored in the file.
 struct RawSweep {
-    std::vector<glm::dvec3> point_m;  ///< [n] in the vehicle frame at the sweep's time
-    std::vector<double> intensity;    ///< [n] intensity of each point, 0..255
-    std::vector<std::int64_t> laser;  ///< [n] laser number of each point, 0..63
-    /// time of the measurement minus the time of the sweep, in nanoseconds
+    std::vector<glm::dvec3> point_m;  ///< [n] position in the vehicle frame at the time of the sweep
+    std::vector<double> intensity;    ///< [n] intensity of each point, 0 to 255
+    std::vector<std::int64_t> laser;  ///< [n] laser number of each point, 0 to 63
+    /// [n] time of each point minus the time of the sweep, in nanoseconds
     std::vector<std::int64_t> offset_ns;
 };
 
-/// Returns a VLP-32C with nominal beam angles in its sensor frame. Beams are sorted by
-/// elevation, highest first.
-/// @param clockwise  true: the head rotates clockwise in the sensor frame, seen from +z
+/// Returns a VLP-32C with nominal beam angles. The beams are sorted by elevation, highest
+/// first.
+/// @param clockwise  true if the head rotates clockwise in the sensor frame, seen from +z
 SpinningSensor vlp32c(bool clockwise);
 
-/// Determines which LiDAR has the laser numbers 0 to 31. Returns {0, 1} if the first
-/// LiDAR has them, and {1, 0} if it has 32 to 63. Compares the elevations of points with
-/// the nominal elevations of the lasers in both cases.
+/// Finds which LiDAR has the laser numbers 0 to 31. Returns {0, 1} if it is the first
+/// LiDAR. Returns {1, 0} if it is the second LiDAR. Tests both cases by comparing the
+/// elevations of points with the nominal elevations of the lasers.
 std::array<int, 2> find_halves(const RawSweep& sweep, const std::array<Pose, 2>& vehicle_from_lidar);
 
 /// The points that one LiDAR measured in a sweep.
 struct LidarSweep {
-    Points points;  ///< in the LiDAR's frame at the time of each point, with rings, times and firings
+    /// points in the frame of the LiDAR at the time of each point, with rings, times and
+    /// firings
+    Points points;
     Sweep sweep;
 };
-/// Returns the points of one of the two LiDARs, selected by its half of the laser
-/// numbers. Lasers fire in 16 pairs, so the time and the laser of a point determine its
-/// firing. Firings without any point are kept, for example where the vehicle blocks all
-/// beams.
-/// @param world_from_sensor  poses that the dataset used to move the points to the
-/// sweep's time
+/// Returns the points of one LiDAR in a sweep. Selects the points by the half of the
+/// laser numbers. Lasers fire in 16 pairs, so the time and the laser of a point give its
+/// firing. Keeps firings without points, for example where the vehicle blocks all beams.
+/// @param world_from_sensor  poses with which the dataset moved the points to the time of
+/// the sweep
 LidarSweep lidar_sweep(const RawSweep& raw, int half, const Lidar& lidar, const PoseTrack& world_from_sensor,
                        double time_s);
 

@@ -21,12 +21,14 @@ namespace {
 
 constexpr const char* kNoCategory = "unknown";
 
-/// Computes the poses of the recording's frames in the world frame at any time.
+/// Computes the pose of any coordinate frame of the recording in the world frame at any
+/// time.
 class WorldFrames {
 public:
     explicit WorldFrames(const BoxPlaces& places) : places_(places) {}
 
-    /// Returns the pose of a frame, or nothing if it is unknown at that time.
+    /// Returns the pose of a coordinate frame in the world frame. Returns nothing if the
+    /// recording does not contain the pose at that time.
     std::optional<Pose> at(const std::string& frame, double t_s) {
         if (places_.is_world_of_poses && frame == places_.poses.world) return Pose{};
         auto known = apart_.find(frame);
@@ -45,8 +47,8 @@ private:
     std::map<std::string, std::optional<FramesApart>> apart_;
 };
 
-/// Sorts labels by time. If an object has several labels with the same time, only the
-/// first one is kept.
+/// Sorts box labels by time. If an object has several labels with the same time, keeps
+/// only the first one.
 /// @return number of removed labels
 std::size_t sort_labels(std::vector<BoxLabel>& labels) {
     std::ranges::stable_sort(labels, {}, &BoxLabel::time_s);
@@ -57,8 +59,8 @@ std::size_t sort_labels(std::vector<BoxLabel>& labels) {
     });
 }
 
-/// Assigns to each object its most frequent category and its median size, because
-/// trackers change both over time.
+/// Assigns to each object its most frequent category and its median size, because object
+/// trackers change category and size over time.
 void settle(std::vector<BoxLabel>& labels) {
     std::map<std::string, std::vector<const BoxLabel*>> things;
     for (const BoxLabel& label : labels) things[label.id].push_back(&label);
@@ -80,8 +82,7 @@ void settle(std::vector<BoxLabel>& labels) {
     for (BoxLabel& label : labels) std::tie(label.size_m, label.category) = settled[label.id];
 }
 
-/// Reads the box messages of a topic and collects their boxes as labels in the world
-/// frame.
+/// Reads the box messages of a topic. Converts each box to a label in the world frame.
 class LabelReader {
 public:
     LabelReader(const BoxPlaces& places, double first_s, double last_s)

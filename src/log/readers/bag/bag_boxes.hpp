@@ -15,11 +15,13 @@
 
 namespace relidar::bag {
 
-/// The transforms and poses from which the world poses of boxes are computed.
+/// Transforms and vehicle poses. The poses of boxes in the world frame are computed from
+/// these.
 struct BoxPlaces {
     const FrameTree& frames;
-    const PoseChoice& poses;  ///< also defines the clock of the times and the name of the world frame
-    std::string vehicle;      ///< frame whose poses are known
+    /// vehicle poses; also define the clock of the times and the name of the world frame
+    const PoseChoice& poses;
+    std::string vehicle;  ///< frame whose poses are known
     std::function<Pose(double)> world_from_vehicle;
     /// True if the recording contains the world poses. A box that is given in the world
     /// frame then needs no transform.
@@ -30,9 +32,9 @@ struct BoxTracks {
     std::vector<BoxTrack> tracks;
     std::vector<std::string> notes;
 };
-/// Reads the boxes of a topic and joins them to tracks.
-/// @param times_s  ascending times of the log in seconds. Boxes more than one time step
-/// before or after the log are ignored.
+/// Reads the boxes of a topic and joins the boxes of each object to a track.
+/// @param times_s  times of the frames of the log in seconds, ascending. Ignores boxes
+/// more than one time step before the first time or after the last time.
 BoxTracks read_tracks(const Bag& bag, const BoxTopic& boxes, const BoxPlaces& places,
                       const std::vector<double>& times_s);
 

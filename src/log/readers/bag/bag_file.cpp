@@ -16,18 +16,18 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr const char* kMetadata = "metadata.yaml";
-constexpr std::int64_t kLatest_ns = 4294967296000000000;  // latest stamp that ROS 1 can represent
+constexpr std::int64_t kLatest_ns = 4294967296000000000;  // latest time stamp that ROS 1 can represent
 constexpr std::array kEndings = {".mcap", ".db3", ".bag", ".pcap", ".pcapng"};
 
 bool is_part(const fs::path& file) {
     return std::ranges::find(kEndings, file.extension().string()) != kEndings.end();
 }
 
-/// The parts of rosbag2's metadata.yaml that describe the recording's files. The file is
-/// parsed line by line and must have the layout that rosbag2 writes.
+/// The parts of rosbag2's metadata.yaml that describe the recording's files. The parser
+/// reads line by line, so the file must have the layout that rosbag2 writes.
 struct Metadata {
     std::vector<std::string> files;
-    /// compression is "zstd"; mode is "file" or "message"; both are in lower case
+    /// compression is "zstd"; mode is "file" or "message". Both are in lower case.
     std::string compression, mode;
 };
 
@@ -55,8 +55,8 @@ Metadata read_metadata(const fs::path& file) {
     return metadata;
 }
 
-/// Returns the recording files of a folder without metadata.yaml. The files are sorted so
-/// that NAME_2 is before NAME_10.
+/// Returns the recording files of a folder without metadata.yaml. Sorts numbers by value,
+/// so NAME_2 comes before NAME_10.
 std::vector<fs::path> parts_by_name(const fs::path& folder) {
     std::vector<fs::path> parts;
     for (const fs::path& file : list_folder(folder))
@@ -86,7 +86,8 @@ Bag::Bag(const fs::path& path, bool skip_broken) {
     } else if (path_exists(path / kMetadata)) {
         metadata = read_metadata(path / kMetadata);
         for (const std::string& name : metadata.files) {
-            const fs::path file = path / fs::path(name).filename();  // the folder may have been renamed
+            // uses only the file name, because the folder may have been renamed
+            const fs::path file = path / fs::path(name).filename();
             if (path_exists(file)) paths_.push_back(file);
             else
                 note(fmt::format("{}: a part of the recording that {} lists is missing", file.string(),

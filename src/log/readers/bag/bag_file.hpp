@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads recordings as a list of messages. Supports MCAP, rosbag2 in SQLite, ROS 1 bags,
-// network captures, and folders with several of these files. The content of messages is
-// not interpreted here.
+// network captures, and folders with several of these files. Does not interpret the
+// content of messages.
 #pragma once
 
 #include <compare>
@@ -20,20 +20,21 @@
 
 namespace relidar::bag {
 
-/// A topic of a recording. Two topics with the same name but different message types are
-/// separate.
+/// A topic of a recording. Topics with the same name and different message types are
+/// stored as separate topics.
 struct Topic {
     std::string name;
-    std::string type;      ///< "sensor_msgs/PointCloud2": without the "/msg/" of ROS 2
-    std::string encoding;  ///< encoding of its messages: "cdr", "ros1", "protobuf" ...
+    /// message type without the "/msg/" of ROS 2, for example "sensor_msgs/PointCloud2"
+    std::string type;
+    std::string encoding;  ///< encoding of the messages, for example "cdr", "ros1" or "protobuf"
 };
 
 /// Position of a message in a recording.
 struct Place {
     static constexpr std::uint64_t kNoChunk = std::numeric_limits<std::uint64_t>::max();
 
-    /// Byte offset of the chunk in its file. If the message is not in a chunk, byte
-    /// offset of the message's record. For SQLite, the row of the message.
+    /// Byte offset of the chunk that contains the message. If the message is not in a
+    /// chunk, byte offset of the message's record. In SQLite, row number of the message.
     std::uint64_t at = 0;
     std::uint64_t in_chunk = kNoChunk;  ///< byte offset of the message's record in the unpacked chunk
     std::uint32_t file = 0;             ///< index of the file in the recording
@@ -44,18 +45,18 @@ struct Place {
 struct Message {
     std::size_t topic = 0;    ///< index in Bag::topics()
     std::int64_t log_ns = 0;  ///< time of recording
-    /// Bytes of the message, which are valid only during the callback. Empty if messages
-    /// of this topic were not requested.
+    /// Bytes of the message. They are valid only during the callback. Empty if the caller
+    /// did not request messages of this topic.
     std::string_view bytes;
     Place place;
 };
 
-/// Returns true if the bytes of a topic's messages are needed. If false, only the times
-/// of the messages are reported.
+/// Callback that returns true if the caller needs the bytes of a topic's messages. If it
+/// returns false, only the times of the messages are read.
 using Wanted = std::function<bool(const Topic&)>;
 using Take = std::function<void(const Message&)>;
 
-/// The topics of all files of a recording, in order of appearance.
+/// The topics of all files of a recording, in the order in which they first appear.
 class TopicTable {
 public:
     std::size_t number_of(Topic topic);
@@ -74,31 +75,30 @@ public:
         const Wanted& wanted;
         const Take& take;
         std::function<void(const std::string&)> note;  ///< receives problems of the file
-        std::function<void(double)> done;              ///< receives the share of the file that has been read
+        std::function<void(double)> done;  ///< receives the fraction of the file that has been read
     };
-    /// Reads all messages in the order of the file and passes each message to
-    /// `pass.take`.
+    /// Reads all messages in the order of the file. Calls `pass.take` with each message.
     /// @throws DataError with the problem and its byte offset
     virtual void each(TopicTable& topics, const Pass& pass) = 0;
-    /// Reads the bytes of one message at a known position. Any thread can call this
-    /// function.
+    /// Reads the bytes of the message at a position. Several threads can call this
+    /// function at the same time.
     virtual SharedBytes read(const Place& place) const = 0;
-    /// Returns in which frame relidar stored the points, if relidar wrote the recording.
-    /// Otherwise returns an empty string. Valid only after each().
+    /// Returns the name of the frame in which the points are stored, if relidar wrote the
+    /// recording. Otherwise returns an empty string. Valid only after each().
     virtual std::string points_in() const { return ""; }
 };
 
-/// Opens a recording file of the given format.
-/// @param skip_broken  true: damaged chunks are skipped with a note; false: they are
-/// errors
+/// Opens a recording file of one format.
+/// @param skip_broken  If true, skips damaged chunks and adds a note. If false, throws an
+/// error.
 std::unique_ptr<BagFile> open_mcap(const std::filesystem::path& file, bool skip_broken);
 std::unique_ptr<BagFile> open_pcap(const std::filesystem::path& file);
 std::unique_ptr<BagFile> open_ros1(const std::filesystem::path& file, bool skip_broken);
 /// Opens a rosbag2 database in SQLite.
-/// @param packed  true: each message is compressed with zstd
+/// @param packed  true if each message is compressed with zstd
 std::unique_ptr<BagFile> open_sqlite(const std::filesystem::path& file, bool packed);
 
-/// A recording of one or several files.
+/// A recording that consists of one or several files.
 class Bag {
 public:
     /// Opens a recording.
@@ -106,18 +106,18 @@ public:
     /// @throws DataError with the file
     Bag(const std::filesystem::path& path, bool skip_broken);
 
-    /// topics that were read by the calls of each() so far
+    /// Returns the topics of the messages that each() has read so far.
     const std::vector<Topic>& topics() const { return topics_.topics(); }
     const std::vector<std::string>& notes() const { return notes_; }  ///< problems of the files
     const std::vector<std::filesystem::path>& files() const { return paths_; }
-    /// Returns in which frame relidar stored the points, if relidar wrote the recording.
-    /// Otherwise returns an empty string. Valid only after each().
+    /// Returns the name of the frame in which the points are stored, if relidar wrote the
+    /// recording. Otherwise returns an empty string. Valid only after each().
     std::string points_in() const;
 
-    /// Reads all files in order and passes each message to `take`.
+    /// Reads the messages of all files in order. Calls `take` with each message.
     void each(const Wanted& wanted, const Take& take, const Progress& progress = {});
-    /// Reads the bytes of one message at a known position. Any thread can call this
-    /// function.
+    /// Reads the bytes of the message at a position. Several threads can call this
+    /// function at the same time.
     SharedBytes read(const Place& place) const;
 
 private:

@@ -15,7 +15,7 @@ namespace {
 
 constexpr std::size_t kSampleClouds = 6;
 
-/// Returns the smallest time of a cloud's points, in the time unit of the file.
+/// Returns the smallest time of all points of a cloud, in the time unit of the file.
 double first_time_of(const folder::PointTable& table) {
     double first = INFINITY;
     if (const folder::FieldValues* times = table.find(folder::PointValue::time))
@@ -80,7 +80,8 @@ Points BagScans::points_of_cloud(std::size_t frame, const CloudEntry& cloud, dou
     const CloudUnits& units = lidars_[at.lidar].units;
     folder::PointTable table = table_of_cloud(frame, cloud.place);
     if (units.zero == TimeZero::none) table.remove(folder::PointValue::time);
-    double zero_s = at.time_s - cloud_s;  // value of a point's time that corresponds to 0 s of the frame
+    // value of the time field of a point measured at 0 s of the frame
+    double zero_s = at.time_s - cloud_s;
     if (units.zero == TimeZero::epoch) zero_s += 1e-9 * double(cloud.stamp_ns);
     if (units.zero == TimeZero::sensor_clock) zero_s += units.time_unit_s * first_time_of(table);
     const folder::PointUnits point_units{.columns = {},
@@ -127,7 +128,7 @@ LidarTopic sample_topic(const Bag& bag, const CloudTopic& clouds, double step_s)
         try {
             samples.push_back(read_table(bag, clouds, entry.place));
         } catch (const DataError&) {
-            continue;  // the error is reported later, when the scan is read
+            continue;  // the error is reported when the scan is read
         }
         stamps_s.push_back(1e-9 * double(entry.stamp_ns));
         topic.samples.emplace(entry.place, samples.back());

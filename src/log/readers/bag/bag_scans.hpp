@@ -16,25 +16,27 @@
 
 namespace relidar::bag {
 
-/// A cloud of the recording that becomes the scan of a frame, with both times.
+/// A point cloud of the recording that becomes the scan of a frame. Stores the time of
+/// the cloud and the time of the frame.
 struct FrameCloud {
     int number = 0;        ///< number of the frame
     double time_s = 0.0;   ///< time of the frame
-    double cloud_s = 0.0;  ///< time of the cloud on the same clock
+    double cloud_s = 0.0;  ///< time of the cloud on the clock of the log
     std::size_t lidar = 0;
     CloudEntry entry;
 };
 
-/// A topic with the scans of one LiDAR.
+/// A topic that contains the scans of one LiDAR.
 struct LidarTopic {
     const CloudTopic* clouds = nullptr;
     CloudUnits units = {};
-    /// clouds that were read to determine the units; stored so that they are read only
-    /// once
+    /// Clouds that were read to determine the units, by position. Stored so that they are
+    /// not read again.
     std::map<Place, folder::PointTable> samples = {};
-    SpinningSensor sensor = {};  ///< sensor of a topic of packets
+    SpinningSensor sensor = {};  ///< sensor of a topic of packets; unused for a topic of clouds
 };
-/// Reads some clouds of a topic and determines the units of their point values from them.
+/// Reads a few clouds of a topic. Determines the units of the point values from these
+/// clouds.
 /// @param step_s  time between clouds in seconds
 LidarTopic sample_topic(const Bag& bag, const CloudTopic& clouds, double step_s);
 
@@ -43,10 +45,11 @@ using LidarPose = std::function<Pose(std::size_t lidar, double time_s)>;
 
 class BagScans : public folder::ScanSource {
 public:
-    /// Creates a source of scans. Clouds are read later, when their scan is requested.
+    /// Creates a source of scans. Reads a cloud only when its scan is requested.
     /// @param clouds  [frames] cloud of each frame
-    /// @param deskewed_by  LiDAR poses that were used to move the points to the time of
-    /// their cloud (motion compensation). This motion is undone.
+    /// @param deskewed_by  LiDAR poses with which the recording's points were
+    /// motion-compensated to the time of their cloud. The source undoes this
+    /// compensation.
     BagScans(const Bag& bag, const std::vector<LidarTopic>& lidars, const std::vector<FrameCloud>& clouds,
              Clock clock, LidarPose deskewed_by = {})
         : bag_(bag), lidars_(lidars), clouds_(clouds), clock_(clock), deskewed_by_(std::move(deskewed_by)) {}

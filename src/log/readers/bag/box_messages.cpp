@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads boxes from vision_msgs/Detection3DArray and Autoware's TrackedObjects. Recordings
-// in SQLite and MCAP may lack the message definitions. So the reader tries the known
-// versions of vision_msgs. The right version is the one that consumes the complete
+// Reads boxes from vision_msgs/Detection3DArray and Autoware's TrackedObjects. The layout
+// depends on the version of vision_msgs, and some recordings do not name the version. So
+// the reader tries all known versions and uses the version that consumes the complete
 // message.
 #include <algorithm>
 #include <cmath>
@@ -18,7 +18,8 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kCovariance = 36, kTwist = 6 + kCovariance;  // number of doubles
-constexpr std::size_t kPadding = 3;  // CDR may append up to this many bytes after the last field
+// maximum number of padding bytes that CDR appends after the last field
+constexpr std::size_t kPadding = 3;
 
 void pass_numbers(MessageReader& reader, std::size_t n) {
     for (std::size_t i = 0; i < n; ++i) reader.number<double>();
@@ -30,7 +31,7 @@ glm::dvec3 read_vector(MessageReader& reader) {
     return v;
 }
 
-/// Unchecked values of a box, as they are stored in the message.
+/// Values of a box as stored in the message. They have not been checked yet.
 struct Draft {
     Header header;
     std::string id, category;
@@ -49,12 +50,12 @@ void add_box(BoxList& list, const Draft& draft) {
     }
 }
 
-/// States which optional fields a Detection3D has in a version of vision_msgs. All
-/// versions begin with header, results and box. The optional fields follow.
+/// Optional fields of a Detection3D message in one version of vision_msgs. In all
+/// versions the message begins with header, results and box. The optional fields follow.
 struct DetectionLayout {
-    bool has_text;      ///< classes are strings instead of numbers
-    bool has_cloud;     ///< the message has the field source_cloud
-    bool is_flagged;    ///< the message has the flag is_tracking
+    bool has_text;      ///< true if classes are strings, false if they are numbers
+    bool has_cloud;     ///< true if the message has the field source_cloud
+    bool is_flagged;    ///< true if the message has the flag is_tracking
     bool has_identity;  ///< id, formerly tracking_id
 };
 constexpr DetectionLayout kDetectionLayouts[] = {
@@ -65,7 +66,8 @@ constexpr DetectionLayout kDetectionLayouts[] = {
     {false, true, true, true},    // newer version for ROS 1
 };
 
-/// Reads the results of a detection. Returns the class with the highest score.
+/// Reads the classification results of a detection. Returns the class with the highest
+/// score.
 std::string read_class(MessageReader& reader, const DetectionLayout& layout) {
     constexpr std::size_t kLeastResult = 8 * (1 + 7 + kCovariance);
     std::string best;
@@ -91,7 +93,7 @@ BoxList read_detections(MessageReader reader, const DetectionLayout& layout) {
                   read_class(reader, layout),
                   read_pose_numbers(reader),
                   read_vector(reader)};
-        // skips the flag is_dense, the last field of source_cloud
+        // after the cloud, skip is_dense, the last field of source_cloud
         if (layout.has_cloud) read_point_cloud(reader), reader.number<std::uint8_t>();
         if (layout.is_flagged) reader.number<std::uint8_t>();
         if (layout.has_identity) box.id = reader.text();
@@ -132,7 +134,8 @@ std::string read_label(MessageReader& reader) {
     return best < std::size(kLabels) ? kLabels[best] : fmt::format("class {}", best);
 }
 
-/// Reads a UUID. Returns it in the usual notation, or an empty string if all bytes are 0.
+/// Reads a UUID. Returns it as hexadecimal text with dashes, or an empty string if all
+/// bytes are 0.
 std::string read_uuid(MessageReader& reader) {
     constexpr std::size_t kBytes = 16;
     const std::string_view bytes = reader.take(kBytes);
@@ -144,8 +147,8 @@ std::string read_uuid(MessageReader& reader) {
     return std::ranges::all_of(bytes, [](char c) { return c == '\0'; }) ? "" : text;
 }
 
-/// Reads the shape of an object and sets the size of its box. A polygon has a footprint
-/// instead of length and width, so its box is the footprint's bounding box.
+/// Reads the shape of an object and sets the size of its box. If the shape is a polygon,
+/// uses the bounding box of its footprint, because a polygon has no length and width.
 void read_shape(MessageReader& reader, Draft& box) {
     constexpr std::uint8_t kPolygon = 2;
     const auto type = reader.number<std::uint8_t>();
@@ -167,8 +170,8 @@ void read_shape(MessageReader& reader, Draft& box) {
 }
 
 /// Reads a list of tracked objects.
-/// @param is_auto  true for autoware_auto_perception_msgs. These messages store the
-/// availability of the heading before the twist.
+/// @param is_auto  true for autoware_auto_perception_msgs, which stores the flag "heading
+/// is available" before the twist
 BoxList read_objects(MessageReader& reader, bool is_auto) {
     constexpr std::size_t kLeastObject = 16 + 8 * (7 + kCovariance + 2 * kTwist);
     BoxList list{read_header(reader), {}, 0};
@@ -182,7 +185,7 @@ BoxList read_objects(MessageReader& reader, bool is_auto) {
         if (is_auto) reader.number<std::uint8_t>();
         pass_numbers(reader, 2 * kTwist);  // skips twist and acceleration
         if (!is_auto) reader.number<std::uint8_t>();
-        reader.number<std::uint8_t>();  // skips the flag that the object is stationary
+        reader.number<std::uint8_t>();  // skips the flag is_stationary
         read_shape(reader, box);
         add_box(list, box);
     }

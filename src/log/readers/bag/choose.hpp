@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects which topics of a recording are loaded as a log: the clouds of each LiDAR, the
-// poses and the boxes. Settings can override the automatic selection.
+// Selects the topics of a recording that are loaded as a log: the clouds of each LiDAR,
+// the poses and the boxes. The user's settings override the automatic selection.
 #pragma once
 
 #include <optional>
@@ -11,32 +11,34 @@
 
 namespace relidar::bag {
 
-/// The selected topics of point clouds.
+/// The point cloud topics that are loaded.
 struct CloudChoice {
-    std::vector<std::size_t> lidars;  ///< indices in Survey::clouds, each in a different frame
-    std::size_t main = 0;             ///< index in `lidars` of the LiDAR whose clouds number the sweeps
+    std::vector<std::size_t> lidars;  ///< indices in Survey::clouds; each LiDAR has a different frame
+    /// index in `lidars` of the main LiDAR; each of its clouds starts a new frame of the
+    /// log
+    std::size_t main = 0;
     std::vector<std::string> notes;
 };
-/// Selects the topics whose clouds are loaded.
-/// @param wanted  names of the requested topics; empty: automatic selection
-/// @throws DataError if no topic has clouds
-/// @throws UsageError if a requested topic has no clouds
+/// Selects the point cloud topics that are loaded.
+/// @param wanted  names of the topics that the user requested; empty: automatic selection
+/// @throws DataError if no topic contains clouds
+/// @throws UsageError if a requested topic contains no clouds
 CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vector<std::string>& wanted);
 
-/// The selected poses, and the clock of the log.
+/// The poses that are loaded, and the clock of the log.
 struct PoseChoice {
     Clock clock = Clock::stamps;
-    std::int64_t zero_ns = 0;  ///< time of the first cloud, used as 0 s
-    /// pose of the vehicle in the world frame by time in seconds; empty if the recording
-    /// has no poses
+    std::int64_t zero_ns = 0;  ///< time of the first cloud; it becomes 0 s in the log
+    /// Pose of the vehicle in the world frame over time in seconds. Empty if the
+    /// recording has no poses.
     std::optional<PosePath> path;
     std::string world;    ///< frame in which `path` is expressed
     std::string vehicle;  ///< frame of the vehicle, on which the LiDARs are mounted
     std::string about;    ///< description of the selection
     std::vector<std::string> notes;
 };
-/// Selects the vehicle poses that are used for the log.
-/// @param main  clouds at whose times poses are needed
+/// Selects the vehicle poses of the log.
+/// @param main  clouds of the main LiDAR; poses are needed at the times of these clouds
 /// @param wanted  name of a frame or of a pose topic; empty: automatic selection
 /// @throws UsageError if `wanted` is neither a frame nor a pose topic
 PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& main,
@@ -44,11 +46,11 @@ PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& 
 
 /// The selected topic of boxes.
 struct BoxChoice {
-    const BoxTopic* topic = nullptr;  ///< a topic of Survey::boxes, or null
+    const BoxTopic* topic = nullptr;  ///< box topic in Survey::boxes, or null
     std::vector<std::string> notes;
 };
-/// Selects the topic with the most boxes that have a track id. If several topics have the
-/// same number of such boxes, selects the first topic by name.
+/// Selects the topic that contains the most boxes with a track id. If two topics contain
+/// equally many, selects the first one by name.
 BoxChoice choose_boxes(const Bag& bag, const Survey& survey);
 
 }  // namespace relidar::bag

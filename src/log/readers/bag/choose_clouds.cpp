@@ -16,8 +16,7 @@
 namespace relidar::bag {
 namespace {
 
-// allowed range for the sweep rate of an additional LiDAR, as a ratio to the main LiDAR's
-// rate
+// Allowed sweep rates of an additional LiDAR, relative to the rate of the main LiDAR.
 constexpr double kLeastRate = 0.5, kMostRate = 2.0;
 
 std::string topics_text(const Bag& bag) {
@@ -28,8 +27,8 @@ std::string topics_text(const Bag& bag) {
     return texts.empty() ? "none" : fmt::format("{}", fmt::join(texts, ", "));
 }
 
-/// A package whose LiDAR packets relidar cannot decode, and the driver that converts
-/// these packets to point clouds.
+/// A ROS package with LiDAR packets that relidar cannot decode. Also names the driver
+/// that converts these packets to point clouds.
 struct PacketDriver {
     const char* package;
     const char* driver;
@@ -41,8 +40,8 @@ constexpr PacketDriver kDrivers[] = {
     {"seyond/", "seyond_ros_driver"},
 };
 
-/// Returns a text for an error message: why the messages of topics that could hold clouds
-/// could not be used.
+/// Returns the part of an error message that explains why messages of possible cloud
+/// topics could not be read.
 std::string broken_text(const Bag& bag, const Survey& survey) {
     std::string text;
     for (const std::string& note : bag.notes()) text += fmt::format(" ({})", note);
@@ -71,9 +70,10 @@ std::string broken_text(const Bag& bag, const Survey& survey) {
     return text;
 }
 
-/// Returns a score that is higher if a topic probably holds raw LiDAR measurements.
-/// Packets score highest. Clouds score by the presence of times, rings and return
-/// numbers. The number of points decides between equal clouds.
+/// Returns a score. A higher score means that a topic more probably contains raw LiDAR
+/// measurements. Packets have the highest score. The score of clouds depends on the
+/// presence of times, rings and return numbers. If these are equal, it depends on the
+/// number of points.
 double rawness(const CloudTopic& clouds) {
     if (!clouds.packets.empty()) return 200.0;
     const bool timed = clouds.has_field(folder::PointValue::time);
@@ -92,11 +92,11 @@ bool is_in(const CloudTopic& clouds, const std::array<const char*, N>& frames) {
 }
 
 /// Returns true if the clouds are in the frame of a sensor. Clouds in a vehicle frame are
-/// usually merged, and clouds in a world frame are maps.
+/// usually merged from several sensors. Clouds in a world frame are maps.
 bool is_of_sensor(const CloudTopic& clouds) { return !is_in(clouds, kOfWorld) && !is_in(clouds, kOfVehicle); }
 
-/// Throws if a topic surely does not hold LiDAR scans. If this is only likely, the topic
-/// is accepted and a note is added.
+/// Throws if a topic certainly does not contain LiDAR scans. If this is only probable,
+/// accepts the topic and adds a note.
 void check_frame(const std::string& name, const CloudTopic& clouds, CloudChoice& choice) {
     if (is_in(clouds, kOfWorld))
         throw DataError(
@@ -111,8 +111,8 @@ void check_frame(const std::string& name, const CloudTopic& clouds, CloudChoice&
             name, clouds.frame));
 }
 
-/// Returns the number of sweeps per second. Several messages may form one sweep, so this
-/// can be less than the message rate.
+/// Returns the number of sweeps per second. It can be smaller than the message rate,
+/// because several messages may form one sweep.
 double rate_of(const Survey& survey, const CloudTopic& clouds) {
     const TopicFacts& facts = survey.facts[clouds.topic];
     return facts.rate_hz() * double(clouds.clouds.size()) /
@@ -136,9 +136,9 @@ std::vector<std::size_t> named_clouds(const Bag& bag, const Survey& survey,
     return lidars;
 }
 
-/// Returns the frame name that identifies the LiDAR of a topic. This is the frame of the
-/// clouds. If a driver made the clouds from packets in the same recording, it is the
-/// frame of the packets.
+/// Returns the name of the frame that identifies the LiDAR of a topic. Usually returns
+/// the frame of the clouds. If a driver computed the clouds from packets in the same
+/// recording, returns the frame of the packets.
 const std::string& sensor_of(const Survey& survey, const CloudTopic& clouds) {
     for (const CloudTopic& other : survey.clouds)
         if (!other.turns.empty() &&
@@ -147,7 +147,8 @@ const std::string& sensor_of(const Survey& survey, const CloudTopic& clouds) {
     return clouds.frame;
 }
 
-/// Selects for each LiDAR the topic that most probably has its raw measurements.
+/// Selects one topic for each LiDAR: the topic that most probably contains raw
+/// measurements.
 std::vector<std::size_t> guessed_clouds(const Survey& survey) {
     const auto has_clouds = [](const CloudTopic& c) { return !c.clouds.empty(); };
     const bool any_of_sensor = std::ranges::any_of(

@@ -12,18 +12,20 @@
 namespace relidar::bag {
 namespace {
 
-/// A pose topic, or a path in the transform tree, that could provide the vehicle poses.
-/// The clock is chosen later.
+/// A possible source of vehicle poses: a pose topic, or a path in the tree of transforms.
+/// The clock is selected later.
 struct PoseSource {
-    std::string outer;                 ///< an ancestor of the LiDAR's frame, or the frame of the topic
-    const PoseTopic* topic = nullptr;  ///< pose topic, or null for /tf
+    /// frame in which the poses are given: an ancestor of the LiDAR's frame, or the frame
+    /// of the topic
+    std::string outer;
+    const PoseTopic* topic = nullptr;  ///< pose topic; null if the poses come from the transforms in /tf
     std::string vehicle;
     std::string about;
 };
 
-/// Returns the frame of the vehicle that carries a sensor. Searches the path from the
-/// sensor's frame to `outer` for the first frame that moves relative to its parent.
-/// Returns the sensor's frame if no frame moves.
+/// Returns the frame of the vehicle that carries a sensor. It is the first frame on the
+/// path from the sensor to `outer` that moves relative to its parent. If no frame moves,
+/// returns the sensor's frame.
 std::string find_vehicle_frame(const FrameTree& frames, const std::vector<std::string>& way,
                                const std::string& outer) {
     for (const std::string& frame : way) {
@@ -61,8 +63,8 @@ PoseSource of_topic(const Bag& bag, const FrameTree& frames, const PoseTopic& to
     return source;
 }
 
-/// Returns the pose topic with the most samples. Topics with odometry are preferred to
-/// topics with single poses.
+/// Returns the pose topic with the most samples. Prefers odometry topics to topics with
+/// single poses.
 const PoseTopic* densest(const Bag& bag, const Survey& survey) {
     const auto best = std::ranges::max_element(survey.poses, {}, [&](const PoseTopic& p) {
         return std::pair(bag.topics()[p.topic].type == "nav_msgs/Odometry", p.samples.size());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the points of a cloud message. The fields can have any order, type, padding and
-// byte order.
+// Reads the points of a cloud message. Supports any order, type and padding of the fields
+// and both byte orders.
 #include <algorithm>
 
 #include <fmt/format.h>
@@ -13,8 +13,8 @@
 namespace relidar::bag {
 namespace {
 
-/// Returns the layout of a point: the known fields sorted by offset, with unused fields
-/// in the gaps between them.
+/// Returns the memory layout of a point. It contains the known fields sorted by offset,
+/// and unused fields that fill the gaps.
 std::vector<folder::PointField> layout_of(const Cloud& cloud, const std::vector<Cloud::Field>& known) {
     std::vector<folder::PointField> layout;
     std::size_t at = 0;
@@ -35,15 +35,16 @@ std::vector<folder::PointField> layout_of(const Cloud& cloud, const std::vector<
     return layout;
 }
 
-/// Copies all points of a cloud without the padding between rows, and converts them to
-/// native byte order.
+/// Copies all points of a cloud. Removes the padding between rows, and converts the
+/// values to the byte order of this computer.
 std::string packed_points(const Cloud& cloud, const std::vector<Cloud::Field>& known) {
     const std::size_t row = cloud.width * cloud.point_step;
     std::string points;
     points.reserve(cloud.height * row);
     for (std::size_t r = 0; r < cloud.height; ++r)
         points += cloud.data.substr(r * (cloud.height > 1 ? cloud.row_step : 0), row);
-    points.resize(cloud.height * row, '\0');  // the last point may end after its last field
+    // The last point may be shorter than the others, so fill the missing bytes with 0.
+    points.resize(cloud.height * row, '\0');
     if (!cloud.is_big_endian) return points;
     for (std::size_t i = 0; i < cloud.size(); ++i)
         for (const Cloud::Field& field : known)

@@ -23,11 +23,12 @@ constexpr auto kBytes = pbf_wire_type::length_delimited, kFixed32 = pbf_wire_typ
 
 std::string_view view_of(const protozero::data_view& view) { return {view.data(), view.size()}; }
 
-/// Reads x y z w. Missing values are 0.
+/// Reads the coordinates x, y, z and w of a protobuf message. Missing coordinates are 0.
 glm::dvec4 vector_of(pbf_reader reader) {
     glm::dvec4 v(0.0);
     while (reader.next()) {
-        // read the tag before the value, because reading the value resets the tag
+        // The tag must be read before the value, because reading the value resets the
+        // tag.
         const int at = int(reader.tag()) - 1;
         if (at >= 0 && at < 4 && reader.wire_type() == pbf_wire_type::fixed64) v[at] = reader.get_double();
         else reader.skip();
@@ -63,7 +64,7 @@ Cloud::Field element_field(pbf_reader reader) {
         char kind;
         std::size_t size;
     };
-    // Types by number, starting at 1.
+    // Kind and size in bytes of each numeric type. Foxglove numbers the types from 1.
     static constexpr Type kTypes[] = {{'U', 1}, {'I', 1}, {'U', 2}, {'I', 2},
                                       {'U', 4}, {'I', 4}, {'F', 4}, {'F', 8}};
     Cloud::Field field;
@@ -81,7 +82,7 @@ Cloud::Field element_field(pbf_reader reader) {
     return field;
 }
 
-/// Throws if the pose of a cloud is not the identity. The reader does not apply such a
+/// Throws if the pose of a cloud is not the identity, because the reader does not apply a
 /// pose to the points.
 void check_identity(pbf_reader reader) {
     while (reader.next()) {
@@ -186,8 +187,8 @@ Cube cube_of(pbf_reader reader) {
     return cube;
 }
 
-/// Reads a foxglove.KeyValuePair. Returns its value if its key is `wanted`, otherwise an
-/// empty string.
+/// Reads a foxglove.KeyValuePair. Returns the value if the key is `wanted`. Otherwise
+/// returns an empty string.
 std::string value_of(pbf_reader reader, std::string_view wanted) {
     std::string key, value;
     while (reader.next()) {
@@ -198,8 +199,7 @@ std::string value_of(pbf_reader reader, std::string_view wanted) {
     return key == wanted ? value : "";
 }
 
-/// Reads an entity and adds it to the list as a box. Entities that do not have exactly
-/// one cube are not boxes.
+/// Reads a scene entity. Adds it to the list as a box if it consists of exactly one cube.
 void add_entity(BoxList& list, pbf_reader reader) {
     Box box;
     std::vector<Cube> cubes;

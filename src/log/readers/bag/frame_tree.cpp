@@ -7,12 +7,12 @@
 namespace relidar::bag {
 namespace {
 
-// a pose is used up to this time before the first and after the last sample, about one
-// sweep
+// Maximum time before the first sample and after the last sample at which a pose is still
+// used. It is about one sweep.
 constexpr double kBeside_s = 0.1;
 constexpr std::size_t kDeepest = 64;  // maximum depth of the tree
 
-/// Returns true if two poses differ by more than rounding errors.
+/// Returns true if the difference between two poses is larger than rounding errors.
 bool differ(const Pose& a, const Pose& b) {
     return glm::distance(a.translation, b.translation) > 1e-6 ||
            std::abs(glm::dot(a.rotation, b.rotation)) < 1.0 - 1e-12;
@@ -57,7 +57,7 @@ void FrameTree::add(const Transform& transform, std::int64_t log_ns, bool is_sta
     if (transform.child.empty() || transform.child == transform.header.frame) return;
     Link& link = parents_[transform.child][transform.header.frame];
     link.is_static = is_static;
-    if (is_static) link.samples.clear();  // only the latest static transform is valid
+    if (is_static) link.samples.clear();  // keeps only the latest sample of a static transform
     if (!link.samples.empty())
         link.changes = link.changes || differ(link.samples.front().pose, transform.parent_from_child);
     link.samples.push_back({transform.header.stamp_ns, log_ns, transform.parent_from_child});
@@ -90,7 +90,7 @@ std::optional<Pose> FrameTree::fixed(const std::string& to, const std::string& f
     const auto common = std::ranges::find_first_of(way_from, way_to);
     if (common == way_from.end()) return std::nullopt;
     // Multiplies the transforms from a frame up to the common ancestor. Returns nothing
-    // if one of the transforms changes over time.
+    // if one of these transforms changes over time.
     const auto climb = [&](const std::vector<std::string>& way) -> std::optional<Pose> {
         Pose pose;
         for (const std::string& frame : way) {

@@ -15,15 +15,15 @@
 
 namespace relidar::bag {
 
-/// The clock that is used for all times of a log.
+/// The clock from which all times of a log are read.
 enum class Clock {
-    stamps,  ///< stamps in the headers of messages: times of measurement
-    /// Times at which the messages were recorded. Used if the sensors and the poses have
-    /// clocks that are not synchronised.
+    stamps,  ///< time stamps in the message headers, which are the times of measurement
+    /// Times at which the recorder received the messages. Used if the clocks of the
+    /// sensors and of the poses are not synchronised.
     recorder
 };
 
-/// A pose with its message stamp and its recording time.
+/// A pose with the time stamp of its message and the time at which it was recorded.
 struct PoseSample {
     std::int64_t stamp_ns = 0, log_ns = 0;
     Pose pose;
@@ -31,28 +31,28 @@ struct PoseSample {
     std::int64_t time_ns(Clock clock) const { return clock == Clock::stamps ? stamp_ns : log_ns; }
 };
 
-/// The pose of one frame in another frame over time. It is the product of all transforms
+/// Pose of one frame in another frame over time. It is the product of all transforms
 /// between the two frames.
 class PosePath {
 public:
     void add(Pose fixed) { links_.push_back({{0.0}, {fixed}}); }
-    /// Adds a transform that changes over time. The samples can be in any order.
+    /// Adds a transform that changes over time. The samples need not be sorted.
     /// @param zero_ns  time in nanoseconds that becomes 0 s
     void add(const std::vector<PoseSample>& samples, Clock clock, std::int64_t zero_ns);
     Pose at(double t_s) const;
-    /// Returns true if every changing transform has samples around a time. A distance of
-    /// a tenth of a second from the first or last sample is allowed.
+    /// Returns true if the samples of all changing transforms cover a time. The time may
+    /// be up to 0.1 s before the first sample or after the last sample.
     bool covers(double t_s) const;
     bool moves() const;
 
 private:
-    /// transforms from the outermost frame inwards; a transform with a single entry is
-    /// constant
+    /// Transforms from the outermost to the innermost frame. A transform with a single
+    /// sample is constant.
     std::vector<PoseTrack> links_;
 };
 
-/// The pose of frame `from` in frame `to` over time. It is computed with the nearest
-/// common ancestor of both frames.
+/// Pose of frame `from` in frame `to` over time. Both poses are relative to the nearest
+/// common ancestor of the two frames.
 struct FramesApart {
     PosePath above_from_to, above_from_from;
 
@@ -64,30 +64,31 @@ class FrameTree {
 public:
     void add(const Transform& transform, std::int64_t log_ns, bool is_static);
     bool empty() const { return parents_.empty(); }
-    /// Returns a frame followed by its ancestors, up to the root of the tree.
+    /// Returns the names of a frame and of all its ancestors, up to the root of the tree.
     std::vector<std::string> path_to_root(const std::string& frame) const;
     /// Returns true if the pose of a frame in its parent frame changes over time.
     bool moves(const std::string& frame) const;
     /// Returns the constant pose of frame `from` in frame `to`. Returns nothing if a
-    /// transform between them changes over time or is unknown.
+    /// transform between the frames is missing or changes over time.
     std::optional<Pose> fixed(const std::string& to, const std::string& from) const;
-    /// Returns the poses of a frame in one of its ancestors, `outer`.
+    /// Returns the poses over time of a frame in its ancestor frame `outer`.
     PosePath path(const std::string& outer, const std::string& frame, Clock clock,
                   std::int64_t zero_ns) const;
-    /// Returns the poses of frame `from` in frame `to`. Returns nothing if no transforms
-    /// connect the frames.
+    /// Returns the poses over time of frame `from` in frame `to`. Returns nothing if no
+    /// transforms connect the two frames.
     std::optional<FramesApart> apart(const std::string& to, const std::string& from, Clock clock,
                                      std::int64_t zero_ns) const;
-    /// Returns the frames for which the recording has transforms to more than one parent.
-    /// The parent with the most transforms is used for such a frame.
+    /// Returns the frames that have more than one parent in the recording. The tree uses
+    /// the parent with the most transforms.
     std::vector<std::string> disputed() const;
 
 private:
     struct Link {
         std::vector<PoseSample> samples;
         bool is_static = false;  ///< from /tf_static
-        /// True if the samples have different values. Drivers often repeat constant
-        /// transforms on /tf, so several samples do not mean that the frame moves.
+        /// True if the samples have different values. Several equal samples do not mean
+        /// that the frame moves, because drivers often repeat a constant transform on
+        /// /tf.
         bool changes = false;
     };
     std::map<std::string, std::map<std::string, Link>> parents_;  ///< by frame, then by parent

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Loads a recording in two passes. The first pass finds the topics, clouds and poses in
-// bounded memory. The second pass reads the clouds of the requested frames at their file
-// offsets. Then the clouds are processed in the same way as scans of a plain folder.
+// bounded memory. The second pass reads only the clouds of the requested frames. These
+// clouds become scans in the same way as the scans of a plain folder.
 #include "log/readers/bag/load_ros_bag.hpp"
 
 #include <algorithm>
@@ -27,7 +27,7 @@ using namespace bag;
 
 constexpr std::int64_t kSecond_ns = 1000000000;
 constexpr double kLeastStep_s = 2e-3;  // minimum time between sweeps
-// maximum time between clouds of one sweep, as a multiple of the main LiDAR's sweep
+// maximum time between the clouds of one sweep, as a multiple of the main LiDAR's sweep
 // period
 constexpr double kBeside = 0.6;
 
@@ -84,8 +84,8 @@ private:
     std::vector<LidarTopic> lidars_;  ///< topic of each LiDAR
     std::vector<FrameCloud> frames_;  ///< cloud of each frame
     bool has_poses_ = false;          ///< the recording has poses
-    /// True if relidar wrote the recording and stored the points motion-compensated: in
-    /// the sensor's frame at the time of the message stamp.
+    /// True if relidar wrote the recording with motion-compensated points. The points are
+    /// then in the sensor frame at the time of the message's time stamp.
     bool is_deskewed_ = false;
 
     const CloudTopic& topic_of(std::size_t lidar) const { return survey_.clouds[clouds_.lidars[lidar]]; }
@@ -124,8 +124,8 @@ private:
                 note(name_of(topic_of(l)) + ": " + text);
     }
 
-    /// Lists the frames of the log. The clouds of the main LiDAR define the sweeps. The
-    /// clouds of other LiDARs are assigned to the sweep with the nearest time.
+    /// Lists the frames of the log. Each cloud of the main LiDAR starts a frame. Each
+    /// cloud of another LiDAR is assigned to the frame with the nearest time.
     void find_frames() {
         std::vector<FrameCloud> sweeps;
         std::size_t n_late = 0;
@@ -214,8 +214,8 @@ private:
         }
     }
 
-    /// Adds the LiDARs to the log. If there is only one LiDAR, its frame is the vehicle
-    /// frame. Several LiDARs get their mounting poses on the vehicle.
+    /// Adds the LiDARs to the log. A single LiDAR defines the vehicle frame. If there are
+    /// several LiDARs, each one gets its mounting pose on the vehicle.
     void add_lidars() {
         const bool is_one = clouds_.lidars.size() == 1;
         sequence_.lidars.clear();
@@ -248,7 +248,7 @@ private:
         return pose;
     }
 
-    /// Reads the vehicle poses from the user's file. The file has poses by frame number
+    /// Reads the vehicle poses from the user's file. The file lists poses by frame number
     /// or by the time of the recording.
     std::vector<Pose> pose_at_scans() {
         std::vector<folder::HeadFrame> frames;
@@ -261,8 +261,8 @@ private:
         return *poses;
     }
 
-    /// Adds the boxes of the recording to the log. The position of a box relative to the
-    /// vehicle is kept, even if the vehicle poses come from a file.
+    /// Adds the boxes of the recording to the log. If the vehicle poses come from the
+    /// user's file, keeps the position of each box relative to the vehicle.
     void add_boxes() {
         if (!boxes_.topic) return;
         BoxPlaces places{survey_.frames, poses_, {}, {}, has_poses_};

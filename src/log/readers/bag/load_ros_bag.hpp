@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of ROS recordings: rosbag2 in MCAP or SQLite, ROS 1 bags, and MCAP files with
-// ROS messages from other recorders.
+// Loads ROS recordings: rosbag2 in MCAP or SQLite, ROS 1 bags, and MCAP files with ROS
+// messages from other recorders.
 #pragma once
 
 #include <filesystem>
@@ -9,8 +9,8 @@
 
 namespace relidar {
 
-/// Reads a recording.
-/// @throws DataError with file, topic or message
+/// Loads a recording as a log.
+/// @throws DataError with the file, topic or message that caused the error
 Sequence load_ros_bag(const std::filesystem::path& path, const DatasetOptions& options);
 
 }  // namespace relidar

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads MCAP files (mcap.dev/spec). A record has a code, a length of 8 bytes, and a body.
-// The reader reads the records one after another. So files without index, summary or
-// footer can be read too.
+// Reads MCAP files (mcap.dev/spec). A record consists of a code, a length of 8 bytes, and
+// a body. The reader does not use the index. It reads the records one after another, so
+// it can also read files without index, summary or footer.
 #include <algorithm>
 #include <array>
 #include <map>
@@ -18,7 +18,7 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::string_view kMcapMagic("\x89MCAP0\r\n", 8);
-constexpr std::size_t kRecordHead = 9;  // bytes of a record's code and length
+constexpr std::size_t kRecordHead = 9;  // number of bytes of a record's code and length
 enum McapCode : std::uint8_t {
     kMcapFooter = 2,
     kMcapSchema = 3,
@@ -48,7 +48,7 @@ struct McapMessage {
 McapMessage message_of(std::string_view body) {
     ByteReader reader(body);
     const auto channel = reader.number<std::uint16_t>();
-    reader.number<std::uint32_t>();  // skips the sequence number in the channel
+    reader.number<std::uint32_t>();  // skips the sequence number of the message
     const auto log_ns = reader.number<std::uint64_t>();
     reader.number<std::uint64_t>();  // skips the publication time
     return {channel, std::int64_t(log_ns), reader.rest()};
@@ -56,7 +56,7 @@ McapMessage message_of(std::string_view body) {
 
 SharedBytes records_of_chunk(const SharedBytes& chunk) {
     ByteReader reader(chunk.bytes);
-    reader.take(16);  // skips the first and last time
+    reader.take(16);  // skips the times of the first and the last message
     const auto n = reader.number<std::uint64_t>();
     const auto sum = reader.number<std::uint32_t>();
     const std::string_view compression = reader.sized();
@@ -146,7 +146,8 @@ private:
         }
     }
 
-    /// Reads the metadata record that relidar adds to its recordings.
+    /// Reads the metadata record that relidar writes to its recordings. Ignores other
+    /// metadata.
     void read_metadata(ByteReader reader) {
         if (reader.sized() != "relidar") return;
         for (ByteReader pairs(reader.sized()); pairs.left() > 0;) {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the fields of a ROS message in order. ROS 2 messages are CDR in either byte order
-// (XCDR1 and plain XCDR2). ROS 1 messages are packed little-endian values.
+// Reads the fields of a ROS message one after another. ROS 2 messages are CDR in either
+// byte order (XCDR1 and plain XCDR2). ROS 1 messages are little-endian values without
+// padding.
 #pragma once
 
 #include <algorithm>
@@ -17,14 +18,14 @@ namespace relidar::bag {
 
 class MessageReader {
 public:
-    /// Starts to read a message and, for ROS 2, checks its CDR header.
+    /// Starts to read a message. For ROS 2, also checks the CDR header of the message.
     /// @throws DataError if the first bytes are not a CDR header
     MessageReader(std::string_view bytes, bool is_ros1) : bytes_(bytes), is_ros1_(is_ros1) {
         if (is_ros1) return;
         constexpr std::size_t kHead = 4;
         if (bytes.size() < kHead)
             throw DataError(fmt::format("{} bytes, expected a message in CDR", bytes.size()));
-        // 0 and 1 are XCDR1, 6 and 7 are XCDR2; odd values are little-endian
+        // Kinds 0 and 1 are XCDR1, kinds 6 and 7 are XCDR2. Odd kinds are little-endian.
         const auto kind = static_cast<unsigned char>(bytes[1]);
         if (bytes[0] != 0 || (kind != 0 && kind != 1 && kind != 6 && kind != 7))
             throw DataError(fmt::format("the head {:02x} {:02x}, expected CDR: 00 00, 00 01, 00 06 or 00 07",
@@ -47,15 +48,17 @@ public:
         std::memcpy(&value, raw, sizeof(T));
         return value;
     }
-    /// Reads a string. Removes the terminating 0, which CDR includes in the length.
+    /// Reads a string. CDR includes the terminating 0 in the length, so removes this
+    /// byte.
     std::string_view text() {
         std::string_view text = take(number<std::uint32_t>());
         if (!is_ros1_ && !text.empty() && text.back() == '\0') text.remove_suffix(1);
         return text;
     }
     /// Reads the number of entries of a list.
-    /// @param least  minimum number of bytes of an entry
-    /// @throws DataError if the remaining message is too short for so many entries
+    /// @param least  minimum size of an entry in bytes
+    /// @throws DataError if the rest of the message is too short for this number of
+    /// entries
     std::size_t length(std::size_t least) {
         const auto n = number<std::uint32_t>();
         if (n > (bytes_.size() - at_) / least)

@@ -18,7 +18,7 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kMostPointStep = 65536;
-constexpr double kUnitLength = 1e-2;  // tolerance of a quaternion's length
+constexpr double kUnitLength = 1e-2;  // maximum difference of a quaternion's length from 1
 
 struct TypeUse {
     const char* type;
@@ -48,7 +48,7 @@ MessageReader reader_of(const Topic& topic, std::string_view bytes) {
     return {bytes, topic.encoding == "ros1"};
 }
 
-/// Reads the description of a point field. Types have the numbers of
+/// Reads the description of a point field. Its type is one of the numbers of
 /// sensor_msgs/PointField.
 Cloud::Field read_field(MessageReader& reader) {
     struct Type {
@@ -90,16 +90,16 @@ void check_layout(const Cloud& cloud) {
                                     cloud.height, cloud.width, cloud.point_step));
 }
 
-/// Reads a CustomMsg of both Livox drivers. A point has offset_time uint32 (ns), x y z
-/// float32, reflectivity, tag, line uint8. CDR pads each point except the last to 20
-/// bytes.
+/// Reads a CustomMsg of the Livox drivers. A point consists of offset_time uint32 (ns), x
+/// y z float32, reflectivity, tag and line (uint8 each). CDR pads each point except the
+/// last one to 20 bytes.
 Cloud read_livox(MessageReader& reader) {
     constexpr std::size_t kPoint = 19;
     Cloud cloud;
     cloud.header = read_header(reader);
-    reader.number<std::uint64_t>();  // skips the timebase, which equals the stamp
+    reader.number<std::uint64_t>();  // skips the timebase, because it equals the time stamp
     reader.number<std::uint32_t>();  // skips the number of points
-    reader.take(4);                  // skips the LiDAR id and reserved bytes
+    reader.take(4);                  // skips the LiDAR's number and reserved bytes
     const std::size_t n = reader.length(kPoint);
     cloud.height = 1;
     cloud.width = std::uint32_t(n);
@@ -112,7 +112,7 @@ Cloud read_livox(MessageReader& reader) {
     return cloud;
 }
 
-/// Reads a geometry_msgs/TransformStamped. Also reads the pose of nav_msgs/Odometry,
+/// Reads a geometry_msgs/TransformStamped. Can also read the pose of nav_msgs/Odometry,
 /// because both messages begin with the same fields.
 Transform read_transform(MessageReader& reader) {
     Transform transform{read_header(reader), std::string(reader.text()), {}};
@@ -133,7 +133,7 @@ Header read_header(MessageReader& reader) {
     if (reader.is_ros1()) reader.number<std::uint32_t>();  // skips the sequence number
     const std::int64_t stamp_ns = read_time(reader);
     std::string frame(reader.text());
-    // ROS 1 allows a leading slash in frame names, so the slash is removed
+    // ROS 1 frame names may begin with a slash. Remove it, so that names can be compared.
     if (frame.starts_with('/')) frame.erase(0, 1);
     return {stamp_ns, std::move(frame)};
 }

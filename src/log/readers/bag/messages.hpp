@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// ROS messages that the bag reader supports. The layouts are those of sensor_msgs,
+// Declares the ROS messages that the bag reader supports: messages of sensor_msgs,
 // tf2_msgs, nav_msgs, geometry_msgs, the Livox drivers, vision_msgs and Autoware.
 #pragma once
 
@@ -29,7 +29,7 @@ struct Cloud {
     struct Field {
         std::string name;
         std::size_t offset = 0;  ///< byte offset in a point
-        char kind = 'F';         ///< 'F', 'I' or 'U': float, signed or unsigned
+        char kind = 'F';         ///< 'F' means float, 'I' signed integer, 'U' unsigned integer
         std::size_t size = 4, count = 1;
     };
     std::vector<Field> fields;
@@ -40,37 +40,38 @@ struct Cloud {
     std::size_t size() const { return std::size_t(height) * width; }
 };
 
-/// The pose of a child frame in its parent frame.
+/// The pose of a child frame in its parent frame at one time.
 struct Transform {
     Header header;      ///< header.frame is the parent frame
-    std::string child;  ///< child frame; empty if the message does not name it
+    std::string child;  ///< name of the child frame; empty if the message does not contain it
     Pose parent_from_child;
 };
 
 /// One box of a message with a list of boxes.
 struct Box {
     Header header;
-    std::string id;          ///< track id; empty if the message has none
-    std::string category;    ///< category as in the message; may be empty
-    glm::dvec3 size_m{0.0};  ///< length, width, height, all above 0
+    std::string id;          ///< track id of the object; empty if the message has none
+    std::string category;    ///< category as written in the message; may be empty
+    glm::dvec3 size_m{0.0};  ///< length, width and height; all are greater than 0
     Pose frame_from_box;     ///< pose of the box's centre
 };
 struct BoxList {
     Header header;
     std::vector<Box> boxes;
-    std::size_t n_left_out = 0;  ///< boxes without a size or a pose
+    /// number of boxes that were ignored because they have no size or no pose
+    std::size_t n_left_out = 0;
 };
 
-/// What relidar does with the messages of a topic. Boxes without a track id are not read,
+/// How relidar uses the messages of a topic. Boxes without a track id are not loaded,
 /// because they cannot be joined to tracks.
 enum class Use { nothing, cloud, packets, metadata, transforms, pose, boxes, nameless_boxes };
 Use use_of(const Topic& topic);
 
 class MessageReader;
-/// Reads a ROS time in nanoseconds.
+/// Reads a ROS time and converts it to nanoseconds.
 std::int64_t read_time(MessageReader& reader);
 Header read_header(MessageReader& reader);
-/// Position x y z and quaternion x y z w.
+/// Position x y z, followed by the quaternion x y z w.
 using PoseNumbers = std::array<double, 7>;
 PoseNumbers read_pose_numbers(MessageReader& reader);
 /// Converts a position and a quaternion to a pose.
@@ -78,21 +79,21 @@ PoseNumbers read_pose_numbers(MessageReader& reader);
 Pose pose_of(const PoseNumbers& numbers);
 Cloud read_point_cloud(MessageReader& reader);
 
-/// Reads a point cloud message.
-/// @throws DataError with the invalid field
+/// Reads a point cloud message of any supported type.
+/// @throws DataError with the name of the invalid field
 Cloud read_cloud(const Topic& topic, std::string_view bytes);
-/// Returns the points of a cloud as a table with relidar's field names (point_table.hpp).
-/// The values are not converted.
+/// Returns the points of a cloud as a table with relidar's field names. The values keep
+/// the units of the message.
 /// @param message  message from which the cloud was read
 folder::PointTable table_of(const Cloud& cloud, const SharedBytes& message);
 
-/// Reads transforms from tf2_msgs/TFMessage or tf/tfMessage. Also reads the pose of
-/// nav_msgs/Odometry, geometry_msgs/PoseStamped and similar messages.
+/// Reads the transforms of a tf2_msgs/TFMessage or tf/tfMessage. Can also read the pose
+/// of nav_msgs/Odometry, geometry_msgs/PoseStamped and similar messages.
 /// @throws DataError if a quaternion is zero
 std::vector<Transform> read_transforms(const Topic& topic, std::string_view bytes);
 
-/// Read the Foxglove messages PointCloud and FrameTransforms. The offsets of the point
-/// fields are not checked here.
+/// Reads a Foxglove message (PointCloud or FrameTransforms). Does not check the offsets
+/// of the point fields.
 Cloud read_foxglove_cloud(std::string_view bytes);
 std::vector<Transform> read_foxglove_transforms(std::string_view bytes);
 
@@ -100,7 +101,8 @@ std::vector<Transform> read_foxglove_transforms(std::string_view bytes);
 /// foxglove.SceneUpdate.
 /// @throws DataError if the message is invalid
 BoxList read_boxes(const Topic& topic, std::string_view bytes);
-/// Reads foxglove.SceneUpdate. Each entity with exactly one cube is a box.
+/// Reads a foxglove.SceneUpdate message. An entity becomes a box if it consists of
+/// exactly one cube.
 /// @throws DataError if the message is invalid
 BoxList read_foxglove_boxes(std::string_view bytes);
 

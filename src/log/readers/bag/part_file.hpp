@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads parts of a file, and caches the chunks that were unpacked recently.
+// Reads parts of a file. Also unpacks compressed chunks and caches the most recent ones.
 #pragma once
 
 #include <cstdint>
@@ -16,11 +16,11 @@
 
 namespace relidar::bag {
 
-/// A file opened for reading. Several threads can read it simultaneously.
+/// A file that is open for reading. Several threads can read it at the same time.
 class PartFile {
 public:
-    /// Opens a file.
-    /// @throws DataError if it cannot be opened
+    /// Opens a file for reading.
+    /// @throws DataError if the file cannot be opened
     explicit PartFile(const std::filesystem::path& path);
     ~PartFile();
     PartFile(const PartFile&) = delete;
@@ -28,8 +28,8 @@ public:
 
     std::uint64_t size() const { return size_; }
     const std::string& name() const { return name_; }
-    /// Reads `n` bytes at offset `at`.
-    /// @throws DataError if the file ends before
+    /// Reads `n` bytes, starting at the byte offset `at`.
+    /// @throws DataError if the file is too short
     SharedBytes part(std::uint64_t at, std::uint64_t n) const;
 
 private:
@@ -38,8 +38,8 @@ private:
     std::uint64_t size_ = 0;
 };
 
-/// Caches unpacked chunks by their byte offset. Stores only a few recent chunks, because
-/// messages of one chunk are usually read together.
+/// Caches unpacked chunks by their byte offset. Keeps only a few recent chunks, because
+/// the messages of a chunk are usually read one after another.
 class ChunkCache {
 public:
     SharedBytes get(std::uint64_t at, const std::function<SharedBytes()>& unpack) const;
@@ -50,10 +50,10 @@ private:
     mutable std::deque<std::pair<std::uint64_t, SharedBytes>> chunks_;
 };
 
-/// Unpacks a chunk. The compression is "", "none", "lz4", "zstd" or "bz2". An
-/// uncompressed chunk is not copied.
-/// @param n  unpacked size as stated in the file. An impossible size is rejected before
-/// memory is allocated.
+/// Returns the unpacked bytes of a chunk. The compression is "", "none", "lz4", "zstd" or
+/// "bz2". An uncompressed chunk is returned without a copy.
+/// @param n  unpacked size as stated in the file; an impossible size is rejected before
+/// memory is allocated
 /// @throws DataError if the chunk is damaged
 SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk, std::uint64_t n);
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads network captures (pcap, pcapng) with libpcap. The packets of each LiDAR become a
-// topic, named by the LiDAR's address and the destination port. Up to kRun packets of a
-// topic form one message. The position of a message is the byte offset of its first
-// packet in the file.
+// topic. The topic is named after the LiDAR's address and the destination port. Up to
+// kRun packets of a topic form one message. The position of a message is the byte offset
+// of its first packet in the file.
 #include <arpa/inet.h>
 #include <pcap/pcap.h>
 
@@ -33,8 +33,8 @@ namespace {
 
 constexpr std::size_t kRun = 64, kMostStreams = 256, kMostPending = 64, kMostDatagram = 65535;
 constexpr unsigned kIpv4 = 0x0800, kIpv6 = 0x86dd, kUdp = 17;
-// Fragments of a datagram arrive within this time. Later fragments with the same
-// identification belong to another datagram.
+// Maximum time between the fragments of a datagram. A later fragment with the same
+// identification belongs to another datagram.
 constexpr std::int64_t kTogether_ns = 1000000000;
 
 unsigned big_endian(std::string_view bytes, std::size_t at) {
@@ -46,19 +46,20 @@ unsigned byte_at(std::string_view bytes, std::size_t at) {
     return at < bytes.size() ? static_cast<unsigned char>(bytes[at]) : 0u;
 }
 
-/// An IP packet, or a fragment of one.
+/// An IP packet, or one fragment of an IP packet.
 struct IpPacket {
-    /// Sender's address as text, and the bytes that identify the datagram of a fragment.
+    /// Address of the sender as text, and the bytes that identify the datagram of a
+    /// fragment.
     std::string from, key;
-    std::size_t offset = 0;  ///< offset of the fragment; 0 for a full packet
-    bool has_more = false;   ///< true: this is a fragment, but not the last one
+    std::size_t offset = 0;  ///< byte offset of the fragment in the packet; 0 for an unfragmented packet
+    bool has_more = false;   ///< true if more fragments follow this fragment
     std::string_view payload;
 };
 
 std::optional<IpPacket> read_ipv4(std::string_view packet) {
     const std::size_t head = 4 * (byte_at(packet, 0) & 15);
-    // removes the padding of the frame; a network card that splits packets states no
-    // length
+    // Remove the padding of the Ethernet frame. A length of 0 is ignored, because network
+    // cards that split packets write no length.
     if (const std::size_t length = big_endian(packet, 2); length >= 20) packet = packet.substr(0, length);
     if (head < 20 || packet.size() < head || byte_at(packet, 9) != kUdp) return std::nullopt;
     const unsigned flags = big_endian(packet, 6);
@@ -91,7 +92,8 @@ std::optional<IpPacket> read_ipv6(std::string_view packet) {
     return next == kUdp ? std::optional(std::move(result)) : std::nullopt;
 }
 
-/// Returns the IP packet with UDP in a network frame.
+/// Returns the UDP packet that a captured frame contains. Returns nothing for other
+/// frames.
 std::optional<IpPacket> ip_packet(std::string_view frame, int link) {
     std::size_t head = 0;
     unsigned type = 0;
@@ -111,18 +113,18 @@ std::optional<IpPacket> ip_packet(std::string_view frame, int link) {
 
 /// A UDP datagram of a sensor.
 struct Datagram {
-    std::string source;    ///< sender's address and destination port: "192.168.1.201:2368"
-    std::uint64_t at = 0;  ///< byte offset of its first frame in the file
+    std::string source;    ///< address of the sender and destination port, for example "192.168.1.201:2368"
+    std::uint64_t at = 0;  ///< byte offset in the file of the first frame of the datagram
     std::int64_t stamp_ns = 0;
     std::string bytes;
 };
 
-/// Joins the fragments of IP packets. Fragments may be late, repeated or interleaved with
-/// those of other datagrams.
+/// Joins the fragments of IP packets. Fragments may arrive late or twice, and the
+/// fragments of several datagrams may be interleaved.
 class Fragments {
 public:
-    /// Adds an IP packet or fragment.
-    /// @return UDP header and payload, if they are complete
+    /// Adds an IP packet or a fragment.
+    /// @return UDP header and payload, if all fragments of the datagram have been added
     std::optional<Datagram> add(const IpPacket& packet, std::uint64_t at, std::int64_t stamp_ns) {
         const std::string_view payload = packet.payload;
         Datagram datagram{packet.from, at, stamp_ns, std::string(payload)};
@@ -148,8 +150,8 @@ public:
 
 private:
     struct Pending {
-        std::map<std::size_t, std::size_t> parts;  ///< end of each received fragment, by its offset
-        std::size_t total = 0;                     ///< total size, which the last fragment shows
+        std::map<std::size_t, std::size_t> parts;  ///< end of each received fragment, by its byte offset
+        std::size_t total = 0;  ///< size of the datagram; known when the last fragment has been received
         Datagram datagram;
 
         bool is_complete() const {
@@ -239,8 +241,8 @@ public:
     }
 
 private:
-    /// Sender with destination port, product, and metadata of an Ouster. The product is
-    /// null if the datagrams are not LiDAR packets.
+    /// Identifies a stream: sender and destination port, product, and metadata of an
+    /// Ouster. The product is null if the datagrams are not LiDAR packets.
     using Key = std::tuple<std::string, const packets::Product*, const packets::OusterFormat*>;
     struct Stream {
         std::size_t topic = 0;
@@ -248,23 +250,25 @@ private:
         const packets::Product* product = nullptr;
         std::string run;
         std::size_t n = 0;
-        /// Byte offset of the first frame of the run, and of the run's first datagram.
-        /// They differ if fragments of datagrams are interleaved.
+        /// Byte offset of the first frame of the current message, and byte offset of its
+        /// first datagram. The two differ if fragments of several datagrams are
+        /// interleaved.
         std::uint64_t at = 0, first_at = 0;
         std::int64_t log_ns = 0;
-        /// [byte offset of a run] byte offset of its first datagram, if they differ
+        /// Byte offset of the first datagram of a message, by the byte offset of the
+        /// message. Contains only messages for which the two differ.
         std::map<std::uint64_t, std::uint64_t> late_runs;
-        /// number of datagrams for each size in bytes; only for unknown products
+        /// Number of datagrams by size in bytes. Counted only if the product is unknown.
         std::map<std::size_t, std::size_t> n_of_bytes;
         std::shared_ptr<const packets::OusterFormat> ouster;  ///< metadata of the sensor
-        std::string livox_frame;  ///< frame of the clouds of a Livox; empty for other products
+        std::string livox_frame;  ///< frame name of the clouds of a Livox; empty for other products
 
         void begin_run(const Datagram& datagram) {
             at = first_at = datagram.at;
             log_ns = datagram.stamp_ns;
         }
     };
-    packets::OusterFormats ousters_;  ///< metadata in files next to the capture
+    packets::OusterFormats ousters_;  ///< metadata from files in the folder of the capture
     const std::filesystem::path path_;
     const std::uint64_t bytes_;
     std::unique_ptr<pcap_t, ClosePcap> pcap_;
@@ -272,7 +276,7 @@ private:
     std::uint64_t begin_ = 0;
     std::map<Key, Stream> streams_;
     mutable std::size_t n_cut_ = 0;
-    mutable std::mutex lock_;  ///< protects the position in the file
+    mutable std::mutex lock_;  ///< protects the read position in the file
 
     static std::string_view payload(const Datagram& datagram) {
         return std::string_view(datagram.bytes).substr(8);
@@ -290,7 +294,8 @@ private:
             throw DataError(fmt::format("{}: byte {} cannot be reached", path_.string(), at));
     }
 
-    /// Reads the next UDP datagram from the file. The result includes the UDP header.
+    /// Reads the next UDP datagram from the file. The result contains the UDP header and
+    /// the payload.
     /// @param pass  receives a note if the file is truncated
     std::optional<Datagram> next(Fragments& fragments, const Pass* pass) const {
         for (;;) {
@@ -307,7 +312,8 @@ private:
                 continue;
             }
             const std::string_view frame(reinterpret_cast<const char*>(data), head->caplen);
-            // libpcap was opened with nanosecond precision, so tv_usec has nanoseconds
+            // libpcap was opened with nanosecond precision, so tv_usec contains
+            // nanoseconds
             const std::int64_t stamp_ns = std::int64_t(head->ts.tv_sec) * 1000000000 + head->ts.tv_usec;
             const std::optional<IpPacket> packet = ip_packet(frame, link_);
             if (!packet) continue;
@@ -329,9 +335,9 @@ private:
         return {datagram.source, packets::find_product(payload(datagram), {{}, ouster}), ouster.get()};
     }
 
-    /// Adds notes about packets that are probably from an Ouster but cannot be decoded.
-    /// They have a size that Ouster sensors send or that the metadata states. Also notes
-    /// two senders with the same metadata.
+    /// Adds notes about packets that probably come from an Ouster but cannot be decoded.
+    /// Such packets have a size that Ouster sensors use, or the size that the metadata
+    /// states. Also adds a note if two senders match the same metadata.
     void note_unread_ousters(const Pass& pass) const {
         std::map<const packets::OusterFormat*, std::string> senders;
         for (const auto& [key, stream] : streams_) {
@@ -365,7 +371,8 @@ private:
         if (stream.product) stream.ouster = ouster_of(datagram);
         if (packets::is_livox(payload(datagram))) stream.livox_frame = datagram.source;
         std::string name = datagram.source;
-        // two Ousters that send from one address to one port
+        // adds the serial number if two Ousters send from the same address to the same
+        // port
         for (const auto& [other, known] : streams_)
             if (stream.ouster && known.ouster && std::get<0>(other) == datagram.source)
                 name = fmt::format("{} ({})", datagram.source, stream.ouster->serial);
@@ -377,15 +384,15 @@ private:
         return &streams_.emplace(std::move(key), std::move(stream)).first->second;
     }
 
-    /// Returns true if a message of a stream is complete.
+    /// Returns true if the current message of a stream is complete.
     /// @param n  number of datagrams in the message
-    /// @param passed_ns  time from its first datagram to its last datagram
+    /// @param passed_ns  time from the first to the last datagram of the message
     static bool is_full(const Stream& stream, std::size_t n, std::int64_t passed_ns) {
         return stream.livox_frame.empty()
                    ? n == kRun
                    : passed_ns >= packets::kLivoxCloud_ns || n == packets::kMostLivoxPackets;
     }
-    /// Converts datagrams to a message of the stream's topic.
+    /// Converts the datagrams of a message to the message type of the stream's topic.
     static std::string message_of(const Stream& stream, std::string run) {
         return stream.livox_frame.empty() ? run : packets::livox_cloud(run, stream.livox_frame);
     }

@@ -14,8 +14,11 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kMostLines = 40;
-constexpr double kGap = 1.6;     // ratio to the usual time step above which a sweep is missing
-constexpr double kJump_s = 0.5;  // a larger change of stamp minus recording time is a jump
+// A step longer than this multiple of the usual time step means that a sweep is missing.
+constexpr double kGap = 1.6;
+// A larger change of the difference "time stamp minus recording time" is reported as a
+// jump.
+constexpr double kJump_s = 0.5;
 
 std::string clouds_text(const CloudTopic& clouds) {
     if (!clouds.packets.empty()) {
@@ -55,8 +58,8 @@ std::vector<std::string> topic_lines(const Bag& bag, const Survey& survey, const
         const Topic& topic = bag.topics()[t];
         const TopicFacts& facts = survey.facts[t];
         std::string line = fmt::format("topic {}: {}", excerpt(topic.name), excerpt(topic.type));
-        // the packets of a capture were grouped by the reader, so a message rate has no
-        // meaning
+        // The reader groups the packets of a capture into messages, so the message rate
+        // is not a property of the recording.
         const bool is_run = topic.type == packets::kDatagrams;
         if (!is_run) line += fmt::format(", {} messages", facts.n);
         if (!is_run && facts.rate_hz() > 0.0) line += fmt::format(", {:.1f} Hz", facts.rate_hz());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Creates notes about a recording: one line per topic, and lines about problems such as
-// missing sweeps.
+// Creates notes about a recording for the user: one line per topic, and lines about
+// problems such as missing sweeps.
 #pragma once
 
 #include <string>
@@ -10,16 +10,16 @@
 
 namespace relidar::bag {
 
-/// Returns one line per topic. The line has name, type, number of messages, rate, and
-/// whether the topic is used. For clouds it also has the frame and the fields.
+/// Returns one line per topic: name, type, number of messages, rate, and whether the
+/// topic is loaded. For clouds, the line also contains the frame and the fields.
 /// @param used  [topics] true if the topic is loaded
 std::vector<std::string> topic_lines(const Bag& bag, const Survey& survey, const std::vector<bool>& used);
 
-/// Describes times at which sweeps are missing: steps between sweeps that are much longer
-/// than usual. Returns an empty string if there are no such steps.
+/// Returns a text about missing sweeps. A sweep is missing if a time step is much longer
+/// than usual. Returns an empty string if no sweep is missing.
 std::string gaps_text(const std::vector<double>& times_s, double step_s);
-/// Describes jumps of the message stamps relative to the recording times, and stamps that
-/// decrease. Returns an empty string if there are none.
+/// Returns a text about time stamps that decrease, or that jump relative to the recording
+/// times. Returns an empty string if no time stamps do.
 std::string jumps_text(const CloudTopic& clouds);
 
 }  // namespace relidar::bag

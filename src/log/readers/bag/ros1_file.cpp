@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads ROS 1 bags of format 2.0 (wiki.ros.org/Bags/Format/2.0). A record has a header
-// with named values, and data. A length of 4 bytes precedes each of the two. The reader
-// reads the records one after another, so it can read a bag without an index too.
+// Reads ROS 1 bags of format 2.0 (wiki.ros.org/Bags/Format/2.0). A record consists of a
+// header with named values, and data. Each of these parts follows a length of 4 bytes.
+// The reader reads the records one after another, so it can also read a bag without an
+// index.
 #include <map>
 #include <optional>
 
@@ -19,7 +20,7 @@ constexpr std::string_view kRos1Magic = "#ROSBAG V2.0\n";
 constexpr std::uint32_t kLongestHeader = 1 << 20;
 enum Ros1Op : std::uint8_t { kRos1Message = 2, kRos1Chunk = 5, kRos1Connection = 7 };
 
-/// The named values in a record's header.
+/// The named values in the header of a record.
 class Ros1Header {
 public:
     explicit Ros1Header(std::string_view bytes) {
@@ -99,7 +100,7 @@ public:
     }
 
 private:
-    /// Byte offsets of the header and the data of a record.
+    /// A record's header, and the byte offset of its data.
     struct Extent {
         SharedBytes header;
         std::uint64_t data_at = 0;
@@ -111,8 +112,8 @@ private:
     ChunkCache chunks_;
     std::map<std::uint32_t, std::size_t> connections_;  ///< topic of each connection
 
-    /// Returns the offsets of a record's header and data. Returns nothing if the file
-    /// ends before the record does.
+    /// Returns the header of a record and the offset of its data. Returns nothing if the
+    /// file ends before the end of the record.
     std::optional<Extent> extent_at(std::uint64_t at) const {
         const auto length_at = [&](std::uint64_t place) -> std::optional<std::uint32_t> {
             if (place > file_.size() || file_.size() - place < 4) return std::nullopt;

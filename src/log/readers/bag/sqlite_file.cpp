@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads rosbag2 databases in SQLite. One table has the topics. Another table has the
-// messages with their recording times and bytes.
+// Reads rosbag2 databases in SQLite. One table contains the topics. Another table
+// contains the messages: recording time and bytes.
 #include <map>
 #include <memory>
 #include <mutex>
@@ -27,7 +27,7 @@ struct FinishStatement {
 };
 using Statement = std::unique_ptr<sqlite3_stmt, FinishStatement>;
 
-/// Converts a path to a URI for SQLite and appends options.
+/// Converts a path to a URI for SQLite and appends the options.
 std::string uri_of(const std::filesystem::path& path, const char* options) {
     std::string uri = "file:";
     for (const char c : std::filesystem::absolute(path).string()) {
@@ -53,8 +53,9 @@ public:
     SqliteFile(const std::filesystem::path& path, bool packed)
         : name_(path.string()), packed_(packed), bytes_(PartFile(path).size()) {
         std::error_code failed;
-        // A -wal file (write-ahead log) may contain the last messages. SQLite ignores it
-        // in immutable mode, so immutable mode is used only without such a file.
+        // A -wal file (write-ahead log) may contain the last messages. SQLite ignores
+        // this file in immutable mode, so use immutable mode only if the file does not
+        // exist.
         const bool is_open = std::filesystem::exists(path.string() + "-wal", failed);
         sqlite3* database = nullptr;
         const int code =
@@ -62,7 +63,7 @@ public:
                             SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX, nullptr);
         database_.reset(database);
         if (code != SQLITE_OK) fail("opening it");
-        // limit of the size of a value
+        // limits the size of a value to the size of the file plus 1 MiB
         sqlite3_limit(database, SQLITE_LIMIT_LENGTH,
                       int(std::min<std::uint64_t>(bytes_ + (1 << 20), 1 << 30)));
         sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
@@ -89,7 +90,7 @@ public:
             pass.done(last > 0 ? double(row) / double(last) : 0.0);
             Message message{topic->second, sqlite3_column_int64(rows.get(), 2), {}, {std::uint64_t(row)}};
             SharedBytes unpacked;
-            // bytes of a message are read from the file only if they are requested
+            // reads the bytes of a message only if the caller requested them
             if (pass.wanted(topics.topics()[topic->second])) {
                 message.bytes = bytes_at(rows.get(), 3);
                 if (packed_) {
@@ -117,7 +118,7 @@ private:
     const bool packed_;
     const std::uint64_t bytes_;
     std::unique_ptr<sqlite3, CloseDatabase> database_;
-    mutable std::mutex lock_;  ///< only one thread at a time may use the database
+    mutable std::mutex lock_;  ///< only one thread may use the database at a time
     mutable Statement one_;
 
     [[noreturn]] void fail(const char* doing) const {
@@ -137,8 +138,8 @@ private:
         if (code != SQLITE_ROW && code != SQLITE_DONE) fail("reading its messages");
         return code == SQLITE_ROW;
     }
-    /// Reads the next row of a query. If the file is damaged or truncated, ends the
-    /// query, so that earlier messages remain usable.
+    /// Reads the next row of a query. If the file is damaged or truncated, adds a note
+    /// and ends the query, so that earlier messages remain usable.
     bool step(sqlite3_stmt* statement, const Pass& pass) const {
         const int code = sqlite3_step(statement);
         if (code != SQLITE_CORRUPT && (code & 0xFF) != SQLITE_IOERR) {
@@ -155,7 +156,7 @@ private:
         return step(row.get()) ? sqlite3_column_int64(row.get(), 0) : 0;
     }
 
-    /// Checks that a name belongs to a real table. A view with the same name could run an
+    /// Checks that a name belongs to a real table and not to a view. A view could run an
     /// endless query.
     void check_table(const char* table) const {
         const Statement row = prepared(fmt::format(

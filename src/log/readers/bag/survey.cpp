@@ -40,8 +40,8 @@ public:
         }
     }
 
-    /// Returns true if packets were recorded before the metadata that is needed to decode
-    /// them. Such packets are read in a second pass.
+    /// Returns true if some packets were recorded before the metadata that is needed to
+    /// decode them. The reader then decodes these packets in a second pass.
     bool needs_late_packets() const { return !late_.empty(); }
     bool is_late(std::size_t topic) const { return late_.contains(topic); }
     void add_late_packet(const Message& message) {
@@ -52,8 +52,8 @@ public:
             if (facts.n_broken++ == 0) facts.broken = error.what();
         }
     }
-    /// Reads the metadata files in the recording's folder. Bags need them before the
-    /// second pass, network captures before the first packet.
+    /// Reads the metadata files in the folder of the recording. A bag needs these files
+    /// before the second pass. A network capture needs them before its first packet.
     void read_nearby_metadata() {
         if (has_read_metadata_) return;
         has_read_metadata_ = true;
@@ -66,10 +66,11 @@ public:
 private:
     const Bag& bag_;
     Survey& survey_;
-    /// angle corrections in the recording's folder; empty until the first packets
+    /// Angle corrections from files in the recording's folder. Unset until the first
+    /// packets.
     std::optional<std::vector<packets::Correction>> corrections_;
     packets::OusterFormats ousters_;  ///< metadata known so far
-    std::set<std::size_t> late_;      ///< topics with packets before their metadata
+    std::set<std::size_t> late_;      ///< topics with packets that were recorded before their metadata
     std::string broken_metadata_;
     bool has_read_metadata_ = false;
 
@@ -119,8 +120,8 @@ private:
         clouds.packets.add(views, message.log_ns, message.place, calibration);
     }
 
-    /// Uses only the first metadata message of a topic, because the driver repeats it.
-    /// Ignores messages with other content.
+    /// Adds the metadata message of a topic. Uses only the first message, because the
+    /// driver repeats it. Ignores messages with other content.
     void add_metadata(const Topic& topic, const Message& message) {
         if (std::ranges::any_of(ousters_, [&](const auto& known) { return known->where == topic.name; }))
             return;
@@ -163,9 +164,9 @@ private:
     }
 };
 
-/// Adds missing transforms for Ouster LiDARs whose packets name no frame. The transform
-/// is the one of Ouster's driver, rotated by 180 degrees because relidar's sensor frame
-/// faces the other way.
+/// Adds missing transforms for Ouster LiDARs whose packets do not name a frame. Uses the
+/// transform of Ouster's driver, rotated by 180 degrees, because relidar's sensor frame
+/// faces the opposite direction.
 void place_ousters(const Bag& bag, Survey& survey) {
     std::vector<CloudTopic*> ousters;
     for (CloudTopic& clouds : survey.clouds)
@@ -188,8 +189,9 @@ void place_ousters(const Bag& bag, Survey& survey) {
     }
 }
 
-/// Joins clouds that are parts of a revolution. The time of a revolution is the time of
-/// its middle part, because a revolution begins when the head faces backward.
+/// Joins clouds that are parts of a revolution to full revolutions. The time of a
+/// revolution is the time of its middle part, because a revolution begins when the head
+/// faces backward.
 void join_parts(CloudTopic& topic) {
     const JoinedTurns joined = join_turns(std::exchange(topic.arcs, {}));
     if (joined.turns.empty()) return;

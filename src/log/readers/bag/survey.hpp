@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// First pass over a recording. Collects the content of each topic, the time and position
-// of each cloud, and all poses.
+// Declares the first pass over a recording. It collects the content of each topic, the
+// time and position of each cloud, and all poses.
 #pragma once
 
 #include <cstdint>
@@ -21,8 +21,8 @@ namespace relidar::bag {
 struct TopicFacts {
     std::size_t n = 0;                       ///< number of messages
     std::int64_t first_ns = 0, last_ns = 0;  ///< recording times of the first and the last message
-    std::size_t n_broken = 0;                ///< number of messages that could not be read
-    std::string broken;                      ///< problem of the first of them
+    std::size_t n_broken = 0;                ///< number of messages of the topic that could not be read
+    std::string broken;                      ///< error message of the first message that could not be read
 
     double rate_hz() const {
         return n > 1 && last_ns > first_ns ? 1e9 * double(n - 1) / double(last_ns - first_ns) : 0.0;
@@ -33,9 +33,9 @@ struct CloudEntry {
     std::int64_t stamp_ns = 0, log_ns = 0;
     std::uint32_t n_points = 0;
     Place place;
-    std::size_t turn = 0;  ///< for a topic of packets: index in CloudTopic::turns
-    /// Parts of the revolution, if several clouds form one revolution. Empty: this cloud
-    /// is a full revolution.
+    std::size_t turn = 0;  ///< index in CloudTopic::turns; used only for a topic of packets
+    /// Clouds that together form one revolution of the LiDAR. Empty if this cloud is a
+    /// full revolution.
     std::vector<TurnPart> parts = {};
 
     std::int64_t time_ns(Clock clock) const { return clock == Clock::stamps ? stamp_ns : log_ns; }
@@ -44,26 +44,28 @@ struct CloudEntry {
 struct CloudTopic {
     std::size_t topic = 0;
     std::string frame;  ///< frame of the first cloud
-    /// For packets: names of the frames in which drivers publish the clouds that they
-    /// compute from these packets.
+    /// Names of the frames in which drivers publish clouds that they compute from these
+    /// packets. Empty unless the topic contains packets.
     std::vector<std::string> driver_frames;
     std::vector<Cloud::Field> fields;  ///< fields of the first cloud
-    /// Clouds that have points, in recording order. If clouds are parts of revolutions,
-    /// these are the joined revolutions.
+    /// Clouds with at least one point, in the order of the recording. If each cloud is
+    /// only a part of a revolution, contains the joined revolutions instead.
     std::vector<CloudEntry> clouds;
-    std::string parts_about;     ///< description of the parts; empty if clouds are not joined
+    std::string parts_about;     ///< text about the joined clouds; empty if no clouds are joined
     std::vector<TurnPart> arcs;  ///< used during the survey
     std::size_t n_empty = 0;
-    packets::PacketLog packets;  ///< for a topic of packets, whose revolutions are its clouds
+    /// index of the packets; used for a topic of packets, whose revolutions become the
+    /// clouds
+    packets::PacketLog packets;
     std::vector<packets::PacketTurn> turns;
 
     bool has_field(folder::PointValue value) const;
-    std::size_t usual_points() const;  ///< median number of points of a cloud
+    std::size_t usual_points() const;  ///< Returns the median number of points of a cloud.
 };
 
 struct PoseTopic {
     std::size_t topic = 0;
-    std::string parent, child;  ///< frames; the child may be empty
+    std::string parent, child;  ///< names of the parent and the child frame; the child may be empty
     std::vector<PoseSample> samples;
 };
 
@@ -77,20 +79,21 @@ struct BoxTopic {
     std::size_t topic = 0;
     std::string frame;  ///< frame of the first box
     std::vector<BoxEntry> lists;
-    std::size_t n_boxes = 0, n_named = 0;  ///< number of boxes; number of boxes that have an id
-    std::size_t n_left_out = 0;            ///< boxes without a size or a pose
+    std::size_t n_boxes = 0, n_named = 0;  ///< number of boxes, and number of boxes that have a track id
+    /// number of boxes that were ignored because they have no size or no pose
+    std::size_t n_left_out = 0;
 };
 
 struct Survey {
-    std::vector<TopicFacts> facts;  ///< facts of each topic, in the order of Bag::topics()
+    std::vector<TopicFacts> facts;  ///< message statistics of each topic, in the order of Bag::topics()
     std::vector<CloudTopic> clouds;
     std::vector<PoseTopic> poses;
     std::vector<BoxTopic> boxes;
     FrameTree frames;
 };
 
-/// Reads all messages of a recording once and collects its content. Invalid messages are
-/// only counted.
+/// Reads all messages of a recording once and collects its content. Does not throw for an
+/// invalid message, but counts it.
 /// @throws DataError if a file is damaged
 Survey survey_bag(Bag& bag, const Progress& progress);
 

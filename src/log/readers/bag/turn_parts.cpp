@@ -13,21 +13,23 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kSamples = 256, kBins = 60;
-// Maximum azimuth range of a part of a revolution. A larger cloud is a full revolution in
-// which the vehicle blocks some directions.
+// Maximum azimuth range of a cloud that is a part of a revolution. A cloud with a larger
+// range is a full revolution in which the vehicle blocks some directions.
 constexpr double kMostOfPart = 300.0 * kPi / 180.0;
-// If no cloud has points in an azimuth range this large, the LiDAR scans a window and
-// does not rotate.
+// If all clouds together leave an azimuth range of this size empty, the LiDAR does not
+// rotate. It scans a window.
 constexpr double kLeastGap_rad = kPi / 3.0;
-// Limits for the steps between clouds. kTogether: minimum length of the mean of the
-// steps' unit vectors. kAbut: maximum difference between the step and the extent,
-// relative to the step.
+// Limits for the azimuth steps from cloud to cloud. kTogether is the minimum length of
+// the mean of the steps' unit vectors. kAbut is the maximum difference between the step
+// and the azimuth range of a cloud, relative to the step.
 constexpr double kTogether = 0.8, kAbut = 0.4;
-constexpr double kPause = 1.6;  // ratio to the usual time step above which a part is missing
+// A time step longer than this multiple of the usual time step means that a part is
+// missing.
+constexpr double kPause = 1.6;
 constexpr double kDegrees = 180.0 / kPi;
 
-/// Reads a field of a point and returns it as a number. Supports all types and both byte
-/// orders.
+/// Reads a field of a point as a number. The field is float or double, in either byte
+/// order.
 double number_at(const Cloud& cloud, const Cloud::Field& field, std::size_t point) {
     const std::size_t row = point / cloud.width * (cloud.height > 1 ? cloud.row_step : 0);
     char raw[8] = {};
@@ -46,11 +48,12 @@ const Cloud::Field* find_real(const Cloud& cloud, const char* name) {
     return field == cloud.fields.end() || field->kind != 'F' ? nullptr : &*field;
 }
 
-/// Returns the azimuth range that has points: everything except the widest range of empty
-/// bins.
+/// Returns the azimuth range that contains points. This is the full circle without the
+/// widest range of empty bins.
 std::optional<Arc> arc_of_bins(const std::array<bool, kBins>& seen) {
     std::size_t widest = 0, end = 0, run = 0;
-    for (std::size_t b = 0; b < 2 * kBins; ++b) {  // runs twice around, because a gap may cross the end
+    // scans the circle twice, because a gap may continue after the last bin
+    for (std::size_t b = 0; b < 2 * kBins; ++b) {
         run = seen[b % kBins] ? 0 : run + 1;
         if (run > widest) widest = run, end = b + 1;
     }
@@ -78,14 +81,15 @@ double median_of(std::vector<Value> values) {
     return double(*middle);
 }
 
-/// Typical extent and step of the parts of a revolution.
+/// Azimuth range of a part of a revolution, and step from one part to the next.
 struct Parts {
-    /// Median extent of a part, and mean step to the next part. A negative step means a
-    /// clockwise rotation. It is also negative for halves, whose direction is unknown.
+    /// Median azimuth range of a part, and mean azimuth step to the next part. The step
+    /// is negative for a clockwise rotation. It is also negative for halves, because
+    /// their direction of rotation is unknown.
     double extent_rad, step_rad;
     double step_s;
-    /// azimuth of the boundary between two parts at which revolutions begin, near the
-    /// back
+    /// Azimuth at which a revolution begins. It is a boundary between two parts, near the
+    /// back of the sensor.
     double cut_rad;
 };
 
@@ -134,7 +138,8 @@ JoinedTurns join_turns(std::vector<TurnPart> clouds) {
     const std::optional<Parts> parts = parts_of(clouds);
     JoinedTurns joined;
     if (!parts) return joined;
-    const auto turned = [&](const TurnPart& part) {  // angle from the boundary to the part, 0 to 2 pi
+    // angle from the start of the revolution to the part, 0 to 2 pi
+    const auto turned = [&](const TurnPart& part) {
         const double angle =
             (parts->step_rad < 0.0 ? -1.0 : 1.0) * (double(part.arc.middle_rad) - parts->cut_rad);
         return angle - 2.0 * kPi * std::floor(angle / (2.0 * kPi));

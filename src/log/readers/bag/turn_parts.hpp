@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Joins clouds to full revolutions. Some drivers publish halves or slices of a revolution
-// as separate clouds.
+// Joins clouds to full revolutions, because some drivers publish halves or slices of a
+// revolution as separate clouds.
 #pragma once
 
 #include <cstdint>
@@ -12,12 +12,12 @@
 
 namespace relidar::bag {
 
-/// Azimuth range of some points about the z axis.
+/// Azimuth range that a set of points covers about the z axis.
 struct Arc {
     float middle_rad = 0.0f, extent_rad = 0.0f;
 };
-/// Computes the azimuth range of a cloud from about 256 of its points. The resolution is
-/// 6 degrees. Returns nothing if the cloud has no x or y.
+/// Computes the azimuth range of a cloud from about 256 points, with a resolution of 6
+/// degrees. Returns nothing if the cloud has no field x or y.
 std::optional<Arc> arc_of(const Cloud& cloud);
 
 /// A cloud that is a part of a revolution.
@@ -29,14 +29,14 @@ struct TurnPart {
 };
 
 struct JoinedTurns {
-    /// The parts of each revolution in the order of their stamps. Empty if nothing is
-    /// joined: each cloud is a full revolution, or covers a window.
+    /// Clouds of each revolution, sorted by time stamp. Empty if no clouds were joined,
+    /// because each cloud is a full revolution or the LiDAR scans a window.
     std::vector<std::vector<TurnPart>> turns;
     std::size_t n_left_out = 0;  ///< parts of incomplete revolutions
     std::string about;
 };
-/// Joins the clouds of a topic to revolutions. Nothing is joined if each cloud is a full
-/// revolution, or if the LiDAR scans a window and does not spin.
+/// Joins the clouds of a topic to full revolutions. Joins no clouds if each cloud is a
+/// full revolution, or if the LiDAR scans a window and does not rotate.
 /// @param clouds  all clouds of a topic
 JoinedTurns join_turns(std::vector<TurnPart> clouds);
 

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads Boreas sequences. Each line of lidar_poses.csv has the position and the angles of
-// the LiDAR in an East-North-Up frame. The authors rotate frames instead of vectors. So
-// the rotation from the LiDAR to the East-North-Up frame is
+// Reads Boreas sequences. Each line of lidar_poses.csv contains the position and the
+// angles of the LiDAR in an East-North-Up frame. The angles rotate frames instead of
+// vectors. So the rotation from the LiDAR to the East-North-Up frame is
 //   C = C_1(roll) C_2(pitch) C_3(yaw) = R_x(-roll) R_y(-pitch) R_z(-yaw),
-// not the usual R_z(yaw) R_y(pitch) R_x(roll). The reader checks this convention: with
-// the right convention, the vehicle drives forward and along the road.
+// and not the usual R_z(yaw) R_y(pitch) R_x(roll). The reader checks this convention:
+// with the right convention, the vehicle drives forward and along the road.
 #include "log/readers/boreas/boreas.hpp"
 
 #include <cmath>
@@ -21,23 +21,23 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Values per line: east, north, up, three velocities, roll, pitch, yaw, three angular
-// rates.
+// Number of values per line: east, north, up, three velocities, roll, pitch, yaw, three
+// angular rates.
 constexpr std::size_t kPoseNumbers = 12;
 constexpr std::size_t kFirstAngle = 6;
 constexpr double kMicrosecond = 1e-6;
-constexpr double kMostGap_s = 0.5;  // maximum time between two poses; every scan has a pose
-// Another angle convention must improve the forward component of the driving direction by
-// more than this value. Curves change the component by less.
+constexpr double kMostGap_s = 0.5;  // maximum time between two poses; the dataset has one pose per scan
+// Minimum advantage of another angle convention: increase of the forward component of the
+// driving direction. Curves cause a smaller difference.
 constexpr double kClearlyForward = 0.05;
-// maximum ratio of the vertical spread of steps between another angle convention and the
-// best one so far
+// Another angle convention is better if it reduces the vertical spread of the steps to
+// less than this ratio.
 constexpr double kClearlyLevel = 0.7;
-// minimum number of driven steps for the comparison of vertical spreads
+// Minimum number of steps. With fewer steps, the vertical spreads are not compared.
 constexpr std::size_t kFewestSteps = 50;
 constexpr double kBrightest = 255.0;
 
-/// Forward direction of the vehicle in the LiDAR's frame.
+/// Direction in which the vehicle drives forward, in the frame of the LiDAR.
 struct Forward {
     glm::dvec3 direction{1.0, 0.0, 0.0};
     bool is_known = false;
@@ -45,8 +45,9 @@ struct Forward {
     double azimuth_rad() const { return std::atan2(direction.y, direction.x); }
 };
 
-/// Reads T_applanix_lidar.txt, the 4x4 transform from the LiDAR to the Applanix frame (x
-/// right, y forward, z up). Returns an unknown direction if the file does not exist.
+/// Reads the forward direction from T_applanix_lidar.txt. This file contains the 4x4
+/// transform from the LiDAR to the Applanix frame (x right, y forward, z up). If the file
+/// does not exist, returns an unknown direction.
 Forward read_forward(const fs::path& file) {
     if (!path_exists(file)) return {};
     const auto m = parse_numbers(read_text(file));
@@ -60,12 +61,12 @@ Forward read_forward(const fs::path& file) {
     return {inverse(applanix_from_lidar).rotation * glm::dvec3(0, 1, 0), true};
 }
 
-/// A convention for computing the rotation from the LiDAR to the world from roll, pitch
-/// and yaw.
+/// A convention that converts roll, pitch and yaw to the rotation from the LiDAR to the
+/// world.
 struct AngleOrder {
     const char* name;
     double sign;     ///< sign of the angles
-    bool yaw_first;  ///< true: vectors are rotated by yaw first; false: vectors are rotated by roll first
+    bool yaw_first;  ///< if true, vectors are rotated by yaw first; if false, by roll first
 };
 // the documented convention
 constexpr AngleOrder kAngleOrders[] = {{"R_x(-roll) R_y(-pitch) R_z(-yaw)", -1.0, true},
@@ -92,14 +93,14 @@ PoseTrack track_of(const std::vector<stamped::StampedRow>& rows, const stamped::
     return track;
 }
 
-/// Returns how well the driving direction agrees with the vehicle's forward direction.
+/// Returns how well the driving direction matches the forward direction of the vehicle.
 /// The maximum is 1.
 double forwardness(const stamped::Driving& driving, const Forward& forward) {
     return forward.is_known ? glm::dot(driving.mean, forward.direction) : glm::length(driving.mean);
 }
 
-/// Reads the poses of the LiDAR. Uses the angle convention of the Boreas documentation
-/// unless another convention fits the driving direction clearly better.
+/// Reads the poses of the LiDAR. Uses the documented angle convention of Boreas, unless
+/// another convention clearly fits the driving direction better.
 PoseTrack read_boreas_poses(const fs::path& file, const stamped::StampedLog& log, const Forward& forward,
                             std::vector<std::string>& notes) {
     const std::vector<stamped::StampedRow> rows = stamped::read_rows(file, kPoseNumbers);
@@ -124,7 +125,7 @@ PoseTrack read_boreas_poses(const fs::path& file, const stamped::StampedLog& log
     return best;
 }
 
-/// Rotates the sensor frame of all poses so that its x axis points forward.
+/// Rotates the sensor frame of all poses, so that the x axis points forward.
 void turn_to_front(PoseTrack& track, double forward_rad) {
     const Pose lidar_from_turned{rotation_of(forward_rad, 0.0, 0.0), {}};
     for (Pose& pose : track.pose) pose = pose * lidar_from_turned;

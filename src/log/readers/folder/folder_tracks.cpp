@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads poses.txt and boxes.json of a plain folder, which is relidar's log format.
+// Reads poses.txt and boxes.json of a plain folder. A plain folder is relidar's log
+// format.
 #include <algorithm>
 #include <cmath>
 
@@ -20,15 +21,15 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Maximum time of a frame before the first pose or after the last pose. It is about one
-// sweep.
+// A frame may be before the first pose or after the last pose by at most this time, about
+// one sweep.
 constexpr double kMostBeyond_s = 0.1;
-constexpr double kLargestOfTrack = 1e12;  // limit of all lengths and times
+constexpr double kLargestOfTrack = 1e12;  // maximum value of all lengths and times
 constexpr double kUnit = 1e-3;            // tolerance of a quaternion's length
 
 const std::vector<std::string> kPoseNames{"time_s", "x", "y", "z", "qw", "qx", "qy", "qz"};
 
-/// Returns a line without its comment. A comment begins with '#'.
+/// Returns a line without its comment, which begins with '#'.
 std::string_view content(const std::string& line) {
     return trimmed(std::string_view(line).substr(0, line.find('#')));
 }
@@ -43,7 +44,7 @@ std::vector<std::string_view> pose_words(std::string_view text) {
     return words;
 }
 
-/// Returns true if a line lists the names of the columns. Such a line is a comment that
+/// Returns true if a line contains the names of the columns. Either it is a comment that
 /// contains "qw", or its first word is not a number.
 bool names_columns(const std::string& line) {
     const std::vector<std::string_view> words =
@@ -68,15 +69,15 @@ std::vector<int> find_pose_columns(const std::string& line, const std::string& w
     return at;
 }
 
-/// The numbers of a pose file with times, one row per pose: a time, a position, and a
-/// quaternion or three angles.
+/// Numbers of a pose file with times, one row per pose. A row contains a time, a
+/// position, and a quaternion or three angles.
 struct PoseRows {
     std::vector<std::vector<double>> rows;
-    bool has_names = false;  ///< true: a line of names states the order of the columns
+    bool has_names = false;  ///< true if a line with column names defines the order of the columns
 };
 
-/// Parses a line of numbers.
-/// @param n  expected number of numbers; 0: 7 or 8
+/// Parses the numbers in a line.
+/// @param n  expected number of values; 0 means 7 or 8
 std::vector<double> pose_row(const std::string& line, std::size_t n, const std::string& where) {
     const auto v = parse_numbers(content(line));
     if (!v || (n > 0 ? v->size() != n : v->size() != 7 && v->size() != 8))
@@ -119,7 +120,7 @@ PoseRows read_rows(const std::vector<std::string>& lines, const std::string& fil
     return rows;
 }
 
-/// Returns the track that a file describes.
+/// Converts the rows of a pose file to a track.
 /// @param rotation_of_row  returns the rotation of a row
 template <class RotationOf>
 PoseTrack track_of(const PoseRows& rows, const RotationOf& rotation_of_row) {
@@ -136,7 +137,8 @@ PoseTrack inverse_track(PoseTrack track) {
     return track;
 }
 
-/// Adds the inverse of each reading, for files with sensor-from-world poses.
+/// Adds the inverse poses of each reading to the list, because a file may contain
+/// sensor-from-world poses.
 std::vector<PoseReading> with_inverses(std::vector<PoseReading> readings) {
     const std::size_t n = readings.size();
     for (std::size_t k = 0; k < n; ++k)
@@ -145,7 +147,7 @@ std::vector<PoseReading> with_inverses(std::vector<PoseReading> readings) {
     return readings;
 }
 
-/// Returns everything that the rows may mean. The documented meaning is first.
+/// Returns all possible meanings of the rows. The documented meaning is the first one.
 std::vector<PoseReading> readings_of(const PoseRows& rows) {
     using Row = std::vector<double>;
     const auto angles = [](const Row& row, double unit) {
@@ -235,7 +237,8 @@ std::optional<std::vector<Pose>> read_poses(const fs::path& file, const std::vec
         if (rows.rows.empty())
             throw DataError(fmt::format("{}: no pose, expected 12 or 8 numbers a line", file.string()));
         const std::vector<PoseReading> readings = readings_of(rows);
-        // relidar has written a file with these names
+        // Only relidar writes files with these column names, so no other meaning is
+        // tested.
         if (rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos)
             return interpolated(readings[0].world_from_vehicle, frames, file.string());
         const std::size_t k = choose_reading(readings, read_pairs, file.string(), notes);
@@ -244,7 +247,7 @@ std::optional<std::vector<Pose>> read_poses(const fs::path& file, const std::vec
     std::vector<int> numbers;
     for (const HeadFrame& frame : frames) numbers.push_back(frame.number);
     std::vector<Pose> poses = kitti::read_pose_file(file, numbers);
-    PoseTrack track;  // one pose per time, because LiDARs that sweep together share a pose
+    PoseTrack track;  // one pose per time, because LiDARs of the same sweep share a pose
     for (std::size_t i = 0; i < frames.size(); ++i) {
         if (!track.time_s.empty() && frames[i].time_s == track.time_s.back()) continue;
         track.time_s.push_back(frames[i].time_s);

@@ -20,7 +20,7 @@ using folder::HeadFrame;
 
 /// Returns the frames in the requested range whose scan file exists.
 /// @throws DataError if a scan file is missing and missing scans are not allowed
-/// @throws UsageError if the range has no scan file
+/// @throws UsageError if the range contains no scan file
 std::vector<HeadFrame> select_frames(const folder::Head& head, const DatasetOptions& options,
                                      std::vector<std::string>& notes) {
     std::vector<HeadFrame> frames;
@@ -45,8 +45,8 @@ std::vector<HeadFrame> select_frames(const folder::Head& head, const DatasetOpti
     return frames;
 }
 
-/// Reads some pairs of consecutive scans of the first LiDAR, spread over the log. Files
-/// that cannot be read, and images, are skipped.
+/// Reads pairs of consecutive scans of the first LiDAR, evenly spread over the log. Skips
+/// images, and files that cannot be read.
 folder::ScanPairs read_pairs(const folder::Head& head, const std::vector<HeadFrame>& frames) {
     constexpr std::size_t kPairs = 4;
     folder::ScanPairs pairs;
@@ -57,7 +57,7 @@ folder::ScanPairs read_pairs(const folder::Head& head, const std::vector<HeadFra
     const auto read = [&](const HeadFrame& frame) {
         const folder::PointTable table = folder::read_point_file(frame.scan, head.units.columns);
         folder::PointUnits units = head.units;
-        units.intensity_max = 1.0;  // the scale of the intensities does not matter here
+        units.intensity_max = 1.0;  // any scale works, because the intensities are not used here
         std::vector<glm::vec3> points =
             folder::points_of(table, units, frame.time_s, frame.scan.string()).position_m;
         for (glm::vec3& p : points) p = glm::vec3(mounting * glm::dvec3(p));
@@ -70,13 +70,13 @@ folder::ScanPairs read_pairs(const folder::Head& head, const std::vector<HeadFra
             pairs.add(of_first[i]->time_s, read(*of_first[i]), of_first[i + 1]->time_s,
                       read(*of_first[i + 1]));
         } catch (const DataError&) {
-            continue;  // reading the scans later reports the error
+            continue;  // the error is reported when the scans are read
         }
     }
     return pairs;
 }
 
-/// Returns the poses in poses.txt. If the file does not exist but the user has specified
+/// Returns the poses in poses.txt. If the file does not exist and the user requested
 /// other poses, returns identity poses.
 std::vector<Pose> read_scan_poses(const fs::path& folder, const folder::Head& head,
                                   const std::vector<HeadFrame>& frames, const DatasetOptions& options,
@@ -91,14 +91,15 @@ std::vector<Pose> read_scan_poses(const fs::path& folder, const folder::Head& he
                     file.string()));
 }
 
-/// Replaces the vehicle poses of the log by poses from a file. Boxes keep their position
-/// relative to the vehicle.
+/// Replaces the vehicle poses of the log by poses from a file. Keeps the positions of
+/// boxes relative to the vehicle.
 void replace_poses(Sequence& sequence, const folder::Head& head, const std::vector<HeadFrame>& frames,
                    const fs::path& file) {
     PoseTrack track{sequence.world_from_vehicle.time_s, {}};
     if (file == kNoPoses) {
         track.pose.resize(track.time_s.size());
-        const auto& notes = sequence.notes;  // a converted log may already have this note
+        // used to check whether a converted log already has this note
+        const auto& notes = sequence.notes;
         if (std::find(notes.begin(), notes.end(), kitti::kNoPosesNote) == notes.end())
             sequence.notes.push_back(kitti::kNoPosesNote);
     } else {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of plain folders, which contain sequence.json, poses.txt, boxes.json and scans.
+// Loads plain folders, which contain sequence.json, poses.txt, boxes.json and scans.
 // Users write such folders from their own logs. `relidar convert` writes them from any
 // supported format.
 #pragma once
@@ -10,7 +10,7 @@
 
 namespace relidar {
 
-/// Reads a plain folder.
+/// Loads a plain folder as a log.
 /// @throws DataError with file and field
 Sequence load_plain_folder(const std::filesystem::path& folder, const DatasetOptions& options);
 

@@ -28,8 +28,8 @@ Json json_of(const glm::dquat& q) { return {q.w, q.x, q.y, q.z}; }
 
 std::string pattern_name(std::size_t lidar) { return fmt::format("sensor_{}.json", lidar); }
 
-/// Returns the description of a LiDAR for sequence.json.
-/// @param number  index of the LiDAR
+/// Returns the JSON object of a LiDAR for sequence.json.
+/// @param number  index of the LiDAR in the log
 Json json_of(const Lidar& lidar, std::size_t number) {
     const Pose& mounting = lidar.vehicle_from_sensor;
     return {{"name", lidar.name},

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits the firing angles of an HDL-64E in two steps. (1) Fit the encoder's tick size and
-// the left offset of each beam. They maximise how well the azimuths of a beam lie on
-// multiples of the tick:
-//   max over tick, left of | mean exp(2 pi i (azimuth - asin(left / rho)) / tick) |,
-// (2) Fit the azimuth offset of each beam in whole ticks. It maximises the number of
-// ticks at which this beam and the other beams have returns.
+// Fits the firing angles of an HDL-64E in two steps. The first step fits the tick size of
+// the encoder and the left offset of each beam, so that the azimuths of a beam are close
+// to multiples of the tick size:
+//   max over tick, left of | mean exp(2 pi i (azimuth - asin(left / rho)) / tick) |
+// The second step fits the azimuth offset of each beam, in full ticks. It maximises the
+// number of ticks at which this beam and other beams have returns.
 #include "log/readers/kitti/firing_lattice.hpp"
 
 #include <algorithm>
@@ -19,14 +19,15 @@
 namespace relidar::kitti {
 namespace {
 
-// Encoder ticks per revolution of an HDL-64E (0.09 degrees each). The number was measured
+// Number of encoder ticks per revolution of an HDL-64E (0.09 degrees per tick), measured
 // on KITTI (2011_09_26_drive_0005).
 constexpr int kEncoderTicks = 4000;
-constexpr double kMaxOffset_rad = 0.35;  // HDL-64E calibrations have at most 0.16 rad to either side
-// minimum number of returns at a tick for a firing; stray points have fewer
+// maximum azimuth offset of a beam; HDL-64E calibrations have at most 0.16 rad
+constexpr double kMaxOffset_rad = 0.35;
+// A tick is a firing if at least this many beams have a return. Stray points have fewer.
 constexpr int kMinLasers = 4;
 
-/// Azimuth, and inverse distance from the spin axis, of each point of one beam.
+/// Azimuth and inverse distance from the spin axis, for each point of one beam.
 struct Polar {
     std::vector<double> azimuth_rad, inverse_rho;
 };
@@ -37,8 +38,8 @@ std::array<Polar, kRings> polar_of(const std::vector<const RawScan*>& scans) {
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
             const glm::dvec4 p(scan->points[i]);
             const double rho = std::hypot(p.x, p.y);
-            // The files have a resolution of about a millimetre. This is too coarse for
-            // the azimuths of near points, so such points are skipped.
+            // Skip near points, because the files have a resolution of about a
+            // millimetre. The azimuths of near points are therefore not accurate enough.
             if (rho < 2.0) continue;
             polar[scan->ring[i]].azimuth_rad.push_back(std::atan2(p.y, p.x));
             polar[scan->ring[i]].inverse_rho.push_back(1.0 / rho);
@@ -56,15 +57,14 @@ std::complex<double> mean_phase(const Polar& polar, double tick_rad, double left
     return n > 0 ? sum / static_cast<double>(n) : sum;
 }
 
-/// Left offset and phase of the azimuths of one beam for a given tick size. A
-/// concentration of 1 means that all azimuths are multiples of the tick size plus the
-/// phase.
+/// Left offset and phase of the azimuths of one beam, for a given tick size. The
+/// concentration is 1 if all azimuths are multiples of the tick size plus the phase.
 struct Phase {
     double left_m = 0.0, phase_rad = 0.0, concentration = 0.0;
 };
 
-/// Refines the left offset and the phase of a beam. Fits azimuth residual = phase + left
-/// / rho by least squares.
+/// Improves the left offset and the phase of a beam by a least-squares fit: azimuth
+/// residual = phase + left / rho.
 void refine(Phase& phase, const Polar& polar, double tick_rad) {
     double n = 0, su = 0, se = 0, suu = 0, sue = 0;
     for (std::size_t i = 0; i < polar.azimuth_rad.size(); ++i) {
@@ -74,7 +74,7 @@ void refine(Phase& phase, const Polar& polar, double tick_rad) {
         n += 1, su += u, se += e, suu += u * u, sue += u * e;
     }
     const double spread = n * suu - su * su;
-    // if all ranges are similar, the left offset and the phase cannot be separated
+    // If all ranges are similar, the fit cannot separate the left offset from the phase.
     if (n < 16 || spread < 1e-4 * n * n) return;
     const double left = (n * sue - su * se) / spread;
     phase.left_m += left;
@@ -87,8 +87,8 @@ Phase find_azimuth_phase(const Polar& polar, double tick_rad) {
     for (int mm = -60; mm <= 60; mm += 2) {
         const std::complex<double> mean = mean_phase(polar, tick_rad, mm * 1e-3, stride);
         const double gain = std::abs(mean) - best.concentration;
-        // Uses a left offset only if it increases the concentration clearly. Otherwise
-        // uses an offset of 0.
+        // Use a left offset only if it clearly increases the concentration. Otherwise use
+        // the offset 0.
         if (mm == -60 || gain > 0.0)
             best = {mm * 1e-3, std::arg(mean) * tick_rad / (2.0 * kPi), std::abs(mean)};
     }
@@ -120,8 +120,8 @@ Phases find_phases(const std::array<Polar, kRings>& polar, double tick_rad) {
     return phases;
 }
 
-/// Estimates the number of azimuth steps per revolution. Computes the mean step between
-/// consecutive points of a beam and ignores steps longer than 1.5 times the median.
+/// Estimates the number of firings per revolution from the mean azimuth step between
+/// consecutive points of a beam. Ignores steps longer than 1.5 times the median step.
 int mean_steps(const std::vector<const RawScan*>& scans) {
     std::vector<double> steps;
     for (const RawScan* scan : scans) {
@@ -142,8 +142,8 @@ int mean_steps(const std::vector<const RawScan*>& scans) {
     return std::max(static_cast<int>(std::lround(2.0 * kPi * n / sum)), 1);
 }
 
-/// [beams] encoder ticks of the points in one scan, before the beams are shifted by whole
-/// ticks
+/// [beams] encoder ticks of the points of each beam in one scan, before beams are shifted
+/// by full ticks
 using Ticks = std::vector<std::vector<int>>;
 
 Ticks ticks_of(const RawScan& scan, const FiringLattice& lattice) {
@@ -159,8 +159,8 @@ Ticks ticks_of(const RawScan& scan, const FiringLattice& lattice) {
     return ticks;
 }
 
-/// Returns for each scan the encoder ticks at which at least `at_least` beams have a
-/// return. The ticks of each beam are shifted by `shift` first.
+/// Returns for each scan and tick whether at least `at_least` beams have a return. First
+/// shifts the ticks of each beam by `shift`.
 std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std::vector<int>& shift,
                                      int n_ticks, int at_least) {
     std::vector<std::vector<char>> pattern;
@@ -176,9 +176,10 @@ std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std:
     return pattern;
 }
 
-/// Returns the shift of a beam, in whole ticks, for which most of its ticks are in the
-/// pattern. Returns 0 unless another shift matches at least 1 % more of the ticks. Of
-/// equal shifts, returns the one nearest to 0.
+/// Returns the shift of a beam, in full ticks, for which most of its ticks are also ticks
+/// of the other beams. Returns 0 unless another shift matches at least 1 % more of the
+/// ticks. If several shifts are equally good, returns the one nearest to 0.
+/// @param pattern  [scans][ticks] true if other beams have returns at the tick
 int best_shift(const std::vector<Ticks>& ticks, std::size_t ring,
                const std::vector<std::vector<char>>& pattern, int n_ticks, int reach) {
     std::size_t n = 0;
@@ -218,7 +219,7 @@ std::vector<int> find_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
     std::vector<int> shift(kRings, 0);
     auto pattern = fired(reference, shift, n_ticks, 1);
     // The first pass compares each beam with the beam that has most points. The second
-    // pass compares it with all beams.
+    // pass compares each beam with all beams.
     for (int pass = 0; pass < 2; ++pass) {
         parallel_for(kRings, [&](int k) {
             shift[static_cast<std::size_t>(k)] =
@@ -229,8 +230,8 @@ std::vector<int> find_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
     return shift;
 }
 
-/// Subtracts the mean azimuth offset from all beams and adds it to the zero angle of the
-/// head. The head then faces the mean direction of its beams.
+/// Subtracts the mean azimuth offset from all beams, and adds it to the zero angle of the
+/// head. Then the head faces the mean direction of the beams.
 void centre(FiringLattice& lattice) {
     const double mean = std::accumulate(lattice.offset_rad.begin(), lattice.offset_rad.end(), 0.0) / kRings;
     for (double& offset : lattice.offset_rad) offset -= mean;
@@ -249,8 +250,8 @@ std::vector<Beam> FiringLattice::beams(const Cones& cones) const {
 }
 
 FiringLattice fit_lattice(const std::vector<const RawScan*>& scans) {
-    // minimum mean concentration of a valid fit; it is 0.98 on KITTI and near 0 for
-    // evenly spread azimuths
+    // Minimum mean concentration of a valid fit. It is 0.98 on KITTI. For evenly
+    // distributed azimuths, it is near 0.
     constexpr double kFound = 0.8;
     const std::array<Polar, kRings> polar = polar_of(scans);
     FiringLattice lattice;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Assigns the points of an HDL-64E to rings by their order in the file. Fits a cone z =
 // z0 + rho * tan(elevation) to each ring by least squares. The lenses of both blocks of
-// 32 beams are above or below the sensor's origin. So an elevation measured from the
-// origin would depend on the range, but the angle of the cone does not.
+// 32 beams are above or below the origin of the sensor. So the elevation as seen from the
+// origin depends on the range, but the angle of the cone does not.
 #include "log/readers/kitti/hdl64_rings.hpp"
 
 #include <algorithm>
@@ -22,8 +22,8 @@ struct Sample {
 
 double residual(const Cone& cone, const Sample& s) { return s.z_m - cone.z0_m - s.rho_m * cone.tan_el; }
 
-/// Fits a line z(rho) by least squares. Samples that are more than limit_m from the line
-/// `previous` are ignored.
+/// Fits a line z(rho) by least squares. Ignores samples whose distance from the line
+/// `previous` is more than limit_m.
 Cone fit_line(const std::vector<Sample>& samples, const Cone& previous, double limit_m) {
     double n = 0, sr = 0, sz = 0, srr = 0, srz = 0;
     for (const Sample& s : samples) {
@@ -31,8 +31,8 @@ Cone fit_line(const std::vector<Sample>& samples, const Cone& previous, double l
         n += 1, sr += s.rho_m, sz += s.z_m, srr += s.rho_m * s.rho_m, srz += s.rho_m * s.z_m;
     }
     const double spread = n * srr - sr * sr;
-    // If the spread of ranges is small, the rounding of 0.3 mm causes a slope error of
-    // more than 5e-5, so nothing is fitted.
+    // If the ranges are too similar, do not fit. Coordinates are rounded to 0.3 mm, which
+    // would change the slope by more than 5e-5.
     if (n < 16 || spread < 36.0 * n) return {};
     const double slope = (n * srz - sr * sz) / spread;
     return {(sz - slope * sr) / n, slope, static_cast<std::size_t>(n)};
@@ -53,8 +53,8 @@ Cone fit_cone(const std::vector<Sample>& samples) {
     return cone;
 }
 
-/// Height of the lenses in a block of 32 beams as a linear function of the beam's slope:
-/// z0 = mean_z0 + slope * (tan_el - mean_tan).
+/// Height of the lenses in a block of 32 beams, as a linear function of the slope of the
+/// beam: z0 = mean_z0 + slope * (tan_el - mean_tan).
 struct BlockLine {
     double mean_tan = 0.0, mean_z0 = 0.0, slope = 0.0;
     double at(double tan_el) const { return mean_z0 + slope * (tan_el - mean_tan); }
@@ -75,9 +75,9 @@ BlockLine fit_block(const Cones& cones, const std::vector<std::size_t>& good) {
     return line;
 }
 
-/// Returns the slope of a ring for which slope and height cannot be fitted, because its
-/// ranges are too similar. Computes the height with the block's line, then the median
-/// slope of the points.
+/// Returns the slope of a ring whose ranges are too similar for a fit of slope and
+/// height. Computes the height from the line of the block, then returns the median slope
+/// of the points.
 double slope_at_height(const std::vector<Sample>& samples, const BlockLine& line, double tan_el) {
     std::vector<double> slope(samples.size());
     for (int pass = 0; pass < 3; ++pass) {
@@ -90,7 +90,7 @@ double slope_at_height(const std::vector<Sample>& samples, const BlockLine& line
     return tan_el;
 }
 
-/// Estimates the cones of rings that could not be fitted from the fitted beams in the
+/// Estimates the cones of rings that could not be fitted. Uses the fitted beams in the
 /// same block of 32.
 void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samples,
                const std::string& where) {
@@ -119,7 +119,7 @@ void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samp
 }
 
 /// Returns the ring whose cone is nearest to a group of consecutive points. Compares the
-/// median distance of some of the points.
+/// median distance of a sample of the points from each cone.
 int nearest_ring(const RawScan& scan, std::size_t begin, std::size_t end, const Cones& cones) {
     const std::size_t step = std::max<std::size_t>((end - begin) / 32, 1);
     int best = 0;
@@ -161,7 +161,8 @@ Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& whe
     int most = 0;
     for (const RawScan* scan : scans) {
         most = std::max(most, scan->n_rings);
-        // One stray point may seem to start a 65th ring, so such scans are used too.
+        // Also use scans with 65 rings, because a single stray point may appear to start
+        // a new ring.
         if (scan->n_rings != kRings && scan->n_rings != kRings + 1) continue;
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
             const glm::dvec4 p(scan->points[i]);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Assigns the points of a KITTI scan to the 64 beams of the LiDAR. Also fits the cone on
-// which the points of each beam lie:
+// Assigns the points of a KITTI scan to the 64 beams of the LiDAR. Also fits a cone to
+// the points of each beam:
 //   z = z0 + rho * tan(elevation),  rho = hypot(x, y)
 #pragma once
 
@@ -15,34 +15,35 @@ namespace relidar::kitti {
 
 constexpr int kRings = 64;
 
-/// The points of a scan in file order, and the beam of each point. Beam 0 is the highest.
+/// The points of a scan in the order of the file, and the beam of each point. Beam 0 is
+/// the highest.
 struct RawScan {
-    std::vector<glm::vec4> points;  ///< x, y, z (metres, sensor frame), reflectance
+    std::vector<glm::vec4> points;  ///< x, y, z in metres in the sensor frame, and reflectance
     std::vector<std::uint8_t> ring;
-    int n_rings = 0;  ///< number of rings in the file, 64 in a complete scan
+    int n_rings = 0;  ///< number of rings in the file; 64 in a complete scan
 };
 
-/// Cone that a beam draws when the head rotates.
+/// The cone on which the points of a beam lie, because the head rotates.
 struct Cone {
     double z0_m = 0.0;  ///< height at which the beam crosses the spin axis
     double tan_el = 0.0;
-    std::size_t n = 0;  ///< number of points in the fit; 0: the cone was estimated from other beams
+    std::size_t n = 0;  ///< number of points in the fit; 0 if the cone was estimated from other beams
 };
 using Cones = std::array<Cone, kRings>;
 
-/// Splits a scan into rings. The file stores one ring after another, and the azimuth of a
-/// ring increases from the forward direction. So a new ring begins where the azimuth
-/// changes from the 4th to the 1st quadrant. Ring numbers are limited to 63.
+/// Splits the points of a scan into rings. The file stores one ring after another. In a
+/// ring, the azimuth increases from the forward direction. So a new ring begins where the
+/// azimuth changes from the 4th to the 1st quadrant. Ring numbers are limited to 63.
 RawScan split_rings(std::vector<glm::vec4> points);
 
-/// Fits the cone of every ring to several scans by least squares. Outliers are ignored.
-/// @param where  description of the log for error messages
+/// Fits the cone of each ring to several scans by least squares. Ignores outliers.
+/// @param where  name of the log, for error messages
 /// @throws DataError if no scan has 64 rings
 Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& where);
 
-/// Corrects wrong rings with the help of the fitted cones. The file order gives wrong
-/// rings if a beam has no returns at all. It also gives a wrong ring for a last point
-/// that was rounded to azimuth 0, which seems to start the next ring.
+/// Corrects wrong ring numbers by comparing points with the fitted cones. The order in
+/// the file gives a wrong ring in two cases: a beam has no returns, or the last point of
+/// a ring was rounded to azimuth 0 and appears to start the next ring.
 void correct_rings(RawScan& scan, const Cones& cones);
 
 }  // namespace relidar::kitti

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads KITTI-360. The poses of the dataset are those of the IMU (x forward, y right, z
-// down). The poses of the LiDAR are
+// Reads KITTI-360. The dataset contains poses of the IMU (x forward, y right, z down).
+// The poses of the LiDAR are
 //   world_from_velo = world_from_imu * imu_from_cam0 * inverse(velo_from_cam0)
-// Scans are not motion-compensated. A pose is valid at the time when the LiDAR head faces
-// forward, as in KITTI raw.
+// Scans are not motion-compensated. A pose is valid at the time when the head of the
+// LiDAR faces forward, as in KITTI raw.
 #include "log/readers/kitti/kitti_360.hpp"
 
 #include <algorithm>
@@ -64,19 +64,20 @@ Drive choose_drive(const fs::path& folder, const DatasetOptions& options) {
         excerpt(options.sequence), folder.string(), excerpt(fmt::format("{}", fmt::join(drives, ", ")))));
 }
 
-/// Reads the poses of the LiDAR in the world, by frame number. Some frames have no pose.
+/// Returns the poses of the LiDAR in the world frame, by frame number. Some frames have
+/// no pose.
 std::map<int, Pose> read_velo_poses(const fs::path& folder, const std::string& drive) {
     const fs::path calibration = folder / "calibration";
     const Pose imu_from_cam0 = read_transform(calibration / "calib_cam_to_pose.txt", "image_00");
-    // the file has a single line of 12 numbers
+    // the file contains a single line of 12 numbers
     const Pose velo_from_cam0 = read_pose_file(calibration / "calib_cam_to_velo.txt", {0}).front();
     std::map<int, Pose> poses = read_numbered_poses(folder / "data_poses" / drive / "poses.txt");
     for (auto& [frame, pose] : poses) pose = pose * imu_from_cam0 * inverse(velo_from_cam0);
     return poses;
 }
 
-/// Returns the pose of a frame. A missing pose is interpolated between its neighbours.
-/// This requires that they are at most half a second apart or that the car stands still.
+/// Returns the pose of a frame. If it is missing, interpolates between the neighbouring
+/// poses. These poses must be at most half a second apart, or the car must stand still.
 /// Otherwise returns nothing.
 std::optional<Pose> pose_at(const std::map<int, Pose>& poses, int frame) {
     constexpr int kNearFrames = 5;
@@ -93,8 +94,8 @@ std::optional<Pose> pose_at(const std::map<int, Pose>& poses, int frame) {
     return interpolate(before->second, after->second, double(frame - before->first) / apart);
 }
 
-/// Adds all frames that have a pose to the log. Adds notes that list frames with an
-/// interpolated pose and frames without a pose.
+/// Adds all frames that have a pose to the log. Adds notes about frames with an
+/// interpolated pose and about frames without a pose.
 void add_posed_frames(Sequence& sequence, const std::vector<int>& frames, const std::vector<double>& time_s,
                       const std::map<int, Pose>& poses) {
     std::vector<int> between, without;
@@ -115,9 +116,9 @@ void add_posed_frames(Sequence& sequence, const std::vector<int>& frames, const 
         sequence.notes.push_back(fmt::format("frames without a pose, left out: {}", list_text(without)));
 }
 
-/// Finds the file with the box labels of a drive. Searches the folder train_full first,
+/// Returns the file with the box labels of a drive. Searches the folder train_full first,
 /// then the smaller folder train.
-/// @return an empty path if neither folder has the file
+/// @return empty path if neither folder contains the file
 fs::path find_boxes(const fs::path& folder, const std::string& drive) {
     for (const char* set : {"train_full", "train"}) {
         const fs::path file = folder / "data_3d_bboxes" / set / (drive + ".xml");
@@ -126,8 +127,8 @@ fs::path find_boxes(const fs::path& folder, const std::string& drive) {
     return {};
 }
 
-/// Adds the frames with their poses, and the boxes. Boxes are labelled in the world frame
-/// of the dataset's poses. So no boxes are read if the poses come from elsewhere.
+/// Adds the frames, their poses and the boxes to the log. Boxes are labelled in the world
+/// frame of the dataset. So no boxes are loaded if the poses come from another file.
 void read_world(Sequence& sequence, const fs::path& folder, const Drive& drive,
                 const std::vector<int>& frames, const fs::path& poses_file) {
     const std::vector<double> time_s =

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of KITTI-360. The folder contains calibration/,
-// data_3d_raw/DRIVE/velodyne_points, data_poses/DRIVE and data_3d_bboxes. It can contain
-// several drives.
+// Loads KITTI-360. The folder contains calibration/, data_3d_raw/DRIVE/velodyne_points,
+// data_poses/DRIVE and data_3d_bboxes. It can contain several drives.
 #pragma once
 
 #include <filesystem>
@@ -11,22 +10,21 @@
 
 namespace relidar {
 
-/// Reads one drive. DatasetOptions::sequence is the name of the drive's folder or the
-/// four digits in that name. It can also be a sequence name from the LiDAR-RT paper (ks1
-/// to ks4, kd1 to kd6), which is a part of drive 0000. World frame of the dataset: x
-/// east, y north, z up.
-/// @param folder  folder with data_3d_raw
+/// Loads one drive. The option DatasetOptions::sequence is the name of the drive's folder
+/// or the four digits in this name. It can also be a sequence name of the LiDAR-RT paper
+/// (ks1 to ks4, kd1 to kd6), which is a part of drive 0000. The world frame of the
+/// dataset has x east, y north and z up.
+/// @param folder  folder that contains data_3d_raw
 /// @throws DataError with file and field
 /// @throws UsageError if the drive is unknown or no scan is in the requested range
 Sequence load_kitti_360(const std::filesystem::path& folder, const DatasetOptions& options);
 
 namespace kitti {
 
-/// Reads the boxes of objects that can move (vehicles, people, cycles) from
-/// data_3d_bboxes/*/DRIVE.xml. Boxes are in the world frame of the dataset. A moving
-/// object has one label per frame. A standing object has one pose, which is used for all
-/// frames of its part of the drive.
-/// @param frames  frames that are read
+/// Reads the boxes of vehicles, people and cycles from data_3d_bboxes/*/DRIVE.xml. Boxes
+/// are in the world frame of the dataset. A moving object has one label per frame. A
+/// standing object has one pose, which is used for all frames of its part of the drive.
+/// @param frames  frames of the log for which boxes are read
 /// @throws DataError with object and field
 std::vector<BoxTrack> read_360_boxes(const std::filesystem::path& file, const std::vector<Frame>& frames);
 

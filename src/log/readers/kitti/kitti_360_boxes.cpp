@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the box labels of KITTI-360, which are OpenCV XML files. The root element has one
-// child per standing object, and one child per frame for each moving object. The 4x4
-// transform maps the unit cube around the origin to the box in the world. Its upper 3x3
-// block is rotation * diag(length, width, height).
+// Reads the box labels of KITTI-360, which are OpenCV XML files. A standing object is one
+// child of the root element. A moving object has one child per frame. The 4x4 transform
+// maps the unit cube around the origin to the box in the world. Its upper 3x3 block is
+// rotation * diag(length, width, height).
 #include "log/readers/kitti/kitti_360.hpp"
 
 #include <algorithm>
@@ -22,12 +22,12 @@
 namespace relidar::kitti {
 namespace {
 
-/// A class of objects that can move, with KITTI's class number. All other classes
-/// (buildings, ground, poles) are background.
+/// A class of objects that can move, with KITTI's class number. Objects of all other
+/// classes (buildings, ground, poles) belong to the background.
 struct MovableClass {
     int id;
     const char* name;
-    const char* label;  ///< text label that identifies the class if an object has no class number
+    const char* label;  ///< text label of the class, used if an object has no class number
 };
 constexpr MovableClass kMovable[] = {
     {13, "car", "car"},           {14, "truck", "truck"},           {15, "trailer", "trailer"},
@@ -35,7 +35,8 @@ constexpr MovableClass kMovable[] = {
     {19, "person", "pedestrian"}, {20, "rider", "rider"},           {34, "bus", "bus"},
 };
 
-/// Reads an integer from a child element. Returns `missing` if the child does not exist.
+/// Reads an integer from a child element. Returns `missing` if the element does not
+/// exist.
 /// @throws DataError if the text is not an integer
 int integer_of(const pugi::xml_node& object, const char* field, std::optional<int> missing,
                const std::string& where) {
@@ -48,8 +49,8 @@ int integer_of(const pugi::xml_node& object, const char* field, std::optional<in
     return static_cast<int>(*value);
 }
 
-/// Returns the class of an object. Returns null if objects of the class cannot move.
-/// Objects of drive 0004 have text labels instead of class numbers.
+/// Returns the class of an object, or null if such objects cannot move. Objects of drive
+/// 0004 have text labels instead of class numbers.
 const MovableClass* class_of(const pugi::xml_node& object, const std::string& where) {
     const bool has_number = !object.child("semanticId").empty();
     const int id = has_number ? integer_of(object, "semanticId", {}, where) : 0;
@@ -59,8 +60,8 @@ const MovableClass* class_of(const pugi::xml_node& object, const std::string& wh
     return nullptr;
 }
 
-/// Reads the 4x4 transform of an object: the pose in the world, multiplied by the size of
-/// the box.
+/// Reads the 4x4 transform of an object: pose in the world, multiplied by the size of the
+/// box.
 glm::dmat4 transform_of(const pugi::xml_node& object, const std::string& where) {
     const pugi::xml_node matrix = object.child("transform");
     const int rows = integer_of(matrix, "rows", {}, where + ": transform"),
@@ -82,8 +83,9 @@ glm::dmat4 transform_of(const pugi::xml_node& object, const std::string& where) 
     return m;
 }
 
-/// Computes the size and pose of a box from its transform. A transform with a reflection
-/// has no rotation, so the width axis is flipped. This does not change the box.
+/// Computes the size and the pose of a box from its transform. If the transform contains
+/// a reflection, flips the width axis, because a pose cannot be reflected. The box stays
+/// the same.
 void place(BoxLabel& label, const glm::dmat4& m, const std::string& where) {
     glm::dmat3 axes(m);
     label.size_m = {glm::length(axes[0]), glm::length(axes[1]), glm::length(axes[2])};
@@ -97,7 +99,8 @@ void place(BoxLabel& label, const glm::dmat4& m, const std::string& where) {
 }
 
 /// Returns the track id of an object: semanticId * 1000 + instanceId. Objects of drive
-/// 0004 lack these numbers, so the number of the moving or static object is used.
+/// 0004 do not have these numbers. For these, uses the class and the number of the moving
+/// or standing object.
 std::string track_of(const pugi::xml_node& object, const MovableClass& known, bool moves,
                      const std::string& where) {
     if (object.child("instanceId").empty())
@@ -106,7 +109,7 @@ std::string track_of(const pugi::xml_node& object, const MovableClass& known, bo
     return std::to_string(known.id * 1000LL + integer_of(object, "instanceId", {}, where));
 }
 
-/// Labels of one track by frame number.
+/// Labels of one object, by frame number.
 using Labels = std::map<int, BoxLabel>;
 
 void add_object(const pugi::xml_node& object, const std::vector<Frame>& frames,

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads KITTI odometry. The poses of the dataset are those of the left camera (z
-// forward). The transform cam_T_velo (Tr in calib.txt) converts them to poses of the
-// LiDAR:
-//   world_from_sensor(i) = inverse(Tr) * pose(i) * Tr,   world: the LiDAR of frame 0, z up.
+// Reads KITTI odometry. The dataset contains poses of the left camera (z forward). The
+// transform cam_T_velo (Tr in calib.txt) converts them to poses of the LiDAR:
+//   world_from_sensor(i) = inverse(Tr) * pose(i) * Tr
+// The world frame is the frame of the LiDAR in frame 0, with z up.
 #include "log/readers/kitti/kitti_odometry.hpp"
 
 #include <fmt/format.h>
@@ -18,7 +18,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Reads the times of some frames in seconds. Line i of the file has the time of frame i.
+/// Reads the times of some frames in seconds. Line i of the file contains the time of
+/// frame i.
 std::vector<double> read_seconds(const fs::path& file, const std::vector<int>& frames) {
     const std::vector<std::string> lines = split_lines(read_text(file));
     std::vector<double> time_s;
@@ -36,8 +37,8 @@ std::vector<double> read_seconds(const fs::path& file, const std::vector<int>& f
     return time_s;
 }
 
-/// Finds the pose file of a sequence. This is poses.txt in the sequence's folder
-/// (SemanticKITTI) or ../../poses/NN.txt (KITTI). KITTI provides no poses for sequences
+/// Returns the pose file of a sequence: poses.txt in the folder of the sequence
+/// (SemanticKITTI), or ../../poses/NN.txt (KITTI). KITTI publishes no poses for sequences
 /// 11 to 21.
 fs::path find_poses(const fs::path& folder) {
     const fs::path here = folder / "poses.txt", beside = folder.parent_path().parent_path() / "poses" /
@@ -50,7 +51,7 @@ fs::path find_poses(const fs::path& folder) {
                     here.string(), beside.string()));
 }
 
-/// Reads the poses of some frames: the LiDAR in the world.
+/// Reads the poses of the LiDAR in the world frame for some frames.
 std::vector<Pose> read_odometry_poses(const fs::path& folder, const std::vector<int>& frames,
                                       const fs::path& poses_file) {
     if (poses_file == kNoPoses) return std::vector<Pose>(frames.size());

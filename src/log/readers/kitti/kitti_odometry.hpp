@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of KITTI odometry. The folder sequences/NN contains velodyne/%06d.bin, calib.txt
-// and times.txt. Poses are in poses.txt or in ../../poses/NN.txt.
+// Loads KITTI odometry. The folder sequences/NN contains velodyne/%06d.bin, calib.txt and
+// times.txt. Poses are in poses.txt or in ../../poses/NN.txt.
 #pragma once
 
 #include <filesystem>
@@ -9,8 +9,9 @@
 
 namespace relidar {
 
-/// Reads a sequence. The dataset has motion-compensated its scans, so all rays of a scan
-/// have the same pose. The world frame of the dataset is the LiDAR frame of frame 0.
+/// Loads a sequence. The scans of the dataset are motion-compensated, so all rays of a
+/// scan have the same pose. The world frame of the dataset is the frame of the LiDAR in
+/// frame 0.
 /// @throws DataError with file and field
 /// @throws UsageError if no scan is in the requested frame range
 Sequence load_kitti_odometry(const std::filesystem::path& folder, const DatasetOptions& options);

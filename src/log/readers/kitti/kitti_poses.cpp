@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the poses and the calibration of a KITTI raw drive. Poses come from a file with
-// 12 numbers per line, or are computed from the GPS/IMU data (OXTS):
+// Reads the poses and the calibration of a KITTI raw drive. Poses are read from a file
+// with 12 numbers per line, or are computed from GPS/IMU data (OXTS):
 //   x = s R lon, y = s R ln tan(pi/4 + lat/2), z = alt,  s = cos(first latitude), R = 6378137 m,
 //   rotation R_z(yaw) R_y(pitch) R_x(roll)
 #include "log/clouds/log_files.hpp"
@@ -20,15 +20,15 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
-// maximum coordinate of a pose in metres, larger than UTM coordinates, which reach 10^7
+// Maximum coordinate of a pose in metres. UTM coordinates are smaller (up to 10^7).
 constexpr double kLargestCoordinate_m = 1e8;
-// Maximum distance between two poses of a log. Farther points would overflow the keys of
-// the 0.1 m cells (base/cell_key.hpp), which reach 105 km.
+// Maximum distance between two poses of a log. Points are sorted into cells of 0.1 m, and
+// the keys of the cells (base/cell_key.hpp) only reach 105 km.
 constexpr double kLongestLog_m = 1e5;
 
 /// Checks that the positions of all poses are plausible.
 /// @throws DataError if a coordinate is too large, or if a position is too far from the
-/// first one
+/// first position
 void check_extent(const std::vector<Pose>& poses, const std::vector<int>& frames, const std::string& where) {
     for (std::size_t i = 0; i < poses.size(); ++i) {
         const glm::dvec3 t = poses[i].translation, step = t - poses[0].translation;
@@ -68,8 +68,8 @@ fs::path oxts_file(const fs::path& drive, int frame) {
     return drive / "oxts/data" / fmt::format("{:010d}.txt", frame);
 }
 
-/// Reads the IMU pose of a frame in the Mercator frame. The position of the first frame
-/// is not yet subtracted.
+/// Reads the pose of the IMU for a frame, in Mercator coordinates. Does not yet subtract
+/// the position of the first frame.
 Pose read_oxts(const fs::path& file, std::optional<double>& scale) {
     const std::vector<std::string> lines = split_lines(read_text(file));
     const std::vector<double> v = finite_numbers(lines.empty() ? "" : lines[0], 30, file.string());
@@ -91,7 +91,7 @@ Pose read_oxts(const fs::path& file, std::optional<double>& scale) {
 int first_oxts(const fs::path& drive) {
     const fs::path folder = drive / "oxts/data";
     if (path_exists(folder)) {
-        // files are sorted by name, so the first one has the smallest number
+        // files are sorted by name, so the first file has the smallest number
         for (const fs::path& file : list_folder(folder)) {
             const auto number = file_number(file.stem().string());
             if (file.extension() == ".txt" && number) return *number;
@@ -104,12 +104,12 @@ int first_oxts(const fs::path& drive) {
                     folder.string()));
 }
 
-/// Finds the file calib_imu_to_velo.txt of a drive. KITTI stores it one folder above the
-/// drive. It can also be in the drive's folder, or in the folder that the archive
-/// DATE_calib.zip creates.
+/// Returns the path of calib_imu_to_velo.txt for a drive. KITTI stores this file one
+/// folder above the drive. It can also be in the folder of the drive, or in the folder
+/// that DATE_calib.zip creates.
 fs::path find_calibration(const fs::path& drive) {
     const char* name = "calib_imu_to_velo.txt";
-    // date of a name such as 2011_09_26_drive_0005_sync
+    // date in a name such as 2011_09_26_drive_0005_sync
     const std::string date = drive.filename().string().substr(0, 10);
     for (const fs::path& base : {drive.parent_path(), drive, drive.parent_path().parent_path()}) {
         for (const fs::path& inner : {fs::path(), fs::path("calib"), fs::path("calibration"), fs::path(date),
@@ -182,7 +182,7 @@ void use_pose_file(Sequence& sequence, const fs::path& poses_file) {
     if (poses_file.empty()) return;
     PoseTrack given{sequence.world_from_vehicle.time_s,
                     std::vector<Pose>(sequence.world_from_vehicle.time_s.size())};
-    // one frame number per pose, because LiDARs that sweep together share a pose
+    // one frame number per pose, because LiDARs of the same sweep share a pose
     std::vector<int> frames;
     for (const Frame& frame : sequence.frames)
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);

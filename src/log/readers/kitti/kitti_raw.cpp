@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads KITTI raw drives. Their scans are not motion-compensated, so the reader computes
+// Reads KITTI raw drives. The scans are not motion-compensated, so the reader computes
 // the firing time of each ray.
 #include "log/readers/kitti/kitti_raw.hpp"
 
@@ -31,8 +31,8 @@ std::string describe_poses(const fs::path& poses_file) {
     return "poses from " + (poses_file.empty() ? "OXTS (Mercator)" : poses_file.string());
 }
 
-/// Returns notes about missing data. Scans may be missing in the middle of a drive (drive
-/// 0009 lacks four). Some drives have no labels or no poses.
+/// Returns notes about missing data. Scans may be missing in the middle of a drive: drive
+/// 0009 lacks four scans. Some drives have no labels or no poses.
 std::vector<std::string> collect_notes(const fs::path& drive, const std::vector<int>& frames,
                                        const DatasetOptions& options) {
     std::vector<std::string> notes;

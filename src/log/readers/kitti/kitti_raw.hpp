@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of KITTI raw. The folder <date>/<date>_drive_NNNN_sync contains velodyne_points,
-// oxts and tracklet_labels.xml. The calibration is one folder above.
+// Loads KITTI raw drives. The folder <date>/<date>_drive_NNNN_sync contains
+// velodyne_points, oxts and tracklet_labels.xml. The calibration is in the folder above.
 #pragma once
 
 #include <filesystem>
@@ -9,8 +9,8 @@
 
 namespace relidar {
 
-/// Reads the requested frames of a drive.
-/// @param drive  folder with velodyne_points
+/// Loads the requested frames of a drive.
+/// @param drive  folder that contains velodyne_points
 /// @throws DataError with file and field
 /// @throws UsageError if no scan is in the requested frame range
 Sequence load_kitti_raw(const std::filesystem::path& drive, const DatasetOptions& options);

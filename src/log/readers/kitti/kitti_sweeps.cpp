@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reconstructs the rays of an HDL-64E from KITTI scans. The file order gives the rings,
-// and fits to the points give the beam elevations and the firing angles. Then each point
-// is assigned to its ray. Rays without a point are dropped returns.
+// Reconstructs the rays of an HDL-64E from KITTI scans. The order in the file gives the
+// rings. Fits to the points give the beam elevations and the firing angles. Then each
+// point is assigned to its ray. Rays without a point are dropped rays.
 #include "log/readers/kitti/kitti_sweeps.hpp"
 
 #include <algorithm>
@@ -22,8 +22,8 @@
 namespace relidar::kitti {
 namespace {
 
-// Number of scans for fitting the sensor. A few scans suffice, because the fit is then
-// far more accurate than the millimetre resolution of the files.
+// Number of scans that are used to fit the sensor. A few scans are enough: the fit is
+// then far more accurate than the millimetre resolution of the files.
 constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
 
 std::vector<const RawScan*> spread(const std::vector<RawScan>& scans, std::size_t n) {
@@ -40,19 +40,19 @@ Points points_of(const RawScan& raw) {
     return points;
 }
 
-/// Returns the azimuth of the last point of a scan, in degrees from 0 to 360. The azimuth
-/// of each ring begins at 0 and increases, so a complete scan ends near 360.
+/// Returns the azimuth of the last point of a scan, in degrees from 0 to 360. In each
+/// ring, the azimuth increases from 0, so the last point of a complete scan is near 360.
 double end_azimuth_deg(const RawScan& scan) {
     if (scan.points.empty()) return 0.0;
-    // a stray point has started another ring, so the scan is complete
+    // A stray point has started another ring, so the scan is complete.
     if (scan.n_rings > kRings) return 360.0;
     const double azimuth =
         std::atan2(double(scan.points.back().y), double(scan.points.back().x)) * 180.0 / kPi;
     return azimuth < 0.0 ? azimuth + 360.0 : azimuth;
 }
 
-/// Detects damaged files by comparing each scan with its neighbours in time. The missing
-/// points of a damaged file must not count as dropped rays.
+/// Detects damaged files by comparing each scan with the scans before and after it. The
+/// missing points of a damaged file must not be treated as dropped rays.
 class ScanSizes {
 public:
     explicit ScanSizes(const std::vector<RawScan>& raw) {
@@ -64,11 +64,13 @@ public:
     }
 
     /// Returns the reason why scan i is incomplete, or an empty string if it is complete.
-    /// A scan is incomplete if it has no return, or far fewer points or rings than its
-    /// neighbours in time, or if its last ring ends much earlier.
+    /// A scan is incomplete if it has no return. Compared with neighbouring scans, it is
+    /// also incomplete if it has far fewer points or rings, or if its last ring ends much
+    /// earlier.
     std::string why_incomplete(std::size_t i, const std::string& file) const {
-        constexpr int kMissingRings = 2;  // a single beam without returns is not an error
-        // on a real drive, the end of the last ring varies by up to 20 degrees
+        // one missing ring is accepted, because a single beam may have no returns
+        constexpr int kMissingRings = 2;
+        // in complete scans, the end of the last ring varies by up to 20 degrees
         constexpr double kEarly_deg = 60.0;
         if (n_points_[i] == 0) return fmt::format("{}: none of its points is a return", file);
         if (const std::size_t usual = median_of_neighbours(n_points_, i); 2 * n_points_[i] < usual)
@@ -91,7 +93,7 @@ private:
     std::vector<int> n_rings_;
     std::vector<double> end_deg_;
 
-    /// Returns the median over up to five scans before and five scans after scan i.
+    /// Returns the median over up to five scans before and up to five scans after scan i.
     template <class T>
     static T median_of_neighbours(const std::vector<T>& values, std::size_t i) {
         constexpr std::size_t kReach = 5;
@@ -105,13 +107,14 @@ private:
     }
 };
 
-/// Detects the range of the intensities and divides them by 255 if they are in the range
-/// 0 to 255.
+/// Detects the range of the intensities. Divides them by 255 if the range is 0 to 255.
 /// @return a note; empty if the intensities are already in the range 0 to 1
 /// @throws DataError if the intensities are in neither range
 std::string scale_intensities(std::vector<RawScan>& raw, const std::string& folder) {
     constexpr float kBytes = 255.0f;
-    constexpr float kPercent = 100.0f;  // up to this value, fractions may be shares of another scale
+    // fractional intensities up to this value are rejected, because they may be
+    // percentages
+    constexpr float kPercent = 100.0f;
     float lowest = 0.0f, highest = 0.0f;
     bool are_whole = true;
     for (const RawScan& scan : raw)
@@ -130,12 +133,12 @@ std::string scale_intensities(std::vector<RawScan>& raw, const std::string& fold
                        are_whole ? "whole numbers" : "numbers", highest);
 }
 
-/// Checks the number of rays before memory is allocated for them. The limits are the
-/// firings of an HDL-64E and a maximum number of rays per point.
+/// Checks the number of rays before memory is allocated for them. Limits the firings per
+/// sweep, and the number of rays per point.
 /// @throws DataError if there are too many rays
 void check_rays(const std::vector<RawScan>& raw, const FiringLattice& lattice, const std::string& where) {
     constexpr int kMostFirings = 8192;            // an HDL-64E has up to 4170 firings per sweep
-    constexpr std::size_t kMostRaysAPoint = 200;  // complete sweeps have 1.1 rays per point
+    constexpr std::size_t kMostRaysAPoint = 200;  // a complete sweep has about 1.1 rays per point
     if (lattice.head.n_ticks > kMostFirings)
         throw DataError(
             fmt::format("{}: azimuths of neighbouring points differ by 1/{} of a sweep, expected at most {} "
@@ -170,7 +173,8 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
             broken.add(at, why + ": the file is cut short or damaged");
     if (broken.size() == raw.size()) broken.tell(sequence, raw.size());
     for (std::size_t at = 0; at < raw.size(); ++at)
-        if (broken.has(at)) raw[at] = {};  // empty, so that the broken scan does not influence the fits
+        // clear the broken scan, so that it does not influence the fits
+        if (broken.has(at)) raw[at] = {};
     if (std::string note = scale_intensities(raw, folder.string()); !note.empty())
         sequence.notes.push_back(std::move(note));
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the sweeps of an HDL-64E, which all KITTI datasets store in the same format. A
-// file has the returns ring by ring. Dropped rays are not stored.
+// Reads the sweeps of an HDL-64E in the format of all KITTI datasets. A file contains the
+// returns ring by ring. It does not contain dropped rays.
 #pragma once
 
 #include <filesystem>
@@ -10,11 +10,11 @@
 
 namespace relidar::kitti {
 
-/// Reads the scan of every frame in a log and assigns its points to the rays that were
-/// fired. Also sets the beams and columns of the LiDAR.
+/// Reads the scans of all frames in a log. Assigns the points of each scan to the rays
+/// that were fired. Also sets the beams and columns of the LiDAR.
 /// @param sequence  log with frame numbers, and with the period and range of its LiDAR
-/// @param folder  folder with one scan file per frame
-/// @param digits  number of digits in a file name, such as 10 in 0000000042.bin
+/// @param folder  folder that contains one scan file per frame
+/// @param digits  number of digits in a file name, for example 10 in 0000000042.bin
 /// @throws DataError with the file
 void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int digits,
                  const DatasetOptions& options);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the timestamp files of a KITTI raw drive. Line i has the time of scan i. The line
-// is empty if the scan is missing.
+// Reads the timestamp files of a KITTI raw drive. Line i contains the time of scan i. If
+// the scan is missing, the line is empty.
 #include "log/clouds/log_files.hpp"
 
 #include <algorithm>
@@ -26,7 +26,8 @@ std::int64_t days_of(int year, int month, int day) {
     static constexpr std::array<int, 12> kBefore{0, 31, 59, 90, 120, 151, 181, 212, 243, 273, 304, 334};
     const bool leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
     const int y = year - 1;
-    const std::int64_t leap_days = y / 4 - y / 100 + y / 400 - 477;  // 477 leap days up to 1969
+    // there are 477 leap days up to the year 1969
+    const std::int64_t leap_days = y / 4 - y / 100 + y / 400 - 477;
     return 365ll * (year - 1970) + leap_days + kBefore[static_cast<std::size_t>(month - 1)] +
            (leap && month > 2) + day - 1;
 }
@@ -50,8 +51,8 @@ std::int64_t parse_timestamp(const std::string& line, const std::string& where) 
     return minutes * 60'000'000'000ll + std::llround(*second * 1e9);
 }
 
-/// Reads one time per line. An empty line gives no time.
-/// @throws DataError if no line has a time
+/// Reads one time from each line. Returns nothing for an empty line.
+/// @throws DataError if no line contains a time
 std::vector<std::optional<std::int64_t>> parse_timestamps(const fs::path& file) {
     const std::vector<std::string> lines = split_lines(read_text(file));
     std::vector<std::optional<std::int64_t>> time_ns(lines.size());
@@ -91,7 +92,7 @@ std::vector<double> read_times(const fs::path& file, const std::vector<int>& fra
 
 namespace {
 
-/// Returns the median of the sweep durations and checks that it is valid.
+/// Returns the median duration of a sweep. Throws if the median is not a valid period.
 /// @param lasts_s  durations of sweeps in seconds
 double median_period(std::vector<double> lasts_s, const fs::path& file) {
     std::nth_element(lasts_s.begin(), lasts_s.begin() + static_cast<std::ptrdiff_t>(lasts_s.size() / 2),

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads tracklet_labels.xml, a boost archive. Each item is an object with one pose per
 // frame, beginning at first_frame. Poses are in the sensor frame at the time when the
-// head faces forward. The position is the centre of the box's bottom face, so centre = t
-// + R (0, 0, h/2).
+// head faces forward. The position in the file is the centre of the box's bottom face, so
+// centre = t + R (0, 0, h/2).
 #include "log/clouds/log_files.hpp"
 
 #include <algorithm>
@@ -17,10 +17,12 @@
 namespace relidar::kitti {
 namespace {
 
-constexpr double kLargestOfLabel = 1e6;  // limit of all numbers in a label: metres, radians, frames
+// maximum value of all numbers in a label (metres, radians or frames)
+constexpr double kLargestOfLabel = 1e6;
 
 /// Reads a number from a child element.
-/// @throws DataError with track and field if the number is missing or out of range
+/// @throws DataError with track and field if the number is missing or outside the valid
+/// range
 double number_of(const pugi::xml_node& node, const char* field, const std::string& where) {
     const std::string text = node.child_value(field);
     const auto value = parse_number(trimmed(text));

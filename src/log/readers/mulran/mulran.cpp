@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads MulRan. A file has one revolution of 64 beams x 1024 columns, with zeros for
-// missing returns. So the index of a point gives its beam and its time. The points may be
-// stored column by column or beam by beam, which the reader detects. The LiDAR faces
-// backward, so the reader rotates its frame by 180 degrees.
+// Reads MulRan. A file contains one revolution with 64 beams x 1024 columns. Missing
+// returns are stored as zeros. So the index of a point gives its beam and its time. The
+// points are stored column by column or beam by beam. The reader detects which. The LiDAR
+// faces backward, so the reader rotates its frame by 180 degrees.
 #include "log/readers/mulran/mulran.hpp"
 
 #include <cmath>
@@ -23,19 +23,21 @@ namespace fs = std::filesystem;
 constexpr std::size_t kBeams = 64, kColumns = 1024;
 constexpr double kTurn_s = 0.1;
 constexpr double kNanosecond = 1e-9;
-constexpr double kMostGap_s = 0.5;  // maximum gap between poses, which are recorded at 100 Hz
-// Minimum range of points from whose elevation the beam is identified. The beams start
+// maximum time between two poses that are interpolated; poses are recorded at 100 Hz
+constexpr double kMostGap_s = 0.5;
+// Minimum range of points that are used to identify a beam by elevation. A beam starts
 // about a centimetre from the spin axis, which changes the elevation of nearer points.
 constexpr double kLeastRange_m = 2.0;
-constexpr double kMostSpread_rad = kPi / 180.0;  // maximum spread of the elevations of one beam
-// minimum forward component of the mean driving direction, whose maximum length is 1
+// maximum spread of the elevations of one beam, if the assumed order is right
+constexpr double kMostSpread_rad = kPi / 180.0;
+// Minimum forward component of the mean driving direction. It is at most 1.
 constexpr double kForward = 0.9;
 
 /// Pose of the LiDAR on the vehicle as published by the authors. Position in metres;
 /// roll, pitch and yaw in degrees.
 constexpr double kPlace_m[3] = {1.7042, -0.021, 1.8047}, kAngles_deg[3] = {0.0001, 0.0003, 179.6654};
 
-/// Whether a file stores the points column by column or beam by beam.
+/// Order in which a file stores the points: column by column or beam by beam.
 enum class MulranOrder { by_column, by_beam };
 
 std::size_t beam_at(std::size_t i, MulranOrder order) {
@@ -46,7 +48,8 @@ std::size_t column_at(std::size_t i, MulranOrder order) {
 }
 
 /// Returns the standard deviation of the elevations within a beam, averaged over all
-/// beams. It is small if the order is right. Infinite if there are no points.
+/// beams. The value is small if the assumed order is right. Returns infinity if there are
+/// no points.
 double spread_of_beams(const folder::PointTable& table, MulranOrder order) {
     using enum folder::PointValue;
     const folder::FieldValues &xs = *table.find(x), &ys = *table.find(y), &zs = *table.find(z);
@@ -73,7 +76,8 @@ void check_points(const folder::PointTable& table, const std::string& where) {
                                     where, table.n, kBeams, kColumns));
 }
 
-/// Detects the order of the points with the first scan that can be read.
+/// Detects the order in which the files store the points. Uses the first scan that can be
+/// read.
 MulranOrder find_order(const std::vector<fs::path>& files) {
     for (const fs::path& file : files) {
         folder::PointTable table;
@@ -81,7 +85,7 @@ MulranOrder find_order(const std::vector<fs::path>& files) {
             table = folder::read_point_file(file, {});
             check_points(table, file.string());
         } catch (const DataError&) {
-            continue;  // reading the scan later reports the error
+            continue;  // the error is reported when the scan is read
         }
         const double by_column = spread_of_beams(table, MulranOrder::by_column),
                      by_beam = spread_of_beams(table, MulranOrder::by_beam);
@@ -95,8 +99,8 @@ MulranOrder find_order(const std::vector<fs::path>& files) {
     return MulranOrder::by_column;
 }
 
-/// Computes the beam and the time of each point from its index in the file. The timestamp
-/// of the file is the time in the middle of the revolution.
+/// Sets the beam and the time of each point from the index of the point in the file. The
+/// time stamp of the file is the middle of the revolution.
 void add_beams_and_times(folder::PointTable& table, MulranOrder order, const std::string& where) {
     check_points(table, where);
     std::vector<std::uint16_t> ring(table.n);
@@ -127,8 +131,8 @@ PoseTrack read_mulran_poses(const fs::path& file, const stamped::StampedLog& log
     return track;
 }
 
-/// Returns the pose of the LiDAR on the vehicle. The LiDAR's frame is rotated by 180
-/// degrees so that x points forward.
+/// Returns the pose of the LiDAR on the vehicle. The frame of the LiDAR is rotated by 180
+/// degrees, so that the x axis points forward.
 Pose mounting() {
     const auto rad = [](double degrees) { return degrees * kPi / 180.0; };
     const Pose base_from_ouster{rotation_of(rad(kAngles_deg[2]), rad(kAngles_deg[1]), rad(kAngles_deg[0])),
@@ -189,7 +193,8 @@ Sequence load_mulran(const fs::path& log_folder, const DatasetOptions& options) 
     stamped::read_points(sequence, files, format_of_points(sequence, files), options);
     if (options.poses_file.empty()) {
         const PoseTrack track = shifted_track(log.world_from_vehicle, -sequence.world_offset_m);
-        // add_frames() has already checked that poses exist at all these times
+        // Poses exist at all these times, because add_frames() skips scans without a
+        // pose.
         const auto pose_at = [&](double t_s) { return std::optional(track.at(t_s)); };
         if (std::string note = bag::place_rays(sequence, pose_at); !note.empty())
             sequence.notes.push_back(std::move(note));

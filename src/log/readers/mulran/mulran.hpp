@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of MulRan sequences in their published layout. Scans of an OS1-64 are in Ouster/
-// or sensor_data/Ouster/, and poses are in global_pose.csv.
+// Loads MulRan sequences in the published folder layout. Scans of an OS1-64 are in
+// Ouster/ or sensor_data/Ouster/. Poses are in global_pose.csv.
 #pragma once
 
 #include <filesystem>
@@ -9,8 +9,8 @@
 
 namespace relidar {
 
-/// Reads a sequence. Frames are the scans in order of time. The vehicle frame and the
-/// world frame are those of global_pose.csv.
+/// Loads a sequence. The frames are the scans, sorted by time. The vehicle frame and the
+/// world frame are the frames of global_pose.csv.
 /// @throws DataError with file and line
 /// @throws UsageError if no scan is in the requested range
 Sequence load_mulran(const std::filesystem::path& folder, const DatasetOptions& options);

@@ -21,22 +21,22 @@ namespace fs = std::filesystem;
 
 constexpr std::size_t kBeams = 32, kPointBytes = 20;
 constexpr double kPeriod_s = 0.05;
-// Minimum range of a return. The dataset stores missing returns as points at the LiDAR,
-// which motion compensation then moves a little.
+// Minimum range of a return. The dataset stores missing returns as points at the LiDAR.
+// Motion compensation then moves these points a little.
 constexpr double kNoReturn_m = 1.0;
 constexpr double kFarthestOfSweep_m = 1e4;
 constexpr std::size_t kMostColumnsOfSweep = 8192;
 
-/// Points of a file with their rings and columns. Each point is in the LiDAR's frame at
-/// its own time.
+/// Points of a file with rings and columns. Each point is in the frame of the LiDAR at
+/// the time of the point.
 struct ReadSweep {
     Points points;
     Sweep sweep;
 };
 
-/// Removes missing returns. These were points at the LiDAR before the dataset moved them
-/// (motion compensation).
-/// @param points  points in the LiDAR's frame at the time of each point
+/// Removes missing returns. The dataset stored them as points at the LiDAR, and then
+/// moved all points (motion compensation).
+/// @param points  points in the frame of the LiDAR at the time of each point
 /// @param numbers  [points] column of each point
 void leave_out_unmeasured(Points& points, std::vector<int>& numbers) {
     std::size_t n = 0;
@@ -64,7 +64,7 @@ ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const P
     ReadSweep read;
     std::vector<int> numbers;
     for (std::size_t i = 0; i < n; ++i) {
-        float v[5];  // x right, y forward, z up, intensity, ring
+        float v[5];  // x to the right, y forward, z up, intensity, ring
         std::memcpy(v, bytes.data() + i * kPointBytes, kPointBytes);
         const double range_m = std::hypot(double(v[0]), double(v[1]), double(v[2]));
         if (!(range_m < kFarthestOfSweep_m) || !std::isfinite(v[3]))
@@ -99,7 +99,7 @@ Lidar hdl32e(const Pose& ego_from_lidar) {
     sensor.name = "HDL-32E";
     sensor.period_s = kPeriod_s;
     for (std::size_t row = 0; row < kBeams; ++row)
-        // nominal elevations of the HDL-32E: +10.67 to -30.67 degrees
+        // Nominal elevations of the HDL-32E: +10.67 to -30.67 degrees.
         sensor.beams.push_back({.elevation_rad = (32.0 - 4.0 * double(row)) / 3.0 * kPi / 180.0});
     const Pose theirs_from_ours{glm::angleAxis(kPi / 2.0, glm::dvec3(0, 0, 1)), glm::dvec3(0.0)};
     return {"", sensor, ego_from_lidar * theirs_from_ours};

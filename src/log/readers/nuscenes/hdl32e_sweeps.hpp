@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the sweeps of nuScenes. A file has one revolution of an HDL-32E, which rotates
-// clockwise, column by column in order of time. The dataset has moved all points to the
-// end of the revolution (motion compensation).
+// Reads the sweeps of nuScenes. A file contains one revolution of an HDL-32E, column by
+// column in the order of time. The LiDAR rotates clockwise. The dataset has moved all
+// points to the end of the revolution (motion compensation).
 #pragma once
 
 #include <filesystem>
@@ -11,15 +11,16 @@
 
 namespace relidar::nuscenes {
 
-/// Returns the LiDAR of nuScenes, an HDL-32E. In relidar's sensor frame x points forward,
-/// but in nuScenes' frame x points to the right. So the pose is rotated by 90 degrees.
-/// @param ego_from_lidar  pose of the LiDAR in nuScenes' convention
+/// Returns the LiDAR of nuScenes, an HDL-32E. In relidar's sensor frame, x points
+/// forward. In the frame of nuScenes, x points to the right. So the function rotates the
+/// pose by 90 degrees.
+/// @param ego_from_lidar  pose of the LiDAR in the convention of nuScenes
 Lidar hdl32e(const Pose& ego_from_lidar);
 
-/// Reads the scans of sequence.frames and sets the properties of the sensors that follow
-/// from the scans.
-/// @param files  [frames] point file of each frame
-/// @param own  vehicle poses of the dataset, with which its motion compensation is undone
+/// Reads the scans of all frames in sequence.frames. Also sets the properties of the
+/// sensors that can be computed from the scans.
+/// @param files  [frames] file with the points of each frame
+/// @param own  vehicle poses of the dataset, with which the motion compensation is undone
 /// @throws DataError with file and point
 void read_hdl32e_sweeps(Sequence& sequence, const std::vector<std::filesystem::path>& files,
                         const PoseTrack& own, const DatasetOptions& options);

@@ -13,10 +13,11 @@ namespace relidar {
 namespace {
 
 constexpr std::size_t kBlock = 1 << 20, kLongestRecord = 1 << 20;
-// largest integer below which a double represents all integers exactly
+// Largest integer up to which a double represents all integers exactly.
 constexpr double kLargestWhole = 9007199254740992.0;
 
-/// Reads the text of a JSON table in blocks and splits it into its objects.
+/// Reads the text of a JSON table in blocks. Splits the text into the objects of the
+/// table.
 class RecordSplitter {
 public:
     explicit RecordSplitter(const std::filesystem::path& file)
@@ -26,7 +27,7 @@ public:
     }
 
     /// Reads the next object of the table into `record`.
-    /// @return false if there are no more objects
+    /// @return false if the table has no more objects
     bool next(std::string& record) {
         record.clear();
         int depth = 0;
@@ -72,7 +73,7 @@ private:
         return true;
     }
     /// Checks that a character is allowed between two objects.
-    /// @return true if the character begins an object
+    /// @return true if the character is the start of an object
     bool between(char c) {
         if (c == '{' && opened_ && !closed_) return true;
         const bool blank = c == ' ' || c == '\n' || c == '\r' || c == '\t';
@@ -102,7 +103,7 @@ void JsonRecord::numbers(std::string_view key, std::size_t n, double* out) const
     const auto list = value<simdjson::dom::array>(key, "numbers");
     if (list.size() != n) fail(key, n == 3 ? "3 numbers" : "4 numbers");
     for (const simdjson::dom::element element : list)
-        // the number is finite, because JSON has no infinity and no NaN
+        // No check for infinity or NaN is needed, because JSON cannot store them.
         if (element.get(*out++) != simdjson::SUCCESS) fail(key, "numbers");
 }
 

@@ -15,21 +15,21 @@
 
 namespace relidar {
 
-/// One object of a table. It is valid only during the callback. If a value is missing or
-/// has another type, the functions throw a DataError with file, record and key.
+/// One object of a JSON table. It is valid only during the callback. The functions throw
+/// a DataError with file, record and key if a value is missing or has another type.
 class JsonRecord {
 public:
     JsonRecord(std::string where, simdjson::dom::object object) : where_(std::move(where)), object_(object) {}
 
     std::string text(std::string_view key) const;
-    /// Returns a number, rounded to an integer, because some tables have microseconds
-    /// with a fraction.
+    /// Returns a number, rounded to an integer. Rounding is needed because some tables
+    /// contain fractions of microseconds.
     std::int64_t rounded(std::string_view key) const;
     bool boolean(std::string_view key) const;
     glm::dvec3 vector(std::string_view key) const;
-    /// Returns a unit quaternion. The table stores it as w, x, y, z.
+    /// Returns a unit quaternion. The table stores the quaternion as w, x, y, z.
     glm::dquat quaternion(std::string_view key) const;
-    /// Returns the pose that the keys `translation` and `rotation` contain.
+    /// Returns the pose in the keys `translation` and `rotation`.
     Pose pose() const { return {quaternion("rotation"), vector("translation")}; }
 
 private:
@@ -43,8 +43,8 @@ private:
 };
 
 /// Calls `read` for every object of a table.
-/// @throws DataError with the file if it is not an array of objects, is malformed, or has
-/// an object of more than 1 MB
+/// @throws DataError with the file if it is not an array of objects, if it is malformed,
+/// or if an object has more than 1 MB
 void for_each_record(const std::filesystem::path& file, const std::function<void(const JsonRecord&)>& read);
 
 }  // namespace relidar

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads nuScenes and other datasets with the same tables. The datasets store points in
-// different formats. The ending of the point files identifies the format.
+// different formats. The reader recognises the format by the extension of the point
+// files.
 #include "log/readers/nuscenes/nuscenes.hpp"
 
 #include <algorithm>
@@ -24,26 +25,27 @@ namespace {
 namespace fs = std::filesystem;
 using namespace nuscenes;
 
-// maximum time between sweeps of one frame, as a multiple of the first LiDAR's sweep
-// period
+// Maximum time between the sweeps of one frame, as a multiple of the sweep period of the
+// first LiDAR.
 constexpr double kBeside = 0.6;
-// Boxes are extended by up to this many sweep periods before their first and after their
-// last label. Labels have nearly the same times as sweeps.
+// A box is also used for this number of sweep periods before its first label and after
+// its last label. Labels have nearly the same times as sweeps.
 constexpr double kBeyondLabels = 0.5;
 constexpr double kMostIntensity = 255.0;
-// Assumed duration of a revolution. The dataset has only five sweeps per second, but such
-// LiDARs rotate ten times per second.
+// Assumed duration of a revolution. Such LiDARs rotate ten times per second, although the
+// dataset contains only five sweeps per second.
 constexpr double kTurnOfLyft_s = 0.1;
-// If points have no times, a note is added when the times of two LiDARs differ by more
-// than this.
+// Maximum time difference between the sweeps of two LiDARs in a frame. If the points have
+// no times and the difference is larger, a note is added.
 constexpr double kStampsApart_s = 1e-3;
 
-/// File format of a dataset, identified by the ending of its LiDAR files.
+/// File format of a dataset. The extension of the LiDAR files identifies the format.
 struct Format {
     const char* ending;
     const char* dataset;
-    const char* conventions;  ///< in addition to metres, seconds and the vehicle's axes
-    /// true: the files have columns of one HDL-32E, moved to the end of the revolution
+    const char* conventions;  ///< conventions of the dataset, except units and vehicle axes
+    /// True if each file contains the columns of one HDL-32E, motion-compensated to the
+    /// end of the revolution.
     bool is_compensated;
     bool has_times;  ///< true: points have times
 };
@@ -62,15 +64,15 @@ constexpr Format kFormats[] = {
      false, false},
 };
 
-/// Format of T4 datasets. The points of several LiDARs may be merged. They are in the
-/// vehicle's frame.
+/// Format of T4 datasets. The points are in the frame of the vehicle. The points of
+/// several LiDARs may be merged.
 constexpr Format kT4 = {
     ".pcd.bin", "T4",
     "points in the vehicle's frame, motion-compensated; time = stamp of the sweep; world: the map's frame",
     false, false};
-constexpr const char* kTablesOfT4 = "annotation";  // name of the folder with the tables
+constexpr const char* kTablesOfT4 = "annotation";  // name of the folder that contains the tables
 
-/// Name of a scene, and the folder that contains its tables.
+/// Name of a scene, and the folder that contains the tables of the scene.
 struct SceneName {
     std::string name;
     fs::path tables;
@@ -87,8 +89,8 @@ std::vector<SceneName> list_scenes_of(const fs::path& folder) {
     return scenes;
 }
 
-/// Finds a scene by its name, by nuScenes' number, or by the first characters of its name
-/// if they are unique.
+/// Returns the scene that the user requested: by its name, by its nuScenes number, or by
+/// the first characters of its name if they are unique.
 SceneName choose_scene(const std::vector<SceneName>& scenes, const std::string& scene_name) {
     if (scene_name.empty()) return scenes[0];
     const std::optional<int> number = file_number(scene_name);
@@ -108,8 +110,8 @@ SceneName choose_scene(const std::vector<SceneName>& scenes, const std::string& 
         scenes.size(), names));
 }
 
-/// Interpolates the boxes between the labelled keyframes and returns them at the times of
-/// the frames.
+/// Interpolates the boxes between the labelled keyframes. Returns the boxes at the times
+/// of the frames.
 std::vector<BoxTrack> boxes_at(const std::vector<BoxLabel>& labels, const std::vector<double>& times_s,
                                double beyond_s) {
     std::vector<BoxTrack> boxes;
@@ -126,9 +128,9 @@ std::vector<BoxTrack> boxes_at(const std::vector<BoxLabel>& labels, const std::v
     return boxes;
 }
 
-/// A sweep of one LiDAR, and the number of its frame.
+/// A sweep of one LiDAR, and the number of the frame that contains it.
 struct NumberedSweep {
-    int number = 0;         ///< number of the first LiDAR's sweep at the same time
+    int number = 0;         ///< number of the frame: index of the first LiDAR's sweep at the same time
     std::size_t lidar = 0;  ///< index in SceneTables::lidars
     const SweepRecord* record = nullptr;
 };
@@ -175,10 +177,10 @@ private:
     const SceneName chosen_;
     const SceneTables scene_;
     const Format& format_;
-    /// Prefix of the folders with the files. For example, the tables are in train_data
-    /// and the files in train_lidar.
+    /// Prefix of the folder names. For example, the tables are in train_data and the
+    /// point files in train_lidar.
     const std::string split_;
-    std::vector<double> main_s_;       ///< times of the first LiDAR's sweeps
+    std::vector<double> main_s_;       ///< times in seconds of the sweeps of the first LiDAR
     double step_s_ = 0.0;              ///< time between these sweeps
     std::vector<std::size_t> lidars_;  ///< [sequence_.lidars] index in scene_.lidars
     std::vector<NumberedSweep> frames_;
@@ -206,8 +208,8 @@ private:
         return split_.empty() || path_exists(file) ? file : folder_ / (split_ + sweep.file);
     }
 
-    /// Selects the LiDARs that the user has requested. If none was requested, selects all
-    /// LiDARs.
+    /// Selects the LiDARs that the user requested. If the user requested none, selects
+    /// all LiDARs.
     void choose_lidars() {
         std::vector<std::string> channels, left_out;
         for (const SceneLidar& lidar : scene_.lidars) channels.push_back(lidar.channel);
@@ -240,7 +242,7 @@ private:
         if (!left_out.empty()) note(fmt::format("LiDARs that are not read: {}", fmt::join(left_out, ", ")));
     }
 
-    /// Assigns frame numbers to the sweeps of the selected LiDARs. Returns the sweeps
+    /// Assigns frame numbers to the sweeps of the selected LiDARs. Returns the sweeps,
     /// sorted by frame number.
     std::vector<NumberedSweep> number_sweeps() {
         std::vector<NumberedSweep> sweeps;
@@ -270,8 +272,8 @@ private:
         return sweeps;
     }
 
-    /// Selects the frames of the requested range. If the sweeps between keyframes have no
-    /// files, only keyframes are used. This is the case if samples/ was unpacked without
+    /// Selects the frames in the requested range. If the sweeps between keyframes have no
+    /// files, selects only keyframes. This happens if the user unpacked samples/ but not
     /// sweeps/.
     void find_frames() {
         const std::vector<NumberedSweep> sweeps = number_sweeps();
@@ -294,8 +296,8 @@ private:
             note("the files between keyframes are missing, so only the keyframes of the scene are read");
     }
 
-    /// Adds the selected frames to the log. LiDARs that sweep together get the time of
-    /// the first LiDAR.
+    /// Adds the selected frames to the log. All sweeps of a frame get the time of the
+    /// first LiDAR.
     /// @return vehicle poses of the dataset at the frames
     PoseTrack add_frames() {
         for (const NumberedSweep& frame : frames_) {
@@ -306,11 +308,13 @@ private:
         return sequence_.world_from_vehicle;
     }
 
-    /// Reads point files without rings. Their points are not motion-compensated.
+    /// Reads the point files of datasets whose points have no rings and are not
+    /// motion-compensated.
     void read_clouds(const std::vector<fs::path>& files) {
         folder::Head head;
         head.name = sequence_.name;
-        // The last column is 1 in Lyft's files, and -1 in T4's, so it is ignored.
+        // Ignore the last column, because it is always 1 in Lyft's files and -1 in T4's
+        // files.
         if (!format_.has_times) head.units.columns = {"x", "y", "z", "intensity", "-"};
         head.units.intensity_max = kMostIntensity;
         head.units.time_unit_s = 1e-6;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the tables of a dataset. Records refer to other records by tokens. The channel of
-// a file is found with the tables sample_data, calibrated_sensor and sensor.
+// Reads the tables of a dataset. Records refer to other records by tokens. To find the
+// channel of a file, the reader uses the tables sample_data, calibrated_sensor and
+// sensor.
 #include "log/readers/nuscenes/nuscenes_tables.hpp"
 
 #include <algorithm>
@@ -26,7 +27,7 @@ using ByToken = std::unordered_map<std::string, T>;
 
 constexpr std::string_view kLidar = "LIDAR_";  // prefix of LiDAR channels
 constexpr const char* kFirstChannel = "LIDAR_TOP";
-// maximum time between a sweep and the pose to which its record refers
+// maximum time between a sweep and the vehicle pose in the sweep's record
 constexpr double kFarthestPose_s = 0.1;
 
 std::string find_scene(const fs::path& tables, const std::string& name) {
@@ -37,7 +38,7 @@ std::string find_scene(const fs::path& tables, const std::string& name) {
     return found;
 }
 
-/// Returns the times of the scene's samples in microseconds.
+/// Returns the times of the samples (keyframes) of the scene in microseconds.
 ByToken<std::int64_t> samples_of(const fs::path& tables, const std::string& scene) {
     ByToken<std::int64_t> samples;
     for_each_record(tables / "sample.json", [&](const JsonRecord& record) {
@@ -46,13 +47,13 @@ ByToken<std::int64_t> samples_of(const fs::path& tables, const std::string& scen
     return samples;
 }
 
-/// Channel of a LiDAR and its pose on the vehicle.
+/// Channel name of a LiDAR, and its pose on the vehicle.
 struct Mounted {
     std::string channel;
     Pose ego_from_lidar;
 };
 
-/// Returns all LiDARs, indexed by the token of their calibration.
+/// Returns all LiDARs by the token of their calibration.
 ByToken<Mounted> calibrations(const fs::path& tables) {
     ByToken<std::string> channels;
     for_each_record(tables / "sensor.json", [&](const JsonRecord& record) {
@@ -70,9 +71,9 @@ ByToken<Mounted> calibrations(const fs::path& tables) {
     return mounted;
 }
 
-using Channels = std::map<std::string, ByToken<SweepRecord>>;  // by channel name, then by token
+using Channels = std::map<std::string, ByToken<SweepRecord>>;  // files by channel name, then by token
 
-/// Returns the LiDAR files of a scene.
+/// Returns the LiDAR files of a scene, by channel.
 Channels files_of(const fs::path& tables, const ByToken<std::int64_t>& samples,
                   const ByToken<Mounted>& mounted) {
     Channels files;
@@ -92,7 +93,7 @@ Channels files_of(const fs::path& tables, const ByToken<std::int64_t>& samples,
     return files;
 }
 
-/// Sorts the files of a channel in order of time, beginning with the first keyframe.
+/// Sorts the files of a channel by time, starting with the first keyframe.
 /// @return an empty list if the channel has no keyframe
 std::vector<SweepRecord> in_order(const fs::path& tables, const ByToken<SweepRecord>& files) {
     const std::string where = (tables / "sample_data.json").string();
@@ -139,9 +140,8 @@ std::vector<SceneLidar> lidars_of(const fs::path& tables, const ByToken<std::int
     return lidars;
 }
 
-/// Returns the vehicle poses at the times of the sweeps. In TruckScenes, a sweep refers
-/// to the nearest pose of a finer track. So the poses are interpolated by their
-/// timestamps.
+/// Returns the vehicle poses at the times of the sweeps. Interpolates between poses,
+/// because in TruckScenes a sweep refers only to the nearest pose of a finer track.
 std::vector<Pose> read_poses(const fs::path& tables, const std::vector<SweepRecord>& sweeps) {
     const fs::path file = tables / "ego_pose.json";
     struct TimedPose {
@@ -178,8 +178,8 @@ std::vector<Pose> read_poses(const fs::path& tables, const std::vector<SweepReco
     return world_from_ego;
 }
 
-/// Reads the text of one key from the records of a table. The result is indexed by the
-/// token of the record.
+/// Reads the text of one key from the records of a table. Returns the texts by the token
+/// of the record.
 /// @param wanted  tokens of the records to read, or null for all records
 ByToken<std::string> column(const fs::path& file, const char* key, const Tokens* wanted) {
     ByToken<std::string> values;
@@ -190,8 +190,8 @@ ByToken<std::string> column(const fs::path& file, const char* key, const Tokens*
     return values;
 }
 
-/// Reads the box labels of a scene. Returns none if the label table is missing, because
-/// test splits have no labels.
+/// Reads the box labels of a scene. Returns no labels if the label table is missing,
+/// because test splits have no labels.
 std::vector<BoxLabel> read_labels(const fs::path& tables, const SceneTables& scene,
                                   const ByToken<std::int64_t>& samples) {
     std::vector<BoxLabel> labels;

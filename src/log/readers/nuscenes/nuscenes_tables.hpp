@@ -12,35 +12,38 @@
 
 namespace relidar::nuscenes {
 
-/// Table record of one LiDAR file, which is a keyframe or a sweep between two keyframes.
+/// Table record of one LiDAR file. The file is a keyframe or a sweep between two
+/// keyframes.
 struct SweepRecord {
-    /// tokens of this record and the next one; `next` is empty at the end of the scene
+    /// Tokens of this record and of the next record. `next` is empty at the end of the
+    /// scene.
     std::string token, next;
-    std::string sample;  ///< token of the keyframe to which the file belongs
+    std::string sample;  ///< token of the keyframe that the file belongs to
     std::string ego_pose, calibration;
     std::string file;          ///< relative to the dataset
     std::int64_t time_us = 0;  ///< timestamp of the revolution
     bool is_keyframe = false;
 };
 
-/// A LiDAR of the scene. Its channel name begins with LIDAR_.
+/// A LiDAR of the scene. The name of its channel begins with LIDAR_.
 struct SceneLidar {
     std::string channel;
     Pose ego_from_lidar;              ///< in the dataset's convention
     std::vector<SweepRecord> sweeps;  ///< in order of time
 };
 
-/// Data of one scene from all tables.
+/// Data of one scene, collected from all tables.
 struct SceneTables {
     std::string name;
-    /// At least one LiDAR: LIDAR_TOP first, then the others sorted by name. The sweeps of
-    /// the first LiDAR define the frame numbers.
+    /// At least one LiDAR. LIDAR_TOP is the first, and the others are sorted by name. The
+    /// sweeps of the first LiDAR define the frame numbers.
     std::vector<SceneLidar> lidars;
-    std::vector<Pose> world_from_ego;  ///< vehicle poses at the sweeps of the first LiDAR
-    /// box labels at keyframes in the world frame; time_s is relative to the first sweep
+    std::vector<Pose> world_from_ego;  ///< vehicle poses at the times of the first LiDAR's sweeps
+    /// Box labels at keyframes in the world frame. Their times are in seconds after the
+    /// first sweep.
     std::vector<BoxLabel> labels;
 
-    /// Converts a timestamp to seconds after the first sweep of the first LiDAR.
+    /// Converts a time stamp to seconds after the first sweep of the first LiDAR.
     double seconds(std::int64_t time_us) const {
         return double(time_us - lidars[0].sweeps[0].time_us) * 1e-6;
     }
@@ -51,7 +54,7 @@ std::vector<std::string> list_scenes(const std::filesystem::path& tables);
 
 /// Reads the data of a scene. Tables can have a gigabyte, so they are read one record at
 /// a time.
-/// @param tables  folder of the tables
+/// @param tables  folder that contains the tables
 /// @throws DataError with file, record and key
 SceneTables read_scene(const std::filesystem::path& tables, const std::string& name);
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads ONCE. In the LiDAR's frame, x points left, y back and z up. A pose has 7 numbers:
-// a quaternion and a position. Documents disagree whether w is the first or the last
-// number of the quaternion. The reader uses the order for which the vehicle drives
+// Reads ONCE. In the frame of the LiDAR, x points left, y back and z up. A pose has 7
+// numbers: a quaternion and a position. Documents disagree whether w is the first or the
+// last number of the quaternion. The reader uses the order with which the vehicle drives
 // forward.
 #include "log/readers/once/once.hpp"
 
@@ -24,21 +24,22 @@ namespace fs = std::filesystem;
 
 constexpr const char* kSensor = "Pandar40P";
 constexpr double kMillisecond = 1e-3;
-// Duration of a revolution. The LiDAR rotates ten times per second, but the dataset keeps
-// only every fifth revolution.
+// Duration of a revolution. The LiDAR rotates ten times per second, although the dataset
+// contains only every fifth revolution.
 constexpr double kTurn_s = 0.1;
-// rotation about z from ONCE's axes (x left, y back) to relidar's (x forward, y left)
+// rotation about z from the axes of ONCE (x left, y back) to relidar's axes (x forward, y
+// left)
 constexpr double kTurned_rad = kPi / 2.0;
 constexpr double kUnitLength = 1e-3;  // tolerance of a quaternion's length
 constexpr double kLargestCoordinate_m = 1e8;
 
-/// Timestamp, quaternion and position of a pose as stored in the file.
+/// A pose as stored in the file: time stamp, quaternion and position.
 struct OncePose {
     std::int64_t stamp;
     std::array<double, 7> numbers;
 };
 
-/// Data that is read from the JSON file of a sequence.
+/// Content of the JSON file of a sequence.
 struct OnceFile {
     std::vector<stamped::StampedScan> scans;
     std::vector<OncePose> poses;
@@ -92,7 +93,7 @@ OnceFile read_once_file(const fs::path& file, const fs::path& lidar, bool needs_
     return content;
 }
 
-/// Returns the poses of the LiDAR with the axes of ONCE (x left, y back).
+/// Returns the poses of the LiDAR over time, with the axes of ONCE (x left, y back).
 PoseTrack once_track(const std::vector<OncePose>& poses, const stamped::StampedLog& log, bool is_w_first) {
     PoseTrack track;
     for (const OncePose& pose : poses) {
@@ -105,7 +106,8 @@ PoseTrack once_track(const std::vector<OncePose>& poses, const stamped::StampedL
     return track;
 }
 
-/// Returns the poses of the LiDAR with the axes of relidar (x forward, y left).
+/// Returns the poses of the LiDAR over time, with the axes of relidar (x forward, y
+/// left).
 PoseTrack world_from_turned(const OnceFile& content, const stamped::StampedLog& log,
                             std::vector<std::string>& notes) {
     const PoseTrack w_last = once_track(content.poses, log, false),

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of ONCE sequences in their published layout: lidar_roof/MILLISECONDS.bin, and
-// NAME.json with calibration, poses and boxes.
+// Loads ONCE sequences in the published folder layout: lidar_roof/MILLISECONDS.bin with
+// scans, and NAME.json with calibration, poses and boxes.
 #pragma once
 
 #include <filesystem>
@@ -9,10 +9,10 @@
 
 namespace relidar {
 
-/// Reads a sequence. Frames are numbered in the order of the JSON file. The vehicle frame
-/// is the LiDAR's frame, rotated so that x points forward. The world frame of the dataset
-/// is the LiDAR's frame in the first frame. Boxes are not read, because they have no
-/// track ids.
+/// Loads a sequence. Frames are numbered in the order of the JSON file. The vehicle frame
+/// is the frame of the LiDAR, rotated so that x points forward. The world frame of the
+/// dataset is the frame of the LiDAR in the first frame. Boxes are not loaded, because
+/// they have no track ids.
 /// @throws DataError with file and field
 /// @throws UsageError if no scan is in the requested range
 Sequence load_once(const std::filesystem::path& folder, const DatasetOptions& options);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reference implementation of the returns of a conical beam. Casts rays inside the cone
-// along a spiral with golden angles and separates returns by sorting the hits. The tests
-// compare src/simulate/render/footprint.cpp with it. The code is independent and samples
-// the cone in other directions.
+// Reference implementation of the returns of a conical beam, used to test the renderer.
+// Casts rays inside the cone along a golden-angle spiral, and separates returns by
+// sorting the hits. The tests compare src/simulate/render/footprint.cpp with this code.
+// It is independent of the renderer and samples the cone in other directions.
 #include "log/readers/street/cone_echoes.hpp"
 
 #include <algorithm>
@@ -19,7 +19,7 @@ struct Return {
 };
 
 /// Groups the hits in a cone to returns, sorted by range.
-/// @param n_back  output: number of rays in the cone that hit a surface
+/// @param n_back  output: number of rays of the cone that hit a surface
 std::vector<Return> returns_of(const Scan& cone, std::size_t ray, int& n_back) {
     std::vector<std::pair<float, float>> hits;
     for (std::size_t i = ray * kConeRays; i < (ray + 1) * kConeRays; ++i)

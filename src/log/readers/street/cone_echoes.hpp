@@ -1,24 +1,27 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the returns of a conical beam in the synthetic street, and the two returns
-// that a receiver reports. Only the reader of synthetic logs uses this file.
+// Computes the two returns that a receiver reports for a conical beam in the synthetic
+// street. Only the reader of synthetic logs uses this file.
 #pragma once
 
 #include <relidar/log/sequence.hpp>
 
 namespace relidar::street {
 
-inline constexpr int kConeRays = 53;  ///< number of thin rays that sample the cone of a beam
+inline constexpr int kConeRays = 53;  ///< number of thin rays that represent the cone of a beam
 
-/// Replaces each ray by kConeRays thin rays along a spiral that covers the ray's cone
-/// evenly.
+/// Replaces each ray by kConeRays thin rays. The thin rays form a spiral that covers the
+/// cone of the ray evenly.
 /// @param rays  rays with a divergence
 RayTable cone_rays(const RayTable& rays);
 
-/// Computes two returns per ray from the hits in its cone. Hits with range steps below
-/// 0.5 m form one return, whose range is their mean weighted by light. The first return
-/// is the strongest. The second return is the last, or the next strongest if the
-/// strongest is the last. The second return must have at least a tenth of the strongest's
-/// light. A ray is dropped if at most half of its cone has hits.
+/// Computes two returns per ray from the hits in the cone of the ray. Consecutive hits
+/// with a range difference below 0.5 m form one return. The range of this return is the
+/// mean, weighted by light.
+///
+/// The first return is the strongest one. The second return is the last one, or the next
+/// strongest one if the strongest return is the last. It must have at least a tenth of
+/// the light of the strongest return. A ray is dropped if at most half of its cone has
+/// hits.
 /// @param cone  scan with the hits of the rays from cone_rays(rays)
 Scan receive(const RayTable& rays, const Scan& cone);
 

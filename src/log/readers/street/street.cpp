@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Casts rays exactly against the ground plane, upright boxes (slabs) and upright
-// cylinders with caps (quadratic equation in the plane):
+// Intersects rays exactly with the shapes of the synthetic street: the ground plane,
+// upright boxes (slab test), and upright cylinders with caps (quadratic equation in the
+// plane):
 //   box: t_axis = (+-half - o) / d;   cylinder: |o_xy + t d_xy| = r, |z| <= half height
 #include "log/readers/street/street.hpp"
 
@@ -13,7 +14,7 @@
 namespace relidar::street {
 namespace {
 
-/// Intersection of a ray with a shape, in the shape's frame.
+/// Intersection of a ray with a shape, in the frame of the shape.
 struct Meeting {
     double t = std::numeric_limits<double>::infinity();
     glm::dvec3 normal{0.0};
@@ -57,8 +58,7 @@ Meeting meet_cylinder(double radius, double half_height, const glm::dvec3& o, co
     return best;
 }
 
-/// Intersects a ray with a capsule. The axis of the capsule goes straight down from the
-/// origin.
+/// Intersects a ray with a capsule. The axis of the capsule points down from the origin.
 Meeting meet_capsule(double radius, double length, const glm::dvec3& o, const glm::dvec3& d) {
     Meeting best;
     const auto offer = [&](double t, double axis_z) {
@@ -78,33 +78,33 @@ Meeting meet_capsule(double radius, double length, const glm::dvec3& o, const gl
     return best;
 }
 
-/// Rotates a vector about the z axis by the angle with cosine c and sine s.
+/// Rotates a vector about the z axis. The rotation angle has cosine c and sine s.
 glm::dvec3 turned(const glm::dvec3& v, double c, double s) {
     return {c * v.x - s * v.y, s * v.x + c * v.y, v.z};
 }
 
-/// Returns true if a point of a wall is in a window. Windows are panes of dark glass of
-/// 1.2 x 1.5 m with a spacing of 3 m. Only walls that face the y direction have windows.
+/// Returns true if a point of a wall is inside a window. Windows are dark glass of 1.2 x
+/// 1.5 m with a spacing of 3 m. Only walls that face the y direction have windows.
 bool in_window(const Shape& wall, const glm::dvec3& local, const glm::dvec3& normal) {
     if (std::abs(normal.y) < 0.5) return false;
     const double u = local.x + wall.half.x, v = local.z + wall.half.z;
     return u - 3.0 * std::floor(u / 3.0) < 1.2 && v > 1.0 && v - 3.0 * std::floor(v / 3.0) > 1.5;
 }
 
-/// Returns the reflectance of the ground at a point. The ground is a road with a dashed
-/// centre line, and pavement on both sides.
+/// Returns the reflectance of the ground at a point. The ground consists of a road with a
+/// dashed centre line, and pavements on both sides.
 double ground_reflectance(const glm::dvec3& p) {
     const double middle = std::abs(p.y - 1.7);
     const bool dash = middle < 0.08 && p.x - 6.0 * std::floor(p.x / 6.0) < 3.0;
     return dash ? 0.8 : middle < 4.2 ? 0.18 : 0.32;
 }
 
-/// Returns the sphere through the corners of a shape's box. The sphere also contains a
-/// cylinder in this box.
+/// Returns a sphere that contains a shape. It is the sphere through the corners of the
+/// shape's box.
 Sphere sphere_around(const Shape& shape) { return {shape.centre, glm::length(shape.half)}; }
 
-/// Returns a sphere that contains the bounding spheres of some shapes. Its centre is the
-/// centre of the box around all shape centres.
+/// Returns a sphere that contains several shapes. The centre of the sphere is the centre
+/// of the box around all shape centres.
 Sphere sphere_around(std::span<const Shape> shapes) {
     glm::dvec3 low = shapes.front().centre, high = low;
     for (const Shape& shape : shapes) low = glm::min(low, shape.centre), high = glm::max(high, shape.centre);
@@ -118,13 +118,14 @@ Sphere sphere_around(std::span<const Shape> shapes) {
 
 }  // namespace
 
-/// Finds the first surface that a ray hits, by testing one shape after another.
+/// Finds the first surface that a ray hits. Tests all shapes one after another.
 class StreetCaster::Walk {
 public:
     Walk(const WorldRay& ray, double max_range_m) : ray_(ray), nearest_m_(max_range_m) {}
 
-    /// Returns true if no shape inside a sphere can be the first hit of the ray. The ray
-    /// misses the sphere, or a nearer hit is already known.
+    /// Returns true if no shape inside a sphere can be the first hit, so that these
+    /// shapes can be skipped. Either the ray misses the sphere, or a nearer hit is
+    /// already known.
     bool passes_by(const Sphere& sphere, const glm::dvec3& origin, const glm::dvec3& direction) const {
         const glm::dvec3 to = sphere.centre - origin;
         const double along = glm::dot(to, direction), radius2 = sphere.radius_m * sphere.radius_m;
@@ -140,8 +141,8 @@ public:
         hit_ = Hit{t, -ray_.direction.z, ground_reflectance(ray_.origin_m + t * ray_.direction)};
     }
 
-    /// Intersects the ray with a solid shape and stores the hit if it is the nearest so
-    /// far.
+    /// Intersects the ray with a solid shape. Stores the hit if it is nearer than all
+    /// hits before.
     /// @param origin,direction  ray in the frame of the shape's centre
     void solid(const Solid& solid, const glm::dvec3& origin, const glm::dvec3& direction) {
         if (passes_by(solid.around, origin, direction)) return;
@@ -156,9 +157,9 @@ public:
         hit_ = Hit{m.t, std::abs(glm::dot(m.normal, d)), glass ? 0.06 : shape.reflectance};
     }
 
-    /// Intersects the ray with an arm or a leg and stores the hit if it is the nearest so
-    /// far.
-    /// @param pitch_rad  swing angle of the limb, forward from straight down
+    /// Intersects the ray with an arm or a leg. Stores the hit if it is nearer than all
+    /// hits before.
+    /// @param pitch_rad  swing angle of the limb, from straight down to the front
     /// @param origin,direction  ray in the frame of the person's box
     void limb(const Limb& limb, double pitch_rad, const glm::dvec3& origin, const glm::dvec3& direction) {
         const double c = std::cos(pitch_rad), s = std::sin(pitch_rad);
@@ -207,7 +208,8 @@ std::vector<StreetCaster::Solid> StreetCaster::solids_of(const std::vector<Shape
 }
 
 StreetCaster::StreetCaster(Street street) : solids_(solids_of(street.shapes)) {
-    constexpr double kWide_m = 4.0;  // a car, a bush, a part of a fence
+    // maximum size of a cluster, such as a car, a bush or a part of a fence
+    constexpr double kWide_m = 4.0;
     const std::span<const Shape> shapes = street.shapes;
     for (std::size_t begin = 0, end = 1; begin < shapes.size(); begin = end, ++end) {
         while (end < shapes.size() &&

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Places the objects of the synthetic street. Facades with gaps are on both sides over
-// 160 m, or over the full path of the sensor. Poles and trees stand on the pavements, and
-// parked cars at the kerbs. One car drives ahead of the sensor in the same lane, a little
-// faster. One car is oncoming, or several on a long street. Optional people are one
-// person on each pavement, one who crosses ahead, and a cyclist next to the lane. With
-// people, a yard on the left has parked cars behind a fence.
+// Creates the objects of the synthetic street. Facades with gaps are on both sides, along
+// 160 m or along the full path of the sensor. Poles and trees stand on the pavements, and
+// parked cars at the kerbs. One car drives ahead of the sensor in the same lane, slightly
+// faster. One oncoming car passes, or several on a long street.
+//
+// Optional people are one person on each pavement, one person who crosses the street, and
+// a cyclist next to the lane. With people, a yard on the left contains parked cars behind
+// a fence.
 #include "log/readers/street/street.hpp"
 
 #include <cmath>
@@ -15,15 +17,15 @@ namespace relidar::street {
 namespace {
 
 constexpr double kHalfLength_m = 80.0, kLongWay_m = 100.0, kBetweenCars_m = 120.0;
-// The middle between the kerbs is y = 1.1, because the sensor drives in the right-hand
-// lane at y = 0.
+// The sensor drives in the right-hand lane at y = 0. So the middle between the kerbs is y
+// = 1.1.
 constexpr double kLeftKerb_m = 6.6, kRightKerb_m = -4.4;
 constexpr double kCarLength_m = 4.3, kCarWidth_m = 1.8;
-// Bottom and top of a car's box above the ground. The car's body begins at 0.2 m, so the
-// box contains the full car but no ground.
+// Bottom and top of a car's box above the ground. The body of a car begins at 0.2 m. So
+// the box contains the full car but no ground.
 constexpr double kBoxBottom_m = 0.15, kBoxTop_m = 1.5;
 constexpr double kBoxCentre_m = 0.5 * (kBoxBottom_m + kBoxTop_m);
-// range of the yard along the street; the yard is left of the pavement
+// Start and end of the yard along the street. The yard is left of the pavement.
 constexpr double kYardBegin_m = 6.0, kYardEnd_m = 32.0;
 
 double middle_time_s(const SyntheticOptions& options) { return frame_time_s(options.n_frames / 2); }
@@ -33,21 +35,21 @@ double driven_length_m(const SyntheticOptions& options) {
 }
 
 /// Returns half the length of the street. In a short log, the sensor can see both ends of
-/// the street. In a long log, the street extends beyond the sensor's path.
+/// the street. In a long log, the street is longer than the sensor's path.
 double half_length_m(const SyntheticOptions& options) {
     const double way = driven_length_m(options);
     return way > kLongWay_m ? 0.5 * way + kHalfLength_m : kHalfLength_m;
 }
 
-/// The left or right side of the street.
+/// One side of the street, left or right.
 struct Side {
-    double left;  ///< sign of the side in y: 1: left, -1: right
+    double left;  ///< sign of y on this side: 1 on the left, -1 on the right
     double kerb_m;
-    double half_m;  ///< half the length of the street
+    double half_m;  ///< half of the length of the street
 };
 
-/// Adds the house facades of one side.
-/// @param yard  true: no facades are added where the yard is
+/// Adds the house facades on one side of the street.
+/// @param yard  if true, leaves out facades along the yard
 void add_facades(Street& street, Random& random, const Side& at, bool yard) {
     const auto& [side, kerb_m, half_m] = at;
     for (double x = -half_m; x < half_m;) {
@@ -91,8 +93,8 @@ void add_poles_and_trees(Street& street, Random& random, const Side& at) {
     }
 }
 
-/// Returns the shapes of a car relative to the centre of its box. The body is 0.20 to
-/// 0.90 m above the ground, and the cabin 0.90 to 1.45 m.
+/// Returns the shapes of a car relative to the centre of the car's box. The body is 0.20
+/// to 0.90 m above the ground, and the cabin 0.90 to 1.45 m.
 std::vector<Shape> car_shapes(double paint) {
     const Shape body{Shape::Kind::box,
                      {0.0, 0.0, 0.55 - kBoxCentre_m},
@@ -109,8 +111,8 @@ std::vector<Shape> car_shapes(double paint) {
     return {body, cabin};
 }
 
-/// Returns the shapes of a car whose windows let rays pass. The cabin consists of
-/// pillars, seats and a roof.
+/// Returns the shapes of a car with transparent windows. The cabin consists of pillars,
+/// seats and a roof.
 std::vector<Shape> glazed_car_shapes(double paint) {
     const Shape body = car_shapes(paint)[0];
     const Shape roof{Shape::Kind::box,
@@ -155,8 +157,7 @@ void add_parked_cars(Street& street, Random& random, const Side& at, bool glazed
 }
 
 /// Adds a yard with parked cars between a wall and a fence. The posts of the fence are as
-/// wide as the gaps between them. So a moving sensor sees a different part of each car in
-/// every sweep.
+/// wide as the gaps. So a moving sensor sees another part of each car in every sweep.
 void add_yard(Street& street, Random& random) {
     const double fence_y = kLeftKerb_m + 2.4;
     for (double x = kYardBegin_m; x < kYardEnd_m; x += random.uniform(0.4, 1.2))
@@ -185,8 +186,8 @@ MovingCar moving_car(const SyntheticOptions& options, double x_at_middle_m, doub
     return car;
 }
 
-/// Adds an oncoming car. In the middle of the log, it is 14 m ahead of the sensor. On a
-/// long street, more oncoming cars are added, one for every 120 m of the sensor's path.
+/// Adds an oncoming car. In the middle of the log, the car is 14 m ahead of the sensor.
+/// On a long street, adds one oncoming car per 120 m of the sensor's path.
 void add_oncoming(Street& street, Random& random, const SyntheticOptions& options) {
     constexpr double kSpeed_mps = 9.0, kLane_m = 3.2;
     street.cars.push_back(moving_car(options, 14.0, kLane_m, kPi, kSpeed_mps, 0.35));
@@ -197,7 +198,7 @@ void add_oncoming(Street& street, Random& random, const SyntheticOptions& option
                                              kPi, kSpeed_mps, random.uniform(0.15, 0.8)));
 }
 
-/// Adds a bush of leaves and twigs. Most rays pass between them.
+/// Adds a bush that consists of leaves and twigs. Most rays pass between the leaves.
 void add_bush(Street& street, Random& random, const glm::dvec2& at_m) {
     for (int leaf = 0; leaf < 60; ++leaf) {
         const glm::dvec3 place(at_m + glm::dvec2(random.uniform(-1.0, 1.0), random.uniform(-0.5, 0.5)),
@@ -207,8 +208,8 @@ void add_bush(Street& street, Random& random, const glm::dvec2& at_m) {
     }
 }
 
-/// Returns a pedestrian of 0.25 to 0.35 m width and 1.75 m height. The box begins 0.05 m
-/// above the ground, so it contains the feet but no ground.
+/// Returns a pedestrian with a width of 0.25 to 0.35 m and a height of 1.75 m. The box
+/// begins 0.05 m above the ground, so it contains the feet but no ground.
 MovingCar walker(const SyntheticOptions& options, const glm::dvec2& at_middle_m, double yaw_rad,
                  double speed_mps) {
     constexpr double kTall_m = 1.75, kBottom_m = 0.05, kHalf_m = 0.5 * (kTall_m - kBottom_m);
@@ -230,7 +231,8 @@ MovingCar walker(const SyntheticOptions& options, const glm::dvec2& at_middle_m,
 }
 
 /// Replaces the static legs of a pedestrian by swinging legs and arms. A foot on the
-/// ground moves backward as fast as the body moves forward, so it does not slide.
+/// ground moves backward relative to the body, as fast as the body moves forward. So the
+/// foot does not slide.
 void give_gait(MovingCar& walker) {
     constexpr double kLeg_m = 0.72, kLegRadius_m = 0.075, kHip_m = 0.09, kArm_m = 0.5, kArmRadius_m = 0.045,
                      kShoulder_m = 0.23;
@@ -289,8 +291,8 @@ Street make_street(const SyntheticOptions& options) {
     add_parked_cars(street, random, left, options.people);
     add_parked_cars(street, random, right, options.people);
     if (options.moving_cars) {
-        // Initial distance of the car ahead of the sensor, chosen so that the sensor
-        // never overtakes the car.
+        // Initial distance of the car ahead. It is large enough that the sensor never
+        // overtakes the car.
         const double ahead_m =
             driven_length_m(options) > kLongWay_m ? 12.0 + 0.05 * 0.5 * driven_length_m(options) : 12.0;
         street.cars.push_back(moving_car(options, ahead_m, 0.1, 0.0, 1.05 * options.speed_mps, 0.6));

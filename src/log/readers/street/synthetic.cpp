@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Generates synthetic logs. A spinning LiDAR, or several sensors of any type, drive
-// through the street. Each ray is cast at its firing time. The measurement of a hit is
+// through the street. Each ray is cast at its firing time. A hit is measured as
 //   s = reflectance * cosine * min(1, (25 m / range)^2)
 //   intensity = reflectance * (0.3 + 0.7 cosine) * (1 - range / 160 m)
 //   P(drop) = 1 / (1 + (s / s0)^3),  s0 = 0.01
-// A hash of seed, frame and ray decides which rays are dropped, so that a log is
+// A hash of seed, frame and ray decides which rays are dropped, so that the log is
 // reproducible.
 #include "log/readers/street/synthetic.hpp"
 
@@ -27,7 +27,8 @@ namespace {
 using street::Hit;
 
 constexpr double kMaxRange_m = 80.0;
-// maximum number of rays of a log; a ray needs 44 bytes, so the limit is about 9 GB
+// maximum number of rays of a log; a ray needs 44 bytes, so a log needs at most about 9
+// GB
 constexpr double kMostRays = 2e8;
 
 void check(const SyntheticOptions& options) {
@@ -49,7 +50,7 @@ SpinningSensor make_sensor(const SyntheticOptions& options) {
     SpinningSensor sensor;
     sensor.name = "synthetic";
     const double spacing_deg = 28.0 / (options.rows - 1);
-    for (int i = 0; i < options.rows; ++i) {  // slightly uneven, like the beams of a real sensor
+    for (int i = 0; i < options.rows; ++i) {  // the spacing is slightly irregular, as for a real sensor
         const double elevation_deg = 3.0 - spacing_deg * (i + 0.2 * std::sin(2.1 * i));
         sensor.beams.push_back({.elevation_rad = elevation_deg * kPi / 180.0});
     }
@@ -68,9 +69,10 @@ double echo_intensity(const Hit& hit) {
     return glm::clamp(hit.reflectance * (0.3 + 0.7 * hit.cosine) * (1.0 - hit.range_m / 160.0), 0.0, 1.0);
 }
 
-/// Returns the part of the street that is close enough to be hit by the rays of a sweep.
+/// Returns the shapes of the street that rays of one sweep can reach. Fewer shapes make
+/// ray casting faster.
 street::Street crop_street(const street::Street& whole, const glm::dvec3& sensor_m, double time_s) {
-    // upper limit of how far the sensor, ray origins and cars move during a sweep
+    // Maximum distance that the sensor, the ray origins and the cars move during a sweep.
     constexpr double kSweep_m = 20.0;
     street::Street near;
     for (const street::Shape& shape : whole.shapes)
@@ -83,14 +85,14 @@ street::Street crop_street(const street::Street& whole, const glm::dvec3& sensor
     return near;
 }
 
-/// Casts every ray of a scan at its firing time. Then calls `receive(ray, hit)`, which
-/// converts the hit to a measurement.
+/// Casts every ray of a scan at its firing time. Calls `receive(ray, hit)` for each ray,
+/// which converts the hit to a measurement.
 template <class Receive>
 void cast_rays(const street::Street& whole, const glm::dvec3& offset_m, const PoseTrack& track, double time_s,
                const RayTable& rays, const Receive& receive) {
     const street::StreetCaster street(crop_street(whole, track.at(time_s).translation + offset_m, time_s));
     const std::size_t columns = rays.rows > 1 ? std::size_t(rays.columns) : 1;
-    // one entry per column, because the rays of a column usually have the same time
+    // Car poses for each column, because the rays of a column usually have the same time.
     std::vector<street::CarPlaces> places(columns);
     for (std::size_t ray = 0; ray < rays.size(); ++ray) {
         WorldRay in_street = world_ray(track, time_s, rays, ray, true);
@@ -105,13 +107,13 @@ Scan empty_scan(const RayTable& rays) {
     return {rays, ScanArray<float>(rays.size(), 0.0f), ScanArray<float>(rays.size(), 0.0f)};
 }
 
-/// Returns the position of the log's origin in the street frame. The origin is the
-/// position of the sensor in the middle frame.
+/// Returns the origin of the log in the street frame. It is the position of the sensor in
+/// the middle frame.
 glm::dvec3 origin_of(const SyntheticOptions& options) {
     return street::sensor_pose(options, street::frame_time_s(options.n_frames / 2)).translation;
 }
 
-/// Casts a scan without noise. A ray is dropped if its drop probability is above 0.5.
+/// Casts a scan without noise. Drops a ray if its drop probability is above 0.5.
 Scan cast_exactly(const street::Street& street, const glm::dvec3& offset_m, const RayTable& rays,
                   const PoseTrack& track, double time_s) {
     Scan scan = empty_scan(rays);
@@ -132,8 +134,8 @@ Scan cast_beams(const street::Street& street, const glm::dvec3& offset_m, const 
     return street::receive(rays, cast_exactly(street, offset_m, street::cone_rays(rays), track, time_s));
 }
 
-/// Returns the random seed for a frame of a LiDAR. With the same options, the first of
-/// several LiDARs has the same seeds as a single LiDAR.
+/// Returns the random seed of a frame. The first of several LiDARs has the same seeds as
+/// a single LiDAR with the same options.
 std::uint64_t seed_of(const SyntheticOptions& options, const Frame& frame) {
     const std::uint64_t seed = hash64(options.seed, static_cast<std::uint64_t>(frame.index));
     return frame.lidar == 0 ? seed : hash64(seed, static_cast<std::uint64_t>(frame.lidar));
@@ -187,8 +189,8 @@ std::vector<BoxTrack> boxes_of(const street::Street& street, const std::vector<d
     return build_tracks(labels);
 }
 
-/// Returns the sensors of the rig file. If the options name no rig, returns the default
-/// sensor.
+/// Returns the sensors of the rig file. If the options name no rig file, returns the
+/// default sensor.
 std::vector<MountedSensor> sensors_of(const SyntheticOptions& options) {
     if (options.rig.empty()) {
         const SpinningSensor own = make_sensor(options);
@@ -257,7 +259,7 @@ Sequence make_synthetic_street(const SyntheticOptions& options) {
 
 namespace {
 
-/// Replaces the moving cars of the street by other cars.
+/// Replaces the moving cars of the street by other moving cars.
 void replace_cars(street::Street& street, const std::vector<StreetCar>& cars, const glm::dvec3& origin_m,
                   double time_s) {
     const std::vector<street::MovingCar> own = std::move(street.cars);

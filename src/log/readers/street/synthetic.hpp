@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of synthetic logs. The file street.toml contains the options of the log. The
-// scans are computed again from these options.
+// Loads synthetic logs. The file street.toml contains the options of a log. The scans are
+// not stored, but generated again from the options.
 #pragma once
 
 #include <filesystem>
@@ -10,8 +10,9 @@
 namespace relidar {
 
 /// Generates the log that folder/street.toml describes. The origin of the world is the
-/// sensor's position in the middle of the full log, even if only a range of frames is
-/// read. So the world is the same as in cast_synthetic_street().
+/// position of the sensor in the middle of the full log. This also applies if only a
+/// range of frames is loaded, so that the world is the same as in
+/// cast_synthetic_street().
 /// @throws DataError with the invalid key
 /// @throws UsageError if no frame is in the requested range or a poses file is given
 Sequence load_synthetic(const std::filesystem::path& folder, const DatasetOptions& options);

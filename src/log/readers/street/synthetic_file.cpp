@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes street.toml, which has one key for each option of a synthetic log. A
-// missing key means the default value. An unknown key is an error.
+// Reads and writes street.toml. This file has one key for each option of a synthetic log.
+// If a key is missing, the option has its default value. An unknown key is an error.
 #include "log/readers/street/synthetic.hpp"
 
 #include <algorithm>
@@ -25,16 +25,16 @@ namespace fs = std::filesystem;
 const std::vector<std::string> kKeys{"seed",      "n_frames",    "rows",   "columns", "range_noise_m",
                                      "speed_mps", "moving_cars", "people", "gait",    "rig"};
 
-/// Reads the value of a key if the key exists.
-/// @throws DataError if the value has the wrong type. An integer is accepted as a real
-/// number.
+/// Reads the value of a key, if the key exists.
+/// @throws DataError if the value has the wrong type; an integer is accepted as a real
+/// number
 template <class T>
 void read_value(const toml::table& table, const char* key, const char* type, const std::string& file,
                 T& value) {
     const toml::node* node = table.get(key);
     if (!node) return;
-    // toml++ converts a real number to an integer without an error, so check the type
-    // first
+    // Check the type first, because toml++ converts a real number to an integer without
+    // an error.
     const bool is_cut = std::is_integral_v<T> && node->is_floating_point();
     const auto found = is_cut ? std::nullopt : node->value<T>();
     if (!found)
@@ -43,11 +43,12 @@ void read_value(const toml::table& table, const char* key, const char* type, con
     value = *found;
 }
 
-/// Replaces the exact poses, from which the scans were cast, by poses from a file. The
-/// poses are in the street's world. This is used to study the effect of wrong poses.
+/// Replaces the exact poses of a synthetic log by poses from a file in the same world
+/// frame. The scans stay unchanged, so this shows the effect of wrong poses.
 void use_poses_file(Sequence& sequence, const fs::path& poses_file) {
     std::vector<int> frames;
-    for (const Frame& frame : sequence.frames)  // one pose for all LiDARs of a rig
+    // all LiDARs of a rig have the same vehicle pose, so use each frame number once
+    for (const Frame& frame : sequence.frames)
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
     PoseTrack track{sequence.world_from_vehicle.time_s, std::vector<Pose>(frames.size())};
     if (poses_file != kNoPoses) {
@@ -91,7 +92,7 @@ SyntheticOptions read_options(const fs::path& path) {
     read_value(table, "people", "true or false", file, options.people);
     read_value(table, "gait", "true or false", file, options.gait);
     read_value(table, "rig", "a file", file, options.rig);
-    // The path of the rig is absolute, or relative to the folder of street.toml.
+    // The path of the rig file is absolute, or relative to the folder of street.toml.
     if (!options.rig.empty()) options.rig = (path.parent_path() / options.rig).string();
     return options;
 }
@@ -111,7 +112,9 @@ Sequence load_synthetic(const fs::path& folder, const DatasetOptions& options) {
     Sequence sequence;
     try {
         sequence = make_synthetic_frames(street, options.frames.begin, end);
-    } catch (const UsageError& error) {  // the invalid value is in a file, not on the command line
+        // reports a DataError, because the invalid value is in a file and not on the command
+        // line
+    } catch (const UsageError& error) {
         throw DataError(fmt::format("{}: {}", file.string(), error.what()));
     }
     sequence.source = folder.string();

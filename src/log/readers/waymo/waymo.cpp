@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads Waymo Open. In the LiDAR's frame, pixel (row, column) of a range image is a ray
-// with
+// Reads Waymo Open. In the frame of the LiDAR, pixel (row, column) of a range image is a
+// ray with
 //   elevation(row),  azimuth pi - 2 pi (column + 0.5) / columns - yaw of the mounting.
 // The reader rotates the frame by this yaw, so that the image has the rays of a spinning
-// sensor. The dataset has transformed points of TOP with the vehicle pose of their pixel.
-// It has transformed points of the other LiDARs with the vehicle pose of the record. The
-// reader uses the same pose to place a ray in the world. Then it stores the ray relative
-// to the log's vehicle pose at the time of the ray.
+// sensor.
+//
+// The dataset has transformed the points of TOP with the vehicle pose of their pixel. It
+// has transformed the points of the other LiDARs with the vehicle pose of the record. The
+// reader places a ray in the world with the same pose. Then it stores the ray relative to
+// the vehicle pose of the log at the time of the ray.
 #include "log/readers/waymo/waymo.hpp"
 
 #include <algorithm>
@@ -35,7 +37,7 @@ namespace {
 namespace fs = std::filesystem;
 using namespace waymo;
 
-// Names of the LiDARs, indexed by Waymo's enum LaserName.
+// Names of the LiDARs. The index is a value of Waymo's enum LaserName.
 constexpr const char* kLaserNames[] = {"", "TOP", "FRONT", "SIDE_LEFT", "SIDE_RIGHT", "REAR"};
 
 struct Segment {
@@ -78,7 +80,7 @@ Segment choose_segment(const fs::path& path, const DatasetOptions& options) {
                     excerpt(options.sequence), files.size(), path.string()));
 }
 
-/// Returns the records of the requested frames: [begin, end).
+/// Returns the range [begin, end) of records that contain the requested frames.
 std::pair<int, int> record_range(const TfRecords& records, const FrameRange& frames) {
     const int n = static_cast<int>(std::min<std::size_t>(records.size(), 1 << 30));
     const int end = frames.end < 0 ? n : std::min(frames.end, n);
@@ -93,8 +95,8 @@ std::string record_name(const TfRecords& records, int record) {
     return fmt::format("{}: record {}", records.file().string(), record);
 }
 
-/// Returns the vehicle pose at the time of a pixel. The pixel has roll, pitch, yaw, x, y,
-/// z.
+/// Returns the vehicle pose at the time of a pixel. The pixel stores roll, pitch, yaw, x,
+/// y, z.
 Pose pixel_pose(const Image& poses, std::size_t pixel, const std::string& where) {
     const float* v = poses.pixel(pixel);
     if (!std::all_of(v, v + 6, [](float x) { return std::abs(x) <= 1e8f; }))
@@ -103,11 +105,11 @@ Pose pixel_pose(const Image& poses, std::size_t pixel, const std::string& where)
     return {rotation_of(double(v[2]), double(v[1]), double(v[0])), {v[3], v[4], v[5]}};
 }
 
-// Number of channels. A range image has range, intensity, elongation and no-label zone. A
-// pose image has roll, pitch, yaw, x, y, z.
+// Number of channels of each image type. A range image has range, intensity, elongation
+// and no-label zone. A pose image has roll, pitch, yaw, x, y, z.
 constexpr int kImageChannels = 4, kPoseChannels = 6;
 
-/// Reads the image with the vehicle pose of each pixel and checks its size. Returns
+/// Reads the image with the vehicle pose of each pixel and checks the image size. Returns
 /// nothing if the LiDAR has no such image.
 std::optional<Image> read_pixel_poses(const LaserImages& laser, const Image& image,
                                       const std::string& where) {
@@ -127,8 +129,8 @@ const LaserImages& images_of(const FrameRecord& frame, int laser, const std::str
                                 kLaserNames[laser]));
 }
 
-/// Returns the vehicle pose at the time when the head of TOP faces forward. This is the
-/// pose of the pixel that is nearest to the middle column and has a return.
+/// Returns the vehicle pose at the time when the head of TOP faces forward. Uses the pose
+/// of the pixel with a return that is nearest to the middle column.
 Pose forward_pose(const FrameRecord& frame, const std::string& where) {
     if (frame.images.empty() || frame.images.front().laser != kTop) return frame.world_from_vehicle;
     const std::string in_top = where + ": TOP";
@@ -143,12 +145,12 @@ Pose forward_pose(const FrameRecord& frame, const std::string& where) {
     return nearest ? pixel_pose(*poses, *nearest, in_top) : frame.world_from_vehicle;
 }
 
-/// Data of a frame that is read before any scan, because placing the rays needs the poses
-/// of all frames.
+/// Data of a frame that is read before any scan, because placing a ray needs the poses of
+/// all frames.
 struct FrameHead {
     std::int64_t timestamp_us = 0;
-    Pose world_from_vehicle;       ///< vehicle pose at the time when the head faces forward
-    std::vector<BoxLabel> labels;  ///< labels in the world frame, without times
+    Pose world_from_vehicle;       ///< vehicle pose at the time when the head of the LiDAR faces forward
+    std::vector<BoxLabel> labels;  ///< box labels in the world frame; their times are not set
 };
 
 FrameHead read_head(const TfRecords& records, int record) {
@@ -198,19 +200,21 @@ Lidar make_lidar(const FrameRecord& frame, const LaserImages& images, double per
     return lidar;
 }
 
-/// Converts the range images of a LiDAR to a scan. Each pixel is one ray of the sensor.
+/// Converts the range images of a LiDAR to a scan. Each pixel becomes one ray of the
+/// sensor.
 class RangeImageReader {
 public:
     /// Creates a reader for one frame of a LiDAR.
-    /// @param clamps  true: intensities above 1 are set to 1; false: tanh is applied to
-    /// intensities
+    /// @param clamps  if true, intensities above 1 become 1; if false, intensities are
+    /// scaled with tanh
     RangeImageReader(const Sequence& sequence, const Frame& frame, RayTable model, std::string where,
                      bool clamps)
         : lidar_(sequence.lidar_of(frame)), where_(std::move(where)), clamps_(clamps) {
         scan.rays = std::move(model);
         scan.range_m.assign(scan.rays.size(), 0.0f);
         scan.intensity.assign(scan.rays.size(), 0.0f);
-        // all rows of a column are fired at the same time
+        // All rows of a column are fired at the same time, so compute one pose per
+        // column.
         for (int column = 0; column < scan.rays.columns; ++column) {
             const double time_s = frame.time_s + double(scan.rays.time_offset_s[std::size_t(column)]);
             sensor_from_world_.push_back(
@@ -239,7 +243,8 @@ private:
     const Lidar& lidar_;
     std::string where_;
     bool clamps_;
-    /// [columns] transform from the log's world to the sensor at the time of each column
+    /// [columns] transform from the world of the log to the sensor at the time of each
+    /// column
     std::vector<Pose> sensor_from_world_;
 
     Image inflated(std::string_view packed) const {
@@ -268,8 +273,8 @@ private:
         }
     }
 
-    /// Places a ray in the world with a vehicle pose. Then transforms it to the sensor
-    /// frame that the log's poses give at the time of the ray.
+    /// Places a ray in the world with a vehicle pose of the dataset. Then transforms the
+    /// ray to the sensor frame that the poses of the log give at the time of the ray.
     void place(std::size_t ray, const Pose& world_from_vehicle) {
         const Pose moved = sensor_from_world_[ray % std::size_t(scan.rays.columns)] *
                            (world_from_vehicle * lidar_.vehicle_from_sensor);
@@ -278,8 +283,8 @@ private:
     }
 };
 
-/// Adds the LiDARs of the first frame, all frames, and the labels to the log. The frames
-/// do not have scans yet.
+/// Adds the LiDARs of the first frame, all frames, and the box labels to the log. Does
+/// not read scans.
 void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<FrameHead>& heads, int begin,
                 bool top_alone) {
     const double period_s = median_period(heads, records.file().string());
@@ -295,8 +300,8 @@ void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<
     const std::int64_t start_us = parse_frame(records.read(0), record_name(records, 0)).timestamp_us;
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < heads.size(); ++i) {
-        // a sweep begins when the head faces backward, half a period before it faces
-        // forward
+        // The time stamp is the start of the sweep, when the head faces backward. The
+        // head faces forward half a period later.
         const double time_s = 1e-6 * double(heads[i].timestamp_us - start_us) + 0.5 * period_s;
         for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
             add_frame(sequence, begin + int(i), time_s, heads[i].world_from_vehicle, lidar);
@@ -313,8 +318,8 @@ void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptio
     std::vector<RayTable> models;
     for (const Lidar& lidar : sequence.lidars) {
         RayTable& model = models.emplace_back(make_rays(lidar.sensor));
-        // the dataset gives no times for rays of the other LiDARs, so all their rays have
-        // the frame's time
+        // The dataset contains no times for rays of the other LiDARs, so all their rays
+        // get the time of the frame.
         if (lidar.name != kLaserNames[kTop])
             std::fill(model.time_offset_s.begin(), model.time_offset_s.end(), 0.0f);
     }
@@ -322,7 +327,8 @@ void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptio
     for_each_with_progress(
         sequence.frames.size() / n_lidars, options.progress, "reading range images", [&](std::size_t sweep) {
             const int record = sequence.frames[sweep * n_lidars].index;
-            // an earlier step has read the pose of this record, so the record is complete
+            // The record is complete, because the pose of this record has already been
+            // read.
             const std::string data = records.read(std::size_t(record)), where = record_name(records, record);
             const FrameRecord parsed = parse_frame(data, where);
             for (std::size_t lidar = 0; lidar < n_lidars; ++lidar) {

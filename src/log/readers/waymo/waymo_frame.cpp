@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parses the messages of Waymo Open 1.4. Field numbers are those of dataset.proto and
-// label.proto. Fields with an unexpected wire type are skipped, in the same way as
-// protobuf skips unknown fields.
+// Parses the messages of Waymo Open 1.4. The field numbers are defined in dataset.proto
+// and label.proto. Skips fields with an unexpected wire type, as protobuf skips unknown
+// fields.
 #include "log/readers/waymo/waymo_frame.hpp"
 
 #include <algorithm>
@@ -36,7 +36,7 @@ constexpr std::uint32_t real_single(std::uint32_t field) {
 
 // maximum size of a decompressed image; an image of TOP with six channels has 4 MB
 constexpr std::size_t kMostInflated = std::size_t(32) << 20;
-constexpr double kLargestOfFrame = 1e8;  // limit of all numbers in a frame: metres, radians
+constexpr double kLargestOfFrame = 1e8;  // maximum value of all numbers in a frame (metres or radians)
 
 std::string_view view_of(pbf_reader& from) {
     const protozero::data_view view = from.get_view();
@@ -54,7 +54,7 @@ void append_packed(pbf_reader& from, std::vector<double>& to) {
     for (const double value : from.get_packed_double()) to.push_back(value);
 }
 
-/// Parses a Transform message: a 4x4 matrix of doubles, row-major.
+/// Parses a Transform message, which is a 4x4 matrix of doubles, row-major.
 Pose parse_transform(pbf_reader from, const std::string& where) {
     std::vector<double> m;
     while (from.next()) {
@@ -112,8 +112,8 @@ void parse_context(pbf_reader from, FrameRecord& frame, const std::string& where
     }
 }
 
-/// Parses a RangeImage message. Returns the compressed range image, and the compressed
-/// vehicle poses of the first return's pixels.
+/// Parses a RangeImage message. Returns two compressed images: the range image, and the
+/// vehicle poses of its pixels.
 void parse_range_image(pbf_reader from, std::string_view& image, std::string_view& pixel_pose) {
     while (from.next()) {
         switch (from.tag_and_type()) {
@@ -150,8 +150,8 @@ LaserImages parse_laser(pbf_reader from) {
     return laser;
 }
 
-/// Parses a Box message. The order of the fields is centre, width, length, height,
-/// heading.
+/// Parses a Box message. The fields are centre, width, length, height and heading, in
+/// this order.
 void parse_box(pbf_reader from, BoxLabel& label, const std::string& where) {
     double v[8] = {};
     while (from.next()) {
@@ -166,8 +166,8 @@ void parse_box(pbf_reader from, BoxLabel& label, const std::string& where) {
     label.world_from_box = {glm::angleAxis(v[7], glm::dvec3(0, 0, 1)), {v[1], v[2], v[3]}};
 }
 
-/// Returns the category of an object that can move. Returns null for signs, because they
-/// are background.
+/// Returns the category of an object that can move. Returns null for signs, because signs
+/// belong to the background.
 const char* category_of(int type) {
     constexpr int kVehicle = 1, kPedestrian = 2, kCyclist = 4;
     return type == kVehicle      ? "vehicle"
@@ -205,7 +205,7 @@ void parse_label(pbf_reader from, FrameRecord& frame, const std::string& where) 
     frame.labels.push_back(std::move(label));
 }
 
-/// Parses a MatrixFloat message: the values and the dimensions.
+/// Parses a MatrixFloat message, which contains values and dimensions.
 void parse_matrix(pbf_reader from, std::vector<float>& values, std::vector<std::int32_t>& dims) {
     while (from.next()) {
         switch (from.tag_and_type()) {
@@ -255,7 +255,7 @@ std::string inflate(std::string_view packed, const std::string& where) {
     return bytes;
 }
 
-/// Calls parse() and converts exceptions of the protobuf library protozero to DataError.
+/// Calls parse(). Converts exceptions of the protobuf library protozero to DataError.
 template <class Parse>
 auto parse_with_context(const std::string& where, const Parse& parse) {
     try {

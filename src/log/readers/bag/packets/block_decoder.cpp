@@ -43,17 +43,21 @@ constexpr int kNoRing = -1;
 constexpr double kDegree = kPi / 180.0;
 constexpr double kLargestStep_deg = 5.0;  // maximum rotation between two blocks
 
-/// A beam of the decoded scan. A laser that fires in two firing sequences has two beams.
+/// A beam of the decoded scan. A laser that fires in two firing sequences becomes two
+/// beams.
 struct BlockBeam {
-    std::size_t laser = 0;       ///< index of the laser in a firing
-    std::size_t part = 0;        ///< index of the firing sequence
-    std::size_t line = 0;        ///< line of the laser in the sensor's beam table
-    double elevation_deg = 0.0;  ///< elevation from the file of the unit; 0 without a file
-    double offset_us = 0.0;      ///< time from the start of the first firing sequence
+    std::size_t laser = 0;  ///< index of the laser in a firing, from 0
+    std::size_t part = 0;   ///< index of the firing sequence
+    std::size_t line = 0;   ///< row of the laser in the beam table of the built-in sensor
+    /// elevation from the sensor's angle correction file; 0 if the file is missing
+    double elevation_deg = 0.0;
+    /// time from the start of the first firing sequence to the firing of the laser
+    double offset_us = 0.0;
 };
 
-/// Adds a return of a ray. A third return replaces the darker one of the first two if it
-/// is brighter and has a different range.
+/// Adds a return of a ray, which can store two returns. A third return replaces the
+/// darker one of the first two, if the third return is brighter and has a different
+/// range.
 /// @param number  number of the return in the packet, from 0
 void add_echo(std::array<Echo, 2>& echoes, std::size_t number, const Echo& echo) {
     if (number < 2) {
@@ -143,14 +147,18 @@ private:
     Timing timing_;
     std::vector<BeamFiring> table_;
     std::int32_t first_ns_ = std::numeric_limits<std::int32_t>::max();  ///< earliest time in the loops
-    /// [lasers] calibrated angles of this sensor; empty if unknown
+    /// [lasers] angles of the lasers as calibrated by the manufacturer; empty if unknown
     std::vector<LaserAngles> angles_;
-    std::string angles_about_ = "nominal angles of the beams";  ///< source of the angles, for notes
-    std::vector<BlockBeam> beams_;                              ///< [rings]
-    std::vector<std::vector<int>> ring_of_;  ///< [parts, lasers] ring of each laser, or kNoRing
+    /// text about the source of the angles, for notes to the user
+    std::string angles_about_ = "nominal angles of the beams";
+    std::vector<BlockBeam> beams_;  ///< [rings]
+    /// [firing sequences, lasers] ring of each laser, or kNoRing if the laser does not
+    /// fire
+    std::vector<std::vector<int>> ring_of_;
 
-    /// Uses the angle correction that has the number of lasers of this sensor. Uses none
-    /// if several corrections do.
+    /// Selects the angle correction file for this sensor by the number of lasers. If
+    /// several files match, uses none of them, because it is unknown which file is the
+    /// right one.
     void choose_angles(const std::vector<Correction>& corrections) {
         const std::size_t n = layout_.lasers();
         std::string files;
@@ -173,7 +181,7 @@ private:
         }
     }
 
-    /// Adds the beams of a laser, one for each firing sequence in which it fires.
+    /// Adds one beam for each firing sequence in which a laser fires.
     void add_beams(std::size_t line) {
         BlockBeam beam{std::size_t(table_[line].channel - layout_.first_channel), 0, line, 0.0,
                        table_[line].offset_us};
@@ -186,7 +194,7 @@ private:
         }
     }
 
-    /// Returns the firing sequence of a firing.
+    /// Returns the index of the firing sequence that a firing belongs to.
     /// @param number  number of the firing in the packet
     int part_of(std::string_view bytes, std::size_t number, std::size_t n_returns) const {
         if (layout_.part_rule == PartRule::none) return 0;
@@ -201,7 +209,7 @@ private:
         return layout_.is_big_endian ? std::uint16_t(value << 8 | value >> 8) : value;
     }
 
-    /// Returns the time of a packet in nanoseconds.
+    /// Reads the time of a packet by the sensor's clock, in nanoseconds.
     std::int64_t read_clock(std::string_view bytes) const {
         bag::ByteReader reader(bytes.substr(layout_.time_at));
         if (!layout_.is_big_endian) return std::int64_t(1000) * reader.number<std::uint32_t>();
@@ -222,7 +230,7 @@ private:
         return std::fmod(azimuth_deg - layout_.forward_deg + 360.0, 360.0);
     }
 
-    /// Reads the ranges and reflectivities of a block.
+    /// Reads the ranges and reflectivities of all lasers of a block.
     /// @param rings  ring of each laser of the block
     /// @param echoes  [rings] output
     void read_echoes(bag::ByteReader& reader, double unit_m, std::size_t number, const int* rings,
@@ -237,8 +245,8 @@ private:
         }
     }
 
-    /// Computes the time of each firing in a packet. Firings that share a block also
-    /// share its azimuth, so their azimuths are interpolated.
+    /// Computes the time of each firing in a packet. Firings in the same block share one
+    /// azimuth, so also interpolates the azimuth of each firing.
     void add_times(Packet& packet) const {
         const int n = packet.n_slots, per_block = int(layout_.firings);
         double step_deg = 0.0;  // rotation between two blocks
@@ -252,7 +260,8 @@ private:
             if (slot % per_block == 0 && next < packet.firings.size()) {
                 const double to_next =
                     std::remainder(packet.firings[next].azimuth_deg - firing.azimuth_deg, 360.0);
-                // a larger step skips a sector in which the sensor does not fire
+                // A larger step crosses a sector in which the sensor does not fire, so it
+                // is not used.
                 if (std::abs(to_next) < kLargestStep_deg) step_deg = to_next;
             }
             firing.azimuth_deg = std::fmod(

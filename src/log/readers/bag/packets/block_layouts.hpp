@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tables of the products whose packets consist of blocks: positions of the fields in a
-// packet, timing, and the firing times of the lasers. block_decoder.cpp explains the
-// format.
+// Tables of the products whose packets consist of blocks: byte offsets of the fields in a
+// packet, timing, and firing times of the lasers. block_decoder.cpp explains the format.
 #pragma once
 
 #include <array>
@@ -11,12 +10,12 @@
 
 namespace relidar::packets {
 
-/// [lasers] firing time of each laser after the start of its block, in nanoseconds. The
-/// value is -1 for a laser that does not fire in the block.
+/// [lasers] time from the start of a block to the firing of each laser, in nanoseconds.
+/// The value is -1 if the laser does not fire in the block.
 using LaserTimes = std::array<std::int32_t, 128>;
 
-// The QT128 alternates between two firing sequences. Lasers 65 to 128 fire in both
-// sequences. Values of Hesai's manual, as in tier4/nebula 606ac41f1f13.
+// Firing times of the QT128, which alternates between two firing sequences. Lasers 65 to
+// 128 fire in both. The values are from Hesai's manual, as in tier4/nebula 606ac41f1f13.
 inline constexpr LaserTimes kQt128Loop1 = {
     -1,     -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,
     -1,     -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,
@@ -40,8 +39,9 @@ inline constexpr LaserTimes kQt128Loop2 = {
     45808,  71152, 20464, 96496, 99664, 23632, 74320, 48976};
 inline constexpr LaserTimes kQt128Loops[] = {kQt128Loop1, kQt128Loop2};
 
-// The OT128 fires all lasers in each block, or alternates between two azimuth states in
-// the mode of high resolution. Values of Hesai's manual, as in tier4/nebula 606ac41f1f13.
+// Firing times of the OT128. It fires all lasers in each block. In its high-resolution
+// mode, it alternates between two firing sequences. The values are from Hesai's manual,
+// as in tier4/nebula 606ac41f1f13.
 inline constexpr LaserTimes kOt128All = {
     49758, 43224, 36690, 30156, 21980, 15446, 8912,  2378,  49758, 43224, 36690, 30156, 2378,  15446, 8912,
     21980, 43224, 30156, 49758, 15446, 36690, 2378,  21980, 8912,  34312, 45002, 38468, 40846, 40846, 34312,
@@ -77,55 +77,57 @@ inline constexpr LaserTimes kOt128State1 = {
 inline constexpr LaserTimes kOt128Standard[] = {kOt128All};
 inline constexpr LaserTimes kOt128States[] = {kOt128State0, kOt128State1};
 
-/// How a packet shows the firing sequence of a block.
+/// The field of a packet that contains the firing sequence of a block.
 enum class PartRule {
-    none,           ///< all blocks have the same firing sequence
-    mode_flag,      ///< by the number of the block, with two returns by bit 0 of a byte
-    azimuth_state,  ///< two bits for each block, starting at the highest bits of two bytes
+    none,           ///< no field, because all blocks have the same firing sequence
+    mode_flag,      ///< number of the block; for packets with two returns, bit 0 of a byte
+    azimuth_state,  ///< two bits for each block, starting with the highest bits of two bytes
 };
 
 /// Format of a product's packets.
 struct Layout {
     const char* name;
-    const char* sensor;  ///< name of the built-in sensor with the beam angles
+    const char* sensor;  ///< name of the built-in sensor that defines the beam angles
     std::size_t blocks_at = 0, n_blocks = 12;
-    bool flagged = false;   ///< true: two bytes precede the azimuth of a block
+    bool flagged = false;   ///< true if two bytes precede the azimuth of each block
     std::size_t banks = 1;  ///< blocks per firing and return
-    /// number of lasers in a block; number of bytes for the range and reflectivity of one
-    /// laser
+    /// number of lasers in a block, and number of bytes per laser (range and
+    /// reflectivity)
     std::size_t block_lasers = 32, unit_bytes = 3;
     std::size_t firings = 1;  ///< firings per block
-    /// unit of ranges; 0: the packet states the unit in millimetres in byte `unit_at`
+    /// Unit of the ranges in metres. 0 means that byte `unit_at` of the packet contains
+    /// the unit in millimetres.
     double range_unit_m = 0.0;
     std::size_t unit_at = 9, time_at = 0;
-    std::size_t mode_at = 0;  ///< position of the return mode; 0: the packets have one return
-    /// Numbers have the highest byte first. The time is then a number of milliseconds and
-    /// a number of microseconds.
+    std::size_t mode_at = 0;  ///< byte offset of the return mode; 0 if all packets have one return
+    /// True if numbers are stored with the highest byte first. The time is then stored as
+    /// milliseconds and microseconds.
     bool is_big_endian = false;
     double wrap_us = 1e6, cycle_us = 50.0;
-    /// true: the packet's time is the time of its last firing plus `shift_us`; false: it
-    /// is the time of its first firing plus `shift_us`
+    /// If true, the last firing starts `shift_us` after the packet's time. If false, the
+    /// first firing starts `shift_us` after the packet's time.
     bool at_end = true;
-    double shift_us = 0.0;      ///< from the packet's time to time 0 of the firing offsets
-    double forward_deg = 90.0;  ///< azimuth of the sensor's x axis
-    int first_channel = 1;      ///< first channel in the beam table
-    /// Highest range value that means "no return". A range of 0 always has this meaning.
+    /// time from the packet's time to the start of its last or first firing
+    double shift_us = 0.0;
+    double forward_deg = 90.0;  ///< azimuth of the sensor's x axis in the angles of the packet
+    int first_channel = 1;      ///< number of the first channel in the beam table
+    /// Highest range value that means "no return". The range 0 always means "no return".
     std::uint16_t last_marker = 0;
-    /// [parts] firing times of alternating firing sequences. The firing offsets are the
-    /// differences from the earliest of these times. Empty: the beam table of the sensor
-    /// has the firing offsets.
+    /// [firing sequences] firing times of the lasers in each firing sequence, if the
+    /// sensor alternates between sequences. The decoder subtracts the earliest of these
+    /// times. Empty if the sensor's beam table contains the firing times.
     std::span<const LaserTimes> loops = {};
     PartRule part_rule = PartRule::none;
-    std::size_t part_at = 0;  ///< position of the bytes that show the firing sequence
+    std::size_t part_at = 0;  ///< byte offset of the field that contains the firing sequence
 
     std::size_t lasers() const { return block_lasers * banks; }
     std::size_t parts() const { return loops.empty() ? 1 : loops.size(); }
 };
 
-// Hesai's manuals give the time of each laser relative to the start of its block. The
-// firing offsets of relidar begin at 0 with the first laser, so `shift_us` is the sum of
-// the start of the block and the time of its first laser. A VLS-128 takes 55.3 us for a
-// firing, although its manual states 53.3 us.
+// One row per product. Hesai's manuals state the time of each laser relative to the start
+// of its block. In relidar, the first laser of a firing has the time 0. So `shift_us` is
+// the sum of the start of the block and the time of its first laser. A firing of the
+// VLS-128 takes 55.3 us, although its manual states 53.3 us.
 inline constexpr Layout kLayouts[] = {
     {.name = "VLP-16",
      .sensor = "VLP-16",

@@ -28,7 +28,7 @@ bool is_word(std::string_view cell, std::string_view word) {
         cell, word, [](char a, char b) { return std::tolower(static_cast<unsigned char>(a)) == b; });
 }
 
-/// Returns true if a file may be an angle correction of any sensor.
+/// Returns true if a file looks like an angle correction of a sensor.
 bool is_correction(const fs::path& file) {
     std::error_code failed;
     if (!is_word(file.extension().string(), ".csv") || !fs::is_regular_file(file, failed) ||
@@ -40,7 +40,7 @@ bool is_correction(const fs::path& file) {
     return header.size() >= 3 && is_word(header[1], "elevation") && is_word(header[2], "azimuth");
 }
 
-/// Adds the corrections in a folder. Ignores files that cannot be read.
+/// Reads all angle corrections in a folder. Ignores files that cannot be read.
 void add_corrections(const fs::path& folder, std::vector<Correction>& corrections) {
     std::vector<fs::path> files;
     std::error_code failed;
@@ -64,7 +64,7 @@ Correction read_correction(const std::string& text, const std::string& where) {
     for (const std::string& line : split_lines(text)) {
         const std::vector<std::string_view> cells = csv_cells(line);
         const auto laser = parse_number(cells[0]);
-        if (!laser || cells.size() < 3) continue;  // the header, or a checksum line
+        if (!laser || cells.size() < 3) continue;  // skips the header and the checksum line
         const auto elevation = parse_number(cells[1]), azimuth = parse_number(cells[2]);
         if (!(*laser >= 1.0 && *laser <= kMostCorrectedLasers) || !elevation || !azimuth ||
             !(std::abs(*elevation) <= 90.0) || !(std::abs(*azimuth) <= 180.0))

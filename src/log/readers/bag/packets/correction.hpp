@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the angle correction of a Hesai: a file with the measured angles of each laser of
-// one unit. The first line is "Laser id,Elevation,Azimuth" or
-// "Channel,Elevation,Azimuth". Angles are in degrees, and the azimuth is positive
-// clockwise.
+// Reads the angle correction file of a Hesai sensor. The file contains the measured
+// angles of each laser of one unit, in degrees. The azimuth is positive clockwise. The
+// first line is "Laser id,Elevation,Azimuth" or "Channel,Elevation,Azimuth".
 #pragma once
 
 #include <filesystem>
@@ -17,19 +16,19 @@ struct LaserAngles {
 
 struct Correction {
     std::string where;                ///< name of the file
-    bool is_named = false;            ///< true if the file has the name of the recording
-    std::vector<LaserAngles> lasers;  ///< angles of laser 1, 2, ...
+    bool is_named = false;            ///< true if the file has the same name as the recording
+    std::vector<LaserAngles> lasers;  ///< measured angles of laser 1, 2 and so on
 };
 
-/// Reads an angle correction.
-/// @param where  name of the file, for messages
+/// Reads an angle correction file from its text.
+/// @param where  name of the file, for error messages
 /// @throws DataError if a line is invalid, or if a laser is missing
 Correction read_correction(const std::string& text, const std::string& where);
 
-/// Reads the angle corrections next to a recording. A .csv file with the name of the
-/// recording has priority: the result then contains only this file. Otherwise, searches
-/// the folder of the recording for all .csv files with the first line of a correction.
-/// For a ROS 2 bag, also searches the folder that contains the bag's folder.
+/// Finds and reads the angle correction files of a recording. If a .csv file has the name
+/// of the recording, returns only this file. Otherwise, reads all .csv files in the
+/// folder of the recording that begin like an angle correction. For a ROS 2 bag, also
+/// reads the folder that contains the bag's folder.
 /// @throws DataError if the file with the name of the recording is damaged
 std::vector<Correction> find_corrections(const std::filesystem::path& recording);
 

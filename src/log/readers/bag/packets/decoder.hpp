@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Interface of the packet decoders of spinning LiDARs. Packets contain every firing, so
-// rays without a return (dropped rays) are known. products.cpp lists the supported
-// products. block_decoder.cpp decodes Velodyne and Hesai, ouster_decoder.cpp decodes
+// the rays without a return (dropped rays) are known. products.cpp lists the supported
+// products. block_decoder.cpp decodes Velodyne and Hesai. ouster_decoder.cpp decodes
 // Ouster.
 #pragma once
 
@@ -18,30 +18,35 @@
 
 namespace relidar::packets {
 
-/// A packet as it was received.
+/// The bytes of a packet as they were received, with the receive time.
 struct PacketView {
     std::int64_t stamp_ns = 0;
     std::string_view bytes;
 };
 
-/// One return that a beam has measured.
+/// One return of a ray: range and intensity.
 struct Echo {
-    float range_m = 0.0f;    ///< relative to the beam's origin; 0: no return
+    float range_m = 0.0f;    ///< distance from the origin of the beam; 0 means no return
     float intensity = 0.0f;  ///< intensity from 0 to 1
 };
 
 /// One firing of all beams.
 struct Firing {
-    int slot = 0;  ///< index of the firing in the packet; firings that were not measured are left out
-    double after_us = 0.0;  ///< time from the packet's time to the firing of the first beam
-    /// Azimuth of the head when the first beam fires, clockwise from the sensor's x axis,
-    /// in [0, 360).
+    /// index of the firing in the packet; firings that were not measured also have an
+    /// index
+    int slot = 0;
+    double after_us = 0.0;  ///< time from the packet's time to the first beam of the firing
+    /// Azimuth of the head when the first beam of the firing fires. It is clockwise from
+    /// the sensor's x axis, in [0, 360).
     double azimuth_deg = 0.0;
-    int part = 0;  ///< index of the firing sequence, see Timing::parts
+    /// index of the firing sequence, if the sensor alternates between sequences
+    /// (Timing::parts)
+    int part = 0;
 };
 
 struct Packet {
-    /// packet time on the sensor's clock, which restarts at 0 after Timing::wrap_us
+    /// Time of the packet by the sensor's clock. The clock restarts at 0 after
+    /// Timing::wrap_us.
     std::int64_t clock_ns = 0;
     int n_slots = 0;  ///< firings per packet
     std::vector<Firing> firings;
@@ -49,25 +54,26 @@ struct Packet {
     std::vector<std::array<Echo, 2>> echoes;
 };
 
-/// Timing constants of a sensor's packets.
+/// Constants that describe when the lasers of a sensor fire.
 struct Timing {
     double cycle_us = 0.0;  ///< time between firings
-    /// Number of firing sequences between which the sensor alternates. The firings of all
-    /// sequences form one column of the scan. Each sequence has its own beams.
+    /// Number of firing sequences between which the sensor alternates. Each sequence has
+    /// separate beams. One column of the scan contains one firing of each sequence.
     int parts = 1;
-    double wrap_us = 0.0;  ///< time after which the sensor's clock restarts at 0; 0: it never restarts
-    /// [rings] time of each beam within a firing; with several firing sequences, time
-    /// since the start of the first of them
+    /// time after which the sensor's clock restarts at 0; 0 means that it never restarts
+    double wrap_us = 0.0;
+    /// [rings] time of each beam after the start of the firing. With several firing
+    /// sequences, time after the start of the first sequence.
     std::vector<double> offset_us;
-    /// True: the head angle at a beam is interpolated between the azimuths of
-    /// neighbouring firings. False: the head is assumed to rotate at a constant rate.
+    /// True if the head angle of a beam is interpolated between the azimuths of two
+    /// neighbouring firings. If false, the head is assumed to rotate at a constant rate.
     bool interpolates = false;
     /// [columns per revolution] true if the sensor fires at this column. Column 0 is at
-    /// 180 degrees. Such a sensor fires at fixed azimuths, and its own clock defines all
-    /// times. Empty: the sensor fires at any azimuth, and the stamps of the packets
-    /// define the times.
+    /// 180 degrees. Used for sensors that fire at fixed azimuths. For these sensors, the
+    /// sensor's clock defines all times. Empty if the sensor fires at any azimuth. Then
+    /// the time stamps of the packets define the times.
     std::vector<bool> fires = {};
-    /// True: intensities may exceed 1. The intensity that is scaled to 1 is then
+    /// True if intensities can exceed 1. The intensity that is scaled to 1 is then
     /// estimated from all intensities of the topic.
     bool is_wide = false;
 };
@@ -75,15 +81,16 @@ struct Timing {
 class Decoder {
 public:
     virtual ~Decoder() = default;
-    /// Decodes a packet of this decoder's product.
+    /// Decodes a packet of the product that this decoder supports.
     /// @throws DataError if the packet is invalid
     virtual Packet decode(std::string_view bytes) const = 0;
     virtual const Timing& timing() const = 0;
-    /// Returns the model of the spinning sensor. Its beams are sorted with the highest
-    /// ring first.
+    /// Returns the model of the spinning sensor. The beams are sorted from the highest to
+    /// the lowest.
     /// @param columns  columns per revolution
     virtual SpinningSensor sensor(int columns, double rate_hz) const = 0;
-    virtual std::string about() const = 0;  ///< product and source of its angles
+    /// Returns a text with the product and the source of the beam angles.
+    virtual std::string about() const = 0;
 };
 
 struct OusterFormat;
@@ -91,31 +98,34 @@ struct OusterFormat;
 /// Calibration data that the packets of a sensor do not contain.
 struct Calibration {
     std::vector<Correction> corrections = {};  ///< angle corrections of Hesai's sensors
-    /// Packet format from the metadata of an Ouster. Null if the sensor is not an Ouster
-    /// or its metadata is missing.
+    /// Packet format from the metadata of an Ouster sensor. Null if the sensor is not an
+    /// Ouster or its metadata is missing.
     std::shared_ptr<const OusterFormat> ouster = {};
 };
 
-/// A product whose packets relidar recognises.
+/// A LiDAR product whose packets relidar recognises.
 struct Product {
     const char* name;
-    /// Returns true if a packet has the size and header of this product. Null for Ouster,
-    /// because its packets have no identification.
+    /// Returns true if a packet has the size and the header of this product. The pointer
+    /// is null for Ouster, because Ouster packets do not contain the product.
     bool (*is)(std::string_view bytes);
-    /// Creates a decoder. Returns null if relidar cannot decode packets of this product.
+    /// Creates a decoder. The pointer is null if relidar cannot decode packets of this
+    /// product.
     /// @throws DataError if a calibration is damaged or belongs to another sensor
     std::unique_ptr<Decoder> (*make)(const char* name, const Calibration& calibration);
-    const char* driver = "";  ///< name of the driver that the user can run if relidar has no decoder
+    /// name of the driver that can convert the packets; used if relidar has no decoder
+    const char* driver = "";
 };
-/// Finds the product of a packet by the packet's size and header. An Ouster packet is
-/// recognised by the packet size in the metadata.
+/// Finds the product that sent a packet, by the size and the header of the packet. An
+/// Ouster packet is recognised by the packet size in the metadata.
 /// @return null if no product matches
 const Product* find_product(std::string_view bytes, const Calibration& calibration);
-/// Returns an error text for a packet that relidar cannot decode. Example: "packets of a
-/// VLS-128, expected those of ...".
+/// Returns an error message about a packet that relidar cannot decode, for example
+/// "packets of a VLS-128, expected those of ...".
 std::string unknown_text(const Product* product, std::string_view bytes);
 
-/// Create the decoders of Velodyne's and Hesai's products, and of Ouster's products.
+/// Creates a decoder for a product: the first function for Velodyne and Hesai, the second
+/// for Ouster.
 std::unique_ptr<Decoder> make_block_decoder(const char* name, const Calibration& calibration);
 std::unique_ptr<Decoder> make_ouster_decoder(const char* name, const Calibration& calibration);
 

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// A packet has a header of 36 bytes, then points of a kind in this list (protocol of
-// Livox SDK2, "point cloud data"):
-//   1: x y z int32 in mm, reflectivity, tag
-//   2: x y z int16 in cm, reflectivity, tag
-//   3: range uint32 in mm, angle from the z axis and azimuth uint16 in 0.01 degrees,
-//      reflectivity, tag
-// The header has the time of the first point in nanoseconds and the duration of the
+// Decodes Livox packets. A packet consists of a header of 36 bytes and points of one of
+// these kinds (protocol of Livox SDK2, "point cloud data"):
+//    1: x y z int32 in mm, reflectivity, tag
+//    2: x y z int16 in cm, reflectivity, tag
+//    3: range uint32 in mm, angle from the z axis and azimuth uint16 in 0.01 degrees,
+//       reflectivity, tag
+// The header contains the time of the first point in nanoseconds, and the duration of the
 // packet in units of 0.1 us.
 #include "log/readers/bag/packets/livox.hpp"
 
@@ -31,7 +31,7 @@ T number_at(std::string_view bytes, std::size_t at) {
     return bag::ByteReader(bytes.substr(at)).number<T>();
 }
 
-/// Returns the number of bytes of a point, or 0 for an unknown kind of points.
+/// Returns the size of a point in bytes, or 0 if the kind of points is unknown.
 std::size_t point_bytes(int kind) {
     constexpr std::size_t kBytes[] = {0, 14, 8, 10};
     return kind >= 1 && kind <= 3 ? kBytes[kind] : 0;
@@ -54,15 +54,17 @@ glm::vec3 read_position(bag::ByteReader& reader, int kind) {
                                           std::cos(from_z_rad)));
 }
 
-/// Returns the time from the first to the second time, between -1 hour and 1 hour.
+/// Returns the second time minus the first time, clamped to the range of -1 hour to 1
+/// hour.
 std::int64_t time_between(std::int64_t first_ns, std::int64_t second_ns) {
     constexpr std::int64_t kHour_ns = 3'600'000'000'000;
     const auto passed_ns = std::int64_t(std::uint64_t(second_ns) - std::uint64_t(first_ns));
     return std::clamp(passed_ns, -kHour_ns, kHour_ns);
 }
 
-/// Appends the points of a packet.
-/// @param after_ns  time of the first point, relative to the stamp of the cloud
+/// Appends the points of a packet to the points of a cloud.
+/// @param after_ns  time of the first point of the packet, relative to the time of the
+/// cloud
 /// @return number of points
 std::uint32_t append_points(std::string& points, std::string_view packet, std::int64_t after_ns) {
     const int kind = std::uint8_t(packet[kKindAt]);
@@ -77,7 +79,8 @@ std::uint32_t append_points(std::string& points, std::string_view packet, std::i
         append(points, std::uint32_t(std::max(after_ns + std::llround(step_ns * i), 0ll)));
         append(points, position_m.x), append(points, position_m.y), append(points, position_m.z);
         points.append(reflectivity_and_tag);
-        append(points, std::uint8_t(0));  // line of the laser, which the packet does not state
+        // line of the laser; 0, because the packet does not contain the line
+        append(points, std::uint8_t(0));
         ++n_points;
     }
     return n_points;
@@ -102,7 +105,7 @@ std::string livox_cloud(std::string_view packets, std::string_view frame) {
         if (!is_livox(packet)) continue;
         const auto clock_ns = number_at<std::int64_t>(packet, kLivoxTimeAt);
         if (is_first) first_stamp_ns = stamp_ns, first_clock_ns = clock_ns;
-        // uses the stamps of the capture if the clock of the sensor has jumped
+        // If the sensor's clock has jumped, use the time stamps of the capture instead.
         const std::int64_t passed_ns = time_between(first_stamp_ns, stamp_ns);
         const std::int64_t passed_clock_ns = time_between(first_clock_ns, clock_ns);
         const bool has_jumped = std::abs(passed_clock_ns - passed_ns) > kLargestDrift_ns;
@@ -116,7 +119,7 @@ std::string livox_cloud(std::string_view packets, std::string_view frame) {
     message.append(frame);
     append(message, std::uint64_t(first_stamp_ns));
     append(message, n_points);
-    append(message, std::uint32_t(0));  // number of the LiDAR and reserved bytes
+    append(message, std::uint32_t(0));  // number of the LiDAR and reserved bytes, all 0
     append(message, n_points);
     return message.append(points);
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Metadata of Ouster sensors. Ouster packets neither identify the product nor describe
-// their layout, which is configurable. The metadata contains both.
+// Reads the metadata of Ouster sensors. The layout of Ouster packets is configurable.
+// Packets contain neither the product nor the layout, but the metadata contains both.
 #pragma once
 
 #include <cstdint>
@@ -14,68 +14,70 @@
 
 namespace relidar::packets {
 
-/// Layout of the pixels in a packet for one value of the setting `udp_profile_lidar`.
+/// Layout of the pixels in a packet. The sensor's setting `udp_profile_lidar` selects one
+/// of these layouts.
 struct OusterProfile {
     const char* name;
-    /// True: packets have no header and no footer. Each column has a header of 16 bytes,
-    /// and a status of 4 bytes after its pixels.
+    /// True for packets without header and footer. Each column then has a header of 16
+    /// bytes, and a status of 4 bytes after its pixels.
     bool is_legacy;
     std::size_t pixel_bytes;
-    /// Bit mask of the range in the first 4 bytes of a pixel.
+    /// Bit mask that selects the range in the first 4 bytes of a pixel.
     std::uint32_t range_bits;
     double range_unit_m;
-    /// byte offset of the reflectivity, from the start of the pixel's range word
+    /// byte offset of the reflectivity, relative to the range of the same return
     std::size_t reflectivity_at;
-    bool is_wide;  ///< true: reflectivity has 2 bytes instead of 1
-    int returns;   ///< number of returns; the bytes of the second return follow those of the first
+    bool is_wide;  ///< true if the reflectivity has 2 bytes, false if it has 1 byte
+    int returns;   ///< number of returns; the second return is stored directly after the first
 };
 
-/// Content of the metadata of one sensor.
+/// Content of the metadata of one Ouster sensor.
 struct OusterFormat {
     std::string text;     ///< text of the metadata
-    std::string where;    ///< file or topic of the metadata
-    std::string product;  ///< name of the product, such as "OS-1-128"
+    std::string where;    ///< file or topic from which the metadata was read
+    std::string product;  ///< name of the product, for example "OS-1-128"
     const OusterProfile* profile = nullptr;
     int columns_per_packet = 0;
     std::size_t packet_bytes = 0;
-    int port = 0;              ///< port to which packets are sent; 0: unknown
-    std::uint64_t serial = 0;  ///< serial number of the sensor; 0: unknown
-    /// [columns per revolution] false: the column is outside the configured azimuth
-    /// window
+    int port = 0;              ///< UDP port to which the sensor sends packets; 0 if unknown
+    std::uint64_t serial = 0;  ///< serial number of the sensor; 0 if unknown
+    /// [columns per revolution] true if the column is inside the azimuth window in which
+    /// the sensor fires
     std::vector<bool> fires;
     SpinningSensor sensor;             ///< highest ring first
-    std::vector<std::size_t> ring_of;  ///< [pixels of a column] ring of each pixel
+    std::vector<std::size_t> ring_of;  ///< [pixels of a column] ring to which each pixel belongs
 
-    /// returns a description such as "packets of 12544 bytes (profile, beams, columns a
-    /// packet, port)"
+    /// Returns a text such as "packets of 12544 bytes (profile, beams, columns a packet,
+    /// port)".
     std::string about() const;
 };
 using OusterFormats = std::vector<std::shared_ptr<const OusterFormat>>;
 
-/// Returns true if a text looks like the metadata of an Ouster. The metadata may still be
-/// invalid.
+/// Returns true if a text looks like the metadata of an Ouster. Does not check all
+/// values, so the metadata may still be invalid.
 bool is_ouster_metadata(std::string_view text);
-/// Parses the metadata of an Ouster.
-/// @param where  file or topic for error messages
+/// Parses the metadata of an Ouster sensor.
+/// @param where  name of the file or topic, for error messages
 /// @throws DataError if the metadata is invalid
 std::shared_ptr<const OusterFormat> read_ouster_metadata(const std::string& text, const std::string& where);
 /// Reads the metadata files in the folder of a recording. If the recording is X.pcap and
-/// X.json exists, these are X.json and X*.json. Otherwise they are all files that do not
-/// belong to another recording.
-/// @param broken  output: error messages of files that cannot be read
+/// X.json exists, reads X.json and X*.json. Otherwise, reads all files that do not belong
+/// to another recording.
+/// @param broken  output: error messages about files that cannot be read
 OusterFormats find_ouster_metadata(const std::filesystem::path& recording, std::vector<std::string>& broken);
 
 /// Returns the metadata of the sensor that sent a packet. The packet size must match. The
-/// port must also match, unless the packet's header has the serial number of the
-/// metadata. Metadata of the same topic is preferred (port of a capture, namespace of a
-/// bag), then metadata with the same serial number.
-/// @return null if no metadata remains, or more than one
+/// port must also match, unless the packet's header contains the serial number of the
+/// metadata. If several metadata match, prefers metadata of the same topic (port of a
+/// capture, namespace of a bag), then metadata with the same serial number.
+/// @return null if no metadata matches, or if more than one remains
 std::shared_ptr<const OusterFormat> format_of(const OusterFormats& formats, std::string_view topic,
                                               std::string_view packet);
-/// Returns true if an Ouster with a supported profile can send packets of this size.
+/// Returns true if an Ouster with a supported packet layout can send packets of this
+/// size.
 bool is_ouster_size(std::size_t bytes);
-/// Returns an error text for packets that are probably from an Ouster but cannot be
-/// decoded. The text tells the user what to do.
+/// Returns an error message about packets that probably come from an Ouster but cannot be
+/// decoded. The message tells the user what to do.
 /// @param formats  metadata that was read
 /// @param recording  recording in whose folder the user can put more metadata
 std::string ouster_text(const OusterFormats& formats, const std::filesystem::path& recording,

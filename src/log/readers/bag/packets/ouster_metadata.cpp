@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parses the metadata of Ouster sensors. Packet layouts follow Ouster's firmware user
-// manual, "Lidar Data" and "Lidar Data Legacy". Old metadata is flat and new metadata is
-// nested. The names of the members are the same in both.
+// Parses the metadata of Ouster sensors. The packet layouts are documented in Ouster's
+// firmware user manual, "Lidar Data" and "Lidar Data Legacy". Old metadata is one flat
+// JSON object. New metadata consists of nested objects. The keys are the same in both.
 #include <algorithm>
 #include <cmath>
 #include <iterator>
@@ -30,14 +30,15 @@ constexpr OusterProfile kProfiles[] = {
     {"RNG19_RFL8_SIG16_NIR16_DUAL", false, 16, 0x7FFFF, 1e-3, 3, false, 2},
     {"RNG15_RFL8_NIR8", false, 4, 0x7FFF, 8e-3, 2, false, 1},
     {"RNG15_RFL8_NIR8_DUAL", false, 8, 0x7FFF, 8e-3, 2, false, 2},
-    // header_type FUSA replaces this name in newer firmware; the header has the same size
+    // In newer firmware, header_type FUSA replaces this profile name. The header has the
+    // same size.
     {"FUSA_RNG15_RFL8_NIR8_DUAL", false, 8, 0x7FFF, 8e-3, 2, false, 2},
 };
 constexpr int kUsualColumns = 16;  // columns per packet
 constexpr std::size_t kMostMetadata = std::size_t(1) << 20, kMostFiles = 256, kMostDatagram = 65507,
                       kMostTold = 3;
 constexpr double kMostSerial = 1099511627776.0;  // serial numbers have 40 bits
-// Byte offsets of the serial number in the packet header: old firmware, new firmware.
+// Byte offsets of the serial number in the packet header, for old and new firmware.
 constexpr std::size_t kSerialBytes = 5, kSerialAt[] = {7, 11};
 
 std::size_t bytes_of(const OusterProfile& profile, int pixels, int columns) {
@@ -46,7 +47,7 @@ std::size_t bytes_of(const OusterProfile& profile, int pixels, int columns) {
                              : 32 + std::size_t(columns) * (12 + column) + 32;
 }
 
-/// Returns the JSON object that contains a member. This is the root or one of its nested
+/// Returns the JSON object that contains a key: either the root or one of its nested
 /// objects.
 JsonField part_with(const Json& json, const std::string& where, const std::string& key) {
     const JsonField root(json, where, "");
@@ -75,8 +76,8 @@ const OusterProfile& profile_of(const Json& json, const std::string& where) {
                                 excerpt(name), names));
 }
 
-/// Returns the ring of each pixel row in a packet. The rows have the order of the beams
-/// in the metadata.
+/// Returns the ring of each row of pixels in a packet. The rows have the same order as
+/// the beams in the metadata.
 std::vector<std::size_t> rings_of(const Json& json, const std::string& where) {
     const JsonField root(json, where, "");
     const std::vector<double> altitude_deg =
@@ -90,8 +91,8 @@ std::vector<std::size_t> rings_of(const Json& json, const std::string& where) {
     return ring_of;
 }
 
-/// Returns for each column whether it is in the azimuth window in which the sensor fires.
-/// The window may continue after the last column at column 0.
+/// Returns for each column whether the sensor fires there. The azimuth window may wrap
+/// around from the last column to column 0.
 std::vector<bool> columns_in_window(const Json& json, const std::string& where, int columns) {
     const JsonField part = part_with(json, where, "column_window");
     if (!part.has("column_window")) return std::vector<bool>(std::size_t(columns), true);
@@ -107,8 +108,8 @@ std::vector<bool> columns_in_window(const Json& json, const std::string& where, 
     }
 }
 
-/// Checks that values which the metadata contains twice are equal. Also computes and
-/// checks the size of a packet.
+/// Checks that values which occur twice in the metadata are equal. Also computes and
+/// checks the packet size.
 void check_sizes(OusterFormat& format, const Json& json) {
     const int columns = format.sensor.columns, beams = int(format.sensor.beams.size());
     if (const int n = parse_integer(json, format.where, "columns_per_frame", columns, 65536); n != columns)
@@ -128,8 +129,8 @@ void check_sizes(OusterFormat& format, const Json& json) {
                                     format.about(), kMostDatagram));
 }
 
-/// Returns the port from a topic name of a network capture, such as "192.168.1.201:7502".
-/// Returns 0 for a topic of a bag.
+/// Returns the port in the topic name of a network capture, for example 7502 for
+/// "192.168.1.201:7502". Returns 0 for a topic of a bag.
 int port_of(std::string_view topic) {
     const std::size_t colon = topic.rfind(':');
     const auto port = colon == std::string_view::npos || topic.starts_with('/')
@@ -164,7 +165,7 @@ bool is_metadata_file(const fs::path& file) {
            is_ouster_metadata(read_text(file));
 }
 
-/// Returns the files of a folder, sorted by name. Returns an empty list if the folder
+/// Returns the files in a folder, sorted by name. Returns an empty list if the folder
 /// cannot be read.
 std::vector<fs::path> files_of(const fs::path& folder) {
     std::vector<fs::path> files;
@@ -238,8 +239,9 @@ std::shared_ptr<const OusterFormat> format_of(const OusterFormats& formats, std:
                                               std::string_view packet) {
     OusterFormats left;
     const int port = port_of(topic);
-    // A packet of the profile LEGACY has no serial number. If there is only one metadata,
-    // it belongs to the sensor, even if the packets were sent to another port later.
+    // A packet with the layout LEGACY has no serial number. If there is only one
+    // metadata, use it even if the port differs, because the port may have been changed
+    // after the metadata was saved.
     const bool is_alone = std::ranges::all_of(
         formats, [&](const auto& format) { return format->text == formats.front()->text; });
     for (const auto& format : formats) {

@@ -18,40 +18,46 @@
 namespace relidar::packets {
 namespace {
 
-// maximum number of firings per revolution, enough for revolutions of two seconds
+// maximum number of firings per revolution; enough for a revolution of two seconds
 constexpr int kMostFirings = 40000;
 constexpr std::int64_t kLongestTurn_ns = 2000000000;
 constexpr std::size_t kMostInMessage = 0xFFFF;
 constexpr double kBehind_deg = 180.0;
 constexpr double kMostBright = 65535.0;
-constexpr double kJump_deg = 5.0;  // a larger step between two firings skips a sector
-// A longer run of columns that were not measured is a sector that the sensor did not see.
+// A larger azimuth step between two firings means that the sensor skips a sector.
+constexpr double kJump_deg = 5.0;
+// A longer run of unmeasured columns is a sector in which the sensor did not measure.
 constexpr std::size_t kMostUnmeasured = 8;
-constexpr double kCutOff = 0.02;  // share of a revolution above which it counts as cut off
+// A revolution is reported as cut off if more than this fraction of it was recorded.
+constexpr double kCutOff = 0.02;
 
-/// Azimuth, time and number of a firing, from which its points are computed.
+/// Azimuth, time and number of a firing. The points of the firing are computed from
+/// these.
 struct Place {
     double azimuth_deg, time_s;
     int number;  ///< number of the firing
-    /// current rotation rate minus the average rotation rate, in degrees per microsecond
+    /// rotation rate at this firing minus the average rotation rate, in degrees per
+    /// microsecond
     double ahead_deg_us;
-    double brightness;  ///< intensity value that is scaled to 1
+    double brightness;  ///< intensity value that becomes 1
 };
 
-// `column` may be outside one revolution
+// Returns true if the sensor fires at a column. The column may be outside one revolution;
+// it is wrapped.
 bool fires_at(const std::vector<bool>& fires, std::int64_t column) {
     const auto n = std::int64_t(fires.size());
     return fires[std::size_t((column % n + n) % n)];
 }
 
-/// Points of a revolution, and the number of the firing that measured each point.
+/// Points of a revolution. For each point, also the number of the firing that measured
+/// it.
 struct FiredPoints {
     Points points;
     std::vector<int> numbers;
 };
 
-/// Adds the returns of all beams of a firing as points. If a ray has two returns, the
-/// brighter return is added first.
+/// Adds the returns of all beams of a firing as points. If a ray has two returns, adds
+/// the brighter return first.
 void add_firing(FiredPoints& fired, const Place& place, const std::array<Echo, 2>* echoes,
                 const std::vector<BeamGeometry>& beams, const std::vector<double>& offset_us) {
     Points& points = fired.points;
@@ -75,10 +81,10 @@ void add_firing(FiredPoints& fired, const Place& place, const std::array<Echo, 2
     }
 }
 
-/// Marks long runs of columns as fired that the sensor should have measured, but did not.
-/// The rays of such a sector are dropped. Copies of a neighbouring column would be
-/// invented.
-/// @param is_lost  [columns per revolution] true if the column was in a lost packet
+/// Marks long runs of unmeasured columns, and columns of lost packets, as fired. Their
+/// rays then become dropped rays. Otherwise, the scan would repeat a neighbouring column,
+/// which would be wrong data.
+/// @param is_lost  [columns per revolution] true if the packet with the column was lost
 void add_unmeasured(std::vector<bool>& has_fired, const std::vector<bool>& fires,
                     const std::vector<bool>& is_lost) {
     std::size_t run = 0;
@@ -94,7 +100,7 @@ void add_unmeasured(std::vector<bool>& has_fired, const std::vector<bool>& fires
 }
 
 /// Creates the scan of a sensor that fires at fixed azimuths.
-/// @param has_fired  [columns per revolution] true if the column was fired
+/// @param has_fired  [columns per revolution] true if the sensor fired at the column
 /// @param n_columns  minimum number of columns of the scan
 Scan scan_of_columns(FiredPoints& fired, const std::vector<bool>& has_fired, SpinningSensor sensor,
                      std::size_t n_columns) {
@@ -147,7 +153,7 @@ void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
     const auto hash = std::uint32_t(std::hash<std::string_view>()(view.bytes));
     const std::size_t n = packet.firings.size();
     const bool is_at_end = packet.firings.back().after_us < -packet.firings.front().after_us;
-    // azimuth step from each firing to the next one, and the sum of steps across a sector
+    // Returns the azimuth step from firing f to the next firing.
     const auto step_deg = [&](std::size_t f) {
         return degrees_on(packet.firings[f].azimuth_deg, packet.firings[f + 1].azimuth_deg);
     };
@@ -183,7 +189,8 @@ void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
     if (decoder_->timing().is_wide) count_bright(packet);
 }
 
-/// Counts the clock of a packet without wrapping. The stamps show how often it wrapped.
+/// Adds full periods to the sensor's clock, which restarts at 0. The time stamps of the
+/// packets show how often the clock has restarted.
 void PacketLog::unwrap_clock(Entry& entry) const {
     const double wrap_us = decoder_->timing().wrap_us;
     if (packets_.empty() || !(wrap_us > 0.0)) return;
@@ -213,8 +220,8 @@ void PacketLog::finish() {
     find_turns();
 }
 
-/// Computes by how many packets a packet follows the previous one, for a sensor that
-/// fires at fixed azimuths. The result is 1 if no packet was lost in between.
+/// Returns the number of packets from the previous packet to this packet. It is 1 if no
+/// packet was lost. Valid only for a sensor that fires at fixed azimuths.
 std::size_t PacketLog::steps_to(std::size_t packet) const {
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
     const double n =
@@ -223,8 +230,9 @@ std::size_t PacketLog::steps_to(std::size_t packet) const {
     return std::size_t(std::clamp(std::round(n), 1.0, 1e9));
 }
 
-/// Computes how many slots of lost packets lie between a packet and the previous one, for
-/// a sensor that fires at any azimuth. Does not count the sector that the sensor skips.
+/// Returns the number of firings in the packets that were lost before this packet. Does
+/// not count the sector that the sensor skips. Valid only for a sensor that fires at any
+/// azimuth.
 double PacketLog::slots_to(std::size_t packet) const {
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
     const double cycle_us = decoder_->timing().cycle_us,
@@ -233,8 +241,8 @@ double PacketLog::slots_to(std::size_t packet) const {
     return slots - (skipped_deg > 0.0 ? skipped_deg / (deg_us_ * cycle_us) : 0.0) - before.n_slots;
 }
 
-/// Returns the number of packets that were lost before a packet. Packets in which the
-/// sensor does not fire are not counted.
+/// Returns the number of packets that were lost before this packet. Does not count
+/// packets in which the sensor would not fire.
 std::size_t PacketLog::count_missing_before(std::size_t packet) const {
     const std::vector<bool>& fires = decoder_->timing().fires;
     if (fires.empty())
@@ -243,7 +251,7 @@ std::size_t PacketLog::count_missing_before(std::size_t packet) const {
     if (n * std::size_t(n_slots_) > 2 * fires.size()) return n;
     const Entry& before = packets_[packet - 1];
     std::int64_t column = std::llround((before.azimuth_deg - kBehind_deg) / step_deg()) - before.first_slot;
-    std::size_t missing = 0;  // does not count packets in which nothing fires
+    std::size_t missing = 0;  // number of lost packets with at least one firing
     for (std::size_t k = 0; k < n; ++k) {
         column += n_slots_;
         bool any = false;
@@ -253,14 +261,15 @@ std::size_t PacketLog::count_missing_before(std::size_t packet) const {
     return missing;
 }
 
-/// Returns the range of head angles that the packets cover. The range also includes
-/// adjacent azimuths at which the sensor does not fire.
+/// Returns the first and the last head angle that the packets cover. Includes adjacent
+/// azimuths at which the sensor does not fire.
 std::pair<double, double> PacketLog::reach_deg() const {
     const Entry &first = packets_.front(), &last = packets_.back();
     const std::vector<bool>& fires = decoder_->timing().fires;
     if (fires.empty()) {
         if (!(skipped_.width_deg > 0.0)) return {first.azimuth_deg, last.azimuth_deg};
-        // a packet that begins at the edge of the sector covers the sector
+        // If a packet begins at the edge of the skipped sector, the range also includes
+        // the sector.
         const double slack_deg = deg_us_ * decoder_->timing().cycle_us;
         const double last_deg = last.azimuth_deg + double(last.turned_deg);
         const double before_deg = skipped_.between(first.azimuth_deg - slack_deg, first.azimuth_deg),
@@ -282,16 +291,18 @@ void PacketLog::find_turns() {
     if (begin - first_deg > 360.0 * kCutOff) ++left_out_.n_cut_off;
     for (std::size_t p = 0; p < packets_.size() && begin + 360.0 <= end; begin += 360.0) {
         PacketTurn turn{0, 0, 0, 0, begin, 0};
-        const auto first_behind = [&](double azimuth) {  // first packet that begins behind the azimuth
+        // returns the first packet that begins after an azimuth
+        const auto first_behind = [&](double azimuth) {
             return std::size_t(std::ranges::upper_bound(packets_, azimuth, {}, &Entry::azimuth_deg) -
                                packets_.begin());
         };
         turn.first = std::max(first_behind(begin), std::size_t(1)) - 1;
         turn.last = std::min(first_behind(begin + 360.0), packets_.size()) - 1;
         p = turn.last;
-        // the next packet may contain the second part of the last column
+        // The next packet may contain the second firing sequence of the last column, so
+        // add it.
         if (decoder_->timing().parts > 1) turn.last = std::min(turn.last + 1, packets_.size() - 1);
-        // all packets of this revolution were lost; continue at the next packet
+        // All packets of this revolution were lost, so continue at the next packet.
         if (turn.first == turn.last) {
             const double next = packets_[std::min(p + 1, packets_.size() - 1)].azimuth_deg, lost = begin;
             begin = std::max(begin, kBehind_deg + 360.0 * (std::floor((next - kBehind_deg) / 360.0) - 1.0));
@@ -331,8 +342,9 @@ std::string PacketLog::problems() const {
     return fmt::format("{}", fmt::join(texts, "; "));
 }
 
-/// Computes the time at which the head faces forward. If the sensor's clock determines
-/// the times, also computes the offset from this clock to the stamps.
+/// Computes the time at which the head faces forward in a revolution. If the sensor's
+/// clock defines the times, also computes the difference between this clock and the time
+/// stamps.
 void PacketLog::find_times(PacketTurn& turn) const {
     const double forward = turn.begin_deg + 180.0;
     const auto behind =
@@ -350,8 +362,8 @@ void PacketLog::find_times(PacketTurn& turn) const {
     turn.forward_ns += before.clock_ns + turn.stamp_less_clock_ns - before.stamp_ns;
 }
 
-/// Returns true if the packets follow each other as one sensor sends them, and the
-/// duration of the revolution is plausible.
+/// Returns true if the times of the packets are plausible: the sensor's clock advances
+/// from packet to packet, and the revolution is not too long.
 bool PacketLog::is_even(const PacketTurn& turn) const {
     const double slot_ns = 1e3 * decoder_->timing().cycle_us;
     for (std::size_t i = turn.first + 1; i <= turn.last; ++i) {
@@ -361,8 +373,8 @@ bool PacketLog::is_even(const PacketTurn& turn) const {
     return packets_[turn.last].clock_ns - packets_[turn.first].clock_ns <= kLongestTurn_ns;
 }
 
-/// Returns the first message of a revolution. Its packets need not be in the order of the
-/// messages.
+/// Returns the first message that contains packets of a revolution. Checks all packets,
+/// because they may be in another order than the messages.
 std::uint32_t PacketLog::first_message(const PacketTurn& turn) const {
     std::uint32_t first = packets_[turn.first].message;
     for (std::size_t i = turn.first; i <= turn.last; ++i) first = std::min(first, packets_[i].message);
@@ -388,23 +400,23 @@ SpinningSensor PacketLog::sensor() const {
     const double period_s = std::clamp(360e-6 / std::max(deg_us_, 1e-9), 0.02, 1.0);
     const Timing& timing = decoder_->timing();
     if (!timing.fires.empty()) return decoder_->sensor(int(timing.fires.size()), 1.0 / period_s);
-    // number of columns: the maximum number of firings in any revolution
+    // The number of columns is the maximum number of firings in any revolution.
     double most = 1e6 * period_s / timing.cycle_us;
     for (const PacketTurn& turn : turns_) most = std::max(most, 360.0 / slot_deg(turn));
     most /= double(timing.parts);
     return decoder_->sensor(std::min(int(std::ceil(most)) + 1, kMostFirings), 1.0 / period_s);
 }
 
-/// Returns the maximum intensity of all returns on a scale where 255 corresponds to
-/// intensity 1.
+/// Returns the maximum intensity of all returns. The value 255 corresponds to intensity
+/// 1.
 double PacketLog::brightest() const {
     std::size_t most = n_bright_.size();
     while (most > 0 && n_bright_[most - 1] == 0) --most;
     return most > 0 ? double(most - 1) : 0.0;
 }
 
-/// Returns the intensity that is scaled to 1. Uses the same rule as for point clouds
-/// (cloud_units.cpp).
+/// Returns the intensity that is scaled to 1. Applies the same rule as for point clouds
+/// (see cloud_units.cpp).
 double PacketLog::intensity_max() const {
     if (brightest() <= 255.0) return 1.0;
     std::uint64_t n = 0, left = 0;
@@ -422,8 +434,8 @@ std::string PacketLog::about() const {
         decoder_->about(), brightest(), 255.0 * intensity_max());
 }
 
-/// Decodes a packet again when the scan of its revolution is read.
-/// @param message  index of its message in `packets`
+/// Decodes a packet for the second time, when the scan of its revolution is read.
+/// @param message  index in `packets` of the message that contains the packet
 Packet PacketLog::reread_packet(std::size_t message, const Entry& entry,
                                 const std::vector<std::vector<PacketView>>& packets) const {
     const std::size_t m = message;
@@ -435,14 +447,14 @@ Packet PacketLog::reread_packet(std::size_t message, const Entry& entry,
     return decoder_->decode(view.bytes);
 }
 
-/// Converts an azimuth to a column of a revolution. The result is outside the valid range
-/// if the azimuth is outside the revolution.
+/// Converts an azimuth to a column of a revolution. If the azimuth is outside the
+/// revolution, the returned column is outside the valid range.
 int PacketLog::column_in(const PacketTurn& turn, double azimuth_deg) const {
     const double n = double(decoder_->timing().fires.size());
     return int(std::clamp(std::round((azimuth_deg - turn.begin_deg) / step_deg()), -n, 2.0 * n));
 }
 
-/// Marks the columns of packets that were lost directly before `packet`.
+/// Marks the columns of the packets that were lost immediately before `packet`.
 void PacketLog::mark_missing(const PacketTurn& turn, std::size_t packet, std::vector<bool>& is_lost) const {
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
     const int begin = column_in(turn, before.azimuth_deg) - before.first_slot + n_slots_;
@@ -460,7 +472,9 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
     const int n_columns = int(timing.fires.size());
     std::vector<bool> has_fired(timing.fires.size(), false), is_lost = has_fired;
     const std::uint32_t first_of_turn = first_message(turn);
-    std::size_t before = 0;  // slots of the revolution before this packet, with lost ones
+    // number of firings of the revolution before this packet, including firings in lost
+    // packets
+    std::size_t before = 0;
     int previous_number = -1;
     bool is_inside = false;
     for (std::size_t p = turn.first; p <= turn.last; ++p) {
@@ -479,13 +493,15 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
             const Firing& firing = packet.firings[f];
             azimuth += f > begin ? step : 0.0;
             if (f + 1 < end) step = degrees_on(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
-            // time and rotation since the first firing sequence of this column
+            // time and rotation from the first firing sequence of this column to this
+            // firing
             const double late_us = timing.cycle_us * double(firing.part);
             const double start_deg = azimuth - late_us * mean_deg_us;
             const int slot = int(before) + firing.slot - entry.first_slot;
             const int number =
                 n_columns > 0 ? column_in(turn, azimuth) : (slot - firing.part + timing.parts) / timing.parts;
-            // all firing sequences of a column belong to the same revolution
+            // All firing sequences of a column belong to the same revolution, so check
+            // only the first one.
             if (number != previous_number)
                 is_inside = n_columns > 0 ? number >= 0 && number < n_columns
                                           : start_deg >= turn.begin_deg && start_deg < turn.begin_deg + 360.0;

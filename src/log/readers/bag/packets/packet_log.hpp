@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Groups the packets of a spinning LiDAR into sweeps. Works for all products with a
-// decoder.
+// Groups the packets of a spinning LiDAR into sweeps. Supports all products for which
+// relidar has a decoder.
 #pragma once
 
 #include <cstdint>
@@ -19,40 +19,40 @@ namespace relidar::packets {
 
 /// One revolution of the LiDAR's head. It begins and ends when the head faces backward.
 struct PacketTurn {
-    /// Time at which the head faced forward, and the time at which that packet was
-    /// recorded.
+    /// Time at which the head faced forward, and time at which the packet of that moment
+    /// was recorded.
     std::int64_t forward_ns = 0, log_ns = 0;
     std::size_t first = 0, last = 0;  ///< packets of the revolution
-    /// Head angle at the start of the revolution, counted over the full recording without
-    /// wrapping. The revolution ends 360 degrees later.
+    /// Unwrapped head angle at the start of the revolution, counted from the start of the
+    /// recording. The revolution ends 360 degrees later.
     double begin_deg = 0.0;
-    std::size_t n_missing = 0;  ///< number of lost packets in the revolution
-    /// Stamp minus sensor clock for the packet with the smallest network delay. Used only
-    /// if the sensor's clock determines the times.
+    std::size_t n_missing = 0;  ///< number of packets of the revolution that were lost
+    /// Time stamp minus sensor clock, for the packet with the smallest network delay.
+    /// Used only if the sensor's clock defines the times.
     std::int64_t stamp_less_clock_ns = 0;
 };
 
-/// Index of a topic's packets. Stores for each packet its time, the angle of the head,
-/// and the message that contains the packet.
+/// Index of the packets of a topic. Stores for each packet the time, the head angle, and
+/// the message that contains the packet.
 class PacketLog {
 public:
     /// Adds the packets of one message to the index.
-    /// @param calibration  known calibration data of the sensor
-    /// @throws DataError with the product if the packets cannot be decoded, or if the
-    /// product changes
+    /// @param calibration  calibration data of the sensor, as far as it is known
+    /// @throws DataError with the name of the product, if relidar cannot decode the
+    /// packets or if they come from another product than before
     void add(const std::vector<PacketView>& packets, std::int64_t log_ns, const bag::Place& place,
              const Calibration& calibration);
-    /// Puts the packets in order and finds the complete revolutions. Must be called once,
-    /// after all packets were added.
+    /// Sorts the packets and finds the complete revolutions. Must be called once, after
+    /// all packets have been added.
     void finish();
     bool empty() const { return packets_.empty(); }
     std::size_t size() const { return n_packets_; }
     /// Returns the complete revolutions.
     const std::vector<PacketTurn>& turns() const { return turns_; }
-    /// Describes packets that were late or repeated, revolutions that are left out, and
-    /// the reasons. Returns an empty string if there are none.
+    /// Returns a text about late or repeated packets and about revolutions that were left
+    /// out, with the reasons. Returns an empty string if there are no problems.
     std::string problems() const;
-    /// Position of a message in the recording, and the time at which the message was
+    /// Position of a message in the recording, and time at which the message was
     /// recorded.
     struct Source {
         bag::Place place;
@@ -60,22 +60,22 @@ public:
     };
     /// Returns the messages that contain the packets of a revolution.
     std::vector<Source> messages(const PacketTurn& turn) const;
-    /// Returns the model of the sensor, with the rotation rate measured from the packets.
+    /// Returns the model of the sensor. Its rotation rate was measured from the packets.
     SpinningSensor sensor() const;
     std::string about() const;
-    /// Decodes the packets of a revolution and returns its scan. The times of rays are
-    /// relative to `zero_ns`.
+    /// Decodes the packets of a revolution and returns its scan. The times of the rays
+    /// are relative to `zero_ns`.
     /// @param packets  packets of each message that messages() returns
     Scan scan(const PacketTurn& turn, const std::vector<std::vector<PacketView>>& packets,
               const SpinningSensor& sensor, std::int64_t zero_ns) const;
 
 private:
     using Entry = PacketEntry;
-    /// Numbers of revolutions that are left out, by reason.
+    /// Number of revolutions that were left out, for each reason.
     struct LeftOut {
-        std::size_t n_cut_off = 0;  ///< at an end of the recording
-        std::size_t n_lost = 0;     ///< most packets of the revolution are missing
-        std::size_t n_jumps = 0;    ///< the sensor's clock is not even
+        std::size_t n_cut_off = 0;  ///< incomplete at the start or the end of the recording
+        std::size_t n_lost = 0;     ///< more than half of the packets were lost
+        std::size_t n_jumps = 0;    ///< the sensor's clock jumped
     };
     std::shared_ptr<const Decoder> decoder_;
     const Product* product_ = nullptr;
@@ -87,10 +87,12 @@ private:
     std::vector<PacketTurn> turns_;
     PacketFaults faults_;
     LeftOut left_out_;
-    double deg_us_ = 0.0;    ///< mean rotation rate in degrees per microsecond
-    SkippedSector skipped_;  ///< only for a sensor that fires at any azimuth
-    /// [255 x intensity] number of returns with this intensity; empty unless intensities
-    /// may exceed 1
+    double deg_us_ = 0.0;  ///< mean rotation rate in degrees per microsecond
+    /// sector in which the sensor never fires; used only for sensors that fire at any
+    /// azimuth
+    SkippedSector skipped_;
+    /// [255 x intensity] number of returns with this intensity. Empty if intensities
+    /// cannot exceed 1.
     std::vector<std::uint32_t> n_bright_;
 
     void check_product(const PacketView& packet, const Calibration& calibration);

@@ -16,13 +16,13 @@ namespace {
 
 using bag::MessageReader;
 
-/// How a message stores a packet.
+/// Layout of a packet in a message.
 enum class Form {
-    fixed,   ///< a stamp and `n` bytes of packet
-    padded,  ///< a stamp, `n` bytes, and the number of these bytes that belong to the packet
-    list,    ///< a stamp and a list of bytes
-    bare,    ///< a stamp in nanoseconds and a list of bytes; the message has no header
-    alone,   ///< only the bytes of a single packet; the message has no header
+    fixed,   ///< a time stamp, then the packet as an array of `n` bytes
+    padded,  ///< a time stamp, an array of `n` bytes, then the number of bytes that the packet uses
+    list,    ///< a time stamp, then the packet as a list of bytes with a length
+    bare,    ///< a time stamp in nanoseconds, then a list of bytes; the message has no header
+    alone,   ///< only the bytes of one packet; the message has no header
 };
 struct MessageType {
     const char* type;

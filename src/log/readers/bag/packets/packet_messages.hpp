@@ -12,27 +12,27 @@
 
 namespace relidar::packets {
 
-/// Types of the topics that are created from a network capture. A message of kDatagrams
-/// has packets: stamp (64 bits), length (32 bits) and bytes of each packet. Datagrams of
-/// kOtherDatagrams are not LiDAR packets.
+/// Types of the topics that are created from a network capture. A message of the type
+/// kDatagrams contains LiDAR packets: time stamp (64 bits), length (32 bits) and bytes of
+/// each packet. kOtherDatagrams contains datagrams that are not LiDAR packets.
 inline constexpr const char *kDatagrams = "LiDAR packets", *kOtherDatagrams = "other UDP";
 
-/// Returns true if messages of a topic contain LiDAR packets. The packets themselves show
-/// which product sent them.
+/// Returns true if the messages of a topic contain LiDAR packets. The type of the topic
+/// does not always name the product, so the packets must be checked for it.
 bool carries_packets(const bag::Topic& topic);
-/// Returns true for the messages of Ouster's drivers. Such a message has a single packet
-/// and no other data.
+/// Returns true for a topic of Ouster's drivers. Its messages contain one packet and no
+/// other data.
 bool carries_ouster_packets(const bag::Topic& topic);
-/// Returns true if a topic may contain the metadata of an Ouster. This is a text topic in
-/// the namespace of a sensor with packets.
+/// Returns true if a topic may contain the metadata of an Ouster. Such a topic contains
+/// text and is in the namespace of a sensor with packets.
 bool may_be_ouster_metadata(const bag::Topic& topic);
-/// Returns the text of std_msgs/String.
+/// Returns the text of a std_msgs/String message.
 /// @throws DataError if the message is too short
 std::string read_text_message(const bag::Topic& topic, std::string_view bytes);
-/// Returns the packets of a message.
-/// @param log_ns  recording time of the message, used for packets without a stamp
+/// Returns the packets that a message contains.
+/// @param log_ns  recording time of the message, used for packets without a time stamp
 /// @param header  output: header of the message. If the message has no header, the
-/// topic's name is used as the frame.
+/// topic's name is used as the name of the frame.
 /// @throws DataError if the message is too short
 std::vector<PacketView> read_packets(const bag::Topic& topic, std::string_view bytes, std::int64_t log_ns,
                                      bag::Header& header);

@@ -8,11 +8,11 @@
 namespace relidar::packets {
 namespace {
 
-constexpr double kBackward_deg = 1.0;  // maximum decrease of the encoder angle that is accepted as noise
-// A network delays packets by milliseconds. If the sensor's clock decreases by more, it
-// was set back.
+constexpr double kBackward_deg = 1.0;  // A smaller decrease of the encoder angle is accepted as noise.
+// Maximum delay of a packet in the network. If the sensor's clock decreases by more, the
+// packet is not late. The clock was set back.
 constexpr std::int64_t kLatest_ns = 100000000;
-// A longer step between packets is a pause of the recording.
+// A longer step between two packets is a pause of the recording.
 constexpr std::int64_t kPause_ns = 200000000;
 constexpr std::size_t kBins = 720;
 constexpr double kLeastSector_deg = 10.0;
@@ -21,9 +21,9 @@ bool is_repeat(const PacketEntry& a, const PacketEntry& b) {
     return a.hash == b.hash && a.first_slot == b.first_slot;
 }
 
-/// Moves the azimuth of a packet on from the packet before. If packets of more than one
-/// revolution were lost, the encoder angle alone is ambiguous. Then the rotation rate
-/// gives the number of lost revolutions.
+/// Unwraps the azimuth of a packet, starting from the previous packet. The encoder angle
+/// does not show how many revolutions were lost in between. This number is computed from
+/// the rotation rate and the time.
 void follow(PacketEntry& entry, const PacketEntry& before, double passed_us, double deg_us) {
     const double azimuth =
         before.azimuth_deg + degrees_on(std::fmod(before.azimuth_deg, 360.0), entry.azimuth_deg);
@@ -54,7 +54,7 @@ double degrees_on(double from_deg, double to_deg) {
 
 PacketFaults sort_packets(std::vector<PacketEntry>& packets) {
     PacketFaults faults;
-    std::size_t n = 0;  // number of sorted packets, at the front
+    std::size_t n = 0;  // packets[0, n) are already sorted
     for (std::size_t p = 0; p < packets.size(); ++p) {
         PacketEntry entry = packets[p];
         const auto is_later = [&](std::size_t k) { return packets[k].clock_ns > entry.clock_ns; };
@@ -64,12 +64,13 @@ PacketFaults sort_packets(std::vector<PacketEntry>& packets) {
         bool is_known = false;
         for (std::size_t k = at; k > 0 && packets[k - 1].clock_ns == entry.clock_ns; --k)
             is_known = is_known || is_repeat(packets[k - 1], entry);
-        const bool counts = entry.first_firing == 0;  // counts the parts of a packet once
+        const bool counts = entry.first_firing == 0;  // counts a packet only once if it has two parts
         faults.n_repeated += is_known && counts;
         if (is_known) continue;
         if (at < n) {
-            // Its stamp is the time of its arrival, not of its firings. Packets that were
-            // received before it cannot have been received before they were sent.
+            // The time stamp of a late packet is the time of arrival, so compute it from
+            // a neighbouring packet. Later packets cannot have arrived before they were
+            // sent, so correct them too.
             const PacketEntry& beside = packets[at > 0 ? at - 1 : at];
             const std::int64_t stamp_less_clock_ns = beside.stamp_ns - beside.clock_ns;
             entry.stamp_ns = entry.clock_ns + stamp_less_clock_ns;
@@ -104,7 +105,8 @@ double unwrap_azimuths(std::vector<PacketEntry>& packets, const Timing& timing) 
     for (std::size_t p = 0; p < packets.size() && deg_us > 0.0; ++p) {
         PacketEntry& entry = packets[p];
         if (entry.skipped_deg == 0.0f) continue;
-        // the neighbouring packet on the same side of the sector is a better reference
+        // Use the neighbouring packet on the same side of the skipped sector as the
+        // reference.
         const std::size_t beside = entry.skipped_deg > 0.0f ? p + 1 : p - 1;
         std::int64_t skipped_ns = std::llround(1e3 * skipped_us(entry));
         if (beside < packets.size())
@@ -117,7 +119,9 @@ double unwrap_azimuths(std::vector<PacketEntry>& packets, const Timing& timing) 
 }
 
 double SkippedSector::between(double from_deg, double to_deg) const {
-    const auto until = [&](double azimuth_deg) {  // counted from the sector of the first revolution
+    // Returns how many degrees of the sector are before an azimuth, summed over all
+    // revolutions.
+    const auto until = [&](double azimuth_deg) {
         const double turns = std::floor((azimuth_deg - begin_deg) / 360.0);
         return turns * width_deg + std::min(azimuth_deg - begin_deg - 360.0 * turns, width_deg);
     };
@@ -130,14 +134,15 @@ SkippedSector find_skipped_sector(const std::vector<PacketEntry>& packets, doubl
         for (double on = 0.0; on <= std::min(double(entry.turned_deg), 360.0) + step_deg; on += 0.4)
             fires[std::size_t((entry.azimuth_deg + on) / 360.0 * kBins) % kBins] = true;
     std::size_t widest = 0, end = 0, run = 0;
-    for (std::size_t b = 0; b < 2 * kBins; ++b) {  // twice around, because the sector may cross 0
+    // scans the circle twice, because the sector may contain azimuth 0
+    for (std::size_t b = 0; b < 2 * kBins; ++b) {
         run = fires[b % kBins] ? 0 : run + 1;
         if (run > widest) widest = run, end = b + 1;
     }
     const double bin_deg = 360.0 / kBins;
     if (double(widest) * bin_deg < kLeastSector_deg || widest >= kBins) return {};
     const double inside_deg = (double(end) - 0.5 * double(widest)) * bin_deg;
-    // the firings nearest to the sector on both sides
+    // angles from the middle of the sector to the nearest firing on each side
     double before_deg = 360.0, behind_deg = 360.0;
     std::size_t n_skips = 0;
     for (std::size_t p = 0; p < packets.size(); ++p) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Puts the packets of a LiDAR in order, as the sensor sent them. A network delivers
-// packets late, twice or not at all. Also finds the sector in which the sensor does not
+// Sorts the packets of a LiDAR in the order of sending. A network may deliver packets
+// late, twice or not at all. Also finds the azimuth sector in which the sensor does not
 // fire.
 #pragma once
 
@@ -12,15 +12,16 @@
 
 namespace relidar::packets {
 
-/// A packet in the index of a recording, or a part of one. A packet has two parts if the
-/// sensor skips a sector between two of its firings.
+/// A packet in the index of a recording, or one of its two parts. A packet has two parts
+/// if the sensor skips a sector between two of its firings.
 struct PacketEntry {
-    /// Times of the first firing. The sensor's clock is counted without wrapping.
+    /// Times of the first firing. The sensor's clock is unwrapped: it does not restart at
+    /// 0.
     std::int64_t stamp_ns, clock_ns;
-    double azimuth_deg;  ///< unwrapped azimuth of the first firing
-    float turned_deg;    ///< rotation from the first firing to the last
-    /// Rotation of the head between this part and the time of the packet, without a
-    /// firing. Negative before the time of the packet; 0 for most packets.
+    double azimuth_deg;  ///< unwrapped azimuth of the first firing in degrees
+    float turned_deg;    ///< rotation of the head from the first to the last firing
+    /// Rotation without firings between this part and the time of the packet. It is
+    /// negative if this part is before the time of the packet. It is 0 for most packets.
     float skipped_deg;
     std::uint32_t message;
     std::uint16_t in_message;  ///< index in the message
@@ -30,32 +31,34 @@ struct PacketEntry {
     std::uint32_t hash;       ///< hash of the packet's bytes
 };
 
-/// Returns the angle from one azimuth to another in the direction of rotation, less than
-/// one revolution. Accepts a small decrease as noise of the encoder.
+/// Returns the rotation from one azimuth to another in the direction of rotation, less
+/// than one revolution. A small decrease is returned as a negative angle, because it is
+/// noise of the encoder.
 double degrees_on(double from_deg, double to_deg);
 
-/// Numbers of packets that were not received in the order of sending.
+/// Number of packets that were received twice or late.
 struct PacketFaults {
     std::size_t n_repeated = 0, n_late = 0;
 };
-/// Sorts packets by the sensor's clock and removes exact repeats. A packet that is much
-/// later than another one is not moved, because the clock was set back.
+/// Sorts packets by the sensor's clock and removes packets that occur twice. Does not
+/// move a packet whose clock is much earlier than before, because then the clock was set
+/// back.
 PacketFaults sort_packets(std::vector<PacketEntry>& packets);
 
-/// Unwraps the azimuths of packets in order. Then corrects the times of packets in which
-/// the head turns through a sector without a firing.
+/// Unwraps the azimuths of sorted packets. Then corrects the times of packets that
+/// contain a sector without firings.
 /// @return mean rotation rate in degrees per microsecond
 double unwrap_azimuths(std::vector<PacketEntry>& packets, const Timing& timing);
 
-/// Azimuth sector in which a sensor never fires.
+/// Azimuth sector in which the sensor never fires.
 struct SkippedSector {
     double begin_deg = 0.0, width_deg = 0.0;  ///< width 0: no such sector
 
-    /// Returns how much of the sector lies between two unwrapped azimuths, in degrees.
+    /// Returns the part of the sector that is between two unwrapped azimuths, in degrees.
     double between(double from_deg, double to_deg) const;
 };
-/// Finds the sector in which the sensor never fires. At least two revolutions must skip
-/// it, because packets of a single revolution may be lost.
+/// Finds the azimuth sector in which the sensor never fires. At least two revolutions
+/// must skip this sector, because the packets of a single revolution may be lost.
 /// @param step_deg  azimuth step between two firings
 SkippedSector find_skipped_sector(const std::vector<PacketEntry>& packets, double step_deg);
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds the product that sent a packet. The table has one row per product. If relidar has
-// no decoder for a product, its row names the driver that converts the packets to clouds.
+// Finds the product that sent a packet. The table has one row per product. If relidar
+// cannot decode a product, the row names a driver that converts its packets to clouds.
 #include <algorithm>
 
 #include <fmt/format.h>
@@ -26,15 +26,16 @@ template <int product>
 bool is_velodyne_of(string_view packet) {
     return is_velodyne(packet) && has_byte(packet, kProductAt, product);
 }
-/// Hesai packets since the XT begin with EE FF and the protocol version.
+/// Returns true for packets of Hesai sensors since the XT. These packets begin with EE FF
+/// and the protocol version.
 template <int major, int minor>
 bool is_hesai(string_view packet) {
     return packet.size() > 500 && packet.starts_with("\xee\xff") && has_byte(packet, 2, major) &&
            has_byte(packet, 3, minor);
 }
-/// Returns true for packets of a Hesai with this protocol version, number of lasers and
-/// number of blocks. The size may be larger by the optional fields at the end.
-/// @tparam bytes  size without the optional fields
+/// Returns true for packets of a Hesai sensor with this protocol version, number of
+/// lasers and number of blocks. The packet may end with optional fields.
+/// @tparam bytes  packet size without the optional fields
 template <int major, int minor, int lasers, int blocks, std::size_t bytes, std::size_t optional>
 bool is_hesai_of(string_view packet) {
     return is_hesai<major, minor>(packet) && has_byte(packet, kLasersAt, lasers) &&
@@ -45,7 +46,7 @@ bool is_rs16(string_view packet) {
     return packet.size() == 1248 && packet.starts_with("\x55\xaa\x05\x0a\x5a\xa5\x50\xa0") &&
            has_byte(packet, 30, 1);
 }
-// optional fields: number of the packet; digital signature
+// Sizes of the optional fields: packet number and digital signature.
 constexpr std::size_t kNumberBytes = 4, kSignatureBytes = 32;
 constexpr std::size_t kOt128ModeAt = 816;  // 0: high resolution
 constexpr auto is_ot128 = is_hesai_of<1, 4, 128, 2, 861, kSignatureBytes>;
