@@ -100,7 +100,7 @@ enum class Reduction { automatic, atomics, gather };
 struct BackwardOptions {
     Reduction reduction = Reduction::automatic;
     /// If true, `atomics` exchanges hits between threads, so that neighbouring threads
-    /// add the floats of the same hit. Default: true on a GPU, false on a CPU.
+    /// add the floats of the same hit. Default: true on a GPU.
     std::optional<bool> coalesced_atomics = std::nullopt;
     /// Number of hit records per ray that `gather` allocates for the largest batch. A
     /// record has 38 bytes (50 with ShDirection::ray).
