@@ -111,9 +111,9 @@ struct Surfels {
     void resize(std::size_t n) { resize(n, parameters()); }
     void resize(std::size_t n, ParameterSet of);
     void add_gait();  ///< Adds a gait without motion to all surfels if they have no gait.
-    /// Appends the surfels of another set. An empty set first adopts the primitive of the
-    /// other set. If only one of the two sets has a gait, the surfels without one get a
-    /// gait without motion.
+    /// Appends the surfels of another set. An empty set first adopts the other set's
+    /// primitive. If only one set has a gait, the surfels without a gait get a gait
+    /// without motion.
     /// @throws DataError if the primitives differ
     void append(const Surfels& other);
     /// Returns a reordered copy: surfel i of the result is surfel order[i] of this set.
@@ -134,8 +134,8 @@ struct Model {
     std::string name;  ///< Name of the model: "background" or the track id.
     std::uint32_t first = 0;
     std::uint32_t count = 0;
-    /// Half size of the box that contains the model's surfels, metres. The box is centred
-    /// at the origin of the model frame. 0 = the model has no box.
+    /// Half size of the box that contains the model's surfels, metres. The origin is its
+    /// centre. 0 = the model has no box.
     glm::vec3 half_size_m{0.0f};
     /// Walked distance after which the motion repeats, metres: a gait cycle (two steps of
     /// a person), or the recorded distance if no gait was found. 0 = the model is rigid.
@@ -284,7 +284,7 @@ struct InitialiseOptions {
     double scale_factor = 1.0;
     /// Largest gap between scan lines that a surfel may cover, metres. A surfel is
     /// stretched if this gap is much wider than the point distance along the scan line. 0
-    /// = all surfels are round (paper).
+    /// = never (paper).
     double max_gap_m = 0.0;
     /// Initial scale of 3D Gaussians along the normal, relative to the scale in the
     /// plane. 1 = spheres, as in 3D Gaussian splatting.
