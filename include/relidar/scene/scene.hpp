@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scene of 2D Gaussians (surfels), with one model for the background and one for each
-// actor. Instances place the models in the world (Eq. 1, 4, 5). A scene may use 3D
-// Gaussians instead, which have a third scale. Comments about surfels also apply to 3D
-// Gaussians.
+// Scene of 2D Gaussians (surfels), with a model for the background and for each actor.
+// Instances place the models in the world (Eq. 1, 4, 5). A scene may use 3D Gaussians
+// instead, which have a third scale. Comments about surfels also apply to 3D Gaussians.
 #pragma once
 
 #include <array>
@@ -284,7 +283,7 @@ struct InitialiseOptions {
     double scale_factor = 1.0;
     /// Largest gap between scan lines that a surfel may cover, metres. A surfel is
     /// stretched if this gap is much wider than the point distance along the scan line. 0
-    /// = never (paper).
+    /// = off (paper).
     double max_gap_m = 0.0;
     /// Initial scale of 3D Gaussians along the normal, relative to the scale in the
     /// plane. 1 = spheres, as in 3D Gaussian splatting.
@@ -385,15 +384,15 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
 /// Tracks of actors by name. Poses are box centres in relidar's world frame, interpolated
 /// over time. Actors without an entry are absent.
 using ActorPoses = std::map<std::string, PoseTrack>;
-/// Computes poses and motions of all instances in a sweep. The caller provides the tracks
-/// of the actors. The sequence provides the motion and pose of the sensor.
+/// Computes poses and motions of all instances in a sweep, with actor tracks from the
+/// caller. The sequence provides the motion and pose of the sensor.
 /// @throws UsageError for a name that no instance has. The message suggests the most
 /// similar name.
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence,
                                           const SweepMoment& sweep, const ActorPoses& world_from_actor);
 /// Returns all surfels of a scene at one time, in the world frame. Actors are moved to
-/// their poses. Their walking motion is applied, and their harmonics are rotated. Absent
-/// actors are left out.
+/// their poses, with their walking motion and rotated harmonics. Absent actors are left
+/// out.
 /// @param placed [instances] pose of each instance
 /// @throws DataError if the number of poses is wrong
 Surfels freeze(const Scene& scene, const std::vector<InstancePose>& placed);
