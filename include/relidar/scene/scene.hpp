@@ -139,8 +139,8 @@ struct Model {
     /// Walked distance after which the motion repeats, metres: a gait cycle (two steps of
     /// a person), or the recorded distance if no gait was found. 0 = the model is rigid.
     float stride_m = 0.0f;
-    /// Observed fraction of each side of the box. Empty: unknown.
-    std::optional<SideShares> seen_sides = {};
+    std::optional<SideShares> seen_sides =
+        {};  ///< Observed fraction of each side of the box. Empty: unknown.
 };
 
 /// Placement of a model in the world. Instance 0 is the background at the origin.
