@@ -53,8 +53,8 @@ public:
     /// @throws DataError if the folder cannot be renamed. An existing folder is then
     /// kept.
     void finish() const;
-    /// Renames the temporary folder to its final name. Does not replace an existing
-    /// folder unless it is empty.
+    /// Renames the temporary folder to its final name. If a folder with this name exists,
+    /// it is replaced only if it is empty.
     /// @throws DataError if the name is in use, or the folder cannot be renamed
     void finish_new() const;
 

@@ -37,8 +37,8 @@ struct ProcessGroup {
         return {first_of(rank), first_of(rank + 1)};
     }
 
-    /// Collects the values of all processes and returns them in rank order. Every process
-    /// gets the same result.
+    /// Collects the values of all processes. Returns all values in the order of the
+    /// ranks, in every process.
     template <class T>
     std::vector<T> all_gathered(std::vector<T> values) const {
         static_assert(std::is_trivially_copyable_v<T>);
@@ -49,7 +49,8 @@ struct ProcessGroup {
         if (!values.empty()) std::memcpy(values.data(), all.data(), values.size() * sizeof(T));
         return values;
     }
-    /// Sends the values of the first process to all processes and returns them.
+    /// Returns the values of the first process in every process. The values of all other
+    /// processes are ignored.
     template <class T>
     std::vector<T> broadcast(std::vector<T> values) const {
         if (!is_first()) values.clear();

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reports the progress of slow work and measures the time of its stages.
+// Reports the progress of slow work and measures the time of each stage of the work.
 #pragma once
 
 #include <algorithm>

@@ -36,9 +36,9 @@ struct AccelOptions {
     float margin_scale = 1.002f;
     float margin_m = 1e-4f;
     /// Conditions under which trees are rebuilt instead of refitted. A tree is rebuilt
-    /// after `rebuild_every` refits (0 = never). The software tree is also rebuilt when
-    /// its measured traversal cost exceeds `rebuild_growth` times the cost after its last
-    /// build.
+    /// after `rebuild_every` refits (0 = never). The software tree is also rebuilt if its
+    /// measured traversal cost is too high: more than `rebuild_growth` times the cost
+    /// after the last build.
     int rebuild_every = 1000;
     float rebuild_growth = 1.3f;
 };

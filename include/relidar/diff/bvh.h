@@ -28,8 +28,8 @@ struct BvhNode {
     // Index in the array `order` at which the leaves of this node start. The entries of a
     // leaf slot start at first_leaf plus the offset of the slot.
     uint first_leaf;
-    // One byte per slot: the leaf's offset in bits 0-4 and its number of entries in bits
-    // 5-7. The byte is 0 for inner and empty slots.
+    // One byte per slot. For a leaf, bits 0-4 hold the offset of its entries, and bits
+    // 5-7 hold the number of entries. The byte is 0 for inner and empty slots.
     uint leaves[2];
     // Lower bounds of the child boxes along x, quantised to one byte per slot. The next
     // five fields hold the other bounds in the same form.

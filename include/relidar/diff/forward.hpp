@@ -89,8 +89,8 @@ struct RendererOptions {
     /// Number of hits per ray that are kept for a backward pass, 16 bytes each. With 0,
     /// the backward pass traces every ray again.
     std::uint32_t keep_hits = 0;
-    /// Stream to use. It must outlive the renderer, and several renderers may share it.
-    /// Null = the renderer creates its own stream.
+    /// Stream to use. The stream must outlive the renderer. Several renderers may share a
+    /// stream. Null = the renderer creates a private stream.
     Stream* stream = nullptr;
 };
 

@@ -21,9 +21,9 @@ struct RefineOptions {
     /// If true, the network is trained after the surfels. Rendering uses the network if
     /// the run has one.
     bool enabled = false;
-    /// Architecture: "small", "paper" or "pixel". "paper" has 6.5 million parameters. It
-    /// is trained with a dropout of 0.1 and with images that are rotated around the
-    /// sensor by a random number of columns. "pixel" processes each pixel separately.
+    /// Architecture: "small", "paper" or "pixel". "paper" has 6.5 million parameters. Its
+    /// training uses a dropout of 0.1, and rotates each image around the sensor by a
+    /// random number of columns. "pixel" processes each pixel separately.
     std::string network = "small";
     int width = 0;  ///< Number of feature channels at full resolution. 0 = default of the architecture.
     /// Number of times that the network halves the image size. -1 = default of the

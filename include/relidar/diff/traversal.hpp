@@ -126,7 +126,7 @@ struct RenderedBatch {
     RayBatch rays;
     /// Rendered values of all rays, [n_rays].
     const Array<shared::RenderedRay>* rendered = nullptr;
-    /// dL/d(rendered) of all rays, [n_rays]. Losses write these gradients, and the
+    /// Gradients dL/d(rendered) of all rays, [n_rays]. Losses write these gradients. The
     /// backward pass reads them.
     Array<shared::RayGradient>* upstream = nullptr;
     const KeptHits* kept = nullptr;  ///< Hits that the forward pass has stored for this batch, or null.

@@ -125,8 +125,8 @@ Address<T, Meaning> address_of(const Array<T, Meaning>* array) {
 }
 
 /// Records GPU commands and submits them to the device. A kernel launch sees the results
-/// of all earlier launches, with two exceptions. It does not see launches in the same
-/// Concurrent scope, and it does not see other lanes of the same StreamLanes scope.
+/// of all earlier launches, with two exceptions: earlier launches in the same Concurrent
+/// scope, and launches in other lanes of the same StreamLanes scope.
 class Stream {
 public:
     explicit Stream(Device& device, bool timing = false);

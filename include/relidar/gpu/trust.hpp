@@ -13,8 +13,8 @@ namespace relidar {
 /// Result of a check.
 enum class Trust { unknown, right, wrong };
 
-/// Results of the check at the first use of a device. relidar uses only methods that gave
-/// right results.
+/// Results of the check at the first use of a device. They determine which methods
+/// relidar uses on this device.
 struct DeviceTrust {
     bool float_atomics = true;  ///< True if float atomics add correctly.
     bool float_swaps = true;    ///< True if compare-and-swap loops add correctly.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Channels: the values that a scan stores for each ray, such as range and intensity. This
-// file declares the list of channels that scans, files, the gRPC service, the viewer and
-// the Python module share. docs/architecture.md explains how to add a channel.
+// Channels: the values that a scan stores for each ray, such as range and intensity.
+// Scans, files, the gRPC service, the viewer and the Python module all use the list of
+// channels in this file. docs/architecture.md explains how to add a channel.
 #pragma once
 
 #include <cstddef>
@@ -67,7 +67,7 @@ struct ScanChannel {
     ChannelValues second = {};
 };
 
-/// Descriptions of the channels that every scan has.
+/// Descriptions of the basic channels, which every scan has.
 struct BasicChannels {
     ChannelInfo range, median_range, mean_range, intensity, drop_prob, weight, time, ring, instance;
 };
@@ -110,8 +110,8 @@ struct ChannelNumber {
     std::string name;
     bool is_integer;
 };
-/// Returns the columns that the channels occupy in a file. The order is the order in
-/// which append_row() writes the numbers.
+/// Returns the columns that the channels occupy in a file. append_row() writes the
+/// numbers in the same order.
 /// @param joint  text between the name of a vector channel and its axis, for example "_"
 /// in "normal_x"
 std::vector<ChannelNumber> numbers_of(const std::vector<ScanChannel>& channels,

@@ -27,8 +27,8 @@ struct HeadLattice {
     double azimuth_of(int tick) const;
 };
 
-/// One sweep of a spinning LiDAR. It stores the azimuths at which the LiDAR can fire, and
-/// the ticks at which it fired. The azimuth decreases from +pi during the sweep.
+/// One sweep of a spinning LiDAR: the azimuths at which the LiDAR can fire, and the ticks
+/// at which it has fired. The azimuth decreases from +pi during the sweep.
 struct Sweep {
     HeadLattice lattice;
     std::vector<int> firings;

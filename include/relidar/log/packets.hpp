@@ -19,9 +19,9 @@ namespace relidar {
 
 /// A datagram of a LiDAR.
 struct SensorPacket {
-    /// Time of the packet since 1970, as the maker defines it: the time of the first
-    /// firing (Velodyne), the time after the last firing (Hesai) or the time of the last
-    /// column (Ouster).
+    /// Time of the packet since 1970. Its definition depends on the maker: the time of
+    /// the first firing (Velodyne), the time after the last firing (Hesai) or the time of
+    /// the last column (Ouster).
     std::int64_t time_ns = 0;
     std::string bytes;
 };
@@ -57,10 +57,10 @@ std::string ouster_profile_of(const std::filesystem::path& file);
 /// captures contain this time. Returns 0 for all other logs.
 std::int64_t log_start_ns(const Sequence& sequence);
 
-/// Converts the scans of a sensor to packets. A packet holds a fixed number of firings,
-/// so it may contain the end of one scan and the start of the next scan. After the last
-/// scan and before a long gap, the encoder adds a packet without returns. A driver needs
-/// this packet to complete the scan.
+/// Converts the scans of a sensor to packets. A packet holds a fixed number of firings.
+/// Therefore a packet may contain the end of one scan and the start of the next scan.
+/// After the last scan and before a long gap, the encoder adds a packet without returns.
+/// A driver needs this packet to complete the scan.
 class PacketEncoder {
 public:
     /// @param sensor  its name selects the product

@@ -18,8 +18,8 @@ struct RegisterOptions {
     /// corrections of its neighbours. A scan beyond this limit could not be registered.
     /// Also the maximum initial distance between two observations of the same surface.
     double largest_m = 1.0;
-    /// True: the motion from scan to scan is taken from the given poses. False: the
-    /// motion is estimated from the scans alone.
+    /// True: the given poses define the motion from scan to scan. False: this motion is
+    /// estimated from the scans alone.
     bool use_pose_motion = true;
     std::vector<BoxTrack> movers;  ///< Boxes of moving objects. Points inside these boxes are ignored.
     double mover_margin_m = kMoverMargin_m;  ///< boxes are enlarged by this margin

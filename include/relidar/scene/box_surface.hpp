@@ -16,8 +16,8 @@ inline constexpr std::size_t kBoxSides = 5;
 /// Returns the name of a side: "front", "rear", "left", "right", "top".
 const char* name_of(BoxSide side);
 
-/// Axes of a side of a box: the axis of its normal, the sign of the normal, and the two
-/// axes along which patches are counted. For vertical sides, the second axis is the
+/// Axes of a side of a box. `normal` and `sign` define the outward normal. Patches are
+/// counted along the axes `first` and `second`. For vertical sides, `second` is the
 /// height.
 struct SideFrame {
     int normal;
@@ -27,7 +27,8 @@ struct SideFrame {
 inline constexpr SideFrame kSideFrames[kBoxSides] = {
     {0, 1.0, 1, 2}, {0, -1.0, 1, 2}, {1, 1.0, 0, 2}, {1, -1.0, 0, 2}, {2, 1.0, 1, 0}};
 
-/// Observed fraction of each side of a box, 0 to 1, in the order of BoxSide.
+/// Observed fraction of each side of a box, 0 to 1. The order is that of the enumerators
+/// of BoxSide.
 using SideShares = std::array<float, kBoxSides>;
 /// Minimum observed fraction of a side. If the log observed less, the side counts as
 /// unseen.

@@ -152,10 +152,10 @@ constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32
             [](Surfels& s, std::size_t n_floats) { (s.*kHost).resize(n_floats / kFloats); }};
 }
 
-/// All parameter groups. The two optional groups are the first and the last in this
-/// table, so that every valid combination of groups is a contiguous range. A new
-/// parameter needs a member of Surfels, a member of SurfelArrays, a pointer for kernels
-/// and a row here.
+/// All parameter groups. The two optional groups are the first and the last entry.
+/// Therefore every valid combination of groups is a contiguous range. A new parameter
+/// needs a member of Surfels, a member of SurfelArrays, a pointer for kernels and an
+/// entry in this table.
 inline constexpr std::array<ParameterGroup, 7> kParameterGroups{{
     describe_group<&Surfels::gait, &SurfelArrays::gait>("gait", {5, 1}, &LearningRates::gait, false, false,
                                                         ParameterGroup::Of::bends),

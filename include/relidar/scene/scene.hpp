@@ -136,11 +136,11 @@ struct Model {
     /// Half size of the box that contains the model's surfels, metres. The origin is its
     /// centre. 0 = the model has no box.
     glm::vec3 half_size_m{0.0f};
-    /// Walked distance after which the motion repeats, metres: a gait cycle (two steps of
-    /// a person), or the recorded distance if no gait was found. 0 = the model is rigid.
+    /// Walked distance after which the motion repeats, metres. This is a gait cycle (two
+    /// steps of a person), or the recorded distance if no gait cycle was detected. 0 =
+    /// the model is rigid.
     float stride_m = 0.0f;
-    std::optional<SideShares> seen_sides =
-        {};  ///< Observed fraction of each side of the box. Empty: unknown.
+    std::optional<SideShares> seen_sides = {};  ///< observed fraction of each side; empty: unknown
 };
 
 /// Placement of a model in the world. Instance 0 is the background at the origin.

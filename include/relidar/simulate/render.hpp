@@ -68,8 +68,8 @@ struct RenderedScan {
     /// than half of its path. Computed from all rays or from about a thousand of them.
     /// Empty if the run has no coverage.
     std::optional<double> unseen_share = {};
-    /// Unobserved sides of actors that the scan shows; see find_unseen_sides(). Only the
-    /// command `relidar render` sets this field.
+    /// Unobserved sides of actors that the scan shows; see find_unseen_sides(). The
+    /// command `relidar render` sets this field. ScanRenderer leaves it empty.
     std::vector<UnseenSide> unseen_sides = {};
     Pose world_from_sensor;  ///< pose of the sensor at the reference time, in the dataset's world frame
     /// Poses of the sensor during the scan, in the dataset's world frame. The track has a
@@ -83,9 +83,9 @@ struct RenderedScan {
     Pose world_from_firing(std::size_t ray) const;
 };
 
-/// Finds sides of actors that the log has not observed and that at least five rays of the
-/// scan meet. Such a side has no surfels, so rays pass through it. Uses the poses of the
-/// actors in the log.
+/// Finds unobserved sides of actors: sides for which the model has no data and that at
+/// least five rays of the scan meet. Rays pass through such a side as if it were open.
+/// Uses the poses of the actors in the log.
 std::vector<UnseenSide> find_unseen_sides(const RenderedScan& scan, const Scene& scene,
                                           const Sequence& sequence);
 
@@ -219,8 +219,9 @@ SensorChoice sensor_in_sweep(const SensorChoice& sensor, std::span<const Frame> 
 /// only the scans of a LiDAR are known, `rays` is empty and the caller must set the rays
 /// of each scan.
 SensorChoice configured_sensor(const Config& config, const Sequence& sequence, int lidar = 0);
-/// Returns the sensor with a name or from a file: "native", the name of a sensor, a CSV
-/// file or the name of a grid. "kitti360" follows the setting `sensor.grid_method`.
+/// Returns the sensor with this name, or the sensor in this file. Valid values are
+/// "native", the name of a sensor, a CSV file and the name of a grid. "kitti360" follows
+/// the setting `sensor.grid_method`.
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence,
                            int lidar = 0);
 

@@ -37,7 +37,8 @@ constexpr double kMemory_m = 80.0;
 // Path length between two removals of old cells from the map. Removals are rare because
 // checking all cells takes as long as adding a scan.
 constexpr double kForgotten_m = 5.0;
-// Two predictions closer than this lead to the same result, so only one of them is tried.
+// If two predictions are closer than this, they lead to the same result. Therefore only
+// one prediction is tried.
 constexpr double kSame_m = 0.05;
 // After this number of consecutive scans without a match, the map is cleared.
 constexpr int kLostInARow = 5;

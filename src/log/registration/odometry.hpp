@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Estimates poses scan by scan. Each scan is aligned with a map of the earlier scans.
-// This works if the given poses drift or jump, or if there are no poses. A long log is
-// divided into overlapping sections, which threads and processes handle in parallel. Two
-// sections are connected at the last scan that they share.
+// Odometry is needed if the given poses drift or jump, or if there are no poses. A long
+// log is divided into overlapping sections, which threads and processes handle in
+// parallel. Two sections are connected at the last scan that they share.
 #pragma once
 
 #include <functional>

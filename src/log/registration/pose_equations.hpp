@@ -55,8 +55,8 @@ private:
     std::size_t n_on_planes_ = 0;
 };
 
-/// Returns the length of a step in metres: how far it moves points that are about ten
-/// metres away.
+/// Returns the length of a step in metres: the distance by which the step moves points
+/// about ten metres away.
 double length_m(const Twist& step);
 
 /// Returns the matrix that converts a twist (v, w) about one point of a rigid body to the

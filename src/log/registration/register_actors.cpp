@@ -17,7 +17,8 @@ namespace {
 // Minimum length of a box in metres. Most shorter boxes are pedestrians, who change their
 // shape.
 constexpr double kSmallest_m = 1.2;
-// Points of a box below this height are ignored, because they are on the ground.
+// Height above the bottom of a box. Points below this height are ignored, because they
+// are on the ground.
 constexpr double kAboveGround_m = 0.25;
 constexpr std::size_t kFewestActorPoints = 200, kFewestPosePoints = 10, kFewestPoses = 4;
 constexpr RegisterRound kFirstActorRound{0.8, 0.2}, kLastActorRound{0.4, 0.05};

@@ -26,7 +26,8 @@ constexpr double kThinned_m = 0.5, kThinnest_m = 0.1;
 constexpr double kScansOnACell = 24.0;
 constexpr RegisterRound kLast{0.5, 0.05};  // cell size and robust-kernel scale of the last rounds
 // Cell size and robust-kernel scale of the last odometry step. This scale is larger than
-// the scale of the last rounds, because the planes of the odometry map are less accurate.
+// the scale of the last rounds, because the odometry map is coarser: it computes each
+// plane from running sums.
 constexpr RegisterRound kLastFollowed{0.5, 0.1};
 constexpr int kLevels = 5, kStepsALevel = 3;  // number of levels and steps per level for held-out scans
 

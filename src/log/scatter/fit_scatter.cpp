@@ -202,8 +202,8 @@ Cut find_cut_of_some(const Returns& returns, std::span<const Return> of_node, st
     return best;
 }
 
-/// Returns the best split of a node. If splits are equally good, returns the split by the
-/// first feature.
+/// Returns the best split of a node. If several splits are equally good, returns the
+/// split whose feature has the lowest index.
 /// @param each runs a task for 0, 1, ..., n - 1
 template <class Each>
 Cut find_cut(const Returns& returns, std::span<const Return> of_node, const Terms& terms, const Each& each) {

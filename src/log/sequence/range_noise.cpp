@@ -20,7 +20,8 @@ constexpr std::array kRanges_m = {10.0, 20.0, 30.0, 45.0, 80.0};
 constexpr std::array kCosines = {0.3, 0.6, 1.0};
 constexpr std::size_t kBins = kRanges_m.size() * kCosines.size();
 constexpr std::size_t kMostNoiseReturns = 3000000, kFewestOfBin = 200;
-// Larger differences are ignored, because they come from edges and not from noise.
+// Second differences above this value are ignored, because they come from edges and not
+// from noise.
 constexpr float kEdge_m = 0.5f;
 // Ratio between the standard deviation and the median absolute value of a normal
 // distribution.
