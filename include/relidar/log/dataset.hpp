@@ -132,12 +132,12 @@ struct SyntheticOptions {
     /// Adds three pedestrians, a cyclist, cars parked behind a fence, cars with
     /// transparent windows, and bushes.
     bool people = false;
-    /// True: pedestrians swing their legs and arms, in step with the distance that they
-    /// walk.
+    /// True: pedestrians swing their legs and arms while they walk. The phase of the
+    /// motion depends on the walked distance.
     bool gait = false;
 };
 
-/// Creates the log of the synthetic street in memory. Its scans are ground truth, because
+/// Creates the log of the synthetic street in memory. The scans are ground truth, because
 /// they are computed by exact ray casting with a rolling shutter.
 Sequence make_synthetic_street(const SyntheticOptions& options);
 

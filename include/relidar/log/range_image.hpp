@@ -22,8 +22,9 @@ struct RangeImage {
     std::vector<glm::vec3> direction;  ///< [rows*columns] unit vector, sensor frame
 };
 
-/// A ray counts as dropped if its drop probability is at least this threshold. Output
-/// files always use this threshold. Strict metrics use it by default.
+/// Threshold of the drop probability. A ray counts as dropped if its drop probability is
+/// at least this threshold. Output files always use this threshold. It is the default of
+/// the strict metrics.
 inline constexpr float kDropThreshold = 0.5f;
 /// Returns true if a ray counts as a return. The ray must have hit something, and its
 /// drop probability must be below kDropThreshold.

@@ -43,8 +43,8 @@ struct IntensityScatter {
     /// measured intensities. The range of an inner node contains the ranges of both
     /// children.
     struct Node {
-        /// Index of the feature that is compared with the threshold. It is less than
-        /// count_scatter_features(). The value is -1 for a leaf.
+        /// Index of the feature that is compared with the threshold `at`. Features are
+        /// numbered from 0 to count_scatter_features() - 1. The value is -1 for a leaf.
         std::int32_t feature = -1;
         /// Threshold. The search continues with the first child if the feature is at most
         /// this value, otherwise with the second child.

@@ -345,8 +345,8 @@ struct PatternSummary {
 };
 /// Returns the number of rays, duration and sweep of a scan pattern.
 PatternSummary describe_pattern(const SensorPattern& pattern);
-/// Returns the duration of a scan in seconds, or 0 if the time offsets of the rays define
-/// it.
+/// Returns the duration of a scan in seconds. Returns 0 if only the time offsets of the
+/// rays define the duration.
 double period_of(const SensorPattern& pattern);
 
 /// A sensor to simulate: its scan pattern and its range limits.

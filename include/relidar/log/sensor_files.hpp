@@ -12,7 +12,8 @@
 
 namespace relidar {
 
-/// Maximum range of a simulated sensor if its file does not specify one.
+/// Maximum range of a simulated sensor, used if the file of the sensor does not contain a
+/// maximum range.
 inline constexpr double kDefaultMaxRange_m = 80.0;
 
 /// Returns a sensor by its name or from a file. For a spinning sensor, ":columns[xHz]"

@@ -18,8 +18,8 @@ class JsonField;
 /// @param name  name of the sensor if the object does not contain a name
 /// @throws DataError naming the member that is wrong
 SensorModel read_sensor_json(const JsonField& field, const std::string& name);
-/// Returns the JSON text of a sensor. When read_sensor_json() reads this text, it returns
-/// a sensor with exactly the same rays.
+/// Returns the JSON text of a sensor. read_sensor_json() creates a sensor with exactly
+/// the same rays from this text.
 std::string write_sensor_json(const SensorModel& sensor);
 
 /// Returns a text for users that lists the kinds of sensor objects and their members, one

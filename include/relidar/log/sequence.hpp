@@ -294,12 +294,12 @@ PoseTrack mounted_track(PoseTrack track, const Pose& sensor_from_moved);
 PoseTrack with_fine_turns(const PoseTrack& track);
 /// Returns the same poses in a world frame with another origin.
 /// @param by_m  vector that is added to every position. Sequence::world_offset_m converts
-/// from relidar's world to the dataset's world. Its negative converts back.
+/// from relidar's world to the dataset's world. The negative vector converts back.
 PoseTrack shifted_track(PoseTrack track, const glm::dvec3& by_m);
 
-/// Replaces the poses of the vehicle, at the same times. Also moves the boxes, because
-/// they were labelled on the scans. Each box keeps its pose relative to the vehicle at
-/// the time of its label.
+/// Replaces the poses of the vehicle, at the same times. Boxes are labelled relative to
+/// the scans, so they move too: each box keeps its pose relative to the vehicle at the
+/// time of its label.
 void set_vehicle_poses(Sequence& sequence, PoseTrack world_from_vehicle);
 
 /// A ray in the world frame at the time at which it was fired.
@@ -337,8 +337,8 @@ struct SurfaceReturn {
 SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
                              std::size_t number = 0);
 
-/// End point of a returned ray in the world frame, and the time at which it was measured.
-/// The range offset and the intensity response of the beam are removed.
+/// End point of a returned ray in the world frame, and the time at which the ray was
+/// fired. The range offset and the intensity response of the beam are removed.
 struct WorldReturn {
     glm::dvec3 point_m;
     glm::dvec3 direction;

@@ -40,8 +40,8 @@ std::vector<Block> plan_blocks(const Sequence& sequence, const Split& split, con
 struct BlockLog {
     Sequence sequence;
     Split split;
-    /// Settings for the training of one block. They do not divide the log again, and they
-    /// list only the tracks of this block.
+    /// Settings for the training of one block. These settings do not divide the log
+    /// again, and they list only the tracks of this block.
     Config config;
 };
 /// Copies the part of a prepared log that is needed to train one block.
@@ -49,7 +49,7 @@ struct BlockLog {
 BlockLog block_log(const Sequence& sequence, const Split& split, const Block& block, const Config& config);
 
 /// Removes all background surfels that belong to other blocks. A surfel belongs to the
-/// block with the sweep that is nearest to it.
+/// block that contains the sweep nearest to the surfel.
 void remove_overlap_surfels(Scene& scene, const Sequence& sequence, const std::vector<Block>& blocks,
                             std::size_t block);
 

@@ -25,13 +25,15 @@ struct DatasetConfig {
     std::string sequence;
     std::string lidars;  ///< Comma-separated names of the LiDARs to read. Empty = all.
     int frames_begin = 0;
-    int frames_end = -1;  ///< End of the frame range (exclusive). -1 = all frames up to the last one.
+    /// End of the frame range. The frame with this number is excluded. -1 = the range
+    /// includes the last frame.
+    int frames_end = -1;
     int test_every = 10;
     /// Indices and ranges of the held-out frames, for example "13,26,40:45". Empty =
     /// test_every selects the frames.
     std::string test_frames;
-    /// File that contains one pose per frame, as 12 numbers per line. Empty = poses of
-    /// the dataset. kNoPoses = no poses.
+    /// Text file with one pose per frame, as 12 numbers per line. Empty = use the poses
+    /// of the dataset. kNoPoses = read no poses.
     std::string poses;
     /// TF frame or topic of a ROS bag from which the poses are read. Empty = relidar
     /// selects it.

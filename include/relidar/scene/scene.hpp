@@ -87,7 +87,7 @@ struct ParameterSet {
 };
 
 /// Surfel parameters in the form in which they are stored and optimised. Each parameter
-/// has one array. All parameters are in the frame of the surfel's model.
+/// has one array. All parameters are in the frame of the model that contains the surfel.
 struct Surfels {
     std::vector<glm::vec3> mean;  ///< Centres, [n,3] metres.
     /// Rotations, [n,4] quaternions w, x, y, z, unnormalised. The columns of the rotation
@@ -136,9 +136,9 @@ struct Model {
     /// Half size of the box that contains the model's surfels, metres. The origin is its
     /// centre. 0 = the model has no box.
     glm::vec3 half_size_m{0.0f};
-    /// Walked distance after which the motion repeats, metres. This is a gait cycle (two
-    /// steps of a person), or the recorded distance if no gait cycle was detected. 0 =
-    /// the model is rigid.
+    /// Walked distance after which the motion repeats, metres: a gait cycle (two steps of
+    /// a person), or the recorded distance if no cycle was detected. 0 = the model is
+    /// rigid.
     float stride_m = 0.0f;
     std::optional<SideShares> seen_sides = {};  ///< observed fraction of each side; empty: unknown
 };

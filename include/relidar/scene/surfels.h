@@ -29,8 +29,8 @@ struct SurfelRecord {
 };
 RELIDAR_POINTER(Records, SurfelRecord);
 
-/// Contiguous range of surfels that form one model. The table of models is sorted by
-/// range, and the ranges together contain all surfels.
+/// Contiguous range of surfels that form one model. The models are sorted by their
+/// ranges. Every surfel belongs to exactly one range.
 struct ModelEntry {
     uint first_surfel;
     uint n_surfels;

@@ -68,8 +68,8 @@ struct ScoredFrame {
 struct BoxPoints {
     /// [n,3] points in the frame of the box at the time at which each point was measured.
     std::vector<glm::dvec3> real_m, simulated_m;
-    /// Range errors (simulated minus real) of some rays: they return in both scans, and
-    /// their real point is in the box.
+    /// Range errors, simulated minus real. Only rays that return in both scans, and whose
+    /// real point is in the box, are included.
     std::vector<double> range_error_m;
     /// Numbers of rays that hit the box: in both scans, only in the real scan, and only
     /// in the simulated scan.

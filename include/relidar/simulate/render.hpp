@@ -303,8 +303,8 @@ public:
     /// Returns true if a network corrects the ray-drop of this sensor's scans.
     bool refines(const SensorChoice& sensor) const;
     /// Renders a scan on the recorded path of the log's vehicle.
-    /// @param sensor_offset pose of the simulated sensor in the frame of the log's LiDAR;
-    /// identity places it where the real sensor was
+    /// @param sensor_offset pose of the simulated sensor in the frame of the log's LiDAR.
+    /// With the identity, both sensors have the same pose.
     /// @param sample seed of sample_returns(); if not set, the scan has expected values
     /// without noise
     RenderedScan render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset = {},

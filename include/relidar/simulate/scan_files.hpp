@@ -63,8 +63,8 @@ struct ScanFormat {
     std::string run;  ///< folder of the run
     std::string sensor;
     RangeLimits limits;
-    /// Pose of the simulated sensor. It is relative to the log's sensor, or to the
-    /// trajectory if one is set.
+    /// Pose of the simulated sensor relative to the log's sensor. If a trajectory is set,
+    /// the pose is relative to the trajectory.
     Pose offset;
     /// Mounting of the log's sensor on the vehicle. Needed because recordings also
     /// contain the vehicle frame.
@@ -85,8 +85,8 @@ struct ScanFormat {
     PacketFormatOptions packets;
     Config config;
 };
-/// Returns the default format for scans of a run: npz in the sensor frame, with the
-/// sensor at the poses of the log's sensor.
+/// Returns the default format for scans of a run: npz files with rays in the sensor
+/// frame. The simulated sensor has the same poses as the log's sensor.
 ScanFormat scan_format(const Run& run, const SensorChoice& sensor);
 /// Returns true if all points of a scan share one frame: the world frame, or the sensor
 /// frame at the scan's time. In recordings, this time is the time stamp of the message.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training of a scene. After the initialisation, each iteration samples a frame, renders
-// it, compares it with the measured scan, computes gradients and updates the parameters.
-// Training can be stopped and resumed.
+// Training of a scene, which can be stopped and resumed. After the initialisation, each
+// iteration renders one frame and compares the rendering with the measured scan. It then
+// computes gradients and updates the parameters.
 #pragma once
 
 #include <array>
@@ -89,7 +89,7 @@ struct TrainSession {
     std::filesystem::path checkpoints;
     /// Checkpoint from which training resumes. Null = start from the beginning.
     const Checkpoint* start = nullptr;
-    /// Function that is called after every iteration. Training stops if it returns true.
+    /// Callback after every iteration. If the callback returns true, training stops.
     std::function<bool()> stop;
     /// Callback that receives one-line messages, for example about a full disk. These
     /// messages are not in the training log.
@@ -149,8 +149,8 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
 /// Callbacks of place_held_out(), which corrects the poses of held-out scans.
 struct PlaceSession {
     Progress progress = {};
-    /// Function that is called before each scan. If it returns true, placement ends and
-    /// no pose changes.
+    /// Callback before each scan. If the callback returns true, the correction of poses
+    /// stops and no pose changes.
     std::function<bool()> stop = {};
 };
 
@@ -177,8 +177,8 @@ struct RefineSession {
     Progress progress = {};  ///< Function that receives the progress of rendering the training frames.
     /// Function that is called after each training step.
     std::function<void(const RefineProgress&)> step = {};
-    /// Function that is called after each frame and each step. Training stops if it
-    /// returns true.
+    /// Callback after each frame and each step. If the callback returns true, training
+    /// stops.
     std::function<bool()> stop = {};
     /// Folder for checkpoints of the network. Empty = no checkpoints. Checkpoints are
     /// written after each epoch, at the interval train.checkpoint_minutes, and when
@@ -187,7 +187,7 @@ struct RefineSession {
     std::filesystem::path checkpoints = {};
     /// Checkpoint from which training resumes. Null = start from the beginning.
     const Checkpoint* start = nullptr;
-    /// Function that receives one line of text about each checkpoint that could not be
+    /// Callback that receives one line of text about each checkpoint that could not be
     /// written.
     std::function<void(const std::string&)> note = {};
     StageTimes* stages = nullptr;  ///< Output: times of the stages "network's images" and "network".
@@ -223,7 +223,7 @@ void restore_refine_settings(const Checkpoint& checkpoint, Config& config);
 /// Callbacks of learn_scatter(), which estimates the scatter of intensities.
 struct ScatterSession {
     Progress progress = {};
-    /// Function that is called before each frame. Learning stops if it returns true.
+    /// Callback before each frame. If the callback returns true, the function stops.
     std::function<bool()> stop = {};
 };
 
@@ -239,7 +239,7 @@ std::vector<IntensityScatter> learn_scatter(Device& device, const Run& run,
 struct ActorSession {
     /// Function that is called after each training step.
     std::function<void(int step, int n_steps)> step = {};
-    /// Function that is called after each step. Training stops if it returns true.
+    /// Callback after each training step. If the callback returns true, training stops.
     std::function<bool()> stop = {};
 };
 
