@@ -87,7 +87,7 @@ struct ParameterSet {
 };
 
 /// Surfel parameters in the form in which they are stored and optimised. Each parameter
-/// has one array. All parameters are in the frame of the model that contains the surfel.
+/// has one array. All parameters are in the frame of the surfel's model.
 struct Surfels {
     std::vector<glm::vec3> mean;  ///< Centres, [n,3] metres.
     /// Rotations, [n,4] quaternions w, x, y, z, unnormalised. The columns of the rotation
@@ -150,7 +150,7 @@ struct Instance {
 };
 
 /// Block of the background that was trained on one section of a road. Its surfels stay in
-/// a file until a sensor is near.
+/// a file until needed.
 struct SceneBlock {
     /// File written by save_model(). The block is the first model in the file.
     std::filesystem::path file;
@@ -167,8 +167,8 @@ struct SceneBlock {
     }
 };
 
-/// Scene that can be rendered. It contains surfels, models, instances that place the
-/// models in the world, and drop probabilities of the sensor.
+/// Scene that can be rendered: surfels, models, instances that place the models in the
+/// world, and drop probabilities of the sensor.
 struct Scene {
     Surfels surfels;
     std::vector<Model> models;
