@@ -137,8 +137,7 @@ struct Model {
     /// centre. 0 = the model has no box.
     glm::vec3 half_size_m{0.0f};
     /// Walked distance after which the motion repeats, metres: a gait cycle (two steps of
-    /// a person), or the recorded distance if no cycle was detected. 0 = the model is
-    /// rigid.
+    /// a person), or the recorded distance if no cycle was found. 0 = rigid model.
     float stride_m = 0.0f;
     std::optional<SideShares> seen_sides = {};  ///< observed fraction of each side; empty: unknown
 };
@@ -150,7 +149,7 @@ struct Instance {
 };
 
 /// Block of the background that was trained on one section of a road. Its surfels stay in
-/// a file until needed.
+/// a file until a sensor is near.
 struct SceneBlock {
     /// File written by save_model(). The block is the first model in the file.
     std::filesystem::path file;
@@ -282,8 +281,8 @@ struct InitialiseOptions {
     /// neighbours.
     double scale_factor = 1.0;
     /// Largest gap between scan lines that a surfel may cover, metres. A surfel is
-    /// stretched if this gap is much wider than the point distance along the scan line. 0
-    /// = off (paper).
+    /// stretched if the gap is much wider than the point distance along the line. 0 = off
+    /// (paper).
     double max_gap_m = 0.0;
     /// Initial scale of 3D Gaussians along the normal, relative to the scale in the
     /// plane. 1 = spheres, as in 3D Gaussian splatting.
