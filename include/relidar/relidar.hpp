@@ -2,9 +2,9 @@
 // Includes all headers that applications need for logs, runs and scans. The components of
 // the training loop are in <relidar/diff/...>.
 //
-// Objects created from a Device must be destroyed before the device. A Device and its
-// objects may be used by one thread at a time. Two threads may use two devices. Functions
-// that use no device may be called from any thread. Errors are thrown as relidar::Error
+// Objects created from a Device must be destroyed before the device. Only one thread at a
+// time may use a Device and its objects. Two threads may use two devices. Any thread may
+// call functions that use no device. Errors are thrown as relidar::Error
 // (relidar/base/error.hpp).
 #pragma once
 

@@ -27,8 +27,8 @@ struct NamedArray {
     /// @throws DataError if the array holds text, or if the number of bytes does not
     /// match the shape
     std::vector<float> as_float() const;
-    /// Returns the values converted to double. Use it for times and large coordinates,
-    /// because float is not precise enough.
+    /// Returns the values converted to double. Use this function for times and large
+    /// coordinates, because float is not precise enough for them.
     std::vector<double> as_double() const;
 };
 
@@ -51,8 +51,8 @@ NamedArray make_text_array(std::string name, const std::vector<std::string>& tex
 /// Creates a zero-dimensional array (shape []) that holds one text.
 NamedArray make_text(std::string name, const std::string& text);
 
-/// Writes an npz file in the format of numpy.savez_compressed. Equal arrays give
-/// identical files.
+/// Writes an npz file in the format of numpy.savez_compressed. Writing equal arrays twice
+/// gives identical files.
 /// @throws DataError if an array exceeds 4 GiB or the file cannot be written
 void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>& arrays);
 /// Reads all arrays of an npz file. The arrays may be uncompressed or compressed with

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exceptions that relidar throws. Each message is one line that states the failed
-// operation, the value found and the value expected.
+// Exceptions that relidar throws. Each message is one line of text. It states what
+// failed, the value that was found, and the value that was expected.
 #pragma once
 
 #include <optional>
@@ -41,14 +41,15 @@ struct DeviceError : Error {
     explicit DeviceError(const std::string& message) : Error(ExitCode::device, message) {}
 };
 
-/// Error for a device that hung, was removed, or restarted its driver. The current
-/// process cannot use the device again.
+/// Error for a device that hung, was removed, or restarted its driver. The process cannot
+/// use this device again.
 struct DeviceLost : DeviceError {
     using DeviceError::DeviceError;
 };
 
 /// Returns the known name that is most similar to the query, for "did you mean" messages.
-/// The most similar name has the smallest edit distance, ignoring upper and lower case.
+/// The most similar name has the smallest edit distance. Upper and lower case are treated
+/// as equal.
 /// @return empty string if there are no known names
 std::string nearest_name(std::string_view query, const std::vector<std::string>& known_names);
 /// Returns the text ", did you mean 'NAME'?" with the known name that is most similar to

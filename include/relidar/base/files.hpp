@@ -12,30 +12,30 @@
 namespace relidar {
 
 /// Writes a file atomically. Calls `write` with a temporary path in the same folder,
-/// flushes the temporary file to disk and renames it. The folder must exist. A symbolic
-/// link is followed. A target that is not a regular file (a folder, /dev/null) is
-/// rejected.
+/// flushes the temporary file to disk and renames it. The folder must exist. If `path` is
+/// a symbolic link, the target of the link is written. A target that is not a regular
+/// file (a folder, /dev/null) is rejected.
 /// @throws DataError if the folder cannot be written or the disk is full. The temporary
 /// file is then removed. A DataError or standard exception from `write` is rethrown as a
 /// DataError that names the path. Other relidar errors are passed on unchanged.
 void write_atomically(const std::filesystem::path& path,
                       const std::function<void(const std::filesystem::path&)>& write);
-/// Returns a unique temporary path in the folder of `path`. The caller writes the file
-/// there and then renames it to `path`. remove_temporaries() removes files with such
-/// names.
+/// Returns a unique temporary path in the folder of `path`. The caller writes the file to
+/// this temporary path and then renames it to `path`. remove_temporaries() removes
+/// temporary files that were never renamed.
 std::filesystem::path temporary_path(const std::filesystem::path& path);
-/// Removes temporary files and folders that a killed process has left in a folder. Their
-/// names have the form .NAME.tmp-PID-COUNT. Use this function only for a folder to which
-/// no other process writes.
+/// Removes temporary files and folders that a killed process has left in a folder. These
+/// files have names of the form .NAME.tmp-PID-COUNT. Call this function only for a folder
+/// to which no other process writes.
 void remove_temporaries(const std::filesystem::path& folder);
 /// Writes a text file atomically. The final name exists only when the content is
 /// complete.
 void write_text(const std::filesystem::path& path, const std::string& text);
 
-/// Temporary folder that gets its final name when it is complete. finish() renames it and
-/// removes an existing folder with the final name. If finish() is not called, the
-/// destructor removes the temporary folder. Temporary folders of a killed process are
-/// removed when a StagedFolder with the same final name is created.
+/// Temporary folder that gets its final name when it is complete. finish() renames the
+/// temporary folder and replaces an existing folder with the final name. If finish() is
+/// not called, the destructor removes the temporary folder. The constructor also removes
+/// temporary folders that a killed process has left for the same final name.
 class StagedFolder {
 public:
     /// Creates the temporary folder.
@@ -53,8 +53,8 @@ public:
     /// @throws DataError if the folder cannot be renamed. An existing folder is then
     /// kept.
     void finish() const;
-    /// Renames the temporary folder to its final name. Does not replace an existing
-    /// folder unless it is empty.
+    /// Renames the temporary folder to its final name. If a folder with this name exists,
+    /// it is replaced only if it is empty.
     /// @throws DataError if the name is in use, or the folder cannot be renamed
     void finish_new() const;
 

@@ -26,7 +26,7 @@ struct ExrImage {
     std::map<std::string, std::string> notes;  ///< String attributes of the file.
 };
 /// Reads all channels of an OpenEXR scan-line image, with any compression and any number
-/// type. Compares the image size with the file size before it allocates memory, so that a
+/// type. Compares the image size with the file size before allocating memory, so that a
 /// damaged file cannot exhaust the memory.
 /// @throws DataError if the file has tiles, deep data, several images, subsampled
 /// channels or unreasonable sizes, or is damaged
@@ -52,7 +52,8 @@ Image colour_map(const std::vector<float>& values, int rows, int columns, float 
 /// @throws UsageError if stretch is below 1
 /// @throws DataError if the widths differ
 Image stack(const std::vector<Image>& images, int stretch = 1);
-/// Writes an image as a PNG file. encode_png() returns the bytes of the file instead.
+/// Writes an image as a PNG file. encode_png() does not write a file, but returns the
+/// bytes.
 /// @param notes stored as international text (iTXt). A name has 1 to 79 Latin letters.
 /// @throws DataError if rgb is empty or is not rows*columns*3 bytes
 void write_png(const std::filesystem::path& path, const Image& image, const FileNotes& notes = {});

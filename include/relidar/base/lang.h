@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Defines the pointer and vector types that C++ and GLSL share. C++ and GLSL include the
-// same headers, which contain struct definitions and a few functions. Structs use the
+// Defines the pointer and vector types that C++ and GLSL share. Both languages include
+// the same headers, which contain struct definitions and a few functions. Structs use the
 // scalar block layout. A pointer is a buffer reference in GLSL and an 8-byte address in
 // C++.
 #ifndef RELIDAR_INCLUDED_BASE_LANG_H
@@ -10,9 +10,9 @@
 #include <glm/glm.hpp>
 #define RELIDAR_SHARED_BEGIN namespace relidar::shared {
 #define RELIDAR_SHARED_END }
-// Marks a function that both C++ and GLSL compile. RELIDAR_EXACT marks a variable that
-// both languages must compute with exactly the same operations. C++ files that call such
-// functions are compiled without fused multiply-add.
+// RELIDAR_FUNCTION marks a function that both C++ and GLSL compile. RELIDAR_EXACT marks a
+// variable that both languages must compute with exactly the same operations. C++ files
+// that call such functions are compiled without fused multiply-add.
 #define RELIDAR_FUNCTION inline
 #define RELIDAR_EXACT
 #define RELIDAR_POINTER(name, type) using name = Address<type>
@@ -21,8 +21,8 @@
         std::uint64_t value = 0; \
     }
 // Adds the meaning of the data to a pointer type, for example RELIDAR_OF(Floats,
-// LossTerms) terms. It distinguishes pointers with the same element type. In GLSL the
-// type is simply Floats.
+// LossTerms) terms. Pointers with equal element type but different meaning are then
+// different types in C++. In GLSL the type is simply Floats.
 #define RELIDAR_OF(pointer, meaning) pointer::Of<struct meaning>
 namespace relidar {
 template <class T, class Meaning = void>
@@ -30,9 +30,8 @@ class Array;
 class Stream;
 
 /// Device address of an array of T, 8 bytes. Only an Array<T, Meaning> can create an
-/// address that is not null. Two addresses convert to each other only if both their
-/// element type and their meaning match. This prevents passing the wrong array to a
-/// kernel.
+/// address that is not null. An address converts to another address type only if both the
+/// element type and the meaning match. This prevents passing the wrong array to a kernel.
 template <class T, class Meaning = void>
 class Address {
 public:
@@ -53,7 +52,8 @@ private:
     friend class Address;
     template <class, class>
     friend class Array;
-    // Stream creates addresses of kernel parameters, which are valid for one submission.
+    // Stream is a friend because it creates the addresses of kernel parameters. These
+    // addresses are valid for one submission.
     friend class Stream;
     explicit Address(std::uint64_t value) : value_(value) {}
     std::uint64_t value_ = 0;
@@ -81,7 +81,7 @@ using uint = std::uint32_t;
 #define RELIDAR_HANDLE(name) RELIDAR_POINTER(name, uint)
 #define RELIDAR_OF(pointer, meaning) pointer
 // Shaders never convert an address to a 64-bit integer, because some devices lack 64-bit
-// integers. They convert between pointer types through uvec2, because some compilers
+// integers. Shaders convert between pointer types through uvec2, because some compilers
 // (SwiftShader) cannot cast pointers directly.
 #endif
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rigid poses and small motions. They use double precision, because a log may be
-// kilometres from its origin. A transform name is read from right to left:
-// `world_from_sensor * point_sensor` is a point in the world frame.
+// Rigid poses and small motions, in double precision because a log may be kilometres from
+// its origin. The name of a transform is read from right to left: `world_from_sensor *
+// point_sensor` is a point in the world frame.
 #pragma once
 
 #include <array>
@@ -50,8 +50,8 @@ inline glm::dquat rotation_of(double yaw_rad, double pitch_rad, double roll_rad)
 }
 
 /// Small motion of a pose: a translation v (metres, world frame), then a rotation vector
-/// w (radians, world axes, about the pose's origin). The type is also used for
-/// derivatives with respect to v and w.
+/// w (radians, world axes, about the pose's origin). Also used for derivatives with
+/// respect to v and w.
 using Twist = std::array<double, 6>;
 
 /// Returns the pose after a small motion (v, w): rotation exp([w]x) R and translation T +
@@ -63,8 +63,8 @@ inline Pose moved(const Pose& pose, const Twist& twist) {
     return {glm::normalize(glm::angleAxis(angle, w / angle) * pose.rotation), pose.translation + v};
 }
 
-/// Returns the small motion that moves one pose to another. Its rotation angle is at most
-/// pi.
+/// Returns the small motion that moves the pose `from` to the pose `to`. The rotation
+/// angle is at most pi.
 inline Twist twist_between(const Pose& from, const Pose& to) {
     glm::dquat q = to.rotation * glm::conjugate(from.rotation);
     if (q.w < 0.0) q = -q;

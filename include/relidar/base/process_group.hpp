@@ -13,13 +13,13 @@ namespace relidar {
 
 /// Group of processes that execute the same steps in the same order. A slow step is split
 /// into parts, and the split does not depend on the number of processes. Each process
-/// computes some of the parts, and then all processes receive all results. A single
-/// process computes all parts.
+/// computes some of these parts. Then all processes receive all results. A single process
+/// computes all parts.
 struct ProcessGroup {
     int rank = 0, size = 1;
     /// Function that concatenates the bytes of all processes in rank order and returns
-    /// the result to each process. It waits until all processes have called it. It is not
-    /// called if size is 1.
+    /// the result to each process. The function waits until all processes have called it.
+    /// If size is 1, this function is not called.
     std::function<std::string(const std::string& bytes)> all_gather = {};
 
     bool is_first() const { return rank == 0; }
@@ -28,8 +28,8 @@ struct ProcessGroup {
         std::size_t begin, end;
     };
     /// Returns the contiguous range of parts, out of n, that this process computes. The
-    /// numbers of parts of two processes differ by at most one. The first process has at
-    /// least one part if n > 0.
+    /// numbers of parts of any two processes differ by at most one. The first process has
+    /// at least one part if n > 0.
     Share share(std::size_t n) const {
         const auto first_of = [&](int of) {
             return (n * std::size_t(of) + std::size_t(size - 1)) / std::size_t(size);
@@ -37,8 +37,8 @@ struct ProcessGroup {
         return {first_of(rank), first_of(rank + 1)};
     }
 
-    /// Collects the values of all processes and returns them in rank order. Every process
-    /// gets the same result.
+    /// Collects the values of all processes. Returns all values in the order of the
+    /// ranks, in every process.
     template <class T>
     std::vector<T> all_gathered(std::vector<T> values) const {
         static_assert(std::is_trivially_copyable_v<T>);
@@ -49,7 +49,8 @@ struct ProcessGroup {
         if (!values.empty()) std::memcpy(values.data(), all.data(), values.size() * sizeof(T));
         return values;
     }
-    /// Sends the values of the first process to all processes and returns them.
+    /// Returns the values of the first process in every process. The values of all other
+    /// processes are ignored.
     template <class T>
     std::vector<T> broadcast(std::vector<T> values) const {
         if (!is_first()) values.clear();

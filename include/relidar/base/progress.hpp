@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reports the progress of slow work and measures the time of its stages.
+// Reports the progress of slow work and measures the time of each stage of the work.
 #pragma once
 
 #include <algorithm>
@@ -11,14 +11,14 @@
 
 namespace relidar {
 
-/// Function that slow work calls from time to time, on the thread that started the work.
-/// If it is empty, no progress is reported.
+/// Callback that slow work calls from time to time, on the thread that started the work.
+/// If the callback is empty, no progress is reported.
 /// @param what short description of the current work
 /// @param done completed fraction of the work, 0..1
 using Progress = std::function<void(std::string_view what, double done)>;
 
 /// Measures the time spent in each stage of slow work. Only one stage runs at a time.
-/// Stages are listed in the order of their first start.
+/// Stages are listed in the order in which they were first started.
 class StageTimes {
 public:
     struct Stage {

@@ -14,8 +14,9 @@
 
 namespace relidar {
 
-// Tag types for the content of device arrays. They prevent passing the wrong array to a
-// kernel when the element types are equal.
+// Tag types that name the content of device arrays. Arrays of equal element type but
+// different content then have different types. This prevents passing the wrong array to a
+// kernel.
 namespace shared {
 struct DeviceRayGradients;
 struct InstancePoseGradients;
@@ -32,8 +33,8 @@ struct GradientSelection {
 /// pose of the sensor.
 struct Gradients {
     SurfelArrays surfels;  ///< dL/d(parameter) of every surfel, in the layout of Surfels.
-    /// dL/d(record), where a record holds the 16 floats that kernels read for a placed
-    /// surfel, [DeviceScene::gradient_rows,16].
+    /// Gradients with respect to the surfel records, [DeviceScene::gradient_rows,16]. A
+    /// record holds the 16 floats that tracing kernels read for a placed surfel.
     Array<float, shared::RecordGradients> records;
     /// Flags, [n]: 1 for each surfel that has a gradient in this batch.
     Array<std::uint32_t, shared::TouchedSurfels> touched;
@@ -50,14 +51,14 @@ struct Gradients {
     /// about its origin. Row 0 belongs to the background, whose pose is never refined. A
     /// row is exactly 0 if the instance is absent or no ray with a gradient hits it. With
     /// ShDirection::surfel, SH directions contribute only to the first instance of a
-    /// model, because they are computed for that instance. Empty unless
+    /// model, because the SH are evaluated for that instance. Empty unless
     /// GradientSelection::poses is set.
     ///
     /// An instance that moves during the sweep has the pose P(t) = (R(t), T(t)). R is the
     /// rotation of the pose that was set. The gradient is the exact derivative of one
     /// correction that moves the model by the same amount in its own axes at all times of
-    /// the sweep: P(t) becomes P(t) * (exp([R^T w]x), R^T v). It is not the derivative of
-    /// a change of velocity or turn rate.
+    /// the sweep: P(t) becomes P(t) * (exp([R^T w]x), R^T v). The gradient does not
+    /// describe a change of the velocity or the turn rate.
     Array<float, shared::InstancePoseGradients> poses;
     /// Pose gradient of the sensor, [6]: dL/d(v, w) at 0. All rays of the batch move as
     /// one rigid body: origin' = c + exp([w]x) (origin - c) + v and direction' =
@@ -108,22 +109,22 @@ struct BackwardOptions {
 
 class BackwardPass {
 public:
-    /// Creates the GPU kernels of the backward pass.
+    /// Creates the GPU pipelines of the backward pass.
     /// @throws UsageError if hits_per_ray is out of range
     BackwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options,
                  const BackwardOptions& backward = {});
     ~BackwardPass();
     /// Records GPU commands that trace the rays again and compute the gradients of all
-    /// parameters. Overwrites all arrays in `gradients`.
+    /// parameters. The commands overwrite all arrays in `gradients`.
     /// @param view_origin_m view origin of the last DeviceScene::activate(), [3] world
     /// frame
     void run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch,
              const glm::vec3& view_origin_m, Gradients& gradients);
     void set_sh_degree(int degree);
     /// Returns the largest number of hits of a batch as a device array, [1]. The value
-    /// grows until the caller sets it to 0. Returns null with `atomics`. Hits that exceed
-    /// hit_capacity() are added with atomics, which is correct but not bit-equal between
-    /// runs. hit_capacity() is 0 with `atomics`.
+    /// grows until the caller sets it to 0. Hits that exceed hit_capacity() are added
+    /// with atomics. Their sums are correct but not bit-equal between runs. With
+    /// Reduction::atomics, this function returns null, and hit_capacity() returns 0.
     const Array<std::uint32_t>* most_hits() const;
     std::uint64_t hit_capacity() const;
     /// Increases the capacity to at least n_hits records. Waits until the stream is idle.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// List of all values that a ray blends from its hits, one per line. C++ and GLSL generate
-// struct fields and the sums of the forward and backward kernels from this list.
+// List of all values that a ray blends from its hits, one value per line. C++ and GLSL
+// generate struct fields and the sums of the forward and backward kernels from this list.
 // docs/architecture.md section 3 explains how to add a value.
 #ifndef RELIDAR_INCLUDED_DIFF_BLENDED_VALUES_H
 #define RELIDAR_INCLUDED_DIFF_BLENDED_VALUES_H
@@ -18,15 +18,16 @@
 ///
 /// The background adds 1 to drop_logit and 0 to all other values.
 
-// Values of every ray except the range D. The backward pass sums these values first and
-// adds the range last, because the range is larger than the other values.
+// All image values except the range D. The backward pass sums these values first and adds
+// the range last, because the range is much larger.
 #define RELIDAR_CHANNEL_VALUES(VALUE)                                                \
     VALUE(weight, true, 1.0, nowhere, 0.0, "sum of w")                               \
     VALUE(intensity, true, channels.x, d_channel.x, 1.0, "sum of w times intensity") \
     VALUE(hit_logit, true, channels.y, d_channel.y, 1.0, "sum of w times hit logit") \
     VALUE(drop_logit, true, channels.z, d_channel.z, 1.0, "sum of w times drop logit, + transmittance")
 
-// Values of every ray that the host can read. The host can also set their gradients.
+// Values of every ray that the host can read. The host can also set the gradients of
+// these values.
 #define RELIDAR_IMAGE_VALUES(VALUE)                                                        \
     VALUE(depth, true, hit.t, d_t, 1.0, "sum of w times distance, not normalised, metres") \
     RELIDAR_CHANNEL_VALUES(VALUE)

@@ -13,10 +13,10 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_BVH_LEAF_SIZE 4u  // Maximum number of surfels or instances in one leaf.
 #define RELIDAR_BVH_NO_NODE 0xffffffffu
 
-/// Tree node with at most 8 child slots, 80 bytes. A child's box has the bounds origin +
-/// q 2^(e - 127) along each axis, with q = 0..255 rounded outward. A slot is an inner
-/// node if its bit in inner_mask is set. It is a leaf if its count is above 0. Otherwise
-/// it is empty and has an inverted box (low 255, high 0).
+/// Tree node with at most 8 child slots, 80 bytes. Along each axis, the bounds of a
+/// child's box are origin + q 2^(e - 127), with q = 0..255 rounded outward. A slot holds
+/// an inner node if its bit in inner_mask is set. It holds a leaf if its count is above
+/// 0. Otherwise the slot is empty and has an inverted box (low 255, high 0).
 struct BvhNode {
     vec3 origin;  // Lower corner of the node's box, metres.
     // Exponents e of the box scale with bias 127: x in bits 0-7, y in bits 8-15, z in
@@ -25,14 +25,14 @@ struct BvhNode {
     // Index of the child node in the first inner slot. The nodes of the other inner slots
     // follow in slot order.
     uint first_child;
-    // Index in `order` at which the leaves of this node start. The entries of a leaf slot
-    // start at first_leaf plus the offset of the slot.
+    // Index in the array `order` at which the leaves of this node start. The entries of a
+    // leaf slot start at first_leaf plus the offset of the slot.
     uint first_leaf;
-    // One byte per slot: the leaf's offset in bits 0-4 and its number of entries in bits
-    // 5-7. The byte is 0 for inner and empty slots.
+    // One byte per slot. For a leaf, bits 0-4 hold the offset of its entries, and bits
+    // 5-7 hold the number of entries. The byte is 0 for inner and empty slots.
     uint leaves[2];
     // Lower bounds of the child boxes along x, quantised to one byte per slot. The next
-    // fields hold the other bounds.
+    // five fields hold the other bounds in the same form.
     uint low_x[2];
     uint low_y[2];
     uint low_z[2];
@@ -50,8 +50,8 @@ RELIDAR_HANDLE(TlasHandle);  // Handle of the driver's top-level acceleration st
 #define RELIDAR_MOVING_MASKS 7u  // Number of cull mask bits for moving models.
 
 /// Instance that moves during a sweep. A separate ray query searches only this instance.
-/// For that query, the ray is transformed so that the instance can stay at its pose in
-/// the driver's structure.
+/// Before this query, the ray is transformed to compensate the motion, so the instance
+/// can keep its pose in the driver's structure.
 struct MovingInstance {
     uint instance;
     uint model;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Densification on the device, for the background and all actors together. It adds
 // surfels where the rendered image lacks detail and removes useless surfels
-// (docs/method.md section 6). It keeps parameters, Adam moments and statistics in the
-// same order.
+// (docs/method.md section 6). Parameters, Adam moments and statistics always keep the
+// same surfel order.
 #pragma once
 
 #include <cstdint>
@@ -19,8 +19,9 @@ class DeviceScene;
 struct Scene;
 struct SurfelArrays;
 
-// Tag types for the content of device arrays. They prevent passing the wrong array to a
-// kernel when the element types are equal.
+// Tag types that name the content of device arrays. Arrays of equal element type but
+// different content then have different types. This prevents passing the wrong array to a
+// kernel.
 namespace shared {
 struct GradientSums;
 struct SeenBatches;
@@ -28,15 +29,16 @@ struct SeenFrames;
 struct TouchedSurfels;
 }  // namespace shared
 
-/// Statistics of each surfel since the last densification. Checkpoints contain them. The
-/// arrays may have more than n entries.
+/// Statistics of each surfel since the last densification. Checkpoints store these
+/// statistics. The arrays may have more than n entries.
 struct SurfelStatistics {
-    /// Gradient norm of the surfel's mean, summed over batches, [n].
+    /// Norm of the gradient with respect to the surfel's mean position, summed over
+    /// batches, [n].
     Array<float, shared::GradientSums> gradient_sum;
-    /// Number of batches that come from a frame in which the surfel is visible, [n].
+    /// Number of batches whose frame shows the surfel, [n].
     Array<std::uint32_t, shared::SeenBatches> n_seen;
     /// Bit mask of training frames, [n, n_words]. Bit f is set if the surfel has had a
-    /// gradient in frame f. A copied surfel inherits the bits of its original.
+    /// gradient in frame f. A copy of a surfel inherits the bits.
     Array<std::uint32_t, shared::SeenFrames> frames;
     std::uint32_t n_words = 1;
 };
@@ -66,24 +68,26 @@ public:
     /// Returns true unless the strategy is DensifyStrategy::none. An inactive densifier
     /// does nothing and has no statistics.
     bool is_active() const;
-    /// Records GPU commands that add the gradients of a batch to the statistics.
+    /// Records GPU commands that add the gradients of a batch to the densification
+    /// statistics.
     void observe(Stream& stream, const DeviceScene& scene, const ObservedBatch& batch);
     /// Returns true if run() should add and remove surfels after this step.
     bool due(int step) const;
     /// Adds and removes surfels. Each model stays a contiguous range in which surfels
-    /// keep their order. Copies are stored next to their original. Surviving surfels keep
-    /// their Adam moments. New surfels, and surfels with a changed opacity or scale,
-    /// start with zero moments. All statistics are reset. The function waits for the GPU
-    /// once, to read the new number of surfels of each model. Afterwards, Gradients and
-    /// Accel must be created again, because they still have the old number of surfels.
+    /// keep their order. A copied surfel is stored next to its original. Surviving
+    /// surfels keep their Adam moments. New surfels, and surfels with a changed opacity
+    /// or scale, start with zero moments. All statistics are reset. The function waits
+    /// for the GPU once, to read the new number of surfels of each model. Afterwards,
+    /// Gradients and Accel must be created again, because they still have the old number
+    /// of surfels.
     ///
     /// Insufficient memory is not an error. In that case, no more surfels are added, and
     /// the report contains one note about it.
     /// @param others_bytes bytes per surfel that other objects will allocate again for
     /// the new number of surfels. Densification leaves this memory free.
     DensifyReport run(Stream& stream, DeviceScene& scene, Adam& adam, int step, double others_bytes = 0.0);
-    /// Records GPU commands that reset the opacities if a reset is scheduled after this
-    /// step.
+    /// Records GPU commands that reset the opacities of all surfels, if a reset is
+    /// scheduled after this step.
     void after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step);
     SurfelStatistics& statistics();
     std::vector<double>& extents_m();              ///< Extent of each model, metres.

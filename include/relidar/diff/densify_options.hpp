@@ -13,29 +13,29 @@ namespace relidar {
 /// Strategy for adding and removing surfels.
 enum class DensifyStrategy {
     none,
-    /// Strategy of the paper. Clones and splits surfels with large gradients, removes
+    /// Strategy of the paper: clones and splits surfels with large gradients, removes
     /// useless surfels, and resets opacities.
     adaptive
 };
 
 /// Schedule and thresholds of densification. The defaults are the paper's values (section
 /// 6). Some thresholds are relative to the extent of a model. The extent of an actor is 4
-/// x the size of its box. The extent of the background and of models without a box is 3 x
-/// the 90th percentile of 2 |p - centre|. Extents are computed from the scene at the
+/// x the size of its box. For the background and for models without a box, the extent is
+/// 3 x the 90th percentile of 2 |p - centre|. Extents are computed from the scene at the
 /// start of training.
 struct DensifyOptions {
     DensifyStrategy strategy = DensifyStrategy::none;
     int from = 500;     ///< First step with densification.
     int until = 15000;  ///< Densification ends before this step.
     int every = 100;
-    /// Threshold for the mean norm of dL/d(mean), 1/m. A surfel with a larger value is
-    /// cloned or split. L is a mean over the rays of a frame.
+    /// Threshold for the mean norm of dL/d(mean position), 1/m. A surfel with a larger
+    /// norm is cloned or split. The loss L is a mean over the rays of a frame.
     double gradient_threshold = 2e-4;
     /// Size threshold between cloning and splitting, relative to the extent of the model.
     /// Smaller surfels are cloned. Larger surfels are split.
     double clone_extent_share = 2e-4;
-    /// Minimum opacity. Surfels with a lower opacity are removed. If
-    /// ImageModel::alpha_min, the limit in ray tracing, is larger, it is used instead.
+    /// Minimum opacity. Surfels with a lower opacity are removed. The larger of this
+    /// value and ImageModel::alpha_min (the limit in ray tracing) is used.
     double min_opacity = 0.003;
     /// Maximum scale of a surfel, relative to the extent of the model. Larger surfels are
     /// removed after step `large_from`.
@@ -46,8 +46,8 @@ struct DensifyOptions {
     /// Opacity after a reset. Values below 2.5 times ImageModel::alpha_min are raised to
     /// that limit.
     double reset_opacity = 0.01;
-    /// Maximum number of surfels that densification may reach. A scene that is larger at
-    /// the start is not reduced.
+    /// Maximum number of surfels that densification may reach. Densification does not
+    /// reduce a scene that has more surfels at the start.
     int max_surfels = 4000000;
     bool operator==(const DensifyOptions&) const = default;
 };
@@ -56,15 +56,15 @@ struct DensifyOptions {
 struct DensifyReport {
     std::uint32_t before = 0, after = 0;
     std::uint32_t added = 0;  ///< Number of added surfels. Each clone or split adds one surfel.
-    /// Number of surfels that should be cloned or split because of their gradient. If the
-    /// sum of both numbers exceeds `added`, the memory was not sufficient for all of
-    /// them.
+    /// Numbers of surfels that should be cloned or split because of their gradients. If
+    /// the sum of `clones` and `splits` exceeds `added`, the memory was not sufficient
+    /// for all new surfels.
     std::uint32_t clones = 0, splits = 0;
     /// Number of removed surfels by reason: value not finite, low opacity, large scale,
     /// outside the actor's box.
     std::uint32_t invalid = 0, faint = 0, large = 0, outside = 0;
-    /// Message that no more surfels can be added because of insufficient memory. It is
-    /// set only once, otherwise empty.
+    /// Message that insufficient memory prevents further surfels. Only the first report
+    /// with this problem contains the message. Empty in all other reports.
     std::string note;
 
     std::uint32_t removed() const { return invalid + faint + large + outside; }

@@ -27,8 +27,9 @@ struct GradientOptions {
     bool zero_untouched = true;
 };
 
-/// dL/d(rendered) of every ray, one array for each differentiable array of Rendering. An
-/// empty array means that all its gradients are zero.
+/// Gradients of the loss with respect to the rendered values of every ray. There is one
+/// array for each differentiable array of Rendering. An empty array means that all its
+/// gradients are zero.
 struct RenderedGradients {
     /// Gradients with respect to depth (1/m), weight, intensity, hit_logit and drop_logit
     /// of each ray, [n].
@@ -38,7 +39,7 @@ struct RenderedGradients {
 };
 
 /// Gradients as host arrays, with the same meaning as the device arrays in `Gradients`.
-/// Arrays that were not selected are empty.
+/// Gradients that were not selected have empty arrays.
 struct HostGradients {
     /// dL/d(parameter), [n], in the field of each parameter. It is 0 for a surfel that no
     /// ray has hit.
@@ -54,7 +55,8 @@ struct HostGradients {
     std::vector<float> rays;
 };
 
-/// Renderer that also computes gradients. The gradients refer to the last rendered batch.
+/// Renderer that also computes gradients. The gradients belong to the batch that was
+/// rendered last.
 class DifferentiableRenderer : public Renderer {
 public:
     /// Creates the renderer and its gradient arrays.
@@ -64,15 +66,17 @@ public:
                            const RendererOptions& options = {}, const GradientOptions& gradients = {});
     ~DifferentiableRenderer();
 
-    /// Computes the gradients of a loss over the rays that forward() rendered last. Waits
-    /// for the GPU. Poses, view and parameters must not have changed since forward().
+    /// Computes the gradients of a loss over the rays that the last forward() rendered.
+    /// Waits for the GPU. Poses, view and parameters must not have changed since
+    /// forward().
     /// @param d_rendered dL/d(rendered), arrays with one entry per ray, or empty arrays
     /// @throws UsageError if forward() was not called before
     /// @throws DataError if an array has the wrong number of entries
     HostGradients backward(const RenderedGradients& d_rendered);
 
-    /// Returns the last rendered batch with the arrays for its gradients. Losses write
-    /// dL/d(rendered) to these arrays between record_forward() and record_backward().
+    /// Returns the last rendered batch together with the arrays for its gradients.
+    /// Between record_forward() and record_backward(), losses write dL/d(rendered) to the
+    /// array `upstream`.
     RenderedBatch batch();
     /// Records the GPU commands of the backward pass for the last batch. gradients()
     /// contains the results when the stream has finished.
@@ -80,9 +84,10 @@ public:
     Gradients& gradients();
     BackwardPass& backward_pass();
 
-    /// Calls `change`, which adds or removes surfels. Memory that depends on the number
-    /// of surfels is released before the call and allocated again after it. Waits until
-    /// the stream is idle. The caller must call place() next.
+    /// Calls `change`, which adds or removes surfels. Before the call, this function
+    /// releases memory whose size depends on the number of surfels. After the call, it
+    /// allocates this memory again. Waits until the stream is idle. The caller must call
+    /// place() next.
     /// @param change receives the number of bytes per surfel that will be allocated again
     void change_surfels(const std::function<void(double others_bytes)>& change);
 

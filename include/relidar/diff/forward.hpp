@@ -29,9 +29,9 @@ struct Rendering {
     std::vector<float> median_depth;
     std::vector<std::uint32_t> hits;  ///< Number of blended surfels.
     /// Index into Scene::instances of the object that the ray hits, or -1 without hits.
-    /// It belongs to the surfel at which the transmittance crosses 0.5. Therefore, a
-    /// faint surfel in front does not hide the object. If the transmittance stays above
-    /// 0.5, the index belongs to the nearest blended surfel.
+    /// The object is that of the surfel at which the transmittance crosses 0.5. Therefore
+    /// a faint surfel in front does not hide the object. If the transmittance stays above
+    /// 0.5, the object of the nearest blended surfel is used.
     std::vector<std::int32_t> instance;
     /// Sum of w n over the hits, world frame. w is the weight of a hit, and n is the unit
     /// normal that faces the sensor. Empty unless TraceOptions::normals is set.
@@ -47,9 +47,9 @@ class ForwardPass {
 public:
     ForwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options);
     ~ForwardPass();
-    /// Records GPU commands that trace and render a batch. Before this call,
-    /// DeviceScene::activate() must compute the surfel records, and the acceleration
-    /// structure must be updated, both in the same stream.
+    /// Records GPU commands that trace and render a batch. Before this call, the same
+    /// stream must contain two steps: DeviceScene::activate(), which computes the surfel
+    /// records, and an update of the acceleration structure.
     /// @param rendered  output, [>= n_rays]
     /// @param kept      output: hits for the backward pass of the same batch. Null = the
     /// backward pass traces the rays again
@@ -61,8 +61,8 @@ public:
     /// last call. Such rays end too early, so the image is wrong. Waits for the GPU.
     std::uint32_t reset_pass_cap_count();
     /// Number of rays that reached the maximum number of passes, [1] on the device. The
-    /// value grows until the caller sets it to 0. It can be read without waiting for the
-    /// stream.
+    /// value grows until the caller sets it to 0. Reading it does not require waiting for
+    /// the stream.
     const Array<std::uint32_t>& pass_cap_count() const;
     /// Number of rays with more hits than the buffer keeps for the backward pass, [1] on
     /// the device. The value grows until the caller sets it to 0.
@@ -83,14 +83,14 @@ Rendering to_rendering(const std::vector<shared::RenderedRay>& rays,
 struct RendererOptions {
     AccelOptions accel{};
     TraceOptions trace{};
-    /// Number of rays for which memory is allocated at the start. A larger batch makes
-    /// the renderer wait once and allocate more memory.
+    /// Number of rays for which memory is allocated at the start. If a batch has more
+    /// rays, the renderer waits for the GPU once and allocates more memory.
     std::uint32_t n_rays = 0;
     /// Number of hits per ray that are kept for a backward pass, 16 bytes each. With 0,
     /// the backward pass traces every ray again.
     std::uint32_t keep_hits = 0;
-    /// Stream to use. It must outlive the renderer, and several renderers may share it.
-    /// Null = the renderer creates its own stream.
+    /// Stream to use. The stream must outlive the renderer. Several renderers may share a
+    /// stream. Null = the renderer creates a private stream.
     Stream* stream = nullptr;
 };
 
@@ -109,9 +109,8 @@ public:
     ~Renderer();
 
     /// Records GPU commands that set the poses of all instances, compute view-dependent
-    /// values, and update the acceleration structure. Call this function again after
-    /// poses, view or parameters have changed. It affects only commands that are recorded
-    /// later.
+    /// values, and update the acceleration structure. Must be called again after poses,
+    /// view or parameters have changed. It affects only commands that are recorded later.
     /// @param placed [instances] world_from_model of each instance, in the order of
     /// Scene::instances. Instance 0 is the background.
     /// @param view_origin_m [3] sensor position in the world frame, the origin of SH
@@ -119,8 +118,9 @@ public:
     /// @throws DataError if the number of poses is wrong
     /// @throws UsageError if the image model and the scene have different primitives
     void place(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m);
-    /// Records GPU commands that update parameters and view. All instances keep their
-    /// poses. Instances without a pose are at the origin.
+    /// Records GPU commands that use the current parameters and the new view. All
+    /// instances keep their poses. If no poses were set before, all instances are at the
+    /// origin.
     void place(const glm::vec3& view_origin_m) { place(scene().poses(), view_origin_m); }
     /// Records GPU commands that set the poses of all instances, but does not refit the
     /// trees of rigid models. Use this function if no parameter has changed since the
@@ -135,8 +135,8 @@ public:
     /// Records GPU commands that render rays on the device. The ray array must stay valid
     /// until the stream has finished. rendered() then contains the results.
     void record_forward(const RayBatch& rays);
-    /// Returns the last rendered batch. Its gradient array `upstream` is null. Before the
-    /// first batch, its ray array is null too.
+    /// Returns the last rendered batch. The pointer `upstream` to its gradients is null.
+    /// Before the first batch, the pointer to the rays is null too.
     const RenderedBatch& rendered() const;
     /// Waits for the GPU and returns the rendered values of the last batch as host
     /// arrays.
@@ -155,8 +155,8 @@ public:
     /// unchanged.
     bool keep_hits(std::uint32_t per_ray);
 
-    /// Sets the degree of the spherical harmonics (SH), limited by the degree of the
-    /// image model. The caller must call place() next.
+    /// Sets the degree of the spherical harmonics (SH). The degree cannot exceed the
+    /// degree of the image model. The caller must call place() next.
     void set_sh_degree(int degree);
     const ImageModel& model() const;  ///< Image model with the active SH degree.
     /// Copies new values of all parameters to the device. Waits until the copy is
@@ -176,8 +176,8 @@ public:
     const glm::vec3& view_origin_m() const;  ///< View origin of the last place() or move().
 
 protected:
-    /// Releases the acceleration structure before surfels are added or removed.
-    /// make_accel() creates a new one afterwards.
+    /// Releases the acceleration structure. Must be called before surfels are added or
+    /// removed. make_accel() creates a new acceleration structure afterwards.
     void release_accel();
     void make_accel();
 

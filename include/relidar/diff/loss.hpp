@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Training losses and their derivatives with respect to the rendered values of rays (Eq.
-// 10-11). Terms with weight 0 are not computed. Each term is a mean over its pixels,
-// points or surfels, so that the weights do not depend on the batch size.
+// 10-11). Terms with weight 0 are not computed. Each term is a mean over pixels, points
+// or surfels, so the weights do not depend on the batch size.
 #pragma once
 
 #include <array>
@@ -49,14 +49,16 @@ struct TargetBatch {
     ImageShape image{};  ///< Image layout of the rays, if the batch is an image.
 };
 
-// Tag types for the content of device arrays. They prevent passing the wrong array to a
-// kernel when the element types are equal.
+// Tag types that name the content of device arrays. Arrays of equal element type but
+// different content then have different types. This prevents passing the wrong array to a
+// kernel.
 namespace shared {
 struct LossTerms;
 struct TouchedSurfels;
 }  // namespace shared
 
-/// Selects the row of a device array in which the loss terms of a batch are summed.
+/// Selects a row of a device array. The kernels add the loss terms of a batch to this
+/// row.
 struct TermRow {
     const Array<float>& terms;  ///< Weighted loss terms, [rows, kLossTerms].
     std::uint32_t row = 0;
@@ -70,38 +72,38 @@ struct TermRow {
 /// Gradients of a scene's parameters after the backward pass.
 struct SurfelGradients {
     SurfelArrays* d_surfels = nullptr;  ///< Gradients of the surfels. Losses add to these arrays.
-    /// Flags, 1 for each surfel that has a gradient. Null = all surfels have one.
+    /// Flags: 1 for each surfel that has a gradient. Null = all surfels have a gradient.
     const Array<std::uint32_t, shared::TouchedSurfels>* touched = nullptr;
 };
 
-/// Base class of a loss that computes one or several terms. A custom loss overrides
+/// Base class of a loss. A loss computes one or several terms. A custom loss overrides
 /// compare() or regularise() and is added to the list of losses.
 class Loss {
 public:
     virtual ~Loss() = default;
-    /// Records GPU commands for terms that compare rendered and measured rays. Called
+    /// Records GPU commands for the terms that compare rendered and measured rays. Called
     /// between the forward and the backward pass.
     /// @param rendered rays to compare. The loss adds its gradients to `upstream`. Only
-    /// ImageLoss overwrites `upstream`, because it is recorded first.
+    /// ImageLoss overwrites `upstream`, because it is the first loss.
     /// @param terms row to which the loss adds its terms
     virtual void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
                          const TermRow& terms);
-    /// Records GPU commands for terms that depend directly on the parameters. Called
-    /// after the backward pass.
+    /// Records GPU commands for the terms that depend directly on the parameters, not on
+    /// rendered rays. Called after the backward pass.
     /// @param terms row to which the loss adds its terms
     virtual void regularise(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients,
                             const TermRow& terms);
 };
 
-/// Creates the losses whose weights are above 0, in the order in which they must be
-/// recorded. The first is always an ImageLoss.
+/// Creates the losses whose weights are above 0, in the order in which their commands
+/// must be recorded. The first loss is always an ImageLoss.
 /// @param n_rays number of rays of the largest batch
 std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& weights,
                                                std::uint32_t n_rays);
 
 /// Computes depth, intensity and ray-drop losses per pixel, and the structural similarity
-/// (SSIM) of the intensity. The batch must be an image if intensity_ssim > 0. SSIM
-/// ignores intensities of pixels that are dropped or unknown.
+/// (SSIM) of the intensity. If intensity_ssim > 0, the batch must be an image. SSIM
+/// ignores the intensities of dropped and unknown pixels.
 class ImageLoss final : public Loss {
 public:
     /// Creates the image loss.
@@ -137,9 +139,9 @@ public:
     ~ChamferLoss() override;
     void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
                  const TermRow& terms) override;
-    /// Returns the nearest measured point of each simulated point of the last batch, and
-    /// the nearest simulated point of each measured point. Points are ray indices, and ~0
-    /// means no point. Waits for the GPU.
+    /// Returns two arrays: the nearest measured point of each simulated point of the last
+    /// batch, and the nearest simulated point of each measured point. A point is given by
+    /// the index of its ray; ~0 means no point. Waits for the GPU.
     std::array<std::vector<std::uint32_t>, 2> nearest() const;
 
 private:
@@ -164,8 +166,9 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Penalises surfels that extend beyond the box of their actor. mu is the mean in the box
-/// frame, h is Model::half_size_m, and s is a standard deviation:
+/// Penalises actor surfels that extend beyond the box of their actor. mu is the mean
+/// position of a surfel in the box frame, h is Model::half_size_m, and s is a standard
+/// deviation of the surfel:
 ///
 ///   box  mean over actors' surfels of
 ///        sum_xyz max(0, |mu| / h - 1) + sum_uv max(0, s / (box_scale_share |h|) - 1)

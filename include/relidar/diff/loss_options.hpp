@@ -11,23 +11,24 @@
 namespace relidar {
 
 /// Weights and options of the loss terms (relidar/diff/loss_terms.h). Each term is a mean
-/// over its pixels, points or surfels.
+/// over pixels, points or surfels.
 struct LossWeights {
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) float setting = standard;
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
-    /// If true, the range term uses the normalised range D / W. If false, it uses D
-    /// (paper).
+    /// If true, the range term uses the normalised range D / W. If false, it uses the
+    /// blended range D (paper).
     bool normalised_depth = false;
-    /// Error up to which the Huber loss of intensities is quadratic. Beyond this error,
-    /// it is linear. 0 = L1 loss (paper).
+    /// Largest error for which the Huber loss of intensities is quadratic. For larger
+    /// errors, the loss is linear. 0 = L1 loss (paper).
     float intensity_delta = 0.0f;
     /// Largest allowed standard deviation of an actor's surfel, as a fraction of half the
     /// box diagonal.
     float box_scale_share = 0.2f;
     /// Scale of the spread of measured ranges around the true surface, metres.
     float likelihood_scale_m = 0.05f;
-    float likelihood_floor = 0.01f;  ///< Fraction of returns that are outliers, which may have any range.
+    /// Fraction of returns that are treated as outliers. An outlier may have any range.
+    float likelihood_floor = 0.01f;
 
     bool operator==(const LossWeights&) const = default;
 };

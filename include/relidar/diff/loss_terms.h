@@ -5,8 +5,8 @@
 #define RELIDAR_INCLUDED_DIFF_LOSS_TERMS_H
 
 /// TERM(index, name, setting of its weight, loss that computes it, default weight,
-/// accepted values, meaning) describes one term. A loss computes one or more terms. It is
-/// created only if the weight of at least one of its terms is above 0.
+/// accepted values, meaning) describes one term. A loss computes one or more terms. The
+/// loss is created only if at least one of these terms has a weight above 0.
 #define RELIDAR_LOSS_TERMS(TERM)                                                                          \
     TERM(0u, depth, depth, image, 0.1f, at_least(0), "weight of the range loss, L1 over returned rays")   \
     TERM(1u, intensity, intensity, image, 0.1f, at_least(0),                                              \

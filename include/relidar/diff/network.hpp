@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Ray-drop network. Its input is a complete rendered scan, and its output is a corrected
-// drop probability for each ray (paper, section 3.5, Eq. 12-13). Surfels model what a
-// surface returns. The network models sensor effects that depend on the image, for
+// drop probability for each ray (paper, section 3.5, Eq. 12-13). Surfels model the
+// returns of surfaces. The network models sensor effects that depend on the image, for
 // example glass, dark paint, grazing beams and electronics.
 #pragma once
 
@@ -18,15 +18,16 @@ namespace relidar {
 
 /// Options of the ray-drop network and its training (config.refine).
 struct RefineOptions {
-    /// If true, the network is trained at the end of training. Rendering then uses the
-    /// network if the run has one.
+    /// If true, the network is trained after the surfels. Rendering uses the network if
+    /// the run has one.
     bool enabled = false;
     /// Architecture: "small", "paper" or "pixel". "paper" has 6.5 million parameters. Its
-    /// training uses a dropout of 0.1 and rotates images around the sensor by a random
-    /// number of columns. "pixel" processes each pixel separately.
+    /// training uses a dropout of 0.1, and rotates each image around the sensor by a
+    /// random number of columns. "pixel" processes each pixel separately.
     std::string network = "small";
-    int width = 0;  ///< Number of channels at full resolution. 0 = default of the architecture.
-    /// Number of times that the image size is halved. -1 = default of the architecture.
+    int width = 0;  ///< Number of feature channels at full resolution. 0 = default of the architecture.
+    /// Number of times that the network halves the image size. -1 = default of the
+    /// architecture.
     int levels = -1;
     /// Type of the input image. "native" has one pixel per ray of the sensor. "grid" has
     /// one pixel per cell of config.sensor.grid.
@@ -37,13 +38,14 @@ struct RefineOptions {
     int frames = 64;  ///< Maximum number of training frames, spread evenly over the log. 0 = all frames.
     int epochs = 4;   ///< Number of times that each training frame is used.
     int batch = 0;    ///< Number of images per training step. 0 = default of the architecture.
-    /// Initial learning rate of Adam. It decreases to a hundredth of this value during
-    /// training.
+    /// Initial learning rate of Adam. During training, the rate decreases to a hundredth
+    /// of this value.
     double rate = 2e-3;
     bool operator==(const RefineOptions&) const = default;
 };
 
-/// Input of the network for one scan, and the measured drops as the training target.
+/// Input of the network for one scan, with the measured drops as the target of the
+/// training.
 struct DropImage {
     int rows = 0, columns = 0;
     /// Input channels, [channels of the network, rows, columns]. drop_channel_names()
@@ -56,19 +58,19 @@ struct DropImage {
 
 /// Returns the names of the network's input channels in order. The first six are
 /// "log_range", "intensity", "drop_logit", "weight", "spread" and "cosine" (of the
-/// incidence angle). The options can add "elevation" (its sine, in the sensor frame) and
-/// "origin_x" ... "origin_z".
+/// incidence angle). The options can add "elevation" (the sine of the elevation in the
+/// sensor frame) and "origin_x" ... "origin_z".
 std::vector<std::string> drop_channel_names(const RefineOptions& options);
 
 /// Trained ray-drop network.
 struct DropNetwork {
     std::string image = "native";     ///< Type of the training images: "native", or the name of a grid.
     std::vector<std::string> inputs;  ///< Names of the input channels.
-    /// Number of channels at each resolution: full size, half size, and so on.
+    /// Number of feature channels at each resolution: full size, half size, and so on.
     std::vector<std::uint32_t> widths;
     std::uint32_t heads = 0;  ///< Number of attention heads at the smallest resolution. 0 = no attention.
-    /// Number of weights in a convolution kernel: 9 for 3 x 3, or 1 if each pixel is
-    /// processed separately.
+    /// Number of pixels that a convolution kernel covers: 9 for 3 x 3, or 1 if each pixel
+    /// is processed separately.
     std::uint32_t taps = 9;
     /// If true, the output is added to the rendered drop logit. If false, the output
     /// replaces the rendered drop logit.
@@ -98,15 +100,16 @@ struct RefineProgress {
 };
 
 /// State of a network training after a step. Training can resume exactly from this state
-/// if images, options and seed are the same.
+/// if images, options and seed are unchanged.
 struct RefineState {
     int step = 0;                         ///< Number of the last completed step.
     std::vector<float> parameters;        ///< Network parameters, [parameters], as in DropNetwork.
     std::vector<float> moment1, moment2;  ///< First and second moments of Adam, [parameters].
     /// Running means and variances of the normalisation layers, as in DropNetwork.
     std::vector<float> running;
-    double entropy = 0.0, accuracy = 0.0;  ///< Sums over the steps of the current epoch.
-    double seconds = 0.0;                  ///< Seconds of training so far.
+    /// Sums of the entropy and the accuracy over the steps of the current epoch.
+    double entropy = 0.0, accuracy = 0.0;
+    double seconds = 0.0;  ///< Seconds of training so far.
 
     /// Calls visit(name, value) for each value that is stored in a checkpoint.
     template <class Visitor>
@@ -143,7 +146,8 @@ DropNetwork train_drop_network(Device& device, const std::vector<DropImage>& ima
 
 class DropPass;
 
-/// Applies a trained ray-drop network to images. Equal images give equal results.
+/// Applies a trained ray-drop network to images. The same image always gives the same
+/// result.
 class DropRefiner {
 public:
     /// Uploads the network to the device.

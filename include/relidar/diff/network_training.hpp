@@ -18,8 +18,8 @@ struct DropProbabilities;
 /// Compiles all pipelines for training and evaluation of the network. Does not run them.
 void compile_drop_network(Device& device, const RefineOptions& options);
 
-/// Ray-drop network in evaluation mode. Records its GPU commands in a stream of the
-/// caller.
+/// Ray-drop network in evaluation mode. Its GPU commands are recorded in a stream that
+/// the caller provides.
 class DropPass {
 public:
     /// Uploads the network to the device.
@@ -30,8 +30,8 @@ public:
     const DropNetwork& network() const;
     /// Records GPU commands that evaluate the network for one image.
     /// @param channels [network().inputs, rows, columns] as DropImage::channels
-    /// @return drop probabilities, [rows, columns]. Buffers for two image shapes are
-    /// kept, so the result is valid until an image of a third shape is evaluated.
+    /// @return drop probabilities, [rows, columns]. The object keeps buffers for two
+    /// image shapes, so the result is valid until an image of a third shape is evaluated.
     /// @throws DataError if the image is smaller than network().smallest_side()
     const Array<float, shared::DropProbabilities>& run(Stream& stream, int rows, int columns,
                                                        const Array<float, shared::DropSamples>& channels);

@@ -17,10 +17,10 @@ struct AdamOptions {
     double beta2 = 0.999;
     double epsilon = 1e-15;
     /// If true, surfels without a gradient in the batch keep their values and Adam
-    /// moments. If false, their moments decay and still change the values.
+    /// moments. If false, the moments of these surfels decay and still change the values.
     bool only_touched = false;
-    /// Number of fixed surfels at the start of the arrays. They never change and have no
-    /// Adam moments.
+    /// Number of fixed surfels at the start of the arrays. Fixed surfels never change and
+    /// have no Adam moments.
     std::uint32_t n_fixed = 0;
 };
 
@@ -44,7 +44,7 @@ public:
     SurfelArrays& moment1();
     SurfelArrays& moment2();
     /// Sets an upper bound on the standard deviations of each surfel for all later steps.
-    /// The number of surfels must not change after this call.
+    /// After this call, the number of surfels must not change.
     /// @param max_log_scale [n] natural logarithm of the bound in metres
     void bound_scales(Device& device, const std::vector<float>& max_log_scale);
     /// Upper bounds on the standard deviations, [n], natural logarithm of metres. Empty

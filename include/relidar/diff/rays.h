@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Structs for rays on a device, with one array entry per ray. They hold the ray, its
-// measurement, its rendered values and its gradients. C++ and kernels share these
-// structs.
+// Structs for rays on a device: the ray, its measurement, its rendered values and its
+// gradients. Device arrays of these structs have one entry per ray. C++ and kernels share
+// these structs.
 #ifndef RELIDAR_INCLUDED_DIFF_RAYS_H
 #define RELIDAR_INCLUDED_DIFF_RAYS_H
 #include "relidar/base/lang.h"
@@ -10,7 +10,7 @@
 RELIDAR_SHARED_BEGIN
 
 #define RELIDAR_NO_INSTANCE 0xffffffffu
-// Firing time for rays without a time. Such a ray sees every instance at the pose in the
+// Firing time for rays without a time. For such a ray, every instance has the pose in the
 // instance table.
 #define RELIDAR_NO_TIME 3.0e38f
 
@@ -21,7 +21,7 @@ struct DeviceRay {
 };
 RELIDAR_POINTER(Rays, DeviceRay);
 
-/// Measured values of a ray, to which losses compare the rendered values.
+/// Measured values of a ray. Losses compare the rendered values with these values.
 struct DeviceTarget {
     float range_m;    // Measured range, metres. 0 = no return.
     float intensity;  // Measured intensity, 0..1.
@@ -40,9 +40,9 @@ struct RenderedRay {
     float transmittance;  // Transmittance T after the last blended surfel.
     float median_depth;   // Distance t at which T crosses 0.5, metres. 0 if T stays above 0.5.
     uint n_hits;
-    // Instance of the surfel at which the transmittance crosses 0.5. If it stays above
-    // 0.5, the instance of the nearest blended surfel. RELIDAR_NO_INSTANCE if the ray has
-    // no hits.
+    // Instance of the surfel at which the transmittance crosses 0.5. If the transmittance
+    // stays above 0.5, the instance of the nearest blended surfel. RELIDAR_NO_INSTANCE if
+    // the ray has no hits.
     uint instance;
 };
 RELIDAR_POINTER(RenderedRays, RenderedRay);
@@ -54,7 +54,7 @@ struct RayGradient {
 RELIDAR_POINTER(RayGradients, RayGradient);
 #undef RELIDAR_FIELD
 
-/// Normal and distance of the surface that a ray hits. They have no gradients.
+/// Normal and distance of the surface that a ray hits. Neither value has a gradient.
 struct RenderedSurface {
     // Sum of w n over the hits, world frame. w is the weight of a hit, and n is the
     // surfel's unit normal that faces the sensor.

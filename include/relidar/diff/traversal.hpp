@@ -18,8 +18,8 @@ namespace relidar {
 struct WorldRays {
     std::vector<glm::vec3> origin;     ///< Origins, [n] metres.
     std::vector<glm::vec3> direction;  ///< Unit directions, [n].
-    /// Firing times, [n] seconds after the reference time of the sweep. If empty, all
-    /// instances stay at the poses that were set.
+    /// Firing times, [n] seconds after the reference time of the sweep. If empty, no
+    /// instance moves during the sweep.
     std::vector<float> time_s = {};
     std::size_t size() const { return direction.size(); }
 };
@@ -33,8 +33,8 @@ struct RayBatch {
     std::uint32_t stride = 1;
     std::uint32_t n_rays = 0;
     /// Number of columns if the batch is an image in row order, otherwise 0. n_rays must
-    /// be a multiple of this number. Threads of an image trace tiles of 16 x 2
-    /// neighbouring rays together, because neighbouring rays visit the same tree nodes.
+    /// be a multiple of the number of columns. In an image, neighbouring threads trace
+    /// tiles of 16 x 2 neighbouring rays, because these rays visit the same tree nodes.
     /// Without an image, threads trace rays in list order.
     std::uint32_t columns = 0;
     /// Measured targets of the rays, with the same indices as `rays`. Used only with
@@ -46,9 +46,9 @@ struct RayBatch {
 /// `subgroup`: all rays of a GPU subgroup are traversed together.
 enum class Walk { automatic, lane, subgroup };
 
-/// Method for sorting the hits of a ray. `chunks`: hits are sorted in a per-ray buffer
-/// while they are found. `lists`: all hits are appended to a list in memory and sorted
-/// afterwards.
+/// Method for sorting the hits of a ray. `chunks`: the kernel sorts hits in a per-ray
+/// buffer while it finds them. `lists`: the kernel appends all hits to a list in memory
+/// and sorts the list afterwards.
 enum class HitOrder { automatic, chunks, lists };
 
 /// Function k(t) for the likelihood of a measured range z (docs/method.md M12): k(t) = 1
@@ -57,7 +57,8 @@ struct RangeKernel {
     float scale_m = 0.05f;
 };
 
-/// Options for ray tracing. They do not change the rendered image.
+/// Options for ray tracing. They affect speed and additional outputs, but not the
+/// rendered image.
 struct TraceOptions {
     int chunk = 16;  ///< Number of hits that are sorted at a time, 1..64.
     /// Traversal method of the software tree. automatic = the faster method for this type
@@ -66,9 +67,9 @@ struct TraceOptions {
     /// Method for sorting hits in the forward pass. automatic = lists on a GPU, chunks on
     /// a CPU.
     HitOrder order = HitOrder::automatic;
-    /// Initial number of hits that a ray's hit list can store, 1..512. It is doubled
-    /// while any ray has more hits. Rays with too many hits for the list are traced in
-    /// chunks.
+    /// Initial number of hits that a ray's hit list can store, 1..512. The number is
+    /// doubled while any ray has more hits. A ray with too many hits for its list is
+    /// traced in chunks.
     int list_room = 64;
     /// If true, computes a blended surface normal for each ray. Normals have no gradient.
     bool normals = false;
@@ -84,39 +85,40 @@ struct TraceOptions {
     bool has_surfaces() const { return normals || mode_gap_m; }
 };
 
-/// Returns the number of threads that trace a batch. An image is traced in full tiles of
-/// 16 x 2 rays, so some threads may have no ray. Otherwise there is one thread per ray.
+/// Returns the number of threads that trace a batch. An image is traced in complete tiles
+/// of 16 x 2 rays, so some threads may have no ray. A batch without an image has one
+/// thread per ray.
 std::size_t trace_threads(const RayBatch& batch);
 
 /// First hits of each ray of a batch, stored by the forward pass. The backward pass reads
-/// these hits and does not need to search for them again.
+/// these hits instead of searching for them again.
 struct KeptHits {
     /// Stored hits. The hits of two threads are interleaved, [ceil(n_threads / 2),
     /// per_ray, 2].
     Array<shared::Hit> hits;
     /// Number of hits stored per ray. If a ray has more hits, the backward pass searches
-    /// for the others again.
+    /// for the remaining hits again.
     std::uint32_t per_ray = 0;
 
     /// Allocates memory for the hits.
     /// @param n_threads number of threads that trace the largest batch
     KeptHits(Device& device, std::size_t n_threads, std::uint32_t hits_per_ray)
         : hits(device, side_by_side(n_threads) * hits_per_ray, "kept hits"), per_ray(hits_per_ray) {}
-    /// Rounds a number of threads up to a multiple of RELIDAR_SIDE_BY_SIDE, because the
-    /// hits of that many threads are interleaved in memory.
+    /// Rounds a number of threads up to a multiple of RELIDAR_SIDE_BY_SIDE. The hits of
+    /// RELIDAR_SIDE_BY_SIDE threads are interleaved in memory.
     static std::size_t side_by_side(std::size_t n_threads) {
         return (n_threads + RELIDAR_SIDE_BY_SIDE - 1) / RELIDAR_SIDE_BY_SIDE * RELIDAR_SIDE_BY_SIDE;
     }
-    /// Returns true if the buffer can store the hits of a batch.
+    /// Returns true if the buffer is large enough for the hits of a batch.
     bool hold(const RayBatch& batch) const {
         return side_by_side(trace_threads(batch)) * per_ray <= hits.size();
     }
 };
 
 /// Returns the number of hits to keep per ray, after `n_overfull` rays had more than
-/// `per_ray` hits. The number is doubled while such rays exist. On a GPU, searching the
-/// remaining hits of a few rays takes as long as searching them for all rays. The result
-/// is at most 256 (4 kB per ray), or `per_ray` if that is larger.
+/// `per_ray` hits. The number is doubled while such rays exist. Even a few of these rays
+/// are expensive: on a GPU, their search takes as long as the search for all rays. The
+/// result is at most 256 (4 kB per ray), or `per_ray` if that is larger.
 std::uint32_t recommended_kept_hits(std::uint32_t per_ray, std::uint64_t n_overfull);
 
 /// Rendered batch with the arrays that the losses and the backward pass read and write.
@@ -124,7 +126,7 @@ struct RenderedBatch {
     RayBatch rays;
     /// Rendered values of all rays, [n_rays].
     const Array<shared::RenderedRay>* rendered = nullptr;
-    /// dL/d(rendered) of all rays, [n_rays]. Losses write these gradients, and the
+    /// Gradients dL/d(rendered) of all rays, [n_rays]. Losses write these gradients. The
     /// backward pass reads them.
     Array<shared::RayGradient>* upstream = nullptr;
     const KeptHits* kept = nullptr;  ///< Hits that the forward pass has stored for this batch, or null.

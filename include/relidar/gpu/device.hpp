@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Lists the Vulkan devices of this machine and opens one of them. relidar/gpu/stream.hpp
-// allocates memory and runs kernels on a device.
+// Lists the Vulkan devices of this machine and opens a device. relidar/gpu/stream.hpp
+// allocates memory and runs kernels on the device.
 #pragma once
 
 #include <cstddef>
@@ -15,8 +15,8 @@ namespace relidar {
 
 /// Method that finds the surfels along a ray. `ray_query` uses the driver's acceleration
 /// structures. `software` uses relidar's own tree, which kernels traverse. `automatic`
-/// selects ray_query on a GPU with ray queries, otherwise software. On a CPU it selects
-/// software, because that is faster there.
+/// selects ray_query on a GPU with ray queries, otherwise software. On a CPU it always
+/// selects software, because software traversal is faster there.
 enum class Traversal { automatic, ray_query, software };
 
 /// Returns the traversal method named "auto", "ray_query" or "software", in any case.
@@ -31,14 +31,14 @@ struct DeviceInfo {
     std::string driver;              ///< Driver name and version.
     std::string api_version;         ///< Vulkan version, for example "1.3.240".
     std::uint64_t memory_bytes = 0;  ///< Size of the largest device-local heap, bytes.
-    /// True if the device supports ray queries with acceleration structures, in hardware
-    /// or in the driver.
+    /// True if the device supports ray queries with acceleration structures. The support
+    /// can be in hardware or in the driver.
     bool ray_query = false;
     /// True if the device supports atomic float addition on buffers. Otherwise kernels
     /// use a slower compare-and-swap loop.
     bool float_atomics = false;
     int subgroup_size = 1;  ///< Number of invocations in a subgroup.
-    /// True if kernels can be forced to run in full subgroups of exactly subgroup_size.
+    /// True if kernels can require full subgroups with exactly subgroup_size invocations.
     bool has_known_subgroups = false;
     bool timestamps = false;  ///< True if compute queues support timestamps.
     /// Names of the missing features and extensions that ray queries require. Empty if
@@ -70,7 +70,8 @@ struct PipelineStatistics {
     std::string constants;
     int workgroup_size = 0;  ///< Number of threads per workgroup.
     int subgroup_size = 0;   ///< Subgroup size for which the driver compiled the kernel. 0 if unknown.
-    /// Error message of the driver if it could not create the pipeline, otherwise empty.
+    /// Error message of the driver if it could not create the pipeline. Empty if there
+    /// was no error.
     std::string failure;
     /// Map from the driver's name of a statistic to its value. Empty if the driver lacks
     /// VK_KHR_pipeline_executable_properties.
@@ -78,8 +79,8 @@ struct PipelineStatistics {
 };
 
 struct DeviceOptions {
-    /// Index in list_devices(). -1 selects a suitable device. It prefers GPUs to CPU
-    /// devices, and devices with ray queries to others.
+    /// Index in list_devices(). -1 selects a suitable device: GPUs before CPU devices,
+    /// and devices with ray queries before devices without them.
     int index = -1;
     Traversal traversal = Traversal::automatic;
     bool validation = false;  ///< Enables the Khronos validation layer.
@@ -87,16 +88,16 @@ struct DeviceOptions {
     std::uint64_t memory_limit_bytes = 0;
     /// If true, pipelines are compiled but no kernel runs. Each distinct pipeline is
     /// compiled once, and the driver's statistics are kept (Device::pipelines). Use this
-    /// option to inspect pipelines. It works with a driver that has no hardware.
+    /// option to inspect pipelines. It also works with a driver that has no hardware.
     bool compile_only = false;
     /// Folder in which compiled pipelines are cached between processes. If empty, each
     /// process compiles all pipelines.
     std::filesystem::path pipeline_cache = {};
 };
 
-/// Changes the options according to the user's environment variables and returns them.
-/// Use it in programs on a user's machine. No other function of the library reads
-/// environment variables.
+/// Changes the options according to the user's environment variables and returns the
+/// result. Programs on a user's machine should call this function. No other function of
+/// the library reads environment variables.
 /// - RELIDAR_VALIDATION=1 enables the validation layer.
 /// - RELIDAR_MEMORY_LIMIT_MIB=n applies if the options have no memory limit.
 /// - RELIDAR_PIPELINE_CACHE=FOLDER applies if the options have no folder. 0 = no cache.
@@ -120,8 +121,8 @@ public:
     /// Returns the traversal method of this device: ray_query or software, never
     /// automatic.
     Traversal traversal() const;
-    /// Returns the device memory that arrays use now, bytes. peak_bytes() returns the
-    /// maximum since the device was opened.
+    /// Returns the device memory that arrays currently use, bytes. peak_bytes() returns
+    /// the maximum since the device was opened.
     std::uint64_t allocated_bytes() const;
     std::uint64_t peak_bytes() const;
     /// Returns statistics of all pipelines compiled so far, in the order of compilation.
@@ -142,9 +143,9 @@ struct KernelTimes {
     struct Total {
         double launches = 0.0, ms = 0.0;
     };
-    /// Map from kernel name to the run time of each launch, for the last kLast launches.
+    /// Run time of each launch by kernel name. Only the last kLast launches are kept.
     std::map<std::string, std::vector<double>> milliseconds;
-    /// Map from kernel name to the number of launches and their total run time.
+    /// Number of launches and their total run time, by kernel name.
     std::map<std::string, Total> totals;
 
     void add(const std::string& kernel, double ms);  ///< Adds the run time of one launch.

@@ -31,12 +31,12 @@ public:
     std::size_t size_bytes() const;
     explicit operator bool() const { return impl_ != nullptr; }
     /// Copies data from the host to the device and waits until the copy is done.
-    /// download() copies in the other direction.
+    /// download() copies from the device to the host and also waits.
     /// @throws DeviceError if the device is lost
     void upload(const void* data, std::size_t n_bytes, std::size_t offset_bytes = 0);
     void download(void* data, std::size_t n_bytes, std::size_t offset_bytes = 0) const;
-    /// Copies the first n_bytes of another buffer of the same device. Waits until the
-    /// copy is done.
+    /// Copies the first n_bytes of another buffer of the same device to this buffer.
+    /// Waits until the copy is done.
     void copy_from(const Buffer& source, std::size_t n_bytes);
 
     struct Impl;
@@ -66,11 +66,11 @@ public:
     std::size_t size() const { return n_; }
     /// Returns the device address of entry `first`, to be passed to a kernel. Arrays
     /// start at multiples of 16 bytes, so that kernels can load a record in 16-byte
-    /// pieces. Other addresses may be used only with atomics or with indices computed at
-    /// run time.
+    /// pieces. If `first` makes the address unaligned, kernels may use it only with
+    /// atomics or with indices computed at run time.
     Address<T> address(std::size_t first = 0) const { return address_as<T>(first); }
     /// Returns the device address of entry `first` for a kernel that reads the memory as
-    /// another type or with another meaning. `first` counts entries of T.
+    /// type U or with another meaning. `first` counts entries of T.
     template <class U, class Meaning = void>
     Address<U, Meaning> address_as(std::size_t first = 0) const {
         static_assert(sizeof(T) % sizeof(U) == 0 || sizeof(U) % sizeof(T) == 0);
@@ -88,8 +88,8 @@ public:
         return values;
     }
     /// Enlarges the array to at least n values. Existing values are kept, and new values
-    /// are undefined. The array never shrinks. No submitted GPU work may use the array,
-    /// because its address changes.
+    /// are undefined. The array never shrinks. The address of the array changes, so no
+    /// submitted GPU work may use the array.
     /// @throws DeviceError if device memory is exhausted. The array is then unchanged.
     void reserve(Device& device, std::size_t n, const std::string& what) {
         if (n <= n_) return;
@@ -104,9 +104,9 @@ private:
 };
 
 /// Device array whose type also names its content, for example Array<float,
-/// shared::LossTerms>. It prevents passing the wrong array to a kernel when the element
-/// types are equal. A kernel parameter declares the required Meaning with RELIDAR_OF. On
-/// the host the class behaves like Array<T>.
+/// shared::LossTerms>. A kernel parameter declares the required content with RELIDAR_OF,
+/// so passing another array does not compile. On the host, the class behaves like
+/// Array<T>.
 template <class T, class Meaning>
 class Array : public Array<T> {
 public:
@@ -125,8 +125,8 @@ Address<T, Meaning> address_of(const Array<T, Meaning>* array) {
 }
 
 /// Records GPU commands and submits them to the device. A kernel launch sees the results
-/// of all earlier launches. Exceptions are launches in the same Concurrent scope and
-/// launches in another sequence of a Strands scope.
+/// of all earlier launches, with two exceptions: earlier launches in the same Concurrent
+/// scope, and launches in other lanes of the same StreamLanes scope.
 class Stream {
 public:
     explicit Stream(Device& device, bool timing = false);
@@ -168,7 +168,7 @@ private:
 
 /// Scope in which all recorded kernel launches may run concurrently. A launch must not
 /// access memory that another launch of the scope writes. Commands recorded after the
-/// scope see the results of all its launches.
+/// scope see the results of all launches in the scope.
 class Concurrent {
 public:
     explicit Concurrent(Stream& stream);
@@ -180,27 +180,27 @@ private:
     Stream& stream_;
 };
 
-/// Scope in which a stream records several independent sequences of kernel launches
-/// (lanes). A launch sees only the results of earlier launches in its sequence. The
-/// n-th launches of all sequences may run concurrently, so that several small launches
-/// use the full device. A launch must not access memory that another sequence writes.
-/// Commands recorded or submitted after the scope see the results of all sequences.
+/// Scope in which a stream records several independent sequences of kernel launches,
+/// called lanes. A launch sees only the results of earlier launches in the same lane. The
+/// n-th launches of all lanes may run concurrently, so that several small launches use
+/// the full device. A launch must not access memory that another lane writes. Commands
+/// recorded or submitted after the scope see the results of all lanes.
 class StreamLanes {
 public:
     StreamLanes(Stream& stream, std::size_t n);
     ~StreamLanes();
     StreamLanes(const StreamLanes&) = delete;
     StreamLanes& operator=(const StreamLanes&) = delete;
-    /// Selects the sequence (lane) in which the next launches are recorded. The scope
-    /// starts with sequence 0.
+    /// Selects the lane in which the next launches are recorded. The scope starts with
+    /// lane 0.
     void choose(std::size_t lane);
 
 private:
     Stream& stream_;
 };
 
-/// Copies device values to host memory without blocking. The next submission of the
-/// stream executes the copy.
+/// Copies device values to host memory without blocking. The copy runs with the next
+/// submission of the stream.
 class Readback {
 public:
     /// Allocates host memory for the copied values.
@@ -215,7 +215,7 @@ public:
     /// Records a copy of n_bytes from the device into cached host memory. The next
     /// submit() of the stream executes the copy.
     void record(Stream& stream, const Buffer& from, std::size_t n_bytes, std::size_t offset_bytes = 0);
-    /// Returns true if a copy was recorded and wait() has not yet been called for it.
+    /// Returns true if a copy was recorded but not yet read with wait().
     bool pending() const;
     /// Waits until the recorded copy is done.
     /// @return the copied bytes, valid until the next record()

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Results of the check of a device at its first use, and the functions that request this
-// check.
+// Results of the check that a device passes when it is first used. Also declares the
+// functions that request this check.
 #pragma once
 
 #include <functional>
@@ -13,8 +13,8 @@ namespace relidar {
 /// Result of a check.
 enum class Trust { unknown, right, wrong };
 
-/// Results of the check at the first use of a device. They select the methods that
-/// relidar uses on the device.
+/// Results of the check at the first use of a device. They determine which methods
+/// relidar uses on this device.
 struct DeviceTrust {
     bool float_atomics = true;  ///< True if float atomics add correctly.
     bool float_swaps = true;    ///< True if compare-and-swap loops add correctly.
@@ -26,21 +26,22 @@ struct DeviceTrust {
 
 /// Functions that Device calls when it opens a device.
 struct FirstUse {
-    /// Checks a device at its first use with a driver. The results are stored in the
-    /// folder of the pipeline cache. Null = all methods are trusted.
+    /// Checks a device when it is first used with a driver version. The results are
+    /// stored in the folder of the pipeline cache. Null = no check; all methods are
+    /// trusted.
     std::function<DeviceTrust(const DeviceOptions&)> check;
-    /// Receives a line for each method that relidar replaces, because the check found
-    /// wrong results.
+    /// Receives a line of text for each method that relidar replaces. A method is
+    /// replaced if the check found wrong results.
     std::function<void(const std::string&)> note;
 };
 
-/// Sets the functions for all devices that this process opens later. A program calls it
-/// once, before it opens a device. check_first_use() in relidar/diff/first_use.hpp is the
-/// check of relidar.
+/// Sets the functions for all devices that this process opens later. A program calls this
+/// function once, before it opens a device. check_first_use() in
+/// relidar/diff/first_use.hpp is the standard check.
 void set_first_use(FirstUse first_use);
 
-/// Scope object: while it exists, this thread opens devices with the given results
-/// instead of a check.
+/// Scope object that replaces the check of devices. While the object exists, this thread
+/// opens devices with the given results.
 class Trusting {
 public:
     explicit Trusting(const DeviceTrust& trust);

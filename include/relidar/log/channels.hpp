@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Channels: the values that a scan stores for each ray, such as range and intensity. This
-// file declares the list of channels that scans, files, the gRPC service, the viewer and
-// the Python module share. docs/architecture.md explains how to add a channel.
+// Channels: the values that a scan stores for each ray, such as range and intensity.
+// Scans, files, the gRPC service, the viewer and the Python module all use the list of
+// channels in this file. docs/architecture.md explains how to add a channel.
 #pragma once
 
 #include <cstddef>
@@ -14,19 +14,19 @@
 
 namespace relidar {
 
-/// Rule that combines the values of several rays into one value. relidar uses the rule in
-/// two cases. "Beam": a beam is simulated by several sub-rays. "Cell": several rays hit
-/// points in the same cell of a range image.
+/// Rule that combines the values of several rays into one value. The rule is used in two
+/// cases. "Beam": several sub-rays simulate one beam. "Cell": several rays hit points in
+/// the same cell of a range image.
 enum class ChannelJoin {
-    /// Beam: value of the sub-ray that is nearest to the beam axis, among the sub-rays of
-    /// the strongest return. Cell: value of the ray that was selected for the cell.
+    /// Beam: the value of the sub-ray nearest to the beam axis. Only sub-rays of the
+    /// strongest return count. Cell: the value of the ray that was selected for the cell.
     nearest,
     /// Beam: mean over the sub-rays of the strongest return, weighted by their light.
     /// Cell: distance from the origin of the range image to the point of the selected
     /// ray.
     range,
-    /// Beam: sum over the sub-rays of the strongest return, divided by the number of all
-    /// sub-rays. Cell: value of the ray that was selected for the cell.
+    /// Beam: the sum over the sub-rays of the strongest return is divided by the number
+    /// of all sub-rays. Cell: the value of the ray that was selected for the cell.
     intensity,
     drop,  ///< Beam: mean over all sub-rays. Cell: minimum over all rays in the cell.
 };
@@ -39,17 +39,17 @@ struct ChannelInfo {
     /// Rule that combines float values of several rays. Integers and vectors always use
     /// `nearest`.
     ChannelJoin join = ChannelJoin::nearest;
-    /// True if the values are directions. They are rotated when the points are converted
-    /// to another frame.
+    /// True if the values are directions. Directions must be rotated when the points are
+    /// converted to another frame.
     bool turns = false;
-    /// True if the value depends only on the ray. The second return then has the same
-    /// value.
+    /// True if the value depends only on the ray. The first and the second return of a
+    /// ray then have the same value.
     bool of_ray = false;
-    /// Default value. It is stored if the ray hits nothing, for second returns, and for
-    /// rays without the channel.
+    /// Default value of the channel. It is stored for rays that hit nothing, for second
+    /// returns, and for rays that do not have the channel.
     double none = 0.0;
-    /// True if the channel needs the normals of surfels. 3D Gaussians have no normals and
-    /// do not support such a channel.
+    /// True if the channel needs surface normals. Surfels have normals, but 3D Gaussians
+    /// do not. Scenes of 3D Gaussians therefore cannot render this channel.
     bool needs_normals = false;
 };
 
@@ -57,8 +57,8 @@ struct ChannelInfo {
 /// each ray or point.
 using ChannelValues = std::variant<std::vector<float>, std::vector<std::int32_t>, std::vector<glm::vec3>>;
 
-/// A channel of a scan or a point cloud, with its values. relidar renders the channel, or
-/// the caller adds it.
+/// A channel of a scan or a point cloud, with its values. Either relidar renders the
+/// values, or the caller provides them.
 struct ScanChannel {
     ChannelInfo info;
     ChannelValues values;
@@ -67,7 +67,7 @@ struct ScanChannel {
     ChannelValues second = {};
 };
 
-/// Descriptions of the channels that every scan has.
+/// Descriptions of the basic channels, which every scan has.
 struct BasicChannels {
     ChannelInfo range, median_range, mean_range, intensity, drop_prob, weight, time, ring, instance;
 };
@@ -88,7 +88,8 @@ std::vector<std::string> optional_channel_names();
 std::vector<ChannelInfo> parse_channels(const std::string& names);
 
 /// Returns a pointer to the values of the channel with this name. Returns null if no
-/// channel has this name, or if the values have another type than T.
+/// channel has this name. Also returns null if the values of the channel have another
+/// type than T.
 template <class T>
 const std::vector<T>* find_values(const std::vector<ScanChannel>& channels, const std::string& name) {
     for (const ScanChannel& channel : channels)
@@ -102,22 +103,22 @@ std::size_t size(const ChannelValues& values);
 /// Returns a copy of the channels with the same names and types, but without values.
 std::vector<ScanChannel> without_values(const std::vector<ScanChannel>& channels);
 
-/// A column of numbers in a file, float32 or int32. A scalar channel is written as one
-/// column, for example "seen". A vector channel is written as three columns: "normal_x",
-/// "normal_y", "normal_z".
+/// A column of numbers in a file, float32 or int32. A channel of scalars is written as
+/// one column, for example "instance". A channel of vectors is written as three columns,
+/// for example "normal_x", "normal_y" and "normal_z".
 struct ChannelNumber {
     std::string name;
     bool is_integer;
 };
-/// Returns the columns of numbers that the channels are written as, in the order in which
-/// append_row() writes them.
+/// Returns the columns that the channels occupy in a file. append_row() writes the
+/// numbers in the same order.
 /// @param joint  text between the name of a vector channel and its axis, for example "_"
 /// in "normal_x"
 std::vector<ChannelNumber> numbers_of(const std::vector<ScanChannel>& channels,
                                       const std::string& joint = "_");
 /// Appends the values of all channels for one ray or point to `bytes`. Each number takes
 /// 4 bytes in the byte order of the machine.
-/// @param at  index of the ray or point
+/// @param at  index of the ray or point in the arrays of the channels
 void append_row(std::string& bytes, const std::vector<ScanChannel>& channels, std::size_t at);
 
 /// Returns the default value of a channel. The default value is stored if the ray hits
@@ -127,9 +128,10 @@ T missing_value_of(const ChannelInfo& channel) {
     return T(static_cast<float>(channel.none));
 }
 
-/// Appends the value of one return to a channel of points. A second return gets its value
-/// from `ScanChannel::second` if that array is not empty. Otherwise it gets the value of
-/// the ray if `ChannelInfo::of_ray` is set, or else `ChannelInfo::none`.
+/// Appends the value of one return to a channel of points. A second return uses the value
+/// in `ScanChannel::second` if that array is not empty. Otherwise it uses the value of
+/// the first return if `ChannelInfo::of_ray` is set, or else the default value
+/// `ChannelInfo::none`.
 /// @param number  number of the return, starting at 1
 void append_return(ScanChannel& of_points, const ScanChannel& of_rays, std::size_t ray, int number);
 

@@ -13,8 +13,8 @@
 
 namespace relidar {
 
-/// Azimuths at which a spinning LiDAR may fire. They are the ticks of its encoder, or
-/// equal steps around the circle.
+/// Azimuths at which a spinning LiDAR can fire: the ticks of its encoder, or equal steps
+/// around the circle.
 struct HeadLattice {
     int n_ticks = 0;        ///< number of ticks in a sweep
     double zero_rad = 0.0;  ///< azimuth of tick 0
@@ -27,16 +27,16 @@ struct HeadLattice {
     double azimuth_of(int tick) const;
 };
 
-/// One sweep of a spinning LiDAR: the possible azimuths of its head, and the ticks at
-/// which the head fired. The azimuth decreases from +pi during the sweep.
+/// One sweep of a spinning LiDAR: the azimuths at which the LiDAR can fire, and the ticks
+/// at which it has fired. The azimuth decreases from +pi during the sweep.
 struct Sweep {
     HeadLattice lattice;
     std::vector<int> firings;
 };
 
-/// Returns a sweep with `sensor.columns` equal azimuth steps. The offset of the steps is
-/// fitted to the head azimuths at which the points were measured.
-/// @param points  points with rings
+/// Returns a sweep with `sensor.columns` equal azimuth steps. The azimuth of the first
+/// step is fitted to the azimuths of the head at which the points were measured.
+/// @param points  points with beam numbers (`Points::ring`)
 Sweep even_sweep(const Points& points, const SpinningSensor& sensor);
 
 /// Builds the scan of a spinning LiDAR, with one ray for each beam and firing. The rays
@@ -60,15 +60,16 @@ Sweep even_sweep(const Points& points, const SpinningSensor& sensor);
 /// arrays have different lengths
 Scan spinning_scan(const Points& points, const SpinningSensor& sensor, const Sweep& sweep);
 
-/// Builds the scan of a LiDAR without image order (rows = 1). It has one ray from the
-/// sensor origin to each point, in the given order. Dropped rays are unknown. The other
-/// returns of a ray follow its first return in the list. Rings are not needed.
-/// @throws UsageError as spinning_scan()
+/// Builds the scan of a LiDAR whose rays do not form an image (rows = 1). The scan has
+/// one ray from the sensor origin to each point, in the order of the points. Rays without
+/// a return are unknown and are not in the scan. The other returns of a ray must follow
+/// its first return in `points`. Beam numbers are not needed.
+/// @throws UsageError in the same cases as spinning_scan()
 Scan unordered_scan(const Points& points);
 
-/// Estimates the beams of a spinning LiDAR from points without rings. Distant points
-/// cluster around some elevations, and each cluster is a beam. The highest beam is first.
-/// Each beam starts at the sensor's centre. A few scans are enough.
+/// Estimates the beams of a spinning LiDAR from points without beam numbers. The
+/// elevations of distant points form clusters, and each cluster is a beam. The highest
+/// beam is first. All beams start at the centre of the sensor. A few scans are enough.
 /// @return nothing if the elevations do not form at least 4 narrow, separate bands. This
 /// is the case for LiDARs that do not spin. It is also the case if the beams start so far
 /// from the centre that the bands overlap (HDL-64E).
@@ -81,8 +82,8 @@ void recover_rings(Points& points, const std::vector<Beam>& beams);
 /// Model of a spinning LiDAR that was fitted to its points.
 struct FittedSensor {
     SpinningSensor sensor;  ///< Fitted sensor. The dataset reader must set its name and its range limits.
-    /// [highest ring + 1] index of the beam that measured the points of a ring. The value
-    /// is kNoBeam if the ring has no points.
+    /// [highest ring + 1] index of the beam that measured the points of each ring. A ring
+    /// without points has the value kNoBeam.
     std::vector<std::uint16_t> beam_of_ring;
 };
 inline constexpr std::uint16_t kNoBeam = 0xFFFF;
@@ -99,9 +100,10 @@ inline constexpr std::uint16_t kNoBeam = 0xFFFF;
 /// @throws DataError if the azimuths are not in steps
 FittedSensor fit_sensor(const std::vector<Points>& scans, double period_s);
 
-/// Reverts motion compensation. The input points are in the sensor frame at the reference
-/// time `time_s`. Converts each point to the sensor frame at its own firing time.
-/// @param points  points with times
+/// Reverts the motion compensation of a scan. The input points are in the sensor frame at
+/// the reference time `time_s`. The function converts each point to the sensor frame at
+/// the firing time of the point.
+/// @param points  points with firing times
 /// @param world_from_sensor  poses of the LiDAR that measured the points
 void undo_compensation(Points& points, const PoseTrack& world_from_sensor, double time_s);
 
@@ -110,20 +112,21 @@ void undo_compensation(Points& points, const PoseTrack& world_from_sensor, doubl
 /// @throws DataError if the matrix is not a rotation within 1e-3
 Pose rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& where);
 
-/// Appends a frame with an empty scan to the sequence. Also appends the vehicle's pose at
-/// this time, unless a frame of another LiDAR has already added it.
+/// Appends a frame with an empty scan to the sequence. Also appends the pose of the
+/// vehicle at this time. The pose is not appended again if a frame of another LiDAR has
+/// the same time.
 Frame& add_frame(Sequence& sequence, int index, double time_s, const Pose& world_from_vehicle, int lidar = 0);
 
 /// Moves the world origin to the position of the vehicle at the middle pose of the log.
-/// Changes all poses, boxes and world_offset_m of the sequence. Coordinates are then
+/// Adjusts all poses, boxes and world_offset_m of the sequence. Coordinates are then
 /// small enough for single precision.
 void recentre(Sequence& sequence);
-/// Moves the world origin to a point. Changes all poses, boxes and world_offset_m of the
-/// sequence.
-/// @param origin_m  new origin in the present world frame
+/// Moves the world origin to a given point. Adjusts all poses, boxes and world_offset_m
+/// of the sequence.
+/// @param origin_m  new origin, in the world frame before the move
 void recentre(Sequence& sequence, glm::dvec3 origin_m);
 
-/// Box of an object at one time, as datasets list it.
+/// Box of an object at one time, as the labels of a dataset store it.
 struct BoxLabel {
     std::string id;
     std::string category;
@@ -131,8 +134,9 @@ struct BoxLabel {
     double time_s = 0.0;
     Pose world_from_box;  ///< pose of the centre of the box
 };
-/// Groups box labels with the same id into one track. Tracks are in the order of their
-/// first labels. The first label of a track sets its size and category.
+/// Groups box labels with the same id into one track. The tracks are sorted by the first
+/// occurrence of their ids. The first label of a track defines the size and category of
+/// the track.
 std::vector<BoxTrack> build_tracks(const std::vector<BoxLabel>& labels);
 
 /// Checks that a log is valid, and throws an error if it is not. load_sequence() calls
@@ -144,10 +148,10 @@ std::vector<BoxTrack> build_tracks(const std::vector<BoxLabel>& labels);
 /// @throws DataError naming the frame or box, the field and the value
 void check_sequence(const Sequence& sequence);
 
-/// Adds a note to the log for each gap in time between frames. A gap is a step above 1 s
-/// and above ten times the median step.
-/// @throws DataError if the clock jumps: a step above 60 s and above ten times the median
-/// step
+/// Adds a note to the log for each gap in time between frames. A gap is a time step
+/// longer than 1 s and longer than ten times the median step.
+/// @throws DataError if the clock jumps: a time step is longer than 60 s and longer than
+/// ten times the median step
 void check_gaps(Sequence& sequence);
 
 }  // namespace relidar

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Coverage of a log: the space that the rays of its training scans have passed through,
-// or in which they have hit something. A surface that a simulated ray hits outside this
-// space is extrapolated, because no training scan observed it.
+// Coverage of a log: the space that the rays of its training scans have crossed or in
+// which they have hit something. A simulated ray may hit a surface outside this space.
+// Such a surface is extrapolated, because no training scan observed it.
 #pragma once
 
 #include <array>

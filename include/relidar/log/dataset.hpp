@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Loads LiDAR logs from disk into a `Sequence`. Errors name the file and the field that
-// is wrong.
+// Loads LiDAR logs from disk into a `Sequence`. Error messages name the invalid file and
+// field.
 #pragma once
 
 #include <cstdint>
@@ -14,24 +14,24 @@
 
 namespace relidar {
 
-/// Range of frame numbers of the dataset, written "a:b" on the command line. It includes
-/// frame a and excludes frame b. Either number may be left out.
+/// Range of frame numbers, written "a:b" on the command line. The range starts with frame
+/// a and ends before frame b. The user may omit either number.
 struct FrameRange {
     int begin = 0;
     int end = -1;  ///< -1: up to the last frame
 };
 
 /// Value of `DatasetOptions::poses_file` for a log without poses. All poses of the
-/// vehicle are then identity until they are estimated from the scans. Boxes keep the
-/// poses of their labels in the sensor frame. When the poses are estimated,
-/// set_vehicle_poses() moves the boxes along with the vehicle. To read a file that has
-/// the name "none", write "./none".
+/// vehicle are then the identity until a registration of the scans estimates them. Until
+/// then, boxes have the poses of their labels in the sensor frame. set_vehicle_poses()
+/// later moves the boxes together with the vehicle. To read a file with the name "none",
+/// write "./none".
 inline constexpr const char* kNoPoses = "none";
 
 /// Options that only the reader of ROS bags uses.
 struct BagOptions {
-    /// Frame or topic from which poses are read. If the text is empty, the reader chooses
-    /// a topic.
+    /// TF frame or topic from which the reader takes the poses. If the text is empty, the
+    /// reader chooses a topic.
     std::string poses_from = {};
 };
 
@@ -43,30 +43,31 @@ struct WaymoOptions {
 
 /// Options for reading a log.
 struct DatasetOptions {
-    /// Name of the drive to read from a dataset that has several drives. If the name is
-    /// empty, the first drive is read.
+    /// Name of the drive to read if the dataset has several drives. If the name is empty,
+    /// the first drive is read.
     std::string sequence;
     FrameRange frames;
-    /// Text file with poses. Line i holds the 12 numbers of the matrix world_from_sensor
-    /// of frame i, in the dataset's world frame. If the path is empty, the poses of the
-    /// dataset are used. The value kNoPoses means that no poses are read.
+    /// Text file with poses. Line i holds the first 12 numbers of the matrix
+    /// world_from_sensor of frame i, in the world frame of the dataset. If the path is
+    /// empty, the poses of the dataset are used. The value kNoPoses means that no poses
+    /// are read.
     std::filesystem::path poses_file;
     /// True: frames without a scan are skipped. False: a missing scan is an error.
     bool allow_missing_scans = true;
-    /// True: scans that cannot be read are skipped, and each adds a note to the log.
-    /// False: the first such scan is an error.
+    /// True: the reader skips scans that it cannot read, and adds a note to the log for
+    /// each. False: the first unreadable scan is an error.
     bool skip_broken = false;
-    /// False: all rays of a sweep are treated as if they were fired at the reference time
-    /// of the sweep.
+    /// True: each ray has its own firing time. False: all rays of a sweep are treated as
+    /// if they were fired at the reference time of the sweep.
     bool rolling_shutter = true;
     double max_range_m = 80.0;  ///< Returns beyond this range are treated as dropped.
     double min_range_m = 0.0;   ///< Returns nearer than this range are treated as dropped.
     /// Names of the LiDARs to read. If the list is empty, all LiDARs are read.
     std::vector<std::string> lidars = {};
     /// Maximum number of scans to read from each LiDAR, for a preview of a long log. The
-    /// scans are spread evenly over the log, and the other frames have no rays. 0: read
-    /// all scans. Some logs are always read completely: KITTI, Argoverse 2, Waymo, and
-    /// nuScenes with its original HDL-32E.
+    /// reader chooses scans that are spread evenly over the log. All other frames have no
+    /// rays. 0: read all scans. Logs of KITTI, Argoverse 2, Waymo, and nuScenes with its
+    /// original HDL-32E are always read completely.
     int max_scans = 0;
     Progress progress = {};  ///< receives the progress of reading
     BagOptions bag = {};
@@ -80,8 +81,8 @@ struct DatasetOptions {
 /// @throws UsageError for an unknown kind or an empty frame range
 Sequence load_sequence(const std::string& dataset, const DatasetOptions& options);
 
-/// Returns a dataset argument of load_sequence() with an absolute path, so that the
-/// argument does not depend on the working directory. Keeps a "kind:" prefix.
+/// Makes the path in a dataset argument of load_sequence() absolute, so that the argument
+/// does not depend on the working directory. Keeps a prefix "kind:".
 std::string absolute_dataset(const std::string& dataset);
 
 /// Returns the kind of a dataset, for example "kitti_raw" or "waymo". docs/datasets.md
@@ -91,10 +92,11 @@ std::string recognise_dataset(const std::filesystem::path& path);
 
 /// Options of save_folder().
 struct FolderOptions {
-    /// True: an existing plain folder with this name is replaced after the new folder is
-    /// complete.
+    /// True: a plain folder that already exists at this path is replaced. The replacement
+    /// happens only after the new folder is complete.
     bool overwrite = false;
-    /// False: no poses are written, for a log that was read without poses (kNoPoses).
+    /// False: no poses are written. Used for logs that were read without poses
+    /// (kNoPoses).
     bool poses = true;
     /// Receives the progress of writing. If the callback throws an exception, writing
     /// stops and leaves no files.
@@ -123,19 +125,20 @@ struct SyntheticOptions {
     double range_noise_m = 0.01;  ///< standard deviation of the range noise
     double speed_mps = 8.0;       ///< speed of the sensor along the street
     bool moving_cars = true;
-    /// Path of a file that describes several sensors mounted on the vehicle. They record
-    /// the log instead of the default sensor with `rows` and `columns`.
+    /// Path of a file that describes several sensors mounted on the vehicle. These
+    /// sensors then record the log. If the path is empty, the log is recorded by one
+    /// default sensor with `rows` and `columns`.
     std::string rig = {};
     /// Adds three pedestrians, a cyclist, cars parked behind a fence, cars with
     /// transparent windows, and bushes.
     bool people = false;
-    /// True: pedestrians swing their legs and arms, in step with the distance that they
-    /// walk.
+    /// True: pedestrians swing their legs and arms while they walk. The phase of the
+    /// motion depends on the walked distance.
     bool gait = false;
 };
 
-/// Creates the log of the synthetic street in memory. Its scans are ground truth: exact
-/// ray casting with a rolling shutter.
+/// Creates the log of the synthetic street in memory. The scans are ground truth, because
+/// they are computed by exact ray casting with a rolling shutter.
 Sequence make_synthetic_street(const SyntheticOptions& options);
 
 /// Casts rays into the synthetic street, each ray at its own firing time. Returns the
@@ -145,27 +148,28 @@ Sequence make_synthetic_street(const SyntheticOptions& options);
 Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays,
                            const PoseTrack& world_from_sensor, double time_s);
 
-/// Casts beams with a divergence. Computes up to two returns for each beam, as a
-/// dual-return LiDAR does. The first return is the strongest. The second return is the
-/// last one, or the second strongest if the strongest is also the last. Each beam is
-/// sampled with 53 exact rays. Surfaces that are 0.5 m apart give separate returns. A
-/// second return needs at least a tenth of the light of the strongest return.
+/// Casts beams that have a divergence. Computes up to two returns for each beam, as a
+/// dual-return LiDAR does. The first return is the strongest return. The second return is
+/// the last return, or the second strongest return if the strongest return is also the
+/// last. The function samples each beam with 53 exact rays. Surfaces that are 0.5 m apart
+/// give separate returns. A second return needs at least a tenth of the light of the
+/// strongest return.
 /// @param rays  at least one ray must have a divergence above 0
 /// @throws UsageError if no ray has a divergence
 Scan cast_synthetic_beams(const SyntheticOptions& options, const RayTable& rays,
                           const PoseTrack& world_from_sensor, double time_s);
 
-/// A car in an edited street. It has the shape of one of the street's original cars and
-/// follows a track in relidar's world frame.
+/// A car in an edited street. The car has the shape of one of the street's original cars.
+/// It follows a track in relidar's world frame.
 struct StreetCar {
     std::size_t shapes_of = 0;  ///< id of the original car: BoxTrack::id "0", "1", ...
-    /// Track of the car. The car exists in every sweep whose reference time the track
-    /// covers.
+    /// Track of the car. A sweep contains the car if the track covers the reference time
+    /// of the sweep.
     BoxTrack track;
 };
 
-/// Casts rays into the street with these cars instead of the street's original cars.
-/// Returns the exact scan of the edited street.
+/// Casts rays into a street whose original cars are replaced by the given cars. Returns
+/// the exact scan of the edited street.
 /// @throws DataError if the street has no car with the id `shapes_of`
 Scan cast_synthetic_street(const SyntheticOptions& options, const std::vector<StreetCar>& cars,
                            const RayTable& rays, const PoseTrack& world_from_sensor, double time_s);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes scans as the packets that a LiDAR sends. Ranges, azimuths and times are rounded
-// as in the sensor. The block order, the firing times and the packet counters follow the
-// manuals of the makers. load_sequence() reads the packets again.
+// in the same way as in the sensor. The block order, the firing times and the packet
+// counters follow the manuals of the makers. load_sequence() can read these packets.
 #pragma once
 
 #include <cstdint>
@@ -19,24 +19,26 @@ namespace relidar {
 
 /// A datagram of a LiDAR.
 struct SensorPacket {
-    /// Time of the packet since 1970, as the maker defines it: the time of the first
-    /// firing (Velodyne), the time after the last firing (Hesai) or the time of the last
-    /// column (Ouster).
+    /// Time of the packet since 1970. Its definition depends on the maker: the time of
+    /// the first firing (Velodyne), the time after the last firing (Hesai) or the time of
+    /// the last column (Ouster).
     std::int64_t time_ns = 0;
     std::string bytes;
 };
 
 /// Options for PacketEncoder.
 struct PacketOptions {
-    /// Time since 1970 at which the log's time is 0. See log_start_ns().
+    /// Time since 1970, in nanoseconds, at which the time of the log is 0. See
+    /// log_start_ns().
     std::int64_t start_ns = 0;
     int returns = 1;  ///< returns per ray, 1 or 2
     /// Packet format of an Ouster (udp_profile_lidar). If the text is empty, the encoder
-    /// chooses RNG19_RFL8_SIG16_NIR16 or RNG19_RFL8_SIG16_NIR16_DUAL.
+    /// chooses RNG19_RFL8_SIG16_NIR16, or RNG19_RFL8_SIG16_NIR16_DUAL for two returns per
+    /// ray.
     std::string ouster_profile = {};
-    /// True: a computer measured the times when it received the packets of a real
-    /// sensor. The encoder then computes the number of firings between two times from the
-    /// azimuth.
+    /// True: the times of the scans are the times at which a computer received the
+    /// packets of a real sensor, so they jitter. The encoder then computes the number of
+    /// firings between two times from the azimuths.
     bool times_jitter = false;
 };
 
@@ -56,9 +58,9 @@ std::string ouster_profile_of(const std::filesystem::path& file);
 std::int64_t log_start_ns(const Sequence& sequence);
 
 /// Converts the scans of a sensor to packets. A packet holds a fixed number of firings.
-/// Therefore a packet may contain the end of a scan and the start of the next scan. After
-/// the last scan and before a long gap, the encoder adds a packet without returns, so
-/// that drivers can complete the scan.
+/// Therefore a packet may contain the end of one scan and the start of the next scan.
+/// After the last scan and before a long gap, the encoder adds a packet without returns.
+/// A driver needs this packet to complete the scan.
 class PacketEncoder {
 public:
     /// @param sensor  its name selects the product
@@ -67,16 +69,17 @@ public:
     PacketEncoder(const SpinningSensor& sensor, const PacketOptions& options);
     ~PacketEncoder();
 
-    /// Adds a scan and returns the packets that are complete.
+    /// Adds a scan. Returns the packets that are now complete.
     /// @param scan  scan of the sensor in image order (RayTable)
-    /// @param time_s  reference time of the scan, not before that of the last scan
-    /// @throws UsageError if the rays have no firing times, do not belong to the sensor,
-    /// or were fired before the end of the last scan
+    /// @param time_s  reference time of the scan; must not be earlier than the time of
+    /// the previous scan
+    /// @throws UsageError if the rays have no firing times, if they do not belong to the
+    /// sensor, or if they were fired before the end of the previous scan
     std::vector<SensorPacket> encode(const Scan& scan, double time_s);
-    /// Returns the packets after the last scan.
+    /// Returns the remaining packets. Must be called after the last scan.
     std::vector<SensorPacket> finish();
     /// Returns the calibration of the sensor as a file. Must be called after the last
-    /// scan, because it holds the azimuths at which an Ouster has fired.
+    /// scan, because the calibration of an Ouster contains the azimuths of all firings.
     PacketCalibration calibration() const;
     int port() const;  ///< UDP port to which the sensor usually sends
 
@@ -104,10 +107,12 @@ private:
     std::uint16_t n_written_ = 0;
 };
 
-/// Writes the scans of a log with a single LiDAR as a capture of its packets. Writes the
-/// calibration to a file with the same name and the ending .csv or .json.
+/// Writes the scans of a log as a network capture of LiDAR packets. The log must have a
+/// single LiDAR. The calibration is written to a second file with the same name and the
+/// ending .csv or .json.
 /// @return number of packets
-/// @throws UsageError if the log has several LiDARs, or like PacketEncoder
+/// @throws UsageError if the log has several LiDARs, or in the same cases as
+/// PacketEncoder
 /// @throws DataError if a file cannot be written
 std::size_t save_packets(const Sequence& sequence, const std::filesystem::path& file,
                          const Progress& progress = {});

@@ -14,23 +14,25 @@
 
 namespace relidar {
 
-/// Points in one frame, with one array per property. Positions are always known. Each
-/// other array has one entry per point, or is empty if the property is unknown.
+/// Points in one frame, with one array per property. The position of each point is always
+/// known. Each other array has one entry per point, or is empty if the property is
+/// unknown.
 struct Points {
     std::vector<glm::vec3> position_m;     ///< [n] positions in metres
     std::vector<float> intensity = {};     ///< [n] intensities, 0..1
     std::vector<std::uint16_t> ring = {};  ///< [n] beam numbers, 0 = highest
     /// [n] firing time of the ray, in seconds relative to time_s.
     std::vector<float> time_offset_s = {};
-    /// [n] number of the return within the returns of its ray; 1 is the strongest.
+    /// [n] number of the return among the returns of the same ray; 1 is the strongest.
     std::vector<std::uint8_t> return_number = {};
     std::vector<std::uint32_t> firing = {};  ///< [n] index of the point's firing in Sweep::firings.
-    /// [n] index of the object that was hit, in Scene::instances; -1 for none.
+    /// [n] index in Scene::instances of the object that the ray hit; -1 if it hit no
+    /// object.
     std::vector<std::int32_t> instance = {};
     std::vector<ScanChannel> channels = {};  ///< additional channels, [n] values each
-    /// Pose of the frame of the points in the dataset's world. Each point may be in the
-    /// sensor frame at its own firing time. In that case this is the pose of the sensor
-    /// at time_s.
+    /// Pose of the frame of the points, in the world frame of the dataset. If each point
+    /// is in the sensor frame at its own firing time, `world_from_points` is the pose of
+    /// the sensor at time_s.
     Pose world_from_points = {};
     double time_s = 0.0;  ///< reference time of the scan, in the time of the log
 

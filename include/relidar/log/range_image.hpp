@@ -14,7 +14,7 @@ struct RangeImage {
     int rows = 0;
     int columns = 0;
     /// [rows*columns] range in metres along the ray. The value is 0 if the ray was
-    /// dropped (measured image) or hit nothing (rendered image).
+    /// dropped (measured image) or if it hit nothing (rendered image).
     std::vector<float> range_m;
     std::vector<float> intensity;      ///< [rows*columns] intensity
     std::vector<float> drop_prob;      ///< [rows*columns] drop probability. It is 0 or 1 in a measured image.
@@ -22,14 +22,16 @@ struct RangeImage {
     std::vector<glm::vec3> direction;  ///< [rows*columns] unit vector, sensor frame
 };
 
-/// A ray counts as dropped if its drop probability is at least this threshold. Output
-/// files always use this threshold. Strict metrics use it by default.
+/// Threshold of the drop probability. A ray counts as dropped if its drop probability is
+/// at least this threshold. Output files always use this threshold. It is the default of
+/// the strict metrics.
 inline constexpr float kDropThreshold = 0.5f;
-/// Returns true if a ray counts as a return: it hit something, and its drop probability
-/// is below kDropThreshold.
+/// Returns true if a ray counts as a return. The ray must have hit something, and its
+/// drop probability must be below kDropThreshold.
 inline bool returned(float drop_prob, float range_m) { return drop_prob < kDropThreshold && range_m > 0.0f; }
 
-/// Returns false if every pixel has intensity 0, because the log has no intensities.
+/// Returns false if every pixel has intensity 0. This is the case if the log has no
+/// intensities.
 inline bool has_intensities(const RangeImage& image) {
     return std::ranges::any_of(image.intensity, [](float intensity) { return intensity > 0.0f; });
 }

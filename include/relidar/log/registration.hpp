@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registration: estimates the poses of the vehicle from the scans alone. With these
-// poses, the same wall has the same position in all scans (docs/method.md section 6).
+// Registration: estimates the poses of the vehicle from the scans. With these poses, the
+// same wall has the same position in all scans (docs/method.md section 6).
 #pragma once
 
 #include <functional>
@@ -15,12 +15,11 @@ namespace relidar {
 
 struct RegisterOptions {
     /// Maximum difference, in metres, between the pose correction of a scan and the
-    /// corrections of its neighbours. A scan beyond this limit counts as lost. The limit
-    /// is also the maximum distance between two observations of the same surface before
-    /// the adjustment.
+    /// corrections of its neighbours. A scan beyond this limit could not be registered.
+    /// Also the maximum initial distance between two observations of the same surface.
     double largest_m = 1.0;
-    /// True: the motion from scan to scan is taken from the given poses. False: the
-    /// motion is estimated from the scans alone.
+    /// True: the given poses define the motion from scan to scan. False: this motion is
+    /// estimated from the scans alone.
     bool use_pose_motion = true;
     std::vector<BoxTrack> movers;  ///< Boxes of moving objects. Points inside these boxes are ignored.
     double mover_margin_m = kMoverMargin_m;  ///< boxes are enlarged by this margin
@@ -31,15 +30,15 @@ struct RegisterOptions {
     ProcessGroup group = {};  ///< processes that register the same log together
 };
 
-/// Statistics of one round of the adjustment of all poses. A round fits planes to the
-/// points in the cells of a grid. It then moves all poses by a step that reduces the
-/// distances to these planes.
+/// Statistics of one round of the adjustment, which optimizes all poses together. A round
+/// fits planes to the points in the cells of a grid. It then moves all poses by a step
+/// that reduces the distances of the points from these planes.
 struct RegisterRound {
     double cell_m = 0.0;
     double scale_m = 0.0;    ///< Distance from the plane at which a point has a quarter of its full weight.
     std::size_t planes = 0;  ///< number of planes that at least two scans observe
-    /// Weighted root mean square distance of the points from their planes, before the
-    /// step of this round.
+    /// Weighted root mean square distance of the points from their planes. Measured
+    /// before the step of this round.
     double residual_m = 0.0;
     double step_m = 0.0;  ///< longest translation of a pose in this step
 };
@@ -48,14 +47,14 @@ struct Registration {
     /// Corrected poses. If registration was stopped, these are the poses of the log.
     PoseTrack world_from_vehicle;
     std::vector<RegisterRound> rounds;
-    /// Indices into world_from_vehicle of the poses of scans that could not be
-    /// registered. These poses get the same correction as their neighbours.
+    /// Scans that could not be registered, as indices into world_from_vehicle. The poses
+    /// of these scans get the same correction as the neighbouring poses.
     std::vector<std::size_t> lost;
-    /// Fraction of a scan's points that lie on planes observed by several scans. Median
-    /// over all training scans.
+    /// Fraction of a scan's points that lie on planes observed by several scans. This
+    /// value is the median over all training scans.
     double on_planes = 0.0;
-    /// Number of loop closures: places where a road is driven again and the later pass
-    /// was aligned with the earlier pass.
+    /// Number of loop closures. A loop closure aligns two passes over the same road: the
+    /// later pass with the earlier pass.
     std::size_t n_loop_closures = 0;
     double largest_loop_error_m = 0.0;  ///< Largest position error, in metres, that a loop closure corrected.
     bool stopped = false;
@@ -109,7 +108,8 @@ using SceneView = std::function<std::vector<VisibleSurface>(
 
 /// Pose of a scan that was aligned with a scene.
 struct ScanPlacement {
-    Pose world_from_vehicle;  ///< Aligned pose. If the alignment failed, this is the original pose.
+    /// Aligned pose. If the alignment failed, this is the pose before the alignment.
+    Pose world_from_vehicle;
     double moved_m = 0.0;
     /// Fraction of the scan's points that lie on surfaces of the scene. Computed from a
     /// subset of the points.
@@ -126,11 +126,11 @@ struct ScanPlacement {
 ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const SceneView& view,
                          const RegisterOptions& options);
 
-/// Result of register_actors().
+/// Result of register_actors(), which corrects the tracks of moving objects.
 struct ActorRegistration {
     std::size_t n_actors = 0;      ///< number of moving boxes that are long enough
     std::size_t n_registered = 0;  ///< number of tracks with new poses
-    /// Number of boxes that stand still although the poses of their labels drift.
+    /// Number of boxes that stand still although their labels suggest a motion.
     std::size_t n_standing = 0;
     double moved_m = 0.0;  ///< median correction of the registered tracks
 };

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Statistical model of the difference between measured and rendered intensities: noise
-// along a beam, differences between beams, and quantisation. The model is a decision
-// tree. Its inputs are the rendered values around a ray and the intensities that were
-// already drawn. Each leaf holds the intensities that were measured for similar inputs.
-// (Not in the paper.)
+// Statistical model of the difference between measured and rendered intensities. The
+// difference comes from noise along a beam, from differences between beams, and from
+// quantisation. The model is a decision tree. Its inputs are the rendered values around a
+// ray and the intensities that were already drawn. Each leaf holds the intensities that
+// were measured for similar inputs. (Not in the paper.)
 #pragma once
 
 #include <cstddef>
@@ -14,13 +14,13 @@
 
 namespace relidar {
 
-/// Rendered values for all rays of a scan, row by row. The last column is a neighbour of
-/// the first column. All arrays are [rows*columns].
+/// Rendered values for all rays of a scan, row by row. The first and the last column are
+/// neighbours, because the image covers a full circle. All arrays are [rows*columns].
 struct RenderedIntensities {
     int rows = 0, columns = 0;
     std::vector<float> intensity;
-    /// Range of the surface with the largest weight along the ray. 0 if the ray hit
-    /// nothing.
+    /// Range of the surface that contributes the largest weight to the ray. 0 if the ray
+    /// hit nothing.
     std::vector<float> range_m;
     std::vector<float> spread_m;  ///< result of range_spread()
     /// Cosine of the angle between ray and surface normal. Negative if unknown.
@@ -39,14 +39,15 @@ struct MeasuredIntensities {
 
 /// Decision tree whose leaves hold measured intensities of a LiDAR.
 struct IntensityScatter {
-    /// Node of the decision tree. Each node refers to a range of measured intensities. An
-    /// inner node refers to the intensities of both children.
+    /// Node of the decision tree. Each node refers to a range of entries in `values`, the
+    /// measured intensities. The range of an inner node contains the ranges of both
+    /// children.
     struct Node {
-        /// Index of the feature that the node compares, less than
-        /// count_scatter_features(). The value is -1 for a leaf.
+        /// Index of the feature that is compared with the threshold `at`. Features are
+        /// numbered from 0 to count_scatter_features() - 1. The value is -1 for a leaf.
         std::int32_t feature = -1;
-        /// Threshold. If the feature is at most this value, the first child is visited
-        /// next, otherwise the second child.
+        /// Threshold. The search continues with the first child if the feature is at most
+        /// this value, otherwise with the second child.
         float at = 0.0f;
         std::int32_t child = 0;  ///< Index of the first child. The second child has the next index.
         std::uint32_t first = 0, count = 0;  ///< range of entries in `values`
@@ -67,9 +68,9 @@ struct IntensityScatter {
 std::size_t count_scatter_features();
 
 /// Returns the quantisation step: the largest number of which all values are multiples.
-/// Rounding errors of up to 1e-6 of the largest value are allowed. Returns 0 if that
-/// number is below 1e-5 of the largest value, or if there are fewer than eight distinct
-/// values.
+/// Rounding errors of up to 1e-6 of the largest value are allowed. Returns 0 if the step
+/// would be below 1e-5 of the largest value. Also returns 0 if there are fewer than eight
+/// distinct values.
 /// @param values  >= 0, in any order
 double find_step(std::vector<float> values);
 
@@ -79,8 +80,9 @@ double find_step(std::vector<float> values);
 /// @throws DataError if an array has another size than its image
 IntensityScatter fit_scatter(std::span<const MeasuredIntensities> images);
 
-/// Draws random intensities that a sensor could have measured. Rays are drawn beam by
-/// beam, the highest beam first. Each draw depends on the values drawn before it.
+/// Draws random intensities that a sensor could have measured. Draws the rays beam by
+/// beam, starting with the highest beam. Each draw depends on the intensities that were
+/// already drawn for other rays.
 /// @param returns [rows*columns] 0 for rays without a return
 /// @return [rows*columns] kNoIntensity for rays without a return
 std::vector<float> draw_intensities(const IntensityScatter& scatter, const RenderedIntensities& rendered,

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Models of LiDAR sensors. Each model generates a table of rays. A range grid defines how
-// points are sorted into the pixels of an image. Sensor frame: x forward, y left, z up,
-// metres.
+// Models of LiDAR sensors. Each model generates a table of rays. A range grid defines the
+// pixel to which a point belongs. Sensor frame: x forward, y left, z up, metres.
 #pragma once
 
 #include <cstddef>
@@ -20,19 +19,19 @@ namespace relidar {
 
 // Memory for the arrays of rays and scans. A log of 6000 scans needs 30 GB, which is more
 // than most machines have. Arrays beyond a limit are therefore stored in a memory-mapped
-// file. The operating system then loads only the pages in use. The file is only slightly
+// file, and the operating system loads only the pages in use. The file is only slightly
 // slower than memory, because scans are written once and then read frame by frame.
 
-/// Limits the memory that later arrays of scans may use in this process. Arrays beyond
-/// the limit are stored in an unnamed file, which disappears when the process ends. The
-/// memory is unlimited until this function is called.
+/// Limits the memory of scan arrays that are allocated after this call, in this process.
+/// Arrays beyond the limit are stored in an unnamed file, which disappears when the
+/// process ends. The memory is unlimited until this function is called.
 /// @param bytes  0: half of the memory of the machine or of the control group, divided by
 /// the number of processes (share_scan_memory())
 /// @param folder  folder of the file; the file is created when the first array needs it
 void limit_scan_memory(std::uint64_t bytes, const std::filesystem::path& folder);
 
-/// Sets the number of processes on this machine that load scans. They share the memory
-/// limit. The default is one.
+/// Sets the number of processes on this machine that load scans. These processes share
+/// the memory limit. The default is one process.
 void share_scan_memory(int n_processes);
 
 /// Memory used by the arrays of all scans, in bytes. Arrays below 16 KiB are not counted.
@@ -91,8 +90,8 @@ struct RayTable {
     ScanArray<float> time_offset_s;
     ScanArray<std::uint16_t> channel;  ///< [rows*columns] beam number, 0 = highest
     float divergence_rad = 0.0f;       ///< full beam divergence of all rays; 0 = ideal ray
-    /// [rows*columns] divergence of each ray, used instead of `divergence_rad`. Empty if
-    /// all rays have the same divergence.
+    /// [rows*columns] divergence of each ray, used instead of `divergence_rad`. If the
+    /// array is empty, all rays have the divergence `divergence_rad`.
     ScanArray<float> ray_divergence_rad = {};
 
     std::size_t size() const { return direction.size(); }
@@ -101,14 +100,14 @@ struct RayTable {
     }
     /// Returns the largest divergence in the table, or 0 if all rays are ideal.
     double largest_divergence() const;
-    /// Appends a ray of another table. All appended rays must come from the same table.
-    /// Does not change `rows` and `columns`.
+    /// Appends a ray of another table. If this function is called repeatedly, all rays
+    /// must come from the same table. Does not change `rows` and `columns`.
     void append(const RayTable& from, std::size_t ray);
 };
-/// Returns the offsets of the sub-rays that sample the footprint of a beam: [n] in units
-/// of half the beam's divergence. The first sub-ray is the beam axis. All sub-rays have
-/// the same weight. Their spread equals the spread of an evenly lit disc: the mean of
-/// offset^2 is 1/2.
+/// Returns the offsets of the sub-rays that sample the footprint of a beam: [n], in units
+/// of half the beam divergence. The first sub-ray is the beam axis. All sub-rays have the
+/// same weight. The mean of offset^2 is 1/2, which equals the spread of an evenly lit
+/// disc.
 /// @param n  1, 5 or 9; any other number gives a spiral whose first ray is not on the
 /// axis
 std::vector<glm::dvec2> footprint_pattern(int n);
@@ -130,12 +129,12 @@ struct Beam {
     double intensity_offset = 0.0;
     double range_offset_m = 0.0;
 
-    /// Range that the beam measures for a surface. The four functions convert between
-    /// values of a surface and measured values:
+    /// Range that the beam measures for a surface. The next four functions convert
+    /// between the values of a surface and the measured values:
     ///   measured range = range of the surface + range_offset,
     ///   measured intensity = gain * fall * intensity of the surface + offset, clamped to 0..1
-    /// A range of 0 (no return) stays 0. The conversions are inverse to each other unless
-    /// a value is clamped.
+    /// A range of 0 (no return) stays 0. Each conversion can be inverted unless a value
+    /// is clamped.
     /// @param fall  factor of the log's IntensityResponse at the range of the surface
     double measured_range(double surface_m) const;
     double surface_range(double measured_m) const;  ///< at least 1 mm
@@ -143,8 +142,8 @@ struct Beam {
     double surface_intensity(double measured, double fall) const;
 };
 
-/// Returns the calibration of the beam with this number. If there is no such beam,
-/// returns an ideal beam that does not change the values of the surface.
+/// Returns the calibration of the beam with this number. If no such beam exists, returns
+/// an ideal beam, which measures the values of the surface without a change.
 const Beam& beam_of(const std::vector<Beam>& beams, std::size_t channel);
 
 /// Range limits of a sensor. A ray whose range is outside the limits is dropped.
@@ -167,8 +166,8 @@ struct SpinningSensor {
     int columns = 0;          ///< azimuth steps in a sweep
     double period_s = 0.1;    ///< Duration of a sweep. If it is 0, the sensor does not spin.
     bool clockwise = true;    ///< direction of rotation, seen from above
-    /// Azimuth of the centre of column 0. If the bins are centred on half steps, use pi -
-    /// pi/columns.
+    /// Azimuth of the centre of column 0. If the centres of the columns are half a step
+    /// off the multiples of the step, use pi - pi/columns.
     double first_azimuth_rad = 0.0;
     double min_range_m = 0.0;
     double max_range_m = 80.0;
@@ -193,13 +192,13 @@ BeamRay beam_ray(const Beam& beam, double head_azimuth_rad);
 /// @return radians, not wrapped to a range
 double head_azimuth(const Beam& beam, const glm::dvec3& point_m);
 
-/// Returns the number of columns by which a beam is shifted in the image, so that each
-/// image column has one azimuth. Image column j holds firing (j + shift) mod columns,
-/// where shift = azimuth_offset in columns, rounded.
+/// Returns the number of columns by which a beam is shifted in the image. With this
+/// shift, all pixels of an image column have the same azimuth. Image column j holds
+/// firing (j + shift) mod columns, where shift = azimuth_offset in columns, rounded.
 int column_shift(const Beam& beam, int columns);
 
-/// Returns the rays of a sweep. At time 0 the head faces forward (azimuth 0). A clockwise
-/// head reaches azimuth a at time -a / (2 pi) * period.
+/// Returns the rays of a sweep. At time 0 the head faces forward (azimuth 0). A head that
+/// rotates clockwise reaches azimuth a at time -a / (2 pi) * period.
 /// @throws UsageError if the sensor has no beams, no columns, more than kMaxRays rays, a
 /// value that is not finite, or an empty range between its limits
 RayTable make_rays(const SpinningSensor& sensor);
@@ -208,8 +207,9 @@ RayTable make_rays(const SpinningSensor& sensor);
 inline constexpr std::size_t kMaxRays = std::size_t(1) << 24;
 
 /// Probability that the sensor itself drops a ray, for each beam and azimuth bin (paper
-/// section 3.5). It does not depend on the scene. For example, the sensor's own vehicle
-/// blocks some rays. P(drop) = 1 - (1 - P of the scene) (1 - P of the sensor).
+/// section 3.5). This probability does not depend on the scene. For example, the vehicle
+/// that carries the sensor blocks some rays. P(drop) = 1 - (1 - P of the scene) (1 - P of
+/// the sensor).
 struct DropTable {
     int channels = 0;
     int bins = 0;  ///< Number of azimuth bins. Bin 0 starts at +180 degrees, and the azimuth decreases.
@@ -238,8 +238,8 @@ struct RangeGrid {
     double max_range_m = 80.0;
 };
 
-/// Returns the range grid with which published results on KITTI-360 are computed: 66 x
-/// 1030 pixels, elevation +2.0 to -24.9 degrees, 80 m.
+/// Returns the range grid that published results on KITTI-360 use: 66 x 1030 pixels,
+/// elevation +2.0 to -24.9 degrees, 80 m.
 RangeGrid kitti360_grid();
 
 /// Returns rays through the pixel centres of a grid. All rays start at the sensor origin.
@@ -274,15 +274,16 @@ struct GridImage {
 GridImage project_points(const RangeGrid& grid, const std::vector<glm::vec3>& points_m,
                          const std::vector<float>& intensity);
 
-/// A LiDAR that deflects its beam with two prisms rotating in opposite directions. A scan
-/// is a flower-shaped pattern (rosette) about the x axis, and each scan covers different
-/// directions:
+/// A LiDAR that deflects its beam with two prisms. The prisms rotate in opposite
+/// directions. A scan is a flower-shaped pattern (rosette) about the x axis, and each
+/// scan covers different directions:
 ///   direction = (cos r, sin r cos p, sin r sin p)
 ///   r e^(ip) = deflection (e^(i 2 pi f1 t) + e^(i 2 pi f2 t))
 /// This is the paraxial form of two thin prisms with equal wedge angles.
 struct Rosette {
     std::string name;
-    /// Deflection by each prism, which is half of the half angle of the scanned cone.
+    /// Deflection by each prism. The two prisms together deflect the beam by at most
+    /// twice this angle, the half angle of the scanned cone.
     double deflection_rad = 0.0;
     /// Rotation rates of the prisms. A positive rate means counter-clockwise rotation,
     /// seen from behind the sensor.
@@ -293,7 +294,7 @@ struct Rosette {
 };
 
 /// Returns the rays of the scan at a time, in the order of firing. The table has one row,
-/// all rays have channel 0, and time offsets range from -period/2 to period/2.
+/// and all rays have channel 0. Time offsets range from -period/2 to period/2.
 /// @throws UsageError for no rays, for more than kMaxRays rays, or for a value that is
 /// not finite
 RayTable make_rays(const Rosette& rosette, double time_s);
@@ -316,8 +317,8 @@ struct ScanningWindow {
 /// @throws UsageError in the same cases as for a SpinningSensor
 RayTable make_rays(const ScanningWindow& window);
 
-/// Scan pattern of a sensor, from which its rays are generated. docs/architecture.md
-/// lists these kinds of sensors in a table.
+/// Scan pattern of a sensor: the parameters from which its rays are generated.
+/// docs/architecture.md lists the kinds of patterns in a table.
 using SensorPattern = std::variant<SpinningSensor, ScanningWindow, Rosette, RayTable>;
 
 /// Returns the rays of the scan at a time.
@@ -334,23 +335,25 @@ struct AzimuthSweep {
 /// Properties of a scan pattern that are known without generating its rays.
 struct PatternSummary {
     std::size_t n_rays = 0;  ///< number of rays in a scan
-    /// Duration of a scan. It is 0 if the time offsets of the rays define the duration.
+    /// Duration of a scan. The value is 0 if only the time offsets of the rays define the
+    /// duration.
     double period_s = 0.0;
     bool has_rays_by_time = false;  ///< True if scans at different times have different rays.
-    /// Azimuths of the sweep. Empty if the sensor spins or fires in another order.
+    /// Azimuths of the sweep. Empty if the sensor spins, or if it does not fire column by
+    /// column.
     std::optional<AzimuthSweep> sweep = {};
 };
 /// Returns the number of rays, duration and sweep of a scan pattern.
 PatternSummary describe_pattern(const SensorPattern& pattern);
-/// Returns the duration of a scan in seconds, or 0 if the time offsets of the rays define
-/// it.
+/// Returns the duration of a scan in seconds. Returns 0 if only the time offsets of the
+/// rays define the duration.
 double period_of(const SensorPattern& pattern);
 
 /// A sensor to simulate: its scan pattern and its range limits.
 struct SensorModel {
     std::string name;
-    /// One line that describes the sensor and names the source of its specification.
-    /// Empty for a sensor that was read from a file.
+    /// One line of text that describes the sensor and names the source of the
+    /// specification. Empty for a sensor that was read from a file.
     std::string about = {};
     RangeLimits limits = {};
     SensorPattern pattern;
@@ -375,9 +378,9 @@ std::vector<std::string> sensor_names();
 std::optional<SensorModel> find_built_in_sensor(const std::string& name, int columns = 0,
                                                 double rate_hz = 0.0);
 
-/// Parses a table of beams in CSV format: a header line, then a line for each beam,
-/// from the highest to the lowest. Lines that begin with # are ignored. The columns can
-/// have any order; a missing column is 0:
+/// Parses a table of beams in CSV format: a header line, then a line for each beam, from
+/// the highest to the lowest. Lines that begin with # are ignored. The columns can have
+/// any order. The values of a missing column are 0:
 /// - elevation_deg (required), azimuth_offset_deg, origin_offset_m, origin_up_m,
 ///   origin_left_m: as in Beam;
 /// - firing_offset_us: delay of the beam's firing after the head was at its azimuth; the

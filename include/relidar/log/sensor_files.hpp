@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads sensors and sensor rigs from files. All commands use these functions to load the
-// sensor whose name or file the user has passed.
+// Reads sensors and sensor rigs from files. Commands call these functions to load the
+// sensor that the user has selected by name or by file.
 #pragma once
 
 #include <optional>
@@ -12,7 +12,8 @@
 
 namespace relidar {
 
-/// Maximum range of a simulated sensor if its file does not specify one.
+/// Maximum range of a simulated sensor, used if the file of the sensor does not contain a
+/// maximum range.
 inline constexpr double kDefaultMaxRange_m = 80.0;
 
 /// Returns a sensor by its name or from a file. For a spinning sensor, ":columns[xHz]"
@@ -59,8 +60,8 @@ struct MountedSensor {
 /// FILE.json. File paths are relative to the rig's file. "translation_m" and
 /// "yaw_pitch_roll_deg" are the mounting; the default is 0. The axes are x forward, y
 /// left, z up. Yaw is the first rotation and is positive to the left. "returns" is 2 for
-/// a sensor with two returns per ray. Sensor names are also used as folder names. They
-/// must be unique and consist of letters, digits, -, _ and dots.
+/// a sensor with two returns per ray. Sensor names are also used as folder names, so they
+/// must be unique. They may contain letters, digits, -, _ and dots.
 /// @throws DataError naming the sensor and the key that is wrong
 /// @throws errors of find_sensor()
 std::optional<std::vector<MountedSensor>> find_rig(const std::string& path);

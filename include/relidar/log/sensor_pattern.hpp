@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes sensors as JSON objects. Also returns the channel numbers and firing
-// times of the beams of built-in sensors.
+// Reads and writes sensors as JSON objects. Also returns the channel numbers and the
+// firing times of the beams of built-in sensors.
 #pragma once
 
 #include <string>
@@ -12,14 +12,14 @@ namespace relidar {
 
 class JsonField;
 
-/// Reads a sensor from a JSON object {"<kind>": {...}}. The kind is one of those that
-/// describe_pattern_kinds() lists. All files that contain sensors use such an object. If
-/// the object has no maximum range, the maximum range is infinite.
-/// @param name  name of the sensor if the file does not contain one
+/// Reads a sensor from a JSON object {"<kind>": {...}}. describe_pattern_kinds() lists
+/// the possible kinds. All files that contain sensors use such an object. If the object
+/// has no maximum range, the maximum range is infinite.
+/// @param name  name of the sensor if the object does not contain a name
 /// @throws DataError naming the member that is wrong
 SensorModel read_sensor_json(const JsonField& field, const std::string& name);
-/// Returns the JSON text of a sensor. read_sensor_json() restores the same rays from the
-/// text, bit by bit.
+/// Returns the JSON text of a sensor. read_sensor_json() creates a sensor with exactly
+/// the same rays from this text.
 std::string write_sensor_json(const SensorModel& sensor);
 
 /// Returns a text for users that lists the kinds of sensor objects and their members, one

@@ -13,9 +13,9 @@
 
 namespace relidar {
 
-/// Position of a time between two entries of a track, `left` and `left + 1`. The fraction
-/// between them is s. It is outside 0..1 for times before the first or after the last
-/// entry.
+/// Position of a time between two entries of a track, `left` and `left + 1`. `s` is the
+/// fraction between these entries. It is below 0 before the first entry and above 1 after
+/// the last entry.
 struct TrackPosition {
     std::size_t left = 0;
     double s = 0.0;  ///< 0 if the track has only one entry
@@ -27,13 +27,13 @@ struct PoseTrack {
     std::vector<Pose> pose;
 
     /// Returns the interpolated pose at a time (slerp for rotations, lerp for
-    /// translations). Times outside the track are extrapolated with the velocity of the
-    /// nearest segment.
+    /// translations). Outside the track, the pose is extrapolated with the velocity of
+    /// the nearest segment.
     /// @throws DataError if the track is empty
     Pose at(double t_s) const;
     /// Returns the pose at `t_s` of an object that is mounted on the moving object of
-    /// this track. `mounted` is the mounting. Same as mounted_track(*this,
-    /// mounted).at(t_s).
+    /// this track. `mounted` is the pose of the mounted object in the moving frame. Same
+    /// as mounted_track(*this, mounted).at(t_s).
     Pose at(double t_s, const Pose& mounted) const;
     /// Returns the two entries of the track between which at(t_s) interpolates.
     /// @throws DataError if the track is empty
@@ -51,8 +51,8 @@ struct SecondReturn {
 /// A measured or simulated sweep: its rays and the returns of each ray.
 struct Scan {
     RayTable rays;  ///< for a ray with a return: its measured direction and origin
-    /// [n] range of the strongest return along the ray, from the ray's origin. 0 if the
-    /// ray was dropped.
+    /// [n] range of the strongest return, along the ray from its origin. 0 if the ray was
+    /// dropped.
     ScanArray<float> range_m;
     ScanArray<float> intensity;  ///< [n] intensity of the strongest return, 0..1; 0 if dropped
     /// Second, third, ... returns of all rays. A dropped ray has no further returns.
@@ -65,7 +65,7 @@ struct Scan {
 };
 
 /// Drops the rays of a scan whose range is outside the limits. Also removes second
-/// returns whose range is outside the limits.
+/// returns outside the limits.
 void drop_outside(Scan& scan, const RangeLimits& limits);
 
 /// State of a LiDAR at the start of a sweep: the azimuth of its head, and the time since
@@ -86,8 +86,7 @@ std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor&
 struct Frame {
     /// Frame number in the dataset. LiDARs that sweep at the same time share this number.
     int index = 0;
-    /// Reference time. The head faces forward at this time, except in a sweep with a
-    /// `start`.
+    /// Reference time. The head faces forward at this time unless `start` is set.
     double time_s = 0.0;
     Scan scan;
     int lidar = 0;  ///< index into Sequence::lidars
@@ -134,11 +133,11 @@ struct RangeNoise {
 /// A LiDAR of a log.
 struct Lidar {
     std::string name;  ///< Name in the dataset. Empty if the log has only one LiDAR.
-    /// Nominal sensor, used to generate rays for frames without a scan. If the LiDAR does
-    /// not spin, this sensor has no beams and period 0.
+    /// Nominal sensor, from which rays are generated for frames without a scan. If the
+    /// LiDAR does not spin, this sensor has no beams and period 0.
     SpinningSensor sensor;
-    /// Pose of the sensor in the vehicle frame. It is the identity if the log has a
-    /// single LiDAR, because the vehicle frame is then the sensor frame.
+    /// Pose of the sensor in the vehicle frame. If the log has a single LiDAR, the pose
+    /// is the identity, because the vehicle frame is then the sensor frame.
     Pose vehicle_from_sensor;
     /// Nominal pattern of a LiDAR that does not spin. Empty if the LiDAR spins, or if
     /// only its scans are known.
@@ -191,24 +190,24 @@ struct BoxTrack {
     glm::dvec3 size_m{0.0};  ///< length, width, height
     /// Poses at the times of the frames in which the box was labelled or discovered.
     PoseTrack world_from_box;
-    /// Kind of object whose typical size was used, for a discovered box of which the
-    /// scans show only one side. Otherwise empty.
+    /// Kind of object whose typical size the box has. Set only for discovered boxes of
+    /// which the scans show one side.
     std::string size_guess = {};
-    /// Numbers of poses that discover_tracks() added before the first label and after the
-    /// last label of a box.
+    /// Numbers of poses that discover_tracks() added before the first and after the last
+    /// label of the box.
     std::size_t n_before = 0, n_after = 0;
 
     /// Returns true if the object moves, as far as its labels and poses can show this.
     /// Labels jitter (by 9 cm on KITTI), so positions are averaged over one second, or
-    /// over half of a shorter track. The poses of a log also drift while a parked car is
+    /// over half of a shorter track. The poses of a log drift while a parked car is
     /// visible. Therefore an object moves only in one of these cases:
     /// - An average position is farther from the first average than 2 m, or than half the
     ///   longer side of the box but at least 0.2 m.
     /// - Between two successive averages the object moves faster than 0.5 m/s and by more
     ///   than 0.2 m.
     bool moves() const;
-    /// Returns true if the box was observed at a time. The tolerance is half the mean
-    /// time step between observations, on either side.
+    /// Returns true if the box was observed at a time. The tolerance before and after an
+    /// observation is half the mean time step.
     bool present(double t_s) const;
     /// Returns the track without the poses that were added before its first and after its
     /// last label.
@@ -218,8 +217,8 @@ struct BoxTrack {
     bool holds(const glm::dvec3& point_m, double t_s, double margin_m) const;
 };
 
-/// Model of the measured intensity as a function of range and angle of incidence. It is
-/// common to all beams of a log. The factor is 1 at 10 m and perpendicular incidence.
+/// Model of the measured intensity as a function of range and angle of incidence. All
+/// beams of a log share it. The factor is 1 at 10 m and perpendicular incidence.
 ///   intensity of the mean beam = albedo * at_range(range) * at_cosine(cos)
 struct IntensityResponse {
     /// Ranges of the factors, ascending. Empty: the factor is 1.
@@ -242,15 +241,15 @@ struct Sequence {
     std::vector<Frame> frames;                          ///< frames of all LiDARs, ascending in time
     PoseTrack world_from_vehicle;                       ///< an entry for each time that has frames
     std::vector<BoxTrack> boxes;
-    /// Offset from relidar's world to the dataset's world. Add it to coordinates in
-    /// relidar's world frame to get coordinates in the dataset's world frame.
+    /// Offset from relidar's world to the dataset's world. Add this vector to coordinates
+    /// in relidar's world frame to get coordinates in the dataset's world frame.
     glm::dvec3 world_offset_m{0.0};
-    /// Dependence of the intensity on range and incidence, common to all LiDARs. The
+    /// Dependence of the intensity on range and incidence. All LiDARs share it. The
     /// factor is 1 unless it was estimated.
     IntensityResponse intensity_response;
     std::string conventions;         ///< a single line for users: frames, units, time reference
     std::vector<std::string> notes;  ///< Messages about data that the log lacks, one line each
-    /// Indices of the test frames in published results on this part of the dataset.
+    /// Indices of the test frames that published results on this part of the dataset use.
     std::vector<int> test_frames = {};
     /// False: all poses are identity until they are estimated by a registration of the
     /// scans.
@@ -264,7 +263,7 @@ struct Sequence {
     /// @throws DataError if there is no such pose
     std::size_t pose_of(const Frame& frame) const;
     /// Returns the poses of a LiDAR at the times of the vehicle's poses. Each pose is the
-    /// vehicle's pose combined with the mounting of the LiDAR.
+    /// pose of the vehicle combined with the mounting of the LiDAR.
     PoseTrack world_from_sensor(int lidar) const;
     /// Returns the total number of beams of all LiDARs.
     std::size_t count_beams() const;
@@ -290,17 +289,17 @@ int find_lidar(const Sequence& sequence, const std::string& name);
 /// @param track  poses of the moving object
 /// @param sensor_from_moved  pose of the mounted object in the frame of the moving object
 PoseTrack mounted_track(PoseTrack track, const Pose& sensor_from_moved);
-/// Returns the same motion with additional poses in curves. An object that is mounted on
-/// the track then follows the curve, instead of straight lines between the poses.
+/// Returns the same motion with additional poses in curves. A mounted object then follows
+/// the curve, instead of straight lines between the poses.
 PoseTrack with_fine_turns(const PoseTrack& track);
 /// Returns the same poses in a world frame with another origin.
 /// @param by_m  vector that is added to every position. Sequence::world_offset_m converts
-/// from relidar's world to the dataset's world. Its negative converts back.
+/// from relidar's world to the dataset's world. The negative vector converts back.
 PoseTrack shifted_track(PoseTrack track, const glm::dvec3& by_m);
 
-/// Replaces the poses of the vehicle, at the same times. Also moves the boxes, because
-/// they were labelled on the scans. Each box keeps its pose relative to the vehicle at
-/// the time of its label.
+/// Replaces the poses of the vehicle, at the same times. Boxes are labelled relative to
+/// the scans, so they move too: each box keeps its pose relative to the vehicle at the
+/// time of its label.
 void set_vehicle_poses(Sequence& sequence, PoseTrack world_from_vehicle);
 
 /// A ray in the world frame at the time at which it was fired.
@@ -324,8 +323,8 @@ WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayT
 /// @return the `time_s` of the sweep if the sequence has no rolling shutter
 double facing_time(const Sequence& sequence, const glm::dvec3& point_m, const SweepMoment& sweep);
 
-/// Range and intensity of a surface that a ray hit. The intensity still depends on the
-/// angle of incidence.
+/// Range and intensity of the surface that a ray hit. The intensity is not corrected for
+/// the angle of incidence.
 struct SurfaceReturn {
     /// Range of the surface, without the range offset of the beam. 0 if the ray was
     /// dropped.
@@ -338,8 +337,8 @@ struct SurfaceReturn {
 SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
                              std::size_t number = 0);
 
-/// End point of a returned ray in the world frame, and the time at which it was measured.
-/// The range offset and the intensity response of the beam are removed.
+/// End point of a returned ray in the world frame, and the time at which the ray was
+/// fired. The range offset and the intensity response of the beam are removed.
 struct WorldReturn {
     glm::dvec3 point_m;
     glm::dvec3 direction;
@@ -363,10 +362,10 @@ bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m
 struct LaserCalibration {
     std::size_t returns = 0;  ///< number of returns that were compared
     double rms_before = 0.0;  ///< Root mean square distance of points from their plane, in metres.
-    double rms_after = 0.0;   ///< The same distance after an offset was added for each beam.
+    double rms_after = 0.0;   ///< The same distance (RMS) after adding an offset for each beam.
     bool adopted = false;     ///< True if the offsets were stored in the beams.
 };
-/// Result of calibrate_intensity().
+/// Result of calibrate_intensity(): the errors of intensities before and after.
 struct IntensityCalibration {
     std::size_t returns = 0;  ///< number of returns that were compared
     /// Root mean square difference between an intensity and the mean of returns at the

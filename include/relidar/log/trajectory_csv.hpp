@@ -9,8 +9,8 @@ namespace relidar {
 struct PoseTrack;
 
 /// Writes poses to a CSV file with the columns time_s,x,y,z,yaw_deg,pitch_deg,roll_deg.
-/// Numbers keep their full precision. read_trajectory() can read the file. Users can
-/// therefore edit the trajectory of a log, and planners can read it.
+/// Numbers keep their full precision. read_trajectory() can read the file, so users can
+/// edit the trajectory of a log. Planners can read the file too.
 /// @throws DataError like write_atomically()
 void write_trajectory(const std::filesystem::path& path, const PoseTrack& track);
 

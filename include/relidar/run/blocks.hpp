@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trains a long log in blocks. A block is a section of the sensor's trajectory. It is
-// trained separately with the sweeps that see it. The trained blocks are then joined to
-// one scene, and their backgrounds are loaded from files when needed (Scene::blocks). The
-// paper trains a log as one unit and names this as a limitation.
+// Trains a long log in blocks. A block is a section of the sensor's trajectory, and it is
+// trained separately with the sweeps that see this section. The trained blocks are then
+// joined to one scene. The backgrounds of the blocks stay in files and are loaded when
+// needed (Scene::blocks). The paper trains a log as one unit and names this as a
+// limitation.
 #pragma once
 
 #include <filesystem>
@@ -24,23 +25,23 @@ struct Block {
     /// Indices in Sequence::frames of the sweeps recorded in this section, including
     /// held-out sweeps.
     std::vector<int> own;
-    /// Indices of the training frames that see the section. These are the sweeps recorded
-    /// in the section or within a fixed distance of it (the halo).
+    /// Indices of the training frames that see the section: the sweeps recorded in the
+    /// section or within a fixed distance of it (the halo).
     std::vector<int> train;
 };
 
 /// Divides the vehicle's trajectory into blocks of equal length, at most
-/// options.length_m. Skips sections without a sweep, where the log has a gap.
+/// options.length_m. Skips sections without a sweep, which are gaps of the log.
 /// @throws DataError if a block has no training frame within its halo
 std::vector<Block> plan_blocks(const Sequence& sequence, const Split& split, const BlockConfig& options);
 
 /// Part of a log that is used to train one block. It contains the training frames of the
-/// block, the held-out frames recorded in the block, and boxes near them.
+/// block, the held-out frames recorded in the block, and the boxes near these frames.
 struct BlockLog {
     Sequence sequence;
     Split split;
-    /// Settings for the training of one block. Division into blocks is disabled, and only
-    /// tracks of this block are listed.
+    /// Settings for the training of one block. These settings do not divide the log
+    /// again, and they list only the tracks of this block.
     Config config;
 };
 /// Copies the part of a prepared log that is needed to train one block.
@@ -48,13 +49,14 @@ struct BlockLog {
 BlockLog block_log(const Sequence& sequence, const Split& split, const Block& block, const Config& config);
 
 /// Removes all background surfels that belong to other blocks. A surfel belongs to the
-/// block with the sweep that is nearest to it.
+/// block that contains the sweep nearest to the surfel.
 void remove_overlap_surfels(Scene& scene, const Sequence& sequence, const std::vector<Block>& blocks,
                             std::size_t block);
 
 /// Joins trained blocks to one run. Background surfels stay in the files of the blocks.
-/// Each actor is copied from the block with the most training frames that saw it.
-/// Corrected poses are copied from the block in which the sweep was recorded.
+/// Each actor is copied from the block in which the most training frames saw this actor.
+/// The corrected pose of each sweep is copied from the block in which the sweep was
+/// recorded.
 /// @param run run with the prepared log and without a scene
 /// @param folders [blocks] run folders of the blocks
 /// @throws DataError if a run folder has a missing, truncated or inconsistent file

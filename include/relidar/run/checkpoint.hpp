@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checkpoint files. A checkpoint is the complete state of a training, from which training
-// resumes exactly. It is a list of named arrays and texts. Each class lists its state in
-// one function, which is used for both writing and reading.
+// Checkpoint files. A checkpoint is the complete state of a training, so that the
+// training can resume exactly. It is a list of named arrays and texts. Each class lists
+// its state in one function, which serves both writing and reading.
 //
 // A checkpoint is stored as a safetensors file, which is written atomically. Its metadata
 // contain the texts and the keys format, version, relidar (version of the writer),
@@ -46,7 +46,7 @@ constexpr const char* dtype_of() {
     else return sizeof(T) == 4 ? "u4" : "u8";
 }
 
-/// Refers to the first n values of a device array, which may have more values.
+/// Refers to the first n values of a device array. The array may be longer.
 template <class T>
 struct FirstOf {
     Array<T>& array;
@@ -126,9 +126,9 @@ public:
 private:
     const Checkpoint& checkpoint_;
 
-    /// Returns an array after checking its type and shape. find_rows() accepts any
-    /// length. surfels_of() returns the arrays of n surfels. copy() copies all bytes of
-    /// an array.
+    /// Returns the array with this name after checking its type and shape. find_rows()
+    /// accepts any length. surfels_of() returns the arrays of n surfels. copy() copies
+    /// all bytes of an array.
     const NamedArray& find(const std::string& name, const char* dtype,
                            const std::vector<std::size_t>& shape) const;
     const NamedArray& find_rows(const std::string& name, const char* dtype) const;
@@ -151,7 +151,7 @@ Checkpoint read_checkpoint(const std::filesystem::path& path);
 /// Lists the checkpoint files of a folder, oldest first, for example
 /// iteration_00000400.safetensors. Returns an empty list if the folder does not exist.
 std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path& folder);
-/// Writes a checkpoint into a folder, which is created if needed. Then removes older
+/// Writes a checkpoint into a folder and creates the folder if needed. Then removes older
 /// checkpoints, so that at most `keep` remain. Also removes checkpoints of later
 /// iterations, because they belong to an abandoned training. Files are removed only after
 /// the new checkpoint is on disk.

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Settings of a run, one field per setting. The name of a setting consists of the field
-// names below, joined by dots, for example `loss.depth` or `init.voxel_m`. Fields that
-// `relidar list settings --all` does not list are constants of the preset. A run with a
-// changed constant cannot be saved.
+// names below, joined by dots, for example `loss.depth` or `init.voxel_m`. Some fields
+// are constants of the preset; `relidar list settings --all` does not list them. A run
+// with a changed constant cannot be saved.
 #pragma once
 
 #include <cstdint>
@@ -20,26 +20,29 @@ namespace relidar {
 
 struct DatasetConfig {
     std::string path;  ///< Path of the dataset as given on the command line.
-    /// Name of the drive to read from a dataset with several drives. Empty = the first
+    /// Name of the drive to read if the dataset has several drives. Empty = the first
     /// drive.
     std::string sequence;
     std::string lidars;  ///< Comma-separated names of the LiDARs to read. Empty = all.
     int frames_begin = 0;
-    int frames_end = -1;  ///< End of the frame range (exclusive). -1 = all frames up to the last one.
+    /// End of the frame range. The frame with this number is excluded. -1 = the range
+    /// includes the last frame.
+    int frames_end = -1;
     int test_every = 10;
     /// Indices and ranges of the held-out frames, for example "13,26,40:45". Empty =
     /// test_every selects the frames.
     std::string test_frames;
-    /// File that contains one pose per frame, as 12 numbers per line. Empty = poses of
-    /// the dataset. kNoPoses = no poses.
+    /// Text file with one pose per frame, as 12 numbers per line. Empty = use the poses
+    /// of the dataset. kNoPoses = read no poses.
     std::string poses;
-    /// Frame or topic of a ROS bag that provides the poses. Empty = relidar selects it.
+    /// TF frame or topic of a ROS bag from which the poses are read. Empty = relidar
+    /// selects it.
     std::string poses_from;
     bool skip_broken = false;
     double min_range_m = 0.0;
     double max_range_m = 80.0;
-    /// Mapping of Waymo intensities to 0..1, because they have no upper bound: "tanh", or
-    /// "clamp" at 1.
+    /// Function that maps Waymo intensities to 0..1: "tanh", or "clamp" at 1. The mapping
+    /// is needed because these intensities have no upper bound.
     std::string waymo_intensity = "tanh";
     /// Maximum memory for scans, MiB. Scans beyond this limit are stored in a
     /// memory-mapped file. 0 = half of the machine's memory.
@@ -47,9 +50,9 @@ struct DatasetConfig {
     bool operator==(const DatasetConfig&) const = default;
 };
 
-/// Selects the scans that are simulated with a rolling shutter. Each ray of such a scan
-/// starts at the sensor's pose at its firing time, instead of the pose at the time of the
-/// scan.
+/// Selects the scans that are simulated with a rolling shutter. With a rolling shutter,
+/// each ray starts at the sensor's pose at the firing time of the ray. Without it, all
+/// rays start at the pose at the time of the scan.
 ///
 ///   automatic  scans of sensors that are not in the log, and scans of the log's sensors
 ///              unless the log is motion-compensated
@@ -60,23 +63,23 @@ enum class RollingShutter { automatic, yes, no };
 struct SensorConfig {
     /// Layout of range images for rendering and scores: "native" or "kitti360".
     std::string grid = "native";
-    /// Method for computing grid images. "project": simulate the native scan and assign
-    /// its points to cells like real points. "cast": cast one ray through each cell
-    /// centre.
+    /// Method for computing grid images. "project": simulate the native scan and bin its
+    /// points into cells, in the same way as measured points. "cast": cast one ray
+    /// through each cell centre.
     std::string grid_method = "project";
     RollingShutter rolling_shutter = RollingShutter::automatic;
-    /// Quantities that are calibrated per beam before training: "none", "range",
+    /// Quantities to calibrate for each beam before training: "none", "range",
     /// "intensity" or "range,intensity".
     std::string calibrate = "none";
     /// Number of rays that sample the footprint of each simulated beam: 1, 5 or 9.
     int sub_rays = 1;
     /// Full divergence angle of a simulated beam, milliradians. 0 = value of the sensor.
     double divergence_mrad = 0.0;
-    /// Number of returns per simulated ray, 1 or 2. The 2 returns are the strongest and
-    /// the last return. They require sub_rays = 5 or 9.
+    /// Number of returns per simulated ray, 1 or 2. With 2, a ray gives the strongest and
+    /// the last return, and sub_rays must be 5 or 9.
     int returns = 1;
-    /// Minimum distance between two returns of a ray, metres. Surfaces closer than this
-    /// are merged to one return.
+    /// Minimum distance between two returns of a ray, metres. Surfaces that are closer to
+    /// each other give one merged return.
     double return_separation_m = 0.5;
 
     /// Returns true if `calibrate` includes the given quantity.
@@ -93,13 +96,14 @@ struct TrainConfig {
     int rays_per_iteration = 0;     ///< Number of rays per iteration. 0 = all rays of one frame (paper).
     int sh_degree_start = 0;        ///< Degree of the spherical harmonics (SH) at the first iteration.
     int sh_degree_interval = 1000;  ///< Number of iterations after which the SH degree increases by one.
-    /// Initial learning rate of the surfel means, relative to the extent of the model.
+    /// Initial learning rate of the surfels' mean positions, relative to the extent of
+    /// the model.
     double mean_rate = 1.6e-4;
     double mean_rate_final = 1.6e-6;
     double rotation_rate = 1e-3;
     double scale_rate = 5e-3;
-    /// Maximum ratio between a surfel's standard deviation and its initial value (paper:
-    /// unlimited).
+    /// Maximum ratio between a surfel's standard deviation and the initial value of this
+    /// deviation (paper: unlimited).
     double max_growth = 1000.0;
     double opacity_rate = 0.05;
     double sh_rate = 2.5e-3;
@@ -107,13 +111,13 @@ struct TrainConfig {
     /// logits. 1 = equal rates (paper).
     double intensity_factor = 1.0;
     /// Final value of the learning rates relative to their initial value, after
-    /// exponential decay. It applies to all rates except the rate of the means. 1 =
-    /// constant rates (paper).
+    /// exponential decay. It applies to all learning rates except that of the mean
+    /// positions. 1 = constant rates (paper).
     double rate_decay = 1.0;
     bool only_touched = false;   ///< If true, Adam skips surfels without a gradient in the current batch.
     bool deterministic = false;  ///< If true, two runs on one device give bit-equal parameters.
-    /// If true, estimates separately from the scene which rays the sensor never returns.
-    /// This replaces the paper's U-Net.
+    /// If true, training estimates which rays the sensor never returns, independently of
+    /// the scene. This estimate replaces the paper's U-Net.
     bool sensor_drop = false;
     /// Poses that are optimised together with the scene: "none", "sensor", "actors" or
     /// "sensor,actors".
@@ -121,16 +125,16 @@ struct TrainConfig {
     /// If true, the scans are registered before the scene is initialised. Pose
     /// optimisation then starts from the registered poses.
     bool pose_register = true;
-    /// If true, poses of registered held-out scans are corrected again with the trained
-    /// scene.
+    /// If true, the poses of held-out scans are corrected after training, by registration
+    /// to the trained scene.
     bool place_held_out = true;
     /// If true, training continues even if many scans could not be registered.
     bool allow_lost_scans = false;
     /// Initial learning rate of the sensor's translations, metres. Learning rates of its
     /// rotations and of actors' boxes are computed from this value.
     double pose_rate_m = 2e-4;
-    /// Device memory for the rays of training frames, MiB. Frames that do not fit are
-    /// uploaded again each time.
+    /// Device memory for the rays of training frames, MiB. If a frame does not fit, its
+    /// rays are uploaded again each time.
     int frame_memory_mib = 2048;
     int log_every = 50;
     /// Number of iterations between checkpoints. 0 = checkpoints depend only on time.
@@ -151,10 +155,11 @@ struct BlockConfig {
     /// Maximum length of a block along the sensor's trajectory, metres. 0 = do not divide
     /// the log.
     double length_m = 0.0;
-    /// Distance from a block within which other sweeps are also used to train it, metres.
+    /// Distance around a block, metres. Sweeps within this distance are also used to
+    /// train the block.
     double halo_m = 40.0;
-    /// Number of times that each training frame is used to train the actors in front of
-    /// the joined background. 0 = off.
+    /// Number of times that each training frame is used to train the actors in the joined
+    /// scene, after all blocks are trained. 0 = off.
     int actor_epochs = 4;
     bool operator==(const BlockConfig&) const = default;
 };
@@ -163,14 +168,15 @@ struct RenderConfig {
     /// Quantity in range images: "expected" (D, paper), "normalised" (D / W), "median" or
     /// "mode".
     std::string range = "normalised";
-    /// If true, scans at the time of a sweep in the log use the measured rotation of the
+    /// If true, a scan at the time of a recorded sweep uses the measured rotation of the
     /// LiDAR's head.
     bool follow_sweeps = false;
     /// Comma-separated names of optional channels that a scan gets in addition to the
     /// basic channels.
     std::string channels;
-    /// Range of the points in point clouds. "median": range at which the transmittance of
-    /// the ray falls to 0.5. "range": the quantity that range images use.
+    /// Range at which points of point clouds are placed. "median": range at which the
+    /// transmittance of the ray falls to 0.5. "range": the same quantity as in range
+    /// images.
     std::string points = "median";
     /// Device memory for caching background blocks, MiB. Blocks that the current scan
     /// needs are not counted.
@@ -181,8 +187,8 @@ struct RenderConfig {
 struct TraceConfig {
     int chunk = 16;
     /// Initial number of hits per ray that the forward pass stores for the backward pass.
-    /// It is doubled up to 256 while any ray has more hits. 0 = the backward pass casts
-    /// every ray again (paper).
+    /// The number is doubled up to 256 while any ray has more hits. 0 = the backward pass
+    /// traces every ray again (paper).
     int keep_hits = 64;
     bool operator==(const TraceConfig&) const = default;
 };
@@ -202,8 +208,8 @@ struct Config {
     TraceConfig trace;
 
     /// Returns true if a loss compares neighbouring pixels. A training step then uses
-    /// windows of adjacent columns. Otherwise it uses groups of columns from all
-    /// directions.
+    /// windows of adjacent columns. If no loss does, a step uses groups of columns from
+    /// all directions.
     bool needs_images() const { return loss.intensity * loss.intensity_ssim > 0.0f; }
     bool operator==(const Config&) const = default;
 };
@@ -237,7 +243,7 @@ void load_config(Config& config, const std::filesystem::path& path);
 Config load_saved_config(const std::filesystem::path& path);
 
 /// Returns all settings as TOML text, with explanations as comments. load_saved_config()
-/// restores the same values.
+/// reads the same values from this text.
 std::string to_toml(const Config& config);
 /// Returns the settings as TOML text. Leaves out expert settings that equal the preset.
 std::string to_short_toml(const Config& config);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Functions that edit a dynamic scene. They return an edited copy of a scene and its
+// Functions that edit a dynamic scene. They return an edited copy of the scene and its
 // tracks. A track gives the pose of an instance over time (Eq. 4-5). Edits change only
-// tracks and instances, never the parameters of a surfel.
+// tracks and instances. They never change the parameters of a surfel.
 #pragma once
 
 #include <filesystem>
@@ -21,14 +21,14 @@ namespace relidar {
 /// its initial box frame, or along a path.
 struct Start {
     /// Pose of the box centre at the start of the log. The dataset's world frame is
-    /// relidar's world frame shifted by world_offset_m.
+    /// relidar's world frame, shifted by world_offset_m.
     Pose dataset_from_box;
     double speed_mps = 0.0;
     /// Poses of the box centre at the times of the log's frames, in the dataset's world
     /// frame. If the path is empty, the actor moves straight ahead.
     PoseTrack dataset_path = {};
-    /// Length of the path below which the log has not seen any ground, metres. On this
-    /// part the actor keeps the mean slope of its path.
+    /// Length of the part of the path on which the log has not observed any ground,
+    /// metres. On this part the actor keeps the mean slope of its path.
     double unseen_m = 0.0;
 };
 
@@ -39,8 +39,8 @@ struct GroundPlace {
     /// vehicle at the nearest point of its trajectory.
     std::optional<double> yaw_rad = {};
     double speed_mps = 0.0;
-    /// Height of the box bottom above the ground, metres. Default: the height that the
-    /// actor has in its own scene, or 0 if it is unknown.
+    /// Height of the box bottom above the ground, metres. Default: the height of the
+    /// actor in its original scene, or 0 if that height is unknown.
     std::optional<double> clearance_m = {};
 };
 
@@ -50,20 +50,20 @@ struct DrivingView {
     const Sequence& sequence;
 };
 
-/// Returns the median height of the bottom of an actor's box above the ground along its
-/// track, metres. Many labelled boxes begin above the road, so this height is needed to
-/// place a copy of the actor.
+/// Returns the height of the bottom of an actor's box above the ground, metres. The
+/// height is the median along the track. Many labelled boxes begin above the road, so a
+/// copy of the actor must be placed at the same height.
 /// @return nullopt if the actor's scene has no ground below the box
 /// @throws UsageError if no instance has this track
 std::optional<double> ground_clearance(const DrivingView& owner, const std::string& track);
 
 /// Computes the pose of an actor on the ground of the background. A moving actor gets a
-/// path that is straight in x and y and follows the ground. The actor is tilted like the
-/// plane through the level surfels below its box. The actor gets the same height above
-/// this plane that it has above the ground in `owner`. If `owner` has no ground below the
-/// box, the bottom of the box is placed on the plane. Bridges and trees are not ground.
-/// Therefore, surfels higher than the log's sensor plus a quarter of the distance to it
-/// are ignored.
+/// path that is straight in x and y and follows the ground. The ground plane is fitted to
+/// the level surfels below the box, and the actor is tilted like this plane. The actor's
+/// height above the plane equals its height above the ground in `owner`. If `owner` has
+/// no ground below the box, the bottom of the box is placed on the plane. Bridges and
+/// trees are not ground. Therefore, surfels higher than the log's sensor plus a quarter
+/// of the distance to it are ignored.
 /// @param owner scene that contains the actor
 /// @throws UsageError naming the position if the background has no level surface below
 /// the start
@@ -82,12 +82,13 @@ DrivingScene remove_track(DrivingScene driving, const std::string& track);
 ///   world_from_box'(t) = world_from_box(t) * box_from_moved
 DrivingScene move_track(DrivingScene driving, const std::string& track, const Pose& box_from_moved);
 
-/// Delays an actor's track by a number of seconds. A negative value makes the actor
-/// earlier. The actor is absent outside the time interval of its track.
+/// Delays an actor's track by a number of seconds. With a negative value, the actor
+/// appears earlier. The actor is absent outside the time interval of the shifted track.
 DrivingScene retime_track(DrivingScene driving, const std::string& track, double seconds);
 
-/// Returns a message with the number of frames in which an edit has made an actor absent.
-/// Returns an empty string if there are none, or if the edited log has no such track.
+/// Returns a message if an edit has made an actor absent in some frames. The message
+/// contains the number of these frames. Returns an empty string if there are no such
+/// frames, or if the edited log has no such track.
 std::string lost_frames_note(const BoxTrack& before, const Sequence& edited);
 
 /// Replaces the trajectory of an actor. Between the given poses, positions are
@@ -100,34 +101,34 @@ std::string lost_frames_note(const BoxTrack& before, const Sequence& edited);
 DrivingScene replace_trajectory(DrivingScene driving, const std::string& track,
                                 const PoseTrack& dataset_from_box);
 
-/// Adds a second instance of an actor's model at the end of the instance list. The copy
-/// of track "0" gets the name "0-copy-1".
+/// Adds a second instance of an actor's model at the end of the instance list. The first
+/// copy of track "0" gets the name "0-copy-1".
 DrivingScene copy_track(DrivingScene driving, const std::string& track, const Start& start);
 
 /// Adds an actor from another scene at the end of the instance list. The actor keeps its
-/// track name unless the scene already has this name. Otherwise "0" becomes "0-insert-1".
-/// Its spherical harmonics are evaluated up to the SH degree of the new scene. Its
-/// intensities remain those of the sensor that recorded it.
+/// track name if this name is free. Otherwise "0" becomes "0-insert-1". The spherical
+/// harmonics of the actor are evaluated up to the SH degree of the new scene. The
+/// intensities of the actor remain those of the sensor that recorded it.
 DrivingScene insert_track(DrivingScene driving, const DrivingScene& other, const std::string& track,
                           const Start& start);
 
-/// Removes all actors. keep_actors() removes all background surfels instead and keeps the
-/// background as a model without surfels.
+/// Removes all actors. keep_actors() does the opposite: it removes all background surfels
+/// and keeps the background as a model without surfels.
 DrivingScene keep_background(DrivingScene driving);
 DrivingScene keep_actors(DrivingScene driving);
 
-/// Compares the resolution of an actor's model with the resolution of a LiDAR at the
-/// smallest distance between them.
+/// Compares the number of an actor's surfels with the number of LiDAR rays that hit the
+/// actor at the smallest distance.
 struct ActorDetail {
-    /// Smallest distance between the LiDAR and the box centre over all frames with both
-    /// of them, metres.
+    /// Smallest distance between the LiDAR and the box centre, over all frames that have
+    /// both, metres.
     double nearest_m = 0.0;
     double time_s = 0.0;   ///< Time of the frame with the smallest distance.
     std::size_t rays = 0;  ///< Number of rays that hit the box in the sweep with the smallest distance.
     std::size_t surfels = 0;
 
-    /// Returns true if the actor has so few surfels per ray that it looks like blobs with
-    /// gaps between them. Such an actor was trained from a larger distance.
+    /// Returns true if the actor has too few surfels per ray, so that it looks like blobs
+    /// with gaps between them. Such an actor was trained from a larger distance.
     bool is_sparse() const { return rays > 8 * surfels; }
 };
 /// Compares the resolution of an actor's model with one LiDAR of the log.
@@ -145,10 +146,10 @@ ActorDetail actor_detail(const DrivingScene& driving, const std::string& track, 
 ActorDetail actor_detail(std::span<const glm::vec3> origin, std::span<const glm::vec3> direction,
                          const Pose& box_from_sensor, const glm::dvec3& size_m, std::size_t surfels);
 
-/// Reads a trajectory from a CSV file. A header names the columns in any order: time_s,
-/// x, y, z, yaw_deg or yaw_rad, and optionally pitch and roll in either unit. Without a
-/// header the columns are time_s, x, y, z, yaw_deg[, pitch_deg, roll_deg]. The rotation
-/// is R = Rz(yaw) Ry(pitch) Rx(roll).
+/// Reads a trajectory from a CSV file. A header line names the columns in any order:
+/// time_s, x, y, z, yaw_deg or yaw_rad, and optionally pitch and roll in either unit.
+/// Without a header, the columns are time_s, x, y, z, yaw_deg[, pitch_deg, roll_deg]. The
+/// rotation is R = Rz(yaw) Ry(pitch) Rx(roll).
 /// @throws DataError naming line and column if a value is invalid, a column is unknown,
 /// or there are fewer than two poses
 PoseTrack read_trajectory(const std::filesystem::path& path);
@@ -177,8 +178,9 @@ struct ScenarioEntity {
 /// an entity with a trajectory has no BoundingBox
 std::vector<ScenarioEntity> read_scenario(const std::filesystem::path& path);
 
-/// Returns the track of an actor that takes the place of a scenario entity. Both box
-/// centres have the same x and y, and both box bottoms have the same height.
+/// Returns the track of an actor that replaces a scenario entity. The box centres of the
+/// actor and the entity have the same x and y. The bottoms of both boxes have the same
+/// height.
 /// @param begin_s time of the log at which the scenario begins
 /// @param size_m [3] size of the actor's box, metres
 PoseTrack box_track(const ScenarioEntity& entity, double begin_s, const glm::dvec3& size_m);

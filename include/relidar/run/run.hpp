@@ -36,8 +36,8 @@ struct RunEdit {
     std::string edit;  ///< Edit as it was typed on the command line, for example "--move 0:0,3.5,0".
 };
 
-/// Contents of a run folder. Frames of the sequence have an index and a time, but their
-/// scans are not stored.
+/// Contents of a run folder. The folder stores the index and the time of each frame, but
+/// not its scan.
 struct Run {
     std::filesystem::path folder;
     Config config;
@@ -51,7 +51,7 @@ struct Run {
     /// Scatter of measured intensities for each LiDAR, [lidars]. Empty if unknown.
     std::vector<IntensityScatter> intensity_scatter{};
     /// True if the poses of held-out scans were corrected with the trained scene. A
-    /// resumed training then does not correct them again.
+    /// resumed training then does not correct these poses again.
     bool held_out_placed = false;
     /// Kinds of poses that training has corrected, in the format of train.refine_poses.
     /// Empty if all poses are those of the log.
@@ -68,17 +68,17 @@ struct Run {
 
 /// Writes settings, scene, network and all other files of a run. A new folder appears
 /// only when it is complete. In an existing folder, all new files are first written under
-/// temporary names and then renamed. The earlier run stays valid until the renaming.
-/// Block files in other folders are hard-linked to blocks/NNN/model.safetensors, or
-/// copied if the file system has no links.
+/// temporary names and then renamed. The earlier run stays valid until the files are
+/// renamed. Block files in other folders are hard-linked to blocks/NNN/model.safetensors,
+/// or copied if the file system does not support hard links.
 /// @throws DataError if the folder cannot be created or written, or if an option that is
 /// not a setting differs from its preset value
 void save_run(const Run& run);
 /// Writes a run into the folder of an earlier run, like save_run().
 /// @param remove_earlier called after all files are written and before they are renamed
 void replace_run(const Run& run, const std::function<void()>& remove_earlier);
-/// Writes a run and replaces the existing folder with all its contents. The replacement
-/// is atomic if the file system can exchange two folders.
+/// Writes a run and replaces an existing folder with all its contents. The replacement is
+/// atomic if the file system can exchange two folders in one operation.
 void replace_folder(const Run& run);
 
 /// Loads a run folder.
@@ -88,8 +88,8 @@ Run load_run(const std::filesystem::path& folder);
 /// Saves a scene as safetensors: mean [n,3], rotation [n,4], log_scale [n,2],
 /// opacity_logit [n], sh [n,3,16], and for 3D Gaussians log_scale_w [n]. The metadata
 /// contain the name of the primitive, the models and the instances. They also list the
-/// files of the scene's blocks. These files are not written and must be in or below the
-/// same folder.
+/// files of the scene's blocks. The block files are not written here and must be in or
+/// below the same folder.
 /// @throws DataError if an array has the wrong shape or a value that is not finite, or if
 /// the file cannot be written
 void save_model(const std::filesystem::path& path, const Scene& scene);
@@ -101,13 +101,14 @@ Scene load_model(const std::filesystem::path& path);
 /// Loads the background surfels of a block from its file.
 /// @throws DataError if the file is invalid or its number of surfels differs from `block`
 Surfels read_block(const SceneBlock& block);
-/// Returns a copy of the scene whose background also contains the selected blocks. Its
-/// background is sorted in kd-tree order. The copy does not refer to the other blocks.
+/// Returns a copy of the scene whose background also contains the surfels of the selected
+/// blocks. The background is sorted in kd-tree order. The copy does not refer to the
+/// other blocks.
 /// @param blocks indices in Scene::blocks
 /// @throws DataError if a block file is invalid
 Scene read_blocks(const Scene& scene, const std::vector<std::size_t>& blocks);
-/// Returns a copy of the scene with all blocks loaded. Use it for functions that need
-/// every surfel.
+/// Returns a copy of the scene with the surfels of all blocks in memory. Use this copy
+/// for functions that need every surfel.
 Scene load_all_blocks(const Scene& scene);
 
 /// Saves a ray-drop network as a safetensors file. load_drop_network() loads it.
@@ -123,12 +124,12 @@ DropNetwork load_drop_network(const std::filesystem::path& path);
 std::string layout_to_json(const Scene& scene);
 void read_layout_json(const std::string& text, const std::string& where, Scene& scene);
 
-/// Returns true if a path looks like a run folder, which contains a scene.json or a
-/// model.
+/// Returns true if a path looks like a run folder: it contains a scene.json or a model
+/// file.
 bool is_run(const std::filesystem::path& path);
 
-/// Creates a folder and a test file in it. This check reports an unwritable folder before
-/// long work starts.
+/// Creates a folder and a test file in this folder. Call this function before long work,
+/// so that an unwritable folder is reported at the start.
 /// @throws DataError if the folder or the file cannot be created
 void check_writable(const std::filesystem::path& folder);
 

@@ -15,11 +15,11 @@ namespace relidar {
 Config with_farthest(Config config, const Sequence& sequence);
 /// Returns the options for ray tracing that are the same on every device.
 TraceOptions trace_options(const Config& config);
-/// Returns the options for ray tracing during training. They include outputs that only
-/// losses need.
+/// Returns the options for ray tracing during training. They enable additional outputs
+/// that only losses need.
 TraceOptions training_trace_options(const Config& config);
 /// Returns the options for ray tracing when scans are rendered. They enable normals and
-/// the surface with the largest weight.
+/// the search for the surface with the largest weight.
 TraceOptions rendering_trace_options(const Config& config);
 /// Returns the options for the summation of gradients in the backward pass.
 BackwardOptions backward_options(const Config& config);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Surface of an actor's box: which parts of it the log has observed.
+// Surface of an actor's box. Stores which parts of the surface the log has observed.
 #pragma once
 
 #include <array>
@@ -10,15 +10,15 @@
 
 namespace relidar {
 
-/// Sides of a box for which the observed fraction is measured. The bottom is not
-/// included.
+/// Sides of a box for which the observed fraction is measured. The bottom is excluded.
 enum class BoxSide { front, rear, left, right, top };
 inline constexpr std::size_t kBoxSides = 5;
 /// Returns the name of a side: "front", "rear", "left", "right", "top".
 const char* name_of(BoxSide side);
 
-/// Axes of a side: the axis of its normal, the sign of the normal, and the two axes along
-/// which patches are counted. For vertical sides, the second axis is the height.
+/// Axes of a side of a box. `normal` and `sign` define the outward normal. Patches are
+/// counted along the axes `first` and `second`. For vertical sides, `second` is the
+/// height.
 struct SideFrame {
     int normal;
     double sign;
@@ -27,9 +27,11 @@ struct SideFrame {
 inline constexpr SideFrame kSideFrames[kBoxSides] = {
     {0, 1.0, 1, 2}, {0, -1.0, 1, 2}, {1, 1.0, 0, 2}, {1, -1.0, 0, 2}, {2, 1.0, 1, 0}};
 
-/// Observed fraction of each side of a box, 0 to 1, in the order of BoxSide.
+/// Observed fraction of each side of a box, 0 to 1. The order is that of the enumerators
+/// of BoxSide.
 using SideShares = std::array<float, kBoxSides>;
-/// A side counts as unseen if the log observed less than this fraction of it.
+/// Minimum observed fraction of a side. If the log observed less, the side counts as
+/// unseen.
 inline constexpr float kUnseenSide = 0.1f;
 /// Returns the names of the unseen sides, for example "rear, left". Returns an empty text
 /// if the log observed all sides.
@@ -45,25 +47,27 @@ public:
     /// @param size_m [3] length, width, height, all above 0
     explicit BoxSurface(const glm::dvec3& size_m);
     /// Marks the patch of a point as observed by a ray. The ray must hit the side from
-    /// outside and must not graze it. Rays from inside are ignored, because they reach
-    /// the far side through a window. The centre of the box and points below the sides
-    /// are ignored too.
+    /// outside and must not graze it. Rays from inside are ignored, because they have
+    /// passed through a window to the far side. The centre of the box and points below
+    /// the sides are ignored too.
     /// @param point_m [3] box frame
     /// @param direction [3] direction of the ray, box frame
     void add(const glm::dvec3& point_m, const glm::dvec3& direction);
     /// Returns true if the patch of a point was observed. Returns false if the point is
     /// on the ignored lowest part of a side.
     bool is_seen(const glm::dvec3& point_m) const;
-    /// Returns true if the patch of a point was not observed, but its mirror patch was
-    /// observed. The mirror patch is on the other side of the box.
+    /// Returns true if the patch of a point was not observed, but its mirror patch on the
+    /// other side of the box was observed.
     bool is_mirrored(const glm::dvec3& point_m) const;
     /// Returns the observed fraction of a side, 0 to 1.
     double seen(BoxSide side) const;
-    /// Returns the observed fraction of the box surface, by area, 0 to 1. mirrored()
-    /// returns the fraction whose mirror patch was observed instead.
+    /// Returns the observed fraction of the complete box surface, by area, 0 to 1.
+    /// mirrored() returns the fraction of patches that were not observed themselves, but
+    /// whose mirror patch was observed.
     double seen() const;
     double mirrored() const;
-    /// Returns the fraction of a side that was not observed, but whose mirror patch was.
+    /// Returns the fraction of a side that was not observed, but whose mirror patches
+    /// were observed.
     double mirrored(BoxSide side) const;
 
 private:

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scene on a device. It consists of the parameters of all surfels, the surfel records
-// that tracing kernels read, and the placement of each model.
+// Scene on a device: the parameters of all surfels, the surfel records that tracing
+// kernels read, and the placement of each model.
 #pragma once
 
 #include <array>
@@ -21,8 +21,9 @@
 
 namespace relidar {
 
-// Tag types for the content of device arrays. They prevent passing the wrong array to a
-// kernel when the element types are equal.
+// Tag types that name the content of device arrays. Arrays of equal element type but
+// different content then have different types. This prevents passing the wrong array to a
+// kernel.
 namespace shared {
 struct Means;
 struct Rotations;
@@ -39,7 +40,7 @@ struct ViewGradients;
 }  // namespace shared
 
 /// Parameters, gradients or Adam moments of all surfels on a device. Each parameter group
-/// has one array, in the layout of Surfels.
+/// has one array with the same layout as in Surfels.
 struct SurfelArrays {
     Array<float, shared::Means> mean;
     Array<float, shared::Rotations> rotation;
@@ -49,8 +50,8 @@ struct SurfelArrays {
     /// Logarithms of the scale along the third axis of 3D Gaussians. Not allocated for
     /// surfels.
     Array<float, shared::ThirdLogScales> log_scale_w;
-    /// Window of time (gait) of each surfel. Allocated only for scenes with actors whose
-    /// shape changes.
+    /// Gait of each surfel: the phase of the motion at which the surfel is visible, and
+    /// its swing. Allocated only for scenes with actors whose shape changes.
     Array<float, shared::Gaits> gait;
     std::uint32_t n = 0;  ///< Number of surfels. The arrays may have memory for more surfels.
     Primitive primitive = Primitive::surfel;
@@ -60,8 +61,8 @@ struct SurfelArrays {
     SurfelArrays(Device& device, std::uint32_t n, const std::string& what, ParameterSet of = {});
     ParameterSet parameters() const { return {primitive, bends}; }
     /// Uploads all parameter groups to the device.
-    /// @throws DataError if array lengths, primitive or gait differ from those of these
-    /// arrays
+    /// @throws DataError if the array lengths, the primitive, or the presence of a gait
+    /// differ from those of these arrays
     void upload(const Surfels& surfels);
     Surfels download() const;
     /// Returns the number of surfels for which all arrays have memory.
@@ -77,8 +78,8 @@ struct SurfelArrays {
 
 /// Learning rates of an optimiser step.
 struct LearningRates {
-    /// Learning rate of the means, metres. The schedule multiplies it by the extent of
-    /// the scene.
+    /// Learning rate of the mean positions, metres. The schedule multiplies it by the
+    /// extent of the scene.
     double mean = 1.6e-4;
     double rotation = 1e-3;
     double log_scale = 5e-3;  ///< Learning rate of all scales, including the third scale of 3D Gaussians.
@@ -92,22 +93,23 @@ struct LearningRates {
     double intensity_factor = 1.0;
     /// Table of models, DeviceScene::models(). Required if mean_factors is not empty.
     const Array<shared::ModelEntry>* models = nullptr;
-    /// Factor for the learning rate of the means of each model, [models]. Empty = 1.
+    /// Factor for the learning rate of the mean positions of each model, [models]. Empty
+    /// = 1.
     std::vector<float> mean_factors = {};
 };
 
-/// Describes a parameter group, so that optimiser, densification and file formats can
-/// process all groups with the same code.
+/// Describes a parameter group. Optimiser, densification and file formats use this
+/// description to process all groups with the same code.
 struct ParameterGroup {
     const char* name;  ///< Name of the group's array in files.
-    /// Shape of the group's floats per surfel. {3, 1} is a row of 3 and {1, 1} is a
-    /// single number.
+    /// Shape of the group's floats per surfel. {3, 1} is a row of 3 floats, and {1, 1} is
+    /// a single float.
     std::array<std::uint32_t, 2> row;
     double LearningRates::*rate;
     bool harmonics;  ///< True if the last dimension holds spherical harmonics (SH) coefficients.
     bool scales;     ///< True if the group holds standard deviations, which may have upper bounds.
     /// Selects the surfels that have this group: all surfels, only primitives with a
-    /// third scale, or only surfels of scenes with changing actors (`bends`).
+    /// third scale, or only surfels of scenes with actors whose shape changes (`bends`).
     enum class Of { all, third_scale, bends } of;
     const Array<float>& (*device)(const SurfelArrays&);  ///< Returns the device array, [n, floats()].
     /// Returns the device array for writing, [n, floats()].
@@ -150,9 +152,10 @@ constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32
             [](Surfels& s, std::size_t n_floats) { (s.*kHost).resize(n_floats / kFloats); }};
 }
 
-/// All parameter groups. The two optional groups are the first and the last, so that
-/// every valid combination of groups is a contiguous range. A new parameter needs a
-/// member of Surfels, a member of SurfelArrays, a pointer for kernels and a row here.
+/// All parameter groups. The two optional groups are the first and the last entry.
+/// Therefore every valid combination of groups is a contiguous range. A new parameter
+/// needs a member of Surfels, a member of SurfelArrays, a pointer for kernels and an
+/// entry in this table.
 inline constexpr std::array<ParameterGroup, 7> kParameterGroups{{
     describe_group<&Surfels::gait, &SurfelArrays::gait>("gait", {5, 1}, &LearningRates::gait, false, false,
                                                         ParameterGroup::Of::bends),
@@ -177,10 +180,10 @@ constexpr std::span<const ParameterGroup> groups_of(ParameterSet of) {
 
 /// Metadata key of the primitive in model and checkpoint files.
 inline constexpr const char* kPrimitiveKey = "primitive";
-/// Reads from a file's metadata which parameters the stored surfels have.
+/// Reads the metadata of a file and returns which parameters the stored surfels have.
 /// @param texts metadata of the file
 /// @param key metadata key of the primitive
-/// @param has_array returns true if the file has an array of this group name
+/// @param has_array returns true if the file has an array with the name of a group
 /// @throws DataError if the key is missing or its value is not the name of a primitive
 ParameterSet stored_parameters(const std::map<std::string, std::string>& texts, const std::string& key,
                                const std::function<bool(const char*)>& has_array);
@@ -198,21 +201,22 @@ struct SurfelPointers;  // Device addresses of the parameter arrays.
 shared::SurfelPointers pointers_of(const SurfelArrays& arrays);
 
 /// List of the rows that are marked with 1 in an array. A kernel builds the list, and
-/// later kernels of the stream process only the listed rows. The list makes CPU devices
-/// faster, because their idle threads cost as much as active threads.
+/// later kernels of the stream process only the listed rows. The list saves time on CPU
+/// devices, where idle threads cost as much as active threads.
 class TouchedList {
 public:
     explicit TouchedList(Device& device);
     ~TouchedList();
-    /// Records GPU commands that list the marked rows. Waits for the stream if there are
-    /// more rows than in any earlier call.
+    /// Records GPU commands that build a list of the marked rows. Waits for the stream if
+    /// there are more rows than in any earlier call.
     /// @param touched [n_rows] 0 or 1
     void find(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched, std::uint32_t n_rows);
     /// Indices of the marked rows, [count], in no particular order.
     Address<std::uint32_t, shared::TouchedRows> rows() const;
     Address<std::uint32_t, shared::TouchedCount> count() const;  ///< Number of marked rows, [1].
-    /// Returns the number of threads for a kernel that processes the list. It does not
-    /// depend on the length of the list, because only the device knows this length.
+    /// Returns the number of threads for a kernel that processes the list. The number
+    /// does not depend on the length of the list, because only the device knows this
+    /// length.
     /// @param most number of threads for the longest possible list
     std::size_t threads(std::size_t most) const;
 
@@ -221,10 +225,10 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Computes the pose and the constant motion of a tracked box during a sweep. The pose
-/// follows the track exactly at the first and at the last time at which a ray may hit the
-/// box. Between these times, it is interpolated. A box behind a spinning sensor is hit at
-/// the start and at the end of the sweep.
+/// Computes the pose and the constant motion of a tracked box during a sweep. The
+/// computed pose equals the track at two times: the first and the last time at which a
+/// ray may hit the box. Between these times, the pose is interpolated. A box behind a
+/// spinning sensor is hit at the start and at the end of the sweep.
 /// @param half_size_m [3] half size of the box. 0 = unknown, so any ray may hit the box
 InstancePose pose_in_sweep(const Sequence& sequence, const PoseTrack& world_from_box,
                            const glm::dvec3& half_size_m, const SweepMoment& sweep);
@@ -235,21 +239,21 @@ struct ActivationGradients {
     /// Input: gradients with respect to the surfel records, [gradient_rows,16].
     const Array<float, shared::RecordGradients>* d_records = nullptr;
     SurfelArrays* d_surfels = nullptr;  ///< Output: gradients with respect to the surfel parameters.
-    /// Output: flags, [n]. 1 for each surfel whose record has a gradient that is not
-    /// zero.
+    /// Output: flags, [n]. 1 for each surfel whose record has a nonzero gradient.
     Array<std::uint32_t, shared::TouchedSurfels>* touched = nullptr;
     /// Output with ShDirection::surfel: dL/d(view origin) through each surfel, [n,3],
     /// model frame. Null if not needed.
     Array<float, shared::ViewGradients>* d_view = nullptr;
     bool zero_untouched = true;  ///< If true, activate_vjp() writes zeros for surfels without a gradient.
     /// If true, `touched` is also an input. It must contain 1 for each surfel that may
-    /// have a gradient, otherwise 0. Unmarked surfels are skipped if lists_touched() is
-    /// true and zero_untouched is false. Their entries of d_view are then not written.
+    /// have a gradient, otherwise 0. Surfels marked with 0 are skipped if lists_touched()
+    /// is true and zero_untouched is false. The entries of d_view for skipped surfels are
+    /// not written.
     bool touched_is_marked = false;
 };
 
-/// Scene on a device. Holds the surfel parameters, the surfel records that tracing
-/// kernels read, and the instance table.
+/// Scene on a device. Stores the surfel parameters, the surfel records that tracing
+/// kernels read, and the table of instances.
 class DeviceScene {
 public:
     /// Uploads a scene to the device.
@@ -257,11 +261,11 @@ public:
     /// in full cache lines. If false, each thread reads the coefficients of its surfel
     /// directly. Default: true on GPUs
     /// @throws DataError if the models are not consecutive ranges that contain all
-    /// surfels, or an instance refers to a model that does not exist
+    /// surfels, or if an instance refers to a model that does not exist
     DeviceScene(Device& device, const Scene& scene, std::optional<bool> stage_harmonics = std::nullopt);
     ~DeviceScene();
 
-    /// Sets the pose world_from_model of every instance and marks all instances as
+    /// Sets the pose world_from_model of every instance. All instances are marked as
     /// present. Waits until the upload is finished.
     void set_poses(const std::vector<Pose>& world_from_instance);
     /// Sets the poses and motions of all instances. An instance may be marked as absent.
@@ -272,8 +276,8 @@ public:
     /// poses after its next update() or move().
     void place(Stream& stream, const std::vector<InstancePose>& placed);
     const std::vector<InstancePose>& poses() const;
-    /// Returns true if the new poses have another phase for an actor whose shape changes.
-    /// The surfel records must then be computed again.
+    /// Returns true if an actor whose shape changes has another phase of its motion in
+    /// the new poses. The surfel records must then be computed again.
     bool has_new_gait_phases(const std::vector<InstancePose>& placed) const;
     /// Records the GPU kernel that computes surfel records from the parameters (M1, M2,
     /// M9). With ShDirection::surfel, the kernel also evaluates intensity and logits for
@@ -283,13 +287,13 @@ public:
     /// @throws UsageError if `model` has another primitive than the scene
     void activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m);
     /// Returns true if activate_vjp() can skip surfels that are not marked as touched.
-    /// This works only on CPU devices, which do not copy SH coefficients through shared
-    /// memory.
+    /// Only CPU devices can skip surfels, because they do not copy SH coefficients
+    /// through shared memory.
     bool lists_touched() const;
-    /// Records the GPU kernel that computes gradients of the parameters from gradients of
-    /// the surfel records by the chain rule. It writes SH gradients only with
-    /// ShDirection::surfel. With ShDirection::ray, the backward pass has already computed
-    /// the SH gradients.
+    /// Records the GPU kernel that applies the chain rule: it computes gradients of the
+    /// parameters from gradients of the surfel records. The kernel writes SH gradients
+    /// only with ShDirection::surfel. With ShDirection::ray, the backward pass has
+    /// already computed the SH gradients.
     void activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m,
                       const ActivationGradients& gradients);
 
@@ -306,7 +310,7 @@ public:
     const SurfelArrays& parameters() const;
     const Array<shared::SurfelRecord>& records() const;  ///< Surfel records, [n].
     /// Minimum opacity (alpha_min) with which activate() last computed the surfel
-    /// records. It determines up to which distance from its centre a surfel can be hit.
+    /// records. A surfel can be hit only where its opacity is above this value.
     float alpha_min() const;
     /// Table of models, [models], in the order of their surfel ranges.
     const Array<shared::ModelEntry>& models() const;
@@ -314,11 +318,12 @@ public:
     const Array<shared::InstanceEntry>& instances() const;
     std::uint32_t size() const;  ///< Number of surfels.
     Primitive primitive() const;
-    /// Returns the first row of an instance in the gradient array of the surfel records.
+    /// Returns the first row of an instance in the array of gradients with respect to the
+    /// surfel records.
     std::uint32_t first_gradient_row(std::size_t instance) const;
-    /// Number of rows in the gradient array of the surfel records. Each surfel has one
-    /// row for the first instance of its model, and one more row for each further
-    /// instance.
+    /// Number of rows in the array of gradients with respect to the surfel records. Each
+    /// surfel has one row for the first instance of its model, and one more row for each
+    /// further instance of the model.
     std::uint32_t gradient_rows() const;
 
 private:

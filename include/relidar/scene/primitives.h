@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// List of all primitives, one per line. C++ and GLSL generate the enum Primitive, the
-// values of `image.primitive`, the metadata of model files and the kernel constant
-// PRIMITIVE from this list.
+// List of all primitives, one per line. C++ and GLSL generate code from this list: the
+// enum Primitive, the values of `image.primitive`, the metadata of model files and the
+// kernel constant PRIMITIVE.
 #ifndef RELIDAR_INCLUDED_SCENE_PRIMITIVES_H
 #define RELIDAR_INCLUDED_SCENE_PRIMITIVES_H
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scene of 2D Gaussians (surfels). It has one model for the background and one per actor.
+// Scene of 2D Gaussians (surfels), with a model for the background and for each actor.
 // Instances place the models in the world (Eq. 1, 4, 5). A scene may use 3D Gaussians
 // instead, which have a third scale. Comments about surfels also apply to 3D Gaussians.
 #pragma once
@@ -63,12 +63,12 @@ constexpr const PrimitiveKind& kind_of(Primitive primitive) {
     return kPrimitives[static_cast<std::size_t>(primitive)];
 }
 
-/// Window of time of a surfel on an actor whose shape changes. p is the phase of the
-/// actor's motion (InstancePose::phase, docs/method.md M14):
+/// Phase window of a surfel on an actor whose shape changes periodically. p is the phase
+/// of the actor's motion (InstancePose::phase, docs/method.md M14):
 ///
 ///   opacity exp(sharpness^2 (cos 2 pi (p - phase) - 1)),   mean + swing sin 2 pi (p - phase)
 ///
-/// For a large sharpness, this is a Gaussian with a standard deviation of 1 / (2 pi
+/// For a large sharpness, the window is a Gaussian with a standard deviation of 1 / (2 pi
 /// sharpness). If all fields are zero, the surfel is always visible and does not move.
 struct Gait {
     /// Phase at which the surfel is most opaque and at its mean position.
@@ -81,7 +81,7 @@ struct Gait {
 /// Selects the parameters that the surfels of a scene have.
 struct ParameterSet {
     Primitive primitive;
-    bool bends;  ///< True if the surfels also have a gait (window of time).
+    bool bends;  ///< True if the surfels also have a gait (phase window).
     constexpr ParameterSet(Primitive p = Primitive::surfel, bool b = false) : primitive(p), bends(b) {}
     bool operator==(const ParameterSet&) const = default;
 };
@@ -101,17 +101,17 @@ struct Surfels {
     /// Standard deviations along the third axis, [n] ln metres. Empty for surfels, which
     /// have only two axes.
     std::vector<float> log_scale_w;
-    std::vector<Gait> gait;  ///< Windows of time, [n] if `bends` is true, otherwise empty.
+    std::vector<Gait> gait;  ///< Phase windows, [n] if `bends` is true, otherwise empty.
     Primitive primitive = Primitive::surfel;
-    bool bends = false;  ///< True if the surfels have a gait (window of time).
+    bool bends = false;  ///< True if the surfels have a gait (phase window).
 
     std::size_t size() const { return mean.size(); }
     ParameterSet parameters() const { return {primitive, bends}; }
     void resize(std::size_t n) { resize(n, parameters()); }
     void resize(std::size_t n, ParameterSet of);
     void add_gait();  ///< Adds a gait without motion to all surfels if they have no gait.
-    /// Appends the surfels of another set. An empty set first adopts the primitive of the
-    /// other set. If only one set has a gait, the surfels of the other set get a gait
+    /// Appends the surfels of another set. An empty set first adopts the other set's
+    /// primitive. If only one set has a gait, the surfels without a gait get a gait
     /// without motion.
     /// @throws DataError if the primitives differ
     void append(const Surfels& other);
@@ -133,13 +133,13 @@ struct Model {
     std::string name;  ///< Name of the model: "background" or the track id.
     std::uint32_t first = 0;
     std::uint32_t count = 0;
-    /// Half size of the box around the origin that contains the model's surfels, metres,
-    /// model frame. 0 = the model has no box.
+    /// Half size of the box that contains the model's surfels, metres. The origin is its
+    /// centre. 0 = the model has no box.
     glm::vec3 half_size_m{0.0f};
     /// Walked distance after which the motion repeats, metres: a gait cycle (two steps of
-    /// a person), or the recorded distance if no gait was found. 0 = the model is rigid.
+    /// a person), or the recorded distance if no cycle was found. 0 = rigid model.
     float stride_m = 0.0f;
-    std::optional<SideShares> seen_sides = {};  ///< what the log has seen of the box; empty: unknown
+    std::optional<SideShares> seen_sides = {};  ///< observed fraction of each side; empty: unknown
 };
 
 /// Placement of a model in the world. Instance 0 is the background at the origin.
@@ -148,8 +148,8 @@ struct Instance {
     std::string track;  ///< Id of the track that moves the instance. Empty for the background.
 };
 
-/// Part of a background that is trained on one section of a road. It stays in its file
-/// until a sensor is near.
+/// Block of the background that was trained on one section of a road. Its surfels stay in
+/// a file until a sensor is near.
 struct SceneBlock {
     /// File written by save_model(). The block is the first model in the file.
     std::filesystem::path file;
@@ -166,8 +166,8 @@ struct SceneBlock {
     }
 };
 
-/// Scene that can be rendered. It contains surfels, models, instances that place the
-/// models in the world, and drop probabilities of the sensor.
+/// Scene that can be rendered: surfels, models, instances that place the models in the
+/// world, and drop probabilities of the sensor.
 struct Scene {
     Surfels surfels;
     std::vector<Model> models;
@@ -193,8 +193,8 @@ struct DrivingScene {
 
 /// Returns a scene that has only a background model and its instance.
 Scene make_background_scene(Surfels surfels);
-/// Returns a copy of the scene in which another background replaces the old one and all
-/// blocks. The new background is sorted in kd-tree order.
+/// Returns a copy of the scene with another background, which replaces the old background
+/// and all blocks. The new surfels are sorted in kd-tree order.
 Scene with_background(const Scene& scene, const Surfels& background);
 /// Copies a model and its surfels from another scene to the end of this scene.
 /// @return index of the new model
@@ -217,8 +217,8 @@ struct ImageModel {
     float near_m = 0.2f;              ///< Minimum range at which a ray can hit a surfel, metres.
     float alpha_min = 1.0f / 255.0f;  ///< Minimum alpha of a hit. Hits with a smaller alpha are skipped.
     float alpha_max = 0.99f;          ///< Upper bound of alpha. The gradient is zero if alpha is clamped.
-    /// Minimum transmittance of a ray. The ray ends before a surfel that would reduce its
-    /// transmittance below this value.
+    /// Minimum transmittance of a ray. The ray ends before the surfel that would reduce
+    /// the transmittance below this value.
     float transmittance_min = 1e-4f;
     int sh_degree = 3;  ///< Active SH degree, 0..3.
     ShDirection sh_direction = ShDirection::ray;
@@ -229,8 +229,8 @@ struct ImageModel {
     bool operator==(const ImageModel&) const = default;
 };
 
-/// Kind of a labelled object. Kinds are the same for all datasets, although datasets have
-/// different class names.
+/// Kind of a labelled object. Datasets have different class names, but relidar uses the
+/// same kinds for all datasets.
 enum class ObjectKind {
     vehicle,  ///< Vehicle on more than two wheels or on rails, or a trailer.
     cyclist,  ///< Two-wheeler with or without a rider, or a rider.
@@ -244,10 +244,9 @@ ObjectKind object_kind(std::string_view category);
 /// "other".
 const char* name_of(ObjectKind kind);
 
-/// Treatment of moving objects without a label. `background`: their points are part of
-/// the background. `removed`: points are removed if rays of other training frames pass
-/// through them. `actors`: like `removed`, and objects that are observed long enough
-/// become actors.
+/// Treatment of moving objects without a label. `background`: their points stay in the
+/// background. `removed`: points through which rays of other frames pass are removed.
+/// `actors`: like `removed`, and objects that are observed long enough become actors.
 enum class UnlabelledMovers { background, removed, actors };
 
 /// Options for creating the initial scene from a log.
@@ -281,9 +280,9 @@ struct InitialiseOptions {
     /// Initial standard deviation, relative to the mean distance to the 3 nearest
     /// neighbours.
     double scale_factor = 1.0;
-    /// Largest gap between scan lines that a surfel may cover, metres. A surfel covers a
-    /// gap that is much wider than the point distance along its scan line. 0 = all
-    /// surfels are round (paper).
+    /// Largest gap between scan lines that a surfel may cover, metres. A surfel is
+    /// stretched if the gap is much wider than the point distance along the line. 0 = off
+    /// (paper).
     double max_gap_m = 0.0;
     /// Initial scale of 3D Gaussians along the normal, relative to the scale in the
     /// plane. 1 = spheres, as in 3D Gaussian splatting.
@@ -302,10 +301,11 @@ struct InitialiseOptions {
     std::string actor_tracks;
     /// Comma-separated kinds or class names of actors whose shape changes. Empty = none.
     std::string deform = "person,cyclist";
-    /// Maximum number of surfels per actor. Changing actors may have 200 in each frame.
+    /// Maximum number of surfels per actor. An actor whose shape changes may have 200
+    /// surfels per frame.
     int actor_points = 8000;
-    /// Minimum number of surfels per actor. Random points in the box fill up smaller
-    /// actors. 0 = off (paper: 8000).
+    /// Minimum number of surfels per actor. Actors with fewer surfels get random points
+    /// in their box. 0 = off (paper: 8000).
     int actor_pad_to = 0;
     /// Minimum number of points in a box that becomes an actor. A box with fewer points
     /// is excluded from training.
@@ -325,14 +325,14 @@ struct InstancePose {
     PoseMotion motion{};  ///< Motion during the sweep, relative to world_from_model.
 };
 
-/// Finds moving objects without a label. Groups returns of training frames, within 40 m,
-/// at places through which rays of other frames pass. Links the groups over time and fits
+/// Finds moving objects without a label. Groups returns of training frames within 40 m at
+/// positions through which rays of other frames pass. Links the groups over time and fits
 /// upright boxes of constant size, with x along a smooth path. Keeps a box if it is seen
 /// in 6 frames, moves 0.6 m and 0.9 of its size, and is not part of the sensor's vehicle.
 /// If only one side was seen, the box size is a guess (size_guess).
 ///
-/// If a moving object has a label for part of the time, the result keeps its id, class
-/// and size. The box gets additional poses before and after the labels (n_before,
+/// If a moving object has a label for part of the time, the box keeps the id, class and
+/// size of the label. It gets additional poses before and after the labels (n_before,
 /// n_after) and replaces the labelled box. Other boxes are named mover-0, mover-1, ...
 /// All processes of a group get the same result. Each LiDAR is processed separately. If
 /// several LiDARs saw an object, the first track is kept, unless another track is more
@@ -340,8 +340,8 @@ struct InstancePose {
 std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions,
                                       const Progress& progress = {}, const ProcessGroup& group = {});
 
-/// Returns the boxes whose points and rays do not belong to the background. These are
-/// moving boxes (BoxTrack::moves) and the tracks listed in actor_tracks.
+/// Returns the boxes whose points and rays are excluded from the background: moving boxes
+/// (BoxTrack::moves) and the tracks listed in actor_tracks.
 /// @throws DataError for a box without a size or with a pose that is not finite
 /// @throws UsageError for an unknown track
 std::vector<BoxTrack> separate_boxes(const Sequence& sequence, const InitialiseOptions& options);
@@ -365,12 +365,12 @@ Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_p
                        std::vector<std::string>* notes = nullptr);
 
 /// Returns the boxes that are removed from the background but have no instance. Their
-/// class is not selected, or they have too few points. Rays through these boxes are not
-/// used in training, and renderings lack their returns.
+/// class is not selected, or they have too few points. Training ignores rays through
+/// these boxes, and renderings lack the returns of these objects.
 std::vector<BoxTrack> masked_boxes(const Scene& scene, const Sequence& sequence,
                                    const InitialiseOptions& options);
-/// Returns the boxes that are removed from the background because they move, but are not
-/// selected as actors. Does not need a scene.
+/// Returns the moving boxes that are removed from the background but are not selected as
+/// actors. Does not need a scene.
 std::vector<BoxTrack> unselected_boxes(const Sequence& sequence, const InitialiseOptions& options);
 /// Returns a list of track ids and classes, at most eight: "3 (Pedestrian), 7 (Tram)".
 std::string list_boxes(const std::vector<BoxTrack>& boxes);
@@ -383,15 +383,15 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
 /// Tracks of actors by name. Poses are box centres in relidar's world frame, interpolated
 /// over time. Actors without an entry are absent.
 using ActorPoses = std::map<std::string, PoseTrack>;
-/// Computes poses and motions of all instances in a sweep from the caller's actor tracks.
-/// The sequence provides the motion and pose of the sensor.
+/// Computes poses and motions of all instances in a sweep, with actor tracks from the
+/// caller. The sequence provides the motion and pose of the sensor.
 /// @throws UsageError for a name that no instance has. The message suggests the most
 /// similar name.
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence,
                                           const SweepMoment& sweep, const ActorPoses& world_from_actor);
 /// Returns all surfels of a scene at one time, in the world frame. Actors are moved to
-/// their poses, and their walking motion and harmonics are applied. Absent actors are
-/// left out.
+/// their poses, with their walking motion and rotated harmonics. Absent actors are left
+/// out.
 /// @param placed [instances] pose of each instance
 /// @throws DataError if the number of poses is wrong
 Surfels freeze(const Scene& scene, const std::vector<InstancePose>& placed);

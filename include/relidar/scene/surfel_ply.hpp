@@ -29,12 +29,12 @@ enum class Primitive;
 /// Positions are in the frame of the surfel's model, so actors are at the origin.
 /// @throws DataError for the reasons listed at write_atomically()
 void write_surfel_ply(const std::filesystem::path& path, const Scene& scene);
-/// Writes surfels that share one frame. Does not write the property `model`, so that the
-/// file cannot be confused with a complete scene.
+/// Writes surfels that share one frame. Does not write the property `model`, so that
+/// read_surfel_ply() cannot mistake the file for a complete scene.
 /// @param notes comments in the file header
 void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels, const FileNotes& notes);
-/// Reads a scene that write_surfel_ply() has written. The surfels are bit-equal and
-/// grouped by model. Models, instances and sensor drop probabilities are copied from
+/// Reads a scene that write_surfel_ply() has written. The surfels are restored bit by bit
+/// and grouped by model. Models, instances and sensor drop probabilities are copied from
 /// `layout`. Properties may have any order, and additional properties are allowed.
 /// Ignores nx ny nz, scale_2 of surfels, and the second and third colour.
 /// @param primitive primitive of the file. Default: surfels

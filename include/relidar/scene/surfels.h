@@ -10,26 +10,27 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_SH_COEFFICIENTS 16
 #define RELIDAR_SH_FLOATS 48
 
-/// Surfel as tracing kernels read it, in the frame of its model. It has 64 bytes, so that
-/// a kernel reads one cache line per hit. Surfels that cannot be hit have opacity 0.
+/// Surfel as tracing kernels read it, in the frame of its model. The struct has 64 bytes,
+/// so that a kernel reads one cache line per hit. A surfel that cannot be hit has opacity
+/// 0.
 struct SurfelRecord {
     vec3 mean;      // Centre, metres.
     float opacity;  // Opacity sigma, 0..1.
     vec3 axis_u;    // First axis divided by its standard deviation, a_u / s_u, 1/m.
-    // Intensity, evaluated once per surfel. Like the two logits, it is used only with
-    // ShDirection::surfel.
+    // Intensity, evaluated once per surfel. The intensity and the two logits are used
+    // only with ShDirection::surfel.
     float intensity;
     vec3 axis_v;  // Second axis divided by its standard deviation, a_v / s_v, 1/m.
     float hit_logit;
-    // Unit normal of a surfel. For a 3D Gaussian, the third axis divided by its standard
-    // deviation, a_w / s_w, 1/m.
+    // For a surfel: its unit normal. For a 3D Gaussian: the third axis divided by its
+    // standard deviation, a_w / s_w, 1/m.
     vec3 normal;
     float drop_logit;
 };
 RELIDAR_POINTER(Records, SurfelRecord);
 
-/// Contiguous range of surfels that form one model. The table of models is sorted by
-/// range, and the ranges together contain all surfels.
+/// Contiguous range of surfels that form one model. The models are sorted by their
+/// ranges. Every surfel belongs to exactly one range.
 struct ModelEntry {
     uint first_surfel;
     uint n_surfels;
@@ -53,10 +54,9 @@ struct InstanceEntry {
     uint first_row;
     uint moves;  // 1 if the instance moves during the sweep, otherwise 0.
     // Motion of the model during the sweep, in the axes of the model (docs/method.md
-    // section 4). model_from_world is the pose in the middle of the motion. A ray fired
-    // at time t hits the model after a motion of clamp(t - middle_s, -half_span_s,
-    // half_span_s) seconds. The struct has 96 bytes, because kernels load it in 16-byte
-    // pieces.
+    // section 4). model_from_world is the pose in the middle of the motion. For a ray
+    // fired at time t, the model moves for clamp(t - middle_s, -half_span_s, half_span_s)
+    // seconds. The struct has 96 bytes, because kernels load it in 16-byte pieces.
     vec3 velocity;   // Velocity, m/s.
     float middle_s;  // Middle of the motion interval, in seconds after the reference time of the sweep.
     vec3 turn_rate;  // Rotation vector per second, rad/s.

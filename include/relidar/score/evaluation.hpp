@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Evaluation: renders frames, compares them with the real frames and computes metrics.
-// Used for the held-out frames of a run, and for a simple baseline.
+// Evaluation: renders frames, compares them with the measured frames and computes
+// metrics. Used for the held-out frames of a run, and for a simple baseline.
 #pragma once
 
 #include <array>
@@ -20,8 +20,8 @@
 
 namespace relidar {
 
-/// Counts of the rays with a real return, by their real range and by the error of their
-/// rendered range.
+/// Counts of the rays with a measured return. The rays are sorted into bins by their
+/// measured range and by the error of their rendered range.
 struct RangeErrorCounts {
     /// limits of the bins of the real range
     static constexpr std::array<double, 7> kRangeEdges_m{0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 80.0};
@@ -52,13 +52,13 @@ struct ScoredFrame {
     int lidar = 0;  ///< index of its LiDAR
     double time_s = 0.0;
     std::optional<SweepStart> start = {};  ///< start of the sweep, see Frame
-    /// Number of traced rays. If points are binned into an image, the image can have
-    /// fewer or more pixels.
+    /// Number of traced rays. It differs from the number of image pixels if the points
+    /// are binned into an image.
     std::size_t n_rays = 0;
-    /// Rendered scan. In an evaluation of many frames, only the middle frame keeps its
-    /// scan. The other frames keep only the rendering time.
+    /// Rendered scan. If many frames are evaluated, only the middle frame keeps its scan.
+    /// The other frames keep only the rendering time.
     RenderedScan rendered;
-    RangeImage real;  ///< Measured image. The same frames keep it as `rendered`.
+    RangeImage real;  ///< Measured image. Only frames that keep the rendered scan also keep this image.
     MetricRow metrics;
     RangeErrorCounts range_errors;
     std::vector<ActorScore> actors;  ///< Scores of the moving boxes that are present.
@@ -68,8 +68,8 @@ struct ScoredFrame {
 struct BoxPoints {
     /// [n,3] points in the frame of the box at the time at which each point was measured.
     std::vector<glm::dvec3> real_m, simulated_m;
-    /// Range errors, simulated minus real, of the rays that return in both scans and
-    /// whose real point is in the box.
+    /// Range errors, simulated minus real. Only rays that return in both scans, and whose
+    /// real point is in the box, are included.
     std::vector<double> range_error_m;
     /// Numbers of rays that hit the box: in both scans, only in the real scan, and only
     /// in the simulated scan.
@@ -77,8 +77,8 @@ struct BoxPoints {
 };
 
 /// Returns the measured and simulated points in a box that is enlarged by 0.1 m. Skips
-/// the lowest 0.15 m, which contains ground points. For the numbers of rays, the box is
-/// enlarged by 0.3 m.
+/// the lowest 0.15 m, which contains ground points. To count rays that hit the box, the
+/// box is enlarged by 0.3 m.
 /// @param rendered  rendered image
 /// @param points_m [n] ranges of the simulated points, see point_ranges()
 /// @param real  measured image of the same rays
@@ -97,19 +97,19 @@ struct Evaluation {
     std::string title = "rendered";  ///< What was scored: "rendered" or the name of a baseline.
     std::vector<ScoredFrame> frames;
     MetricRow mean;
-    /// Scores of each moving box over all frames. The highest fraction of range errors
-    /// above 0.3 m is first. Numbers of points are sums. Other metrics are means over the
-    /// frames, weighted by the number of real points.
+    /// Scores of each moving box over all frames. The box with the highest fraction of
+    /// range errors above 0.3 m is first. Numbers of points are sums over the frames.
+    /// Other metrics are means over the frames, weighted by the number of real points.
     std::vector<ActorScore> actors;
     MetricRow kernel_ms;    ///< Mean time of a kernel launch in milliseconds, by kernel name.
     double trace_ms = 0.0;  ///< Mean time to render a frame, including transfers to and from the device.
     double mrays_per_s = 0.0;
 };
 
-/// Copies scans of the log into the frames of a run that was trained on the log. The
-/// poses of the run are kept.
+/// Copies scans of a log into the frames of a run that was trained on this log. The
+/// frames keep the poses of the run.
 /// @param positions  indices into Run::sequence of the frames
-/// @throws DataError if a frame is missing in the log, or has another time there
+/// @throws DataError if a frame is missing in the log, or has another time in the log
 void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& log);
 
 /// Renders a frame at the pose of the real sensor and computes its metrics. With the
@@ -122,7 +122,7 @@ void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& l
 ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
                         const Frame& frame, const Pose& sensor_offset = {});
 
-/// Renders many frames and computes their metrics. The memory use does not grow with the
+/// Renders many frames and computes their metrics. Memory use does not grow with the
 /// number of frames.
 /// @param positions  indices of the frames in `sequence`
 /// @param progress  called before each frame and after the last one; if it throws, the
@@ -140,10 +140,10 @@ Evaluation summarise(std::vector<ScoredFrame> frames, const KernelTimes& times);
 /// Returns the mean time of a kernel launch in milliseconds, by kernel name.
 MetricRow mean_times(const KernelTimes& times);
 
-/// Returns how the baseline with this name handles points in moving boxes. Both baselines
+/// Returns how the baseline with this name moves points in moving boxes. Both baselines
 /// consist of the points of the neighbouring training scans. "nearest" leaves the points
-/// in moving boxes where they were measured. "nearest-actors" moves these points with
-/// their boxes.
+/// in moving boxes where they were measured. "nearest-actors" moves these points together
+/// with their boxes.
 /// @param name  "nearest" or "nearest-actors"
 /// @throws UsageError for another name
 BoxMotion find_baseline(const std::string& name);
@@ -157,8 +157,8 @@ Evaluation evaluate_baseline(const std::string& name, const Config& config, cons
                              const Split& split, const Progress& progress = {},
                              const FrameCallback& see = {});
 
-/// Reads the file with LPIPS weights, if one is set, so that a damaged file is reported
-/// before a long evaluation starts.
+/// Reads the file with LPIPS weights, if the user has set one. Called before a long
+/// evaluation, so that a damaged file is reported at the start.
 /// @throws DataError like read_lpips_weights()
 void check_lpips_weights();
 /// Returns the path of the file with LPIPS weights, from the environment variable

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Metrics that compare a rendered range image with a real range image, for the full image
-// and by region. docs/method.md section 8 defines the two protocols, "peer" and "strict".
-// A baseline is also computed for comparison: the neighbouring real scans, moved to the
-// pose of the sensor.
+// Metrics that compare a rendered range image with a measured range image, for the full
+// image and by region. docs/method.md section 8 defines the two protocols, "peer" and
+// "strict". This file also declares the baseline: neighbouring measured scans, moved to
+// the pose of the sensor.
 #pragma once
 
 #include <array>
@@ -32,8 +32,8 @@ using MetricRow = std::map<std::string, double>;
 
 class Lpips;
 
-/// Options of the metrics: which rendered pixels count as returned, and the maximum
-/// range.
+/// Options of the metrics: the drop probability below which a pixel counts as returned,
+/// and the maximum range.
 struct MetricOptions {
     double peer_drop_threshold = 0.4;
     double strict_drop_threshold = double(kDropThreshold);
@@ -88,23 +88,23 @@ MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real,
 /// @param moving [rows*columns] true for pixels whose return is in a moving box
 std::vector<Region> standard_regions(const RangeImage& real, const std::vector<bool>& moving);
 
-/// Returns a flag for each ray: true if the return is in a moving box that the dataset
-/// labelled.
+/// Returns a flag for each ray: true if its return is inside a moving box that the
+/// dataset labelled.
 /// @param sensor_offset  pose of the sensor that made the scan, in the frame of the log's
 /// sensor
 /// @return [n] true for rays with such a return
 std::vector<bool> moving_returns(const Sequence& sequence, const Frame& frame,
                                  const Pose& sensor_offset = {});
-/// Returns a flag for each ray: true if the return is in a moving box that was discovered
-/// without a label.
+/// Returns a flag for each ray: true if its return is inside a moving box that was
+/// discovered without a label.
 /// @param sensor_offset  pose of the sensor that made the scan, in the frame of the log's
 /// sensor
 /// @return [n] true for rays with such a return
 std::vector<bool> discovered_returns(const Sequence& sequence, const Frame& frame,
                                      const Pose& sensor_offset = {});
 
-/// Computes the errors of points with the strict protocol: points/{depth_*,cd_*,f_*}. The
-/// points are those that are written to point cloud files. Their ranges can differ from
+/// Computes the errors of the points that are written to point cloud files, with the
+/// strict protocol: points/{depth_*,cd_*,f_*}. The ranges of these points can differ from
 /// the ranges of the image.
 /// @throws DataError like evaluate()
 MetricRow evaluate_points(const RangeImage& rendered, const RangeImage& real,
@@ -120,31 +120,31 @@ struct Comparison {
     std::vector<float> point_range_m = {};
 };
 /// Computes the metrics of many frames in parallel on all cores. Calls evaluate() and
-/// evaluate_regions() for each frame. If a comparison has points, also calls
-/// evaluate_points().
+/// evaluate_regions() for each frame. Also calls evaluate_points() if a comparison has
+/// point ranges.
 /// @return [n] metrics of each comparison
 std::vector<MetricRow> evaluate_all(const std::vector<Comparison>& comparisons,
                                     const MetricOptions& options = {});
 
 /// Selects what the baseline does with points in moving boxes. `stay`: the points stay at
-/// their measured positions. `follow`: the points move with their boxes, and are left out
-/// if the box is no longer present.
+/// their measured positions. `follow`: the points move with their boxes. If a box is no
+/// longer present, `follow` leaves out its points.
 enum class BoxMotion { stay, follow };
 
-/// Computes the baseline. It moves the returns of the nearest earlier and later training
+/// Computes the baseline: moves the returns of the nearest earlier and later training
 /// frames of the same LiDAR into another sweep. Each point is moved to the time at which
-/// the head faces it:
+/// the head of the LiDAR faces it:
 ///   p_sensor(t) = sensor_from_world(t) p_world,  t = facing_time(p_sensor)
-/// The result is not an image. It has one ray for each point, which starts at the sensor
-/// origin.
+/// The result is not an image. It has one ray for each point, and the ray starts at the
+/// sensor origin.
 /// @param position  index of the sweep in sequence.frames; its scan is not read
 /// @param train  indices of the training frames, with their scans
 /// @throws DataError if there is no training frame
 Scan neighbour_points(const Sequence& sequence, int position, const std::vector<int>& train, BoxMotion boxes);
 
-/// Assigns each point to the ray of a table with the smallest angle to the point. Each
-/// ray keeps its nearest point. Skips points that are more than half a beam spacing above
-/// the highest or below the lowest beam.
+/// Assigns each point to the ray with the smallest angle to the point. If several points
+/// belong to a ray, the nearest point is kept. Skips points that are more than half a
+/// beam spacing above the highest or below the lowest beam.
 /// @return a scan of `rays`, with range_m along the direction of each ray
 /// @throws DataError if the rays are not in image order
 Scan bin_onto_rays(const RayTable& rays, const Scan& points);
@@ -157,8 +157,8 @@ struct LpipsWeights {
     std::array<std::vector<float>, 5> linear;  ///< [out] weights of the channels of each convolution
 };
 /// Reads the weights of LPIPS from a safetensors file, in half or single precision. The
-/// arrays are conv{0..4}.weight, conv{0..4}.bias and lin{0..4}.weight. The sizes of the
-/// arrays are not checked here, but in the constructor of Lpips.
+/// arrays are conv{0..4}.weight, conv{0..4}.bias and lin{0..4}.weight. The constructor of
+/// Lpips, not this function, checks the sizes of the arrays.
 /// @throws DataError if the file is damaged or an array is missing
 LpipsWeights read_lpips_weights(const std::filesystem::path& path);
 
@@ -184,7 +184,7 @@ public:
     /// Returns the distance between two images with a single channel, summed over all
     /// layers. The channel is repeated three times. Values are mapped from 0..1 to -1..1
     /// by x -> 2 x - 1, without clamping, like `normalize` in the published code.
-    /// Published tables for LiDAR pass ranges in metres.
+    /// Published tables for LiDAR use ranges in metres as values.
     /// @param a [rows*columns]
     /// @param b [rows*columns]
     double distance(const std::vector<double>& a, const std::vector<double>& b, int rows, int columns) const;
@@ -202,14 +202,14 @@ private:
 double ssim(const std::vector<double>& a, const std::vector<double>& b, int rows, int columns,
             double data_range);
 
-/// Returns the distance from each query point to its nearest target point. The result is
-/// exact and is computed on all cores.
+/// Returns the exact distance from each query point to the nearest target point. Uses all
+/// cores.
 /// @return [n] metres
 /// @throws DataError if there is no target point or a coordinate is not finite
 std::vector<double> nearest_distances(const std::vector<glm::dvec3>& query,
                                       const std::vector<glm::dvec3>& target);
 
-/// Returns the mean of each metric. Frames that do not have the metric are ignored.
+/// Returns the mean of each metric. Rows that lack a metric do not affect its mean.
 MetricRow mean(const std::vector<MetricRow>& rows);
 
 }  // namespace relidar

@@ -21,7 +21,7 @@ struct ReportFigure {
     std::vector<std::pair<std::string, Image>> images;  ///< caption and image
 };
 struct ReportCurve {
-    /// Name of the curve. Curves with the same part before '/' are drawn in one chart,
+    /// Name of the curve. Curves whose names have the same part before '/' share a chart,
     /// for example "loss/total" and "loss/depth".
     std::string name;
     std::vector<double> x, y;
@@ -35,8 +35,8 @@ struct ReportCloud {
     std::vector<float> intensity;  ///< [n] 0..1
     std::vector<float> error_m;    ///< [n] range error; NaN if unknown
 };
-/// Point clouds that are drawn side by side in 3D. The reader rotates all of them
-/// together. Large clouds are subsampled so that the page has at most 8 MB.
+/// Point clouds that are drawn side by side in 3D. All clouds rotate together. Large
+/// clouds are subsampled so that the page has at most 8 MB.
 struct ReportView {
     std::string title;
     std::vector<ReportCloud> clouds;
@@ -68,30 +68,31 @@ struct ReportKeyMetric {
 };
 /// Contents of a self-contained HTML page, which needs no other file and no network. The
 /// summary, views, figures, curves, bars, tables and key metrics come first. All other
-/// parts are collapsed. The page has a script only if it has views.
+/// parts are collapsed at the end. The page contains a script only if it has views.
 struct Report {
     std::string title;
-    /// One sentence about what was done, the quality of the result and the duration.
+    /// One sentence that states what was done, the quality of the result and the
+    /// duration.
     std::string summary;
     std::vector<ReportView> views;
     std::vector<ReportBars> bars;
     /// Tables. A table without rows below the titles is left out.
     std::vector<ReportTable> tables;
-    /// Metrics to show first. A metric that is in no column of `metrics` is left out.
+    /// Metrics to show first. A metric that no column of `metrics` contains is left out.
     std::vector<ReportKeyMetric> key_metrics;
     std::vector<std::pair<std::string, std::string>> facts;  ///< device, sizes, times
     /// Curves to draw. The scale is logarithmic if all values are positive and span more
     /// than a factor of 4.
     std::vector<ReportCurve> curves;
     /// True: all columns of `metrics` are computed on the same scans. False: the columns
-    /// cannot be compared, so the page does not mark the best column.
+    /// cannot be compared, so the page does not highlight the best column.
     bool same_scans = true;
     /// Columns of the table of metrics: the title of the column and its values. Values
     /// are grouped by the part of their name before '/'.
     std::vector<std::pair<std::string, MetricRow>> metrics;
     /// Tables of kernel times: the title of the table and the milliseconds of each
-    /// kernel. Percentages refer to the entry "total", or to the sum if there is no such
-    /// entry.
+    /// kernel. Percentages refer to the entry "total". If there is no such entry, they
+    /// refer to the sum.
     std::vector<std::pair<std::string, MetricRow>> timings_ms;
     std::vector<ReportFigure> figures;
 };

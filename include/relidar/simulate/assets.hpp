@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Assets: actors that are extracted from a run so that they can be inserted into other
-// scenes. An asset is a folder with two parts. The first part is a run that contains only
-// this actor. The second part, asset.json, describes the actor and how completely it was
-// observed.
+// scenes. An asset is a folder that contains a run with only this actor, and the file
+// asset.json. This file describes the actor and how completely the log observed it.
 #pragma once
 
 #include <array>
@@ -35,8 +34,8 @@ struct ActorObservations {
 BoxSurface seen_surface(const glm::dvec3& size_m, const ActorObservations& sightings);
 /// Renders the training frames again and returns the points at which their rays hit each
 /// actor, by track. The scans use the log's LiDARs at their original poses. An object
-/// that hid an actor in the log therefore hides it here too. A LiDAR without a nominal
-/// ray pattern is replaced by an HDL-64E.
+/// that hid an actor in the log therefore hides the same actor here. A LiDAR without a
+/// nominal ray pattern is replaced by an HDL-64E.
 std::map<std::string, ActorObservations> observe_actors(Device& device, const Run& run,
                                                         const Progress& progress = {});
 
@@ -56,8 +55,8 @@ struct AssetFacts {
     /// Fraction of each side of the box that rays of the log have hit.
     std::array<double, kBoxSides> seen_sides{};
     double seen = 0.0;  ///< Observed fraction of all sides of the box, by area.
-    /// Fraction of the box surface that was not observed and was completed from the
-    /// mirrored other side.
+    /// Fraction of the box surface that the log did not observe, but that was completed
+    /// with the mirror image of the other side.
     double completed = 0.0;
     /// Height of the box's bottom above the road, in metres. Computed by
     /// ground_clearance().
@@ -66,30 +65,30 @@ struct AssetFacts {
     std::size_t surfels = 0;
     std::size_t mirrored = 0;  ///< Number of surfels that were mirrored from the other side of the box.
 
-    /// Returns the fraction of the surface that is observed or completed.
+    /// Returns the fraction of the box surface that is observed or completed.
     double score() const { return seen + completed; }
 };
 
 /// An actor that was extracted from a run.
 struct Asset {
     AssetFacts facts;
-    /// Run with the frames in which the actor is present. It has no other actors and an
-    /// empty background.
+    /// Run with the frames in which the actor is present. The run has no other actors,
+    /// and its background is empty.
     Run run;
 };
 /// Extracts an actor from a run. Removes surfels that are never visible, because they are
 /// too faint to be blended or are outside the box. Parts of a vehicle that no ray has hit
-/// are replaced by the mirror image of the other side. Such a part is replaced only if
-/// rays have hit the other side.
+/// are replaced by the mirror image of the other side. A part is replaced only if rays
+/// have hit its mirror image.
 /// @param sightings  hits of this actor
 /// @throws UsageError if no instance has this track
 Asset make_asset(const Run& run, const std::string& track, const ActorObservations& sightings);
 
-/// Returns a copy of the surfels that is mirrored at the x-z plane: y becomes -y. Seen
-/// from the other side, the copy looks the same as the original surfels.
+/// Returns a copy of the surfels, mirrored at the x-z plane: y becomes -y.
 Surfels mirror_left_right(Surfels surfels);
 
-/// Writes an asset to a folder. The folder also becomes the folder of the asset's run.
+/// Writes an asset to a folder. This folder then contains the run of the asset and
+/// asset.json.
 /// @throws DataError like save_run()
 void save_asset(Asset asset, const std::filesystem::path& folder);
 /// Reads asset.json from a folder.

@@ -19,12 +19,12 @@ enum class PointsOf {
 
 /// Converts the rays of a scan to points in a frame, in the order of the rays.
 /// config.render.points selects the kind of range. The points have all properties except
-/// `firing`. `return_number` is set if second returns are requested and the scan has
-/// them. Channels that hold directions are rotated with the points. The computation uses
-/// single precision: positions are within 0.03 mm at 80 m.
+/// `firing`. They have `return_number` only if second returns are requested and the scan
+/// has second returns. Channels that hold directions are rotated with the points. The
+/// computation uses single precision: positions are within 0.03 mm at 80 m.
 /// @param dataset_from_points  frame of the points. If not set, each point is in the
 /// sensor's frame at the firing time of its ray.
-/// @throws DataError as check_channels()
+/// @throws DataError in the same cases as check_channels()
 Points place_points(const RenderedScan& scan, const Config& config,
                     const std::optional<Pose>& dataset_from_points, PointsOf of = PointsOf::returns);
 

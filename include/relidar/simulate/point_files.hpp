@@ -12,11 +12,12 @@ namespace relidar {
 /// Writes points to a PLY file. The properties are x y z intensity (float32), ring
 /// (uint16), time (float32), instance (int32), return (uint8) and the channels (float32
 /// or int32). A vector channel has the properties NAME_x NAME_y NAME_z. The channel
-/// "normal" is written as nx ny nz, as other programs expect. Unknown properties are left
-/// out. A file without points still lists ring, time and instance, so that all files of a
-/// scan folder have the same fields.
+/// "normal" is written as nx ny nz, as other programs expect. Properties that are unknown
+/// for these points are left out. A file without points still lists ring, time and
+/// instance, so that all files of a scan folder have the same fields.
 /// @param notes comments in the header of the file
-/// @throws DataError if lengths differ, as check_channels(), and as write_atomically()
+/// @throws DataError if lengths differ, and in the same cases as check_channels() and
+/// write_atomically()
 void write_ply(const std::filesystem::path& path, const Points& points, const FileNotes& notes = {});
 /// Writes points to a binary PCD 0.7 file. The VIEWPOINT in the header is
 /// `world_from_points`.

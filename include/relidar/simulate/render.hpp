@@ -26,7 +26,8 @@ namespace relidar {
 struct Run;
 struct MountedSensor;
 
-/// Rays of a scan that enter an actor's box through a side that the log has not seen.
+/// Counts the rays of a scan that enter an actor's box through a side that the log has
+/// not observed.
 struct UnseenSide {
     std::string track;
     BoxSide side;
@@ -37,15 +38,15 @@ struct UnseenSide {
 /// the sensor's frame at the firing time of that ray.
 struct RenderedScan {
     /// Range image. The setting `render.range` selects the kind of range. `drop_prob` is
-    /// computed from the two drop logits, as their softmax. It is 1 if the ray hit
-    /// nothing within the sensor's range limits.
+    /// the softmax of the two drop logits. It is 1 if the ray hit nothing within the
+    /// sensor's range limits.
     RangeImage image;
     /// [n] Median range along the ray, in metres: the distance at which the transmittance
-    /// T falls below 0.5. If T never falls below 0.5, it is the range of the image.
+    /// T falls below 0.5. If T never falls below 0.5, the range of the image is used.
     std::vector<float> median_range_m;
     /// [n] Mean range along the ray, in metres: the blended depth D divided by the
     /// accumulated alpha W. Equal to the median range if the transmittance T never falls
-    /// below 0.5. It does not depend on `render.range`.
+    /// below 0.5. The mean range does not depend on the setting `render.range`.
     std::vector<float> mean_range_m;
     std::vector<float> weight;  ///< [n] alpha accumulated along the ray (W).
     /// [n] Object that the ray hit, as an index into Scene::instances. -1 if the ray hit
@@ -60,15 +61,15 @@ struct RenderedScan {
     std::vector<SecondReturn> second_returns = {};
     /// Optional channels with [n] values each: the channels of `render.channels`, and
     /// `source` if weather is set. A channel that the run cannot compute is missing (for
-    /// example "seen" without a Coverage). A caller can append channels. They are joined,
-    /// binned, merged and written like all others.
+    /// example "seen" without a Coverage). A caller can append channels. All functions
+    /// that join, bin, merge or write channels process the appended channels too.
     std::vector<ScanChannel> channels = {};
-    /// Share of rays that leave the space observed by the log: the log observed less than
-    /// half of the ray's path. Computed from all rays or from about a thousand of them.
+    /// Share of rays that leave the observed space. A ray counts if the log observed less
+    /// than half of its path. Computed from all rays or from about a thousand of them.
     /// Empty if the run has no coverage.
     std::optional<double> unseen_share = {};
-    /// Unseen sides of actors that the scan shows; see find_unseen_sides(). `relidar
-    /// render` sets them.
+    /// Unobserved sides of actors that the scan shows; see find_unseen_sides(). The
+    /// command `relidar render` sets this field. ScanRenderer leaves it empty.
     std::vector<UnseenSide> unseen_sides = {};
     Pose world_from_sensor;  ///< pose of the sensor at the reference time, in the dataset's world frame
     /// Poses of the sensor during the scan, in the dataset's world frame. The track has a
@@ -82,8 +83,9 @@ struct RenderedScan {
     Pose world_from_firing(std::size_t ray) const;
 };
 
-/// Finds the sides of actors without data that at least five rays of a scan meet. Rays
-/// pass through such a side. Uses the poses of the actors in the log.
+/// Finds unobserved sides of actors: sides for which the model has no data and that at
+/// least five rays of the scan meet. Rays pass through such a side as if it were open.
+/// Uses the poses of the actors in the log.
 std::vector<UnseenSide> find_unseen_sides(const RenderedScan& scan, const Scene& scene,
                                           const Sequence& sequence);
 
@@ -92,7 +94,7 @@ std::vector<UnseenSide> find_unseen_sides(const RenderedScan& scan, const Scene&
 /// column. Only one thread may use an object of this class.
 class FiringPoses {
 public:
-    /// Stores references to a scan whose poses at() computes.
+    /// Stores a reference to the scan. at() reads the poses of this scan.
     /// @param scan must outlive this object
     /// @param target_from_dataset transform to the frame in which the poses are returned
     explicit FiringPoses(const RenderedScan& scan, const Pose& target_from_dataset = {});
@@ -109,14 +111,15 @@ private:
     const RenderedScan& scan_;
     const Pose target_from_dataset_;
     const bool moves_;
-    /// Last computed pose of each column. It has a single entry if the scan has one row
-    /// or the sensor does not move.
+    /// Last computed pose of each column. The array has a single entry if the scan has
+    /// one row or if the sensor does not move.
     std::vector<Made> made_;
 };
 
 /// Limit for RenderedScan::unseen_share, the share of rays outside the space that the log
-/// observed. Above it, the program prints a warning. The share of the log's own sensor on
-/// its recorded path is below 0.01. In the next lane it is a few hundredths.
+/// observed. The program prints a warning if the share is above this limit. The log's own
+/// sensor on its recorded path has a share below 0.01. A sensor in the next lane has a
+/// few hundredths.
 inline constexpr double kMuchUnseen = 0.2;
 
 /// Returns the [n] ranges, in metres, at which the points of a scan are placed. The
@@ -144,13 +147,13 @@ glm::dvec3 first_origin(const Sequence& sequence);
 /// intensities are drawn: range, spread, incidence and elevation.
 RenderedIntensities rendered_intensities(const RenderedScan& scan);
 
-/// Replaces a scan of expected values by one random sample. A ray returns with
-/// probability 1 - drop_prob, independently of other rays. Random noise is added to its
-/// range. The standard deviation depends on the range and on the angle of incidence,
-/// which is computed from neighbouring pixels. The intensity is drawn from the intensity
-/// model of the LiDAR. Afterwards `drop_prob` is 0 or 1, and `image.range_m` equals
-/// `median_range_m`. Second returns keep their expected intensities. The result depends
-/// only on seed and time, not on the device.
+/// Replaces the expected values of a scan by one random sample. A ray returns with
+/// probability 1 - drop_prob, independently of other rays. Random noise is added to the
+/// range of each ray. Its standard deviation depends on the range and on the angle of
+/// incidence, which is computed from neighbouring pixels. The intensity is drawn from the
+/// intensity model of the LiDAR. Afterwards `drop_prob` is 0 or 1, and `image.range_m`
+/// equals `median_range_m`. Second returns keep their expected intensities. The result
+/// depends only on seed and time, not on the device.
 /// @param scatter if empty, intensities keep their expected values
 void sample_returns(RenderedScan& scan, const RangeNoise& noise, const IntensityScatter& scatter,
                     std::uint64_t seed);
@@ -167,14 +170,15 @@ struct RenderedPoints {
 /// The sensor to simulate.
 struct SensorChoice {
     RayTable rays;  ///< Rays of a sweep. Empty for a Rosette, because its rays differ in every scan.
-    /// Range grid into which the simulated points are binned after rendering.
+    /// Range grid of the output image. The simulated points are binned into this grid
+    /// after rendering. Empty = no binning.
     std::optional<RangeGrid> grid = {};
-    /// True for a LiDAR of the log. The drop probabilities that the sensor itself causes
-    /// then apply.
+    /// True for a LiDAR of the log. Only then are the drop probabilities that the sensor
+    /// itself causes applied.
     bool is_own = false;
     /// True if `rays` are the nominal rays of the log's LiDAR. A scan at the time of a
-    /// recorded sweep then uses the measured azimuths of that sweep. This does not apply
-    /// if a ScanRequest sets the poses.
+    /// recorded sweep then uses the measured azimuths of that sweep, unless a ScanRequest
+    /// sets the poses.
     bool follows_sweeps = false;
     /// Calibration of the beams: range offsets, intensity gains and offsets. If empty,
     /// the measured values are not changed.
@@ -185,9 +189,9 @@ struct SensorChoice {
     RangeLimits limits = {};  ///< limits of measured ranges
     std::string name = "";
     int lidar = 0;  ///< index of the log's LiDAR that this sensor is or replaces
-    /// Number of returns per ray: 1 or 2. With 2, each ray is split into 9 sub-rays if
-    /// the configuration has only 1. The value 0 means `sensor.returns` of the
-    /// configuration.
+    /// Number of returns per ray: 1 or 2. For 2 returns, each ray is split into 9
+    /// sub-rays if the configuration has only 1 sub-ray. The value 0 means
+    /// `sensor.returns` of the configuration.
     int returns = 0;
     /// False: all rays are fired at the scan's time, as in a motion-compensated log. See
     /// has_rolling_shutter().
@@ -196,7 +200,7 @@ struct SensorChoice {
 
 /// Returns true if the sensor fires its rays at different times. The setting
 /// `sensor.rolling_shutter` = `no` overrides SensorChoice::rolling_shutter. Without a
-/// rolling shutter, all time offsets of a scan are 0. All points are then in the sensor's
+/// rolling shutter, all time offsets of a scan are 0, and all points are in the sensor's
 /// frame at the scan's time.
 bool has_rolling_shutter(const SensorChoice& sensor, const Config& config);
 
@@ -209,14 +213,15 @@ SensorChoice sensor_in_sweep(const SensorChoice& sensor, std::span<const Frame> 
                              std::span<const Lidar> lidars, double time_s);
 
 /// Returns the sensor that the setting `sensor.grid` selects: a LiDAR of the log, or a
-/// grid. With a grid, the setting `sensor.grid_method` selects how the image is made.
-/// Either the rays of the grid are cast, or the points of the LiDAR are binned into the
-/// grid. The range limits of the LiDAR are intersected with those of the dataset
-/// settings. If the log stores only scans of a LiDAR, `rays` is empty and the caller must
-/// set the rays of a scan.
+/// grid. For a grid, the setting `sensor.grid_method` selects one of two methods. Either
+/// the rays of the grid are cast, or the points of the LiDAR are binned into the grid.
+/// The range limits of the LiDAR are intersected with those of the dataset settings. If
+/// only the scans of a LiDAR are known, `rays` is empty and the caller must set the rays
+/// of each scan.
 SensorChoice configured_sensor(const Config& config, const Sequence& sequence, int lidar = 0);
-/// Returns the sensor with a name or from a file: "native", the name of a sensor, a CSV
-/// file or the name of a grid. "kitti360" follows the setting `sensor.grid_method`.
+/// Returns the sensor with this name, or the sensor in this file. Valid values are
+/// "native", the name of a sensor, a CSV file and the name of a grid. "kitti360" follows
+/// the setting `sensor.grid_method`.
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence,
                            int lidar = 0);
 
@@ -226,9 +231,9 @@ SensorChoice sensor_choice(const SensorModel& sensor, int lidar = 0);
 SensorChoice sensor_choice(const MountedSensor& mounted, int lidar = 0);
 
 /// Merges scans of all sensors of a rig into one scan without image order. Rays are in
-/// the frame of the rig, as if the rig were a single sensor. Ring numbers continue from
-/// one scan to the next. If a scan lacks a channel, its rays get the channel's value
-/// `none`.
+/// the frame of the rig, as if the rig were a single sensor. The beam numbers of each
+/// scan continue after those of the previous scan. If a scan lacks a channel, its rays
+/// get the default value `none` of the channel.
 /// @param scans scans at the same time
 /// @param rig_from_sensor [scans] mounting pose of each sensor
 /// @throws UsageError if two channels have the same name and different types
@@ -240,63 +245,66 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
 struct ScanRequest {
     double time_s = 0.0;  ///< time at which the sensor head faces forward, in seconds
     /// Poses of the sensor during the sweep. With a rolling shutter, each ray is fired
-    /// from the pose at its firing time. If there is a single pose, the sensor does not
-    /// move.
+    /// from the pose at the firing time of the ray. If the track has a single pose, the
+    /// sensor does not move.
     PoseTrack dataset_from_sensor;
-    /// Poses of all actors that are present. If not set, the poses are read from the
-    /// actors' tracks in the run, at the time of the scan.
+    /// Poses of all actors that are present. If not set, the actors follow their tracks
+    /// in the run, at the time of the scan.
     std::optional<ActorPoses> dataset_from_actor = {};
 };
 
 /// Renders scans of a trained scene. Only one thread may use a renderer, and renderers of
 /// the same device must not be used simultaneously. With ShDirection::surfel, a model
-/// with n instances is stored n times (copy_shared_models). The reason is that spherical
-/// harmonics are evaluated for the direction from the sensor to each instance.
-/// ShDirection::ray needs only one copy.
+/// with n instances is stored n times (copy_shared_models), because spherical harmonics
+/// depend on the direction from the sensor to each instance. ShDirection::ray needs only
+/// one copy.
 class ScanRenderer {
 public:
     /// Creates a renderer of a scene.
     /// @throws UsageError for unknown channels, and for channels that need normals if the
     /// primitives are 3D Gaussians, which have no normals
     ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence);
-    /// Creates a renderer of a run. It uses the coverage and the intensity model of the
-    /// run. It uses the ray-drop network if the run has one and `refine.enabled` is set.
+    /// Creates a renderer of a run, with the coverage and the intensity model of the run.
+    /// The renderer also applies the ray-drop network if the run has one and
+    /// `refine.enabled` is set.
     ScanRenderer(Device& device, const Run& run);
     ~ScanRenderer();
     /// Hides instances of the scene in all following scans.
     /// @param shown [instances] false for an instance that is not rendered
     void show_only(const std::vector<bool>& shown);
-    /// Uses a network to correct the drop probabilities of all following scans. An empty
-    /// network switches the correction off. A network for the sensor's rays needs scans
-    /// in image order with enough rows and columns. It runs before a scan is binned into
-    /// a grid. A network for the cells of a grid runs only on images of that grid. A ray
-    /// whose drop probability is 1 stays dropped.
-    /// @throws DataError if the arrays of the network do not fit its shape
+    /// Sets the network that corrects the drop probabilities of all following scans. An
+    /// empty network switches the correction off. A network for the sensor's rays needs
+    /// scans in image order with enough rows and columns. It runs before a scan is binned
+    /// into a grid. A network for the cells of a grid runs only on images of that grid. A
+    /// ray whose drop probability is 1 stays dropped.
+    /// @throws DataError if the arrays of the network do not match its shape
     void refine_drops(const DropNetwork& network);
     /// Adds channels to all following scans, in addition to those of the setting
     /// `render.channels`.
     /// @throws UsageError for an unknown channel, and for a channel that needs normals if
     /// the primitives have none
     void enable_channels(const std::string& names);
-    /// Compares all following scans with the space that the log observed, and sets
-    /// RenderedScan::unseen_share. An empty coverage switches the comparison off.
+    /// Sets the space that the log observed. All following scans are compared with this
+    /// space to set RenderedScan::unseen_share. An empty coverage switches the comparison
+    /// off.
     void compare_with(const Coverage& coverage);
     /// Sets the statistical intensity model of each LiDAR of the log, for all following
-    /// scans. Sampled scans draw intensities from this model. Other scans round their
-    /// intensities to the quantisation steps of the log.
+    /// scans. Sampled scans draw random intensities from this model. In all other scans,
+    /// intensities are rounded to the quantisation steps of the log.
     /// @param scatter [lidars] if an entry is missing or empty, intensities are as
     /// rendered
     void scatter_intensities(const std::vector<IntensityScatter>& scatter);
-    /// Sets the weather of all following scans. A sampled scan uses the same seed for its
-    /// weather. Other scans use seed 0. Scans with weather have the channel `source`.
+    /// Sets the weather of all following scans. For a sampled scan, the seed of the
+    /// sample also seeds the weather. Other scans use seed 0. Scans with weather have the
+    /// channel `source`.
     /// @throws UsageError as check_weather(), and for weather if all intensities of the
     /// log are 0
     void set_weather(const Weather& weather);
     /// Returns true if a network corrects the ray-drop of this sensor's scans.
     bool refines(const SensorChoice& sensor) const;
     /// Renders a scan on the recorded path of the log's vehicle.
-    /// @param sensor_offset pose of the simulated sensor in the frame of the log's LiDAR;
-    /// identity places it where the real sensor was
+    /// @param sensor_offset pose of the simulated sensor in the frame of the log's LiDAR.
+    /// With the identity, both sensors have the same pose.
     /// @param sample seed of sample_returns(); if not set, the scan has expected values
     /// without noise
     RenderedScan render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset = {},
@@ -310,12 +318,12 @@ public:
     /// Selects when a requested scan is submitted to the GPU: now, or together with the
     /// next request.
     enum class Send { now, with_next };
-    /// Requests the points of a scan without waiting for them. The points are in the
-    /// sensor's frame at a time of the sensor's path. While the device renders this scan,
-    /// the caller can request more scans and collect earlier points. The device computes
-    /// the points if the scan needs only the sensor's rays, without sub-rays, grid,
-    /// channels, weather or sample. Otherwise place_points() computes the points on the
-    /// host. Both results are bitwise equal.
+    /// Requests the points of a scan and returns without waiting for the result. The
+    /// points are in the sensor's frame at a time of the sensor's path. While the device
+    /// renders this scan, the caller can request more scans and collect earlier points.
+    /// The device computes the points if the scan has no sub-rays, grid, channels,
+    /// weather or sample. Otherwise place_points() computes the points on the host. Both
+    /// results are bitwise equal.
     /// @param points_at_s time of the sensor frame in which the points are expressed
     /// @param when with `with_next`, the scan is submitted together with the next
     /// request. Scans whose points the device computes are then rendered in parallel.
@@ -323,13 +331,14 @@ public:
     /// render()
     void submit_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s,
                        std::optional<std::uint64_t> sample = {}, Send when = Send::now);
-    /// Maximum number of requested scans whose points are not collected yet. Two pending
-    /// scans are enough to keep the device busy.
+    /// Maximum number of requested scans whose points were not collected with
+    /// wait_for_points(). Two requested scans are enough to keep the device busy.
     static constexpr std::size_t kScansInFlight = 64;
     /// Returns the maximum number of scans that the device renders in parallel. The
-    /// default is 4 on a GPU, because a single scan does not use the GPU fully, and 1 on
-    /// a CPU. For a scene in blocks it is 1. Each additional scan needs a copy of the
-    /// scene on the device. If device memory is exhausted, the number is reduced.
+    /// default is 4 on a GPU, because a single scan does not use the GPU fully. The
+    /// default is 1 on a CPU. For a scene in blocks, the number is 1. Each additional
+    /// scan needs a copy of the scene on the device. If device memory is exhausted, the
+    /// number is reduced.
     int side_by_side() const;
     static int default_side_by_side(const Device& device);
     /// Sets the maximum number of scans that the device renders in parallel.
@@ -354,9 +363,9 @@ private:
 /// the same reason.
 RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid);
 
-/// Returns the real image of a frame with the pixels of the configured sensor. It can be
-/// compared with a rendered image. The native grid returns the scan unchanged. Any other
-/// grid bins the points of the scan.
+/// Returns the measured image of a frame with the pixels of the configured sensor, for
+/// comparison with a rendered image. For the native grid, the pixels are those of the
+/// scan. For any other grid, the points of the scan are binned into the grid.
 RangeImage real_image(const Config& config, const Scan& scan);
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes rendered scans to files for other tools. Each file also stores the pose, the
-// time, the sensor and the run, as far as its format allows.
+// time, the sensor and the run, if the format has fields for them.
 #pragma once
 
 #include <cstdint>
@@ -38,7 +38,7 @@ bool is_recording(const std::string& format);
 /// Coordinate frame of points, and of the rays in npz and exr files.
 enum class PointFrame { sensor, world };
 
-/// Description of a sensor for the format pcap.
+/// Sensor properties that only the format pcap needs.
 struct PacketFormatOptions {
     std::optional<SpinningSensor> sensor;  ///< empty if the sensor does not spin
     std::string ouster_profile;            ///< see PacketOptions
@@ -49,11 +49,13 @@ struct PacketFormatOptions {
 struct ScanFormat {
     std::vector<std::string> formats{"npz"};  ///< names of formats, see scan_formats()
     PointFrame frame = PointFrame::sensor;
-    /// Only for the sensor frame. True: all points are in the sensor frame at the scan's
-    /// reference time. False: each point is in the sensor frame at its ray's firing time.
+    /// Used only if points are in the sensor frame. True: all points are in the sensor
+    /// frame at the scan's reference time. False: each point is in the sensor frame at
+    /// the firing time of its ray.
     bool deskew = false;
     std::vector<std::string> instance_names;  ///< names by instance: "background" or the track
-    /// Tracks of the only actors that were rendered. Empty if everything was rendered.
+    /// Tracks of the rendered actors, if only some actors were rendered. Empty if
+    /// everything was rendered.
     std::vector<std::string> only;
     /// Random seed of a sampled scan. Empty if the scan has the most likely values.
     std::optional<std::uint64_t> sample;
@@ -61,34 +63,35 @@ struct ScanFormat {
     std::string run;  ///< folder of the run
     std::string sensor;
     RangeLimits limits;
-    /// Pose of the simulated sensor in the frame of the log's sensor, or of the
-    /// trajectory.
+    /// Pose of the simulated sensor relative to the log's sensor. If a trajectory is set,
+    /// the pose is relative to the trajectory.
     Pose offset;
     /// Mounting of the log's sensor on the vehicle. Needed because recordings also
     /// contain the vehicle frame.
     Pose vehicle_from_lidar;
     /// True if rays are fired at different times, see has_rolling_shutter().
     bool rolling_shutter = true;
-    /// Topic of the sensor's point clouds in recordings. The names of its other topics
-    /// begin with this topic.
+    /// Topic of the sensor's point clouds in recordings. The names of the sensor's other
+    /// topics begin with this name.
     std::string topic = "/lidar/points";
     std::string frame_id = "lidar";  ///< frame id of the sensor in recordings
     /// Tracks of the actors in relidar's world frame. Recordings store them as boxes.
     std::vector<BoxTrack> actors;
     /// Offset from relidar's world to the dataset's world, see Sequence::world_offset_m.
     glm::dvec3 world_offset_m{0.0};
-    /// Trajectory file that set the poses of the sensor. Empty if the poses are those of
-    /// the log's sensor.
+    /// Trajectory file that defines the poses of the sensor. If empty, the poses of the
+    /// log's sensor are used.
     std::string trajectory;
     PacketFormatOptions packets;
     Config config;
 };
-/// Returns the default format for scans of a run: npz in the sensor frame, with the
-/// sensor at the poses of the log's sensor.
+/// Returns the default format for scans of a run: npz files with rays in the sensor
+/// frame. The simulated sensor has the same poses as the log's sensor.
 ScanFormat scan_format(const Run& run, const SensorChoice& sensor);
 /// Returns true if all points of a scan share one frame: the world frame, or the sensor
-/// frame at the scan's time (in recordings: at the time stamp of the message). This is
-/// the case if the points are converted or if all rays are fired at that time.
+/// frame at the scan's time. In recordings, this time is the time stamp of the message.
+/// The function returns true if the points are converted, or if all rays are fired at the
+/// scan's time.
 bool is_deskewed(const ScanFormat& format);
 /// Sets the topic and the frame id of a sensor in recordings. The topic is
 /// /lidar/NAME/points, with topic_word(NAME), and the frame id is NAME. An empty name
@@ -127,8 +130,8 @@ std::string topic_word(const std::string& name);
 /// time of its last ray, after the transforms that it needs.
 class ScanRecordings {
 public:
-    /// Creates the recordings in an existing folder. Removes the files of an earlier
-    /// rendering from it.
+    /// Creates the recordings in an existing folder. Removes the files that an earlier
+    /// rendering has written to this folder.
     /// @param sensors  formats of the sensors, at least one; settings common to all
     /// sensors are read from the first
     /// @throws UsageError if two topics or frames have the same name, or if ROS does not
@@ -176,8 +179,8 @@ public:
     /// known format.
     /// @throws DataError if the folder cannot be written
     ScanFolder(std::filesystem::path folder, ScanFormat format);
-    /// Opens a folder that another process has created for the same rendering. This
-    /// process then writes some of the scans. Removes no files.
+    /// Opens a folder that another process has created for the same rendering. Both
+    /// processes then write scans to this folder. Removes no files.
     /// @throws UsageError for a recording, because only one process can write it;
     /// otherwise like the constructor
     static ScanFolder joining(std::filesystem::path folder, ScanFormat format);
@@ -190,8 +193,8 @@ public:
     void finish();
     const std::filesystem::path& path() const { return folder_; }
     /// Returns the entries of scans.json for the scans written so far. Each entry is JSON
-    /// without line breaks. set_entries() replaces these entries, for example by entries
-    /// that other processes have written.
+    /// without line breaks. set_entries() replaces these entries, for example to include
+    /// entries that other processes have written.
     const std::vector<std::string>& entries() const { return entries_; }
     void set_entries(std::vector<std::string> entries) { entries_ = std::move(entries); }
 
@@ -216,8 +219,8 @@ private:
 /// @param frame  number of the frame
 std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame, const ScanFormat& format);
 
-/// Returns the paths of files in a folder that an earlier rendering has written. Creating
-/// a ScanFolder for the folder would remove these files.
+/// Returns the paths of files that an earlier rendering has written to a folder. The
+/// ScanFolder constructor would remove these files.
 std::vector<std::filesystem::path> scans_in(const std::filesystem::path& folder);
 
 /// Returns a picture of the ranges of an image in false colours. The colour scale uses
@@ -228,8 +231,9 @@ Image intensity_picture(const RangeImage& image);
 Image drop_picture(const RangeImage& image);
 /// Returns a single picture with range, intensity and drop probability below each other.
 Image scan_picture(const RenderedScan& scan);
-/// Returns the factor by which stack() enlarges an image vertically. The factor is needed
-/// because the rows of a LiDAR are farther apart than its columns.
+/// Returns the factor by which stack() enlarges an image vertically. Without this factor,
+/// the picture would be too flat, because the rows of a LiDAR are farther apart than its
+/// columns.
 int picture_stretch(const RangeImage& image);
 /// Returns [rows*columns] values: 1 for pixels with a return, 0 for all others.
 std::vector<float> returned_pixels(const RangeImage& image);

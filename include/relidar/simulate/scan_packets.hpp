@@ -11,8 +11,8 @@
 
 namespace relidar {
 
-/// Returns a rendered scan in the form of a measured scan: rays without a return have
-/// range 0.
+/// Converts a rendered scan to the form of a measured scan, in which rays without a
+/// return have range 0.
 Scan measured_scan(const RenderedScan& scan, const Config& config);
 
 /// Encoders of all sensors of a rig, or of a single sensor.
@@ -28,7 +28,7 @@ public:
     /// @return [sensors] packets that are complete
     /// @throws UsageError like PacketEncoder::encode()
     std::vector<std::vector<SensorPacket>> encode(std::span<const RenderedScan> scans);
-    /// Returns the packets after the last scans.
+    /// Returns the remaining packets. Must be called after the last scans.
     std::vector<std::vector<SensorPacket>> finish();
     /// Returns the encoder of a sensor.
     const PacketEncoder& encoder(std::size_t sensor) const;

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Weather models for LiDAR. Fog, rain and snow attenuate light and return light to the
-// sensor. Water on the ground darkens it and mirrors objects. Sunlight and stray light of
-// reflectors cause false returns. Powers are relative: a surface with reflectivity rho at
-// R metres returns rho / R^2 in clear air, and rho exp(-2 alpha R) / R^2 in weather. (Not
-// in the paper; docs/method.md has the models and their sources.)
+// sensor. Water on the ground darkens the ground and mirrors objects. Sunlight and stray
+// light of reflectors cause false returns. Powers are relative: a surface with
+// reflectivity rho at R metres returns rho / R^2 in clear air, and rho exp(-2 alpha R) /
+// R^2 in weather. (Not in the paper; docs/method.md has the models and their sources.)
 #pragma once
 
 #include <cstdint>
@@ -29,24 +29,24 @@ struct Sun {
 
 /// State of the weather, which is the same everywhere in the scene.
 struct Weather {
-    /// Distance over which the fog attenuates light to 5 %.
+    /// Distance at which fog has reduced the light to 5 %.
     double fog_visibility_m = std::numeric_limits<double>::infinity();
     double rain_mm_h = 0.0;  ///< rain rate in millimetres of water per hour
     double snow_mm_h = 0.0;  ///< snow rate in millimetres of melted water per hour
     double wet_mm = 0.0;     ///< depth of the water on level ground
     Sun sun = {};
     /// Strength of blooming: stray light that a retro-reflector causes in neighbouring
-    /// rays. It is the apparent reflectivity in rays one degree away from a
-    /// retro-reflector of one square degree. Median over beams.
+    /// rays. The value is the apparent reflectivity in rays one degree away from a
+    /// retro-reflector of one square degree. Median over all beams.
     double bloom = 0.0;
 
     bool clear() const { return *this == Weather{}; }
     bool operator==(const Weather&) const = default;
 };
 
-/// Parses a weather description. Its words are separated by commas; each word is an
-/// effect of kWeatherEffects, for example "rain=5,wet=0.5". "clear" or an empty text
-/// means clear air, dry ground and no sun.
+/// Parses a weather description: words separated by commas, for example "rain=5,wet=0.5".
+/// Each word is an effect of kWeatherEffects. "clear" or an empty text means clear air,
+/// dry ground and no sun.
 /// @throws UsageError for an unknown word, for a number out of range, and for rain
 /// together with snow
 Weather parse_weather(const std::string& text);
@@ -57,25 +57,25 @@ std::string to_text(const Weather& weather);
 void check_weather(const Weather& weather);
 
 /// Properties of a sensor that determine how weather affects its scans. The wavelength is
-/// 905 nm. Other near-infrared wavelengths behave the same, because fog, rain and snow
-/// particles are much larger than the wavelength.
+/// 905 nm. Other near-infrared wavelengths give the same results, because fog, rain and
+/// snow particles are much larger than the wavelength.
 struct WeatherSensor {
     double divergence_rad = 0.003;  ///< full divergence of the beams
     double aperture_m = 0.01;       ///< width of a beam at the sensor
     double pulse_s = 6e-9;          ///< full width of the pulse at half maximum
-    /// Minimum distance between two returns of a ray. Returns closer to each other are
-    /// merged.
+    /// Minimum distance between two returns of a ray. Returns that are closer to each
+    /// other are merged.
     double separation_m = 0.5;
     /// Minimum range of a return. For returns from fog, rain and snow, the minimum is at
     /// least 1 m.
     double min_range_m = 0.0;
     double max_range_m = 80.0;
-    /// Half a quantisation step of the sensor's intensities. A darker surface is not
-    /// detected at the maximum range.
+    /// Half a quantisation step of the sensor's intensities. A surface with a lower
+    /// reflectivity is not detected at the maximum range.
     double darkest = 0.5 / 255.0;
-    /// Reflectivity below which a surface is not detected at any range, because receivers
-    /// are less sensitive to near targets (sensitivity-time control). With 0, weakest()
-    /// is the only threshold.
+    /// Reflectivity below which a surface is not detected at any range. The reason is
+    /// that receivers are less sensitive to near targets (sensitivity-time control). If
+    /// the value is 0, weakest() is the only threshold.
     double weakest_reflectivity = 0.0;
 
     /// Returns the minimum power that is detected: the power of the darkest surface at
@@ -93,7 +93,7 @@ enum class PointSource : std::int32_t {
     fog = 1,
     rain = 2,
     snow = 3,
-    /// A surface that is seen as a mirror image in wet ground. Its point is below the
+    /// A surface that appears as a mirror image in wet ground. Its point is below the
     /// ground, at the total path length of the light.
     mirror = 4,
     noise = 5,    ///< Sunlight that the receiver detects as a return, without an object.
@@ -103,8 +103,8 @@ enum class PointSource : std::int32_t {
 /// A possible return of a ray.
 struct Echo {
     double range_m = 0.0;  ///< Range along the ray. It is 0 if the ray has no return.
-    /// Reflectivity of a surface that would return the same power in clear air. For the
-    /// return of a surface, the value is in 0..1.
+    /// Reflectivity of a surface that would return the same power in clear air. If the
+    /// return comes from a surface, the value is in 0..1.
     double reflectivity = 0.0;
     PointSource source = PointSource::nothing;
 };
@@ -117,10 +117,10 @@ double extinction(const Weather& weather);
 /// unpolarised, n = 1.33).
 /// @param cosine  cosine of the angle of incidence in air, 0..1
 double mirrored_by_water(double cosine);
-/// Returns the ratio of the light that wet ground and dry ground return to the source
-/// (Lekner and Dorf 1988). Light passes the water surface twice. The ground scatters
-/// light, and total reflection keeps a part of it in the water film until it leaves or is
-/// absorbed:
+/// Returns the light that wet ground returns to the source, divided by the light that dry
+/// ground returns (Lekner and Dorf 1988). Light passes the water surface twice. The
+/// ground scatters light, and total reflection keeps a part of this light in the water
+/// film until it leaves or is absorbed:
 ///   (1 - F(cosine))^2 / (n^2 (1 - albedo p)),  p = 1 - (1 - mean of F over a diffuse surface's light) / n^2
 /// @param cosine  cosine of the angle of incidence in air, 0..1
 /// @param albedo  albedo of the dry ground, 0..1
@@ -129,8 +129,8 @@ double wet_over_dry(double cosine, double albedo);
 /// 1 if the water is at least 1 mm deep, which is the assumed texture depth of asphalt.
 double film_share(double wet_mm);
 
-/// Returns the noise of a receiver in sunlight. It is the standard deviation of the power
-/// after a matched filter, caused by shot noise. Three sources contribute radiance:
+/// Returns the noise of a receiver in sunlight: the standard deviation of the power after
+/// a matched filter, caused by shot noise. Three sources contribute radiance:
 /// - light scattered by a dusty window: 5 E (1 deg / angle)^2 1/sr;
 /// - light reflected by the surface: E / pi times its albedo, as if it faces the sun;
 /// - the solar disc, if it is in view: E divided by its solid angle.
@@ -148,14 +148,15 @@ double false_returns_per_m(const WeatherSensor& sensor, double level);
 struct WeatherInput;
 class EffectOnRays;
 
-/// A number of a weather effect.
+/// A number in the text of a weather effect, for example the visibility in "fog=50".
 struct WeatherNumber {
     double& (*of)(Weather&);  ///< the field of the number
     double least, most;
-    double usual = 0.0;  ///< value of a number that the text leaves out
+    double usual = 0.0;  ///< Default value if the text does not contain the number.
 };
 
-/// A row of the table of weather effects. Texts, help, viewer and Python read it.
+/// A row of the table of weather effects. The parser, the help texts, the viewer and the
+/// Python module read this table.
 struct WeatherEffect {
     std::string_view name;                   ///< word of the effect, for example "fog"
     std::string_view form;                   ///< word with its numbers, for example "fog=VISIBILITY_m"
@@ -167,7 +168,8 @@ struct WeatherEffect {
     /// Returns the extinction coefficient that the effect adds to the air. Null if the
     /// effect does not attenuate light.
     double (*extinction)(const Weather&) = nullptr;
-    /// Prepares the effect for the rays of a scan. Returns null if no ray has the effect.
+    /// Creates the object that applies the effect to the rays of a scan. Returns null if
+    /// no ray has the effect.
     std::unique_ptr<EffectOnRays> (*prepare)(const WeatherInput&) = nullptr;
 
     bool is_in(const Weather& weather) const;  ///< true if the weather has the effect

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training of a scene. After the initialisation, each iteration samples a frame, renders
-// it, compares it with the measured scan, computes gradients and updates the parameters.
-// Training can be stopped and resumed.
+// Training of a scene, which can be stopped and resumed. After the initialisation, each
+// iteration renders one frame and compares the rendering with the measured scan. It then
+// computes gradients and updates the parameters.
 #pragma once
 
 #include <array>
@@ -40,15 +40,15 @@ struct TrainProgress {
     std::array<double, kLossTerms> terms{};
     double loss = 0.0;
     std::uint32_t n_surfels = 0;
-    /// Sums of the surfels added and removed since the previous entry. `before` and
-    /// `after` refer to the last densification.
+    /// Sums of the surfels added and removed since the previous entry. The fields
+    /// `before` and `after` belong to the last densification.
     DensifyReport densified;
 };
 
 /// Poses that training has corrected (train.refine_poses), for both training and held-out
 /// scans.
 ///
-/// prepare_log() registers the poses before training. It places a held-out scan by
+/// prepare_log() registers the poses before training. It registers a held-out scan by
 /// matching its points with the planes of the training scans. Training does not use
 /// held-out scans in any other way. Later, gradients correct a held-out pose only
 /// indirectly. With a rolling shutter, these gradients come from rays of neighbouring
@@ -60,11 +60,12 @@ struct RefinedPoses {
     std::vector<BoxTrack> boxes;
 };
 
-/// Result of a training. `log` and the times include all sessions since the first start.
+/// Result of a training. If the training was resumed, `log` and the times include all
+/// sessions since the first start.
 struct TrainResult {
     Scene scene;
-    /// Corrected poses for rendering the scene. nullopt if training has not changed the
-    /// poses of the log.
+    /// Corrected poses for rendering the scene. nullopt if training used the poses of the
+    /// log unchanged.
     std::optional<RefinedPoses> poses;
     Coverage coverage;  ///< Space that the training frames have observed.
     std::vector<TrainProgress> log;
@@ -76,25 +77,25 @@ struct TrainResult {
     bool interrupted = false;  ///< True if training stopped before the last iteration.
 };
 
-/// Function that is called for each entry of the training log, a few iterations after the
-/// entry's last iteration. If the function returns false, training stops after the
+/// Callback that receives each entry of the training log, a few iterations after the
+/// entry's last iteration. If the callback returns false, training stops after the
 /// current iteration and returns the current scene.
 using ProgressCallback = std::function<bool(const TrainProgress&)>;
 
 /// Checkpoints, callbacks and stop condition of a training that may take days.
 struct TrainSession {
-    /// Folder for checkpoints. Empty = no checkpoints. Checkpoints are written at the
-    /// interval train.checkpoint_* and when training stops early.
+    /// Folder for checkpoints. Empty = no checkpoints. A checkpoint is written at the
+    /// intervals train.checkpoint_* and when training stops early.
     std::filesystem::path checkpoints;
     /// Checkpoint from which training resumes. Null = start from the beginning.
     const Checkpoint* start = nullptr;
-    /// Function that is called after every iteration. Training stops if it returns true.
+    /// Callback after every iteration. If the callback returns true, training stops.
     std::function<bool()> stop;
-    /// Function that receives one-line messages that are not in the training log, for
-    /// example about a full disk.
+    /// Callback that receives one-line messages, for example about a full disk. These
+    /// messages are not in the training log.
     std::function<void(const std::string&)> note;
-    /// Function that receives the progress of the initialisation, before the first log
-    /// entry. An exception from this function ends training.
+    /// Callback that receives the progress of the initialisation, before the first log
+    /// entry. An exception from the callback ends training.
     Progress progress = {};
     /// Output: times of the stages "initialise", "train", "drops" (drop probabilities of
     /// the sensor) and "coverage".
@@ -103,20 +104,21 @@ struct TrainSession {
 
 /// Callbacks and process group for prepare_log().
 struct PrepareSession {
-    /// Function that receives one line of text about each estimate as soon as it is
-    /// available.
+    /// Callback that receives one line of text about each estimate, as soon as the
+    /// estimate is available.
     std::function<void(const std::string&)> tell;
-    /// Function that is called from time to time. Preparation stops if it returns true.
+    /// Callback that is polled from time to time. If it returns true, the preparation
+    /// stops.
     std::function<bool()> stop;
     Progress progress = {};        ///< Function that receives the progress of slow steps.
     StageTimes* stages = nullptr;  ///< Output: times of the stages "register", "calibrate" and "movers".
     ProcessGroup group = {};       ///< Group of processes that prepare the same log together.
 };
 
-/// Estimates data that training needs from the start but the log does not have. The
-/// settings select the steps, in this order: poses of the sensor (train.refine_poses),
-/// range offsets and intensity responses of its beams (sensor.calibrate), tracks of
-/// moving objects without a label (init.unlabelled_movers).
+/// Estimates data that training needs from the start but that the log does not contain.
+/// The settings select the steps, in this order: poses of the sensor
+/// (train.refine_poses), range offsets and intensity responses of its beams
+/// (sensor.calibrate), tracks of moving objects without a label (init.unlabelled_movers).
 ///
 /// Uses only training frames, except for the poses of held-out frames. The result is
 /// deterministic, so a resumed training prepares the log again. All processes of a group
@@ -147,23 +149,23 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
 /// Callbacks of place_held_out(), which corrects the poses of held-out scans.
 struct PlaceSession {
     Progress progress = {};
-    /// Function that is called before each scan. If it returns true, placement ends and
-    /// no pose changes.
+    /// Callback before each scan. If the callback returns true, the correction of poses
+    /// stops and no pose changes.
     std::function<bool()> stop = {};
 };
 
-/// Number of held-out scans, number of scans whose pose was corrected, and the distances
-/// by which these poses moved.
+/// Result of place_held_out(): the number of held-out scans, the number of corrected
+/// poses, and the distances by which these poses moved.
 struct HeldOutPlacement {
     std::size_t scans = 0, placed = 0;
     double median_m = 0.0, largest_m = 0.0;
 };
 
 /// Corrects the pose of each held-out scan by registering its points to the trained
-/// scene. The run's sequence must contain the scans. This is needed because training
-/// corrected the neighbouring poses but not the poses of held-out scans. Only the poses
-/// of held-out frames change. The scene stays unchanged. LiDARs that sweep at the same
-/// time are registered together.
+/// scene. The run's sequence must contain the scans. This correction is needed because
+/// training has corrected the neighbouring poses but not the poses of held-out scans.
+/// Only the poses of held-out frames change. The scene stays unchanged. LiDARs that sweep
+/// at the same time are registered together.
 ///
 /// Does nothing if the settings do not register the sensor (train.refine_poses), or for
 /// 3D Gaussians, which have no normals. Sets Run::held_out_placed unless it was stopped.
@@ -175,16 +177,17 @@ struct RefineSession {
     Progress progress = {};  ///< Function that receives the progress of rendering the training frames.
     /// Function that is called after each training step.
     std::function<void(const RefineProgress&)> step = {};
-    /// Function that is called after each frame and each step. Training stops if it
-    /// returns true.
+    /// Callback after each frame and each step. If the callback returns true, training
+    /// stops.
     std::function<bool()> stop = {};
     /// Folder for checkpoints of the network. Empty = no checkpoints. Checkpoints are
     /// written after each epoch, at the interval train.checkpoint_minutes, and when
-    /// training stops early. The caller removes them after it has saved the network.
+    /// training stops early. The caller must remove the checkpoints after saving the
+    /// network.
     std::filesystem::path checkpoints = {};
     /// Checkpoint from which training resumes. Null = start from the beginning.
     const Checkpoint* start = nullptr;
-    /// Function that receives one line of text about each checkpoint that could not be
+    /// Callback that receives one line of text about each checkpoint that could not be
     /// written.
     std::function<void(const std::string&)> note = {};
     StageTimes* stages = nullptr;  ///< Output: times of the stages "network's images" and "network".
@@ -197,8 +200,8 @@ inline constexpr const char* kRefineCheckpoints = "drop_network";
 /// Trains a ray-drop network with the options config.refine on the training frames of a
 /// run. The run's sequence must contain the scans. The frames are rendered once with the
 /// nominal rays of the sensor, because the measured rays of a scan reveal which rays
-/// returned. A resumed training renders the frames again. Its result is bit-identical to
-/// an uninterrupted training on the same device.
+/// returned. A resumed training renders the frames again. It gives the same network, bit
+/// by bit, as an uninterrupted training on the same device.
 /// @return empty network if stopped
 /// @throws DataError if no training frame has an image, or if no training frame has a
 /// dropped ray
@@ -212,18 +215,19 @@ DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& se
 /// @throws UsageError if a setting differs. The message names the setting.
 /// @throws DataError if the log or scene differs. The message names the differing part.
 void check_refine_resumable(const Checkpoint& checkpoint, const Run& run);
-/// Copies the settings that affect a ray-drop network from its checkpoint into a config.
+/// Reads the settings that affect a ray-drop network from its checkpoint and stores them
+/// in a config.
 /// @throws UsageError for a setting that this version does not know
 void restore_refine_settings(const Checkpoint& checkpoint, Config& config);
 
 /// Callbacks of learn_scatter(), which estimates the scatter of intensities.
 struct ScatterSession {
     Progress progress = {};
-    /// Function that is called before each frame. Learning stops if it returns true.
+    /// Callback before each frame. If the callback returns true, the function stops.
     std::function<bool()> stop = {};
 };
 
-/// Learns for each LiDAR how the measured intensities scatter around the rendered
+/// Fits, for each LiDAR, a model of the difference between measured and rendered
 /// intensities. Renders the scene of the run for some training frames. The run's sequence
 /// must contain the scans.
 /// @return [lidars]. The entry of a LiDAR with too few returns is empty. The vector is
@@ -235,7 +239,7 @@ std::vector<IntensityScatter> learn_scatter(Device& device, const Run& run,
 struct ActorSession {
     /// Function that is called after each training step.
     std::function<void(int step, int n_steps)> step = {};
-    /// Function that is called after each step. Training stops if it returns true.
+    /// Callback after each training step. If the callback returns true, training stops.
     std::function<bool()> stop = {};
 };
 
@@ -243,9 +247,9 @@ struct ActorSession {
 /// must contain the scans. Each training frame that shows an actor is used
 /// blocks.actor_epochs times.
 ///
-/// This is needed because the training of a block uses only the surroundings of its own
-/// sweeps. Here the actors are trained in front of the joined background of all blocks,
-/// which stays unchanged. Only rays near an actor's box are traced, against the
+/// This step is needed because the training of a block uses only the surroundings of its
+/// own sweeps. Here the actors are trained in front of the joined background of all
+/// blocks, which stays unchanged. Only rays near an actor's box are traced, against the
 /// background surfels along these rays. The number of surfels stays constant.
 /// @return true if training finished, false if it was stopped
 /// @throws DataError if a block cannot be read or a loss is not finite
@@ -265,8 +269,8 @@ void move_result(Run& run, TrainResult& result);
 /// @throws DataError if the log differs. The message names the differing part.
 void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, const Split& split,
                      const Config& config);
-/// Returns the first setting that differs between two configs and prevents a resumed
-/// training. Returns an empty string if there is no such setting.
+/// Returns the name of the first setting that differs between two configs and prevents
+/// resuming the training. Returns an empty string if there is no such setting.
 std::string differing_setting(const Config& config, const Config& other);
 /// Returns the training log that is stored in a checkpoint.
 /// @throws DataError if the checkpoint is not a training checkpoint

@@ -12,7 +12,8 @@ namespace relidar {
 namespace {
 
 constexpr int kEdge = Coverage::kBlockCells;
-// points farther from the origin are ignored; the keys of blocks repeat beyond 8e6 m
+// Points farther from the origin are ignored, because the keys of blocks are unique only
+// up to 8e6 m.
 constexpr double kFarthestPoint_m = 1e6;
 
 struct Place {
@@ -42,8 +43,8 @@ void walk(const glm::dvec3& from_m, const glm::dvec3& to_m, const Visit& visit) 
     const glm::ivec3 end(glm::floor(a + way));
     const double length_m = glm::distance(from_m, to_m);
     glm::ivec3 step;
-    // position of the next cell border along the segment, and distance between two
-    // borders, both as fractions
+    // `next`: position of the next cell border along the segment. `pace`: distance
+    // between two borders. Both are fractions of the segment.
     glm::dvec3 next, pace;
     int n_borders = 0;
     for (int axis = 0; axis < 3; ++axis) {
@@ -68,7 +69,8 @@ void walk(const glm::dvec3& from_m, const glm::dvec3& to_m, const Visit& visit) 
 }  // namespace
 
 void Coverage::add(const glm::dvec3& from_m, const glm::dvec3& to_m) {
-    // block of the previous cell, because the next cell is usually in the same block
+    // Block of the previous cell. It is kept because the next cell is usually in the same
+    // block.
     Block* block = nullptr;
     walk(from_m, to_m, [&](const glm::ivec3& cell, double) {
         const Place place = place_of(cell);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes which space the scans of a log have observed. Processes the scans one firing
-// at a time.
+// Computes which space the scans of a log have observed. Processes each scan firing by
+// firing.
 #include <relidar/log/coverage.hpp>
 
 #include <algorithm>
@@ -12,7 +12,8 @@
 namespace relidar {
 namespace {
 
-/// A ray in the world frame, and the length along which it has observed the space.
+/// A ray in the world frame, with the length of the path along which it has observed the
+/// space.
 struct Look {
     WorldRay ray;
     double length_m = 0.0;  ///< length of the observed path; 0 if the ray gives no information
@@ -20,10 +21,10 @@ struct Look {
     glm::dvec3 end_m() const { return ray.origin_m + length_m * ray.direction; }
 };
 
-/// Returns for each ray of one firing the length of its observed path, highest beam
-/// first. A dropped ray has observed space only if there is a return below it. Its path
-/// is then as long as the nearer one of the returns above and below, or max_range_m if
-/// there is no return above.
+/// Returns the length of the observed path for each ray of one firing, highest beam
+/// first. A dropped ray has observed space only if there is a return below it. The length
+/// of its path is then the smaller of two ranges: the next return above and the next
+/// return below. If there is no return above, the length is max_range_m.
 /// @param range_m [rows] ranges of the returns, 0 if the ray was dropped
 std::vector<double> looked_m(const std::vector<double>& range_m, double max_range_m) {
     const std::size_t n = range_m.size();
@@ -51,8 +52,8 @@ void add_between(Coverage& coverage, const Look& a, const Look& b) {
     }
 }
 
-/// Returns n so that only every n-th column is used. The columns in between can be
-/// skipped, because they cross the same cells.
+/// Returns n so that only every n-th column is processed. The skipped columns cross the
+/// same cells as the processed columns.
 std::size_t column_step(const Lidar& lidar, double max_range_m) {
     const double step_m =
         lidar.sensor.columns > 0 ? 2.0 * kPi / lidar.sensor.columns * max_range_m : Coverage::kCell_m;

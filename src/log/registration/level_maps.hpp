@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stores a map of planes at several cell sizes, so that scans can be aligned from coarse
+// Stores maps of planes with several cell sizes, so that scans can be aligned from coarse
 // to fine.
 #pragma once
 
@@ -15,8 +15,8 @@ public:
     static constexpr int kLevels = 3;
 
     /// Creates an empty map for each cell size.
-    /// @param first, last cell size and robust-kernel scale of the coarsest and of the
-    /// finest level
+    /// @param first, last cell size and scale of the robust kernel, for the coarsest and
+    /// for the finest level
     LevelMaps(const RegisterRound& first, const RegisterRound& last) : first_(first), last_(last) { clear(); }
 
     void clear() {
@@ -36,8 +36,8 @@ public:
         for (VoxelPlanes& map : maps_) map.forget(travelled_m);
     }
     /// Returns the plane at a point. Searches from `level` to coarser levels, and returns
-    /// the first plane found. Distant points are sparse, so they form planes only in
-    /// large cells. Returns null if no level has a plane.
+    /// the first plane. The coarser levels are needed because distant points are sparse
+    /// and form planes only in large cells. Returns null if no level has a plane.
     const Plane* finest_plane(const glm::dvec3& point_m, int level) const {
         const Plane* plane = nullptr;
         for (int l = level; l >= 0 && !plane; --l) plane = maps_[std::size_t(l)].at(point_m);

@@ -17,35 +17,36 @@ namespace {
 // Path length in metres between two key poses. Only key poses are tested for loop
 // closures.
 constexpr double kKey_m = 4.0;
-// Minimum path length between two passes of a place. If the path is shorter, odometry
-// already aligned both passes to one map.
+// Minimum path length between two passes over the same road. If the path is shorter,
+// odometry has already aligned both passes to one map.
 constexpr double kApart_m = 80.0;
-// Maximum distance between two passes of a place. The distance grows with the path length
-// between them, because odometry drifts.
+// Maximum distance between the two passes of a loop closure. This limit grows with the
+// path length between the passes, because odometry drifts.
 constexpr double kNear_m = 4.0, kNearShare = 0.01, kFarthest_m = 15.0;
-// The map covers this path length of the earlier pass, before and after its key pose.
+// Path length of the earlier pass that the map covers, before and after the key pose.
 constexpr double kMap_m = 14.0;
-// Grid of start positions that are tried around the predicted pose.
+// Grid of start positions around the predicted pose. Registration tries these positions.
 constexpr double kGrid_m = 1.5, kWidest_m = 6.0, kHighest_m = 4.5;
-// A start position far from the prediction must have a larger share of matching points.
-// This is the additional share per grid step.
+// Penalty per grid step for start positions far from the prediction. Such a position must
+// have a larger share of matching points.
 constexpr double kGridPenalty = 0.01;
 constexpr std::size_t kGridPoints = 400;
 constexpr int kMostLoopSteps = 10;
 constexpr double kLoopStep_m = 1e-3, kLoopPrior = 1e-4;
-// Minimum share of a scan's points that lie on planes of the earlier pass. Odometry
-// reaches a share of 0.5 to 0.8.
+// Minimum share of a scan's points that lie on planes of the earlier pass. Scans in
+// odometry reach a share of 0.5 to 0.8.
 constexpr double kLeastShare = 0.4;
 constexpr std::size_t kFewestPlaces = 2;
-// standard deviations of the odometry over a path of kKey_m
+// standard deviations of the odometry over a path of length kKey_m
 constexpr double kWay_m = 0.01, kWay_rad = 3e-4;
 constexpr double kPlace_m = 0.05, kPlace_rad = 2e-3;  // standard deviations of a loop closure
-// scale of the robust kernel, which reduces the weight of loop closures that contradict
-// the others
+// Scale of the robust kernel. The kernel reduces the weight of loop closures that
+// contradict the other loop closures.
 constexpr double kBelieved_m = 0.5;
 constexpr int kReweighted = 6;
 
-/// Loop closure: a later pose whose scan was registered to the map of an earlier pass.
+/// Loop closure: the scan of a later key pose was registered to the map of an earlier
+/// pass.
 struct LoopClosure {
     std::size_t earlier, later;  // indices of the key poses
     // correction of the later pose relative to the earlier pose (translation, rotation
@@ -126,8 +127,8 @@ private:
         maps_.add(points_m, 0.0);
     }
 
-    /// Returns the points of a scan in the frame of its pose. Each point comes with the
-    /// position of the vehicle when the point was measured.
+    /// Returns the points of a scan in the frame of the key pose. Also returns, for each
+    /// point, the position of the vehicle when the point was measured.
     std::vector<PlacedPoint> points_of(std::size_t key) const {
         const Pose pose_from_world = inverse(pose(key));
         std::vector<PlacedPoint> points;
@@ -150,8 +151,8 @@ private:
         return double(on_planes) / double(std::max<std::size_t>(n, 1));
     }
 
-    /// Tries a grid of start positions around a pose. Returns the position at which the
-    /// most points lie on planes.
+    /// Tries a grid of start positions around a pose. Returns the start pose with the
+    /// most points on planes, minus a penalty for the distance from the prediction.
     Pose best_start(const std::vector<PlacedPoint>& points, const Pose& about, double reach_m) const {
         std::vector<glm::dvec3> offsets;
         const auto steps = [&](double widest_m) {
@@ -208,7 +209,7 @@ private:
         Pose at = before ? carried(before->off, pose(before->later), pose(later))
                          : best_start(points, pose(later), reach_m);
         double share = settle(points, at);
-        // The prediction from the previous loop closure failed, so try the grid of start
+        // If the prediction from the previous loop closure fails, try the grid of start
         // positions.
         if (before && share < kLeastShare) {
             at = best_start(points, pose(later), reach_m);
@@ -218,15 +219,15 @@ private:
         return LoopClosure{earlier, later, twist_between(pose(later), at)};
     }
 
-    /// Moves the pose `other` as if it were rigidly attached to the pose `at`, to which a
-    /// correction is applied.
+    /// Returns the pose `other` after the correction of the pose `at`, as if both poses
+    /// were rigidly connected.
     static Pose carried(const Twist& correction, const Pose& at, const Pose& other) {
         const Pose world_from_world = moved(at, correction) * inverse(at);
         return world_from_world * other;
     }
 
     /// Normal equations for the corrections x of the key poses. add() adds the squared
-    /// error weight * |x_b - (x_a carried to b) - off|^2.
+    /// error weight * |x_b - (x_a, converted to pose b) - off|^2.
     struct Equations {
         std::vector<Eigen::Triplet<double>> h;
         Eigen::VectorXd g;
@@ -283,7 +284,8 @@ private:
                x.segment<6>(6 * Eigen::Index(key));
     }
 
-    /// Returns by how many metres the corrected key poses contradict a loop closure.
+    /// Returns the difference, in metres, between a loop closure and the corrected key
+    /// poses.
     double contradiction_m(const LoopClosure& place, const Eigen::VectorXd& x) const {
         const Vector6 moves =
             x.segment<6>(6 * Eigen::Index(place.later)) - carried_to(keys_[place.later], place.earlier, x);

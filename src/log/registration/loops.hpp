@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Closes loops. Registers scans of a later pass over a road to the map of the earlier
-// pass. Distributes the error over the path between the two passes.
+// pass. Then distributes the position error over the path between the two passes.
 #pragma once
 
 #include <functional>
@@ -13,7 +13,7 @@ namespace relidar {
 struct LoopOptions {
     /// cell sizes and robust-kernel scales for aligning a scan, from coarse to fine
     RegisterRound first, last;
-    /// called repeatedly; the search for loops stops if it returns false
+    /// Progress callback. If it returns false, the search for loops stops.
     std::function<bool(double done)> proceed;
 };
 
@@ -23,8 +23,8 @@ struct ClosedLoops {
     double largest_m = 0.0;  ///< largest correction of a loop closure, in metres
 };
 
-/// Closes the loops of a track. Searches for poses near a place that the track passed at
-/// least 80 m of path earlier. The allowed distance grows with the path length. A loop
+/// Closes the loops of a track. Searches for poses near a position that the track passed
+/// at least 80 m of path earlier. The allowed distance grows with the path length. A loop
 /// closure is accepted if enough points of the scan lie on planes of the earlier pass.
 /// Loop closures that contradict the others get a lower weight (Geman and McClure 1985).
 /// The corrections x of the poses minimise

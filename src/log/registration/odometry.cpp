@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Aligns each scan with a map of the earlier scans. Predicts the start pose from the
+// Aligns each scan with a map of the earlier scans. The start pose is predicted from the
 // given poses and from the velocity of the previous scan. Then Gauss-Newton steps move
 // the scan as a rigid body onto planes, first in cells of 2 m, then in smaller cells.
-// Each point is placed at its firing time between two poses. The earlier pose is fixed,
-// and the later pose moves. If there are several predictions, the result with the most
-// points on planes is used.
+// Each point is placed at its firing time between two poses. The earlier of these poses
+// is fixed, and the later pose moves. If there are several predictions, the result with
+// the most points on planes is used.
 #include "log/registration/odometry.hpp"
 
 #include <algorithm>
@@ -24,28 +24,32 @@ namespace {
 
 constexpr int kMostSteps = 8;
 constexpr double kConverged_m = 1e-3;  // stops the iteration if a step is shorter than this
-// Weight of the prior that pulls a pose to its prediction, relative to the mean weight of
-// the points. The prior matters only in directions that no point constrains, for example
-// along a bare road.
+// Weight of the prior that pulls a pose to its predicted value, relative to the mean
+// weight of the points. The prior matters only in directions that no point constrains,
+// for example along a road without walls.
 constexpr double kPrior = 3e-4;
-// Minimum share of a scan's points that lie on planes of the map. In streets, the share
-// is 0.5 to 0.8.
+// Minimum share of a scan's points that must lie on planes of the map. In streets, scans
+// reach a share of 0.5 to 0.8.
 constexpr double kFewestShare = 0.1;
-// Removes parts of the map that were last observed this path length ago, because odometry
-// must not close loops.
+// Path length after which parts of the map are removed if they were not observed again.
+// Odometry must not match such old parts, because a separate step closes loops.
 constexpr double kMemory_m = 80.0;
-// Path length between two removals of old parts of the map. Checking all cells takes as
-// long as adding a scan.
+// Path length between two removals of old cells from the map. Removals are rare because
+// checking all cells takes as long as adding a scan.
 constexpr double kForgotten_m = 5.0;
-// two predictions closer than this lead to the same result, so only one is tried
+// If two predictions are closer than this, they lead to the same result. Therefore only
+// one prediction is tried.
 constexpr double kSame_m = 0.05;
-constexpr int kLostInARow = 5;  // clears the map after this number of consecutive scans without a match
+// After this number of consecutive scans without a match, the map is cleared.
+constexpr int kLostInARow = 5;
 constexpr std::size_t kStretch = 200;  // number of poses in a section of the log
-// Number of poses that two consecutive sections share. They are enough to build a map.
+// Number of poses that two consecutive sections share. This number is large enough to
+// build a map.
 constexpr std::size_t kOverlap = 20;
 // number of scans that are used to estimate the motion at the start of a section
 constexpr int kTrialScans = 4;
-// Tested motions between two scans. The maximum corresponds to 40 m/s at 10 Hz.
+// Range and step of the tested motions between two scans. The maximum corresponds to 40
+// m/s at 10 Hz.
 constexpr double kTrialStep_m = 0.5, kFastest_m = 4.0, kBackwards_m = 1.0;
 
 /// Returns the relative motion from pose a to pose b, scaled by the factor s.
@@ -57,7 +61,7 @@ struct Stretch {
 };
 
 /// Divides a log into overlapping sections. The last section can be up to twice as long
-/// as the others.
+/// as the other sections.
 std::vector<Stretch> stretches_of(std::size_t n_poses) {
     std::vector<Stretch> stretches{{0, n_poses}};
     for (std::size_t begin = kStretch; begin + kStretch <= n_poses; begin += kStretch) {
@@ -80,8 +84,8 @@ public:
         if (begin + 1 < track_.pose.size()) track_.pose[begin + 1] = predictions(begin + 1).front();
     }
 
-    /// Estimates one pose and adds its scan to the map. Call this for the poses in their
-    /// order.
+    /// Estimates one pose and adds the scan of this pose to the map. Must be called for
+    /// the poses in their order.
     void follow(std::size_t pose, const std::vector<ThinPoint>& scan) {
         const std::vector<Pose> starts =
             pose == begin_ ? std::vector<Pose>{track_.pose[pose]} : predictions(pose);
@@ -129,8 +133,8 @@ private:
         maps_.forget(forgotten_m_);
     }
 
-    /// Returns the motion from pose k - 1 to k if the velocity does not change. Uses the
-    /// motion between the two previous poses.
+    /// Returns the motion from pose k - 1 to pose k under the assumption of constant
+    /// velocity. Uses the motion between the two previous poses.
     Pose kept_motion(std::size_t k) const {
         if (k < begin_ + 2) return first_motion_.value_or(Pose{});
         const std::vector<double>& t = track_.time_s;
@@ -149,7 +153,7 @@ private:
         return {given, kept};
     }
 
-    /// Sets pose k, and predicts pose k + 1 from it.
+    /// Sets pose k. Also predicts pose k + 1 from pose k.
     void set(std::size_t k, const Pose& pose) {
         track_.pose[k] = pose;
         if (k + 1 < track_.pose.size())
@@ -195,8 +199,8 @@ private:
     }
 };
 
-/// Returns the motion of the vehicle between the first two poses of a section. Used if no
-/// poses are given. Tries several forward speeds and returns the speed for which the
+/// Returns the motion of the vehicle between the first two poses of a section, for logs
+/// without given poses. Tries several forward speeds and returns the speed for which the
 /// first scans match best.
 Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
                        const OdometryOptions& options, const Stretch& stretch) {
@@ -234,8 +238,8 @@ std::vector<Pose> followed(const PoseTrack& given, const std::vector<std::vector
     return {first + std::ptrdiff_t(stretch.begin), first + std::ptrdiff_t(stretch.end)};
 }
 
-/// Joins the sections to one track. Moves each section so that its pose at the last
-/// shared scan equals the pose in the previous section.
+/// Joins the sections to one track. Each section is moved so that it agrees with the
+/// previous section at the last scan that both share.
 std::vector<Pose> chained(const std::vector<Stretch>& stretches, const std::vector<Pose>& poses,
                           const std::vector<std::vector<ThinPoint>>& scans) {
     auto own = poses.begin();  // first pose of the current section in `poses`

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates poses scan by scan, each relative to a map of the earlier scans. Used if the
-// given poses drift or jump, or if there are no poses. A long log is divided into
-// overlapping sections, which threads and processes handle in parallel. Two sections are
-// connected at the last scan that they share.
+// Estimates poses scan by scan. Each scan is aligned with a map of the earlier scans.
+// Odometry is needed if the given poses drift or jump, or if there are no poses. A long
+// log is divided into overlapping sections, which threads and processes handle in
+// parallel. Two sections are connected at the last scan that they share.
 #pragma once
 
 #include <functional>
@@ -21,13 +21,13 @@ struct OdometryOptions {
     /// True if the given poses predict the motion from scan to scan. If false, the
     /// velocity is assumed to be constant.
     bool use_pose_motion = true;
-    /// Called repeatedly from the calling thread. The estimation stops if it returns
-    /// false.
+    /// Progress callback, called repeatedly from the calling thread. If it returns false,
+    /// the estimation stops.
     std::function<bool(double done)> proceed;
     ProcessGroup group = {};
 };
 
-/// Estimates the poses of a log. If a scan cannot be aligned, its pose is predicted.
+/// Estimates the poses of a log. If a scan cannot be aligned, its predicted pose is used.
 /// @param scans [poses] points of each scan; empty if a pose has no scan
 /// @return poses that are identical in all processes and start at the first given pose;
 /// the given poses if proceed() returned false

@@ -10,11 +10,11 @@
 namespace relidar {
 namespace {
 
-// Keeps one point per cell of this size. This keeps nearly all returns, because only a
-// single pose is fitted.
+// Size of the cells in which one point is kept, metres. The small size keeps nearly all
+// returns, which is affordable because only a single pose is fitted.
 constexpr double kThin_m = 0.1;
-// scale of the robust kernel; after registration, the scan is closer to the scene than
-// this
+// Scale of the robust kernel. After registration, the scan is closer to the scene than
+// this scale.
 constexpr double kScale_m = 0.05;
 // Weight of the prior that pulls the pose to its start value, relative to the mean weight
 // of the points.

@@ -11,16 +11,18 @@
 namespace relidar {
 namespace {
 
-constexpr int kChunks = 64;  // number of partial sums, independent of the number of threads
+// Number of partial sums. It does not depend on the number of threads, so the result does
+// not either.
+constexpr int kChunks = 64;
 // number of rounds with shrinking cells, and number of rounds with the smallest cells
 constexpr int kShrinking = 8, kLastRounds = 2;
-constexpr double kShift = 0.37;  // The grid of cells is shifted by this many cells from round to round.
+constexpr double kShift = 0.37;  // Shift of the cell grid from one round to the next, in cells.
 // Weight of the prior that pulls corrections to zero, relative to the mean weight of the
 // points. The prior matters only in directions that no point constrains.
 constexpr double kAdjustmentPrior = 1e-4;
 constexpr std::size_t kFewestPlaced = 30;
-// Minimum share of a scan's points that lie on planes. Streets have 0.3 to 0.7, random
-// ranges have 0.003.
+// Minimum share of a scan's points that lie on planes. Scans of streets have a share of
+// 0.3 to 0.7. Random ranges have 0.003.
 constexpr double kFewestOnPlanes = 0.05;
 
 /// Splits [0, n) into kChunks parts, and calls task(begin, end, chunk) for the parts in
@@ -140,8 +142,8 @@ void PlaneAdjustment::add_prior(PoseEquations& equations) const {
 
 void PlaneAdjustment::remove_common_motion() {
     const auto n = double(std::count(gauge_.begin(), gauge_.end(), true));
-    // Repeats the step, because the mean of rotation vectors is only approximately a
-    // rotation.
+    // The mean of rotation vectors is only approximately a rotation, so the loop repeats
+    // the removal of the mean three times.
     for (int i = 0; i < 3; ++i) {
         glm::dvec3 centre(0.0), v(0.0), w(0.0);
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
@@ -211,7 +213,7 @@ double PlaneAdjustment::deviation_m(std::size_t pose, const std::vector<bool>& a
     const glm::dvec3 between =
         glm::mix(correction(before), correction(after), time_fraction(before, pose, after));
     // If the given poses jump, one of the neighbours has the same jump. Therefore the
-    // smallest difference counts.
+    // function uses the smallest of the differences.
     double least = glm::distance(correction(pose), between);
     for (const std::size_t neighbour : {before, after})
         least = std::min(least, glm::distance(correction(pose), correction(neighbour)));

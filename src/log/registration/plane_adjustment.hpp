@@ -23,26 +23,25 @@ struct PlaneMap {
     const Plane* at(const glm::dvec3& point_m) const;
 };
 
-/// Prior for the corrections of poses. The unit of the weights is the weight of one
-/// point.
+/// Prior for the corrections of poses, as weights relative to the weight of one point.
 struct CorrectionPrior {
     Vector6 pull = Vector6::Zero();  ///< weight of the term that pulls each correction to zero
-    /// weight of the term that pulls corrections of poses 0.1 s apart to each other
+    /// weight of the term that pulls two corrections to each other, for poses 0.1 s apart
     Vector6 link = Vector6::Zero();
 };
 
 class PlaneAdjustment {
 public:
     /// Starts the optimisation of a track.
-    /// @param given poses to which corrections refer
+    /// @param given poses relative to which the corrections are measured
     /// @param start initial poses, accurate enough for the cells of the first round
     /// @param points points of all sweeps, sweep by sweep
-    /// @param gauge [poses] true for the poses whose mean correction is zero
+    /// @param gauge [poses] true for the poses whose mean correction is fixed to zero
     PlaneAdjustment(const PoseTrack& given, const PoseTrack& start, std::vector<ThinPoint> points,
                     std::vector<bool> gauge);
 
-    /// Runs rounds in which the cells and the robust kernel shrink from `first` to
-    /// `last`. Then runs two more rounds with `last`.
+    /// Runs rounds in which the cell size and the scale of the robust kernel decrease
+    /// from `first` to `last`. Then runs two more rounds with `last`.
     /// @return the rounds; fewer if proceed() returned false
     std::vector<RegisterRound> run(const RegisterRound& first, const RegisterRound& last,
                                    const std::function<bool(double done)>& proceed);
@@ -51,26 +50,27 @@ public:
     PlaneMap planes(const RegisterRound& round) const;
     const PoseTrack& track() const { return track_; }
 
-    /// Finds poses that the registration did not determine. Too few points of such a pose
-    /// lie on planes, or its correction differs from the neighbours by more than
-    /// `largest_m`. Replaces the corrections of these poses by interpolation between the
-    /// nearest other poses. Also interpolates poses that are not candidates.
+    /// Finds poses that the registration could not determine. Too few points of such a
+    /// pose lie on planes, or its correction differs from the neighbouring corrections by
+    /// more than `largest_m`. The corrections of these poses are replaced by
+    /// interpolation between the nearest other poses. Poses that are not candidates are
+    /// interpolated too.
     /// @param candidates [poses] poses that have points
     /// @return indices of the replaced candidates
     std::vector<std::size_t> replace_lost(const PlaneMap& map, const std::vector<bool>& candidates,
                                           double scale_m, double largest_m);
-    /// Performs one Gauss-Newton step of a single pose. Moves its points towards fixed
-    /// planes, and keeps all other poses.
+    /// Performs one Gauss-Newton step of a single pose. The step moves the points of this
+    /// pose towards fixed planes. All other poses stay unchanged.
     void place_pose(const PlaneMap& map, std::size_t pose, const std::vector<ThinPoint>& own, double scale_m);
     /// Returns true if enough points of a scan lie on planes to determine its pose.
     /// @param share share of the points that lie on planes
     static bool is_placed(double share, std::size_t n_points);
     /// Returns the share of a scan's points that lie on planes of a map.
     double fraction_on_planes(const PlaneMap& map, std::span<const ThinPoint> own, double scale_m) const;
-    /// Returns by how many metres the correction of a pose differs from its neighbours.
-    /// Compares it with the nearest earlier pose, with the nearest later pose, and with
-    /// the interpolation between both. Returns the smallest difference. Returns 0 at an
-    /// end of the track.
+    /// Returns the difference, in metres, between the correction of a pose and the
+    /// corrections of its neighbours. The correction is compared with the nearest earlier
+    /// pose, with the nearest later pose, and with the interpolation between both.
+    /// Returns the smallest of the three differences. Returns 0 at an end of the track.
     /// @param among [poses] poses that count as neighbours
     double deviation_m(std::size_t pose, const std::vector<bool>& among) const;
     void set_pose(std::size_t pose, const Pose& value) { track_.pose[pose] = value; }
@@ -86,7 +86,7 @@ private:
     void remove_common_motion();
     void interpolate_corrections(const std::vector<bool>& is_known);
     /// Returns the nearest earlier pose and the nearest later pose that are marked in
-    /// `among`. Returns `pose` itself on a side without a marked pose.
+    /// `among`. If one side has no marked pose, returns `pose` itself for this side.
     static std::pair<std::size_t, std::size_t> neighbours_of(std::size_t pose,
                                                              const std::vector<bool>& among);
     double time_fraction(std::size_t before, std::size_t pose, std::size_t after) const;

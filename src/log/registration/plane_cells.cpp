@@ -16,11 +16,11 @@ namespace {
 constexpr std::size_t kFewestPoints = 8;
 constexpr int kFits = 4;
 // Minimum standard deviation of the points along the narrower axis of a plane, relative
-// to the edge of the cell. Points that fill the cell have 0.29.
+// to the edge of the cell. For points that fill the cell evenly, this value is 0.29.
 constexpr double kSpread = 0.12;
 // Minimum standard deviation of the points along the narrower axis of a plane, relative
-// to the scale of the robust kernel. A single ring that is observed from many wrong poses
-// forms a ribbon of this width, which is not a surface.
+// to the scale of the robust kernel. If poses are wrong, the points of a single beam form
+// a ribbon that is narrower than this limit. A ribbon is not a surface.
 constexpr double kSpreadScale = 0.8;
 // minimum share of the points that are closer to the plane than the scale of the robust
 // kernel

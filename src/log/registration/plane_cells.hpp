@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits planes to the points of all scans at their current poses. Each cell of a grid has
-// one plane.
+// Fits planes to the points of all scans at their current poses, one plane in each cell
+// of a grid.
 #pragma once
 
 #include <cmath>
@@ -40,8 +40,8 @@ std::optional<Plane> fit_plane(const std::vector<PlacedPoint>& points, std::span
 class PlaneCells {
 public:
     /// Sorts the points by cell.
-    /// @param shift offset of the grid in cells; a different shift cuts surfaces at
-    /// different places
+    /// @param shift offset of the grid in cells; grids with different offsets divide
+    /// surfaces at different positions
     PlaneCells(const std::vector<PlacedPoint>& points, double cell_m, double shift);
 
     std::size_t size() const { return first_.size() - 1; }
@@ -49,8 +49,8 @@ public:
     std::span<const std::uint32_t> members(std::size_t cell) const {
         return {order_.data() + first_[cell], first_[cell + 1] - first_[cell]};
     }
-    /// Returns the cell that contains a point. Returns nothing if the grid has no points
-    /// in that cell.
+    /// Returns the index of the cell that contains a point. Returns nothing if this cell
+    /// has no points.
     std::optional<std::size_t> find(const glm::dvec3& point_m) const;
 
 private:

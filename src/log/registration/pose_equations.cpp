@@ -16,20 +16,20 @@
 namespace relidar {
 namespace {
 
-// Maximum number of iterations. The solver usually needs 20 to 30, independent of the
-// length of the log.
+// Maximum number of iterations. The solver usually needs 20 to 30 iterations, even for
+// long logs.
 constexpr int kMostIterations = 100;
-// Maximum number of partial sums, and minimum number of planes in each sum. They do not
-// depend on the number of threads, so that the result does not either.
+// Maximum number of partial sums, and minimum number of planes in each sum. Both numbers
+// are independent of the number of threads, so the result is independent too.
 constexpr std::size_t kParts = 64, kPlanesOfPart = 256;
-// The solver stops at this relative norm of the residual. The next round corrects the
+// Relative norm of the residual at which the solver stops. The next round corrects the
 // remaining error.
 constexpr double kTolerance = 1e-4;
 
 Eigen::Vector3d to_eigen(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
 
-/// Returns the two poses between which a point was measured, with their interpolation
-/// weights.
+/// Returns the two poses between which a point was measured, with the interpolation
+/// weight of each pose.
 std::array<std::pair<std::size_t, double>, 2> shares(const ThinPoint& point) {
     return {{{point.left, 1.0 - double(point.s)}, {point.left + 1, double(point.s)}}};
 }
@@ -69,7 +69,8 @@ Twist RigidEquations::solve(double prior, const Twist& correction) const {
     Vector6 gradient = gradient_;
     const double pulls[] = {prior * stiffness_.diagonal().head<3>().mean(),
                             prior * stiffness_.diagonal().tail<3>().mean()};
-    // one prior for metres and one for radians, because their magnitudes differ
+    // The prior has different weights for metres and for radians, because their
+    // magnitudes differ.
     for (int i = 0; i < 6; ++i) {
         stiffness(i, i) += pulls[i / 3];
         gradient[i] += pulls[i / 3] * correction[std::size_t(i)];
@@ -110,15 +111,16 @@ void PoseEquations::add_point(const ThinPoint& point, const Row& row) {
 void PoseEquations::add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed,
                              std::span<const std::uint32_t> members, const Plane& plane, double scale_m) {
     const std::size_t begin = couplings_.size();
-    // Searches from the end, because points are sorted by pose, with few exceptions.
+    // The search starts at the end, because points are sorted by pose with few
+    // exceptions.
     const auto coupling = [&](std::size_t pose) -> Coupling& {
         for (std::size_t k = couplings_.size(); k-- > begin;)
             if (couplings_[k].pose == pose) return couplings_[k];
         return couplings_.emplace_back(
             Coupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
     };
-    // Matrix B of the plane's unknowns, with the current weights of the points. With the
-    // weights of the plane fit, H would not be positive definite.
+    // Matrix B of the three unknowns of the plane. It uses the current weights of the
+    // points, because H would not be positive definite with the weights of the plane fit.
     Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
     Eigen::Vector3d pull = Eigen::Vector3d::Zero();
     for (const std::uint32_t i : members) {
@@ -207,8 +209,9 @@ Vector6 PoseEquations::pull_of(double prior) const {
     return prior * mean;
 }
 
-/// Coarse equations in which groups of poses move rigidly. The unknowns are twists about
-/// the first pose of each group. A twist also moves the other poses of the group.
+/// Coarse equations in which groups of poses move rigidly. The unknowns are twists
+/// (translation and rotation) about the first pose of each group. A twist also moves the
+/// other poses of the group.
 class GroupMotions {
 public:
     GroupMotions(const PoseEquations& equations, const PoseTrack& track, const Vector6& pull)
@@ -229,7 +232,7 @@ public:
         factorise();
     }
 
-    /// Solves for the group motions that reduce a residual, and adds these motions to z.
+    /// Computes the group motions that reduce a residual, and adds these motions to z.
     void add_solution(const Eigen::VectorXd& residual, Eigen::VectorXd& z) const {
         if (solver_.info() != Eigen::Success) return;
         Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));

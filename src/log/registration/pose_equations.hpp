@@ -32,20 +32,20 @@ struct Row {
 };
 Row row_of(const PlacedPoint& point, const Plane& plane, double scale_m);
 
-/// Gauss-Newton equations for one pose; all other poses and the planes are fixed. Counts
-/// the points that lie on planes.
+/// Gauss-Newton equations for one pose. All other poses and the planes are fixed. The
+/// class also counts the points that lie on planes.
 class RigidEquations {
 public:
     /// Adds the residual of a point.
-    /// @param share fraction of the pose's motion with which the point moves
+    /// @param share fraction of the pose's motion that the point follows
     void add(const Row& row, double share = 1.0);
     RigidEquations& operator+=(const RigidEquations& other);
     bool empty() const { return !(stiffness_.trace() > 0.0); }
     std::size_t n_on_planes() const { return n_on_planes_; }
     /// Solves the equations for the step of the pose.
     /// @param prior weight of the prior that pulls the correction to zero, relative to
-    /// the mean weight of translations and of rotations; matters only in directions that
-    /// no point constrains
+    /// the mean weight of translations and of rotations. The prior matters only in
+    /// directions that no point constrains.
     /// @param correction current correction of the pose
     Twist solve(double prior, const Twist& correction = {}) const;
 
@@ -55,22 +55,24 @@ private:
     std::size_t n_on_planes_ = 0;
 };
 
-/// Returns how far a step moves points that are about ten metres away, in metres.
+/// Returns the length of a step in metres: the distance by which the step moves points
+/// about ten metres away.
 double length_m(const Twist& step);
 
-/// Returns the matrix that converts a twist (v, w) about one point to the twist (v + w x
-/// d, w) about another point. Both points are on the same rigid body, and d is the offset
-/// between them.
+/// Returns the matrix that converts a twist (v, w) about one point of a rigid body to the
+/// twist (v + w x d, w) about another point. d is the offset between the two points.
 Matrix6 carried_by(const glm::dvec3& d);
 
-/// Normal equations for all poses, summed over the cells of a grid. If partial sums are
-/// added in the order of the cells, the result is the same for any number of threads.
+/// Normal equations for all poses, summed over the cells of a grid. Partial sums must be
+/// added in the order of the cells. The result is then the same for any number of
+/// threads.
 class PoseEquations {
 public:
     explicit PoseEquations(std::size_t n_poses);
 
     void add_point(const ThinPoint& point, const Row& row);
-    /// Adds the residuals of all points in a cell, and eliminates the plane of the cell.
+    /// Adds the residuals of all points in a cell. Eliminates the unknowns of the cell's
+    /// plane from the equations.
     void add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed,
                   std::span<const std::uint32_t> members, const Plane& plane, double scale_m);
     void add(PoseEquations&& other);
@@ -85,16 +87,16 @@ public:
     /// motions of groups of eight poses. Without these groups, the number of iterations
     /// would grow with the length of the log.
     /// @param track the poses
-    /// @param prior share of the mean diagonal that is added to the diagonal; pulls
-    /// `correction` to zero
+    /// @param prior weight of the prior that pulls `correction` to zero, as a share of
+    /// the mean diagonal
     Eigen::VectorXd solve(const PoseTrack& track, const Eigen::VectorXd& correction, double prior) const;
 
     std::size_t n_planes() const { return n_planes_; }
     double residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
 
 private:
-    /// Matrix C L^-T, which couples one plane with one pose. L is the Cholesky factor of
-    /// B = L L^T.
+    /// Matrix C L^-T, which couples the unknowns of one plane with one pose. L is the
+    /// Cholesky factor of B = L L^T.
     struct Coupling {
         std::uint32_t pose;
         Eigen::Matrix<float, 6, 3> c;

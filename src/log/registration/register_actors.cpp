@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers moving boxes. Optimises the poses of each track together, in the frame of its
-// box. Interpolates the poses of frames without points.
+// Registers moving boxes. All poses of a track are optimised together, in the frame of
+// the box. Poses of frames without points are interpolated.
 #include <relidar/log/registration.hpp>
 
 #include <algorithm>
@@ -14,24 +14,27 @@
 namespace relidar {
 namespace {
 
-// Minimum length of a box in metres. Most shorter boxes are people on foot, who change
-// their shape.
+// Minimum length of a box in metres. Most shorter boxes are pedestrians, who change their
+// shape.
 constexpr double kSmallest_m = 1.2;
-// ignores points of a box below this height, because they are on the ground
+// Height above the bottom of a box. Points below this height are ignored, because they
+// are on the ground.
 constexpr double kAboveGround_m = 0.25;
 constexpr std::size_t kFewestActorPoints = 200, kFewestPosePoints = 10, kFewestPoses = 4;
 constexpr RegisterRound kFirstActorRound{0.8, 0.2}, kLastActorRound{0.4, 0.05};
-constexpr double kGain = 0.02;  // the share of points on planes must increase at least by this amount
-// Largest allowed corrections. Larger corrections are errors.
+// Minimum increase of the share of points on planes. With a smaller increase, the track
+// stays unchanged.
+constexpr double kGain = 0.02;
+// Largest allowed corrections of a pose. Larger corrections are treated as errors.
 constexpr double kLargestCorrection_m = 0.6, kLargestCorrection_rad = 0.1;
 constexpr double kStanding_m = 3.0;  // a box that moves farther than this is not standing
 constexpr int kNeighbours = 3;       // number of poses on each side that are used to interpolate a pose
 constexpr double kLongestGap_s = 1.0;
 
-/// Returns the prior for the corrections of poses. The unit of the weights is the weight
-/// of one point. A point has an error of 0.05 m, and errors of neighbouring points are
-/// correlated. Labels have errors of 0.15 m and 2 degrees, which change by 0.05 m and 1
-/// degree within 0.1 s.
+/// Returns the prior for the corrections of poses, as weights relative to the weight of
+/// one point. A point has an error of 0.05 m, and errors of neighbouring points are
+/// correlated. Labels have errors of 0.15 m and 2 degrees. These errors change by 0.05 m
+/// and 1 degree within 0.1 s.
 CorrectionPrior correction_prior() {
     const double pull_m = std::pow(0.05 / 0.15, 2), pull_rad = std::pow(0.05 / 0.035, 2);
     const double link_m = std::pow(0.05 / 0.05, 2), link_rad = std::pow(0.05 / 0.017, 2);
@@ -47,8 +50,8 @@ struct ActorPoints {
     std::vector<std::size_t> n_of_pose;  ///< [poses] number of points
 };
 
-/// Collects the returns of training frames that lie inside labelled boxes. Places each
-/// return in the world once, because a log can have many boxes.
+/// Collects the returns of training frames that lie inside labelled boxes. A log can have
+/// many boxes, so each return is converted to the world frame only once.
 /// @return [boxes] points in the order of the frames and rays, sorted by pose
 std::vector<ActorPoints> collect_points(const Sequence& sequence, const std::vector<int>& train_positions,
                                         const std::vector<BoxTrack*>& boxes) {
@@ -86,7 +89,7 @@ std::vector<ActorPoints> collect_points(const Sequence& sequence, const std::vec
     return actors;
 }
 
-/// Interpolates one pose of a track. Fits a parabola through the nearest poses that have
+/// Interpolates one pose of a track with a parabola through the nearest poses that have
 /// points, up to three on each side. Returns nothing if one side has no such pose within
 /// a second.
 std::optional<Pose> interpolate_pose(const PoseTrack& track, const std::vector<bool>& has_points,
@@ -117,7 +120,7 @@ std::optional<Pose> interpolate_pose(const PoseTrack& track, const std::vector<b
     return moved(reference, twist);
 }
 
-/// Returns the share of points on planes that are shared by several poses.
+/// Returns the share of points that lie on planes observed from several poses.
 double fraction_on_planes(const PlaneAdjustment& adjustment, const std::vector<ThinPoint>& points) {
     return adjustment.fraction_on_planes(adjustment.planes(kLastActorRound), points, kLastActorRound.scale_m);
 }
@@ -134,7 +137,7 @@ PoseTrack identity_track(const PoseTrack& track) {
     return {track.time_s, std::vector<Pose>(track.pose.size())};
 }
 
-/// Returns true if a box that does not move fits the points as well as the registered
+/// Returns true if the points fit a box that does not move as well as the registered
 /// track.
 bool is_standing(const BoxTrack& box, const ActorPoints& actor, const std::vector<bool>& has_points,
                  double registered_share) {
@@ -148,8 +151,8 @@ bool is_standing(const BoxTrack& box, const ActorPoints& actor, const std::vecto
     return fraction_on_planes(adjustment, still) >= registered_share - kGain;
 }
 
-/// Applies corrections, which are in the frame of the box, to the poses of a track.
-/// Interpolates the poses without points.
+/// Applies corrections to the poses of a track. The corrections are in the frame of the
+/// box. Poses without points are interpolated.
 void apply_corrections(PoseTrack& track, const PoseTrack& corrections, const std::vector<bool>& has_points) {
     for (std::size_t k = 0; k < track.pose.size(); ++k) {
         track.pose[k] = track.pose[k] * inverse(corrections.pose[k]);
@@ -169,8 +172,8 @@ double median_of(std::vector<double> values) {
     return values[values.size() / 2];
 }
 
-/// Registers the track of one box. Keeps the track unchanged if its points do not improve
-/// the poses.
+/// Registers the track of one box. The track stays unchanged if the points do not improve
+/// its poses.
 void register_actor(BoxTrack& box, const ActorPoints& actor, ActorRegistration& result,
                     std::vector<double>& moved_m) {
     std::vector<bool> has_points(actor.n_of_pose.size());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers the poses of the sensor. Optimises the poses of all training scans together.
-// Then aligns each held-out scan with the resulting planes.
+// Registers the poses of the sensor: optimises the poses of all training scans together,
+// and then aligns each held-out scan with the resulting planes.
 #include <relidar/log/registration.hpp>
 
 #include <algorithm>
@@ -18,19 +18,20 @@
 namespace relidar {
 namespace {
 
-// Limits for the size of the cells in which one point is kept. 0.5 m keeps 12 thousand
-// points of a 64-beam scan, 0.1 m nearly all.
+// Maximum and minimum size of the cells in which one point is kept. Cells of 0.5 m keep
+// 12 thousand points of a 64-beam scan. Cells of 0.1 m keep nearly all points.
 constexpr double kThinned_m = 0.5, kThinnest_m = 0.1;
 // Number of scans that usually observe a cell. If the log has fewer scans, more points of
-// each scan are kept, because a plane needs eight points.
+// each scan are kept, because a plane needs at least eight points.
 constexpr double kScansOnACell = 24.0;
 constexpr RegisterRound kLast{0.5, 0.05};  // cell size and robust-kernel scale of the last rounds
-// Cell size and robust-kernel scale of the last odometry step. The scale is larger than
-// in the last rounds, because the map of running sums is coarser.
+// Cell size and robust-kernel scale of the last odometry step. This scale is larger than
+// the scale of the last rounds, because the odometry map is coarser: it computes each
+// plane from running sums.
 constexpr RegisterRound kLastFollowed{0.5, 0.1};
 constexpr int kLevels = 5, kStepsALevel = 3;  // number of levels and steps per level for held-out scans
 
-/// Returns the edge of the cells in which one point of a scan is kept.
+/// Returns the edge length of the cells in which one point of a scan is kept.
 double thinning_m(std::size_t n_scans) {
     return std::clamp(kThinned_m * std::sqrt(double(n_scans) / kScansOnACell), kThinnest_m, kThinned_m);
 }
@@ -41,8 +42,8 @@ std::vector<ThinPoint> joined(const std::vector<std::vector<ThinPoint>>& scans) 
     return points;
 }
 
-/// Aligns the held-out scans, from coarse to fine, with planes that were fitted without
-/// these scans.
+/// Aligns the held-out scans, from coarse to fine. The planes were fitted without these
+/// scans.
 /// @param scans [sweeps] points of the held-out scans; empty for others
 /// @return indices of the scans that could not be aligned
 std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const std::vector<bool>& is_test,
@@ -80,7 +81,7 @@ std::vector<bool> marked(const Sweeps& sweeps, const std::vector<int>& positions
     return is;
 }
 
-/// Returns [sweeps] true only for the middle one of the marked sweeps.
+/// Returns [sweeps] flags: true only for the middle of the marked sweeps.
 std::vector<bool> middle_of(const std::vector<bool>& some) {
     std::vector<bool> is(some.size(), false);
     auto to_go = std::ranges::count(some, true) / 2;
@@ -89,7 +90,8 @@ std::vector<bool> middle_of(const std::vector<bool>& some) {
     return is;
 }
 
-/// Returns the median over sweeps of the share of points on planes.
+/// Computes the share of points on planes for each sweep. Returns the median over the
+/// sweeps.
 /// @param among [sweeps] sweeps that are included
 double median_share(const PlaneAdjustment& adjustment, const PlaneMap& map,
                     const std::vector<std::vector<ThinPoint>>& scans, const std::vector<bool>& among) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects the points for registration: a few thousand per scan, evenly distributed over
-// the surfaces. Skips points in moving boxes.
+// Selects the points for registration: a few thousand points per scan, evenly distributed
+// over the surfaces. Points in moving boxes are skipped.
 #pragma once
 
 #include <cstdint>
@@ -10,20 +10,21 @@
 
 namespace relidar {
 
-/// Sweeps that are registered. There is one sweep for each sweep time of the LiDAR with
-/// the most returns. A sweep includes the frames of other LiDARs with the same time. The
-/// poses of LiDARs with other sweep times are interpolated.
+/// Sweeps to register: one for each sweep time of the LiDAR with the most returns. A
+/// sweep includes the frames of other LiDARs with the same time. The poses of LiDARs with
+/// other sweep times are interpolated.
 struct Sweeps {
     PoseTrack track;                       ///< [sweeps] poses of the vehicle before registration
     std::vector<std::size_t> pose;         ///< [sweeps] index in Sequence::world_from_vehicle, ascending
     std::vector<std::vector<int>> frames;  ///< [sweeps] indices in Sequence::frames
 };
 Sweeps sweeps_of(const Sequence& sequence);
-/// Returns all poses of a log, corrected according to the registered sweeps. Interpolates
-/// the correction between two sweeps.
+/// Returns all poses of a log after a correction by the registered sweeps. Between two
+/// sweeps, the correction is interpolated.
 PoseTrack ride_along(const PoseTrack& given, const Sweeps& sweeps, const PoseTrack& found);
 
-/// A return, stored with the two poses of the track between which it was measured.
+/// A return of a ray. Refers to the two poses of the track between which the return was
+/// measured.
 struct ThinPoint {
     glm::vec3 point_m;  ///< position in the vehicle frame at the firing time
     float s = 0.0f;     ///< interpolation weight of the pose left + 1
@@ -34,27 +35,28 @@ struct ThinPoint {
 /// Number of points in one parallel task that sums equations.
 inline constexpr std::size_t kPointsOfPart = 512;
 
-/// Position of a point, and of the vehicle when the point was measured. World frame.
+/// Position of a point, and position of the vehicle when the point was measured. World
+/// frame.
 struct PlacedPoint {
     glm::dvec3 point_m, vehicle_m;
 };
 PlacedPoint place(const PoseTrack& track, const ThinPoint& point);
-/// Returns how much a point moves if a pose moves, as a fraction 0 .. 1.
+/// Returns the fraction of a pose's motion that a point follows, 0 .. 1.
 double share_of(const ThinPoint& point, std::size_t pose);
 
-/// Selects rays of a frame with at most one return per cell of edge `cell_m` in the
-/// sensor's frame. Skips returns in moving boxes.
+/// Selects rays of a frame. In each cell of edge length `cell_m` in the sensor's frame,
+/// at most one return is selected. Returns in moving boxes are skipped.
 /// @return indices in the order of the scan
 std::vector<std::size_t> thin_rays(const Sequence& sequence, int position, const RegisterOptions& options,
                                    double cell_m);
-/// Returns the point of one ray of a frame. Removes the range offset of the beam.
+/// Returns the point of one ray of a frame. The range offset of the beam is removed.
 /// @param track track on which the point is interpolated
 /// @param pose index in the track of the frame's sweep
 ThinPoint point_of(const Sequence& sequence, const PoseTrack& track, std::size_t pose, int position,
                    std::size_t ray);
-/// Returns the thinned points of the chosen sweeps. Keeps at most one point per cell of
-/// edge `cell_m` in each scan's sensor frame.
-/// @param chosen [sweeps]
+/// Returns the selected points of some sweeps. In each cell of edge length `cell_m` in
+/// the sensor frame, at most one point of a scan is selected.
+/// @param chosen [sweeps] true for the sweeps to use
 /// @return [sweeps] points frame by frame in the order of the scan; empty for sweeps that
 /// are not chosen
 std::vector<std::vector<ThinPoint>> thin_scans(const Sequence& sequence, const Sweeps& sweeps,

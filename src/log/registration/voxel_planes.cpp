@@ -10,13 +10,13 @@ namespace {
 
 constexpr double kFewestOfVoxel = 6;
 // Minimum standard deviation of the points along the narrower axis of a plane, relative
-// to the edge of the cell. Points that fill the cell have 0.29.
+// to the edge of the cell. For points that fill the cell evenly, this value is 0.29.
 constexpr double kVoxelSpread = 0.12;
 // maximum standard deviation of the points along the normal, relative to the edge of the
 // cell
 constexpr double kThickness = 0.1;
-/// Returns the mutex of a cell. All cells share 64 mutexes, because threads rarely fit
-/// planes simultaneously.
+/// Returns the mutex of a cell. All cells share 64 mutexes. Conflicts are rare, because
+/// threads rarely fit planes simultaneously.
 std::mutex& mutex_of(const void* cell) {
     static std::array<std::mutex, 64> mutexes;
     return mutexes[reinterpret_cast<std::uintptr_t>(cell) / 64 % mutexes.size()];

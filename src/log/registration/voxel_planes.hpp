@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Map of planes that grows scan by scan. Each cell of a grid stores sums from which the
-// plane of its points is computed. Adding a point and looking up a plane take constant
-// time.
+// Map of planes that grows scan by scan. Each cell of a grid stores sums over its points,
+// from which the plane of the cell is computed. Adding a point and looking up a plane
+// take constant time.
 #pragma once
 
 #include <atomic>
@@ -22,10 +22,10 @@ public:
     /// @param travelled_m path length of the sensor when the point was measured
     void add(const glm::dvec3& point_m, double travelled_m);
     /// Returns the plane of the cell that contains a point. Returns null if the points of
-    /// the cell do not spread over a surface, or if they are too thick for a plane.
+    /// the cell do not spread over a surface, or if they spread too far along the normal.
     /// Several threads can call this function simultaneously.
     const Plane* at(const glm::dvec3& point_m) const;
-    /// Removes cells that got their last point before the sensor's path length reached
+    /// Removes the cells whose last point was added before the sensor had travelled
     /// `travelled_m`.
     void forget(double travelled_m);
 
@@ -38,7 +38,8 @@ private:
         mutable std::optional<Plane> plane;
 
         bool has_too_many_points() const {
-            // Fits the plane again after the number of points has grown by this factor.
+            // Growth factor of the number of points after which the plane is fitted
+            // again.
             constexpr double kRefit = 1.1;
             return sums.n >= kRefit * n_fitted.load(std::memory_order_acquire);
         }

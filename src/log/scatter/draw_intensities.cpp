@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Draws a random intensity for each ray from a leaf of a decision tree. The tree compares
-// intensities that were drawn before, for neighbours in the same row and in the rows
-// above. Therefore the image is divided into tiles, and tiles that do not depend on each
-// other are drawn in parallel. The result is the same as drawing ray by ray, row by row.
+// intensities that were already drawn for neighbours in the same row and in the rows
+// above. To use all cores, the image is divided into tiles. Tiles that do not depend on
+// each other are drawn in parallel. The result is the same as drawing ray by ray, row by
+// row.
 #include <relidar/log/scatter.hpp>
 
 #include <algorithm>
@@ -15,10 +16,10 @@
 namespace relidar {
 namespace {
 
-constexpr int kTileColumns = 64;  // number of columns of a tile; a tile has one row
+constexpr int kTileColumns = 64;  // Number of columns of a tile. Each tile has one row.
 /// A tile depends on the tile to its left. It also depends on up to kAhead columns to the
-/// right in the rows above. So tile t of row r needs tile t + 1 of row r - 1. Tiles with
-/// the same 2 r + t are independent.
+/// right in the rows above. So tile t of row r needs tile t + 1 of row r - 1. All tiles
+/// with the same value of 2 r + t are independent of each other.
 static_assert(scatter_detail::kAhead <= kTileColumns);
 
 const IntensityScatter::Node& leaf_of(const IntensityScatter& scatter, const scatter_detail::Context& context,

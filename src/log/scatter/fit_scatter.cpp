@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Fits a decision tree for intensities to all returns, one layer of nodes after the
-// other. Splits a node at the feature and the value that reduce the entropy of the
+// other. Each node is split at the feature and the value that reduce the entropy of the
 // classes most. The classes c are 24 quantiles of all intensities:
 //   gain = sum n_c ln(n_c / n) of both children - the same sum of the node
-// Does not split a node if the gain could be due to chance.
+// A node is not split if the gain could be due to chance.
 #include <algorithm>
 #include <cmath>
 #include <functional>
@@ -30,7 +30,8 @@ using scatter_detail::kFeatures;
 constexpr std::size_t kMostReturns = 2000000, kFewestReturns = 1000;
 constexpr std::size_t kFewestOfLeaf = 50;
 // Minimum gain for a split. Twice the gain is chi-square distributed with 23 degrees of
-// freedom. By chance, the best of all splits exceeds this limit in 1 of 100 cases.
+// freedom. If the features are unrelated to the intensity, the gain of the best split
+// exceeds this limit in 1 of 100 cases.
 constexpr double kLeastGain = 20.0;
 constexpr std::size_t kClasses = 24, kBins = 64;
 constexpr std::size_t kQuantileReturns = 100000;  // number of returns from which quantiles are computed
@@ -42,15 +43,15 @@ struct Return {
     float value;
 };
 
-/// All returns of the scans. The returns of a node are contiguous, so that counting reads
-/// memory sequentially.
+/// All returns of the scans. The returns of each node are contiguous in memory, so that
+/// counting reads memory sequentially.
 struct Returns {
     std::vector<Return> all;
     std::array<std::vector<float>, kFeatures> cuts = {};  ///< upper ends of all bins except the last
 };
 
-/// Returns the values that divide a list into n parts of equal size. Removes duplicate
-/// values.
+/// Returns the values that divide a list into n parts of equal size. Duplicate values are
+/// removed.
 std::vector<float> quantiles(std::vector<float> values, std::size_t n) {
     parallel_sort(values, std::less<>());
     std::vector<float> cuts;
@@ -63,7 +64,7 @@ std::uint8_t bin(const std::vector<float>& cuts, float value) {
     return std::uint8_t(std::lower_bound(cuts.begin(), cuts.end(), value) - cuts.begin());
 }
 
-/// Index of a return: image and ray.
+/// Identifies a return by the index of its image and the index of its ray.
 struct ReturnPlace {
     std::uint32_t image, ray;
 };
@@ -72,8 +73,8 @@ bool is_return(const MeasuredIntensities& image, std::size_t ray) {
     return image.measured[ray] != kNoIntensity && image.rendered.range_m[ray] > 0.0f;
 }
 
-/// Returns the indices of returns on rendered surfaces. If there are more than `most`,
-/// selects about `most` returns at random.
+/// Returns the indices of measured returns whose rays also hit a rendered surface. If
+/// there are more than `most` returns, selects about `most` of them at random.
 std::vector<ReturnPlace> returns_of(std::span<const MeasuredIntensities> images, std::size_t most) {
     std::size_t n = 0;
     for (const MeasuredIntensities& image : images)
@@ -151,20 +152,21 @@ struct Counts {
     }
 };
 
-/// Split of a node. The first child gets the returns whose feature is in this bin or in a
-/// lower bin.
+/// Split of a node. The first child gets the returns whose feature value is in bin `bin`
+/// or in a lower bin.
 struct Cut {
     double gain = kLeastGain;
     int feature = -1;
     std::size_t bin = 0;
 };
 
-// number of features that are counted together, so that the counts fit into the
-// first-level cache
+// Number of features that are counted in one pass. The counts of these features fit into
+// the first-level cache.
 constexpr std::size_t kTogether = 4;
 using Bins = std::array<Counts, kBins>;
 
-/// Returns the best split by one feature, computed from the counts in its bins.
+/// Returns the best split by one feature.
+/// @param counts  counts of the classes in each bin of the feature
 Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, const Terms& terms) {
     Cut best;
     Counts all, low;
@@ -174,7 +176,8 @@ Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, con
     std::uint32_t n_low = 0;
     for (std::size_t b = 0; b < n_cuts; ++b) {
         const std::uint32_t of_bin = counts[b].n();
-        if (of_bin == 0) continue;  // an empty bin gives the same gain as the previous split
+        // An empty bin gives the same gain as the previous split, so it is skipped.
+        if (of_bin == 0) continue;
         low.add(counts[b]);
         n_low += of_bin;
         if (n_low < kFewestOfLeaf || n - n_low < kFewestOfLeaf) continue;
@@ -199,8 +202,8 @@ Cut find_cut_of_some(const Returns& returns, std::span<const Return> of_node, st
     return best;
 }
 
-/// Returns the best split of a node. If splits are equally good, returns the split by the
-/// first feature.
+/// Returns the best split of a node. If several splits are equally good, returns the
+/// split whose feature has the lowest index.
 /// @param each runs a task for 0, 1, ..., n - 1
 template <class Each>
 Cut find_cut(const Returns& returns, std::span<const Return> of_node, const Terms& terms, const Each& each) {
@@ -215,8 +218,8 @@ Cut find_cut(const Returns& returns, std::span<const Return> of_node, const Term
     return best;
 }
 
-/// Finds the best splits of several nodes in parallel. In a large node, the features are
-/// processed in parallel too.
+/// Finds the best splits of several nodes in parallel. If a node is large, its features
+/// are also processed in parallel.
 std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms,
                            std::span<const IntensityScatter::Node> nodes) {
     constexpr std::size_t kLarge = 65536;
@@ -234,8 +237,9 @@ std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms,
     return cuts;
 }
 
-/// Splits all nodes from index `first` on whose gain is large enough. Reorders their
-/// returns, so that the returns of each child are contiguous.
+/// Splits the nodes from index `first` on. A node stays a leaf if its gain is too small.
+/// The returns of each split node are reordered so that the returns of each child are
+/// contiguous.
 void part_layer(Returns& returns, const Terms& terms, std::vector<IntensityScatter::Node>& nodes,
                 std::size_t first) {
     const std::vector<Cut> cuts = find_cuts(returns, terms, std::span(nodes).subspan(first));
@@ -273,8 +277,8 @@ void check_sizes(std::span<const MeasuredIntensities> images) {
     }
 }
 
-/// Returns the greatest common divisor of two real numbers. Remainders below `error`
-/// count as zero.
+/// Returns the greatest common divisor of two real numbers. Remainders below `error` are
+/// treated as zero.
 double common_divisor(double a, double b, double error) {
     while (b > error) {
         const double rest = std::abs(std::remainder(a, b));
@@ -287,7 +291,7 @@ double common_divisor(double a, double b, double error) {
 }  // namespace
 
 double find_step(std::vector<float> values) {
-    constexpr double kError = 1e-6, kFinest = 1e-5;  // relative to the largest value
+    constexpr double kError = 1e-6, kFinest = 1e-5;  // Both values are relative to the largest intensity.
     constexpr std::size_t kFewestLevels = 8;
     parallel_sort(values, std::less<>());
     values.erase(std::unique(values.begin(), values.end()), values.end());
@@ -297,7 +301,8 @@ double find_step(std::vector<float> values) {
     for (const float value : values) {
         step = step > 0.0 ? common_divisor(double(value), step, kError * largest) : double(value);
         if (value > 0.0f && step < kFinest * largest) return 0.0;
-        // Computes the step again from the largest value so far, which is more accurate.
+        // Computes the step again from the current value. The values ascend, so the
+        // result becomes more accurate.
         if (step > 0.0) step = double(value) / std::round(double(value) / step);
     }
     const auto is_multiple = [&](float v) {

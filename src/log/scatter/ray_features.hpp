@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the features of a ray for the intensity tree. Features are the rendered values
-// at the ray and around it. Further features are the differences between known and
-// rendered intensities of earlier rays of the beam and of the beams above. Private to
-// scatter.
+// Computes the features of a ray for the decision tree of intensities. The first features
+// are the rendered values at the ray and around it. The other features compare known and
+// rendered intensities of earlier rays, in the same beam and in the beams above. Used
+// only in src/log/scatter.
 #pragma once
 
 #include <algorithm>
@@ -17,7 +17,7 @@
 namespace relidar::scatter_detail {
 
 /// Offset from the current ray to another ray, in rows and columns. Negative rows are
-/// above.
+/// above the current ray.
 struct Step {
     int rows, columns;
 };
@@ -28,9 +28,9 @@ struct Window {
 
 constexpr std::array<Step, 4> kBeside{{{0, -1}, {0, 1}, {-1, 0}, {1, 0}}};
 constexpr std::array<Window, 2> kSmoothed{{{{0, -4}, {0, 4}}, {{-2, 0}, {2, 0}}}};
-/// Offsets of earlier rays whose residuals are features. The lasers of a LiDAR fire
-/// alternately. Therefore the second ray along a beam or above is more similar than the
-/// first.
+/// Offsets of earlier rays whose residuals (known minus rendered intensity) are features.
+/// The lasers of a LiDAR fire alternately. Therefore the second ray along a beam or above
+/// is more similar than the first ray.
 constexpr std::array<Step, 7> kResiduals{{{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, 0}, {-2, 0}, {-4, 0}}};
 constexpr std::array<Step, 10> kLevels{
     {{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, -1}, {-1, 0}, {-1, 1}, {-2, -1}, {-2, 0}, {-2, 1}}};
@@ -38,7 +38,8 @@ constexpr std::array<Window, 5> kMeans{
     {{{0, -2}, {0, -1}}, {{0, -4}, {0, -1}}, {{0, -8}, {0, -1}}, {{-1, -2}, {-1, 2}}, {{-3, -3}, {-1, 3}}}};
 constexpr std::array<Window, 2> kSizes{{{{0, -8}, {0, -1}}, {{-2, -3}, {-1, 3}}}};
 
-/// In the rows above, features use rays up to this many columns ahead of the current ray.
+/// Maximum number of columns ahead of the current ray that features use in the rows
+/// above.
 constexpr int kAhead = 3;
 static_assert(std::ranges::all_of(kMeans, [](const Window& w) {
     return w.last.columns <= (w.last.rows < 0 ? kAhead : -1);
@@ -56,13 +57,13 @@ constexpr std::size_t kFeatures = kOwn + 2 * kBeside.size() + kSmoothed.size() +
                                   kLevels.size() + kMeans.size() + kSizes.size();
 using Features = std::array<float, kFeatures>;
 
-/// Computes the features of rays in a scan. Some intensities of the scan are already
+/// Computes the features of rays in a scan. Only some intensities of the scan are already
 /// known.
 class Context {
 public:
     /// Stores references to the scan and to the known intensities.
-    /// @param known [rows*columns] kNoIntensity for unknown intensities; can be filled
-    /// between calls
+    /// @param known [rows*columns] kNoIntensity for unknown intensities; the caller may
+    /// fill in values between calls
     Context(const RenderedIntensities& rendered, std::span<const float> known)
         : scan_(rendered), known_(known) {}
 
@@ -72,14 +73,15 @@ public:
         return result;
     }
 
-    /// Returns a single feature, because a path through the tree needs only a few
-    /// features. The features have the order of the lists above.
+    /// Returns a single feature. A path through the tree needs only a few features, so
+    /// the other features need not be computed. The features have the order of the lists
+    /// above.
     float feature(std::size_t k, int row, int column) const {
         const auto at = [&](Step s) {
             return index(std::clamp(row + s.rows, 0, scan_.rows - 1), column + s.columns);
         };
-        // Intensities left of the first column count as unknown, so that rows can be
-        // drawn one after the other.
+        // Intensities left of the first column are treated as unknown, so that rows can
+        // be drawn one after the other.
         const auto level = [&](Step s) {
             return row + s.rows < 0 || column + s.columns < 0 ? kNoIntensity : known_[at(s)];
         };
@@ -91,8 +93,8 @@ public:
             const float r = residual(s);
             return r == kNoIntensity ? r : std::abs(r);
         };
-        /// Returns true if feature k is one of the next n features. Otherwise subtracts n
-        /// from k.
+        /// Returns true if feature k is one of the next n features. If it is not,
+        /// subtracts n from k.
         const auto is_of = [&](std::size_t n) { return k < n || (k -= n, false); };
         if (is_of(kOwn)) return own(k, index(row, column));
         if (is_of(kBeside.size())) return scan_.intensity[at(kBeside[k])];
@@ -111,7 +113,8 @@ private:
 
     std::size_t index(int row, int column) const {
         const int columns = scan_.columns;
-        // Wraps the column only if it is outside the image, because divisions are slow.
+        // The column is wrapped only if it is outside the image, because divisions are
+        // slow.
         if (column < 0 || column >= columns) column = (column % columns + columns) % columns;
         return std::size_t(row) * std::size_t(columns) + std::size_t(column);
     }
@@ -120,15 +123,15 @@ private:
             &scan_.intensity, &scan_.range_m, &scan_.spread_m, &scan_.cosine, &scan_.elevation_rad};
         return (*values[k])[i];
     }
-    /// Returns the logarithm of the ratio of two ranges: another ray's range divided by
-    /// this ray's range.
+    /// Returns the logarithm of the range of another ray divided by the range of this
+    /// ray.
     float steepness(std::size_t other, std::size_t i) const {
         return scan_.range_m[other] > 0.0f && scan_.range_m[i] > 0.0f
                    ? std::log(scan_.range_m[other] / scan_.range_m[i])
                    : kNoIntensity;
     }
-    /// Returns the mean of the known values in a window. Returns kNoIntensity if no value
-    /// is known.
+    /// Returns the mean of the known values in a window. Returns kNoIntensity if all
+    /// values are unknown.
     template <class Value>
     static float mean(const Window& window, const Value& value) {
         float sum = 0.0f;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes rays of a beam faster by storing the sines and cosines that all rays of the
-// beam share.
+// Computes many rays of a beam. The sines and cosines that all rays of the beam share are
+// computed only once.
 #pragma once
 
 #include <algorithm>

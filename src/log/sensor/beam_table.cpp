@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads beam tables in CSV format: a header line, then one line per beam. An unknown
-// column is an error. Otherwise a misspelt column would be ignored and its values would
-// be 0.
+// column is an error. Without this error, a misspelt column would be ignored and its
+// values would be 0.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -37,8 +37,8 @@ struct FieldRule {
     double low, high, missing;  ///< allowed values, and the value that is used if the column is missing
 };
 constexpr double kFarthestLimit_m = 10'000.0;
-// This array cannot be constexpr, because a SpinningSensor contains a std::string. clang
-// 14 cannot create a std::string at compile time.
+// This array is not constexpr, because it calls the constructor of SpinningSensor, which
+// contains a std::string. clang 14 cannot create a std::string at compile time.
 const std::array<FieldRule, kFieldCount> kFields{
     {{"elevation_deg", -90.0, 90.0, 0.0},
      {"azimuth_offset_deg", -180.0, 180.0, 0.0},
@@ -71,8 +71,8 @@ Values parse_line(const std::vector<std::string_view>& cells, const std::vector<
 }
 
 /// Adds the beam of one line to a sensor.
-/// @throws DataError if the beam is above the previous beam, or if the line has other
-/// range limits than the first line
+/// @throws DataError if the beam is above the previous beam, or if the range limits
+/// differ from those of the first line
 void add_beam(SpinningSensor& sensor, const Values& v, const std::string& where) {
     // The rotation is negative, because the head turns clockwise.
     const double turned_rad = -2.0 * kPi / sensor.period_s * v[kFiring] * 1e-6;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Looks up the ray-drop probability of the sensor by beam and azimuth.
+// Looks up the probability that the sensor itself drops a ray, by beam and azimuth.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Provides the built-in sensors by name. The beams have three sources: tables in
-// src/log/sensor/tables, published calibrations of one unit of a model, or even spacing
-// over the field of view in the data sheet. Columns, ranges and beam divergence are
-// data-sheet values at 10 Hz. A divergence of 0 means that no source states it.
+// Provides the built-in sensors by name. The beams have three sources: the tables in
+// src/log/sensor/tables, the published calibration of one unit of a model, or even
+// spacing over the field of view in the data sheet. Columns, ranges and beam divergence
+// are data-sheet values at 10 Hz. A divergence of 0 means that no source contains the
+// divergence.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -22,7 +23,7 @@
 
 namespace relidar {
 
-// This function is defined in a file that cmake/Assets.cmake generates.
+// Defined in a source file that cmake/Assets.cmake generates.
 std::span<const std::pair<std::string_view, std::string_view>> sensor_table_texts();
 
 namespace {
@@ -81,9 +82,9 @@ SensorModel model(SpinningSensor sensor, const std::string& about) {
     return {sensor.name, about, sensor.range_limits(), std::move(sensor)};
 }
 
-/// Returns the HDL-64E as described in its data sheet. It has 32 beams at steps of 1/3
-/// degree from +2 degrees down. Another 32 beams follow at steps of 1/2 degree down to
-/// -24.33 degrees.
+/// Returns the HDL-64E as described in its data sheet. The upper 32 beams start at +2
+/// degrees, with steps of 1/3 degree. The lower 32 beams end at -24.33 degrees, with
+/// steps of 1/2 degree.
 SensorModel hdl64e(int columns, double rate_hz) {
     SpinningSensor sensor = spinning("HDL-64E", columns ? columns : 2083, rate_hz);
     add_beams(sensor, 32, 2.0, 2.0 - 31.0 / 3.0);
@@ -117,8 +118,8 @@ SensorModel kitti360(int columns, double rate_hz) {
     return model(std::move(sensor), "image size of published results on KITTI-360, 66 x 1030");
 }
 
-/// Returns the text of a sensor's beam table. The first line begins with # and describes
-/// the source of the values.
+/// Returns the text of a sensor's beam table. The first line of the text begins with #
+/// and describes the source of the values.
 std::string table_of(const std::string& name) {
     const auto tables = sensor_table_texts();
     const auto table = std::find_if(tables.begin(), tables.end(),
@@ -127,15 +128,14 @@ std::string table_of(const std::string& name) {
     return std::string(table->second);
 }
 
-/// Returns the first line of a beam table without the #. This line describes the source
-/// of the table.
+/// Returns the description of a beam table's source: its first line without the #.
 std::string about(const std::string& table) { return table.substr(2, table.find('\n') - 2); }
 
 SensorModel tabled(const Tabled& row, int columns, double rate_hz) {
     const std::string table = table_of(row.name);
     SpinningSensor sensor = parse_beam_table(table, row.name, columns ? columns : row.columns, rate_hz);
     sensor.name = row.name;
-    // An Ouster fires at fixed azimuths. The first azimuth is exactly behind the sensor.
+    // An Ouster fires at fixed azimuths. The first firing is exactly behind the sensor.
     if (sensor.name.starts_with("OS")) sensor.first_azimuth_rad = kPi;
     sensor.min_range_m = row.min_range_m;
     sensor.max_range_m = row.max_range_m;
@@ -185,7 +185,7 @@ SensorModel window_128() {
 
 /// Returns a rosette sensor with the data-sheet values of Livox' Mid-40: a cone of 38.4
 /// degrees and 100 000 rays per second. The rotation rates of the prisms were measured on
-/// that sensor.
+/// a Mid-40.
 SensorModel rosette() {
     return {"rosette",
             "non-repetitive LiDAR similar to the Mid-40: two prisms, a cone of 38.4 degrees, 100 000 "

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Table of the kinds of sensors, with one row per kind. Sensor files, rigs, logs and runs
 // store a sensor as a JSON object with one member, {"<kind>": {...}}. The row of a kind
-// contains the functions that read and write this member.
+// contains the functions that read and write this JSON member.
 #pragma once
 
 #include <string>
@@ -15,18 +15,17 @@
 
 namespace relidar {
 
-/// One kind of sensor pattern. The functions must be called only with patterns of this
-/// kind.
+/// One kind of sensor pattern. Its functions accept only patterns of this kind.
 struct PatternKind {
     const char* name;     ///< key of the JSON object that describes the sensor
     const char* members;  ///< names of the members of the JSON object, for the command-line help
     bool (*holds)(const SensorPattern& pattern);
     /// Creates a sensor from the JSON object.
-    /// @param name  name of the sensor if the object has none
+    /// @param name  name of the sensor if the object does not contain a name
     /// @throws DataError naming the member that is wrong
     SensorModel (*parse)(const JsonField& field, const std::string& name);
-    /// Returns the JSON object without the name and the range limits. Reading the object
-    /// again gives bitwise the same values.
+    /// Returns the JSON object without the name and the range limits. When the object is
+    /// read again, all values are bitwise equal.
     nlohmann::ordered_json (*write)(const SensorPattern& pattern);
     RayTable (*make_rays)(const SensorPattern& pattern, double time_s);
     PatternSummary (*describe)(const SensorPattern& pattern);
@@ -49,12 +48,12 @@ PatternKind pattern_kind(const char* name, const char* members) {
 
 /// Returns the table of all kinds of sensors.
 const std::vector<PatternKind>& pattern_kinds();
-/// Return the rows of two kinds. In some files, their members are stored without the name
-/// of the kind.
+/// Return the rows of the kinds "spinning" and "rays". Some files store the members of
+/// these kinds without the name of the kind.
 PatternKind spinning_kind();
 PatternKind rays_kind();
-/// Returns the kind of sensor that a JSON object names as its member. Returns null if the
-/// object names no kind.
+/// Returns the kind of sensor whose name is a member of the JSON object. Returns null if
+/// no kind matches.
 const PatternKind* find_pattern_kind(const JsonField& field);
 
 namespace pattern_detail {
@@ -73,9 +72,9 @@ double number_or(const JsonField& field, const char* key, double missing, double
 /// if both are missing.
 double read_divergence(const JsonField& field);
 
-/// JSON members that all kinds of sensors can have: {name, period_s, divergence_rad or
-/// divergence_mrad, min_range_m, max_range_m}. The maximum range is infinite if its
-/// member is missing.
+/// JSON members that all kinds of sensors can have: name, period_s, divergence_rad or
+/// divergence_mrad, min_range_m, max_range_m. If max_range_m is missing, the maximum
+/// range is infinite.
 struct CommonMembers {
     std::string name;
     RangeLimits limits;
@@ -84,8 +83,8 @@ struct CommonMembers {
 /// Reads the members that all kinds of sensors can have.
 /// @param least_period_s  smallest allowed period
 CommonMembers read_common(const JsonField& field, const std::string& name, double least_period_s = 1e-6);
-/// Checks that a JSON object has only known members. These are the members that all kinds
-/// can have and `members`. Each name in `angles` allows NAME_rad and NAME_deg.
+/// Checks that a JSON object has only known members: the members that all kinds can have,
+/// and `members`. Each name in `angles` allows NAME_rad and NAME_deg.
 /// @throws DataError for any other member
 void check_members(const JsonField& field, std::vector<std::string> members,
                    const std::vector<std::string>& angles);

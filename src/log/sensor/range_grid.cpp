@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Projects points into an image whose rows and columns are linear in elevation and
-// azimuth (Eq. 6-7). The bins are centred on the rays of the pixels.
+// Projects points into an image. Its rows are evenly spaced in elevation, and its columns
+// are evenly spaced in azimuth (Eq. 6-7). The bins are centred on the rays of the pixels.
 //   row = round((fov_up - elevation) / fov * rows)
 //   column = round((1 - azimuth / pi) / 2 * columns) mod columns
 #include <relidar/log/sensor.hpp>

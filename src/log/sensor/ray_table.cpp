@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements operations on ray tables, and the pattern of sub-rays in a beam.
+// Implements operations on ray tables, and the pattern of the sub-rays that sample a
+// beam.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -29,7 +30,8 @@ std::vector<glm::dvec2> footprint_pattern(int n) {
             offsets.push_back(radius *
                               glm::dvec2(std::cos(first + k * kPi / 2.0), std::sin(first + k * kPi / 2.0)));
     };
-    // The radii of the rings make the sum of radius^2 equal to n / 2.
+    // The radii of the rings are chosen so that the sum of radius^2 over all sub-rays is
+    // n / 2.
     if (n == 5) add_ring(std::sqrt(5.0 / 8.0), 0.0);
     if (n == 9) add_ring(0.5, kPi / 4.0), add_ring(std::sqrt(7.0 / 8.0), 0.0);
     if (n == 1 || n == 5 || n == 9) return offsets;

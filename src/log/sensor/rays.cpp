@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Generates the ray tables of spinning LiDARs and range grids. A clockwise head reaches
 // the azimuth theta at the time -theta / (2 pi) * period. Each column of the image has
-// one azimuth. It contains, for each beam, the firing whose ray is nearest to this
+// one azimuth. For each beam, the column contains the firing whose ray is nearest to this
 // azimuth. Therefore the firings of a beam with an azimuth offset are shifted by an
 // integer number of columns.
 #include <relidar/log/sensor.hpp>

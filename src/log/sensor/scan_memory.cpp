@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stores the arrays of scans in a memory-mapped file if memory is short. The sparse file
-// is mapped once, in an address range that is larger than any disk. The file grows with
-// each array. Freed space is returned to the disk and reused for other arrays.
+// Stores the arrays of scans in a memory-mapped file if memory is short. The file is
+// sparse and is mapped once, into an address range that is larger than any disk. The file
+// grows with each new array. The space of freed arrays is returned to the disk and reused
+// for other arrays.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -30,8 +31,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Arrays with fewer bytes are never stored in the file, because the file is divided into
-// pages.
+// Arrays smaller than this size, in bytes, are never stored in the file, because each
+// array in the file occupies complete pages.
 constexpr std::size_t kSmall = 16 << 10;
 constexpr std::size_t kReserved = std::size_t(1) << 40;  // Size of the reserved address range in bytes.
 
@@ -78,8 +79,8 @@ public:
         const auto room =
             std::find_if(free_.begin(), free_.end(), [&](const auto& range) { return range.second >= size; });
         const std::size_t offset = room == free_.end() ? end_ : room->first;
-        // Reserves the disk space now. If the disk were full later, writing a page would
-        // kill the process.
+        // Reserves the disk space now. Otherwise, if the disk were full later, writing a
+        // page would kill the process.
         if (const int error = ::posix_fallocate(file_, off_t(offset), off_t(size)); error != 0)
             fail_to_make_room(folder_, size, error);
         if (room == free_.end()) end_ += size;
@@ -96,7 +97,8 @@ public:
     void free(void* array, std::size_t bytes) noexcept {
         const std::size_t size = round_to_pages(bytes),
                           offset = std::size_t(static_cast<std::byte*>(array) - begin_);
-        // Gives the disk space of the pages back, if the file system supports it.
+        // Returns the disk space of the freed pages to the file system, if the file
+        // system supports it.
         ::fallocate(file_, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, off_t(offset), off_t(size));
         const std::lock_guard lock(mutex_);
         used_ -= size;
@@ -134,15 +136,16 @@ struct Memory {
     MappedFile& mapped() {
         if (MappedFile* made = file) return *made;
         const std::lock_guard lock(mutex);
-        // Never closes the file, because arrays may be freed at the very end of the
-        // process.
+        // The file is never closed, because arrays may still be freed at the very end of
+        // the process.
         if (!file) file = std::make_unique<MappedFile>(folder).release();
         return *file;
     }
 };
 
 Memory& memory() {
-    // Never destroys the object, because arrays of static objects are freed after main().
+    // The object is never destroyed, because static objects free their arrays after
+    // main().
     static Memory* const all = new Memory;
     return *all;
 }
@@ -150,16 +153,17 @@ Memory& memory() {
 std::uint64_t of_machine() {
     std::uint64_t bytes = std::uint64_t(::sysconf(_SC_PHYS_PAGES)) * std::uint64_t(::sysconf(_SC_PAGESIZE)),
                   limit = 0;
-    // These files contain the memory limit of the control group (cgroup), version 2 and
-    // 1.
+    // Files that contain the memory limit of the control group (cgroup): first version 2,
+    // then version 1.
     for (const char* file : {"/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"})
-        // The text "max" means no limit. It is not a number, so it is skipped.
+        // If the file contains the text "max", no limit is set. Reading a number then
+        // fails, and the file is skipped.
         if (std::ifstream group(file); group >> limit) bytes = std::min(bytes, limit);
     return bytes;
 }
 
 /// Adds a number of bytes to the used memory.
-/// @return false if the limit would be exceeded; then nothing is added
+/// @return false if the memory limit would be exceeded; the used memory is then unchanged
 bool take(Memory& m, std::size_t bytes) {
     if (m.used.fetch_add(bytes) + bytes <= m.limit) return true;
     m.used -= bytes;

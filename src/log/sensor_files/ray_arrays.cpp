@@ -16,7 +16,7 @@
 namespace relidar::sensor_files {
 namespace {
 
-constexpr double kUnit = 1e-3;  // the length of a direction may differ from 1 by at most this value
+constexpr double kUnit = 1e-3;  // Maximum difference between the length of a direction and 1.
 constexpr double kFarthestOrigin_m = 100.0, kLongestScan_s = 100.0, kMostRange_m = 10'000.0,
                  kWidestBeam_rad = 1.0;
 
@@ -64,8 +64,8 @@ void check(const RayColumns& c, const std::string& where) {
                         c.limits.min_m, c.limits.max_m));
 }
 
-/// Sets the beam divergences of the rays. Stores a single number if all rays have the
-/// same divergence.
+/// Sets the beam divergences of the rays. If all rays have the same divergence, only one
+/// number is stored.
 void set_divergence(RayTable& rays, const std::vector<double>& divergence_rad) {
     if (divergence_rad.empty()) return;
     if (std::ranges::adjacent_find(divergence_rad, std::not_equal_to<>()) == divergence_rad.end())

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads ray tables from files. The columns have the same names as the arrays of a
-// rendered scan.
+// Reads ray tables from files. The columns of a table have the same names as the arrays
+// of a rendered scan.
 #pragma once
 
 #include <optional>
@@ -11,7 +11,7 @@
 
 namespace relidar::sensor_files {
 
-/// Rays as they are stored in a file. An array is empty if the file does not contain it.
+/// Rays as a file stores them. An array is empty if the file does not contain it.
 struct RayColumns {
     int rows = 1, columns = 0;
     std::vector<double> direction;  ///< [n,3] directions
@@ -21,8 +21,8 @@ struct RayColumns {
     /// [n] beam divergences, or one value for all rays; empty: 0
     std::vector<double> divergence_rad = {};
     RangeLimits limits = {};
-    /// If true, directions that are floats of unit length are not normalised again. Then
-    /// rays that relidar wrote are restored bit by bit.
+    /// If true, directions that are already floats of unit length are not normalised
+    /// again. Rays that relidar wrote are then restored bit by bit.
     bool keeps_floats = false;
 };
 
@@ -32,8 +32,8 @@ struct RayColumns {
 /// of range, or directions do not have unit length
 SensorModel ray_sensor(const RayColumns& columns, const std::string& name, const std::string& where);
 
-/// Returns the divergences in radians from the two forms that a file may use: one number
-/// per ray, or one number for all rays.
+/// Returns the divergences in radians. A file may contain them in one of two forms: one
+/// number per ray, or one number for all rays.
 /// @param of_rays_rad  [n] divergence of each ray, or empty
 /// @throws DataError if the file contains both forms
 std::vector<double> divergence_of(std::vector<double> of_rays_rad, std::optional<double> of_all_mrad,
@@ -53,7 +53,7 @@ SensorModel read_ray_npz(const std::string& path, const std::string& name);
 SensorModel parse_sensor_json(const std::string& text, const std::string& name, const std::string& where,
                               int columns, double rate_hz);
 
-/// Sets the maximum range of a sensor that has no maximum range.
+/// Sets the maximum range of a sensor, unless the sensor already has a maximum range.
 /// @throws DataError if the maximum range is not above the minimum range
 void limit_range(SensorModel& sensor, double max_range_m, const std::string& where);
 

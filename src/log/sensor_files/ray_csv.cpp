@@ -32,13 +32,14 @@ enum Field {
 const std::vector<std::string> kNames{"azimuth_deg", "elevation_deg", "origin_x_m", "origin_y_m",
                                       "origin_z_m",  "time_s",        "channel",    "divergence_mrad",
                                       "min_range_m", "max_range_m"};
-// columns that must have the same value in every line, because they belong to the sensor
+// Columns that must have the same value in every line, because they describe the sensor
+// and not a single ray.
 constexpr std::array<Field, 2> kOfSensor{kMinRange, kMaxRange};
 
 using Values = std::array<double, kFieldCount>;
 
-/// Returns the values of a line. Uses the defaults of RayColumns for missing range
-/// limits.
+/// Returns the values of a line. If the range limits are missing, their default values in
+/// RayColumns are used.
 Values parse_line(const std::string& line, const std::vector<int>& at, std::size_t n_cells,
                   const std::string& where) {
     const std::vector<std::string_view> cells = csv_cells(line);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads sensor rigs. A rig has several sensors, each with its mounting on the vehicle.
+// Reads sensor rigs. A rig has several sensors, each with a mounting on the vehicle.
 #include <relidar/log/sensor_files.hpp>
 
 #include <algorithm>
@@ -23,8 +23,7 @@ using Json = nlohmann::json;
 constexpr std::size_t kMostSensors = 64;
 constexpr double kFarthest_m = 1000.0;
 
-/// Returns the three numbers that a JSON key contains. Returns zeros if the key is
-/// missing.
+/// Returns the three numbers of a JSON list. Returns zeros if the key is missing.
 glm::dvec3 vector_of(const Json& sensor, const char* key, double largest, const std::string& where) {
     if (!sensor.contains(key)) return glm::dvec3(0.0);
     const Json& list = sensor.at(key);
@@ -55,7 +54,7 @@ int returns_of(const Json& sensor, const std::string& where) {
     return returns.get<int>();
 }
 
-/// Looks for a sensor file in the folder of the rig and returns its path. If there is no
+/// Returns the path of a sensor file in the folder of the rig. If the folder contains no
 /// such file, returns the text unchanged, because it is a sensor name or another path.
 std::string beside(const std::string& sensor, const std::string& rig) {
     const fs::path path = fs::path(rig).parent_path() / sensor;
@@ -65,8 +64,8 @@ std::string beside(const std::string& sensor, const std::string& rig) {
                : sensor;
 }
 
-/// Returns the sensor of one entry of a rig. The entry contains a sensor name, a file
-/// name, or an object that describes the sensor.
+/// Returns the sensor of one entry of a rig. The entry contains the name of a sensor, the
+/// name of a file, or an object that describes the sensor.
 SensorModel model_of(const Json& sensor, const std::string& name, const std::string& rig,
                      const std::string& where) {
     if (!sensor.contains("sensor") || !sensor.at("sensor").is_object())
@@ -89,8 +88,8 @@ void check_name(const std::string& name, const std::set<std::string>& taken, con
         throw DataError(fmt::format("{}: name: \"{}\" occurs twice, expected it once", where, name));
 }
 
-/// Throws an error for unknown keys. Without this check, a misspelt key of the mounting
-/// would leave the sensor at the rig's origin without an error.
+/// Throws an error for unknown keys. Without this check, a misspelt key such as
+/// "translation" would be ignored, and the sensor would be mounted at the rig's origin.
 void check_keys(const Json& object, const std::vector<std::string>& known, const std::string& where) {
     for (const auto& [key, value] : object.items())
         if (std::find(known.begin(), known.end(), key) == known.end())
@@ -106,7 +105,9 @@ std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
     try {
         json = Json::parse(read_text(path));
     } catch (const std::exception&) {
-        return {};  // find_sensor() reads the file again and reports the error
+        // Returns nothing here, because find_sensor() reads the file again and reports
+        // the error.
+        return {};
     }
     if (!json.is_object() || !json.contains("sensors")) return {};
     check_keys(json, {"sensors"}, path);

@@ -2,11 +2,11 @@
 // Reads sensors in JSON format: a sensor pattern (read_sensor_json()), a ray table, or
 // the metadata of an Ouster sensor. Ouster's metadata has an old flat form and a newer
 // nested form. The x axis of Ouster's LiDAR frame points backward, to the connector. The
-// sensor frame of relidar is this frame rotated by 180 degrees about z. For column m of
+// sensor frame of relidar is this frame, rotated by 180 degrees about z. For column m of
 // W, beam azimuth a and origin offset n:
 //   head azimuth = pi - 2 pi m / W
 //   ray azimuth = head azimuth - a
-// The origin of a ray is at distance n along the head direction.
+// A ray starts at distance n from the axis, along the head direction.
 #include <algorithm>
 #include <cmath>
 
@@ -28,8 +28,8 @@ using Json = nlohmann::json;
 
 constexpr std::size_t kMostBeams = 1024;
 
-/// Returns the value of a key in a JSON object. Also searches the named sub-objects.
-/// Returns null if the key is missing.
+/// Returns the value of a key in a JSON object or in its sub-objects `parts`. Returns
+/// null if the key is missing.
 const Json* find(const Json& json, const std::string& key, std::initializer_list<const char*> parts) {
     if (json.contains(key)) return &json.at(key);
     for (const char* part : parts)
@@ -126,7 +126,8 @@ SensorModel parse_sensor_json(const std::string& text, const std::string& name, 
             fmt::format("{} is not valid JSON ({}), expected a sensor", where, excerpt(error.what())));
     }
     const JsonField root(json, where, "");
-    // Such a file has the members of the kind "rays", but without the name of the kind.
+    // A file with the key "directions" has the members of the kind "rays", but without
+    // the name of the kind.
     if (root.has("directions")) return rays_kind().parse(root, name);
     if (find_pattern_kind(root)) {
         SensorModel sensor = read_sensor_json(root, name);

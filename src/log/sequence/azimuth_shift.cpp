@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates how far the real azimuth of a spinning LiDAR's head differs from the nominal
-// azimuth at each firing. They differ because motors are uneven, firings are grouped in
-// packets, and each sweep begins at a different azimuth.
+// Estimates the difference between the real and the nominal azimuth of a spinning LiDAR's
+// head, at each firing. The azimuths differ because motors are uneven, firings are
+// grouped in packets, and each sweep begins at a different azimuth.
 #include <algorithm>
 #include <cmath>
 
@@ -10,11 +10,11 @@
 namespace relidar {
 namespace {
 
-// at least this many returns are needed to estimate the azimuth of a firing
+// Minimum number of returns that are needed to estimate the azimuth of a firing.
 constexpr std::size_t kFewest = 3;
 constexpr double kExact_rad = 1e-5;  // shifts below this value are rounding errors
-// At least half of the rays must be this close to the median of their firing. Otherwise
-// the beams do not rotate together.
+// Maximum distance of at least half of the rays from the median of their firing, in
+// columns. If the rays are farther away, the beams do not rotate together.
 constexpr double kAgree_columns = 0.1;
 
 /// Returns the azimuth angle from one direction to another, positive to the left.
@@ -23,8 +23,8 @@ double azimuth_between(const glm::vec3& from, const glm::vec3& to) {
                       double(from.x) * to.x + double(from.y) * to.y);
 }
 
-/// Calls visit(ray, firing) for each ray of a scan. `firing` counts the firings of a
-/// sweep.
+/// Calls visit(ray, firing) for each ray of a scan. `firing` is the number of the firing
+/// within the sweep.
 template <class Visit>
 void visit_rays(const SpinningSensor& sensor, const Visit& visit) {
     const auto columns = std::size_t(sensor.columns);
@@ -41,8 +41,8 @@ float median_of(std::vector<float>& values) {
     return *middle;
 }
 
-/// Fills in the shifts of unknown firings (NAN) by interpolation between their
-/// neighbours.
+/// Fills in the shifts of unknown firings (NAN) by interpolation between the neighbouring
+/// known firings.
 /// @return true if at least one firing is known
 bool fill_shift_gaps(std::vector<float>& shift_rad) {
     const auto is_known = [](float shift) { return !std::isnan(shift); };

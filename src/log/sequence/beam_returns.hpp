@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the returns of a log, so that the beams can be compared. Private to sequence.
+// Reads the returns of a log, so that the beams can be compared. Used only in
+// src/log/sequence.
 #pragma once
 
 #include <optional>
@@ -11,8 +12,8 @@
 
 namespace relidar {
 
-/// Returns the beam number (Sequence::beam_number) of a ray if it has a return closer
-/// than max_range_m. Returns nothing for other rays.
+/// Returns the beam number (Sequence::beam_number) of a ray. Returns nothing if the ray
+/// has no return closer than max_range_m.
 inline std::optional<std::uint16_t> beam_of_return(const Sequence& sequence, const Frame& frame,
                                                    std::size_t ray, double max_range_m) {
     const float range_m = frame.scan.range_m[ray];
@@ -29,8 +30,8 @@ inline std::vector<Beam*> beams_of(Sequence& sequence) {
     return beams;
 }
 
-/// Calls read(frame) for the given frames, and returns the results. Reads only every n-th
-/// frame if the frames have more than max_rays rays in total.
+/// Calls read(frame) for the given frames, and returns the results. If the frames have
+/// more than max_rays rays in total, only every n-th frame is read.
 template <class Read>
 auto read_frames(const Sequence& sequence, const std::vector<int>& positions, std::size_t max_rays,
                  const Read& read) {

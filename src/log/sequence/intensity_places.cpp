@@ -13,14 +13,15 @@
 namespace relidar {
 namespace {
 
-// Edge of the small cells (places) in which intensities are compared. A place contains
-// one surface and is still hit several times.
+// Edge length of the small cells (places) in which intensities are compared. A place is
+// small enough to contain one surface, and large enough to be hit several times.
 constexpr double kPlace_m = 0.1;
-// edge of the larger cells in which planes are fitted, to get the normals of the places
+// Edge length of the larger cells in which planes are fitted. The planes provide the
+// surface normals of the places.
 constexpr double kSurface_m = 0.4;
 constexpr double kMinPoints = 8.0;
-// Maximum thickness of a surface, relative to its narrower extent. Both are standard
-// deviations.
+// Maximum thickness of a surface, relative to the narrower extent of the surface.
+// Thickness and extent are standard deviations.
 constexpr double kMaxThickness = 0.15;
 constexpr std::size_t kMostCompared = 6000000;
 
@@ -51,8 +52,8 @@ CellNumbers cells_of(const std::vector<SeenPlace>& seen, double cell_m) {
     return number_cells(seen.size(), [&](std::size_t i) { return cell_key(seen[i].point_m, cell_m); });
 }
 
-/// Computes the normal of the surface in each cell of edge kSurface_m. The normal is zero
-/// if the returns do not lie on a surface.
+/// Computes the normal of the surface in each cell of edge length kSurface_m. The normal
+/// is zero if the returns of a cell do not lie on a surface.
 std::vector<glm::vec3> normals_of(const std::vector<SeenPlace>& seen, const CellNumbers& cells) {
     const ItemsOfCells items(cells);
     std::vector<glm::vec3> normals(cells.n_cells, glm::vec3(0.0f));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Collects returns that hit the same small place in several sweeps or with several beams,
-// so that their intensities can be compared. Private to sequence.
+// Collects returns that hit the same small cell (place) in several sweeps or with several
+// beams. The intensities of such returns can be compared. Used only in src/log/sequence.
 #pragma once
 
 #include <cstdint>
@@ -10,7 +10,7 @@
 
 namespace relidar {
 
-/// One return: its place, beam, range, angle of incidence and intensity.
+/// One return: its place (small cell), beam, range, angle of incidence and intensity.
 struct PlaceReturn {
     std::uint32_t place;
     std::uint32_t beam;
@@ -19,7 +19,7 @@ struct PlaceReturn {
     float intensity;  ///< measured intensity
 };
 
-/// Returns from places on surfaces that were hit at least twice. The returns are sorted
+/// Returns from places (small cells) that were hit at least twice. The returns are sorted
 /// by place. Places are numbered from 0.
 struct PlaceReturns {
     std::vector<PlaceReturn> seen;

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // Estimates how intensities depend on range and incidence, and how the beams of a sensor
-// differ. Compares returns from the same places. Minimises by Gauss-Newton the errors of
+// differ. Compares returns from the same places (small cells). Minimises by Gauss-Newton
+// the errors of
 //   intensity = gain_b * albedo_p * rho(range) * (1 - q (1 - cos)) + offset_b,   rho piecewise linear.
 // The albedos are eliminated: H = sum J J^T - sum over places of (sum J c)(sum J c)^T /
 // sum c^2. Here c is the derivative with respect to the place's albedo. The model has two
-// parts, the range and incidence terms and the beam terms. If one part explains the data
-// as well as both, only this part is used.
+// parts: the range and incidence terms, and the beam terms. If one part explains the data
+// as well as both parts, only this part is used.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -24,11 +25,13 @@ namespace {
 
 constexpr std::array kKnots_m = {2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 80.0, 120.0};
 constexpr std::size_t kReference = 3;  // index of the knot where rho is 1
-// Weight of the prior, as a number of returns. The prior pulls each beam to the mean
-// beam, and rho at each knot to a straight line.
+// Weight of the prior, as a number of returns. The prior pulls each beam towards the mean
+// beam. It also pulls rho at each knot towards the straight line through the neighbouring
+// knots.
 constexpr double kResponsePrior = 200.0;
 constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor = 20.0, kMaxIncidence = 0.95;
-// Uses a part of the model only if it reduces the error below this fraction.
+// Maximum ratio of the errors with and without a part of the model. If the ratio is
+// higher, the part is not used.
 constexpr double kLeastResponseGain = 0.95;
 constexpr int kSteps = 12;
 constexpr double kDamping = 1e-3;
@@ -51,9 +54,9 @@ struct Parts {
     bool shared, beams;
 };
 
-/// Returns the index of the knot at or before a range, and the fraction 0 .. 1 between
-/// this knot and the next. The fraction is clamped to 0 .. 1 for ranges outside all
-/// knots.
+/// Returns the index of the knot at or before a range, and the position between this knot
+/// and the next knot as a fraction. The fraction is clamped to 0 .. 1 for ranges outside
+/// all knots.
 std::pair<std::size_t, double> knot_at(double range_m) {
     const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
     const std::size_t left = std::size_t(
@@ -61,8 +64,8 @@ std::pair<std::size_t, double> knot_at(double range_m) {
     return {left, std::clamp((range_m - kKnots_m[left]) / (kKnots_m[left + 1] - kKnots_m[left]), 0.0, 1.0)};
 }
 
-/// Divides the returns into chunks for parallel sums. Returns the begin of each chunk and
-/// the end of the last chunk. All returns of a place are in one chunk.
+/// Divides the returns into chunks for parallel sums. All returns of a place are in one
+/// chunk. Returns the begin of each chunk and the end of the last chunk.
 std::vector<std::size_t> chunk_bounds(const std::vector<PlaceReturn>& seen) {
     std::vector<std::size_t> bounds{0};
     for (std::size_t c = 1; c < kChunks; ++c) {
@@ -74,7 +77,7 @@ std::vector<std::size_t> chunk_bounds(const std::vector<PlaceReturn>& seen) {
     return bounds;
 }
 
-/// Calls task(returns of one place, chunk) for each place. Processes the chunks in
+/// Calls task(returns of one place, chunk) for each place. The chunks are processed in
 /// parallel.
 template <class Task>
 void for_each_place(const std::vector<PlaceReturn>& seen, const Task& task) {
@@ -101,8 +104,8 @@ void fit_albedos(Model& m, const PlaceReturns& returns) {
     });
 }
 
-/// Assigns an index in the linear system to each unknown: rho at the knots, q, then gain
-/// and offset of each beam.
+/// Assigns an index in the linear system to each unknown: rho at the knots, q, and then
+/// the gain and the offset of each beam.
 struct Layout {
     Parts parts;
     std::size_t n_beams;
@@ -115,12 +118,13 @@ struct Layout {
     Eigen::Index size() const { return gain(parts.beams ? n_beams : 0); }
 };
 
-/// Derivatives of one expected intensity. Holds only the unknowns with a nonzero
-/// derivative, in ascending order.
+/// Derivatives of the expected intensity of one return. Stores only the unknowns with a
+/// nonzero derivative, in ascending order.
 struct Row {
     std::array<std::pair<Eigen::Index, double>, 5> by;
     std::size_t n = 0;
-    /// derivative with respect to the albedo; measured minus expected intensity
+    /// by_albedo: derivative with respect to the albedo. error: measured minus expected
+    /// intensity.
     double by_albedo, error;
     void add(Eigen::Index unknown, double derivative) { by[n++] = {unknown, derivative}; }
 };
@@ -150,12 +154,13 @@ struct System {
     double mean = 0.0, spread = 0.0;
 };
 
-/// Sums over the places of a chunk. Uses only the lower half of the symmetric matrix h.
-/// The struct is aligned to cache lines, because threads write to neighbouring elements.
+/// Sums over the places (small cells) of a chunk. Uses only the lower half of the
+/// symmetric matrix h. Each struct starts at a new cache line, because threads write to
+/// neighbouring structs.
 struct alignas(64) Sums {
     System system;
-    // coupling between the albedo of the current place and each unknown; zero between two
-    // places
+    // coupling between the albedo of the current place and each unknown; zero before and
+    // after each place
     std::vector<double> coupling;
     std::vector<Eigen::Index> touched;  // unknowns that are coupled to the current place
     double sum = 0.0, squares = 0.0;    // sum and sum of squares of the expected intensities
@@ -210,7 +215,8 @@ void add_priors(System& sys, const Model& m, const Layout& at) {
         sys.h(i, i) += weight, sys.g[i] += weight * error;
     };
     const double prior = kResponsePrior * (sys.mean * sys.mean + sys.spread * sys.spread);
-    // A prior pulls a knot with few returns to the line through its neighbours.
+    // If a knot has few returns, the prior pulls its value to the line through the
+    // neighbouring knots.
     for (std::size_t k = 1; at.parts.shared && k + 1 < kKnots_m.size(); ++k) {
         const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
         const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after),
@@ -246,9 +252,9 @@ void apply_step(Model& m, const Layout& at, const Eigen::VectorXd& step) {
     }
 }
 
-/// Normalises the beams. Afterwards the mean beam, weighted by the number of returns, has
-/// gain 1 and offset 0. This is possible because a common scale and a common shift of all
-/// albedos are arbitrary.
+/// Normalises the beams so that the mean beam, weighted by the number of returns, has
+/// gain 1 and offset 0. This is possible because the intensities do not determine a
+/// common scale and a common shift of all albedos.
 void fix_mean(std::vector<Response>& beams, const PlaceReturns& returns) {
     std::vector<double> n(beams.size(), kResponsePrior);
     for (const PlaceReturn& r : returns.seen) n[r.beam] += 1.0;

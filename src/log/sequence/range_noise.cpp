@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Estimates the noise of measured ranges as a function of range and angle of incidence.
-// Uses second differences along one beam of a sweep. They do not depend on poses, on
-// other beams, or on a surface that is smooth over three firings:
+// Uses second differences along one beam of a sweep. These differences do not depend on
+// poses, on other beams, or on the shape of a surface that is smooth over three firings:
 //   sigma = 1.4826 median |r_(i-1) - 2 r_i + r_(i+1)| / sqrt(6)
 #include <algorithm>
 #include <array>
@@ -20,8 +20,11 @@ constexpr std::array kRanges_m = {10.0, 20.0, 30.0, 45.0, 80.0};
 constexpr std::array kCosines = {0.3, 0.6, 1.0};
 constexpr std::size_t kBins = kRanges_m.size() * kCosines.size();
 constexpr std::size_t kMostNoiseReturns = 3000000, kFewestOfBin = 200;
-constexpr float kEdge_m = 0.5f;  // ignores larger differences, because they are edges and not noise
-// Ratio of standard deviation to median absolute value of a normal distribution.
+// Second differences above this value are ignored, because they come from edges and not
+// from noise.
+constexpr float kEdge_m = 0.5f;
+// Ratio between the standard deviation and the median absolute value of a normal
+// distribution.
 constexpr double kOfMedian = 1.4826;
 
 using Differences = std::array<std::vector<float>, kBins>;
@@ -59,9 +62,9 @@ double sigma_of(std::vector<float>& differences_m) {
     return kOfMedian * double(*middle) / std::sqrt(6.0);
 }
 
-/// Fills bins without enough returns from other bins with the same incidence. Prefers the
-/// nearer range, then the farther range. If there is none, uses the maximum over all
-/// bins.
+/// Fills bins without enough returns with the noise of other bins of the same incidence.
+/// The next nearer range is preferred, then the next farther range. If both are missing,
+/// the maximum over all bins is used.
 void fill_gaps(RangeNoise& noise) {
     const std::size_t n_cosines = kCosines.size();
     for (std::size_t i = 0; i < noise.sigma_m.size(); ++i)
@@ -74,8 +77,8 @@ void fill_gaps(RangeNoise& noise) {
             noise.sigma_m[i] = *std::max_element(noise.sigma_m.begin(), noise.sigma_m.end());
 }
 
-/// Returns the range noise of one LiDAR, and the number of returns used. Returns an empty
-/// result if no bin has enough returns.
+/// Returns the range noise of one LiDAR, and the number of returns that were used.
+/// Returns an empty result if no bin has enough returns.
 std::pair<RangeNoise, std::size_t> noise_of(const std::vector<Differences>& frames) {
     RangeNoise noise{{kRanges_m.begin(), kRanges_m.end()},
                      {kCosines.begin(), kCosines.end()},

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates the range offset of each beam of a log. Compares the beams on planes that
-// several of them hit.
+// Estimates the range offset of each beam of a log. The beams are compared on planes that
+// several beams hit.
 #include <algorithm>
 #include <cmath>
 #include <optional>
@@ -17,29 +17,30 @@
 namespace relidar {
 namespace {
 
-// Edge of a cell. It is large enough to distinguish a plane from noise, and small enough
-// for streets to be flat.
+// Edge length of a cell. The cell is large enough to distinguish a plane from noise, and
+// small enough that streets are flat within it.
 constexpr double kCell_m = 0.3;
-// ignores returns farther away, because distant cells have too few returns
+// Returns farther away are ignored, because distant cells have too few returns.
 constexpr double kMaxRange_m = 40.0;
 constexpr std::size_t kMostOffsetReturns = 6000000;
 constexpr int kMinReturns = 20;  // minimum number of returns in a cell for fitting a plane
-// Maximum standard deviation of the points across a plane, and minimum along it.
+// Limit for two standard deviations of the points of a plane. The deviation across the
+// plane must be smaller, and the deviation along the plane must be larger.
 constexpr double kMaxThickness_m = 0.05;
-// Points farther from the plane of their cell belong to another object, so they are
-// ignored.
+// Maximum distance of a point from the plane of its cell. Points farther away belong to
+// another object and are ignored.
 constexpr double kMaxResidual_m = 0.15;
 // Weight of the prior that pulls each offset to zero, as a number of returns at normal
 // incidence.
 constexpr double kPriorReturns = 20.0;
-// Uses the offsets only if they reduce the residuals below this fraction. Otherwise they
-// are noise.
+// Maximum ratio of the residuals with and without the offsets. If the ratio is higher,
+// the offsets are only noise and are not used.
 constexpr double kLeastGain = 0.97;
-// number of iterations; many are needed, because planes that few beams share converge
-// slowly
+// Number of iterations. Many iterations are needed, because offsets converge slowly if
+// few beams share a plane.
 constexpr int kRounds = 30;
 
-/// One return in the world frame. The range offset of its beam is not corrected.
+/// One return in the world frame, without a correction of the beam's range offset.
 struct Observation {
     glm::vec3 point_m;  ///< relative to the world's origin, which is in the middle of the log
     glm::vec3 direction;
@@ -57,8 +58,8 @@ std::vector<Observation> observations_of(const Sequence& sequence, const Frame& 
     return result;
 }
 
-/// Returns of a log, sorted by cell, and by frame within a cell. A return stays in its
-/// cell, although the offsets move it by centimetres.
+/// Returns of a log, sorted by cell, and by frame within a cell. Offsets move a return by
+/// centimetres, but the return stays assigned to its cell.
 struct Cells {
     std::vector<Observation> seen;
     std::vector<std::size_t> first;  ///< [cells + 1] index into `seen`
@@ -107,8 +108,8 @@ std::optional<Plane> plane_of(std::span<const Observation> seen, const std::vect
     return Plane{about + fit.mean, fit.axes[0]};
 }
 
-/// Sums over the returns of one beam. `weight` sums the squared cosine of incidence.
-/// `sum` adds up the residuals across the planes, weighted by the cosine.
+/// Sums over the returns of one beam. `weight` is the sum of the squared cosines of
+/// incidence. `sum` is the sum of the distances from the planes, weighted by the cosines.
 struct OffsetFit {
     double weight = 0.0;
     double sum = 0.0;
@@ -127,8 +128,8 @@ struct Residuals {
         ++n;
         squares += residual * residual;
         fits[o.beam].weight += facing * facing;
-        // Adds the full offset and not only the step, so that the prior pulls the offset
-        // to zero.
+        // Adds the full offset and not only the change of the offset, so that the prior
+        // pulls the full offset to zero.
         fits[o.beam].sum += facing * (residual + offset_m[o.beam] * facing);
     }
     Residuals& operator+=(const Residuals& other) {
@@ -143,7 +144,7 @@ struct Residuals {
 };
 
 /// Computes the distances of all returns from the planes, with the current offsets.
-/// Processes blocks of cells in parallel, and adds their sums in order.
+/// Blocks of cells are processed in parallel. Their sums are added in a fixed order.
 Residuals residuals_of(const Cells& cells, const std::vector<double>& offset_m) {
     constexpr std::size_t kBlock = 2048;
     Residuals all{.fits = std::vector<OffsetFit>(offset_m.size(), {.weight = kPriorReturns, .sum = 0.0})};
@@ -170,8 +171,8 @@ std::pair<std::size_t, double> fit_offsets(const Cells& cells, std::vector<doubl
         mean += r.fits[b].weight * offset_m[b];
         weight += r.fits[b].weight;
     }
-    // Removes the mean offset. A common offset of all ranges cannot be distinguished from
-    // a different scene.
+    // Removes the mean offset, because a common offset of all ranges cannot be
+    // distinguished from a different scene.
     for (double& offset : offset_m) offset -= mean / weight;
     return {r.n, r.n > 0 ? r.squares / double(r.n) : 0.0};
 }

@@ -51,8 +51,8 @@ BoxTrack BoxTrack::labelled_part() const {
 bool BoxTrack::holds(const glm::dvec3& point_m, double t_s, double margin_m) const {
     const glm::dvec3 half = 0.5 * size_m + glm::dvec3(margin_m);
     const PoseTrack& track = world_from_box;
-    // a fast test with the centre of the box rejects most points, so that no slerp is
-    // needed
+    // Compares the distance from the centre of the box first. This fast test rejects most
+    // points, so that no slerp is needed for them.
     if (track.pose.size() > 1) {
         const TrackPosition at = find_place(track.time_s, t_s);
         const glm::dvec3 centre =
@@ -166,8 +166,8 @@ PoseTrack mounted_track(PoseTrack track, const Pose& sensor_from_moved) {
 }
 
 PoseTrack with_fine_turns(const PoseTrack& track) {
-    // Maximum rotation between two poses. With it, the interpolated straight line of an
-    // object 10 m away differs from the true arc by 0.03 mm.
+    // Maximum rotation between two poses. With this limit, the interpolated straight line
+    // of an object 10 m away differs from the true arc by 0.03 mm.
     constexpr double kTurn_rad = 5e-3;
     PoseTrack fine;
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
@@ -194,8 +194,8 @@ PoseTrack shifted_track(PoseTrack track, const glm::dvec3& by_m) {
 
 namespace {
 
-/// Returns the mean position of a track in a time interval. Returns nothing if there is
-/// no pose in the interval.
+/// Returns the mean position of a track in a time interval. Returns nothing if the
+/// interval contains no pose.
 std::optional<glm::dvec3> mean_position(const PoseTrack& track, double first_s, double last_s) {
     constexpr double kSame_s = 1e-6;
     glm::dvec3 sum(0.0);
@@ -221,7 +221,8 @@ bool BoxTrack::moves() const {
     };
     const std::optional<glm::dvec3> start = place(t.front());
     for (const double time_s : t) {
-        // limits the start, so that the last window ends with the track
+        // The start of the window is limited, so that the last window ends with the
+        // track.
         const double first_s = std::min(time_s, last_s);
         const std::optional<glm::dvec3> here = place(first_s),
                                         next = place(std::min(first_s + window_s, last_s));
@@ -263,8 +264,8 @@ WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayT
 
 namespace {
 
-// Tolerance as a fraction of a period. A sweep whose start is within the tolerance counts
-// as a usual sweep.
+// Tolerance as a fraction of the period. If the start of a sweep is within the tolerance
+// of the default start, the sweep has the default start.
 constexpr double kUsual = 0.02;
 
 /// Rotation of a LiDAR's head, estimated from the rays of a sweep.
@@ -284,9 +285,9 @@ struct HeadTurn {
 }  // namespace
 
 std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor& sensor) {
-    // Minimum length of the mean phasor. If it is shorter, the rays do not come from one
-    // rotating head. Azimuth offsets of beams and uneven rotation reduce the length only
-    // a little.
+    // Minimum length of the mean phasor. If the mean phasor is shorter, the rays do not
+    // come from one rotating head. Azimuth offsets of beams and uneven rotation reduce
+    // the length only slightly.
     constexpr double kTogether = 0.9;
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
@@ -316,7 +317,7 @@ std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar) {
     const double period_s = lidar.period_s();
     if (!(period_s > 0.0) || rays.size() == 0) return {};
     const auto [first, last] = std::ranges::minmax(rays.time_offset_s);
-    // no start is known, because a motion-compensated scan has a single firing time
+    // A motion-compensated scan has a single firing time, so its start is unknown.
     if (first == last) return {};
     const double first_s = double(first);
     if (std::abs(first_s + 0.5 * period_s) < kUsual * period_s) return {};
@@ -346,7 +347,7 @@ RayTable nominal_rays(const Lidar& lidar, double time_s) {
 
 namespace {
 
-/// Returns the time, relative to the frame's time, when a LiDAR that does not spin
+/// Returns the time, relative to the frame's time, at which a LiDAR that does not spin
 /// measures an azimuth.
 double facing_offset(const SensorPattern& pattern, double azimuth, const std::optional<SweepStart>& start) {
     const auto [n_rays, period_s, by_time, sweep] = describe_pattern(pattern);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects the frames that are held out of training (paper Sec. 4). Selects every n-th
-// frame, the frames of a published split, or the frames in a list.
+// Selects the frames that are held out of training (paper Sec. 4): every n-th frame, the
+// frames of a published split, or the frames in a list.
 #include <relidar/log/sequence.hpp>
 
 #include <algorithm>
@@ -18,7 +18,8 @@
 namespace relidar {
 namespace {
 
-// If test_every has this value, a published split of the dataset is used if there is one.
+// Value of test_every for which a published split of the dataset is used, if the dataset
+// has a published split.
 constexpr int kPublishedEvery = 10;
 constexpr const char* kSetting = "dataset.test_frames";
 
@@ -43,8 +44,8 @@ IndexRange parse_range(std::string_view text) {
     return {*first, *end};
 }
 
-/// Returns all frame indices of the log in order. An index of several LiDARs is listed
-/// once.
+/// Returns all frame indices of the log in order. If several LiDARs share an index, the
+/// index is listed once.
 std::vector<int> sweeps_of(const Sequence& sequence) {
     std::vector<int> sweeps;
     std::set<int> seen;

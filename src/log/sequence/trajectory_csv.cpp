@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes trajectories as CSV files. read_trajectory() in src/run/edit/actor_path.cpp
-// reads them back.
+// reads these files.
 #include <relidar/base/files.hpp>
 #include <relidar/log/trajectory_csv.hpp>
 

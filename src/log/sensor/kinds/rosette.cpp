@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads, writes and generates sensors of the kind "rosette", in which two rotating prisms
-// deflect one beam.
+// Reads, writes and generates sensors of the kind "rosette". In such a sensor, two
+// rotating prisms deflect one beam.
 #include <cmath>
 
 #include <relidar/base/math.hpp>

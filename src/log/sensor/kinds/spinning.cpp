@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes sensors of the kind "spinning", which have a rotating head with
+// Reads and writes sensors of the kind "spinning". Such a sensor has a rotating head with
 // several beams.
 #include <relidar/base/math.hpp>
 
@@ -12,7 +12,8 @@ namespace {
 
 // maximum distance between a beam's origin and the sensor's origin
 constexpr double kFarthestBeam_m = 100.0;
-// Maximum gain and offset of intensities. Also the maximum range offset in metres.
+// Maximum absolute value of intensity gains and intensity offsets, and of range offsets
+// in metres.
 constexpr double kLargestResponse = 1e3;
 constexpr double kLargestTurn_deg = 5730.0;  // 100 radians
 constexpr std::size_t kMostBeams = 65534;
@@ -48,7 +49,7 @@ void read_beams(const JsonField& field, SpinningSensor& sensor) {
                    fmt::format("expected at most {} rays", kMaxRays));
 }
 
-/// Returns the JSON object of a beam. Omits members that have their default value.
+/// Returns the JSON object of a beam. Members with their default value are left out.
 nlohmann::ordered_json beam_json(const Beam& beam) {
     nlohmann::ordered_json json = {{"elevation_rad", beam.elevation_rad}};
     const auto add = [&](const char* key, double value, double usual) {
@@ -68,7 +69,7 @@ struct SpinningFunctions {
     using Pattern = SpinningSensor;
 
     /// Reads a spinning sensor. The JSON object has no beams if only the scans of the
-    /// LiDAR are known.
+    /// LiDAR are known, but not its beam table.
     static SensorModel parse(const JsonField& field, const std::string& of) {
         pattern_detail::check_members(field, {"beams", "columns", "clockwise"}, {"first_azimuth"});
         SpinningSensor sensor;

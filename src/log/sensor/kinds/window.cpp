@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads, writes and generates sensors of the kind "window", in which mirrors scan a
-// rectangular field of view.
+// Reads, writes and generates sensors of the kind "window". In such a sensor, mirrors
+// scan a rectangular field of view.
 #include <cmath>
 
 #include <fmt/format.h>
