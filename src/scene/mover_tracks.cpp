@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Links clusters to tracks by their predicted positions. Joins tracks of the same object,
-// which are parallel in time or follow each other.
+// Links clusters to tracks by their predicted positions. Joins tracks of the same object
+// that exist at the same time or follow each other.
 #include "scene/mover_tracks.hpp"
 
 #include <algorithm>
@@ -18,12 +18,12 @@ namespace {
 constexpr double kMaxGap_s = 0.35;     // a track is interrupted if no cluster continues it within this time
 constexpr double kLongestGap_s = 1.5;  // a track does not continue after a longer gap
 constexpr std::size_t kEndsOfGap = 4;  // minimum number of observations before and after a gap
-// Number of observations that estimate a velocity. kNext predicts the next frame, and
-// kFar predicts across a gap.
+// Number of observations from which a velocity is estimated. kNext is used to predict the
+// next frame, and kFar is used to predict across a gap.
 constexpr std::size_t kNext = 4, kFar = 10;
 constexpr double kFirstSpeed_mps = 15.0;  // maximum speed of an object that has been observed only once
-// Largest allowed error of a predicted position. The error has a constant part and a part
-// per second.
+// Maximum error of a predicted position: a constant plus a value per second of
+// prediction.
 constexpr double kAcceleration_m = 0.7, kAcceleration_mps = 4.0;
 // largest allowed error per second of a prediction across a gap, forward and backward
 constexpr double kOverGap_mps = 0.8;
@@ -34,12 +34,12 @@ constexpr double kOtherSpeed_mps = 2.0;
 constexpr double kMaxRatio = 8.0;
 constexpr std::size_t kMinObservations = 6;
 constexpr double kMinPath_m = 0.6;
-// Minimum ratio of net motion to path length. Noise moves to and fro, so its ratio is
+// Minimum ratio of net motion to path length. Noise moves back and forth, so its ratio is
 // small.
 constexpr double kMinStraightness = 0.5;
 constexpr double kOwnVehicle_m = 4.0, kRides_m = 0.3;
-// Parts larger than this belong to one vehicle. Smaller parts can be people who walk
-// together.
+// Minimum size of a vehicle part. Larger parts can be joined to one vehicle. Smaller
+// parts can be people who walk together, so they are not joined.
 constexpr double kVehiclePart_m = 1.2;
 constexpr double kBesides_m = 1.5;  // maximum distance between the parts of one vehicle
 // Largest allowed standard deviation of the offset between two parts of one vehicle. The
@@ -73,8 +73,8 @@ double mismatch(const MoverTrack& track, const MoverCluster& cluster) {
            gate;
 }
 
-/// Returns how badly a cluster matches a track if both can have labels. While an object
-/// has a label, its track accepts only the clusters with this label. A value above 1
+/// Returns how badly a cluster matches a track, if both can have labels. While an object
+/// has a label, its track accepts only clusters with the same label. A value above 1
 /// means that the cluster is another object.
 double mismatch(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s,
                 const Sequence& sequence) {
@@ -85,8 +85,8 @@ double mismatch(const MoverTrack& track, const MoverCluster& cluster, double fra
                : mismatch(track, cluster);
 }
 
-/// Collects tracks frame by frame. Keeps a list of the tracks that clusters of the next
-/// frame may continue.
+/// Collects tracks frame by frame. Keeps a list of the open tracks, which clusters of the
+/// next frame can continue.
 class OpenTracks {
 public:
     explicit OpenTracks(const Sequence& sequence) : sequence_(sequence) {}
@@ -169,8 +169,8 @@ std::vector<std::pair<std::size_t, std::size_t>> in_common(const MoverTrack& a, 
     return pairs;
 }
 
-/// Returns true if two tracks are parts of one vehicle. Example: beams that miss the roof
-/// of a van observe its tail and its cabin as separate clusters.
+/// Returns true if two tracks are parts of one vehicle. Example: if the beams miss the
+/// roof of a van, its tail and its cabin form separate clusters.
 bool move_as_one(const MoverTrack& whole, const MoverTrack& part) {
     if (part.label != kNoLabel) return false;
     const auto common = in_common(whole, part);

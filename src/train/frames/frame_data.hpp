@@ -23,9 +23,9 @@ namespace relidar {
 struct FrameArrays {
     Array<DeviceRay> rays;        ///< [n] rays, computed from the poses at the start of training
     Array<DeviceTarget> targets;  ///< [n] measurements
-    /// [n] time of each ray on the vehicle's track: index of the pose before it, counted
-    /// from FrameData::first_knot, and fraction to the next pose. Empty if poses are not
-    /// corrected.
+    /// [n] time of each ray on the vehicle's track. It is stored as the index of the last
+    /// pose before the ray, counted from FrameData::first_knot, and the fraction to the
+    /// next pose. Empty if poses are not corrected.
     Array<shared::RayPlace> places;
 };
 
@@ -43,8 +43,8 @@ struct FrameData {
     std::shared_ptr<const FrameArrays> arrays;  ///< arrays that hold the frame while it is on the device
     /// [n] rays, computed from corrected poses; null if poses are not corrected
     const Array<DeviceRay>* moved_rays = nullptr;
-    /// number of rays with a return that training uses; set when the frame is first
-    /// uploaded
+    /// Number of rays with a return that training uses. Set when the frame is uploaded
+    /// for the first time.
     double n_returned = 0.0;
     double n_known = 0.0;
     std::vector<InstancePose> placed;   ///< poses of all instances of the scene
