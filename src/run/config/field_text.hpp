@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts the value of a setting to text, and text to a value. Numbers use the shortest
-// decimal text that is read back as the same value. Error messages list the accepted
-// values of the setting. Private to config.
+// Converts the value of a setting to text, and text to a value. A number is written as
+// the shortest decimal text that reads back as the same value. Error messages list the
+// accepted values of the setting. Private to config.
 #pragma once
 
 #include <algorithm>

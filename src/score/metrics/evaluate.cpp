@@ -23,15 +23,15 @@ namespace {
 using namespace metrics_detail;
 using Positions = std::vector<glm::dvec3>;
 
-// Minimum mean squared error, so that the PSNR of identical images is finite.
+// Minimum mean squared error. It keeps the PSNR of identical images finite.
 constexpr double kMinSquaredError = 1e-20;
 constexpr double kFineThreshold_m = 0.05;
-// Threshold of the F-score in the peer protocol. It is sqrt(0.05), because the peer
-// protocol compares the squared distance with 0.05.
+// Threshold of the F-score in the peer protocol. The peer protocol compares the squared
+// distance with 0.05, so the threshold is sqrt(0.05).
 constexpr double kPeerThreshold_m = 0.22360679774997896964;
 constexpr int kSsimWindow = 7;
-// Minimum edge length of an image for LPIPS. In smaller images, the pooling layers leave
-// no pixel.
+// Minimum edge length of an image for LPIPS. The pooling layers reduce a smaller image to
+// nothing.
 constexpr int kLpipsEdge = 31;
 
 Positions points(const RangeImage& image, const Mask& mask) {
@@ -50,8 +50,8 @@ struct ImagePair {
     double peak;
 };
 
-/// Returns both images with all pixels. Pixels that are dropped at the given threshold
-/// are 0.
+/// Returns both images with all pixels. A pixel is 0 if it is dropped at the given
+/// threshold.
 ImagePair depth_pair(const RangeImage& rendered, const RangeImage& real, double threshold,
                      double max_range_m) {
     return {masked(rendered.range_m, not_dropped(rendered, threshold), max_range_m),
@@ -65,7 +65,8 @@ ImagePair intensity_pair(const RangeImage& rendered, const RangeImage& real, dou
 }
 
 /// Computes errors, PSNR, SSIM and LPIPS of full images. Leaves out SSIM if it is
-/// undefined, because the image is smaller than the window or the real image is constant.
+/// undefined. SSIM is undefined if the image is smaller than the window, or if the real
+/// image is constant.
 void add_image(MetricRow& row, const std::string& prefix, const std::string& unit, const ImagePair& image,
                const Lpips* lpips) {
     const double squared = add_errors(row, prefix, unit, image.rendered, image.real);
