@@ -162,7 +162,7 @@ private:
     void look_at_reports(int last);
     void close_report(int step, bool ends_line);
     /// Compares the number of hits in a report with the capacity of the hit buffer.
-    /// Increases the capacity if the buffer is nearly full.
+    /// Increases the capacity if the hits used more than half of it.
     /// @throws DeviceError if a deterministic step exceeded the capacity
     void check_room(const IterationReports::Report& report);
     /// Increases the number of hits that the forward pass stores per ray, if too many

@@ -131,8 +131,8 @@ double drop_rmse(const RangeImage& rendered, const RangeImage& real) {
     return std::sqrt(mean_square(error));
 }
 
-/// Computes ray-drop metrics of a binary classification, in which a dropped pixel is
-/// positive.
+/// Computes ray-drop metrics as for a classifier with two classes. A dropped pixel is the
+/// positive class.
 void add_drop(MetricRow& row, const Mask& rendered, const Mask& real) {
     std::size_t hits = 0, false_drops = 0, missed_drops = 0, equal = 0;
     for (std::size_t i = 0; i < real.size(); ++i) {

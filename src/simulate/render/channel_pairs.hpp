@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Calls a function for each pair of corresponding per-ray arrays of two scans. All code
-// that joins, merges, bins or copies scans uses these functions. Private to render.
+// that joins, merges, bins or copies scans must use these functions, so that no array is
+// forgotten. Private to render.
 #pragma once
 
 #include <cstddef>
@@ -29,7 +30,8 @@ void for_each_basic_pair(const RenderedScan& from, RenderedScan& to, Visit&& vis
 
 /// Calls visit(info, values of `from`, values of `to`) for the basic and the optional
 /// channels of two scans.
-/// @param to has the channels of `from` in the same order, see emptied()
+/// @param to must have the channels of `from` in the same order; emptied() creates such a
+/// scan
 template <class Visit>
 void for_each_pair(const RenderedScan& from, RenderedScan& to, Visit&& visit) {
     for_each_basic_pair(from, to, visit);

@@ -63,10 +63,11 @@ std::uint32_t max_rays(std::span<const FrameData> frames);
 struct Unknown {
     /// settings that decide which boxes are actors, ignored, or part of the background
     InitialiseOptions moving;
-    /// tracks of actors; their points are used because the scene has a model for them
+    /// tracks of actors; their points are used for training, because the scene has a
+    /// model for these actors
     std::vector<std::string> actors;
-    /// table of drop rates; rays for which is_blind() is true are ignored; empty: none is
-    /// ignored
+    /// Table of drop rates. Rays for which is_blind() is true are ignored. If the table
+    /// is empty, no ray is ignored for this reason.
     DropTable observed_drops;
 };
 
