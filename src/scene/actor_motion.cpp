@@ -15,8 +15,8 @@ constexpr double kBeside_rad = 0.17;
 // The angle of a box is widened on each side by this share of half the angle. The reason
 // is that the sensor and the box move while the head faces the box.
 constexpr double kBesideShare = 0.25;
-// The time span of a motion is lengthened by this share, because real LiDAR heads deviate
-// from the nominal firing times.
+// Share by which the time span of a motion is lengthened. Real LiDAR heads deviate from
+// the nominal firing times.
 constexpr double kBeyond = 0.02;
 // A LiDAR without known firing times may fire this many seconds before or after the
 // reference time.

@@ -14,10 +14,10 @@ constexpr double kBoxPatch_m = 0.3;
 // Fraction of the height of a vertical side that counts as hidden. The ground hides this
 // lowest part, so it is ignored.
 constexpr double kHiddenHeight = 0.2;
-/// Minimum cosine between a ray and the normal of a side. A return observes the side only
-/// above this value, because returns at smaller angles form separate streaks. The limit
-/// for the top is lower, because a LiDAR on a car sees the roofs of other cars only at
-/// grazing angles.
+/// Minimum cosine between a ray and the normal of a side. A return at a smaller cosine
+/// does not observe the side, because such returns form separate streaks. The limit for
+/// the top is lower. A LiDAR on a car hits the roofs of other cars only at grazing
+/// angles.
 constexpr double kGrazingSide = 0.2, kGrazingTop = 0.02;
 // Maximum number of pairs of patches along an axis. A box of 120 m reaches it.
 constexpr double kMostPairs = 200.0;

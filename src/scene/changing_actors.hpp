@@ -21,8 +21,8 @@ struct ChangingSurfels {
 /// @param samples  points in the frame of the box, each with the distance that the actor
 /// had walked
 /// @param most  maximum number of surfels, but at least 200 per frame are allowed
-/// @return surfels and their period; no surfels and period 0 if there are fewer than
-/// three frames, or if the actor walks less than half a metre
+/// @return surfels and their period. The result is empty, with period 0, if there are
+/// fewer than three frames. It is also empty if the actor walks less than half a metre.
 ChangingSurfels changing_surfels(const std::vector<Sample>& samples, const InitialiseOptions& options,
                                  double incidence, std::size_t most);
 

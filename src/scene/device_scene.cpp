@@ -190,9 +190,9 @@ struct DeviceScene::Impl {
         return impl_of(stream).values(origins);
     }
 
-    /// Returns the gait phase of each model, taken from the model's first instance.
-    /// @return [models] phase as a fraction of a stride, 0..1; negative for rigid models;
-    /// null if no model has a gait
+    /// Returns the gait phase of each model. Uses the first instance of the model.
+    /// @return [models] phase as a fraction of a stride, 0..1; negative for rigid models.
+    /// The address is null if no model has a gait.
     Address<float> phases(Stream& stream) const {
         if (!parameters.bends) return {};
         std::vector<float> all;

@@ -173,8 +173,8 @@ std::vector<BoxTrack> proven_boxes(Visibility& visibility, std::vector<MoverTrac
 }
 
 /// Returns true if the centre of `part` is inside the box `whole` for more than half of
-/// the time. In this case both boxes belong to the same object, and `part` comes from
-/// returns that formed a separate cluster for a while.
+/// the time. In this case both boxes belong to the same object. The returns of `part`
+/// formed a separate cluster for a while.
 bool is_part_of(const BoxTrack& part, const BoxTrack& whole) {
     const double margin =
         std::max(whole.size_m.x, whole.size_m.y) < kVehicle_m ? kFragment_m : kVehicleFragment_m;
@@ -227,10 +227,10 @@ std::vector<BoxTrack> discovered_by(int lidar, const Sequence& sequence, std::ve
     return without_parts(proven_boxes(visibility, tracks, sequence, progress, group));
 }
 
-/// Adds the boxes that another LiDAR found. If both LiDARs found an object, keeps the
-/// existing box in most cases. Replaces it only if the new box has more than 1.5 times as
-/// many observations, because a slightly longer track is not always better. A much
-/// shorter track means that the LiDAR lost the object.
+/// Adds the boxes that another LiDAR found. If both LiDARs found an object, usually keeps
+/// the existing box. The new box replaces it only if it has more than 1.5 times as many
+/// observations. A slightly longer track is not always better. A much shorter track means
+/// that the LiDAR lost the object.
 void add_movers(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
     for (BoxTrack& other : others) {
         const auto is_same = [&](const BoxTrack& b) {

@@ -111,9 +111,9 @@ FrameGaps frame_gaps(const std::vector<Sample>& samples) {
     return gaps;
 }
 
-/// Rates a stride length. Returns the mean distance between points of the same gait
-/// phase, divided by the mean distance between points of different phases. The ratio is
-/// about 1 for a wrong stride, and smaller for the right stride. Returns 2 if too few
+/// Rates a stride length. Returns a ratio: the mean distance between points of the same
+/// gait phase, divided by the mean distance between points of different phases. The ratio
+/// is about 1 for a wrong stride, and smaller for the right stride. Returns 2 if too few
 /// frames have the same phase.
 double misfit_share(const FrameGaps& gaps, double stride_m) {
     // Two phases count as equal if they differ by less than kSame. They count as
@@ -127,8 +127,8 @@ double misfit_share(const FrameGaps& gaps, double stride_m) {
         for (std::size_t f = 0; f < gaps.walked_m.size(); ++f) {
             const double turns = (gaps.walked_m[f] - gaps.walked_m[gaps.frame[k]]) / stride_m,
                          off = std::abs(apart(0.0, turns));
-            // Skips frames of the same stride. They look alike because little time has
-            // passed, so they say nothing about the stride.
+            // Skips frames of the same stride. They are similar only because little time
+            // has passed between them.
             if (std::abs(turns) < 0.5) continue;
             if (off < kSame) same += gaps.distance_m[k][f], ++n_same;
             if (off > kOther) other += gaps.distance_m[k][f], ++n_other;
@@ -283,7 +283,7 @@ std::vector<glm::vec3> velocities(const Phases& phases, const std::vector<char>&
 }
 
 /// Makes one surfel for each sample. A surfel is visible around the gait phase of its
-/// sample. A surfel of a sample at rest is always visible.
+/// sample. If the sample does not move with the gait, its surfel is always visible.
 Surfels with_gait(const std::vector<Sample>& samples, const std::vector<Gait>& gait,
                   const InitialiseOptions& options, double incidence) {
     std::vector<std::uint32_t> order;

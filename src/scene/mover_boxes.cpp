@@ -13,8 +13,8 @@
 namespace relidar {
 namespace {
 
-// Number of times the fit is repeated. The first path has bends where other sides of the
-// object become visible, and the next fits remove these bends.
+// Number of times the fit is repeated. The first path is curved wrongly where other sides
+// of the object become visible. Repeating the fit corrects this.
 constexpr int kRounds = 3;
 // Window in seconds for the height of an object's top. The road height changes little in
 // this time.
@@ -169,8 +169,8 @@ Corners corners_of(const MoverTrack& track, const std::vector<Placement>& placed
 
 /// Typical size of an object of which only one side is visible. Passenger cars are 3.6 to
 /// 5 m long and 1.6 to 1.9 m wide. A bicycle is 1.8 m long and its rider 0.6 m wide. The
-/// length of a truck or a bus cannot be estimated from its rear, so the length of a light
-/// truck is used. A longer truck would also show its side.
+/// length of a truck or a bus cannot be estimated from its rear. The length of a light
+/// truck is used instead, because a longer truck would also show its side.
 struct Kind {
     const char* name;
     double length_m, width_m;
@@ -180,8 +180,8 @@ struct Kind {
 };
 constexpr Kind kCar{"car", 4.2, 1.8, 3.4, 1.5}, kCyclist{"cyclist", 1.8, 0.6, 1.4, 0.0},
     kTruck{"truck", 7.0, 2.4, 3.4, 1.5};
-// Minimum speed of a vehicle. Slower objects can be several pedestrians side by side,
-// which look as wide as a car.
+// Minimum speed of a vehicle in m/s. Pedestrians are slower. Without this limit, several
+// pedestrians side by side would be taken for a car.
 constexpr double kDrives_mps = 2.5;
 constexpr double kTruck_m = 2.5;  // objects taller than this are trucks
 // An object that is narrower than the first value and taller than the second is a
@@ -198,8 +198,8 @@ const Kind* kind_of(const glm::dvec3& size_m, double speed_mps) {
     return size_m.x < kind->least_length_m && size_m.y < kind->least_width_m ? nullptr : kind;
 }
 
-/// Returns the side of a box, -1 or 1 along one axis, on which the sensor was most of the
-/// time. Returns 0 if the sensor was next to the box or on both sides.
+/// Returns on which side of a box the sensor was most of the time, along one axis. The
+/// result is -1 or 1. Returns 0 if the sensor was next to the box or on both sides.
 double side_of_sensor(const BoxTrack& box, const MoverTrack& track, int axis) {
     std::ptrdiff_t low = 0, high = 0;
     for (std::size_t k = 0; k < track.seen.size(); ++k) {

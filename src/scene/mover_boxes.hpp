@@ -22,7 +22,7 @@ void complete_size(BoxTrack& box, const MoverTrack& track);
 
 /// Returns a labelled box with additional poses. The additional poses are for the times
 /// when the object was observed without a label. The box keeps its size. The offset
-/// between the box and the visible points is taken from the nearest labels.
+/// between the box and the visible points is computed from the nearest labels.
 BoxTrack continued_box(const MoverTrack& track, const BoxTrack& label);
 
 /// Returns the speeds of a box in m/s. Each speed is measured over at least half a second

@@ -35,8 +35,8 @@ constexpr double kSeenThroughShare = 0.25;
 // If at most this many frames observe a cell, the program cannot decide whether it moved.
 // A static object is observed in more frames, unless it is far away or hidden.
 constexpr int kSeldomSeen = 3;
-// Points that lie lower than the moved points by more than this are treated as ground, if
-// few frames observe them.
+// Height difference below which points are treated as ground. Points that lie lower than
+// the moved points by more than this are ground, if few frames observe them.
 constexpr double kGroundBelow_m = 0.05;
 // An empty vertical gap of this size separates two objects. Beams two degrees apart leave
 // a gap of this size at 29 m.
@@ -46,9 +46,9 @@ constexpr double kMovedShare = 0.15;  // minimum share of moved returns in a clu
 // are faster, because cells at the border between two groups are computed twice.
 constexpr std::size_t kStretch = 200;
 
-/// Motion state of a cell. At the end of a log, few frames observe a cell, so they cannot
-/// prove that a moving object left it. Such a cell is `seldom_seen`. It joins a cluster
-/// only together with moved cells.
+/// Motion state of a cell. At the end of a log, few frames observe a cell. They cannot
+/// prove that a moving object left the cell, so its state is `seldom_seen`. Such a cell
+/// joins a cluster only together with moved cells.
 enum class Motion : char { rests, seldom_seen, moved };
 
 /// One return of a frame.
@@ -66,8 +66,8 @@ struct LabelledBox {
 };
 
 /// Returns the labelled boxes at a given time. A moving box is returned only while it has
-/// labels. A static box is returned at all times, because an object that is parked during
-/// its labels was also parked before and after them.
+/// labels. A static box is returned at all times. If an object is parked during its
+/// labels, it was also parked before and after them.
 std::vector<LabelledBox> labelled_at(const Sequence& sequence, double time_s) {
     std::vector<LabelledBox> boxes;
     for (std::size_t i = 0; i < sequence.boxes.size(); ++i) {

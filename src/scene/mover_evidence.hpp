@@ -39,8 +39,8 @@ struct EvidenceSum {
     void operator+=(const EvidenceSum& other);
     /// Returns true if the counts prove that the object moves. For a moving object, other
     /// frames observe empty space at nearly all of its positions. For a static object,
-    /// they observe empty space only at its edges. If a box hardly moves, few frames can
-    /// be compared, so `told` is small.
+    /// they observe empty space only at its edges. If a box hardly moves, other frames
+    /// say little about its returns.
     bool proves_motion() const;
 };
 

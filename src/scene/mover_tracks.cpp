@@ -142,7 +142,7 @@ private:
     }
 };
 
-/// Returns the longer side of the rectangle around a cluster, seen from above.
+/// Returns the longer side of the rectangle around a cluster, in the view from above.
 double visible_width_m(const MoverCluster& cluster) {
     glm::dvec2 low(1e30), high(-1e30);
     for (const glm::dvec3& p : cluster.points_m)

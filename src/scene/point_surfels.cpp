@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the normal, scales and initial parameters of each surfel from the points
-// around it (docs/method.md section 2; paper section 3.2).
+// Computes the normal, the scales and the initial parameters of each surfel from nearby
+// points (docs/method.md section 2; paper section 3.2).
 #include "scene/point_surfels.hpp"
 
 #include <algorithm>
@@ -22,8 +22,8 @@ constexpr float kSh0 = 0.28209479177387814f;  ///< SH constant of degree 0
 /// -y, z and -x.
 constexpr double kSh1 = 0.4886025119029199;
 constexpr int kScaleNeighbours = 3;
-/// A gap counts as a gap between scan lines if it is wider than this factor times the
-/// distance between neighbours on a line. Randomly distributed points have narrower gaps.
+/// Minimum width of a gap between scan lines, as a multiple of the distance between
+/// neighbours on a line. Randomly distributed points have narrower gaps.
 constexpr double kGap = 2.5;
 
 /// Adapter that gives nanoflann access to the samples.
@@ -55,8 +55,8 @@ struct Plane {
 /// eigenvalue. The points of a single scan line do not determine the rotation about the
 /// line. In this case, the function chooses the normal that faces the sensor most. If the
 /// points form no surface, the normal points to the sensor. With another normal, the
-/// sensor could see the surfel edge-on, and rays of the next scan would miss it and hit
-/// the background.
+/// surfel could be edge-on to the sensor. Rays of the next scan would then miss the
+/// surfel and hit the background.
 Plane fit_plane(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours,
                 const glm::dvec3& view, double flatness) {
     Eigen::Vector3d mean = Eigen::Vector3d::Zero();
@@ -192,10 +192,9 @@ struct Place {
     Gap gap;
 };
 
-/// Finds the plane and the gap at a sample. Searches again with more neighbours if the
-/// nearest points lie on one scan line or on one side of a gap. The second search is
-/// needed because points of one line do not determine the rotation of the plane about the
-/// line.
+/// Finds the plane and the gap at a sample. If the nearest points lie on one scan line or
+/// on one side of a gap, searches again with more neighbours. The points of one line do
+/// not determine the rotation of the plane about the line.
 Place place_of(const Tree& tree, const std::vector<Sample>& samples, std::size_t i,
                std::vector<std::size_t> nearest, const InitialiseOptions& options) {
     constexpr int kWider = 2;  // maximum number of repeated searches with more neighbours

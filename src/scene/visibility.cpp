@@ -25,8 +25,8 @@ constexpr int kMinReturns = 3;  // the 2 x 3 cells around a point must contain a
 // Number of azimuth sectors of a sweep. One sensor position is used per sector, because
 // the sensor moves only millimetres to centimetres within one sector.
 constexpr int kSectors = 64;
-// A ray counts as passing through a point if the return lies behind the point by at least
-// this many error margins.
+// Minimum distance of a return behind a point, as a multiple of the error margin. With a
+// larger distance, the ray counts as passing through the point.
 constexpr double kBehind = 1.5;
 // Edge length of a tile of the ground. All points of a tile are looked up in the same
 // frames.

@@ -17,8 +17,8 @@ namespace relidar {
 enum class Sight : char { nothing, seen, seen_through };
 
 /// Grid of the directions of a LiDAR. The rows follow the beams, because beams can be
-/// unevenly spaced. With evenly spaced rows, some rows would contain no beam, and points
-/// between two beams would be compared with the wrong returns.
+/// unevenly spaced. Evenly spaced rows could contain no beam. Points between two beams
+/// would then be compared with the wrong returns.
 class BeamGrid {
 public:
     BeamGrid() = default;  ///< Makes an empty grid.
@@ -71,15 +71,15 @@ public:
     struct Votes {
         int seen = 0;
         int seen_through = 0;
-        /// Returns true if enough frames see through the point. At least two frames must
-        /// see through it. Their number must also be at least `share` times the number of
-        /// frames that have a return at the point.
+        /// Returns true if enough frames observe empty space at the point. At least two
+        /// frames must do so. Their number must also be at least `share` times the number
+        /// of frames that have a return at the point.
         bool is_seen_through(double share) const {
             return seen_through >= 2 && double(seen_through) >= share * double(seen);
         }
     };
-    /// Counts the frames that have a return at a point, and the frames that see through
-    /// the point.
+    /// Counts the frames that have a return at a point, and the frames that observe empty
+    /// space there.
     /// @param point_m [3] world
     Votes votes(const glm::vec3& point_m) const;
 
@@ -91,8 +91,9 @@ public:
     /// Allows an error of several decimetres.
     /// @param point_m [3] world
     Sight look(std::uint32_t view, const glm::dvec3& point_m) const;
-    /// Returns true if a frame has a return in the direction of a point, and the range of
-    /// the return differs from the range of the point by at most `tolerance_m`.
+    /// Returns true if a frame has a return at a point. The return must be in the
+    /// direction of the point. Its range may differ from the range of the point by at
+    /// most `tolerance_m`.
     /// @param point_m [3] world
     bool has_return_at(std::uint32_t view, const glm::dvec3& point_m, double tolerance_m) const;
     double time_s(std::uint32_t view) const { return views_[view].time_s; }

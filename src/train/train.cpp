@@ -58,8 +58,8 @@ void report_masked_boxes(const Scene& scene, const Sequence& sequence, const Con
                     masked.size(), list_boxes(masked)));
 }
 
-/// Prints how many training frames stay in device memory. Prints nothing if all frames
-/// do.
+/// Prints how many training frames are kept in device memory. Prints nothing if all
+/// frames are kept.
 void report_sent_frames(const TrainingFrames& frames, const Config& config, const TrainSession& session) {
     if (frames.n_resident() == frames.all().size() || !session.note) return;
     session.note(

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Trains the actors of a scene in blocks a second time, in front of the joined
-// background. This training needs only the rays near the boxes of actors and the surfels
-// along these rays, so it can use many blocks together. An actor that drives through
-// several blocks then learns from all of them in random order.
+// background. Uses only the rays near the boxes of actors and the surfels along these
+// rays. Therefore many blocks fit into one training. An actor that drives through several
+// blocks then learns from all of them in random order.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>

@@ -46,8 +46,8 @@ bool FrameSampler::is_sound(std::size_t n) const {
 namespace {
 
 /// Learning rate of the higher spherical harmonics, relative to the rate of the constant
-/// coefficient. The factor is a twentieth, as in 3D Gaussian splatting, because few views
-/// observe how the intensity depends on the direction.
+/// coefficient. The factor is a twentieth, as in 3D Gaussian splatting. The rate is low
+/// because few views observe how the intensity depends on the direction.
 constexpr double kShRestFactor = 0.05;
 
 // Number of iterations between two checks. Each check tests how much the acceleration
@@ -67,10 +67,10 @@ LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
 }
 
 /// Returns the learning rate of the surfel positions for each model, relative to the rate
-/// of the background. The rate is proportional to the extent of the model, because steps
-/// suitable for a street would move an actor's surfels out of its box. The paper's rate
-/// is used if surfels are cloned and split by fractions of this extent, as in the paper.
-/// Otherwise the initialisation is dense, and a tenth of this rate is used.
+/// of the background. The rate is proportional to the extent of the model. Steps suitable
+/// for a street would move an actor's surfels out of its box. The paper's rate is used if
+/// surfels are cloned and split by fractions of this extent, as in the paper. A dense
+/// initialisation uses a tenth of the paper's rate.
 /// @return [models] factors
 std::vector<float> mean_factors(const Scene& layout, double background_extent_m) {
     std::vector<float> factors;
@@ -106,9 +106,9 @@ TreeFits tree_fits(const Config& config, std::uint32_t n_fixed) {
     return {2, {.margin_scale = 1.05f, .margin_m = 0.003f}};
 }
 
-/// Returns true if the acceleration structures must be refitted in this step. They are
-/// refitted in every step as long as the learning rate is so high that surfels could
-/// outgrow the margin.
+/// Returns true if the acceleration structures must be refitted in this step. While the
+/// learning rate is high, surfels could outgrow the margin between two refits. Then every
+/// step refits.
 bool should_fit_tree(const TreeFits& fits, const TrainConfig& config, int step) {
     // Fraction of the margin that growing scales may use. The remainder is reserved for
     // growing opacities, which also enlarge surfels.

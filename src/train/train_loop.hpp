@@ -62,14 +62,13 @@ public:
     TrainLoop& operator=(const TrainLoop&) = delete;
 
     /// Records and submits the GPU commands of one iteration. Normally waits only for an
-    /// earlier submission. Also waits for the current work in three cases: for
-    /// densification, if a batch has more rays or hits than all earlier batches, and if
-    /// too many rays have more hits than can be stored.
+    /// earlier submission. Waits longer for densification. Also waits longer if a batch
+    /// has more rays or hits than all earlier batches, or if too many rays have more hits
+    /// than can be stored.
     /// @param step  counts from 1
     /// @param ends_line  true if a log line ends with this iteration
-    /// @throws DataError if the loss of a recent iteration is not finite; names the
-    /// iteration, the frame and the term; "recent" means at most 64 + kReadbackLag
-    /// iterations ago
+    /// @throws DataError naming iteration, frame and term if a loss was not finite in the
+    /// last 64 + kReadbackLag iterations
     void iterate(int step, bool ends_line = false);
     /// Returns the log lines that became available since the last call. The line of an
     /// iteration becomes available kReadbackLag iterations later, or after settle().
@@ -150,7 +149,7 @@ private:
     }
 
     /// Records GPU commands that set up one frame for this step: its rays, the poses of
-    /// its instances, and the surfel intensities seen from its sensor position.
+    /// its instances, and the surfel intensities for its sensor position.
     const FrameData& place(std::size_t frame_index, int step);
     /// Uploads a frame to the device if the frame is not there yet. Moves the instances
     /// to their poses in this frame.

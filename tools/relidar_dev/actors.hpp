@@ -25,8 +25,8 @@ struct ActorTimes {
     /// Wall time of uploading the poses and rebuilding the top level of the acceleration
     /// structure. Includes all waits.
     Spread move_ms{};
-    /// Number of bottom-level builds and refits while the actors moved. It should be 0,
-    /// because moving an actor changes only the top level.
+    /// Number of builds and refits of bottom levels of the acceleration structure while
+    /// the actors moved.
     std::uint64_t builds = 0;
     /// Wall time of the activation functions, the refit and the forward pass together.
     Spread scan_ms{};

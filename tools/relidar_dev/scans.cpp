@@ -111,7 +111,7 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
         const int n_scans = n_requested;
         first += n_scans;
         // Submits the next scans before the points of finished scans are read, so that
-        // the device is never idle.
+        // the device always has work.
         n_requested = first < bench.n_scans ? ask(first) : 0;
         for (int i = 0; i < n_scans; ++i) {
             scan = renderer.wait_for_points(std::move(scan.points));

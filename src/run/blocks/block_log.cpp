@@ -28,8 +28,8 @@ std::vector<int> frames_of(const Block& block, const Split& split) {
 }
 
 /// Returns the poses at the times of some frames, and the poses directly before and after
-/// each frame. The additional poses keep the motion during a sweep the same as in the
-/// full log, also next to a gap.
+/// each frame. With these additional poses, the motion during a sweep is the same as in
+/// the full log, also next to a gap.
 PoseTrack poses_around(const Sequence& sequence, const std::vector<int>& frames) {
     const PoseTrack& all = sequence.world_from_vehicle;
     std::vector<bool> is_used(all.time_s.size(), false);

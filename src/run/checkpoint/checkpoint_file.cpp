@@ -55,8 +55,8 @@ std::string checksum(const Texts& texts, const std::vector<NamedArray>& arrays) 
     return crc.hex();
 }
 
-/// Removes an entry from the metadata and returns its value. The entry belongs to the
-/// file format, so the caller must not see it.
+/// Removes an entry from the metadata and returns its value. Only the file format needs
+/// this entry, so callers do not get it.
 std::string extract_text(Texts& texts, const std::string& key) {
     const auto it = texts.find(key);
     if (it == texts.end()) throw DataError(fmt::format("the metadata key \"{}\" is missing", key));

@@ -16,7 +16,8 @@ namespace {
 Config paper() {
     Config config;
     config.dataset.waymo_intensity = "clamp";
-    config.init.actor_classes = "vehicle";  // as in the paper; people and cyclists stay in the background
+    // as in the paper: people and cyclists are part of the background
+    config.init.actor_classes = "vehicle";
     config.init.mask_others = false;
     config.init.actor_min_points = 100;
     config.init.deform = "";
@@ -47,9 +48,9 @@ Config released() {
     return config;
 }
 
-/// Returns the settings with the best results on a real log (KITTI raw 0005; see
-/// docs/results.md). The scene starts with a dense set of smoothed points. Training then
-/// refines surfaces instead of searching for them, and no densification is needed.
+/// Returns the settings with the best results on a real log (KITTI raw 0005,
+/// docs/results.md). The scene starts with a dense set of smoothed points. Training only
+/// refines these surfaces, so no densification is needed.
 Config standard() {
     Config config;
     config.preset = "default";
@@ -139,8 +140,8 @@ Config quick() {
     config.train.intensity_factor = 0.5;
     config.train.rays_per_iteration = 24576;
     config.train.sh_degree_interval = 180;
-    // Updates only surfels that a ray has hit. This saves up to a sixth of a step on a
-    // CPU. It raises RMSE and Chamfer distance by about 2 % (docs/performance.md).
+    // Updates only surfels with a gradient. This saves up to a sixth of a step on a CPU.
+    // It raises RMSE and Chamfer distance by about 2 % (docs/performance.md).
     config.train.only_touched = true;
     config.train.log_every = 20;
     config.refine.network = "pixel";  // nearly as good as "small", for a quarter of its time

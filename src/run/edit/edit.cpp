@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Edits the objects and tracks of a scene. If an object is copied to another scene, its
-// surfels are copied only if the other scene does not contain them. The surfels of a
-// model are removed when no instance uses the model any more.
+// Edits the objects and tracks of a scene. Copying an object to another scene also copies
+// its surfels, unless the other scene already contains them. The surfels of a model are
+// removed when no instance uses the model any more.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>

@@ -230,8 +230,8 @@ Scene load_model(const std::filesystem::path& path) {
                                     fmt::join(mean.shape, ", ")));
     const ParameterSet parameters = stored_parameters(
         metadata, kPrimitiveKey, [&](const char* name) { return find_array(arrays, name) != nullptr; });
-    // Checks the number of rows of every array before any memory is allocated, because a
-    // damaged file could request too much memory.
+    // Checks the number of rows of every array first, so that no memory is allocated for
+    // an inconsistent file.
     for (const ParameterGroup& group : groups_of(parameters)) {
         const NamedArray& array = array_of(arrays, group.name, file);
         if (array.shape.empty() || array.shape[0] != mean.shape[0])

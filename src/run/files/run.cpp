@@ -76,8 +76,8 @@ std::vector<SceneBlock> copy_blocks(const Run& run, const fs::path& folder, bool
 }
 
 /// Writes the settings of a run to config.toml. The file cannot store options that are
-/// not settings. Throws an error if such an option differs from the preset, because the
-/// run could not be rendered again in the same way.
+/// not settings. If such an option differs from the preset, throws an error. Otherwise
+/// the run could not be rendered again in the same way.
 void save_config(const Run& run, const fs::path& folder) {
     const fs::path path = folder / kConfigFile;
     write_text(path, to_toml(run.config));

@@ -26,9 +26,9 @@ void check_pair(const RangeImage& rendered, const RangeImage& real);
 
 /// Returns a mask of the pixels whose drop probability is below the threshold.
 Mask not_dropped(const RangeImage& image, double threshold);
-/// Returns a mask of the pixels whose drop probability is below the threshold and whose
-/// range is above 0. A range of 0 means that the ray hit nothing, so the pixel counts as
-/// dropped even if its drop probability is low.
+/// Returns a mask of the returned pixels. Their drop probability is below the threshold
+/// and their range is above 0. A range of 0 means that the ray hit nothing. Such a pixel
+/// counts as dropped, even if its drop probability is low.
 Mask returned(const RangeImage& image, double threshold);
 
 /// Returns the values of all pixels, clamped to [1e-6, high]. Pixels outside the mask are

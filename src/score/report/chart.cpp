@@ -19,7 +19,8 @@ namespace {
 
 // Margins of a chart in SVG units. The labels must fit into the margins.
 constexpr double kLeft = 58, kRight = 14, kTop = 10, kBottom = 30;
-// A curve with more points than this looks noisy, so its running mean is drawn too.
+// Number of points above which the running mean of a curve is drawn too, because the
+// curve itself is noisy.
 constexpr std::size_t kManyPoints = 250;
 // Number of horizontal intervals of a drawn curve. Each interval is drawn with at most
 // two points.
@@ -135,7 +136,7 @@ std::vector<std::size_t> thinned(const ReportCurve& curve) {
     return kept;
 }
 
-/// Returns the running mean of a curve at a few hundred points. Each mean is taken over
+/// Returns the running mean of a curve at a few hundred points. Each value is the mean of
 /// the finite values in a centred window. The width of the window is 1/40 of the curve.
 ReportCurve running_mean(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), half = n / 80, n_places = std::min(n, kBuckets);

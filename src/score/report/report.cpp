@@ -80,8 +80,8 @@ std::pair<std::string, std::string> split_group(const std::string& name) {
     return {name.substr(0, slash), name.substr(slash + 1)};
 }
 
-/// Returns +1 if larger values of a metric are better, -1 if smaller values are better,
-/// and 0 if this is unknown.
+/// Returns +1 if larger values of a metric are better. Returns -1 if smaller values are
+/// better, and 0 if this is unknown.
 int better_direction(const std::string& metric) {
     const auto has = [&](std::string_view part) { return metric.find(part) != std::string::npos; };
     for (const char* part : {"rmse", "mae", "medae", "cd_", "lpips"})

@@ -27,9 +27,9 @@ bool is_vehicle(const BoxTrack& box) {
            (box.category == kDiscoveredCategory && box.size_m.x >= kShortestVehicle_m);
 }
 
-/// Returns the name of an asset, for example "car-3". The name contains only letters,
-/// digits, dots, dashes and underscores, so that it is a valid folder name on all
-/// systems. If an object has no class, its track id is the name.
+/// Returns the name of an asset, for example "car-3". The name is a valid folder name on
+/// all systems. It contains only letters, digits, dots, dashes and underscores. If an
+/// object has no class, its track id is the name.
 std::string asset_name(const BoxTrack& box) {
     std::string name = box.category == kDiscoveredCategory ? box.id : box.category + "-" + box.id;
     for (char& c : name) {
@@ -48,8 +48,9 @@ bool can_show(const Surfels& surfels, std::size_t i, const Model& model, const I
     return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[i])) >= image.alpha_min;
 }
 
-/// Completes a symmetric object. Removes the surfels in unobserved places, and adds the
-/// mirrored surfels of the opposite side if that side was observed.
+/// Completes a symmetric object. If one side of a pair of mirrored patches was observed
+/// and the other was not, replaces the surfels of the unobserved side. The new surfels
+/// are the mirror image of the observed side.
 /// @return number of surfels that were added
 std::size_t complete(Surfels& surfels, const BoxSurface& surface) {
     std::vector<std::uint32_t> kept, copied;

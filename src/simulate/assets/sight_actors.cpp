@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes which parts of its actors a log has observed. Renders the scans of the log
-// with the trained scene, so that an object in front of an actor hides the actor.
+// with the trained scene. Therefore an object in front of an actor hides the actor.
 #include <relidar/simulate/assets.hpp>
 
 #include <algorithm>

@@ -35,8 +35,8 @@ std::vector<Return> find_returns(const RenderedScan& scan, const std::vector<flo
     return returns;
 }
 
-/// Returns the poses of the sensor during a scan, in the frame of the points. Returns no
-/// poses if the points stay in the sensor's frame.
+/// Returns the poses of the sensor during a scan, in the frame of the points. If the
+/// points are in the sensor's frame, returns no poses.
 std::vector<shared::SensorPose> poses_of(const RenderedScan& scan,
                                          const std::optional<Pose>& dataset_from_points) {
     if (!dataset_from_points || scan.time_offset_s.empty()) return {};

@@ -63,9 +63,8 @@ void fill_scan(RenderedScan& scan, std::span<const shared::MeasuredRay> measured
     }
 }
 
-/// Drops beams whose range is outside the sensor's limits. This can happen although some
-/// sub-rays of the beam are inside, because the range of a beam is a mean of its
-/// sub-rays.
+/// Drops beams whose range is outside the sensor's limits. Each sub-ray is inside the
+/// limits, but the range of a beam is a mean over sub-rays and can be outside.
 void drop_beyond(RenderedScan& scan, const RangeLimits& limits) {
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i]))

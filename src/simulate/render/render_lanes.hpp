@@ -22,7 +22,7 @@ namespace relidar {
 class ResidentScene;
 
 /// Resources that one scan uses exclusively while it is being rendered. If several scans
-/// are rendered in parallel, each has its own lane.
+/// are rendered in parallel, each scan has a separate lane.
 struct RenderLane {
     /// copy of the scene on the device; null if this lane uses the original scene
     std::unique_ptr<Renderer> copy = {};

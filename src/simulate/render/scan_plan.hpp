@@ -23,8 +23,8 @@ struct ScanPlan {
     /// Number of sub-rays and number of returns of each beam. The host joins the sub-rays
     /// of a beam.
     SensorConfig beams;
-    /// Where the ray-drop network runs: on the device for each ray, or on the host for
-    /// the joined beams or for the cells of the grid.
+    /// Input of the ray-drop network: the traced rays on the device, the joined beams, or
+    /// the cells of the grid.
     enum class Network { none, device, beams, cells } network = Network::none;
     /// True if the device computes the points. This is possible if the scan uses no
     /// sub-rays, grid, channels, weather or random sampling. Otherwise place_points()

@@ -16,8 +16,8 @@ namespace {
 // Minimum cosine between a counted ray and the normal of the side. BoxSurface uses the
 // same limit.
 constexpr double kGrazing = 0.2;
-// Minimum number of rays through an unobserved side. Fewer rays do not change how an
-// actor looks.
+// Minimum number of rays through an unobserved side. Fewer rays do not change the
+// appearance of an actor.
 constexpr std::size_t kFewestRays = 5;
 
 /// An actor with at least one unobserved side, and its pose in a scan.

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Trains the ray-drop network, which is the last stage of training (paper, section 3.5).
 // Renders training frames once, and trains the network to predict which rays the sensor
-// dropped. The images use the nominal rays of the sensor. In a measured scan only rays
-// with a return have jitter, and the network would learn from the jitter which rays
-// returned.
+// dropped. The images use the nominal rays of the sensor. In a measured scan, only rays
+// with a return have jitter. The jitter would reveal to the network which rays returned.
 #include <algorithm>
 #include <map>
 #include <optional>
@@ -38,13 +37,13 @@ SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame
 
 /// Rotates each ray towards the next column by a fraction of the column spacing. Returns
 /// the rotated rays. The surfels are fitted to the original rays, so images along these
-/// rays look better than images of held-out frames. Images along the rotated rays do not
-/// have this advantage.
+/// rays are more accurate than images of held-out frames. Images along the rotated rays
+/// do not have this advantage.
 RayTable rotate_rays(RayTable rays, float share) {
     const RayTable original = rays;
     // Minimum cosine of the angle between neighbouring columns. In a narrow field of
-    // view, the last column has no next column, because the first column is at the
-    // opposite end.
+    // view, the first column is not next to the last column. This limit skips such a
+    // pair.
     constexpr float kNear = 0.9f;
     for (std::size_t i = 0; i < original.size(); ++i) {
         const std::size_t row = i / std::size_t(original.columns),

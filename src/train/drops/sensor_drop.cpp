@@ -15,8 +15,8 @@ constexpr int kColumnsPerBin = 3;
 // Number of neighbouring bins on each side that contribute to the expected drop rate of a
 // bin.
 constexpr int kNeighbours = 2;
-// Minimum number of rays for a drop rate. With fewer rays, a blind spot of the sensor
-// looks the same as a hole in the scene that few sweeps observed.
+// Minimum number of rays for a drop rate. With fewer rays, a blind spot of the sensor and
+// a hole in the scene cannot be distinguished.
 constexpr std::uint32_t kCertainRays = 60;
 // Weight of the prior, as a number of rays. This many returned rays are added to the
 // expected drop rate. This many rays with the expected rate are added to the drop rate of
@@ -154,8 +154,8 @@ void add_unseen_sectors(DropTable& drops, const DropTable& observed, const Seque
             },
             [&](int first, int n) {
                 for (const std::size_t row : rows) {
-                    // shortened, because beams with other azimuth offsets face other
-                    // sectors
+                    // Widens the sector for each beam to neighbouring blind bins, because
+                    // beams have different azimuth offsets.
                     int begin = first, end = first + n;
                     while (first - begin < spread && is_blind_at(row, begin - 1)) --begin;
                     while (end - first - n < spread && is_blind_at(row, end)) ++end;

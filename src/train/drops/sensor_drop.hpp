@@ -22,12 +22,12 @@ public:
     /// Counts one ray of a frame of the log. Several threads may call this function
     /// simultaneously.
     void add(const Frame& frame, std::size_t ray);
-    /// Returns the drop rate of each bin, for rays that are dropped persistently. Looks
-    /// at all intervals of neighbouring bins with at least 60 rays, for example 20 sweeps
-    /// in one bin or one sweep in 20 bins. A bin gets the highest drop rate of the
-    /// intervals that contain it, but at most its own drop rate. If a beam has fewer than
-    /// 60 rays in total, its drop rate is 0. The drop rate is 1 in a sector of at least
-    /// 10 degrees in which the beam never fires.
+    /// Returns the drop rate of each bin, for rays that are dropped persistently. Uses
+    /// intervals of neighbouring bins with at least 60 rays. Examples are 20 sweeps in
+    /// one bin, or one sweep in 20 bins. A bin gets the highest drop rate of all
+    /// intervals that contain it, but at most the drop rate of the bin itself. If a beam
+    /// has fewer than 60 rays in total, its drop rate is 0. The drop rate is 1 in a
+    /// sector of at least 10 degrees in which the beam never fires.
     DropTable persistent() const;
     /// Returns the drop rate of each bin. Also works for short logs, because the rate of
     /// each bin is mixed with the rate of its neighbours. The neighbours' rate counts

@@ -23,9 +23,9 @@ namespace relidar {
 struct FrameArrays {
     Array<DeviceRay> rays;        ///< [n] rays, computed from the poses at the start of training
     Array<DeviceTarget> targets;  ///< [n] measurements
-    /// [n] time of each ray on the vehicle's track. It is stored as the index of the last
-    /// pose before the ray, counted from FrameData::first_knot, and the fraction to the
-    /// next pose. Empty if poses are not corrected.
+    /// [n] time of each ray on the vehicle's track. The time is stored as the index of
+    /// the last pose before the ray, and the fraction to the next pose. The index counts
+    /// from FrameData::first_knot. Empty if poses are not corrected.
     Array<shared::RayPlace> places;
 };
 

@@ -20,9 +20,10 @@ namespace {
 // learning rates at the end of training, relative to the rates at the start
 constexpr double kFinalShare = 0.1;
 /// Learning rates are multiples of train.pose_rate_m, the learning rate of the sensor
-/// position in metres. The rate of rotations is a tenth of it per radian, because most
-/// returns are about 10 m away. The rates of boxes are ten times as high, because their
-/// initial errors are about ten times as large as those of a registered sensor.
+/// position in metres. The rotation rate in radians is a tenth of this rate, because most
+/// returns are about 10 m away. The rates of boxes are ten times as high as the rates of
+/// the sensor. The initial errors of boxes are about ten times the errors of a registered
+/// sensor.
 constexpr double kMetresPerRadian = 10.0, kBoxFactor = 10.0;
 /// Weights of the squared pose corrections in the loss, per square metre and per square
 /// radian. The weights are small. They affect only pose parameters that no ray

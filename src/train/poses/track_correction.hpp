@@ -2,8 +2,9 @@
 // Corrects the poses of a track by gradient descent. Pose k becomes (exp([w_k]x) R_k, T_k
 // + v_k). v is in metres in the world frame. w is a rotation vector in the world's axes
 // about the origin of the pose. Times between two poses still use interpolated poses, so
-// the corrections move these too. To first order, the pose at a fraction s moves by (1 -
-// s) times the previous correction plus s times the next correction.
+// the corrections also move the interpolated poses. To first order, the pose at a
+// fraction s moves by (1 - s) times the previous correction plus s times the next
+// correction.
 #pragma once
 
 #include <cstdint>
@@ -40,9 +41,9 @@ public:
     /// a gradient since the last step.
     void step(const PoseStep& step);
     /// Removes the rigid motion that all corrections have in common. The loss does not
-    /// constrain this motion: a scene that moves together with all its sensors looks the
-    /// same. Without this call, the scene would drift. Afterwards, the mean translation
-    /// and the mean rotation are 0.
+    /// constrain this motion, because moving the scene and all sensors together does not
+    /// change the images. Without this call, the scene would drift. Afterwards, the mean
+    /// translation and the mean rotation are 0.
     void remove_common_motion();
 
     /// Passes all variables of the optimizer to a visitor, which reads or writes a
