@@ -15,7 +15,7 @@
 namespace relidar {
 namespace {
 
-// Points that are closer together belong to the same surface.
+// Maximum distance between points of the same surface.
 constexpr double kNearPlace_m = 0.07;
 // Minimum fraction of the frames that have a point at a position. Above it, the position
 // counts as static.

@@ -150,8 +150,8 @@ struct DeviceScene::Impl {
 
     /// Stores the poses of all instances, and returns the table of instances for the
     /// device.
-    /// @return for each instance, the transform from the world frame to the model frame;
-    /// an absent instance has no surfels
+    /// @return the transform from the world frame to the model frame for each instance.
+    /// The entry of an absent instance has no surfels.
     std::vector<shared::InstanceEntry> instance_table(const std::vector<InstancePose>& placed) {
         if (placed.size() != layout.instances.size())
             throw DataError(fmt::format("cannot place the instances: found {} poses, expected {}",

@@ -143,7 +143,8 @@ double misfit_share(const FrameGaps& gaps, double stride_m) {
 }  // namespace
 
 StrideEstimate find_stride(const std::vector<Sample>& samples, const StrideRange& range) {
-    // With fewer samples or frames, a wrong stride can fit by chance.
+    // Minimum number of samples and of frames. With fewer, a wrong stride can fit by
+    // chance.
     constexpr std::size_t kFewest = 200, kFewestFrames = 24;
     constexpr double kClearly = 0.9, kStep = 1.01;
     constexpr std::size_t kBeside = 2;

@@ -24,7 +24,8 @@ constexpr double kCell_m = 0.2;
 // Edge of a square on the ground. Returns above neighbouring squares belong to the same
 // object.
 constexpr double kSquare_m = 0.3;
-// Squares at most this many squares apart belong to the same object: 0.6 to 0.9 m.
+// Maximum distance between two squares of the same object, in squares. It is 0.6 to 0.9
+// m.
 constexpr int kReach = 2;
 constexpr double kMinPoints = 12;  // minimum number of moved returns in a cluster
 constexpr double kMaxLength_m = 14.0;
@@ -38,8 +39,8 @@ constexpr int kSeldomSeen = 3;
 // Height difference below which points are treated as ground. Points that lie lower than
 // the moved points by more than this are ground, if few frames observe them.
 constexpr double kGroundBelow_m = 0.05;
-// An empty vertical gap of this size separates two objects. Beams two degrees apart leave
-// a gap of this size at 29 m.
+// Vertical gap without points that separates two objects. At 29 m, beams that are two
+// degrees apart leave a gap of this size.
 constexpr double kGapAbove_m = 1.0;
 constexpr double kMovedShare = 0.15;  // minimum share of moved returns in a cluster
 // Minimum number of frames whose returns are in memory at the same time. Larger groups

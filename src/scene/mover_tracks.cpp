@@ -15,8 +15,9 @@
 namespace relidar {
 namespace {
 
-constexpr double kMaxGap_s = 0.35;     // a track is interrupted if no cluster continues it within this time
-constexpr double kLongestGap_s = 1.5;  // a track does not continue after a longer gap
+// time after which a track is interrupted, if no cluster continues the track
+constexpr double kMaxGap_s = 0.35;
+constexpr double kLongestGap_s = 1.5;  // maximum gap across which two parts of a track are joined
 constexpr std::size_t kEndsOfGap = 4;  // minimum number of observations before and after a gap
 // Number of observations from which a velocity is estimated. kNext is used to predict the
 // next frame, and kFar is used to predict across a gap.
@@ -25,7 +26,8 @@ constexpr double kFirstSpeed_mps = 15.0;  // maximum speed of an object that has
 // Maximum error of a predicted position: a constant plus a value per second of
 // prediction.
 constexpr double kAcceleration_m = 0.7, kAcceleration_mps = 4.0;
-// largest allowed error per second of a prediction across a gap, forward and backward
+// Maximum position error per second of gap. It applies to the prediction across a gap,
+// both forward and backward.
 constexpr double kOverGap_mps = 0.8;
 // largest allowed difference between the speeds before and after a gap
 constexpr double kOtherSpeed_mps = 2.0;
@@ -123,7 +125,8 @@ private:
             return false;
         return frame_time_s - track.seen.back().frame_time_s > 2.0 * kMaxGap_s;
     }
-    /// Returns all possible pairs of a track and a cluster, sorted from best to worst.
+    /// Returns all possible pairs of a track and a cluster. The pairs are sorted from the
+    /// best match to the worst.
     std::vector<Fit> fits(double frame_time_s, const std::vector<MoverCluster>& clusters) const {
         std::vector<Fit> result;
         for (const std::size_t t : open_)
@@ -158,7 +161,8 @@ double gap_between(const MoverCluster& a, const MoverCluster& b) {
     return nearest;
 }
 
-/// Returns the index pairs of observations of two tracks that are in the same frame.
+/// Returns the observations of two tracks that are in the same frame, as pairs of
+/// indices.
 std::vector<std::pair<std::size_t, std::size_t>> in_common(const MoverTrack& a, const MoverTrack& b) {
     std::vector<std::pair<std::size_t, std::size_t>> pairs;
     for (std::size_t i = 0, j = 0; i < a.seen.size() && j < b.seen.size();) {

@@ -116,8 +116,8 @@ Gap gap_between_lines(const std::vector<Sample>& samples, const std::vector<std:
                       const glm::dvec3& normal) {
     // The four nearest neighbours of a point are on the same scan line.
     constexpr std::size_t kOnLine = 4;
-    // A neighbour lies across the line if the cosine of its angle to `across` is at least
-    // this value.
+    // Minimum cosine between `across` and the direction to a neighbour. With a smaller
+    // cosine, the neighbour does not lie across the scan line.
     constexpr double kAcross = 0.7071;
     // maximum distance from the plane: a share of the horizontal distance, and a constant
     constexpr double kSlope = 0.1, kNoise_m = 0.05;

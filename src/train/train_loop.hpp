@@ -53,8 +53,8 @@ public:
     /// Creates the loop and its arrays on the device.
     /// @param n_fixed  number of surfels at the beginning of the scene that are not
     /// trained
-    /// @param extent_m  extent of the background in metres; empty: computed from the
-    /// initial scene
+    /// @param extent_m  extent of the background in metres; if empty, it is computed from
+    /// the initial scene
     TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial,
               const Config& config, std::uint32_t n_fixed = 0, std::optional<double> extent_m = std::nullopt);
     ~TrainLoop();

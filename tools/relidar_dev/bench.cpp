@@ -34,8 +34,8 @@ struct BenchOptions {
     BenchSettings settings;
     bool no_backward = false;
     std::string json;
-    /// Numbers of actors, such as "1,10,100". If it is not empty, scenes with these
-    /// numbers of actors are measured instead of the street.
+    /// Numbers of actors, such as "1,10,100". If set, measures scenes with these numbers
+    /// of actors instead of the street.
     std::string actors;
     ServeBench service;
     ScanBench scans;

@@ -62,9 +62,11 @@ struct BenchResult {
     std::vector<BenchRow> kernels;  ///< Times of the kernels, in the order of a training iteration.
     /// Times of the phases "rebuild", "iteration", "iteration_wall" and "move".
     std::vector<BenchRow> phases;
-    /// Million rays per second, from the median time of the kernel diff/forward/trace.
+    /// Speed of the forward pass in million rays per second, from the median time of the
+    /// kernel diff/forward/trace.
     double forward_mrays_per_s = 0.0;
-    /// Million rays per second, from the median time of the kernel diff/backward/trace.
+    /// Speed of the backward pass in million rays per second, from the median time of the
+    /// kernel diff/backward/trace.
     std::optional<double> backward_mrays_per_s;
     double hits_per_ray = 0.0;    ///< Mean number of hits that are blended per ray.
     std::uint32_t kept_hits = 0;  ///< Number of hits that are stored per ray for the backward pass.

@@ -63,8 +63,9 @@ Config standard() {
     // small voxels give sharp silhouettes, because surfels overhang an edge by about
     // their size
     config.init.voxel_m = 0.1;
-    config.init.voxel_growth = 0.006;    // approximately the spacing of neighbouring rays
-    config.init.normal_neighbours = 24;  // with 6 points, noise of 2 cm tilts a normal by 0.1 rad
+    config.init.voxel_growth = 0.006;  // approximately the spacing of neighbouring rays
+    // with only 6 points, noise of 2 cm would tilt a normal by 0.1 rad
+    config.init.normal_neighbours = 24;
     // Points on leaves and corners then get discs that face the sensor. This lowers the
     // Chamfer distance and the range error.
     config.init.flatness = 0.04;
@@ -87,11 +88,13 @@ Config standard() {
     config.image.transmittance_min = 1e-3f;
     // the Huber loss estimates means, and the L1 loss would estimate medians
     config.loss.intensity = 0.3f;
-    config.loss.intensity_delta = 0.2f;   // lowers the RMSE of held-out intensities
-    config.loss.normalised_depth = true;  // with range D, a weight of 0.97 moves every surface by 3 %
-    config.loss.chamfer = 0.0f;           // would change metrics by less than 1 % and make a step 10 % slower
-    config.loss.opacity = 0.1f;           // closes holes; the normalised range alone does not close them
-    config.loss.likelihood = 0.05f;       // lowers the Chamfer distance and the median range error
+    config.loss.intensity_delta = 0.2f;  // lowers the RMSE of held-out intensities
+    // without this, a blending weight of 0.97 would move every surface by 3 % (range D)
+    config.loss.normalised_depth = true;
+    // off: the loss would change metrics by less than 1 % and make a step 10 % slower
+    config.loss.chamfer = 0.0f;
+    config.loss.opacity = 0.1f;      // closes holes; the normalised range alone does not close them
+    config.loss.likelihood = 0.05f;  // this loss lowers the Chamfer distance and the median range error
     config.train.iterations = 3000;
     config.train.sh_degree_start = 1;  // models the effect of incidence on intensity from the start
     config.train.sh_degree_interval = 500;
@@ -101,7 +104,8 @@ Config standard() {
     config.train.scale_rate = 1e-2;
     config.train.max_growth = 8.0;  // without this limit, some surfels grow far too large, up to 8 m
     config.train.sh_rate = 3e-2;
-    config.train.intensity_factor = 0.25;  // with 1, intensities overfit to the few views of a surfel
+    // with a factor of 1, intensities would overfit to the few views of a surfel
+    config.train.intensity_factor = 0.25;
     config.train.rate_decay = 0.05;
     config.train.sensor_drop = true;
     config.train.refine_poses = "sensor";  // poses drift by decimetres, which causes double walls
@@ -144,7 +148,7 @@ Config quick() {
     // It raises RMSE and Chamfer distance by about 2 % (docs/performance.md).
     config.train.only_touched = true;
     config.train.log_every = 20;
-    config.refine.network = "pixel";  // nearly as good as "small", for a quarter of its time
+    config.refine.network = "pixel";  // nearly as accurate as "small", in a quarter of its time
     config.refine.frames = 32;
     config.refine.epochs = 4;
     // Ten times the learning rate of larger networks. With few epochs, this is as good as

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads trajectories of actors from OpenSCENARIO XML 1.x. Supports
-// FollowTrajectoryActions of entities with a bounding box, along polylines whose vertices
-// have a time and a world position.
+// FollowTrajectoryActions of entities with a bounding box. The trajectory must be a
+// polyline whose vertices have a time and a world position.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -55,9 +55,9 @@ struct Source {
     }
 };
 
-/// Returns the time at which a start trigger fires. This is 0 if the trigger has no
-/// condition, or a fixed simulation time. Returns nothing if the time depends on the
-/// simulation.
+/// Returns the time at which a start trigger fires. A trigger without a condition fires
+/// at time 0. A trigger with a fixed simulation time fires at this time. Returns nothing
+/// if the time depends on the simulation.
 std::optional<double> trigger_time(const Source& source, const pugi::xml_node& trigger,
                                    const std::string& where) {
     const pugi::xml_node group = trigger.child("ConditionGroup"), condition = group.child("Condition");

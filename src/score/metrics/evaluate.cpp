@@ -122,8 +122,8 @@ void add_peer(MetricRow& row, const RangeImage& rendered, const RangeImage& real
     row["peer/f_score"] = distances.f_score(kPeerThreshold_m);
 }
 
-/// Returns the root mean square difference over all pixels between the rendered drop
-/// probability and the real drop (0 or 1). No threshold is applied.
+/// Compares the rendered drop probability with the real drop (0 or 1) without a
+/// threshold. Returns the root mean square difference over all pixels.
 double drop_rmse(const RangeImage& rendered, const RangeImage& real) {
     Values error(real.drop_prob.size());
     for (std::size_t i = 0; i < error.size(); ++i)

@@ -34,8 +34,9 @@ inline constexpr const char* kIncidence = "incidence";
 /// Returns true if any of the channels needs the full rendering result of the rays.
 bool needs_rendering(const std::vector<ChannelInfo>& wanted);
 /// Adds the optional channels that are computed for each traced ray.
-/// @param scan scan of these rays; image, poses and times are set
-/// @param rendering empty unless needs_rendering()
+/// @param scan scan of these rays; its image, poses and times must be set
+/// @param rendering full rendering result; may be empty if needs_rendering() returns
+/// false
 void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured,
                       const Rendering& rendering, const std::vector<ChannelInfo>& wanted);
 /// Adds the optional channels that are computed after sub-rays were joined to beams. Call

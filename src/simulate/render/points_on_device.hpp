@@ -29,8 +29,8 @@ struct PointMaking {
     /// does not move.
     const PoseTrack& points_from_sensor;
     double time_s;  ///< time of the sweep
-    bool of_image;  ///< true: points use the range of the image; false: points use the median range
-    bool refined;   ///< true: uses the drop probabilities of the ray-drop network
+    bool of_image;  ///< true if points use the range of the image; false if they use the median range
+    bool refined;   ///< true if the drop probabilities of the ray-drop network are used
 };
 
 class PointsOnDevice {
@@ -61,8 +61,8 @@ public:
         std::span<const float> requested_m;
         std::uint32_t n_capped;
     };
-    /// Waits until the points of a slot are on the host.
-    /// @return valid until the slot is reused
+    /// Waits until the points in these host buffers are complete.
+    /// @return valid until the buffers are reused
     static Gathered wait(Stream& stream, Slot& slot);
     /// Returns the index of the k-th sampled ray. The surface range of a sampled ray is
     /// always copied to the host, even if the ray does not return.

@@ -63,8 +63,8 @@ void fill_scan(RenderedScan& scan, std::span<const shared::MeasuredRay> measured
     }
 }
 
-/// Drops beams whose range is outside the sensor's limits. Each sub-ray is inside the
-/// limits, but the range of a beam is a mean over sub-rays and can be outside.
+/// Drops beams whose range is outside the sensor's limits. The range of a beam is a mean
+/// over sub-rays, so it can be outside although some sub-rays are inside.
 void drop_beyond(RenderedScan& scan, const RangeLimits& limits) {
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i]))
@@ -196,7 +196,8 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace(const Sweep& sweep, con
     scan.track = shifted_track(sweep.world_from_sensor, offset_m);
     scan.world_from_sensor = {sweep.pose.rotation, sweep.pose.translation + offset_m};
     scan.time_s = sweep.time_s;
-    // The host computes the inputs of a network from these channels.
+    // Adds the incidence channel if there is a network, because the host computes an
+    // input of the network from it.
     std::vector<ChannelInfo> channels = settings.channels;
     if (lanes->network() && !has_channel(kIncidence)) channels.push_back(parse_channels(kIncidence).front());
     add_ray_channels(scan, measured, needs_rendering(channels) ? renderer.download_rendering() : Rendering{},

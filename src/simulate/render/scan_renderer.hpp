@@ -29,7 +29,8 @@ struct RenderLane;
 struct PendingPoints {
     std::optional<RenderedPoints> ready = {};  ///< the points, if the host computed them
     std::shared_ptr<SensorRays> rays = {};
-    PoseTrack dataset_from_sensor = {};  ///< a single pose if the sensor does not move
+    /// poses of the sensor; a single pose if the sensor does not move
+    PoseTrack dataset_from_sensor = {};
     Pose dataset_from_points = {};
     double time_s = 0.0;
     double max_range_m = 0.0;  ///< maximum range of the sensor

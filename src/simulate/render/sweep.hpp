@@ -19,7 +19,7 @@ struct Sweep {
     /// case if a pattern generates new rays for each scan, or if all rays are fired at
     /// the same time.
     std::optional<RayTable> changed_rays = {};
-    PoseTrack world_from_sensor = {};  ///< a single pose if the sensor does not move
+    PoseTrack world_from_sensor = {};  ///< poses of the sensor; a single pose if the sensor does not move
     Pose pose = {};                    ///< pose of the sensor at `time_s`
     std::vector<InstancePose> instances = {};
 

@@ -48,8 +48,8 @@ private:
     }
     /// Sets the drop rate to 1 in sectors in which a beam never fires.
     void add_skipped_sectors(DropTable& table, int channel) const;
-    /// Returns the drop rate of a bin and its neighbours together. Includes a prior of
-    /// some returned rays.
+    /// Returns the drop rate of a bin and its neighbours together. Adds some returned
+    /// rays as a prior.
     double expected(int channel, int bin) const;
 };
 

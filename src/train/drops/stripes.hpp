@@ -23,8 +23,8 @@ public:
     static constexpr int kColumns = 64;  ///< columns in a stripe
 
     /// Selects the stripes of a frame.
-    /// @param share  every share-th stripe is used. The full image is used if share is
-    /// below 2 or the image has fewer stripes.
+    /// @param share  a value n selects every n-th stripe. The full image is used if the
+    /// value is below 2, or if the image has fewer stripes than the value.
     /// @param of_frame  number of the frame. Each frame starts one stripe later, so that
     /// the frames together use all columns.
     Stripes(int share, const RayTable& rays, std::size_t of_frame)
