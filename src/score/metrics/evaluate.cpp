@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the metrics of both protocols of docs/method.md section 8 for a rendered and a
-// real range image.
+// Computes the metrics of two protocols for a rendered and a real range image
+// (docs/method.md section 8).
 //   peer    all pixels, dropped pixels set to 0, values clamped; used by published tables
-//   strict  only pixels returned in both images; ray-drop has its own metrics
+//   strict  only pixels returned in both images; ray-drop has separate metrics
 // Chamfer distance and F-score use only the points of returned pixels. The published
-// script of the peer protocol instead places dropped pixels at the origin, which lowers
+// script of the peer protocol places dropped pixels at the origin instead. This lowers
 // the Chamfer distance and raises the F-score.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>

@@ -45,7 +45,7 @@ glm::dvec3 surface_velocity(const InstancePose& placed, double after_s, const gl
 
 /// Returns the rate of change of each ray's range:
 ///   direction * (velocity of the surface - velocity of the ray's origin)
-/// The rotation of the LiDAR's head is not a motion of the sensor.
+/// The rotation of the LiDAR's head does not count as a motion of the sensor.
 ChannelValues velocities(const RenderedScan& scan, const ScanContext& context) {
     constexpr double kStep_s = 0.005;
     std::vector<float> velocity(scan.median_range_m.size(), 0.0f);

@@ -16,7 +16,7 @@ namespace relidar {
 
 struct Rendering;
 
-/// Data that channels of a scan are computed from.
+/// Data from which the channels of a scan are computed.
 struct ScanContext {
     SeenByLog log;
     /// Poses of the scanning LiDAR in relidar's world frame

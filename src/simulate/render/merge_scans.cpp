@@ -51,7 +51,7 @@ void append_second(ScanChannel& merged, const ScanChannel& own, std::size_t firs
     std::visit(add, own.second);
 }
 
-/// Returns a scan that has the poses of the rig but the firing times of another scan.
+/// Returns a scan with the poses of the rig and the firing times of another scan.
 RenderedScan rig_firing(const RenderedScan& merged, const RenderedScan& scan) {
     RenderedScan rig;
     rig.image.rows = scan.image.rows;

@@ -44,8 +44,8 @@ struct SampledBatch {
 class BatchSampler {
 public:
     /// Creates the device arrays for batches.
-    /// @throws UsageError if structural similarity or normal consistency is enabled and
-    /// batches or frames are not images
+    /// @throws UsageError if a loss needs images (structural similarity or normal
+    /// consistency), but batches or frames are not images
     BatchSampler(Device& device, const Config& config, const std::vector<FrameData>& frames);
     ~BatchSampler();
     /// Records GPU commands that copy a random batch to the batch arrays. The batch is
@@ -59,8 +59,8 @@ public:
     SampledBatch take(Stream& stream, const FrameData& frame, std::uint32_t first, std::uint32_t k);
     /// Draws a random column or ray at which a batch starts.
     std::uint32_t draw_first(const FrameData& frame, Random& random) const;
-    /// Returns how many batches together contain all rays of the frame. Returns 1 if the
-    /// batches are windows of columns.
+    /// Returns the number of batches that together contain all rays of the frame. Returns
+    /// 1 if the batches are windows of columns.
     std::uint32_t n_batches(const FrameData& frame) const;
 
 private:

@@ -21,8 +21,8 @@ namespace {
 // surface.
 constexpr float kFewestWeight = 0.5f;
 
-/// Renders the background of a run, to which scans are aligned. Excludes actors, because
-/// the poses of actors are estimates.
+/// Renders the background of a run. Scans are aligned to these renderings. Excludes
+/// actors, because the poses of actors are estimates.
 class RunView {
 public:
     RunView(Device& device, const Run& run)
