@@ -9,13 +9,14 @@
 namespace relidar {
 namespace {
 
-// Widest angle, in radians, between a beam's azimuth and the azimuth that the head faces.
+// Maximum angle in radians between the azimuth of a beam and the azimuth that the head
+// faces.
 constexpr double kBeside_rad = 0.17;
-// Widens the angle of a box on each side by this share of half its angle. The sensor and
-// the box move while the head faces the box.
+// The angle of a box is widened on each side by this share of half the angle. The reason
+// is that the sensor and the box move while the head faces the box.
 constexpr double kBesideShare = 0.25;
-// Lengthens the time span of a motion by this share. Real heads deviate from the nominal
-// firing times.
+// Share by which the time span of a motion is lengthened. Real LiDAR heads deviate from
+// the nominal firing times.
 constexpr double kBeyond = 0.02;
 // A LiDAR without known firing times may fire this many seconds before or after the
 // reference time.
@@ -68,9 +69,9 @@ double half_angle(const Pose& sensor_from_box, const glm::dvec3& half_size_m) {
     return largest;
 }
 
-/// Returns the time interval in which the rays of a sweep can hit a box. The LiDAR's head
-/// faces the box during this interval. Returns the time of the full sweep if the interval
-/// is unknown or reaches beyond the sweep.
+/// Returns the time interval in which the rays of a sweep can hit a box. During this
+/// interval the LiDAR's head faces the box. If the interval is unknown or reaches beyond
+/// the sweep, returns the time of the full sweep.
 TimeSpan facing_span(const Sequence& sequence, const PoseTrack& world_from_box, const glm::dvec3& half_size_m,
                      const SweepMoment& sweep) {
     const TimeSpan all = sweep_span(sequence, sweep);
@@ -96,8 +97,8 @@ InstancePose pose_in_sweep(const Sequence& sequence, const PoseTrack& world_from
                            const glm::dvec3& half_size_m, const SweepMoment& sweep) {
     const TimeSpan span = facing_span(sequence, world_from_box, half_size_m, sweep);
     const double half_s = 0.5 * (span.last_s - span.first_s), middle_s = 0.5 * (span.first_s + span.last_s);
-    // Without a rolling shutter, the actor has a velocity, but it does not move during
-    // the sweep.
+    // Without a rolling shutter, all rays fire at one time. The actor then has a
+    // velocity, but no motion during the sweep.
     const bool moves = half_s > 0.0;
     const TimeSpan measured = moves ? span : TimeSpan{middle_s - kVelocityStep_s, middle_s + kVelocityStep_s};
     const Pose first = world_from_box.at(measured.first_s), last = world_from_box.at(measured.last_s);

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Initialises actors. An actor is the set of surfels of one moving tracked box, stored in
-// the frame of the box. The pose of the box at the rendered time places the actor in the
-// world (paper section 3.2, Eq. 4-5: mean_world = R_t mean_object + T_t).
+// Initialises actors. An actor is the set of surfels of one tracked moving box. The
+// surfels are stored in the frame of the box. The pose of the box at the rendered time
+// transforms them to the world (paper section 3.2, Eq. 4-5: mean_world = R_t mean_object
+// + T_t).
 #include <relidar/scene/device_scene.hpp>
 #include <relidar/scene/scene.hpp>
 
@@ -28,7 +29,8 @@ namespace {
 
 /// margin added around a labelled box, because labels fit loosely
 constexpr double kPointMargin_m = 0.1;
-/// height of the lowest part of a box, whose points are dropped because they are ground
+/// Height of the lowest part of a box. Points in this part are removed, because they
+/// belong to the ground.
 constexpr double kGround_m = 0.15;
 constexpr std::string_view kEveryClass = "all";
 
@@ -142,9 +144,9 @@ void pad(std::vector<Sample>& samples, std::size_t n, const BoxTrack& box, std::
     }
 }
 
-/// Selects at most `actor_points` samples of an actor from the points in its box. Adds
-/// random points if there are few. Adds no points if the box has fewer than
-/// `actor_min_points`.
+/// Selects at most `actor_points` samples of an actor from the points in its box. If
+/// there are fewer, adds random points. If the box has fewer than `actor_min_points`,
+/// adds none.
 std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& box,
                                   const InitialiseOptions& options) {
     samples = thin_out(samples, std::size_t(options.actor_points));
@@ -153,7 +155,8 @@ std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& b
     return samples;
 }
 
-/// Returns which share of each side of a box the samples have hit from outside.
+/// For each side of a box, returns the share of its area that samples have hit from
+/// outside.
 SideShares seen_sides(const BoxTrack& box, const std::vector<Sample>& samples) {
     BoxSurface surface(box.size_m);
     for (const Sample& s : samples) surface.add(glm::dvec3(s.position), glm::dvec3(s.view));
@@ -200,10 +203,10 @@ void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& sam
     scene.surfels.append(surfels);
 }
 
-/// Returns how far, in metres, an actor had walked when it starts on a new track. Finds
-/// the nearest pose on the actor's recorded track. Adds the distance by which the new
-/// pose is ahead of that pose. This keeps the steps in phase with the position if a
-/// caller moves the actor to another track.
+/// Returns the distance in metres that an actor had walked when a new track starts. Finds
+/// the nearest pose on the recorded track of the actor. Adds the distance by which the
+/// new pose is ahead of this recorded pose. If a caller moves the actor to another track,
+/// its steps then still match its position.
 double start_distance_m(const BoxTrack& own, const PoseTrack& track) {
     const Pose& at = track.pose.front();
     const auto place_m = [&](const Pose& pose) { return glm::distance(pose.translation, at.translation); };
@@ -214,8 +217,8 @@ double start_distance_m(const BoxTrack& own, const PoseTrack& track) {
            glm::dot(at.translation - nearest->translation, ahead);
 }
 
-/// Returns the poses of the background and of all actors. `track_of` returns the track
-/// for the name of an actor. If `track_of` returns null, the actor is absent.
+/// Returns the poses of the background and of all actors. `track_of` maps the name of an
+/// actor to its track. An actor is absent if `track_of` returns null.
 template <class TrackOf>
 std::vector<InstancePose> place_instances_by(const Scene& scene, const Sequence& sequence,
                                              const SweepMoment& sweep, const TrackOf& track_of) {
@@ -296,7 +299,7 @@ std::string list_boxes(const std::vector<BoxTrack>& boxes) {
 
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence,
                                           const SweepMoment& sweep) {
-    // a hash map, because a log can have a thousand tracks
+    // uses a hash map because a log can have a thousand tracks
     std::unordered_map<std::string_view, const PoseTrack*> tracks;
     for (const BoxTrack& box : sequence.boxes)
         if (box.present(sweep.time_s)) tracks.emplace(box.id, &box.world_from_box);

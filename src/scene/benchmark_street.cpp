@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Generates the benchmark street, a deterministic synthetic scene of surfels, and the
-// rays of its sensor (docs/method.md section 2). Draws the same numbers in the same order
-// as ../shared/bench/scene_gen.py does with numpy. The random generator is numpy's legacy
-// RandomState: MT19937 with an integer seed and 53-bit uniform numbers. Normal numbers
-// use the polar method, which makes two numbers at a time and keeps the second for the
-// next call.
+// Generates a deterministic synthetic street of surfels and the rays of its sensor
+// (docs/method.md section 2). Draws the same numbers in the same order as
+// ../shared/bench/scene_gen.py does with numpy. The random generator is numpy's legacy
+// RandomState: MT19937 with an integer seed and 53-bit uniform numbers. The polar method
+// makes two normal numbers per call, and the second is kept for the next call.
 #include "scene/benchmark_street.hpp"
 
 #include <algorithm>

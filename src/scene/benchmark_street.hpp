@@ -9,9 +9,10 @@
 
 namespace relidar {
 
-/// Returns the deterministic street of surfels that the benchmarks use. Makes scene A
-/// without `refine`, and scene B with `refine`. The values equal the output of the Python
-/// generator, except for rounding in the last digit. The surfels are not in kd order.
+/// Returns the surfels of a synthetic street. The same arguments always give the same
+/// surfels. Makes benchmark scene A if `refine` is false, and scene B if it is true. The
+/// values equal the output of the Python generator, except for rounding in the last
+/// digit. The surfels are not sorted in kd-tree order.
 Surfels make_benchmark_street(std::uint32_t n, std::uint32_t seed = 20261120, bool refine = false);
 
 /// Returns the rays of the street's sensor at (0, -2, 1.8). The kind is "waymo" (64 x

@@ -11,15 +11,15 @@ namespace relidar {
 namespace {
 
 constexpr double kBoxPatch_m = 0.3;
-// Ignores this lowest fraction of the height of a vertical side, because the ground hides
-// it.
+// Fraction of the height of a vertical side that counts as hidden. The ground hides this
+// lowest part, so it is ignored.
 constexpr double kHiddenHeight = 0.2;
-/// A return observes a side only if the cosine between the ray and the normal of the side
-/// is at least kGrazingSide. At smaller angles the returns form separate streaks. The
-/// limit for the top is lower. A LiDAR on a car hits the roofs of other cars only at
-/// grazing angles.
+/// Minimum cosine between a ray and the normal of a side. A return at a smaller cosine
+/// does not observe the side, because such returns form separate streaks. The limit for
+/// the top is lower. A LiDAR on a car hits the roofs of other cars only at grazing
+/// angles.
 constexpr double kGrazingSide = 0.2, kGrazingTop = 0.02;
-// maximum number of pairs of patches along an axis, for a box of 120 m
+// Maximum number of pairs of patches along an axis. A box of 120 m reaches it.
 constexpr double kMostPairs = 200.0;
 
 /// Returns the number of patches along a length. The number is even, so that the symmetry

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes surfels that are visible only for a moment from the points of each frame. This
-// models every change of shape: steps, pedals, doors, trailers. Between two frames, the
-// surfels of both frames are blended.
+// Makes surfels from the points of each frame. The surfels are visible only around the
+// time of their frame. This models every change of shape: steps, pedals, doors, trailers.
+// Between two frames, the surfels of both frames are blended.
 #include "scene/changing_actors.hpp"
 
 #include <algorithm>
@@ -15,26 +15,31 @@
 namespace relidar {
 namespace {
 
-// Points that are closer together belong to the same surface.
+// Maximum distance between points of the same surface.
 constexpr double kNearPlace_m = 0.07;
-// Minimum fraction of the frames that have a point at a place that does not change.
+// Minimum fraction of the frames that have a point at a position. Above it, the position
+// counts as static.
 constexpr double kResting = 0.75;
-constexpr std::size_t kCompared = 64;  // Maximum number of frames that are searched for such points.
-// Number of surfels that each frame may have, so that actors are not sparse in long logs.
+// Maximum number of frames that are searched for points at a position.
+constexpr std::size_t kCompared = 64;
+// Minimum number of surfels that each frame is allowed. Without it, the actors of long
+// logs would have too few surfels per frame.
 constexpr std::size_t kInFrame = 200;
-constexpr std::size_t kFewestChanging = 3;  // Minimum number of frames.
-// Minimum distance that the actor walks in the log. Minimum spacing of frames, because
-// the frames of an actor that stands have no spacing.
+// Minimum number of frames from which changing surfels are made.
+constexpr std::size_t kFewestChanging = 3;
+// Minimum distance that the actor must walk in the log. Minimum spacing of two frames in
+// walked distance, because frames of a standing actor would have a spacing of zero.
 constexpr double kFewestWalked_m = 0.5, kSmallestSpacing_m = 0.02;
-// Number of frames between the last and the first frame when the motion repeats. The
-// surfels of both frames are then not visible together.
+// Gap between the last and the first frame when the motion repeats, as a number of frame
+// spacings. The gap keeps surfels of the last and the first frame from being visible
+// together.
 constexpr double kFramesBetween = 3.0;
 
 /// Samples of one frame.
 struct FrameSamples {
     SampleIndex index;
     double walked_m = 0.0;   ///< Mean walked distance of the samples.
-    double spacing_m = 0.0;  ///< Mean difference to the frames before and after.
+    double spacing_m = 0.0;  ///< Mean difference of walked distance to the previous and the next frame.
 
     FrameSamples(const std::vector<Sample>& samples, std::vector<std::uint32_t> of)
         : index(samples, std::move(of)) {
@@ -97,8 +102,8 @@ ChangingSurfels changing_surfels(const std::vector<Sample>& samples, const Initi
         for (const std::uint32_t i : frame->index.cloud.of)
             if (!rests[i]) changing.push_back(samples[i]);
         if (changing.empty()) continue;
-        // The opacity falls like a Gaussian. Its standard deviation is the spacing of the
-        // frames.
+        // The opacity falls like a Gaussian with the distance from the frame. The spacing
+        // of the frames is its standard deviation.
         const Gait gait{float(frame->walked_m / actor.period_m),
                         float(actor.period_m / (2.0 * kPi * frame->spacing_m)), glm::vec3(0.0f)};
         actor.surfels.append(surfels_at(thin_out(changing, most_in_frame), gait, options, incidence));

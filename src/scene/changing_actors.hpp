@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes surfels of people and cyclists that change from frame to frame without a gait
-// (docs/method.md M14). Private to scene.
+// Makes surfels of people and cyclists whose shape changes from frame to frame. This is
+// used when no stride was found (docs/method.md M14). Private to scene.
 #pragma once
 
 #include <vector>
@@ -16,12 +16,13 @@ struct ChangingSurfels {
     Surfels surfels;
     double period_m = 0.0;  ///< Walked distance after which the motion repeats.
 };
-/// Makes surfels that are visible only around the time of their frame. Points at places
-/// where most frames have a point become surfels that are always visible.
-/// @param samples  points in the frame of the box, with the walked distance
-/// @param most  maximum number of surfels, except that each frame may have 200
-/// @return period 0 and no surfels if there are fewer than three frames, or if the actor
-/// walks less than half a metre
+/// Makes surfels that are visible only around the time of their frame. If most frames
+/// have a point at a position, the surfel there is always visible.
+/// @param samples  points in the frame of the box, each with the distance that the actor
+/// had walked
+/// @param most  maximum number of surfels, but at least 200 per frame are allowed
+/// @return surfels and their period. The result is empty, with period 0, if there are
+/// fewer than three frames. It is also empty if the actor walks less than half a metre.
 ChangingSurfels changing_surfels(const std::vector<Sample>& samples, const InitialiseOptions& options,
                                  double incidence, std::size_t most);
 

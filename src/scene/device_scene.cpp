@@ -33,8 +33,8 @@ void check_primitive(Primitive found, const ImageModel& model) {
 }
 
 void check_layout(const Scene& scene) {
-    // The kernels find the model of a surfel by binary search, so the surfel ranges must
-    // be sorted.
+    // The kernels find the model of a surfel by binary search. Therefore the surfel
+    // ranges of the models must be sorted.
     std::size_t next = 0;
     for (const Model& model : scene.models) {
         if (model.first != next)
@@ -56,15 +56,15 @@ void check_layout(const Scene& scene) {
 
 std::vector<Constant> activation_constants(bool stage_harmonics) {
     std::vector<Constant> all{{ConstantId::STAGED, stage_harmonics ? 1u : 0u}};
-    // A workgroup of 64 threads shares 4.4 kB of memory. The workgroup has one or two
-    // subgroups, depending on the device.
+    // Uses workgroups of 64 threads, so that one workgroup needs 4.4 kB of shared memory.
+    // Such a workgroup has one or two subgroups, depending on the device.
     if (stage_harmonics) all.push_back({ConstantId::WORKGROUP_SIZE, 64u});
     return all;
 }
 
 /// Assigns rows of the gradient array to each instance of a model. The first instance of
-/// a model uses the rows of the model's surfels. The rows of further instances follow
-/// after all surfels, model by model.
+/// a model uses the rows of the model's surfels. The rows of all further instances are
+/// stored after the rows of all surfels, sorted by model.
 struct Placements {
     std::vector<std::uint32_t> first_row;  ///< [instances] first gradient row of each instance
     /// [models] index of the first instance of each model, or -1 if the model has no
@@ -129,7 +129,8 @@ struct DeviceScene::Impl {
     float alpha_min = ImageModel{}.alpha_min;
     Kernel<shared::ActivateParams> activate;
     Kernel<shared::ActivateVjpParams> activate_vjp;
-    std::optional<TouchedList> list;  ///< used only if harmonics are not staged
+    /// list of the surfels with a gradient; used only if the harmonics are not staged
+    std::optional<TouchedList> list;
 
     Impl(Device& device, const Scene& scene, bool stage_harmonics)
         : layout(layout_of(scene)),
@@ -149,8 +150,8 @@ struct DeviceScene::Impl {
 
     /// Stores the poses of all instances, and returns the table of instances for the
     /// device.
-    /// @return for each instance, the transform from the world frame to the model frame;
-    /// an absent instance has no surfels
+    /// @return the transform from the world frame to the model frame for each instance.
+    /// The entry of an absent instance has no surfels.
     std::vector<shared::InstanceEntry> instance_table(const std::vector<InstancePose>& placed) {
         if (placed.size() != layout.instances.size())
             throw DataError(fmt::format("cannot place the instances: found {} poses, expected {}",
@@ -189,9 +190,9 @@ struct DeviceScene::Impl {
         return impl_of(stream).values(origins);
     }
 
-    /// Returns the gait phase of each model, taken from the model's first instance.
-    /// @return [models] phase as a fraction of a stride, 0..1; negative for rigid models;
-    /// null if no model has a gait
+    /// Returns the gait phase of each model. Uses the first instance of the model.
+    /// @return [models] phase as a fraction of a stride, 0..1; negative for rigid models.
+    /// The address is null if no model has a gait.
     Address<float> phases(Stream& stream) const {
         if (!parameters.bends) return {};
         std::vector<float> all;
@@ -284,7 +285,7 @@ void DeviceScene::set_models(const std::vector<Model>& models) {
     impl_->layout.models = models;
     impl_->parameters.n = n;
     // The number of instances does not change, so the new tables are as long as the old
-    // ones.
+    // tables. They can be uploaded into the same buffers.
     impl_->placements = Placements(impl_->layout, n);
     impl_->models.upload(model_table(impl_->layout, impl_->placements));
     impl_->more_rows.upload(impl_->placements.more);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Finds tracks of moving objects without labels. Clusters the returns at positions that
-// are empty in other frames. Links the clusters from frame to frame and fits boxes. Keeps
-// a box only if other frames prove that it moved.
+// are empty in other frames. Links the clusters from frame to frame, and fits boxes to
+// the linked clusters. Keeps a box only if other frames prove that it moved.
 #include <relidar/scene/scene.hpp>
 
 #include <algorithm>
@@ -30,11 +30,13 @@ constexpr std::size_t kFewestPoints = 5;
 constexpr double kLongest_m = 20.0, kWidest_m = 3.2, kTallest_m = 4.5;
 constexpr double kSlowest_mps = 0.4, kFastest_mps = 50.0;
 constexpr double kVehicle_m = 1.2;  // objects that are at least this long are vehicles, not people
-// An object must move at least this far, as a share of the box's longer side. The visible
-// part of a static object can drift within its box.
+// Minimum distance that an object must move, as a multiple of the longer side of its box.
+// Shorter motion is rejected, because the visible part of a static object can drift
+// within its box.
 constexpr double kWayOfSize = 0.9;
 constexpr double kStraightness = 0.5;  // minimum ratio of net motion to path length
-// A vehicle may turn by at most this angle, because a vehicle cannot turn on the spot.
+// Maximum turn of a vehicle: per metre of its path, plus a constant angle. A vehicle
+// cannot turn on the spot.
 constexpr double kTurnPer_m = 0.4, kTurn_rad = 0.5;
 
 /// Motion of a box: the distance from the first to the last position, the length of the
@@ -65,8 +67,8 @@ bool is_plausible(const BoxTrack& box) {
     return box.size_m.x < kLongest_m && box.size_m.y < kWidest_m && box.size_m.z < kTallest_m &&
            fastest > kSlowest_mps && fastest < kFastest_mps && travel.net_m > kWayOfSize * longest &&
            travel.net_m > kStraightness * travel.path_m &&
-           // Also applies the test that labelled boxes must pass. This rejects a track
-           // that moved only by a jump across a gap.
+           // Also applies the motion test of labelled boxes. This test rejects a track
+           // whose only motion is a jump across a gap.
            !turns_on_the_spot && box.moves();
 }
 
@@ -86,8 +88,8 @@ std::optional<BoxTrack> proven_box(const Visibility& visibility, MoverTrack& tra
     return result;
 }
 
-/// Extends a labelled box to the time before and after its labels. Uses only those parts
-/// of the track that other frames prove to have moved. Returns nothing if no part is
+/// Extends a labelled box to the times before and after its labels. Uses only those parts
+/// of the track for which other frames prove motion. Returns nothing if no part is
 /// proven.
 std::optional<BoxTrack> proven_continuation(const Visibility& visibility, MoverTrack& track,
                                             const BoxTrack& label) {
@@ -171,8 +173,8 @@ std::vector<BoxTrack> proven_boxes(Visibility& visibility, std::vector<MoverTrac
 }
 
 /// Returns true if the centre of `part` is inside the box `whole` for more than half of
-/// the time. Then both boxes are the same object, and `part` was a separate cluster for a
-/// while.
+/// the time. In this case both boxes belong to the same object. The returns of `part`
+/// formed a separate cluster for a while.
 bool is_part_of(const BoxTrack& part, const BoxTrack& whole) {
     const double margin =
         std::max(whole.size_m.x, whole.size_m.y) < kVehicle_m ? kFragment_m : kVehicleFragment_m;
@@ -186,8 +188,8 @@ bool is_part_of(const BoxTrack& part, const BoxTrack& whole) {
 
 bool is_continued(const BoxTrack& box) { return !box.id.empty(); }
 
-/// Removes boxes of the same object. Keeps the box with the most observations. A box that
-/// continues a label is removed only in favour of a box with the same label.
+/// Removes duplicate boxes of the same object. Keeps the box with the most observations.
+/// A box that continues a label is removed only if the kept box has the same label.
 std::vector<BoxTrack> without_parts(std::vector<BoxTrack> boxes) {
     std::ranges::stable_sort(boxes, [](const BoxTrack& a, const BoxTrack& b) {
         return std::pair(is_continued(a), a.world_from_box.time_s.size()) >
@@ -225,8 +227,8 @@ std::vector<BoxTrack> discovered_by(int lidar, const Sequence& sequence, std::ve
     return without_parts(proven_boxes(visibility, tracks, sequence, progress, group));
 }
 
-/// Adds the boxes that another LiDAR found. If both LiDARs found an object, the existing
-/// box is usually kept. The new box replaces it if it has more than 1.5 times as many
+/// Adds the boxes that another LiDAR found. If both LiDARs found an object, usually keeps
+/// the existing box. The new box replaces it only if it has more than 1.5 times as many
 /// observations. A slightly longer track is not always better. A much shorter track means
 /// that the LiDAR lost the object.
 void add_movers(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
@@ -250,8 +252,8 @@ void add_movers(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
 std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions,
                                       const Progress& progress, const ProcessGroup& group) {
     std::vector<BoxTrack> boxes;
-    // Processes each LiDAR separately. Otherwise two simultaneous sweeps would add an
-    // object twice to one track.
+    // Processes each LiDAR separately. If two LiDARs scan at the same time, joint
+    // processing would add an object twice to one track.
     for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
         add_movers(boxes, discovered_by(lidar, sequence, train_positions, progress, group));
     std::stable_partition(boxes.begin(), boxes.end(), [](const BoxTrack& box) { return !is_continued(box); });

@@ -45,9 +45,9 @@ Basis harmonics(const glm::dvec3& d) {
 using Turn = std::array<std::array<double, kShCoefficients>, kShCoefficients>;
 
 /// Returns the matrix that rotates SH coefficients from the model frame to the world
-/// frame. An element is the integral of Y_i(R d) Y_j(d) over the sphere. The integrands
-/// have degree 6, so a quadrature with four Gauss-Legendre heights and eight azimuths is
-/// exact.
+/// frame. An element is the integral of Y_i(R d) Y_j(d) over the sphere. The quadrature
+/// uses four Gauss-Legendre heights and eight azimuths. It is exact, because the
+/// integrands have degree 6.
 Turn turn_of(const glm::dquat& world_from_model) {
     constexpr std::array<std::array<double, 2>, 4> kHeights{{{-0.8611363115940526, 0.3478548451374538},
                                                              {-0.3399810435848563, 0.6521451548625461},
@@ -79,8 +79,9 @@ void turn_harmonics(const Turn& turn, float* channel) {
     std::ranges::copy(turned, channel);
 }
 
-/// Moves a surfel to its position at a phase of the gait. Reduces the surfel's opacity if
-/// the phase differs from the surfel's phase (shaders/scene/gaussian/gait.glsl).
+/// Moves a surfel to its position at a phase of the gait. Reduces the surfel's opacity by
+/// the distance between this phase and the surfel's phase
+/// (shaders/scene/gaussian/gait.glsl).
 void bend(Surfels& s, std::size_t i, double phase) {
     const Gait& gait = s.gait[i];
     const double angle = 2.0 * kPi * (phase - double(gait.phase)), sharpness = double(gait.sharpness);

@@ -19,7 +19,7 @@
 namespace relidar {
 namespace {
 
-// positions are averaged over this time, because the boxes of labels jitter
+// Time over which positions are averaged, because the boxes of labels jitter.
 constexpr double kAverage_s = 1.0;
 constexpr double kStands_mps = 0.2;
 
@@ -32,7 +32,7 @@ double apart(double a, double b) { return b - a - std::round(b - a); }
 WalkedDistance::WalkedDistance(const PoseTrack& track) : time_s_(track.time_s) {
     const auto average = [&](double t_s) {
         const double half = std::min({0.5 * kAverage_s, t_s - time_s_.front(), time_s_.back() - t_s});
-        constexpr int kSteps = 5;  // number of steps to each side
+        constexpr int kSteps = 5;  // number of steps in each direction
         glm::dvec3 sum(0.0);
         for (int k = -kSteps; k <= kSteps; ++k) sum += track.at(t_s + half * k / kSteps).translation;
         return sum / double(2 * kSteps + 1);
@@ -58,7 +58,7 @@ double WalkedDistance::at(double t_s) const {
 
 std::optional<StrideRange> stride_range(ObjectKind kind) {
     if (kind == ObjectKind::person) return StrideRange{0.7, 2.4};
-    // metres that a cyclist rides per turn of the pedals
+    // A bicycle travels this many metres per turn of the pedals.
     if (kind == ObjectKind::cyclist) return StrideRange{2.0, 9.0};
     return std::nullopt;
 }
@@ -66,9 +66,9 @@ std::optional<StrideRange> stride_range(ObjectKind kind) {
 namespace {
 
 constexpr double kTurns = 2.0;          // minimum number of strides that must be observed
-constexpr double kNearSurface_m = 0.3;  // distances to the nearest point are limited to this value
+constexpr double kNearSurface_m = 0.3;  // upper limit for the distance to the nearest point
 
-/// Distances from some samples of an actor to the nearest sample of each frame.
+/// For some samples of an actor, the distance to the nearest sample of each frame.
 struct FrameGaps {
     /// [frames] distance that the actor had walked when each frame was recorded
     std::vector<double> walked_m;
@@ -111,11 +111,13 @@ FrameGaps frame_gaps(const std::vector<Sample>& samples) {
     return gaps;
 }
 
-/// Rates a stride length. Returns the mean distance between points of the same gait
-/// phase, divided by the mean distance between points of different phases. The ratio is
-/// about 1 for a wrong stride. Returns 2 if too few frames have the same phase.
+/// Rates a stride length. Returns a ratio: the mean distance between points of the same
+/// gait phase, divided by the mean distance between points of different phases. The ratio
+/// is about 1 for a wrong stride, and smaller for the right stride. Returns 2 if too few
+/// frames have the same phase.
 double misfit_share(const FrameGaps& gaps, double stride_m) {
-    // Phases count as equal below kSame and as different above kOther. Unit: strides.
+    // Two phases count as equal if they differ by less than kSame. They count as
+    // different if they differ by more than kOther. Unit: strides.
     constexpr double kSame = 0.06, kOther = 0.15;
     constexpr double kWorst = 2.0;
     double same = 0.0, other = 0.0;
@@ -125,8 +127,8 @@ double misfit_share(const FrameGaps& gaps, double stride_m) {
         for (std::size_t f = 0; f < gaps.walked_m.size(); ++f) {
             const double turns = (gaps.walked_m[f] - gaps.walked_m[gaps.frame[k]]) / stride_m,
                          off = std::abs(apart(0.0, turns));
-            // Skips frames of the same stride, because they look alike just because they
-            // are close in time.
+            // Skips frames of the same stride. They are similar only because little time
+            // has passed between them.
             if (std::abs(turns) < 0.5) continue;
             if (off < kSame) same += gaps.distance_m[k][f], ++n_same;
             if (off > kOther) other += gaps.distance_m[k][f], ++n_other;
@@ -141,7 +143,8 @@ double misfit_share(const FrameGaps& gaps, double stride_m) {
 }  // namespace
 
 StrideEstimate find_stride(const std::vector<Sample>& samples, const StrideRange& range) {
-    // With fewer samples or frames, a wrong stride can fit by chance.
+    // Minimum number of samples and of frames. With fewer, a wrong stride can fit by
+    // chance.
     constexpr std::size_t kFewest = 200, kFewestFrames = 24;
     constexpr double kClearly = 0.9, kStep = 1.01;
     constexpr std::size_t kBeside = 2;
@@ -163,8 +166,8 @@ StrideEstimate find_stride(const std::vector<Sample>& samples, const StrideRange
     std::vector<double> shares(strides.size()), smooth;
     parallel_for(int(strides.size()),
                  [&](int i) { shares[std::size_t(i)] = misfit_share(gaps, strides[std::size_t(i)]); });
-    // Averages the ratios of neighbouring strides, because a single good ratio can be
-    // chance.
+    // Averages the ratios of neighbouring stride lengths, because one good ratio can be a
+    // coincidence.
     for (std::size_t i = kBeside; i + kBeside < shares.size(); ++i)
         smooth.push_back(std::accumulate(&shares[i - kBeside], &shares[i + kBeside] + 1, 0.0) /
                          (2 * kBeside + 1));
@@ -183,7 +186,7 @@ StrideEstimate find_stride(const std::vector<Sample>& samples, const StrideRange
 
 namespace {
 
-constexpr int kBins = 40;  // number of bins per stride
+constexpr int kBins = 40;  // number of phase bins per stride
 // Standard deviation of the phase interval in which a surfel is visible, in strides.
 constexpr double kWindow = 0.06;
 constexpr double kSame_m = 0.07;  // points that are closer together than this belong to the same surface
@@ -206,8 +209,8 @@ struct Phases {
     const SampleIndex& at(int bin) const { return *bins[std::size_t((bin + kBins) % kBins)]; }
 };
 
-/// Returns true if there are points near `p` in at least three quarters of the phases.
-/// Such a position does not move with the gait.
+/// Returns true if at least three quarters of the gait phases have points near `p`. Such
+/// a position does not move with the gait.
 bool rests(const Phases& phases, const glm::vec3& p) {
     int seen = 0, filled = 0;
     for (int bin = 0; bin < kBins; ++bin) {
@@ -231,8 +234,8 @@ glm::vec3 velocity_at(const Phases& phases, std::size_t i) {
     for (float x = -3.2f; x <= 3.21f; x += 0.4f)
         for (float z = -0.8f; z <= 0.81f; z += 0.4f) {
             const glm::vec3 velocity(x, 0.0f, z);
-            // Adds a small cost per speed, so that the slowest of equally good velocities
-            // wins.
+            // Adds a small cost that grows with the speed. If several velocities fit
+            // equally well, the slowest is chosen.
             double sum = 1e-4 * double(glm::length(velocity));
             for (const int ahead : {-4, -2, 2, 4}) {
                 const SampleIndex& there = phases.at(bin + ahead);
@@ -274,14 +277,14 @@ std::vector<glm::vec3> velocities(const Phases& phases, const std::vector<char>&
             std::vector<float>& values = around[std::size_t(k)];
             const auto half = values.begin() + std::ptrdiff_t(values.size() / 2);
             std::nth_element(values.begin(), half, values.end());
-            middle[i][k] = *half;  // not empty, because it contains the sample itself
+            middle[i][k] = *half;  // not empty, because the list contains the sample itself
         }
     });
     return middle;
 }
 
 /// Makes one surfel for each sample. A surfel is visible around the gait phase of its
-/// sample. A surfel of a sample at rest is always visible.
+/// sample. If the sample does not move with the gait, its surfel is always visible.
 Surfels with_gait(const std::vector<Sample>& samples, const std::vector<Gait>& gait,
                   const InitialiseOptions& options, double incidence) {
     std::vector<std::uint32_t> order;
@@ -311,7 +314,7 @@ Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m,
         resting = thin_out(resting, most / 2);
         surfels = with_gait(resting, std::vector<Gait>(resting.size()), options, incidence);
     }
-    // number of neighbouring bins whose points are merged into the same surfels
+    // number of neighbouring bins whose points are merged into one set of surfels
     constexpr int kTogether = 4;
     for (int first = 0; first < kBins; first += kTogether) {
         std::vector<std::uint32_t> numbers;
@@ -322,7 +325,8 @@ Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m,
         for (const std::uint32_t i : numbers)
             gait.push_back(
                 {float(phases.of(i)), float(1.0 / (2.0 * kPi * kWindow)), velocity[i] / float(2.0 * kPi)});
-        std::vector<Sample> moving;  // samples, moved to where they are at the middle phase of these bins
+        // samples, each moved to its position at the middle phase of these bins
+        std::vector<Sample> moving;
         const double middle = (first + 0.5 * kTogether) / kBins;
         for (std::size_t k = 0; k < numbers.size(); ++k) {
             moving.push_back(samples[numbers[k]]);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Measures how far people and cyclists have moved, and estimates their stride. Makes
-// surfels that move with the stride (docs/method.md M14). Private to scene.
+// Measures how far people and cyclists have walked, and estimates the length of their
+// stride. Makes surfels that move periodically with the stride (docs/method.md M14).
+// Private to scene.
 #pragma once
 
 #include <optional>
@@ -14,7 +15,8 @@
 namespace relidar {
 
 /// Computes the distance that an actor has walked along its track. Averages the positions
-/// over one second, because labels jitter. Motion slower than 0.2 m/s counts as standing.
+/// over one second, because labelled positions jitter. Motion slower than 0.2 m/s counts
+/// as standing.
 class WalkedDistance {
 public:
     explicit WalkedDistance(const PoseTrack& world_from_box);
@@ -39,17 +41,19 @@ struct StrideEstimate {
     double stride_m = 0.0;  ///< 0 if no stride was found
     std::string why_none = {};
 };
-/// Finds the stride length of an actor. Chooses the length for which points of the same
-/// phase, but of different strides, are nearest to each other.
+/// Finds the stride length of an actor. Tries many lengths, and compares the points of
+/// different strides at the same phase of the stride. Chooses the length for which these
+/// points are nearest to each other.
 /// @param samples points in the frame of the box, with the distance walked so far
 StrideEstimate find_stride(const std::vector<Sample>& samples, const StrideRange& range);
 
-/// Makes the surfels of a walking actor. Points that are present at every phase become
-/// static surfels. Every other point becomes a surfel that is visible only around the
-/// phase of the point. Such a surfel moves with the velocity of the points nearby.
-/// @param samples at least one
+/// Makes the surfels of a walking actor. Points that are present at every phase of the
+/// stride become static surfels. Every other point becomes a surfel that is visible only
+/// around the phase of the point. Such a surfel moves with the velocity of the points
+/// nearby.
+/// @param samples must not be empty
 /// @param most maximum number of surfels
-/// @param progress an exception that it throws ends the call
+/// @param progress called during the work; if it throws an exception, the function stops
 Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m,
                           const InitialiseOptions& options, double incidence, std::size_t most,
                           const Progress& progress = {});

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Makes background surfels from the returns of the training frames. Averages the points
 // of each voxel. Estimates normals and scales from nearest neighbours (docs/method.md
-// section 2; paper section 3.2). Skips points in moving boxes. Never reads held-out
-// frames.
+// section 2; paper section 3.2). Skips points in the boxes of moving objects. Never reads
+// the held-out frames.
 #include <relidar/scene/scene.hpp>
 
 #include <algorithm>
@@ -27,8 +27,8 @@ namespace relidar {
 
 namespace {
 
-// Points are removed if at least this share of the frames observe an empty space there.
-// With a share of 1, the points of objects that stood still for a while would remain.
+// A point is removed if at least this share of the frames observe empty space at the
+// point. A share of 1 would keep points of objects that stood still for part of the log.
 constexpr double kGoneShare = 0.25;
 
 /// Running sums of the samples in one voxel.
@@ -40,7 +40,8 @@ struct Voxel {
     int count = 0;
 };
 
-/// Integer cell of a voxel grid. The edge length of a cell doubles with each level.
+/// Cell of a voxel grid with integer coordinates. The edge length of a cell doubles with
+/// each level.
 struct Cell {
     int level, x, y, z;
     bool operator==(const Cell&) const = default;
@@ -67,7 +68,7 @@ std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame,
     return samples;
 }
 
-/// Returns the sensor position at each of the given frames.
+/// Returns the position of the sensor in each of the given frames.
 /// @return [positions] world
 std::vector<glm::vec3> sensor_positions(const Sequence& sequence, const std::vector<int>& positions) {
     std::vector<glm::vec3> places;
@@ -134,9 +135,9 @@ struct Voxels {
     }
 };
 
-/// Returns the mean sample of each voxel, in the order in which the voxels first appear.
-/// This order is reproducible. Reads only a few frames at a time, so that memory does not
-/// grow with the number of frames.
+/// Returns the mean sample of each voxel, sorted by the first sample of the voxel. This
+/// order does not depend on the threads. Reads only a few frames at a time, so that the
+/// memory does not grow with the number of frames.
 std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>& train,
                                 const InitialiseOptions& options, const Progress& progress) {
     constexpr std::size_t kFrames = 16;
@@ -171,8 +172,8 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
     return means;
 }
 
-/// Removes samples where other frames observe an empty space, because such samples belong
-/// to moving objects.
+/// Removes samples at positions where other frames observe empty space. Such samples
+/// belong to moving objects.
 std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Sequence& sequence,
                                    const std::vector<int>& train, const Progress& progress) {
     Visibility visibility(sequence, train);

@@ -13,21 +13,21 @@
 namespace relidar {
 namespace {
 
-// Repeats the fit, because the first path is bent where other sides of the object become
-// visible.
+// Number of times the fit is repeated. The first path is curved wrongly where other sides
+// of the object become visible. Repeating the fit corrects this.
 constexpr int kRounds = 3;
 // Window in seconds for the height of an object's top. The road height changes little in
 // this time.
 constexpr double kTop_s = 1.0;
 constexpr double kMargin_m = 0.1;  // added around the points of a box
-// a box is extended downwards by this, because its lowest part counts as ground
-// (actors.cpp)
+// A box is extended downwards by this length, because the lowest part of a box is treated
+// as ground (actors.cpp).
 constexpr double kGroundOfBox_m = 0.15;
 constexpr double kSpeedOver_s = 0.5;
-// Number of labelled observations that determine where the labelled box is relative to
-// the visible points.
+// Number of labelled observations from which the offset between the labelled box and the
+// visible points is computed.
 constexpr std::size_t kNearLabels = 10;
-// if the sensor is farther outside the box than this, it sees only one end
+// If the sensor is farther outside the box than this, the sensor sees only one end.
 constexpr double kBeside_m = 0.5;
 
 /// Position and heading of an object on the ground. They define the frame of the object.
@@ -127,8 +127,8 @@ std::vector<double> tops(const MoverTrack& track) {
     return result;
 }
 
-/// Returns the position of the object in each observation. The horizontal position is
-/// computed from the end near the sensor. The height is the height of the object's top.
+/// Returns the position of the object in each observation. Computes the horizontal
+/// position from the end near the sensor. The vertical position is the top of the object.
 /// @param size_m length and width; if null, the visible size is used
 std::vector<glm::dvec3> near_end_positions(const MoverTrack& track, const std::vector<Placement>& placed,
                                            const glm::dvec3* size_m) {
@@ -169,8 +169,8 @@ Corners corners_of(const MoverTrack& track, const std::vector<Placement>& placed
 
 /// Typical size of an object of which only one side is visible. Passenger cars are 3.6 to
 /// 5 m long and 1.6 to 1.9 m wide. A bicycle is 1.8 m long and its rider 0.6 m wide. The
-/// length of a lorry or a bus cannot be estimated from its rear. It gets the length of a
-/// light lorry, because a longer lorry would show its side.
+/// length of a truck or a bus cannot be estimated from its rear. The length of a light
+/// truck is used instead, because a longer truck would also show its side.
 struct Kind {
     const char* name;
     double length_m, width_m;
@@ -180,7 +180,8 @@ struct Kind {
 };
 constexpr Kind kCar{"car", 4.2, 1.8, 3.4, 1.5}, kCyclist{"cyclist", 1.8, 0.6, 1.4, 0.0},
     kTruck{"truck", 7.0, 2.4, 3.4, 1.5};
-// pedestrians are slower; several pedestrians side by side can look as wide as a car
+// Minimum speed of a vehicle in m/s. Pedestrians are slower. Without this limit, several
+// pedestrians side by side would be taken for a car.
 constexpr double kDrives_mps = 2.5;
 constexpr double kTruck_m = 2.5;  // objects taller than this are trucks
 // An object that is narrower than the first value and taller than the second is a
@@ -197,8 +198,8 @@ const Kind* kind_of(const glm::dvec3& size_m, double speed_mps) {
     return size_m.x < kind->least_length_m && size_m.y < kind->least_width_m ? nullptr : kind;
 }
 
-/// Returns the side of a box, -1 or 1 along one axis, on which the sensor was most of the
-/// time. Returns 0 if the sensor was next to the box or on both sides.
+/// Returns on which side of a box the sensor was most of the time, along one axis. The
+/// result is -1 or 1. Returns 0 if the sensor was next to the box or on both sides.
 double side_of_sensor(const BoxTrack& box, const MoverTrack& track, int axis) {
     std::ptrdiff_t low = 0, high = 0;
     for (std::size_t k = 0; k < track.seen.size(); ++k) {

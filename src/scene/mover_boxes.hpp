@@ -10,19 +10,19 @@
 
 namespace relidar {
 
-/// Fits an upright box to the returns of a track. Returns one pose per frame, with x
-/// along the motion. In each frame, only the end near the sensor is certain. The size is
-/// the largest visible extent over the track.
+/// Fits an upright box to the returns of a track. Returns one pose per frame. The x axis
+/// points along the motion. Only the end near the sensor is measured reliably in each
+/// frame. Therefore the size of the box is the largest visible extent over the track.
 BoxTrack box_of(const MoverTrack& track);
 
-/// Enlarges a box away from the sensor if only one side of the object was visible. Stores
-/// the name of the kind of object (car, truck, cyclist) whose typical size was used.
-/// Leaves other boxes unchanged.
+/// Enlarges a box away from the sensor if only one side of the object was visible. The
+/// new size is the typical size of a car, a truck or a cyclist. Stores the name of this
+/// kind in the box. Leaves other boxes unchanged.
 void complete_size(BoxTrack& box, const MoverTrack& track);
 
-/// Returns a labelled box with additional poses, for the times when its object was
-/// observed without a label. The box keeps its size. The nearest labels determine the
-/// offset between the box and the visible points.
+/// Returns a labelled box with additional poses. The additional poses are for the times
+/// when the object was observed without a label. The box keeps its size. The offset
+/// between the box and the visible points is computed from the nearest labels.
 BoxTrack continued_box(const MoverTrack& track, const BoxTrack& label);
 
 /// Returns the speeds of a box in m/s. Each speed is measured over at least half a second

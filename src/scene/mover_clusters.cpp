@@ -18,35 +18,38 @@ namespace relidar {
 namespace {
 
 constexpr double kMaxRange_m = 40.0;  // beyond this range, a person has only one or two returns
-// edge of a cell; whether frames see an empty space is computed once per cell
+// Edge length of a cell. The program computes once per cell whether other frames observe
+// empty space there.
 constexpr double kCell_m = 0.2;
 // Edge of a square on the ground. Returns above neighbouring squares belong to the same
 // object.
 constexpr double kSquare_m = 0.3;
-// Squares at most this many squares apart belong to the same object: 0.6 to 0.9 m.
+// Maximum distance between two squares of the same object, in squares. It is 0.6 to 0.9
+// m.
 constexpr int kReach = 2;
 constexpr double kMinPoints = 12;  // minimum number of moved returns in a cluster
 constexpr double kMaxLength_m = 14.0;
-// A cell has moved if at least this share of the frames that observe the cell find it
-// empty. The share is low, because a vehicle ahead hides the places where it was before.
+// A cell counts as moved if at least this share of the frames that observe the cell find
+// it empty. The share is low, because a vehicle ahead hides the positions where it was
+// before.
 constexpr double kSeenThroughShare = 0.25;
-// If at most this many frames observe a cell, its motion is undecided. A static object is
-// observed in more frames, unless it is far away or hidden.
+// If at most this many frames observe a cell, the program cannot decide whether it moved.
+// A static object is observed in more frames, unless it is far away or hidden.
 constexpr int kSeldomSeen = 3;
-// Points lower than the moved points by more than this belong to the ground around the
-// object, if few frames observe them.
+// Height difference below which points are treated as ground. Points that lie lower than
+// the moved points by more than this are ground, if few frames observe them.
 constexpr double kGroundBelow_m = 0.05;
-// An empty vertical gap of this size separates two objects. Beams two degrees apart leave
-// a gap of this size at 29 m.
+// Vertical gap without points that separates two objects. At 29 m, beams that are two
+// degrees apart leave a gap of this size.
 constexpr double kGapAbove_m = 1.0;
 constexpr double kMovedShare = 0.15;  // minimum share of moved returns in a cluster
-// Minimum number of frames whose returns are in memory at a time. Cells at the border
-// between two groups of frames are computed twice.
+// Minimum number of frames whose returns are in memory at the same time. Larger groups
+// are faster, because cells at the border between two groups are computed twice.
 constexpr std::size_t kStretch = 200;
 
-/// Motion state of a cell. If only a few frames observe a cell, they may not prove that a
-/// moving object left it. This happens at the end of a log. Such a cell is `seldom_seen`
-/// and joins a cluster together with moved cells.
+/// Motion state of a cell. At the end of a log, few frames observe a cell. They cannot
+/// prove that a moving object left the cell, so its state is `seldom_seen`. Such a cell
+/// joins a cluster only together with moved cells.
 enum class Motion : char { rests, seldom_seen, moved };
 
 /// One return of a frame.
@@ -60,7 +63,7 @@ struct Return {
 /// Labelled box at the time of a frame.
 struct LabelledBox {
     BoxTrack box;
-    int label;  ///< kNoLabel if the box does not move
+    int label;  ///< kNoLabel if the box is static
 };
 
 /// Returns the labelled boxes at a given time. A moving box is returned only while it has
@@ -83,8 +86,8 @@ std::vector<LabelledBox> labelled_at(const Sequence& sequence, double time_s) {
     return boxes;
 }
 
-/// Returns of a frame: points outside of all labelled boxes, and clusters of the points
-/// in moving labelled boxes.
+/// Returns of one frame: the points outside all labelled boxes, and the clusters of
+/// points inside moving labelled boxes.
 struct Returns {
     std::vector<Return> others;
     std::vector<MoverCluster> of_labels;
@@ -110,7 +113,8 @@ Returns returns_of(const Sequence& sequence, const Frame& frame) {
             labelled, [&](const LabelledBox& l) { return l.box.holds(w.point_m, w.time_s, kMoverMargin_m); });
         if (in == labelled.end()) {
             result.others.push_back({glm::vec3(w.point_m), w.time_s, 0, Motion::rests});
-            // Uses no margin here, because the margin around the box contains ground.
+            // Does not enlarge the box by a margin, because the margin would contain
+            // points of the ground.
         } else if (in->label != kNoLabel && in->box.holds(w.point_m, w.time_s, 0.0)) {
             MoverCluster& cluster = of_boxes[std::size_t(in - labelled.begin())];
             cluster.label = in->label;
@@ -143,9 +147,9 @@ std::vector<glm::vec3> merge_into_cells(std::vector<Returns>& frames) {
     return means;
 }
 
-/// Finds the vertical extent of one object. An object has no large gap between its bottom
-/// and its top. A tree above the object and the ground below it are separate pieces.
-/// Selects the piece with the most moved returns.
+/// Finds the vertical extent of one object. Heights that are separated by a large gap,
+/// such as a tree above the object, form separate pieces. Selects the piece with the most
+/// moved returns.
 /// @param heights_m heights of the moved returns of a cluster, at least one
 /// @return lowest and highest point of the object, metres
 std::pair<double, double> heights_of_one(std::vector<double> heights_m) {
@@ -159,8 +163,9 @@ std::pair<double, double> heights_of_one(std::vector<double> heights_m) {
     return {heights_m[best] - kGroundBelow_m, heights_m[best + n_best - 1] + kGapAbove_m};
 }
 
-/// Groups returns that are close to each other on the ground. A return in a cell that few
-/// frames observe joins a group only if it is near a moved return.
+/// Groups returns that are close to each other on the ground. Some returns lie in cells
+/// that few frames observe. Such a return joins a group only if it is near a moved
+/// return.
 std::vector<MoverCluster> group(const std::vector<Return>& returns) {
     std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> squares;
     const auto square_of = [](const glm::dvec3& p) { return cell_key({p.x, p.y, 0.0}, kSquare_m); };

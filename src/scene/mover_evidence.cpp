@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Counts the frames that support and that contradict the motion of an object. A static
 // object has returns at its position whenever the position is visible. A moving object
-// leaves the position empty, or another object fills it later. An empty cell is only a
-// candidate, because beams also pass through glass, between leaves and past edges.
+// leaves the position empty. One empty observation is not enough, because beams also pass
+// through glass, between leaves and past edges.
 #include "scene/mover_evidence.hpp"
 
 #include <algorithm>
@@ -10,14 +10,15 @@
 namespace relidar {
 namespace {
 
-// Returns closer than this can be the same static object, in spite of errors of poses and
-// ranges.
+// Two returns closer than this can belong to the same static object, because poses and
+// ranges have errors.
 constexpr double kSamePlace_m = 0.2;
-// margin around the box; outside of it, a moving object leaves its positions empty
+// Margin around the box. A moving object leaves the positions outside this margin empty.
 constexpr double kClear_m = 0.4;
 // At least this share of a track's returns must be proven to have moved.
 constexpr double kToldShare = 0.25;
-// at least this share of the returns that other frames can judge must have moved
+// At least this share of the returns must have moved. Only returns about which other
+// frames say something are counted.
 constexpr double kLeftShare = 0.85;
 constexpr double kProvenShare = 0.5;  // motion must be proven in at least this share of a track's frames
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decides whether returns belong to a moving or to a static object. Compares them with
-// frames in which the tracked object is elsewhere. Private to scene.
+// Decides whether returns belong to a moving or to a static object. Compares the returns
+// with frames in which the tracked object is elsewhere. Private to scene.
 #pragma once
 
 #include <relidar/log/sequence.hpp>
@@ -10,42 +10,45 @@
 
 namespace relidar {
 
-/// Counts the frames that support or contradict the motion of the returns at a position.
+/// Counts frames for the position of a return. Some frames show that the object at this
+/// position moved, and other frames show that it stayed.
 struct Evidence {
-    /// frames that have a return at the position, although the tracked object is
-    /// elsewhere
+    /// Number of frames that have a return at the position while the tracked object is
+    /// elsewhere. In these frames the position is still occupied.
     std::size_t stayed = 0;
     std::size_t left = 0;  ///< frames that observe an empty space at the position
     void operator+=(const Evidence& other) { stayed += other.stayed, left += other.left; }
     bool is_any() const { return stayed + left > 0; }
     bool proves_rest() const { return stayed > 0 && stayed >= left; }
     bool proves_motion() const { return left > kMuchMore * stayed; }
-    /// Motion is proven only if `left` is more than this factor times `stayed`. Objects
-    /// that pass behind or near a moving object also cause returns at the position.
+    /// The counts prove motion only if `left` is more than this factor times `stayed`.
+    /// `stayed` can be above zero for a moving object, because other objects pass behind
+    /// or near it.
     static constexpr std::size_t kMuchMore = 3;
 };
 
-/// Sums of the frame counts for all returns of a track, or for a part of the track.
+/// Sums the frame counts over all returns of a track, or over a part of the track.
 struct EvidenceSum {
     Evidence looks;
     std::size_t returns = 0;
-    std::size_t told = 0;   ///< number of returns about which at least one frame says something
+    std::size_t told = 0;   ///< number of returns for which `left` or `stayed` is above zero
     std::size_t moved = 0;  ///< number of returns that other frames prove to have moved
-    /// Number of frames with observations of the object, and number of frames whose
+    /// Number of frames with observations of the object, and number of those frames whose
     /// returns are proven to have moved.
     std::size_t frames = 0, frames_moved = 0;
     void operator+=(const EvidenceSum& other);
-    /// Returns true if the counts prove motion. For a moving object, other frames find
-    /// nearly all of its positions empty. For a static object, other frames find only its
-    /// edges empty. If a box hardly moves, other frames say little about its returns.
+    /// Returns true if the counts prove that the object moves. For a moving object, other
+    /// frames observe empty space at nearly all of its positions. For a static object,
+    /// they observe empty space only at its edges. If a box hardly moves, other frames
+    /// say little about its returns.
     bool proves_motion() const;
 };
 
-/// Counts the frames that prove or disprove that the object at a point moved. Skips
-/// frames in which the track's box covers the point. Before and after the track, the
-/// first and the last pose of the box are used.
+/// Counts the frames that show whether the object at a point moved. Skips frames in which
+/// the box of the track covers the point. Before the track begins, uses the first pose of
+/// the box. After the track ends, uses the last pose.
 /// @param point_m [3] world
-/// @param box box of the track to which a return at this point belongs
+/// @param box box of the track to which the return at this point belongs
 Evidence collect_evidence(const Visibility& visibility, const glm::dvec3& point_m, const BoxTrack& box);
 
 /// Removes the returns of a cluster that other frames prove to be static.

@@ -15,17 +15,18 @@ namespace {
 
 // standard deviation of the observed position of an object's near end
 constexpr double kPlaceNoise_m = 0.1;
-// Noise density q of the jerk, m^2/s^5. With a position every 0.1 s, the path follows
-// motions that take longer than 0.4 s.
+// Noise density q of the jerk, m^2/s^5. With one position every 0.1 s, the path follows
+// motions that take longer than 0.4 s and smooths shorter motions.
 constexpr double kJerk = 0.2;
-// a position at this distance from the path has half the weight of a position on it
+// A position at this distance from the path has half the weight of a position on the
+// path.
 constexpr double kFarFromPath_m = 0.3;
 constexpr int kPathRounds = 3;
-// Length of the chord to either side that determines a heading. An error of 3 cm at both
-// ends rotates the chord by less than a degree.
+// The heading is the direction of a chord. The chord reaches this far along the path in
+// each direction. An error of 3 cm at both ends rotates the chord by less than a degree.
 constexpr double kChord_m = 1.5;
-// Limits the chord relative to its longer half. A shorter chord means that the path turns
-// back, so the chord gives no heading.
+// Minimum length of the chord, relative to its longer half. A shorter chord means that
+// the path turns back. Such a chord gives no heading.
 constexpr double kTurnsBack = 0.3;
 
 /// State of the Kalman filter. Each column is a world axis. The rows are position,

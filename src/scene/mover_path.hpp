@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Smooths the noisy observed positions of an object, and computes its headings from the
-// smooth path. Private to scene.
+// Smooths the noisy observed positions of an object. Computes the object's headings from
+// the smooth path. Private to scene.
 #pragma once
 
 #include <vector>
@@ -17,17 +17,17 @@ struct PathState {
     }
 };
 
-/// Fits a smooth path through all observed positions of a track. The acceleration along
-/// the path changes little (a smoothing spline of the fifth degree, docs/method.md
-/// section 6). Positions far from the path have a low weight.
+/// Fits a smooth path through all observed positions of a track. The path is a smoothing
+/// spline of the fifth degree that penalizes changes of the acceleration (docs/method.md
+/// section 6). Observed positions far from the path get a low weight.
 /// @param time_s ascending
 /// @param place_m [times] observed positions
 /// @return [times]
 std::vector<PathState> smooth_path(const std::vector<double>& time_s, const std::vector<glm::dvec3>& place_m);
 
-/// Returns the heading at each position of a path on the ground, in radians. The heading
-/// points from the path 1.5 m earlier to the path 1.5 m later. Therefore a stopped object
-/// keeps its last heading.
+/// Returns the heading in radians at each position of a path on the ground. The heading
+/// is the direction from the point 1.5 m back on the path to the point 1.5 m ahead.
+/// Because it is measured by distance, a stopped object keeps its last heading.
 /// @param path_m [positions]
 /// @return [positions]
 std::vector<double> headings_along(const std::vector<glm::dvec3>& path_m);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Links clusters to tracks by their predicted positions. Joins tracks of the same object,
-// which are parallel in time or follow each other.
+// Links clusters to tracks by their predicted positions. Joins tracks of the same object
+// that exist at the same time or follow each other.
 #include "scene/mover_tracks.hpp"
 
 #include <algorithm>
@@ -15,17 +15,19 @@
 namespace relidar {
 namespace {
 
-constexpr double kMaxGap_s = 0.35;     // a track is interrupted if no cluster continues it within this time
-constexpr double kLongestGap_s = 1.5;  // a track does not continue after a longer gap
+// time after which a track is interrupted, if no cluster continues the track
+constexpr double kMaxGap_s = 0.35;
+constexpr double kLongestGap_s = 1.5;  // maximum gap across which two parts of a track are joined
 constexpr std::size_t kEndsOfGap = 4;  // minimum number of observations before and after a gap
-// Number of observations that estimate a velocity. kNext predicts the next frame, and
-// kFar predicts across a gap.
+// Number of observations from which a velocity is estimated. kNext is used to predict the
+// next frame, and kFar is used to predict across a gap.
 constexpr std::size_t kNext = 4, kFar = 10;
 constexpr double kFirstSpeed_mps = 15.0;  // maximum speed of an object that has been observed only once
-// Largest allowed error of a predicted position. The error has a constant part and a part
-// per second.
+// Maximum error of a predicted position: a constant plus a value per second of
+// prediction.
 constexpr double kAcceleration_m = 0.7, kAcceleration_mps = 4.0;
-// largest allowed error per second of a prediction across a gap, forward and backward
+// Maximum position error per second of gap. It applies to the prediction across a gap,
+// both forward and backward.
 constexpr double kOverGap_mps = 0.8;
 // largest allowed difference between the speeds before and after a gap
 constexpr double kOtherSpeed_mps = 2.0;
@@ -34,12 +36,12 @@ constexpr double kOtherSpeed_mps = 2.0;
 constexpr double kMaxRatio = 8.0;
 constexpr std::size_t kMinObservations = 6;
 constexpr double kMinPath_m = 0.6;
-// Minimum ratio of net motion to path length. Noise moves to and fro, so its ratio is
+// Minimum ratio of net motion to path length. Noise moves back and forth, so its ratio is
 // small.
 constexpr double kMinStraightness = 0.5;
 constexpr double kOwnVehicle_m = 4.0, kRides_m = 0.3;
-// Parts larger than this belong to one vehicle. Smaller parts can be people who walk
-// together.
+// Minimum size of a vehicle part. Larger parts can be joined to one vehicle. Smaller
+// parts can be people who walk together, so they are not joined.
 constexpr double kVehiclePart_m = 1.2;
 constexpr double kBesides_m = 1.5;  // maximum distance between the parts of one vehicle
 // Largest allowed standard deviation of the offset between two parts of one vehicle. The
@@ -73,8 +75,8 @@ double mismatch(const MoverTrack& track, const MoverCluster& cluster) {
            gate;
 }
 
-/// Returns how badly a cluster matches a track if both can have labels. While an object
-/// has a label, its track accepts only the clusters with this label. A value above 1
+/// Returns how badly a cluster matches a track, if both can have labels. While an object
+/// has a label, its track accepts only clusters with the same label. A value above 1
 /// means that the cluster is another object.
 double mismatch(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s,
                 const Sequence& sequence) {
@@ -85,8 +87,8 @@ double mismatch(const MoverTrack& track, const MoverCluster& cluster, double fra
                : mismatch(track, cluster);
 }
 
-/// Collects tracks frame by frame. Keeps a list of the tracks that clusters of the next
-/// frame may continue.
+/// Collects tracks frame by frame. Keeps a list of the open tracks, which clusters of the
+/// next frame can continue.
 class OpenTracks {
 public:
     explicit OpenTracks(const Sequence& sequence) : sequence_(sequence) {}
@@ -123,7 +125,8 @@ private:
             return false;
         return frame_time_s - track.seen.back().frame_time_s > 2.0 * kMaxGap_s;
     }
-    /// Returns all possible pairs of a track and a cluster, sorted from best to worst.
+    /// Returns all possible pairs of a track and a cluster. The pairs are sorted from the
+    /// best match to the worst.
     std::vector<Fit> fits(double frame_time_s, const std::vector<MoverCluster>& clusters) const {
         std::vector<Fit> result;
         for (const std::size_t t : open_)
@@ -142,7 +145,7 @@ private:
     }
 };
 
-/// Returns the longer side of the rectangle around a cluster, seen from above.
+/// Returns the longer side of the rectangle around a cluster, in the view from above.
 double visible_width_m(const MoverCluster& cluster) {
     glm::dvec2 low(1e30), high(-1e30);
     for (const glm::dvec3& p : cluster.points_m)
@@ -158,7 +161,8 @@ double gap_between(const MoverCluster& a, const MoverCluster& b) {
     return nearest;
 }
 
-/// Returns the index pairs of observations of two tracks that are in the same frame.
+/// Returns the observations of two tracks that are in the same frame, as pairs of
+/// indices.
 std::vector<std::pair<std::size_t, std::size_t>> in_common(const MoverTrack& a, const MoverTrack& b) {
     std::vector<std::pair<std::size_t, std::size_t>> pairs;
     for (std::size_t i = 0, j = 0; i < a.seen.size() && j < b.seen.size();) {
@@ -169,8 +173,8 @@ std::vector<std::pair<std::size_t, std::size_t>> in_common(const MoverTrack& a, 
     return pairs;
 }
 
-/// Returns true if two tracks are parts of one vehicle. Example: beams that miss the roof
-/// of a van observe its tail and its cabin as separate clusters.
+/// Returns true if two tracks are parts of one vehicle. Example: if the beams miss the
+/// roof of a van, its tail and its cabin form separate clusters.
 bool move_as_one(const MoverTrack& whole, const MoverTrack& part) {
     if (part.label != kNoLabel) return false;
     const auto common = in_common(whole, part);

@@ -17,8 +17,9 @@ struct Observation {
     MoverCluster cluster;
 };
 
-/// All observations of one object in the order of the frames. If the object is labelled
-/// for some time, the track also contains the observations with the label.
+/// All observations of one object in the order of the frames. A labelled object can also
+/// be observed before and after its labels. Its track then contains both kinds of
+/// observations.
 struct MoverTrack {
     std::vector<Observation> seen;
     int label = kNoLabel;  ///< index in Sequence::boxes, or kNoLabel
@@ -29,19 +30,19 @@ struct MoverTrack {
     std::vector<double> times() const;
 };
 
-/// Links the clusters of consecutive frames to tracks. The best match of a frame is
-/// linked first. While an object has a label, the label decides which clusters are
-/// linked. Before and after, the predicted position decides.
+/// Links the clusters of consecutive frames to tracks. Links the best match of each frame
+/// first. While an object has a label, the label decides which clusters are linked.
+/// Before and after the labels, the predicted position decides.
 /// @param clusters [frames]
 std::vector<MoverTrack> link_clusters(const std::vector<std::vector<MoverCluster>>& clusters,
                                       const std::vector<double>& frame_times_s, const Sequence& sequence);
 
-/// Returns true if a track is observed in enough frames and moves far enough and fairly
+/// Returns true if a track has enough observations, moves far enough, and is fairly
 /// straight.
 bool moves_far(const MoverTrack& track);
 
-/// Returns true if a track stays close to the recording vehicle and keeps its position
-/// relative to it. Such a track is a part of the vehicle.
+/// Returns true if a track stays near the recording vehicle at a fixed position relative
+/// to the vehicle. Such a track is a part of the vehicle itself.
 bool is_fixed_to_vehicle(const MoverTrack& track, const PoseTrack& world_from_vehicle);
 
 /// Merges tracks that are parts of one object. Adds their returns to the longest track of

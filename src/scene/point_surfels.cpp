@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the normal, scales and initial parameters of each surfel from the points
-// around it (docs/method.md section 2; paper section 3.2).
+// Computes the normal, the scales and the initial parameters of each surfel from nearby
+// points (docs/method.md section 2; paper section 3.2).
 #include "scene/point_surfels.hpp"
 
 #include <algorithm>
@@ -18,10 +18,11 @@ namespace relidar {
 namespace {
 
 constexpr float kSh0 = 0.28209479177387814f;  ///< SH constant of degree 0
-/// constant of the spherical harmonics of degree 1, which is multiplied by -y, z and -x
+/// Constant of the spherical harmonics of degree 1. The three functions multiply it by
+/// -y, z and -x.
 constexpr double kSh1 = 0.4886025119029199;
 constexpr int kScaleNeighbours = 3;
-/// A gap between scan lines must be wider than this factor times the distance between
+/// Minimum width of a gap between scan lines, as a multiple of the distance between
 /// neighbours on a line. Randomly distributed points have narrower gaps.
 constexpr double kGap = 2.5;
 
@@ -44,17 +45,18 @@ using Tree =
 struct Plane {
     glm::dvec3 point{0.0};
     glm::dvec3 normal{0.0};
-    bool is_line = false;  ///< the points spread along one axis only
-    /// true if the points lie in a plane: their spread along the third axis is below
-    /// options.flatness, relative to the second axis
+    bool is_line = false;  ///< true if the points spread along one axis only
+    /// True if the points lie in a plane. Then their spread along the third axis is less
+    /// than options.flatness times their spread along the second axis.
     bool is_surface = false;
 };
 
 /// Fits a plane to neighbouring points. The normal is the eigenvector of the smallest
 /// eigenvalue. The points of a single scan line do not determine the rotation about the
 /// line. In this case, the function chooses the normal that faces the sensor most. If the
-/// points form no surface, the normal points to the sensor. Other discs would be seen
-/// edge-on, so that rays of the next scan would miss them and hit the background.
+/// points form no surface, the normal points to the sensor. With another normal, the
+/// surfel could be edge-on to the sensor. Rays of the next scan would then miss the
+/// surfel and hit the background.
 Plane fit_plane(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours,
                 const glm::dvec3& view, double flatness) {
     Eigen::Vector3d mean = Eigen::Vector3d::Zero();
@@ -112,15 +114,17 @@ struct Gap {
 /// the point itself
 Gap gap_between_lines(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours,
                       const glm::dvec3& normal) {
-    constexpr std::size_t kOnLine = 4;  // the nearest neighbours of a point are on the same scan line
-    // A neighbour lies across the line if the cosine of its angle to `across` is at least
-    // this value.
+    // The four nearest neighbours of a point are on the same scan line.
+    constexpr std::size_t kOnLine = 4;
+    // Minimum cosine between `across` and the direction to a neighbour. With a smaller
+    // cosine, the neighbour does not lie across the scan line.
     constexpr double kAcross = 0.7071;
-    constexpr double kSlope = 0.1, kNoise_m = 0.05;  // maximum distance from the plane
+    // maximum distance from the plane: a share of the horizontal distance, and a constant
+    constexpr double kSlope = 0.1, kNoise_m = 0.05;
     const glm::dvec3 point(samples[neighbours[0]].position), x = direction_within(normal, 0.0),
                                                              y = glm::cross(normal, x);
-    // Sums the cosine and sine of twice the angle, so that opposite directions along a
-    // line count as the same direction.
+    // Sums the cosine and the sine of twice the angle. Opposite directions along a line
+    // then count as the same direction.
     double even = 0.0, odd = 0.0;
     for (std::size_t j = 1; j < std::min(neighbours.size(), kOnLine + 1); ++j) {
         const glm::dvec3 d = glm::dvec3(samples[neighbours[j]].position) - point;
@@ -145,10 +149,10 @@ glm::dvec3 random_direction(Random& random) {
 }
 
 /// Sets the SH coefficients of degrees 0 and 1. They encode the intensity a (1 - q (1 -
-/// cos)) with cos = -n . d, where d is the direction of a ray towards the surface. A
-/// sample seen at a grazing angle determines the albedo a poorly, so the cosine has a
-/// lower bound.
-/// @param normal zero if unknown: then the intensity is the same from all directions
+/// cos)) with cos = -n . d, where d is the direction of a ray towards the surface. At a
+/// grazing angle, the sample determines the albedo a poorly. Therefore the cosine has a
+/// lower limit.
+/// @param normal zero if unknown; then the intensity is the same from all directions
 void fill_intensity(float* sh, const Sample& sample, const glm::dvec3& normal, double incidence) {
     constexpr double kGrazing = 0.1;
     const double facing = -glm::dot(normal, glm::normalize(glm::dvec3(sample.view)));
@@ -188,8 +192,8 @@ struct Place {
     Gap gap;
 };
 
-/// Finds the plane and the gap at a sample. Searches again with more neighbours if the
-/// nearest points lie on one scan line or on one side of a gap. The points of one line do
+/// Finds the plane and the gap at a sample. If the nearest points lie on one scan line or
+/// on one side of a gap, searches again with more neighbours. The points of one line do
 /// not determine the rotation of the plane about the line.
 Place place_of(const Tree& tree, const std::vector<Sample>& samples, std::size_t i,
                std::vector<std::size_t> nearest, const InitialiseOptions& options) {
@@ -203,8 +207,8 @@ Place place_of(const Tree& tree, const std::vector<Sample>& samples, std::size_t
     for (int k = 0; is_line && !place.plane.is_surface && k < kWider; ++k) {
         widen();
         const Plane wider = fit_plane(samples, nearest, samples[i].view, options.flatness);
-        // Uses only the normal of the wider plane. This plane is too coarse to move the
-        // point onto it.
+        // Uses only the normal of the wider plane. The plane itself is too coarse, so the
+        // point is not moved onto it.
         if (wider.is_surface) place.plane = {samples[i].position, wider.normal, true, true};
     }
     if (!place.plane.is_surface) return place;
@@ -268,7 +272,8 @@ Surfels surfels_from_points(const std::vector<Sample>& samples, const Initialise
 
 std::vector<Sample> thin_out(const std::vector<Sample>& samples, std::size_t most,
                              std::vector<std::uint32_t>* kept) {
-    constexpr double kVoxel_m = 0.06;  // voxel edge; label jitter blurs smaller details
+    // edge length of a voxel; smaller details are blurred by the jitter of labels
+    constexpr double kVoxel_m = 0.06;
     std::unordered_set<std::uint64_t> seen;
     std::vector<std::uint32_t> first;
     for (std::size_t i = 0; i < samples.size(); ++i) {

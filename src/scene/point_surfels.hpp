@@ -32,18 +32,19 @@ void for_each_return(const Sequence& sequence, const Frame& frame, bool second_r
     }
 }
 
-/// Makes one surfel for each sample, in kd order. If normals are estimated, the initial
-/// intensity depends on the angle of incidence as measured in the log.
-/// @param samples at least one
+/// Makes one surfel for each sample, sorted in kd-tree order. If normals are estimated,
+/// the initial intensity depends on the angle of incidence. The log determines how
+/// strongly.
+/// @param samples must not be empty
 /// @param incidence coefficient of IntensityResponse
 /// @param order output [n]: the index of each surfel's sample
 Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options,
                             double incidence, const Progress& progress = {},
                             std::vector<std::uint32_t>* order = nullptr);
 
-/// Returns the first sample of each voxel of an actor, at most `most` samples. Does not
-/// average the samples of a voxel, because the mean over jittering labels would shrink
-/// the actor.
+/// Divides the samples of an actor into voxels, and returns the first sample of each
+/// voxel. Returns at most `most` samples. The samples of a voxel are not averaged: labels
+/// jitter, so averages would shrink the actor.
 /// @param kept output: indices of the returned samples
 std::vector<Sample> thin_out(const std::vector<Sample>& samples, std::size_t most,
                              std::vector<std::uint32_t>* kept = nullptr);

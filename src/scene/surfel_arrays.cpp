@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stores surfel parameters on the device, one array for each parameter group. The same
-// arrays also hold gradients or the optimizer's moments (Adam).
+// Stores surfel parameters on the device, with one array for each parameter group. The
+// same class also stores gradients or the moments of the optimizer (Adam).
 #include <relidar/scene/device_scene.hpp>
 
 #include <algorithm>

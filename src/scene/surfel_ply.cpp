@@ -2,8 +2,8 @@
 // Writes and reads surfels as PLY files in the layout that tools for 3D Gaussian
 // splatting use. Parameters that these tools know keep their names and activations. A
 // surfel is stored as a flat Gaussian. The LiDAR channels are additional properties, so
-// that a file edited in such a tool can be read back. The reader checks every number of
-// the header against the file size before it uses the number.
+// that relidar can read a file that was edited in such a tool. The reader checks every
+// number of the header against the file size before the number is used.
 #include <relidar/base/files.hpp>
 #include <relidar/scene/surfel_ply.hpp>
 
@@ -29,7 +29,7 @@ constexpr std::uint32_t kColours = 3;
 constexpr std::uint32_t kRest = kShCoefficients - 1;
 // Logarithm of a surfel's thickness in metres, for viewers that draw ellipsoids.
 const float kFlat = std::log(1e-4f);
-constexpr std::string_view kEndOfHeader = "\nend_header";  // a Unix or Windows line end must follow
+constexpr std::string_view kEndOfHeader = "\nend_header";  // a Unix or a Windows line end must follow
 constexpr std::size_t kMaxPlyHeader = 65536;
 constexpr std::size_t kMaxSurfels = 4294967295;
 // The index of a model is stored as a float, which is exact up to this number.
@@ -38,7 +38,8 @@ constexpr std::size_t kMaxModels = 1u << 24;
 const auto& [kGait, kMean, kRotation, kLogScale, kOpacityLogit, kSh, kLogScaleW] = kParameterGroups;
 
 /// A PLY property. It is either a float of a parameter group, or a value that other tools
-/// expect. The properties of the second and third colour repeat the first colour.
+/// expect. The properties of the second and third colour have the same values as the
+/// first colour.
 struct Property {
     std::string name;
     const ParameterGroup* group = nullptr;  ///< parameter group of the property, or null
@@ -96,9 +97,9 @@ float property_value(const Property& p, const Surfels& s, std::size_t i, std::si
     return 0.0f;
 }
 
-/// Stores the value of a property in surfel i. Stores the value in `model` if the
-/// property is the model index.
-/// @param p a property that is read
+/// Stores the value of a property in surfel i. If the property is the model index, stores
+/// the value in `model` instead.
+/// @param p a property that the reader uses
 void set_value(const Property& p, Surfels& s, std::size_t i, std::uint32_t& model, float value) {
     if (p.kind == Property::model) model = static_cast<std::uint32_t>(value);
     else p.group->mutable_values(s)[i * p.group->floats() + p.index] = value;

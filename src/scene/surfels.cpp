@@ -77,7 +77,7 @@ void Surfels::append(const Surfels& other) {
         group.resize(*this, before + more.size());
         std::ranges::copy(more, group.mutable_values(*this).begin() + static_cast<std::ptrdiff_t>(before));
     }
-    if (bends) gait.resize(n);  // adds gaits that do not move, if the appended surfels have no gait
+    if (bends) gait.resize(n);  // if the appended surfels have no gait, adds gaits without motion
 }
 
 Surfels Surfels::permuted(const std::vector<std::uint32_t>& order) const {
@@ -114,8 +114,8 @@ Scene with_background(const Scene& scene, const Surfels& background) {
     other.blocks.clear();
     other.surfels = background.permuted(kd_order(background.mean));
     other.models.front().count = n;
-    // Subtracts modulo 2^32, so that the result is also right if the new background is
-    // smaller.
+    // Subtracts modulo 2^32. The result is therefore also right if the new background is
+    // smaller than the old background.
     for (std::size_t i = 1; i < other.models.size(); ++i) other.models[i].first += n - before;
     other.surfels.append(scene.surfels.slice(before, scene.surfels.size() - before));
     return other;

@@ -39,7 +39,8 @@ Address<std::uint32_t, shared::TouchedRows> TouchedList::rows() const { return i
 Address<std::uint32_t, shared::TouchedCount> TouchedList::count() const { return impl_->count.address(); }
 
 std::size_t TouchedList::threads(std::size_t most) const {
-    // Uses fewer threads on a CPU than on a GPU, so that each thread has more work.
+    // Uses fewer threads on a CPU than on a GPU, because each CPU thread should process
+    // more surfels.
     const bool is_cpu = !coalesces(impl_->device);
     return std::min(most, is_cpu ? std::size_t(1) << 12 : std::size_t(1) << 17);
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Uses range images to decide whether the frames of a log observe a return or empty space
-// at a point.
+// Decides whether the frames of a log observe a return or empty space at a point. Looks
+// up the point in the range images of the frames.
 #include "scene/visibility.hpp"
 
 #include <algorithm>
@@ -17,23 +17,25 @@ namespace relidar {
 namespace {
 
 constexpr int kMostRows = 96, kEvenRows = 64, kFewestColumns = 64, kMostColumns = 1024;
-// With this ratio, the six cells around a point hold four or five returns.
+// Number of cells per ray along a row. With this ratio, the six cells around a point hold
+// four or five returns.
 constexpr double kCellsPerRay = 4.0 / 3.0;
 constexpr double kBeyond_rad = 0.002;  // margin at the outermost beams, about the width of a beam
 constexpr int kMinReturns = 3;  // the 2 x 3 cells around a point must contain at least this many returns
-// Number of azimuth sectors of a sweep. The sensor moves by millimetres to centimetres
-// within one sector.
+// Number of azimuth sectors of a sweep. One sensor position is used per sector, because
+// the sensor moves only millimetres to centimetres within one sector.
 constexpr int kSectors = 64;
-// A ray passes through a point if its return lies behind the point by this many error
-// margins.
+// Minimum distance of a return behind a point, as a multiple of the error margin. With a
+// larger distance, the ray counts as passing through the point.
 constexpr double kBehind = 1.5;
-// edge of a ground tile; all points of a tile are looked up in the same frames
+// Edge length of a tile of the ground. All points of a tile are looked up in the same
+// frames.
 constexpr double kTile_m = 8.0;
-// Frames whose sensor is farther away than this are not used. They have only one or two
-// returns from a person and do not observe most positions.
+// Maximum distance of the sensor from a tile. A frame from farther away has only one or
+// two returns from a person, and does not observe most positions.
 constexpr double kNear_m = 40.0;
-// If no sensor is within kNear_m of a tile, uses frames whose sensor is farther than the
-// nearest sensor by at most this factor.
+// Used if no sensor is within kNear_m of a tile. Then a frame may be farther away than
+// the nearest frame by at most this factor.
 constexpr double kHardlyFarther = 1.25;
 constexpr std::size_t kMostViews = 64;
 
@@ -60,7 +62,7 @@ std::vector<double> row_elevations(const RayTable& rays) {
 }
 
 /// Returns the number of columns of the range image per turn. Each column is a little
-/// narrower than the spacing of the rays in a row.
+/// narrower than the spacing between the rays of a row.
 int columns_of(const RayTable& rays) {
     if (rays.rows <= 1 || rays.columns <= 1) return kMostColumns;
     const auto azimuth = [&](int column) {
@@ -79,7 +81,7 @@ glm::dvec3 tile_centre(const glm::dvec3& p) {
     return kTile_m * (glm::floor(glm::dvec3(p.x, p.y, 0.0) / kTile_m) + glm::dvec3(0.5, 0.5, 0.0));
 }
 
-/// Removes views, so that at most kMostViews evenly spaced views remain.
+/// Removes views until at most kMostViews remain. The remaining views are evenly spaced.
 void thin_out(std::vector<std::uint32_t>& views) {
     if (views.size() <= kMostViews) return;
     std::vector<std::uint32_t> kept;
@@ -135,7 +137,7 @@ std::vector<float> BeamGrid::nearest_m(const Scan& scan) const {
 
 Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positions)
     : sequence_(sequence), positions_(positions) {
-    // a LiDAR without views has an empty grid, which is never used
+    // A LiDAR without views keeps an empty grid. This grid is never read.
     grids_.resize(sequence.lidars.size());
     std::vector<char> has_grid(grids_.size());
     for (const int position : positions) {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decides what each frame observes at a point. `seen` means that a return is at the
-// point. `seen_through` means that the returns above and below are well behind the point.
-// Points that frames see through belong to moving objects without labels (docs/method.md
-// section 6).
+// Decides what each frame observes at a point. A frame "sees" a point if a return lies at
+// the point. A frame "sees through" a point if the returns above and below lie well
+// behind the point. A point that frames see through belongs to a moving object without a
+// label (docs/method.md section 6).
 #pragma once
 
 #include <cstdint>
@@ -16,9 +16,9 @@ namespace relidar {
 
 enum class Sight : char { nothing, seen, seen_through };
 
-/// Grid of the directions of a LiDAR. The rows follow the beams, which can be unevenly
-/// spaced. On the ground, a point between two beams is farther away than the return of
-/// the lower beam. Evenly spaced rows without a beam would not show this.
+/// Grid of the directions of a LiDAR. The rows follow the beams, because beams can be
+/// unevenly spaced. Evenly spaced rows could contain no beam. Points between two beams
+/// would then be compared with the wrong returns.
 class BeamGrid {
 public:
     BeamGrid() = default;  ///< Makes an empty grid.
@@ -28,8 +28,8 @@ public:
     /// Cell of the grid that contains the direction of a point.
     struct Place {
         int row = 0, column = 0;  ///< nearest row and column
-        int row_below = 0;        ///< the point lies between this row and the row above
-        /// true if the point lies above or below all rows, so that no beam can hit it
+        int row_below = 0;        ///< the point lies between this row and the row above it
+        /// true if the point lies above or below all rows; no beam can hit such a point
         bool is_beyond = false;
     };
     int rows() const { return static_cast<int>(row_rad_.size()); }
@@ -48,19 +48,19 @@ private:
     int columns_ = 1;
 };
 
-/// Range images of selected frames. Looks a point up in at most 64 frames, so that the
-/// cost per point is limited. Uses frames whose sensor was within 40 m, or almost as near
-/// as the nearest sensor. These frames are evenly spaced in time. announce() creates the
-/// images near the given points. Therefore a process that handles a part of a log creates
-/// only the images of that part.
+/// Range images of selected frames. Looks up a point in at most 64 frames, to limit the
+/// time per point. Uses frames whose sensor was within 40 m, or almost as near as the
+/// nearest sensor. These frames are evenly spaced in time. announce() creates the images
+/// that the given points need. Therefore a process that handles a part of a log creates
+/// only the images of this part.
 class Visibility {
 public:
-    /// Selects the frames for each ground tile of a log, but creates no images. Keeps a
-    /// reference to `sequence`, which must not change.
+    /// Selects the frames for each tile of the ground, but creates no images. Keeps a
+    /// reference to `sequence`, so `sequence` must not change.
     Visibility(const Sequence& sequence, const std::vector<int>& positions);
 
-    /// Creates the range images for these points. Only these points may be looked up
-    /// afterwards.
+    /// Creates the range images that these points need. After this call, only these
+    /// points may be looked up.
     /// @param points_m [points] vectors of 3, world
     template <class Points>
     void announce(const Points& points_m) {
@@ -71,14 +71,15 @@ public:
     struct Votes {
         int seen = 0;
         int seen_through = 0;
-        /// Returns true if enough frames see through the point. At least two frames must
-        /// do so, and at least `share` times as many frames as see a return there.
+        /// Returns true if enough frames observe empty space at the point. At least two
+        /// frames must do so. Their number must also be at least `share` times the number
+        /// of frames that have a return at the point.
         bool is_seen_through(double share) const {
             return seen_through >= 2 && double(seen_through) >= share * double(seen);
         }
     };
-    /// Counts the frames that see a return at a point, and the frames that see through
-    /// the point.
+    /// Counts the frames that have a return at a point, and the frames that observe empty
+    /// space there.
     /// @param point_m [3] world
     Votes votes(const glm::vec3& point_m) const;
 
@@ -86,12 +87,13 @@ public:
     /// @param point_m [3] world
     /// @return indices into the positions given to the constructor
     const std::vector<std::uint32_t>& find_views_near(const glm::dvec3& point_m) const;
-    /// Returns what one frame observes at a point: a return, an empty space, or nothing.
-    /// Allows an error of decimetres.
+    /// Returns what one frame observes at a point: a return, empty space, or nothing.
+    /// Allows an error of several decimetres.
     /// @param point_m [3] world
     Sight look(std::uint32_t view, const glm::dvec3& point_m) const;
-    /// Returns true if a frame has a return in the direction of a point and at the same
-    /// range, up to `tolerance_m`.
+    /// Returns true if a frame has a return at a point. The return must be in the
+    /// direction of the point. Its range may differ from the range of the point by at
+    /// most `tolerance_m`.
     /// @param point_m [3] world
     bool has_return_at(std::uint32_t view, const glm::dvec3& point_m, double tolerance_m) const;
     double time_s(std::uint32_t view) const { return views_[view].time_s; }
@@ -100,14 +102,15 @@ private:
     struct View {
         double time_s;
         int lidar;
-        /// One pose for each azimuth sector of the sweep, at the time when the LiDAR's
-        /// head faces the middle of the sector. Empty until the image is made.
+        /// One pose for each azimuth sector of the sweep. The pose is valid at the time
+        /// when the LiDAR's head faces the middle of the sector. Empty until the image is
+        /// created.
         std::vector<Pose> sensor_from_world;
         /// [rows * columns] range of the nearest return, or 0 if a cell has no return
         std::vector<float> range_m;
     };
-    /// Range of a point in a view, and the ranges of the returns around it. The returns
-    /// are in 2 x 3 cells of the two nearest rows.
+    /// Range of a point in a view, and the ranges of the returns around the point. The
+    /// returns come from the 2 x 3 cells of the two nearest rows.
     struct Surroundings {
         double range_m = 0.0;
         float returned_m[6];
@@ -123,7 +126,8 @@ private:
     std::vector<int> positions_;   ///< [views] index of each view's frame in the log
     std::vector<View> views_;
     std::unordered_map<std::uint64_t, Tile> tiles_;
-    std::vector<std::uint32_t> wanted_;  ///< views whose images are pending; can contain duplicates
+    /// indices of the views whose images must still be created; can contain duplicates
+    std::vector<std::uint32_t> wanted_;
 
     void want(const glm::dvec3& point_m);
     void make_requested_images();

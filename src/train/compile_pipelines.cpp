@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compiles every pipeline of the program by constructing the objects that training and
-// rendering use. Needs neither a log nor a GPU. Developers use it to read the statistics
-// of a driver's compiler.
+// rendering use. Needs neither a log nor a GPU. Developers run it to read the statistics
+// of a driver's shader compiler.
 #include "train/compile_pipelines.hpp"
 
 #include <relidar/diff/forward.hpp>
@@ -23,9 +23,9 @@ struct Setting {
     const char* value;
 };
 
-// Settings that change a kernel. Each is compiled alone on top of the preset `default`.
-// The loss terms are compiled in the same way. Add a row for each new specialisation
-// constant.
+// Settings that change a kernel. Each setting is compiled on top of the preset `default`,
+// one at a time. The loss terms are compiled in the same way. Add a row here for each new
+// specialisation constant.
 constexpr Setting kSettings[] = {{"image.sh_direction", "ray"},
                                  {"image.sh_direction", "surfel"},
                                  {"image.single_drop_logit", "true"},
@@ -52,8 +52,8 @@ void compile(Device& device, const Sequence& street, const Config& config) {
     const ScanRenderer renderer(device, scene, config, street);
 }
 
-/// Compiles all variants of the ray search. When the program runs, the type of the device
-/// selects one of them.
+/// Compiles all variants of the ray search. A running program uses only one variant,
+/// which depends on the type of the device.
 void compile_searches(Device& device, const Sequence& street) {
     const Config config = make_preset("default");
     const Scene scene = smallest_scene(street, config.image.primitive);
@@ -103,7 +103,8 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
         compile_drop_network(device, options);
     }
     report("summation of hits in a fixed order");
-    // compiled here, because BackwardPass creates this sort only for its first batch
+    // Compiles this sort here, because BackwardPass creates the sort only for its first
+    // batch.
     const RadixSort by_row(device, 1, 1);
 }
 

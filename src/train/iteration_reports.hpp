@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the losses and the overflow counters of iterations from the device. The device
-// stores one row of losses for each iteration. A report covers up to 64 iterations. It is
-// copied without waiting and evaluated a few iterations later (readback_lag.hpp).
+// Copies the losses and the overflow counters of iterations from the device to the host.
+// The device stores one row of losses for each iteration. A report covers up to 64
+// iterations. The host requests the copy without waiting, and reads it a few iterations
+// later (readback_lag.hpp).
 #pragma once
 
 #include <array>
@@ -25,17 +26,18 @@ struct LogLine {
     DensifyReport densified;
 };
 
-/// Counters on the device. Each report reads the counters and resets them to 0.
+/// Counters on the device. Each report copies the counters and resets them to 0.
 struct DeviceCounts {
-    /// [1] number of rays that were stopped too early (ForwardPass::pass_cap_count)
+    /// [1] number of rays that stopped because they reached the maximum number of passes
+    /// (ForwardPass::pass_cap_count)
     const Array<std::uint32_t>* pass_cap = nullptr;
-    /// [1] largest number of hits in one iteration (BackwardPass::most_hits). Null if the
-    /// counter is not needed.
+    /// [1] largest number of hits in one iteration (BackwardPass::most_hits); null if the
+    /// counter is not needed
     const Array<std::uint32_t>* most_hits = nullptr;
     std::uint64_t hit_capacity = 0;
     /// [1] number of rays with more hits than can be stored (ForwardPass::overfull_count)
     const Array<std::uint32_t>* overfull = nullptr;
-    std::uint32_t kept_hits = 0;  ///< maximum number of hits that are stored for each ray
+    std::uint32_t kept_hits = 0;  ///< maximum number of stored hits per ray
 };
 
 class IterationReports {
@@ -48,7 +50,7 @@ public:
     /// @param frame  frame number of the dataset
     void add(int step, int frame) { iterations_.push_back({step, frame}); }
     bool is_full() const { return iterations_.size() == kRows; }
-    /// Copies the losses and counters since the last report to the host, without waiting.
+    /// Requests a copy of all losses and counters since the last report, without waiting.
     /// Call it after add(), at most once for each iteration.
     /// @param line  log line that ends with these iterations, if any
     void close(Stream& stream, const DeviceCounts& counts, const std::optional<LogLine>& line);
@@ -57,17 +59,15 @@ public:
     struct Report {
         int first_step, last_step;
         std::uint32_t pass_cap, most_hits, overfull;
-        /// hit_capacity and kept_hits have the values from the time when close() was
-        /// called
+        /// Value of hit_capacity when close() was called. The same holds for kept_hits.
         std::uint64_t hit_capacity;
         std::uint32_t kept_hits;
     };
-    /// Returns the oldest report that has not been returned yet, if it ends at iteration
-    /// `last` or earlier. Waits if the device has not completed it.
+    /// Returns the oldest report that was not returned before, if it ends at iteration
+    /// `last` or earlier. Waits if the device has not finished the report.
     /// @throws DataError naming iteration, frame and term if a loss is not finite
     std::optional<Report> take(Stream& stream, int last);
-    /// Returns the log lines of the reports that take() has returned. Clears the list of
-    /// lines.
+    /// Returns and removes the log lines of the reports that take() has returned.
     std::vector<LogLine> collect_lines() { return std::exchange(lines_, {}); }
 
     template <class Visitor>
@@ -101,7 +101,7 @@ private:
     std::vector<Iteration> iterations_;  ///< iterations since the last report
     /// [kReadbackLag] host buffers; iteration i uses buffer i modulo kReadbackLag
     std::vector<Slot> slots_;
-    std::deque<Closed> closed_;  ///< reports that the host has not evaluated yet, oldest first
+    std::deque<Closed> closed_;  ///< reports that the host has not read yet, oldest first
     /// [kLossTerms] sums of the losses over the reports since the last log line
     std::vector<double> sums_;
     std::uint64_t n_summed_ = 0;  ///< number of iterations in sums_

@@ -42,14 +42,14 @@ Sequence load_log(const Config& config, const Progress& progress, int max_scans)
 
 namespace {
 
-/// Returns true if the log provides poses of the sensor, which the registration of scans
-/// can start from.
+/// Returns true if the log provides poses of the sensor. The registration of scans can
+/// then start from these poses.
 bool has_poses(const Sequence& sequence, const Config& config) {
     return config.dataset.poses != kNoPoses && sequence.has_poses;
 }
 
-/// Computes how far the registration moved and rotated the poses of a log: median and
-/// maximum.
+/// Differences between the poses of a log before and after the registration: median and
+/// maximum of the shift and of the rotation.
 struct PoseCorrections {
     double median_m = 0.0, most_m = 0.0, median_deg = 0.0, most_deg = 0.0;
 
@@ -105,11 +105,11 @@ std::string loops_text(const Registration& registration) {
         registration.n_loop_closures, registration.largest_loop_error_m);
 }
 
-// maximum fraction of scans that could not be registered; one such scan is always allowed
+// Maximum fraction of scans that may fail to register. One failed scan is always allowed.
 constexpr double kMostLost = 0.05;
 
 /// Prints which scans could not be registered.
-/// @throws DataError if there are too many of them
+/// @throws DataError if too many scans failed
 void report_lost_scans(const Sequence& sequence, const Registration& registration, const Config& config,
                        const PrepareSession& session) {
     if (registration.lost.empty()) return;
@@ -130,8 +130,8 @@ void report_lost_scans(const Sequence& sequence, const Registration& registratio
     session.tell(text + "; their poses are interpolated from their neighbours");
 }
 
-/// Registers the scans of the log, which means that it estimates their poses.
-/// @return a registration with `done` set if it has new poses
+/// Registers the scans of the log with each other, which estimates their poses.
+/// @return a registration; its `done` is set if it has new poses
 Registration register_log(Sequence& sequence, const Split& split, const Config& config,
                           const PrepareSession& session) {
     Registration registration;
@@ -224,8 +224,8 @@ void throw_if_interrupted(const PrepareSession& session) {
                     "interrupted during the preparation of the log, before the training started");
 }
 
-/// Calibrates the beams in the first process, and sends the results to all processes of
-/// the group.
+/// Calibrates the beams in the first process, and sends the results to all other
+/// processes of the group.
 void calibrate(Sequence& sequence, const Split& split, const SensorConfig& config,
                const PrepareSession& session) {
     if (session.group.is_first()) {
@@ -296,8 +296,8 @@ void add_discovered(Sequence& sequence, const Split& split, const PrepareSession
                                  fmt::join(extended, ", ")));
 }
 
-/// Registers the points of moving boxes in the first process. Sends the corrected poses
-/// to all processes of the group.
+/// Refines the poses of moving boxes by registering their points. The first process does
+/// this, and sends the poses to all other processes of the group.
 void register_boxes(Sequence& sequence, const Split& split, const PrepareSession& session) {
     ActorRegistration registration;
     if (session.group.is_first())
@@ -319,8 +319,8 @@ void register_boxes(Sequence& sequence, const Split& split, const PrepareSession
 RegisterOptions register_options(const Sequence& sequence, const Config& config) {
     RegisterOptions options;
     options.use_pose_motion = has_poses(sequence, config);
-    // Without vehicle poses, it is unknown which boxes move, so all boxes count as
-    // moving.
+    // Without vehicle poses, the motion of a box in the world is unknown. All boxes are
+    // then treated as moving.
     for (const BoxTrack& box : sequence.boxes)
         if (!options.use_pose_motion || box.moves()) options.movers.push_back(box);
     return options;

@@ -23,21 +23,21 @@ struct StepTimes {
     double kernels_ms = 0.0;                ///< sum over all kernels
     double wall_ms = 0.0;
     std::size_t surfels = 0, rays = 0;  ///< surfels in the scene; rays in the last batch
-    std::uint32_t kept_hits = 0;        ///< maximum number of hits stored for each ray, after the last step
+    std::uint32_t kept_hits = 0;        ///< maximum number of stored hits per ray after the last step
 
     double between_ms() const { return wall_ms - kernels_ms; }  ///< time in which no kernel runs
 };
 
-/// Maximum number of timed steps. It is limited because the times of all launches are
-/// kept in memory.
+/// Maximum number of timed steps. The limit is needed because the times of all launches
+/// are kept in memory.
 inline constexpr int kMostTimedSteps = 500;
 
-/// Continues training from the scene of a run, and measures the time. Uses the learning
-/// rates of the run's last steps. Does not change the run.
+/// Continues training from the scene of a run and measures the time of each step. Uses
+/// the learning rates of the run's last steps. Does not change the run.
 /// @param run  a run with the scans of its training frames
 /// @param n_steps  number of timed steps after a few warm-up steps, 1 to kMostTimedSteps
 /// @param stop  polled after each step; if it returns true, the measurement ends
-/// @throws UsageError for a run in blocks; otherwise like train()
+/// @throws UsageError if the run has blocks; otherwise the same errors as train()
 StepTimes time_steps(Device& device, const Run& run, int n_steps, const std::function<bool()>& stop = {});
 
 }  // namespace relidar

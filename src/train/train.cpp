@@ -26,8 +26,9 @@ double seconds_since(Clock::time_point start) {
     return std::chrono::duration<double>(Clock::now() - start).count();
 }
 
-/// Returns the options of the initialisation. If there is a single drop logit, it starts
-/// with the difference of the two logits. This gives the same ray-drop probability (M6).
+/// Returns the options of the initialisation. If the model has a single drop logit, the
+/// logit starts with the difference of the two usual logits. This gives the same ray-drop
+/// probability (docs/method.md M6).
 InitialiseOptions start_options(const Config& config) {
     InitialiseOptions options = config.init;
     options.seed = config.train.seed;
@@ -57,7 +58,8 @@ void report_masked_boxes(const Scene& scene, const Sequence& sequence, const Con
                     masked.size(), list_boxes(masked)));
 }
 
-/// Prints how many training frames stay on the device, unless all of them do.
+/// Prints how many training frames are kept in device memory. Prints nothing if all
+/// frames are kept.
 void report_sent_frames(const TrainingFrames& frames, const Config& config, const TrainSession& session) {
     if (frames.n_resident() == frames.all().size() || !session.note) return;
     session.note(
@@ -66,9 +68,10 @@ void report_sent_frames(const TrainingFrames& frames, const Config& config, cons
                     frames.n_resident(), frames.all().size(), config.train.frame_memory_mib));
 }
 
-/// Returns the settings, but disables pose refinement where poses cannot be determined.
+/// Returns the settings, and disables pose refinement if the poses cannot be determined.
 /// If all training frames belong to one sweep, nothing constrains the pose of this sweep.
-/// The pose and the scene would then drift away from the poses of all other sweeps.
+/// The pose and the scene would then drift together away from the poses of all other
+/// sweeps.
 Config with_findable_poses(Config config, const Sequence& sequence, const Split& split, const Scene& initial,
                            const TrainSession& session) {
     const auto frame = [&](int position) -> const Frame& { return sequence.frames[std::size_t(position)]; };
@@ -126,7 +129,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     report_masked_boxes(initial, sequence, config, session);
 
     begin_stage(session.stages, "train");
-    // The settings need a variable, because the loop keeps a reference to them.
+    // Keeps the settings in a variable, because the loop stores a reference to them.
     const Config findable = with_findable_poses(config, sequence, split, initial, session);
     if (session.progress) session.progress("allocating memory and loading kernels", 0.0);
     TrainLoop loop(device, sequence, split, initial, findable);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trains the actors of a scene in blocks again, in front of the joined background. This
-// needs only the rays near the actors' boxes and the surfels along these rays. Therefore
-// many blocks fit into one training. An actor that drives through several blocks then
-// learns from all of them in random order.
+// Trains the actors of a scene in blocks a second time, in front of the joined
+// background. Uses only the rays near the boxes of actors and the surfels along these
+// rays. Therefore many blocks fit into one training. An actor that drives through several
+// blocks then learns from all of them in random order.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -18,21 +18,22 @@
 namespace relidar {
 namespace {
 
-// margin around an actor's box, so that the rays at its silhouette are included
+// Margin around the box of an actor. It includes the rays at the silhouette of the actor.
 constexpr double kBeside_m = 0.5;
 constexpr double kSweep_m = 0.2;  // maximum distance that a sensor moves while its beam crosses an actor
 constexpr double kAlong_m = 2.0;  // maximum distance that a sensor moves during half a sweep
-// Radius of a surfel in standard deviations. Beyond this radius, alpha is too small to
-// contribute.
+// Radius of a surfel in standard deviations. Beyond this radius, the alpha of the surfel
+// is too small to contribute.
 constexpr double kReach_sigmas = 3.5;
-// Maximum number of surfels in the blocks of one training. The training uses only the
-// surfels near actors.
+// Maximum number of surfels in the blocks of one training. Only the surfels near actors
+// are used from these blocks.
 constexpr std::size_t kTogether = 1'500'000;
-// Rays with a higher drop probability of the sensor are skipped, because they carry no
-// information about actors.
+// Rays are skipped if the sensor itself drops them with a higher probability than this.
+// Such rays carry no information about actors.
 constexpr float kBlind = 0.5f;
 
-/// An actor in a sweep, and the position of the sensor when its head faces the actor.
+/// An actor in one sweep. Also holds the sensor position at the time when the sensor's
+/// head faces the actor.
 struct Sight {
     glm::dvec3 sensor_m;
     InstancePose placed;
@@ -42,8 +43,8 @@ struct Sight {
     /// @param after_s  firing time of the ray, relative to the reference time of the
     /// sweep
     bool is_hit_by(const WorldRay& ray, double after_s) const { return meets(ray, after_s, kBeside_m); }
-    /// Returns true if a sphere may be hit by a ray that also hits the actor's box. The
-    /// sphere may be in front of the actor or behind it.
+    /// Returns true if a ray that hits the actor's box can also hit this sphere. The
+    /// sphere can be in front of the actor or behind it.
     bool may_show(const glm::dvec3& point_m, double reach_m) const {
         const double driven_length_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
         return meets({sensor_m, glm::normalize(point_m - sensor_m)}, placed.motion.middle_s,
@@ -58,11 +59,11 @@ private:
     }
 };
 
-/// A training frame, and the actors that it may show.
+/// A training frame, and the actors that can be visible in this frame.
 struct SightedFrame {
     int position = 0;  ///< index into Sequence::frames
     glm::dvec3 sensor_m{0.0};
-    double reach_m = 0.0;  ///< range of its farthest return
+    double reach_m = 0.0;  ///< range of the farthest return in the frame
     std::vector<Sight> sights;
 
     bool reaches(const SceneBlock& block) const {
@@ -76,7 +77,7 @@ struct Stretch {
     std::set<std::size_t> blocks;
 };
 
-/// Returns the track of each LiDAR. The tracks are computed only once, because they have
+/// Returns the track of each LiDAR. Compute the tracks only once, because each track has
 /// as many poses as the log has sweeps.
 std::vector<PoseTrack> sensor_tracks(const Sequence& sequence) {
     std::vector<PoseTrack> tracks;
@@ -103,8 +104,8 @@ SightedFrame sighted(const Run& run, int position, const std::vector<PoseTrack>&
     return result;
 }
 
-/// Divides the training frames into sections. Starts a new section if its blocks would
-/// have more than kTogether surfels. A section has at least one frame.
+/// Divides the training frames into sections. Starts a new section if the blocks of the
+/// current section would exceed kTogether surfels. Each section has at least one frame.
 std::vector<Stretch> stretches_of(const Run& run, const std::vector<PoseTrack>& tracks) {
     std::vector<Stretch> stretches(1);
     for (const int position : run.split.train) {
@@ -213,7 +214,7 @@ Config settings_of(const Config& config, std::size_t n_frames) {
         std::min<std::size_t>(std::size_t(config.blocks.actor_epochs) * n_frames, 1'000'000'000));
     t.rays_per_iteration = 0;
     t.only_touched = true;
-    t.sensor_drop = false;  // unnecessary, because select_rays_near() has already removed such rays
+    t.sensor_drop = false;  // not needed, because select_rays_near() has already removed these rays
     t.refine_poses = "none";
     t.sh_degree_start = c.image.sh_degree;
     c.densify.strategy = DensifyStrategy::none;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs a training iteration. It samples a frame, renders its rays, computes losses and
-// gradients, and updates the parameters (docs/method.md sections 4-6). Each iteration is
-// one GPU submission without a wait. The host evaluates the results a few iterations
-// later (readback_lag.hpp).
+// Runs a training iteration: selects a frame, renders its rays, computes losses and
+// gradients, and updates the parameters (docs/method.md sections 4-6). The host submits
+// each iteration to the GPU without waiting for it. The host reads the losses a few
+// iterations later (readback_lag.hpp).
 #include "train/train_loop.hpp"
 
 #include <algorithm>
@@ -46,12 +46,12 @@ bool FrameSampler::is_sound(std::size_t n) const {
 namespace {
 
 /// Learning rate of the higher spherical harmonics, relative to the rate of the constant
-/// coefficient. Few views observe the dependence on direction. Therefore the rate is a
-/// twentieth, as in 3D Gaussian splatting.
+/// coefficient. The factor is a twentieth, as in 3D Gaussian splatting. The rate is low
+/// because few views observe how the intensity depends on the direction.
 constexpr double kShRestFactor = 0.05;
 
-// number of iterations between two checks of how much the acceleration structure has
-// grown
+// Number of iterations between two checks. Each check tests how much the acceleration
+// structure has grown.
 constexpr int kGrowthEvery = 32;
 
 LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
@@ -66,10 +66,10 @@ LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
             .intensity_factor = c.intensity_factor};
 }
 
-/// Returns the learning rates of the surfel positions of each model, relative to the rate
+/// Returns the learning rate of the surfel positions for each model, relative to the rate
 /// of the background. The rate is proportional to the extent of the model. Steps suitable
-/// for a street would move an actor's surfels out of its box. The rate is used if surfels
-/// are cloned and split by fractions of this extent, as in the paper. A dense
+/// for a street would move an actor's surfels out of its box. The paper's rate is used if
+/// surfels are cloned and split by fractions of this extent, as in the paper. A dense
 /// initialisation uses a tenth of the paper's rate.
 /// @return [models] factors
 std::vector<float> mean_factors(const Scene& layout, double background_extent_m) {
@@ -87,29 +87,30 @@ int sh_degree_at(const TrainConfig& c, int step) {
     return c.sh_degree_start + std::max(step - 1, 0) / std::max(1, c.sh_degree_interval);
 }
 
-/// Describes how often the acceleration structures are refitted to the surfels. The
-/// margin of their boxes prevents missed hits between two refits.
+/// Describes how often the acceleration structures are refitted to the surfels. Surfels
+/// move between two refits, so a margin around their boxes prevents missed hits.
 struct TreeFits {
     int every = 1;  ///< iterations between two refits
     AccelOptions accel;
 };
 
-/// Returns the refit interval and margins. In one iteration, a surfel moves by
-/// millimetres and grows by a few per cent. A surfel that has just become visible may
-/// grow more. Rays hit it after the next refit. If most surfels are fixed, the interval
-/// is longer, because refitting for few trained surfels would take most of the time.
-/// Without per-surfel harmonics, every iteration refits, because only a refit updates the
-/// hit records.
+/// Returns the refit interval and the margins. In one iteration, a surfel moves by
+/// millimetres and grows by a few per cent. A surfel that has just become visible can
+/// outgrow the margin. Rays hit it again after the next refit. If most surfels are fixed,
+/// the interval is longer, because refitting for few trained surfels would take most of
+/// the time. Without per-surfel harmonics, every iteration refits, because only a refit
+/// updates the hit records.
 TreeFits tree_fits(const Config& config, std::uint32_t n_fixed) {
     if (config.image.sh_direction == ShDirection::ray) return {};
     if (n_fixed > 0) return {4, {.margin_scale = 1.1f, .margin_m = 0.01f}};
     return {2, {.margin_scale = 1.05f, .margin_m = 0.003f}};
 }
 
-/// Returns true if the acceleration structures are refitted in a step. They are refitted
-/// in every step as long as surfels could outgrow the margin between two refits.
+/// Returns true if the acceleration structures must be refitted in this step. While the
+/// learning rate is high, surfels could outgrow the margin between two refits. Then every
+/// step refits.
 bool should_fit_tree(const TreeFits& fits, const TrainConfig& config, int step) {
-    // Fraction of the margin that growing scales may use. The remainder is left for
+    // Fraction of the margin that growing scales may use. The remainder is reserved for
     // growing opacities, which also enlarge surfels.
     constexpr double kShare = 0.9;
     const double growth = (fits.every - 1) * rates_at(config, 1.0, step).log_scale;
@@ -123,8 +124,9 @@ RendererOptions renderer_options(const Config& config, const TrainingFrames& fra
             .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)};
 }
 
-/// Returns the maximum size of each surfel. Surfels that are close together start small
-/// and need not become large. Surfels that are far apart must grow to close holes.
+/// Returns the maximum size of each surfel. The limit grows with the initial size.
+/// Surfels that are close together start small and need not become large. Surfels that
+/// are far apart must be able to close holes.
 std::vector<float> scale_bounds(const Surfels& surfels, double max_growth) {
     std::vector<float> bounds;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
@@ -135,8 +137,8 @@ std::vector<float> scale_bounds(const Surfels& surfels, double max_growth) {
     return bounds;
 }
 
-/// Returns true if every surfel gets a gradient, even if no ray hits it. The box loss
-/// gives such gradients, because it depends on the surfels alone.
+/// Returns true if every surfel gets a gradient in each iteration, even if no ray hits
+/// it. The box loss causes such gradients, because it depends only on the surfels.
 bool all_have_gradients(const Config& config) { return config.loss.box > 0.0f && !config.train.only_touched; }
 
 Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene, const Config& config) {
@@ -147,9 +149,9 @@ Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene
     return masks;
 }
 
-/// Returns the grid whose cells are used for training. Returns nothing if the sensor's
-/// rays are used.
-/// @throws UsageError if another setting requires the sensor's rays
+/// Returns the grid whose cells are used as training rays. Returns nothing if training
+/// uses the rays of the sensor.
+/// @throws UsageError if another setting requires the rays of the sensor
 std::optional<RangeGrid> trained_grid(const Config& config) {
     if (config.train.grid == "native") return std::nullopt;
     const std::pair<bool, const char*> needs_sensor_rays[] = {
@@ -193,19 +195,20 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
     for (std::size_t i = 0; i < frames_.all().size(); ++i)
         frames_[i].placed =
             place_instances(initial, sequence, moment_of(sequence.frames[std::size_t(frames_[i].position)]));
-    // Limits the size of surfels only without densification. Densification replaces
-    // surfels and splits large surfels, so it needs no limit.
+    // Limits the size of surfels only if densification is off. Densification splits large
+    // surfels, so it needs no limit.
     if (config.densify.strategy == DensifyStrategy::none)
         adam_.bound_scales(device, scale_bounds(initial.surfels, config.train.max_growth));
 }
 
 TrainLoop::~TrainLoop() {
     try {
-        // If training ends with an exception, the device may still use the arrays, so
-        // wait for it.
+        // Waits for the device, because it may still use the arrays when training ends
+        // with an exception.
         stream_.wait(submitted_);
     } catch (const DeviceError&) {
-        // A lost device no longer uses the arrays, and the error was already reported.
+        // Ignores the error. It was already reported, and a lost device no longer uses
+        // the arrays.
     }
 }
 
@@ -303,17 +306,19 @@ void TrainLoop::check_room(const IterationReports::Report& report) {
             "{} hits, expected at most {}; use fewer rays per iteration (train.rays_per_iteration)",
             report.first_step, report.last_step, report.most_hits, report.hit_capacity));
     if (report.most_hits <= renderer_.backward_pass().hit_capacity() / 2) return;
-    close_report(last_step_, false);  // finishes the report of the iterations with the current capacity
-    // Reserves twice the number of hits, before the capacity is exceeded.
+    // finishes the report of the iterations that used the current capacity
+    close_report(last_step_, false);
+    // Reserves space for twice this number of hits, before the capacity is exceeded.
     renderer_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));
 }
 
 void TrainLoop::keep_more_hits(const IterationReports::Report& report) {
-    // Ignores a report from before the last increase.
+    // Ignores reports of iterations from before the last increase of the number of stored
+    // hits.
     if (report.kept_hits != renderer_.kept_hits() || no_room_to_keep_more_) return;
     const std::uint32_t n_hits = recommended_kept_hits(report.kept_hits, report.overfull);
     if (n_hits == report.kept_hits) return;
-    // finishes the report of the iterations with the current number of stored hits
+    // finishes the report of the iterations that used the current number of stored hits
     close_report(last_step_, false);
     no_room_to_keep_more_ = !renderer_.keep_hits(n_hits);
 }
@@ -338,7 +343,9 @@ void TrainLoop::save(Checkpoint& checkpoint) {
 }
 
 void TrainLoop::restore(const Checkpoint& checkpoint) {
-    settle();  // waits for iterations whose results this state replaces
+    // waits for the submitted iterations, because their results would overwrite the
+    // restored state
+    settle();
     visit_state(StateReader(checkpoint));
     last_step_ = checkpoint.iteration;
     if (!sampler_.is_sound(frames_.all().size()) || !reports_.is_sound())
@@ -353,21 +360,25 @@ void TrainLoop::restore(const Checkpoint& checkpoint) {
 }
 
 DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequence) {
-    // Number of rays of a frame in one batch. Over a log, each bin gets hundreds of rays.
+    // Number of rays of a frame in one batch. Over a full log, each bin of the drop table
+    // gets hundreds of rays.
     constexpr std::uint32_t kRays = 20000;
-    // Minimum number of rays per bin. For a short log, this can mean all rays.
+    // Minimum number of rays for each bin of the drop table. A short log may need all its
+    // rays to reach this number.
     constexpr std::size_t kRaysPerBin = 20;
     Config some_rays = config_;
     some_rays.train.rays_per_iteration = kRays;
-    some_rays.loss.intensity_ssim = 0.0f;  // disables windows, so that a batch has rays in all directions
+    // disables the image loss, so that a batch contains rays of all directions and not
+    // one window
+    some_rays.loss.intensity_ssim = 0.0f;
     BatchSampler batches(device, some_rays, frames_.all());
     DropCounts counts(sequence);
     renderer_.set_sh_degree(sh_degree_at(config_.train, config_.train.iterations));
-    // rays for each frame
+    // number of rays to use from each frame
     const std::size_t rays_of_frame =
         kRaysPerBin * counts.bins() / std::max<std::size_t>(1, frames_.all().size());
     for (std::size_t k = 0; k < frames_.all().size(); ++k) {
-        // The first frame needs a refit, because the last iteration moved the surfels.
+        // Refits before the first frame, because the last iteration moved the surfels.
         const FrameData& frame = bring(k, k == 0);
         if (k + 1 < frames_.all().size()) frames_.expect(k + 1);
         const std::uint32_t first = batches.draw_first(frame, sampler_.random());
@@ -383,8 +394,8 @@ DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequen
 
 void TrainLoop::count_drops(DropCounts& counts, const Sequence& sequence, const FrameData& frame,
                             const SampledBatch& batch) {
-    // A ray counts only if its blending weight is at least this value. Blind rays always
-    // count, because no surface was trained for them.
+    // Minimum blending weight of a counted ray: a ray below it hit no solid surface.
+    // Blind rays always count, because no surface was trained for them.
     constexpr float kSolid = 0.9f;
     const Frame& sweep = sequence.frames[std::size_t(frame.position)];
     const DropTable& observed = frames_.unknown().observed_drops;

@@ -29,7 +29,7 @@ public:
     FrameSampler(std::size_t n, std::uint64_t seed);
     std::size_t next();
     /// Returns the frame that next() will return. Returns nothing at the end of an epoch,
-    /// because the next order has not been drawn.
+    /// because the order of the next epoch is not drawn yet.
     std::optional<std::size_t> coming() const;
     Random& random() { return random_; }
 
@@ -53,41 +53,42 @@ public:
     /// Creates the loop and its arrays on the device.
     /// @param n_fixed  number of surfels at the beginning of the scene that are not
     /// trained
-    /// @param extent_m  extent of the background in metres; empty: computed from the
-    /// initial scene
+    /// @param extent_m  extent of the background in metres; if empty, it is computed from
+    /// the initial scene
     TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial,
               const Config& config, std::uint32_t n_fixed = 0, std::optional<double> extent_m = std::nullopt);
     ~TrainLoop();
     TrainLoop(const TrainLoop&) = delete;
     TrainLoop& operator=(const TrainLoop&) = delete;
 
-    /// Records and submits the GPU commands of one iteration. Normally waits only until
-    /// an earlier submission is complete. Waits longer for densification, and if a batch
-    /// has more rays or hits than any earlier batch. Also waits longer if too many rays
-    /// have more hits than can be stored.
+    /// Records and submits the GPU commands of one iteration. Normally waits only for an
+    /// earlier submission. Waits longer for densification. Also waits longer if a batch
+    /// has more rays or hits than all earlier batches, or if too many rays have more hits
+    /// than can be stored.
     /// @param step  counts from 1
     /// @param ends_line  true if a log line ends with this iteration
-    /// @throws DataError naming iteration, frame and term if a loss was not finite at
-    /// most 64 + kReadbackLag iterations ago
+    /// @throws DataError naming iteration, frame and term if a loss was not finite in the
+    /// last 64 + kReadbackLag iterations
     void iterate(int step, bool ends_line = false);
-    /// Returns the log lines that became available since the last call. A line becomes
-    /// available kReadbackLag iterations late, or after settle().
+    /// Returns the log lines that became available since the last call. The line of an
+    /// iteration becomes available kReadbackLag iterations later, or after settle().
     std::vector<LogLine> collect_lines() { return reports_.collect_lines(); }
-    /// Waits for all submitted iterations and evaluates their reports.
+    /// Waits for all submitted iterations and reads their reports.
     /// @throws DataError like iterate()
     void settle();
-    /// Completes training after the last iteration. Calls settle(), then applies the
-    /// pending pose updates.
+    /// Completes training after the last iteration. Waits for all iterations, then
+    /// applies the pending pose updates.
     void finish();
-    /// Writes all trained state into a checkpoint. Calls settle().
+    /// Writes the complete training state into a checkpoint. First waits for all
+    /// submitted iterations.
     /// @throws DataError like iterate()
     void save(Checkpoint& checkpoint);
-    /// Restores the state from a checkpoint. The loop must have been created for the
-    /// scene and log of the checkpoint.
+    /// Restores the state from a checkpoint. The loop must have been created with the
+    /// scene and the log of the checkpoint.
     /// @throws DataError if the state does not match
     void restore(const Checkpoint& checkpoint);
-    /// Estimates the drop probability of the sensor itself. Uses only rays for which the
-    /// current scene expects a return. Waits for the device.
+    /// Estimates the probability that the sensor itself drops a ray. Uses only rays for
+    /// which the current scene predicts a return. Waits for the device.
     DropTable estimate_sensor_drop(Device& device, const Sequence& sequence);
     /// Returns the current poses, or nothing if no poses are refined.
     std::optional<RefinedPoses> refined_poses() const {
@@ -120,12 +121,12 @@ private:
     FrameSampler sampler_;
     std::uint64_t submitted_ = 0;  ///< submission ticket of the last iteration
     int last_step_ = 0;
-    /// true if the device had no memory to store more hits for each ray
+    /// true if device memory was too small to store more hits per ray
     bool no_room_to_keep_more_ = false;
 
-    /// Passes all state of the loop to a visitor that reads or writes a checkpoint. State
-    /// that is not listed here is lost when training stops. Add a line for each new kind
-    /// of state.
+    /// Passes every state variable of the loop to a visitor, which reads or writes a
+    /// checkpoint. State that is not listed here is lost when training is resumed. Add a
+    /// line for each new state variable.
     template <class Visitor>
     void visit_state(Visitor&& visit) {
         visit("parameters", renderer_.scene().parameters());
@@ -147,12 +148,11 @@ private:
             visit(std::string("densify/report/") + name, densified_.*count);
     }
 
-    /// Records GPU commands that select a frame for this step. They set its rays, the
-    /// poses of its instances, and the appearance of the surfels from its sensor
-    /// position.
+    /// Records GPU commands that set up one frame for this step: its rays, the poses of
+    /// its instances, and the surfel intensities for its sensor position.
     const FrameData& place(std::size_t frame_index, int step);
-    /// Uploads a frame to the device if necessary. Moves the instances to their poses in
-    /// this frame.
+    /// Uploads a frame to the device if the frame is not there yet. Moves the instances
+    /// to their poses in this frame.
     /// @param surfels_changed  true if surfels have changed since the last frame
     const FrameData& bring(std::size_t frame_index, bool surfels_changed);
     /// Records GPU commands that render a batch, and compute its losses and gradients.
@@ -161,13 +161,14 @@ private:
     void look_at_reports(int last);
     void close_report(int step, bool ends_line);
     /// Compares the number of hits in a report with the capacity of the hit buffer.
-    /// Increases the capacity if necessary.
+    /// Increases the capacity if the hits used more than half of it.
     /// @throws DeviceError if a deterministic step exceeded the capacity
     void check_room(const IterationReports::Report& report);
-    /// Increases the number of hits that the forward pass stores for each ray, if too
-    /// many rays had more hits. Then almost no ray must be searched twice.
+    /// Increases the number of hits that the forward pass stores per ray, if too many
+    /// rays had more hits. Then almost no ray must be searched twice.
     void keep_more_hits(const IterationReports::Report& report);
-    /// Adds those rays of a batch to `counts` for which the scene expects a return.
+    /// Selects the rays of a batch for which the scene predicts a return, and adds them
+    /// to `counts`.
     void count_drops(DropCounts& counts, const Sequence& sequence, const FrameData& frame,
                      const SampledBatch& batch);
     void change_surfels(const std::function<DensifyReport(double others_bytes)>& change);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Example: a simulator that runs a closed loop at 10 Hz. It moves the ego car and one
-// actor of the run. The ego car starts at the first pose of the log and brakes depending
-// on its simulated LiDAR. The actor drives 25 m ahead of the ego car and brakes after two
-// seconds.
+// actor of the run. The ego car starts at the first pose of the log. It brakes when its
+// simulated LiDAR measures a short distance ahead. The actor drives 25 m ahead of the ego
+// car and brakes after two seconds.
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -36,7 +36,8 @@ int main(int argc, char** argv) try {
     const SensorChoice sensor = configured_sensor(run.config, run.sequence);
 
     Pose start = run.sequence.world_from_sensor(0).pose.front();
-    // Converts to the dataset's world frame, because requests use this frame.
+    // Converts the pose to the world frame of the dataset, because requests use this
+    // frame.
     start.translation += run.sequence.world_offset_m;
     const auto ahead = [&](double metres, double up_m) {
         return start * Pose{{1, 0, 0, 0}, {metres, 0, up_m}};
@@ -50,8 +51,8 @@ int main(int argc, char** argv) try {
             .dataset_from_actor = ActorPoses{
                 {actor,
                  {{t, t + kStep_s}, {ahead(actor_m, -1.0), ahead(actor_m + actor_mps * kStep_s, -1.0)}}}}};
-        // The points are in the sensor frame at time t. A program that does other work in
-        // between can request the next scan here.
+        // Returns the points in the sensor frame at time t. A program can do other work
+        // or request the next scan between these two calls.
         renderer.submit_points(sensor, request, t);
         const double gap_m = gap_ahead(renderer.wait_for_points().points);
         if (gap_m < 6.0 + ego_mps * ego_mps / (2.0 * kEgoBrakes_mps2) * 1.3)

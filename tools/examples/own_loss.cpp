@@ -10,8 +10,8 @@
 
 using namespace relidar;
 
-/// Returns the mean loss of all rays. Writes the derivatives of the loss by the rendered
-/// values to `d`.
+/// Returns the mean loss of all rays. Writes the derivatives of the loss with respect to
+/// the rendered values to `d`.
 double compare(const Rendering& image, const Scan& scan, RenderedGradients& d) {
     const std::size_t n = image.size();
     d = {std::vector<float>(n), std::vector<float>(n), {}, std::vector<float>(n), std::vector<float>(n)};
@@ -25,8 +25,8 @@ double compare(const Rendering& image, const Scan& scan, RenderedGradients& d) {
         d.hit_logit[i] = -d.drop_logit[i];
         if (!returned || weight < 0.1f) continue;
         const float error =
-            // The rendered range is depth / weight, because both are sums over the
-            // surfels.
+            // Divides depth by weight to get the rendered range, because both are sums
+            // over the surfels.
             (image.depth[i] / weight - scan.range_m[i]) / 0.2f;
         loss += std::log1p(double(error) * double(error)) / double(n);
         d.depth[i] = 2.0f * error / (1.0f + error * error) / 0.2f / float(n) / weight;

@@ -24,8 +24,8 @@ using Clock = std::chrono::steady_clock;
 
 constexpr int kImageRows = 64, kImageColumns = 1024;
 
-/// Returns the surfels of an actor that is about 4 m long. Its shape is the benchmark
-/// street at a smaller scale.
+/// Returns the surfels of an actor that is about 4 m long. Makes them by scaling down the
+/// benchmark street.
 Surfels actor_surfels() {
     constexpr float kHalfLength_m = 2.0f;
     Surfels actor = make_benchmark_street(kActorSurfels);
@@ -43,8 +43,8 @@ Scene scene_of_actors(int n_actors, bool copy_shared_models) {
     return copy_shared_models ? relidar::copy_shared_models(std::move(scene)) : scene;
 }
 
-/// Returns the poses of all actors. The first actor is 8 m ahead of the sensor. The
-/// others are on a spiral, about 5 m apart. Each step moves all actors by 1 cm.
+/// Returns the poses of all actors. The first actor is 8 m ahead of the sensor. The other
+/// actors are placed on a spiral, about 5 m apart. Each step moves all actors by 1 cm.
 std::vector<InstancePose> poses_at(int n_actors, int step) {
     constexpr double kGoldenAngle_rad = 2.39996323;
     std::vector<InstancePose> placed{InstancePose{}};

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Measures scenes with many copies of an actor. It measures rendering a scan, a training
-// step, and moving all copies.
+// Measures scenes with many copies of an actor. Measures three operations: rendering a
+// scan, a training step, and moving all copies.
 #pragma once
 
 #include <cstdint>
@@ -15,19 +15,21 @@ namespace relidar::cli {
 /// surfels. The sensor has 64 x 1024 rays.
 struct ActorTimes {
     int n_actors = 0;
-    /// If true, each actor has its own model, and spherical harmonics are evaluated once
-    /// per surfel. If false, all actors share one model, and spherical harmonics are
-    /// evaluated along each ray.
+    /// If true, each actor has a separate model, and spherical harmonics are evaluated
+    /// once per surfel. If false, all actors share one model, and spherical harmonics are
+    /// evaluated for each ray.
     bool copy_shared_models = false;
-    /// Wall time to build the complete acceleration structure (all bottom levels and the
-    /// top level).
+    /// Wall time of building the complete acceleration structure: all bottom levels and
+    /// the top level.
     double build_ms = 0.0;
-    /// Wall time to upload the poses and rebuild the top level of the acceleration
-    /// structure. It includes all waits.
+    /// Wall time of uploading the poses and rebuilding the top level of the acceleration
+    /// structure. Includes all waits.
     Spread move_ms{};
-    /// Number of times that a bottom level was built or refitted while the actors moved.
+    /// Number of builds and refits of bottom levels of the acceleration structure while
+    /// the actors moved.
     std::uint64_t builds = 0;
-    Spread scan_ms{};          ///< Wall time of the activation functions, the refit and the forward pass.
+    /// Wall time of the activation functions, the refit and the forward pass together.
+    Spread scan_ms{};
     Spread step_ms{};          ///< Wall time of a training iteration.
     std::uint64_t memory = 0;  ///< Device memory during training, in bytes.
 

@@ -34,8 +34,8 @@ struct BenchOptions {
     BenchSettings settings;
     bool no_backward = false;
     std::string json;
-    /// Numbers of actors, such as "1,10,100". If it is not empty, scenes with these
-    /// numbers of actors are measured instead of the street.
+    /// Numbers of actors, such as "1,10,100". If set, measures scenes with these numbers
+    /// of actors instead of the street.
     std::string actors;
     ServeBench service;
     ScanBench scans;
@@ -117,7 +117,7 @@ void run_bench(const BenchOptions& options, const std::string& command_line) {
     if (options.n_steps != 0) return bench_steps(options, device, command_line);
     const DevCase bench = make_case(options.choice);
     BenchResult result = measure(device, bench, settings);
-    // The copy bandwidth is measured after the memory of the case was freed.
+    // Measures the copy bandwidth here, after the memory of the case was freed.
     result.copy_bytes_per_s = copy_bytes_per_s(device);
     end_progress_line();
     if (!json.empty()) write_text(json, bench_json(bench, settings, result, device, command_line));
@@ -141,8 +141,8 @@ void add_training_options(CLI::App& command, BenchChoice& choice) {
                      "gather gradients in a fixed order instead of adding them with atomics");
 }
 
-/// Adds options for measuring complete scans. These are scans with many actors, scans of
-/// a run, or scans of a service.
+/// Adds options that select measurements of complete scans: scans with many actors, scans
+/// of a run, or scans of a service.
 void add_scan_options(CLI::App& command, BenchOptions& options) {
     command
         .add_option("--actors", options.actors,

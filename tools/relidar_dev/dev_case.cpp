@@ -22,10 +22,12 @@
 namespace relidar::cli {
 namespace {
 
-// Maximum values of options. A channel number has 16 bits.
+// Maximum values of options. The number of rows is limited because a channel number has
+// 16 bits.
 constexpr long long kMaxSurfels = 50'000'000, kMaxRays = 100'000'000, kMaxRows = 65535;
-constexpr float kFaintLogit = -2.19722458f;  // Logit of opacity 0.1.
-// Highest and lowest elevation of the HDL-64E. The kitti rays use the same elevations.
+constexpr float kFaintLogit = -2.19722458f;  // logit of opacity 0.1
+// Highest and lowest elevation of the HDL-64E. The rays named "kitti" use the same
+// elevations.
 constexpr double kTop_deg = 2.0, kBottom_deg = -24.9;
 
 struct ImageSize {
@@ -38,7 +40,7 @@ bool parse_count(const std::string& text, long long& value) {
     return error == std::errc() && stop == text.data() + text.size() && value >= 1;
 }
 
-/// Parses an image size such as "64x1024". Returns no value if the text is the name of a
+/// Parses an image size such as "64x1024". Returns nothing if the text is the name of a
 /// sensor.
 std::optional<ImageSize> parse_rays(const std::string& text) {
     if (text == "waymo" || text == "kitti") return std::nullopt;
@@ -55,8 +57,8 @@ std::optional<ImageSize> parse_rays(const std::string& text) {
     return size;
 }
 
-/// Applies the options of the user to the settings. A benchmark street uses the image
-/// model of the paper, and a run uses its own image model.
+/// Applies the options of the user to the settings. The image model is the paper's for a
+/// benchmark street, and the run's for a run.
 void apply(const BenchChoice& choice, Config& config) {
     if (!choice.chunk.empty()) set_key(config, "trace.chunk", choice.chunk);
     if (!choice.keep_hits.empty()) set_key(config, "trace.keep_hits", choice.keep_hits);
@@ -75,9 +77,9 @@ std::size_t place_of(const char* option, const std::string& word, const std::vec
     return std::size_t(match - words.begin());
 }
 
-/// These functions parse the values of options. The words are in the order of the
+/// Parse the values of options. The lists of words have the same order as the
 /// enumerations Proxy, Walk and HitOrder.
-/// @throws UsageError if the word is unknown
+/// @throws UsageError if a word is unknown
 Proxy proxy_of(const BenchChoice& choice) {
     return choice.proxy.empty() ? Proxy::automatic
                                 : Proxy(place_of("--proxy", choice.proxy, {"auto", "triangles", "boxes"}));

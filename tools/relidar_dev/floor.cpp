@@ -12,17 +12,18 @@ namespace {
 constexpr double kRecord = 64, kGeometry = 4 * (3 + 4 + 2 + 1), kNode = 80, kRay = 24, kRendered = 36,
                  kTarget = 12, kUpstream = 20, kKeptHit = 16, kHit = 16, kHitRecord = 16, kRow = 4, kMark = 4;
 constexpr double kBox = 24, kCorners = 48, kKey = 8, kIndex = 4;
-// Minimum number of tree nodes per surfel. Each node has 8 children, and each leaf has 4
+// Minimum number of tree nodes per surfel. A node has 8 children, and a leaf has 4
 // surfels.
 constexpr double kFewestNodes = 1.0 / 28.0;
-// Counted in shaders/diff/traversal/software_bvh.glsl.
+// Arithmetic operations per visited node and per tested surfel, counted in
+// shaders/diff/traversal/software_bvh.glsl.
 constexpr double kNodeOperations = 150, kSurfelOperations = 40;
 
 double sh(const FloorSizes& s) { return 4 * 3 * s.n_sh; }
 double sh_along_ray(const FloorSizes& s) { return s.sh_per_surfel ? 0.0 : sh(s); }
 double sh_a_surfel(const FloorSizes& s) { return s.sh_per_surfel ? sh(s) : 0.0; }
 
-/// Returns how many 8-bit digits are needed to number n different keys.
+/// Returns the number of 8-bit digits that are needed to number n different keys.
 double digits(double n) { return std::ceil(std::bit_width(static_cast<std::uint64_t>(n)) / 8.0); }
 
 double refit(const FloorSizes& s) {
@@ -30,10 +31,10 @@ double refit(const FloorSizes& s) {
 }
 
 /// Returns the number of bytes that building the tree must read and write. The build
-/// computes a key of 39 bits, plus the model, from each box and sorts the keys. For each
-/// 8-bit digit, the sort reads the keys twice and the values once, and writes both. Then
-/// the build writes the binary tree, reads its topology, and writes the leaf order and
-/// the wide nodes.
+/// first computes a key of 39 bits plus the model number from each box, and sorts the
+/// keys. For each 8-bit digit, the sort reads the keys twice and the values once, and
+/// writes both. Then the build writes the binary tree, reads its topology, and writes the
+/// leaf order and the wide nodes.
 double build(const FloorSizes& s) {
     const double bits = 39 + std::bit_width(static_cast<std::uint64_t>(s.n_models) - 1);
     const double sort = std::ceil(bits / 8) * (3 * kKey + 2 * kIndex);
@@ -48,14 +49,14 @@ double backward_trace(const FloorSizes& s) {
            s.n_touched * (kRecord + sh_along_ray(s)) + sums;
 }
 
-/// Returns the number of bytes for the derivative of the activation functions. The kernel
-/// reads the gradients of the records and marks the surfels with a gradient. For these
-/// surfels, it reads the parameters and writes their gradients.
+/// Returns the number of bytes that the derivative of the activation functions must read
+/// and write. The kernel reads the gradients of all records, and marks the surfels with a
+/// gradient. For the marked surfels, it reads the parameters and writes their gradients.
 double activate_vjp(const FloorSizes& s) {
     return s.n_surfels * (kRecord + kMark) + s.n_touched * 2 * (kGeometry + sh_a_surfel(s));
 }
 
-/// Returns the number of bytes of an optimizer step (Adam). The kernel reads the marks
+/// Returns the number of bytes of one optimizer step (Adam). The kernel reads the marks
 /// and the nonzero gradients. It reads and writes the parameters and both moments.
 double adam(const FloorSizes& s) {
     const double updated = s.only_touched ? s.n_touched : s.n_surfels;
@@ -70,8 +71,8 @@ struct Row {
     double (*bytes)(const FloorSizes&);
 };
 
-/// Table with one row per kernel. Only surfels with a gradient count as hit, because the
-/// kernels need not load other surfels.
+/// Table with one row per kernel. Only surfels with a gradient are counted as hit,
+/// because the kernels do not have to load other surfels.
 constexpr Row kFloorRows[] = {
     {"scene/activate", When::always,
      [](const FloorSizes& s) { return s.n_surfels * (kGeometry + sh(s) + kRecord); }},
@@ -134,9 +135,10 @@ std::map<std::string, double> cache_bytes(const FloorSizes& s) {
         bytes["diff/forward/trace"] = search + shading;
     }
     if (!s.training) return bytes;
-    // Share of the hits that are not stored and must be searched again.
+    // Share of the hits that are not stored. The backward pass must search these hits
+    // again.
     const double searched_again = s.n_hits > 0.0 ? 1.0 - s.n_hits_kept / s.n_hits : 0.0;
-    // Without gathering, each hit adds 16 floats with atomic operations.
+    // If gradients are not gathered, each hit adds 16 floats with atomic operations.
     const double sums = s.gather ? kHitRecord + kRow : kRecord + sh_along_ray(s);
     bytes["diff/backward/trace"] = searched_again * search + shading + s.n_hits * (kRecord + sums);
     return bytes;

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes a lower bound for the time of each kernel. The bound is the number of bytes
-// that the kernel must read or write once, divided by the measured copy bandwidth of the
-// device. It ignores latency, divergence, arithmetic, and repeated loads because of a
-// small cache. The kernel whose time is far above its bound can be improved most. If all
-// data fit into the caches, a kernel can be faster than its bound.
+// Computes a lower bound for the time of each kernel. Each kernel must read or write a
+// minimum number of bytes. The bound is this number divided by the measured copy
+// bandwidth of the device. It ignores latency, divergence, arithmetic, and repeated loads
+// because of a small cache. A kernel far above its bound can be improved most. A kernel
+// can be faster than its bound if all data fit into the caches.
 #pragma once
 
 #include <cstdint>
@@ -16,37 +16,40 @@ namespace relidar::cli {
 struct FloorSizes {
     double n_surfels = 0.0;
     double n_models = 1.0;
-    /// Number of surfels that receive a gradient. It is 0 if there is no backward pass.
+    /// Number of surfels that receive a gradient, or 0 if there is no backward pass.
     double n_touched = 0.0;
     double n_rays = 0.0;
     double n_hits = 0.0;          ///< Total number of blended hits of all rays.
     double n_hits_written = 0.0;  ///< Number of hits that the forward pass stores.
-    /// Number of stored hits that the backward pass reads. Other hits are searched again.
+    /// Number of stored hits that the backward pass reads. It searches all other hits
+    /// again.
     double n_hits_kept = 0.0;
     double n_sh = 16.0;  ///< Number of active spherical harmonics per channel.
     bool sh_per_surfel = true;
     bool training = true;
     bool lists = false;  ///< If true, the forward pass writes lists of hits.
-    /// If true, gradients are gathered from hit records instead of added by atomics.
+    /// If true, gradients are gathered from hit records. If false, they are added by
+    /// atomic operations.
     bool gather = false;
     bool only_touched = false;
     bool boxes = true;  ///< If true, surfels are represented by boxes in the acceleration structure.
-    /// True for ray traversal in software. For traversal in hardware, the tree of the
+    /// True if the tree is traversed in software. For hardware traversal, the tree of the
     /// driver is unknown and not counted.
     bool software = true;
-    /// Number of tree nodes that all rays visit in the forward pass. It is 0 if unknown.
+    /// Number of tree nodes that all rays together visit in the forward pass, or 0 if
+    /// unknown.
     double nodes_opened = 0.0;
     double surfels_tested = 0.0;
 };
 
-/// Returns the minimum number of bytes that each kernel must read and write. Reads are
-/// counted if another kernel has written the data. Writes are counted if another kernel
-/// reads the data. Kernels of the driver and very short kernels have no bound and are
-/// left out.
+/// Returns the minimum number of bytes that each kernel must read and write. Counts a
+/// read only if another kernel has written the data. Counts a write only if another
+/// kernel reads the data. Leaves out kernels of the driver and very short kernels,
+/// because they have no bound.
 std::map<std::string, double> floor_bytes(const FloorSizes& sizes);
 
-/// Returns the number of bytes that the tracing kernels load from the caches. Each visit
-/// of a node and each hit counts. Returns an empty map if visits were not counted.
+/// Returns the number of bytes that the tracing kernels load from the caches. Counts each
+/// visit of a node and each hit. Returns an empty map if visits were not counted.
 std::map<std::string, double> cache_bytes(const FloorSizes& sizes);
 
 /// Returns the number of arithmetic operations for finding the hits in the forward pass.

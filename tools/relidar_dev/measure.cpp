@@ -30,8 +30,8 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using Samples = std::map<std::string, std::vector<double>>;
 
-/// Returns how long the device is warmed up before measuring. The first launches compile
-/// kernels, and a GPU raises its clocks only under load.
+/// Returns the warm-up time of a device before measuring. A warm-up is needed because the
+/// first launches compile kernels, and because a GPU raises its clocks only under load.
 double warm_up_ms(const Device& device) { return device.info().type == "CPU" ? 200.0 : 2000.0; }
 
 constexpr const char* kOrder[] = {"scene/activate",
@@ -53,8 +53,8 @@ constexpr const char* kOrder[] = {"scene/activate",
                                   "diff/optimizer/adam"};
 
 /// Returns the table row to which a kernel belongs. Kernels that build the tree in
-/// software are grouped under the names of the driver's builds. Kernels of prefix sums
-/// and of sorts are grouped too.
+/// software get the names of the driver's builds. The kernels of prefix sums and of sorts
+/// are grouped too.
 std::string row_of(const std::string& kernel, const std::string& phase) {
     if (kernel == "diff/accel/bvh_top") return "accel/top_level";
     if (kernel.starts_with("diff/accel/bvh_")) return phase == "rebuild" ? "accel/build" : "accel/refit";
@@ -77,8 +77,8 @@ RendererOptions training_options(const DevCase& bench, std::uint32_t keep_hits) 
     return options;
 }
 
-/// Returns the number of hits per ray that are stored at the end of a training. It grows
-/// until only few rays have more hits.
+/// Returns the number of stored hits per ray at the end of a training. The number grows
+/// during training until only few rays have more hits.
 std::uint32_t hits_to_keep(const DevCase& bench, const std::vector<std::uint32_t>& hits) {
     auto keep = static_cast<std::uint32_t>(bench.config.trace.keep_hits);
     while (bench.keeps_more_hits) {
@@ -91,7 +91,7 @@ std::uint32_t hits_to_keep(const DevCase& bench, const std::vector<std::uint32_t
     return keep;
 }
 
-/// Measures the memory of each part of a case. For this, each part is created once.
+/// Measures the memory of each part of a case. Creates each part once for this purpose.
 BenchMemory memory_of_parts(Device& device, const DevCase& bench, bool training) {
     auto since_last = [&device, last = device.allocated_bytes()]() mutable {
         return device.allocated_bytes() - std::exchange(last, device.allocated_bytes());
@@ -116,8 +116,8 @@ public:
           allocated_before_(device.allocated_bytes()),
           rays_(device, std::span<const DeviceRay>(to_device_rays(bench.rays)), "rays") {}
 
-    /// Renders the first image to count its hits. For a training, also creates the
-    /// targets from this image and sets up the training step.
+    /// Renders the first image to count its hits. If training is measured, also creates
+    /// the targets from this image and the training step.
     void prepare(bool training) {
         memory_ = memory_of_parts(device_, case_, training);
         image_ =
@@ -140,8 +140,8 @@ public:
                                            noisy_targets(rendering, case_.config.loss.normalised_depth));
     }
 
-    /// Runs one repetition. It rebuilds the acceleration structure, runs a complete
-    /// training iteration, and moves an instance away and back.
+    /// Runs one repetition. Rebuilds the acceleration structure, runs a complete training
+    /// iteration, and moves an instance away and back.
     void repeat() {
         Renderer& r = renderer();
         Stream& stream = r.stream();
@@ -193,8 +193,9 @@ private:
     const DevCase& case_;
     std::uint64_t allocated_before_;
     Array<DeviceRay> rays_;
-    BenchMemory memory_;               ///< Device memory that each part of the case uses.
-    std::unique_ptr<Renderer> image_;  ///< Either this renderer or the training step is used, never both.
+    BenchMemory memory_;  ///< Device memory that each part of the case uses.
+    /// null if the training step is used; the case uses only one of the two
+    std::unique_ptr<Renderer> image_;
     std::unique_ptr<TrainingStep> training_;
     FloorSizes sizes_;
     Samples kernels_, rebuild_kernels_, phases_;
@@ -244,7 +245,8 @@ BenchResult Bench::result() {
             fmt::format("tracing {} rays: {} reached the cap of passes or filled the traversal stack, "
                         "expected every ray to end",
                         rays_.size(), capped));
-    // Adds the kernels that run only when the acceleration structure is built.
+    // Adds the times of the kernels that run only when the acceleration structure is
+    // built.
     kernels_.merge(rebuild_kernels_);
     BenchResult result;
     result.proxy = r.accel().proxy() == Proxy::boxes ? "boxes" : "triangles";

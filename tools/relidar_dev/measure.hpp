@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Measures the time of each kernel of a training iteration, of building the acceleration
-// structure, and of moving an instance. Uses only public headers of the library.
+// Measures the time of each kernel in three phases: a training iteration, building the
+// acceleration structure, and moving an instance. Uses only public headers of the
+// library.
 #pragma once
 
 #include <chrono>
@@ -32,8 +33,7 @@ Spread spread_of(std::vector<double> samples);
 /// Returns the time since `start` in milliseconds.
 double ms_since(std::chrono::steady_clock::time_point start);
 
-/// Time of a kernel or of a group of kernels in one repetition. The time is the sum over
-/// all launches.
+/// Time of a kernel or a group of kernels in one repetition, summed over all launches.
 struct BenchRow {
     std::string name;
     Spread ms;
@@ -62,18 +62,20 @@ struct BenchResult {
     std::vector<BenchRow> kernels;  ///< Times of the kernels, in the order of a training iteration.
     /// Times of the phases "rebuild", "iteration", "iteration_wall" and "move".
     std::vector<BenchRow> phases;
-    /// Million rays per second, from the median time of the kernel diff/forward/trace.
+    /// Speed of the forward pass in million rays per second, from the median time of the
+    /// kernel diff/forward/trace.
     double forward_mrays_per_s = 0.0;
-    /// Million rays per second, from the median time of the kernel diff/backward/trace.
+    /// Speed of the backward pass in million rays per second, from the median time of the
+    /// kernel diff/backward/trace.
     std::optional<double> backward_mrays_per_s;
     double hits_per_ray = 0.0;    ///< Mean number of hits that are blended per ray.
     std::uint32_t kept_hits = 0;  ///< Number of hits that are stored per ray for the backward pass.
-    /// Visited nodes and surfels. It has no value for traversal in hardware (ray query).
+    /// Visited nodes and surfels. Empty for hardware traversal (ray query).
     std::optional<BenchVisits> visits;
     BenchMemory memory;
     FloorSizes sizes;
-    /// Bandwidth of copying, counted as bytes read plus bytes written. measure() does not
-    /// set it, because it depends on the device and not on the case.
+    /// Bandwidth of copying in bytes read plus bytes written per second. measure() leaves
+    /// it empty, because it depends on the device and not on the case.
     std::optional<double> copy_bytes_per_s;
 };
 
@@ -84,7 +86,7 @@ struct BenchSettings {
 };
 
 /// Warms up the device and then measures all kernels. The learning rates are 0, so that
-/// every repetition uses the same scene.
+/// the scene is the same in every repetition.
 /// @throws DeviceError if a ray reaches the maximum number of passes
 BenchResult measure(Device& device, const DevCase& bench, const BenchSettings& settings);
 

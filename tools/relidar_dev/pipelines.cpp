@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar-dev pipelines` compiles all compute pipelines of the program on a
-// device. It prints the statistics of the driver's compiler.
+// Implements the command `relidar-dev pipelines`. Compiles all compute pipelines of the
+// program on a device, and prints the statistics of the driver's compiler.
 #include <memory>
 #include <set>
 
@@ -29,8 +29,8 @@ std::vector<PipelineStatistics> compiled(int index, Traversal traversal) {
     return device.pipelines();
 }
 
-/// Compiles the pipelines for the requested ray traversal. "both" compiles them for all
-/// traversals that the device supports. Each pipeline is listed only once.
+/// Compiles the pipelines for the requested kind of ray traversal. "both" means all kinds
+/// that the device supports. Each pipeline is listed only once.
 std::vector<PipelineStatistics> all_compiled(const PipelinesOptions& options) {
     const DeviceInfo info = Device(from_environment({.index = options.device, .compile_only = true})).info();
     std::vector<PipelineStatistics> all;

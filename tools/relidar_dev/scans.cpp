@@ -20,11 +20,12 @@ namespace relidar::cli {
 namespace {
 
 constexpr int kMostInOneGo = 1'000'000;
-// Maximum number of scans that are submitted together. It is half the limit of the
-// renderer, so that the device can work on the next scans while finished scans are read.
+// Maximum number of scans that are submitted together. The value is half the limit of the
+// renderer. The device can then work on the next scans while finished scans are read.
 constexpr int kMostTogether = int(ScanRenderer::kScansInFlight) / 2;
 
-/// Moves a sensor along the path of the log. For a rig, its sensors take turns.
+/// Moves a sensor along the path of the log. If a rig is measured, uses its sensors one
+/// after another.
 class Drive {
 public:
     Drive(const Run& run, const ScanBench& bench) {
@@ -93,7 +94,7 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
         }
         return end - first;
     };
-    // The first scans are not measured, because they allocate memory.
+    // Renders some scans before the measurement, because the first scans allocate memory.
     for (int n = ask(0); n > 0; --n) renderer.wait_for_points();
     ScanTimes result{.sensor = drive.n_sensors() > 1 ? bench.sensor : drive.sensor(0).name,
                      .n_scans = bench.n_scans,
@@ -110,7 +111,7 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
         const int n_scans = n_requested;
         first += n_scans;
         // Submits the next scans before the points of finished scans are read, so that
-        // the device has work.
+        // the device always has work.
         n_requested = first < bench.n_scans ? ask(first) : 0;
         for (int i = 0; i < n_scans; ++i) {
             scan = renderer.wait_for_points(std::move(scan.points));

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar-dev bench --run RUN --scans N` measures how many scans per second
-// are simulated. The time includes all steps from the pose to the finished scan.
+// Implements the command `relidar-dev bench --run RUN --scans N`. Measures how many scans
+// per second are simulated. The time includes all steps from the pose to the finished
+// scan.
 #pragma once
 
 #include <string>
@@ -13,11 +14,11 @@ namespace relidar::cli {
 
 struct ScanBench {
     int n_scans = 0;  ///< Number of scans to measure. 0 means that scans are not measured.
-    /// Run folder and sensor. The sensor is a name of `relidar list sensors` or the file
-    /// of a rig. An empty sensor means the sensor of the log.
+    /// Run folder and sensor. The sensor is a name of `relidar list sensors` or the path
+    /// of a rig file. If the sensor is empty, the sensor of the log is used.
     std::string run, sensor;
     /// Number of scans that are submitted together. 0 means one scan, or all scans of a
-    /// rig.
+    /// rig if a rig is used.
     int together = 0;
     /// If true, ray drops and noise are random. If false, the most likely scan is
     /// computed.
@@ -28,24 +29,24 @@ struct ScanTimes {
     std::string sensor;
     int n_scans = 0;
     int together = 1;
-    /// Number of the scans submitted together that the device renders in parallel.
+    /// Number of scans that the device renders in parallel.
     int side_by_side = 1;
     double rays = 0.0;    ///< Mean number of rays per scan.
     double points = 0.0;  ///< Mean number of returned points per scan.
     /// Number of scans per second. The measurement starts after the memory of the scans
     /// was allocated.
     double scans_per_s = 0.0;
-    /// Median wall time of a group of scans that were submitted together, divided by
-    /// their number.
+    /// Median wall time per scan. The time of a group of scans that were submitted
+    /// together is divided by their number.
     double scan_ms = 0.0;
-    double device_ms = 0.0;  ///< Mean kernel time per scan. It is 0 if the device has no timestamps.
-    double host_ms = 0.0;    ///< Mean processor time per scan that the calling thread uses.
+    double device_ms = 0.0;  ///< mean kernel time per scan, or 0 if the device has no timestamps
+    double host_ms = 0.0;    ///< mean processor time per scan of the calling thread
 };
 
 /// Measures scans of a sensor or a rig that moves along the path of the log. The times of
 /// the scans are evenly spaced between the first and the last sweep.
-/// @throws UsageError if a number is out of range; DataError if the run or the rig cannot
-/// be read
+/// @throws UsageError if a number is out of range
+/// @throws DataError if the run or the rig cannot be read
 ScanTimes measure_scans(Device& device, const ScanBench& bench);
 
 std::string scans_text(const ScanTimes& times);

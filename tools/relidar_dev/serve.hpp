@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar-dev bench --serve` measures how long clients of a running service
-// wait for a scan.
+// Implements the command `relidar-dev bench --serve`. Measures how long clients of a
+// running service wait for a scan.
 #pragma once
 
 #include <string>
@@ -8,15 +8,15 @@
 namespace relidar::cli {
 
 struct ServeBench {
-    std::string address;  ///< Address of the service. If it is empty, no service is measured.
+    std::string address;  ///< address of the service; if it is empty, no service is measured
     std::string scene, sensor;
     int clients = 1;
     int calls = 100;
 };
 
 /// Measures a service and prints the latencies and the scans per second.
-/// @throws UsageError if this program was built without gRPC; DataError if no server
-/// answers
+/// @throws UsageError if this program was built without gRPC
+/// @throws DataError if no server answers
 void bench_service(const ServeBench& bench);
 
 }  // namespace relidar::cli

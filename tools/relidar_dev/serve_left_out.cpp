@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Replaces serve.cpp in a build without gRPC.
+// Replaces serve.cpp if the program is built without gRPC.
 #include "serve.hpp"
 
 #include <relidar/base/error.hpp>

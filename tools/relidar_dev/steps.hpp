@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar-dev bench --run RUN --steps N` measures training steps on batches
-// of frames of a run. It also measures the time between kernels.
+// Implements the command `relidar-dev bench --run RUN --steps N`. Measures training steps
+// on batches of frames of a run, and the time between kernels.
 #pragma once
 
 #include <string>

@@ -13,7 +13,8 @@
 namespace relidar {
 namespace {
 
-// Maximum distance of a box from the sensor. Boxes farther away have hardly any returns.
+// Maximum distance of a box from the sensor. A box farther away has hardly any returns,
+// so it is left out.
 constexpr double kSeen_m = 100.0;
 
 /// Returns the training frames and the test frames of a block, in the order of the log.
@@ -27,8 +28,8 @@ std::vector<int> frames_of(const Block& block, const Split& split) {
 }
 
 /// Returns the poses at the times of some frames, and the poses directly before and after
-/// each frame. With these additional poses, the motion during a sweep next to a gap is
-/// the same as in the full log.
+/// each frame. With these additional poses, the motion during a sweep is the same as in
+/// the full log, also next to a gap.
 PoseTrack poses_around(const Sequence& sequence, const std::vector<int>& frames) {
     const PoseTrack& all = sequence.world_from_vehicle;
     std::vector<bool> is_used(all.time_s.size(), false);
@@ -50,9 +51,9 @@ bool comes_near(const BoxTrack& box, const Sequence& sequence, const std::vector
                        [&](int position) { return is_within(box, sequence, position, kSeen_m); });
 }
 
-/// Removes tracks that have no box in this part of the log from the list of actors. If
-/// the list becomes empty, also clears the actor classes, because the user has selected
-/// only tracks of other blocks.
+/// Removes tracks from the list of actors if they have no box in this part of the log. If
+/// the list becomes empty, also clears the actor classes. Otherwise an empty list would
+/// select actors by class, although the user has selected only tracks of other blocks.
 void remove_unknown_tracks(InitialiseOptions& options, const std::vector<BoxTrack>& boxes) {
     if (options.actor_tracks.empty()) return;
     std::vector<std::string> kept;

@@ -16,11 +16,11 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Maximum distance of a box from the sensor. Boxes farther away have few returns.
+// Maximum distance of a box from the sensor. A frame in which the box is farther away is
+// not counted, because it has few returns from the box.
 constexpr double kWellSeen_m = 60.0;
 
-/// Returns the number of training frames of a block in which a box is near enough to be
-/// trained.
+/// Counts the training frames of a block in which a box is near enough to be trained.
 std::size_t count_sightings(const BoxTrack& box, const Sequence& sequence, const Block& block) {
     return std::size_t(std::count_if(block.train.begin(), block.train.end(), [&](int position) {
         return is_within(box, sequence, position, kWellSeen_m);
@@ -63,8 +63,8 @@ private:
     std::size_t n_frames_ = 0;
 };
 
-/// An actor as it was trained in one block. Several blocks can contain the same actor,
-/// and one of them is selected.
+/// An actor as it was trained in one block. If several blocks contain the same actor, one
+/// of these candidates is selected.
 struct Candidate {
     std::size_t sightings = 0;
     Model model;
@@ -72,8 +72,8 @@ struct Candidate {
     BoxTrack box;
 };
 
-/// Replaces an actor by the same actor of another block if more training frames of that
-/// block show the actor.
+/// Replaces an actor by the same actor of another block, if the other block has more
+/// training frames near the actor.
 void update_best_actors(const Run& part, const Sequence& sequence, const Block& block,
                         std::map<std::string, Candidate>& best) {
     for (const Instance& instance : part.scene.instances) {
@@ -91,15 +91,15 @@ void update_best_actors(const Run& part, const Sequence& sequence, const Block& 
     }
 }
 
-/// Copies the poses of the sweeps that belong to a block from the trained run of this
-/// block.
+/// Copies poses from the trained run of a block to the track of the full log. Copies only
+/// the poses of sweeps that belong to this block.
 void copy_poses(const Run& part, const Sequence& sequence, const Block& block, PoseTrack& track) {
     for (const int position : block.own) {
         const double time_s = sequence.frames[std::size_t(position)].time_s;
         const PoseTrack& part_track = part.sequence.world_from_vehicle;
         const auto from = std::lower_bound(part_track.time_s.begin(), part_track.time_s.end(), time_s);
         const auto to = std::lower_bound(track.time_s.begin(), track.time_s.end(), time_s);
-        // Skips a frame whose time is missing in one of the two tracks.
+        // Skips a frame if one of the two tracks has no pose at its time.
         if (from == part_track.time_s.end() || *from != time_s || to == track.time_s.end() || *to != time_s)
             continue;
         track.pose[std::size_t(to - track.time_s.begin())] =
@@ -125,7 +125,8 @@ void join_blocks(Run& run, const std::vector<Block>& blocks, const std::vector<f
     }
     scene.sensor_drop = drop.mean();
     run.sequence.world_from_vehicle = std::move(poses);
-    // Iterates over the boxes to keep the order of the log, like a scene without blocks.
+    // Iterates over the boxes of the log, so that the actors have the same order as in a
+    // scene without blocks.
     for (BoxTrack& box : run.sequence.boxes) {
         const auto entry = actors.find(box.id);
         if (entry == actors.end()) continue;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Divides a log into blocks, which are trained separately. Selects the sweeps of each
-// block. A surfel belongs to the block with the nearest sweeps.
+// Divides a log into blocks, which are trained separately. Selects the sweeps that each
+// block uses. A surfel belongs to the block whose sweeps are nearest.
 #include <relidar/run/blocks.hpp>
 
 #include <algorithm>
@@ -24,8 +24,8 @@ std::vector<double> driven(const std::vector<glm::dvec3>& places) {
     return metres;
 }
 
-/// Divides the route into sections of equal length. Returns a block with the sweeps of
-/// each section. Leaves out sections without sweeps.
+/// Divides the route into sections of equal length. Returns one block for each section,
+/// with the sweeps in the section. Leaves out sections without sweeps.
 std::vector<Block> cut(const std::vector<double>& metres, double length_m) {
     const double driven_length_m = metres.back();
     const double n = std::max(1.0, std::ceil(driven_length_m / length_m - 1e-9));

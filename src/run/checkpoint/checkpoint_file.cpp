@@ -26,12 +26,12 @@ constexpr const char* kChecksum = "crc32";
 class Crc32 {
 public:
     void add(const void* bytes, std::size_t n) {
-        // Skips empty arrays. Their pointer can be null, and zlib restarts the checksum
-        // for a null pointer.
+        // Skips empty arrays, because their pointer can be null. zlib would restart the
+        // checksum for a null pointer.
         if (n > 0) crc_ = ::crc32_z(crc_, static_cast<const Bytef*>(bytes), n);
     }
-    // Adds the terminating zero too. Otherwise "ab","c" and "a","bc" would have the same
-    // checksum.
+    // Includes the terminating zero in the checksum. Without it, "ab","c" and "a","bc"
+    // would have the same checksum.
     void add(const std::string& text) { add(text.c_str(), text.size() + 1); }
     std::string hex() const { return fmt::format("{:08x}", crc_); }
 
@@ -56,7 +56,7 @@ std::string checksum(const Texts& texts, const std::vector<NamedArray>& arrays) 
 }
 
 /// Removes an entry from the metadata and returns its value. Only the file format needs
-/// such an entry, not the caller.
+/// this entry, so callers do not get it.
 std::string extract_text(Texts& texts, const std::string& key) {
     const auto it = texts.find(key);
     if (it == texts.end()) throw DataError(fmt::format("the metadata key \"{}\" is missing", key));
@@ -83,7 +83,7 @@ Checkpoint parse(Texts texts, std::vector<NamedArray> arrays) {
     const auto format = texts.find("format"), version = texts.find("version");
     expect("metadata format", format == texts.end() ? "" : format->second, kFormat);
     // Checks the version before the checksum, because another version may compute the
-    // checksum differently.
+    // checksum in a different way.
     expect("metadata version", version == texts.end() ? "" : version->second, kVersion);
     const std::string found = checksum(texts, arrays);
     expect("checksum of the metadata and arrays", found, extract_text(texts, kChecksum));
@@ -141,7 +141,7 @@ std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path&
 
 void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& checkpoint, int keep) {
     std::error_code failed;
-    // Ignores an error here, because writing the file then reports an error.
+    // Ignores this error, because writing the file reports the error later.
     std::filesystem::create_directories(folder, failed);
     const std::filesystem::path path =
         folder / fmt::format("iteration_{:08}.safetensors", checkpoint.iteration);

@@ -32,8 +32,8 @@ using config_detail::is_text;
 using config_detail::to_text;
 using config_detail::visit;
 
-/// Text of a value, and whether the value was in quotes. In a TOML file this is known. On
-/// a command line it is unknown, because the shell removes quotes.
+/// Text of a value, and whether the value was in quotes. For a TOML file this is known.
+/// For a command line it is unknown, because the shell removes quotes.
 struct ParsedValue {
     std::string text;
     enum class Quotes { unknown, yes, no } quotes = Quotes::unknown;
@@ -99,8 +99,8 @@ void flatten(const toml::table& table, const std::string& prefix,
     }
 }
 
-/// Checks that a file contains every setting and no unknown key, like a file that
-/// to_toml() has written.
+/// Checks that a file contains every setting and no unknown key. Files written by
+/// to_toml() fulfil this.
 /// @throws UsageError if a setting is missing or a key is unknown
 void check_complete(const std::map<std::string, ParsedValue>& settings) {
     constexpr const char* kAdvice = "a run that another version of relidar has written must be trained again";
@@ -156,7 +156,7 @@ template <class Check>
 void read_config(Config& config, const std::filesystem::path& path, const Check& check) {
     const std::string text = read_text(path);
     check_toml_depth(text, path.string());
-    Config result = config;  // Changes a copy, so that `config` remains unchanged if an error is thrown.
+    Config result = config;  // changes a copy, so that `config` stays unchanged if an error is thrown
     try {
         const toml::table table = toml::parse(text, path.string());
         std::map<std::string, ParsedValue> settings;
@@ -192,7 +192,7 @@ Config load_saved_config(const std::filesystem::path& path) {
 namespace {
 
 /// Returns the settings as TOML text, grouped by table. Each setting has a comment.
-/// @param is_shown  (key) returns true for settings to include
+/// @param is_shown  (key) returns true for the settings to include
 template <class Shown>
 std::string toml_of(const Config& config, const Shown& is_shown) {
     std::string text, table;

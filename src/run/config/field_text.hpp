@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts the value of a setting to text, and text to a value. Numbers use the shortest
-// decimal text that is read back as the same value. Error messages list the accepted
-// values of the setting. Private to config.
+// Converts the value of a setting to text, and text to a value. A number is written as
+// the shortest decimal text that reads back as the same value. Error messages list the
+// accepted values of the setting. Private to config.
 #pragma once
 
 #include <algorithm>
@@ -30,8 +30,8 @@ std::string to_text(const T& value, const Accepts& accepts) {
     else return fmt::format("{}", value);
 }
 
-/// Returns a description of the values that a setting accepts, for example "a number >=
-/// 0", "an integer in 1..64" or "one of ray, surfel".
+/// Returns a description of the values that a setting accepts. Examples: "a number >= 0",
+/// "an integer in 1..64", "one of ray, surfel".
 template <class T>
 std::string describe(const Accepts& accepts) {
     if constexpr (std::is_same_v<T, bool>) return "true or false";

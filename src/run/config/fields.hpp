@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Table of all settings: key, value, accepted values, description. Keys, `--set`, TOML
 // files and `--help` are generated from this table. To add a setting, add a field in
-// <relidar/run/config.hpp> and a row in this table. A field without a row is a constant
-// whose value only the presets set. Loss weights have a separate table. Private to
-// config.
+// <relidar/run/config.hpp> and a row here. A field without a row cannot be set by users;
+// only the presets set it. Loss weights have a separate table. Private to config.
 #pragma once
 
 #include <limits>
@@ -20,11 +19,12 @@ namespace relidar::config_detail {
 struct Accepts {
     double low = std::numeric_limits<double>::lowest();
     double high = std::numeric_limits<double>::max();
-    /// True: the value must be greater than `low`. False: the value may equal `low`.
+    /// True if the value must be greater than `low`. False if the value may also equal
+    /// `low`.
     bool above_low = false;
     /// Accepted texts. An enum value is stored as the index of its text in this list.
     std::vector<std::string> choices;
-    bool several = false;  ///< True: the value may contain several of the choices, separated by commas.
+    bool several = false;  ///< True if the value may contain several of the choices, separated by commas.
 };
 
 inline Accepts anything() { return {}; }
@@ -52,14 +52,14 @@ inline Accepts some_of(std::vector<std::string> names) {
 /// Description of a setting, and whether it is for experts.
 struct Help {
     const char* text;
-    bool expert = false;  ///< True: the setting is only useful for users who know the implementation.
+    bool expert = false;  ///< True if the setting is only useful for users who know the implementation.
     Help(const char* words, bool is_expert = false) : text(words), expert(is_expert) {}
 };
 inline Help expert(const char* text) { return {text, true}; }
 
 inline constexpr double kMaxCount = 2147483647.0;
-// Maximum seed, 2^53. A TOML integer and a double can both store integers exactly up to
-// this value.
+// Maximum seed, 2^53. TOML integers and doubles can both store all integers up to this
+// value exactly.
 inline constexpr double kMaxSeed = 9007199254740992.0;
 
 template <class C, class Visitor>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Presets: named sets of default values. `paper` has the values of docs/method.md
-// sections 2, 5 and 6. The comments of the other presets give the differences and their
-// reasons.
+// sections 2, 5 and 6. The comments of the other presets say how and why they differ from
+// it.
 #include <relidar/run/config.hpp>
 
 #include <fmt/format.h>
@@ -11,12 +11,13 @@
 namespace relidar {
 namespace {
 
-/// Returns the settings of the paper: the defaults of the structs, and the unnormalised
-/// range D, which the paper evaluates.
+/// Returns the settings of the paper. These are the defaults of the structs, except that
+/// the range D is not normalised, as in the paper's evaluation.
 Config paper() {
     Config config;
     config.dataset.waymo_intensity = "clamp";
-    config.init.actor_classes = "vehicle";  // as in the paper; people and cyclists stay in the background
+    // as in the paper: people and cyclists are part of the background
+    config.init.actor_classes = "vehicle";
     config.init.mask_others = false;
     config.init.actor_min_points = 100;
     config.init.deform = "";
@@ -33,11 +34,11 @@ Config paper() {
     return config;
 }
 
-/// Returns the settings that the authors of the paper released, if they differ from its
-/// text (docs/method.md section 5). The intensity loss includes SSIM, which needs full
-/// images. The Chamfer distance is computed without a gradient, so it is not used for
-/// training. Surfels outside their box are penalised. The errors of the released program
-/// (section 10) are not reproduced.
+/// Returns the settings of the program that the authors of the paper released. They
+/// differ from the text of the paper (docs/method.md section 5). The intensity loss
+/// includes SSIM, which needs full images. The Chamfer distance has no gradient in that
+/// program, so it is not used for training. Surfels outside their box are penalised. The
+/// errors of the released program (section 10) are not reproduced.
 Config released() {
     Config config = paper();
     config.preset = "released";
@@ -47,41 +48,53 @@ Config released() {
     return config;
 }
 
-/// Returns the settings with the best results on a real log (KITTI raw 0005; see
-/// docs/results.md). The scene starts with a dense set of smoothed points. Training then
-/// refines surfaces instead of searching for them, and no densification is needed.
+/// Returns the settings with the best results on a real log (KITTI raw 0005,
+/// docs/results.md). The scene starts with a dense set of smoothed points. Training only
+/// refines these surfaces, so no densification is needed.
 Config standard() {
     Config config;
     config.preset = "default";
-    config.dataset.max_range_m = 0.0;  // the maximum range of the sensor; published: 80 m
-    // The beams of an HDL-64E differ in range by centimetres, more than all other errors.
-    // Their intensities of the same surface differ more than those of different surfaces.
+    // 0 means the maximum range of the sensor; published results use 80 m
+    config.dataset.max_range_m = 0.0;
+    // Calibrates the beams of the sensor. The beams of an HDL-64E differ in range by
+    // centimetres, which is more than all other errors. The intensities of one surface
+    // differ more between beams than the intensities of different surfaces.
     config.sensor.calibrate = "range,intensity";
-    config.init.voxel_m = 0.1;           // sharp silhouettes: surfels overhang an edge by about their size
-    config.init.voxel_growth = 0.006;    // approximately the spacing of neighbouring rays
-    config.init.normal_neighbours = 24;  // with 6 points, noise of 2 cm tilts a normal by 0.1 rad
-    // Discs of leaves and corners then face the sensor, which lowers the Chamfer distance
-    // and the range error.
+    // small voxels give sharp silhouettes, because surfels overhang an edge by about
+    // their size
+    config.init.voxel_m = 0.1;
+    config.init.voxel_growth = 0.006;  // approximately the spacing of neighbouring rays
+    // with only 6 points, noise of 2 cm would tilt a normal by 0.1 rad
+    config.init.normal_neighbours = 24;
+    // Points on leaves and corners then get discs that face the sensor. This lowers the
+    // Chamfer distance and the range error.
     config.init.flatness = 0.04;
-    config.init.unlabelled_movers = UnlabelledMovers::actors;  // only the front camera's view is labelled
+    // needed because only objects in the view of the front camera are labelled
+    config.init.unlabelled_movers = UnlabelledMovers::actors;
     config.init.opacity = 0.8;
-    config.init.hit_margin = 2.0;  // surfaces start with a drop probability of 12 %, like real sensors
+    // surfaces start with a drop probability of 12 %, which is typical for real sensors
+    config.init.hit_margin = 2.0;
     config.init.scale_factor = 0.4;
     config.init.max_scale_m = 0.3;
     config.init.second_returns = true;
-    config.init.max_gap_m = 2.0;  // otherwise other sensors see holes between the rings of a 32-beam log
-    // For 3D Gaussians: with this thickness they reach the range error of surfels.
-    // Thicker Gaussians and spheres are less accurate.
+    // a smaller value would leave holes between the rings of a 32-beam log for other
+    // sensors
+    config.init.max_gap_m = 2.0;
+    // Used only for 3D Gaussians. With this thickness they reach the range error of
+    // surfels. Thicker Gaussians and spheres are less accurate.
     config.init.thickness = 0.05;
-    // evaluates coefficients once for each surfel and frame, not for each hit
+    // evaluates the coefficients once for each surfel and frame, and not for each hit
     config.image.sh_direction = ShDirection::surfel;
     config.image.transmittance_min = 1e-3f;
-    config.loss.intensity = 0.3f;         // the Huber loss estimates means; L1 would estimate medians
-    config.loss.intensity_delta = 0.2f;   // lowers the RMSE of held-out intensities
-    config.loss.normalised_depth = true;  // with range D, a weight of 0.97 moves every surface by 3 %
-    config.loss.chamfer = 0.0f;           // would change metrics by less than 1 % and make a step 10 % slower
-    config.loss.opacity = 0.1f;           // closes holes, which the normalised range does not do
-    config.loss.likelihood = 0.05f;       // lowers the Chamfer distance and the median range error
+    // the Huber loss estimates means, and the L1 loss would estimate medians
+    config.loss.intensity = 0.3f;
+    config.loss.intensity_delta = 0.2f;  // lowers the RMSE of held-out intensities
+    // without this, a blending weight of 0.97 would move every surface by 3 % (range D)
+    config.loss.normalised_depth = true;
+    // off: the loss would change metrics by less than 1 % and make a step 10 % slower
+    config.loss.chamfer = 0.0f;
+    config.loss.opacity = 0.1f;      // closes holes; the normalised range alone does not close them
+    config.loss.likelihood = 0.05f;  // this loss lowers the Chamfer distance and the median range error
     config.train.iterations = 3000;
     config.train.sh_degree_start = 1;  // models the effect of incidence on intensity from the start
     config.train.sh_degree_interval = 500;
@@ -89,17 +102,21 @@ Config standard() {
     config.train.mean_rate_final = 1e-6;
     config.train.rotation_rate = 3e-4;
     config.train.scale_rate = 1e-2;
-    config.train.max_growth = 8.0;  // otherwise many surfels grow far too large, some to 8 m
+    config.train.max_growth = 8.0;  // without this limit, some surfels grow far too large, up to 8 m
     config.train.sh_rate = 3e-2;
-    config.train.intensity_factor = 0.25;  // with 1, intensities overfit to the few views of a surfel
+    // with a factor of 1, intensities would overfit to the few views of a surfel
+    config.train.intensity_factor = 0.25;
     config.train.rate_decay = 0.05;
     config.train.sensor_drop = true;
     config.train.refine_poses = "sensor";  // poses drift by decimetres, which causes double walls
     config.refine.enabled = true;          // the network improves the accuracy of ray-drop
-    config.refine.frames = 200;            // limits memory, because all their images are in memory together
+    config.refine.frames = 200;            // limited because the images of all frames are in memory together
     config.render.range = "normalised";
-    config.render.follow_sweeps = true;  // heads rotate unevenly; following them lowers the range error
-    config.trace.chunk = 64;  // since rays stop at low transmittance, a single pass is nearly always enough
+    // renders with the measured head angles, because heads rotate unevenly; lowers the
+    // range error
+    config.render.follow_sweeps = true;
+    // a single pass is nearly always enough, because rays stop at low transmittance
+    config.trace.chunk = 64;
     return config;
 }
 
@@ -109,16 +126,17 @@ Config quick() {
     Config config = standard();
     config.preset = "quick";
     config.init.voxel_growth = 0.01;
-    // Must be below 1 - alpha_max. Otherwise an opaque surfel would end the ray without
-    // being blended.
+    // Must be below 1 - alpha_max. Otherwise an opaque surfel would end the ray before
+    // the surfel is blended.
     config.image.transmittance_min = 9e-3f;
-    // Fewer faint surfels make a step about 20 % faster and change metrics by 1 %
+    // Removes faint surfels. A step is then about 20 % faster, and metrics change by 1 %
     // (docs/performance.md).
     config.image.alpha_min = 0.04f;
     config.image.sh_degree = 2;
     config.train.iterations = 540;
-    // Higher rates, because there are few steps and each step reaches few surfels
-    // (docs/results.md). Discs that grow this fast need train.max_growth.
+    // The rates are higher than in `standard`, because there are few steps and each step
+    // reaches few surfels (docs/results.md). Discs that grow this fast need the limit
+    // train.max_growth.
     config.train.opacity_rate = 0.15;
     config.train.scale_rate = 6.5e-2;
     config.train.rotation_rate = 5e-3;
@@ -126,15 +144,15 @@ Config quick() {
     config.train.intensity_factor = 0.5;
     config.train.rays_per_iteration = 24576;
     config.train.sh_degree_interval = 180;
-    // Saves up to a sixth of a step on a CPU and raises RMSE and Chamfer distance by
-    // about 2 % (docs/performance.md).
+    // Updates only surfels with a gradient. This saves up to a sixth of a step on a CPU.
+    // It raises RMSE and Chamfer distance by about 2 % (docs/performance.md).
     config.train.only_touched = true;
     config.train.log_every = 20;
-    config.refine.network = "pixel";  // nearly as good as "small", for a quarter of its time
+    config.refine.network = "pixel";  // nearly as accurate as "small", in a quarter of its time
     config.refine.frames = 32;
     config.refine.epochs = 4;
-    // Ten times the rate of larger networks. With few epochs, it is as good as a lower
-    // rate with more epochs (docs/performance.md).
+    // Ten times the learning rate of larger networks. With few epochs, this is as good as
+    // a lower rate with more epochs (docs/performance.md).
     config.refine.rate = 2e-2;
     return config;
 }

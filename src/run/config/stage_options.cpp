@@ -25,7 +25,7 @@ TraceOptions training_trace_options(const Config& config) {
 
 TraceOptions rendering_trace_options(const Config& config) {
     TraceOptions options = trace_options(config);
-    // Computes normals, because channels and ray-drop networks can use them.
+    // Always computes normals, because channels and ray-drop networks can use them.
     options.normals = kind_of(config.image.primitive).has_normals;
     if (config.render.range == "mode")
         options.mode_gap_m = static_cast<float>(config.sensor.return_separation_m);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Measures whether an actor has enough surfels. Compares the number of its surfels with
-// the number of rays that hit its box at the shortest distance from a LiDAR.
+// Checks whether an actor has enough surfels. Finds the time when the actor is nearest to
+// a LiDAR, and counts the rays that hit its box. Compares this count with the number of
+// surfels.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>

@@ -17,8 +17,8 @@ namespace relidar {
 namespace {
 
 enum Field { kTime, kX, kY, kZ, kYaw, kPitch, kRoll, kYawRad, kPitchRad, kRollRad, kFieldCount };
-// Number of fields in a file without a header. Its columns are the first fields, in this
-// order.
+// Number of fields in a file without a header. The columns of such a file are the first
+// fields of the list of names, in the same order.
 constexpr std::size_t kUnnamed = 7;
 constexpr std::size_t kNeeded = 5;
 // Largest accepted number, in metres in any world frame, in degrees, or in seconds since
@@ -59,8 +59,8 @@ FieldPlaces default_columns(std::size_t n_cells, const std::string& where) {
     return at;
 }
 
-/// Reads the values of a line. A field that the file does not have is 0. A line may end
-/// before pitch and roll.
+/// Reads the values of a line. A field is 0 if the file has no column for it. A line may
+/// end before pitch and roll.
 /// @throws DataError naming the column that is not a number
 std::array<double, kFieldCount> read_row(const std::vector<std::string_view>& cells, const FieldPlaces& at,
                                          const std::string& where) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Edits the objects and tracks of a scene. The surfels of a model are copied to another
-// scene only if that scene does not contain them. The surfels of a model are removed when
-// no instance uses the model any more.
+// Edits the objects and tracks of a scene. Copying an object to another scene also copies
+// its surfels, unless the other scene already contains them. The surfels of a model are
+// removed when no instance uses the model any more.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -17,8 +17,8 @@ namespace relidar {
 
 namespace {
 
-/// Returns an error message for a labelled box that has no surfels and cannot be edited.
-/// The message contains the reason, and the setting that makes the box editable.
+/// Returns the error message for a labelled box that cannot be edited because it has no
+/// surfels. The message contains the reason, and the setting that makes the box editable.
 std::string without_surfels(const std::string& track, std::vector<std::string> actors) {
     actors.push_back(track);
     return fmt::format(
@@ -131,9 +131,9 @@ void check_trajectory(const PoseTrack& track, const std::string& id) {
     }
 }
 
-/// Returns the same trajectory with additional poses, so that poses are at most one step
-/// apart. The box then exists at most half a sweep before the first and after the last
-/// pose.
+/// Returns the same trajectory with more poses, so that two poses are at most one step
+/// apart. Boxes exist only near their poses. With this spacing, a box exists at most half
+/// a sweep before the first and after the last pose.
 PoseTrack refined(const PoseTrack& track, double step_s) {
     PoseTrack fine;
     for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {
@@ -179,8 +179,8 @@ DrivingScene retime_track(DrivingScene driving, const std::string& track, double
 
 std::string lost_frames_note(const BoxTrack& before, const Sequence& edited) {
     const BoxTrack* box = find_box(edited, before.id);
-    // A set without duplicates, because LiDARs that sweep at the same time share a frame
-    // number.
+    // Uses a set to remove duplicates, because LiDARs that sweep at the same time share a
+    // frame number.
     std::set<int> lost;
     for (const Frame& frame : edited.frames)
         if (box && before.present(frame.time_s) && !box->present(frame.time_s)) lost.insert(frame.index);

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes the ground plane below a position from the surfels of the background. The
 // ground is the plane that contains most of the level surfels below a box. Candidate
-// planes are fitted to random samples of three surfels. Their scores depend on the
-// distances of the other surfels, as in MSAC (Torr and Zisserman 2000). The best plane is
-// refined by least squares.
+// planes are fitted to random samples of three surfels. The score of a candidate depends
+// on the distances of the other surfels, as in MSAC (Torr and Zisserman 2000). The best
+// plane is refined by least squares.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -23,32 +23,34 @@
 namespace relidar {
 namespace {
 
-// Minimum |z| of the normal of a level surfel. It allows 41 degrees, because normals are
-// noisy.
+// Minimum |z| of the normal of a level surfel. This accepts slopes up to 41 degrees,
+// because normals are noisy.
 constexpr double kLevelSurfel = 0.75;
-// Minimum z of the ground's normal, which allows a slope of 32 degrees.
+// Minimum z of the normal of the ground. This accepts slopes up to 32 degrees.
 constexpr double kLevelPlane = 0.85;
-// Minimum opacity as a logit, for an opacity of 0.05. Fainter surfels do not form a
-// surface.
+// Minimum opacity of a surfel, as a logit. It corresponds to an opacity of 0.05. Fainter
+// surfels are ignored, because they do not form a surface.
 constexpr double kFaintLogit = -3.0;
-// Maximum slope of a street: the height of the ground above the sensor, divided by the
-// distance from the sensor.
+// Maximum slope of a street: the height of the ground relative to the sensor, divided by
+// the distance from the sensor.
 constexpr double kSteepest = 0.25;
-// Maximum distance of a surfel from its plane, half the height of a kerb. Surfels farther
-// away belong to another surface.
+// Maximum distance of a surfel from its plane. The value is half the height of a kerb,
+// because surfels farther away belong to another surface.
 constexpr double kOnPlane_m = 0.1;
-// Maximum distance of surfels from the plane for the least-squares fit. It is larger than
-// the noise of surfels on a street, and small enough to exclude the foot of a wall.
+// Maximum distance from the plane of the surfels in the least-squares fit. It is larger
+// than the noise of surfels on a street. It is small enough to exclude the foot of a
+// wall.
 constexpr double kFitted_m = 0.05;
-// Margins by which the search area around the box is enlarged, one after another. They
-// are needed because rings of a sweep are a metre apart at long range.
+// Margins by which the search area around the box is enlarged, tried one after another.
+// At long range, the rings of a sweep are a metre apart, so a small area may contain no
+// surfel.
 constexpr std::array kMargins_m{0.25, 0.5, 1.0};
-// Minimum half edge of the area below an actor. The area below a pedestrian alone is too
-// small to measure a slope.
+// Minimum half edge length of the area below an actor. The area below a pedestrian alone
+// is too small to measure a slope.
 constexpr double kSmallestBelow_m = 0.75;
 constexpr std::size_t kFewestOnPlane = 8;  // Minimum number of surfels on a ground plane.
-// Minimum standard deviation of the surfels along the narrow side of the area. A single
-// ring of a sweep is narrower and cannot show a slope.
+// Minimum standard deviation of the surfels along the narrow side of the area. The
+// surfels of a single ring are narrower than this, so they cannot show a slope.
 constexpr double kNarrowest_m = 0.15;
 constexpr int kDraws = 200;
 // Maximum number of positions along a track at which the height of an actor above the
@@ -98,8 +100,8 @@ glm::dvec3 surfel_normal(const glm::vec4& wxyz) {
     return glm::normalize(glm::dquat(wxyz.x, wxyz.y, wxyz.z, wxyz.w)) * glm::dvec3(0.0, 0.0, 1.0);
 }
 
-/// The level surfels of a background. If the background consists of blocks, only the
-/// blocks near the given positions are loaded.
+/// The level surfels of a background. If the background consists of blocks, loads only
+/// the blocks near the given positions.
 class LevelSurfels {
 public:
     LevelSurfels(const DrivingView& driving, const std::vector<glm::dvec2>& places)
@@ -152,9 +154,9 @@ private:
         return on;
     }
 
-    /// Returns the plane on which most points lie. Candidates are planes through three
-    /// random points. The score of a plane depends on the distances of all points from
-    /// the plane.
+    /// Returns the plane that contains the most points. Tries planes through three random
+    /// points. The score of each plane depends on the distances of all points from the
+    /// plane.
     static GroundPlane most_common_plane(const std::vector<glm::dvec3>& points) {
         Random random(1);
         GroundPlane best{points.front(), {0.0, 0.0, 1.0}};
@@ -164,8 +166,8 @@ private:
             const glm::dvec3 a = any(), b = any(), c = any();
             glm::dvec3 normal = glm::cross(b - a, c - a);
             const double length = glm::length(normal);
-            // Rejects a plane that is too steep, or three points on a line, which define
-            // no plane.
+            // Rejects a plane that is too steep. Also rejects three points on a line,
+            // because they define no plane.
             if (!(std::abs(normal.z) > kLevelPlane * length)) continue;
             normal *= (normal.z > 0.0 ? 1.0 : -1.0) / length;
             const GroundPlane plane{a, normal};
@@ -193,7 +195,8 @@ private:
             const glm::dvec2 beside = glm::abs(footprint.local(plane.origin_m));
             if (fit.variance[1] < kNarrowest_m * kNarrowest_m || plane.normal.z < kLevelPlane) return {};
             // Rejects the plane if the centre of its surfels is far from the centre of
-            // the box. The surfels then cover only a part of the area below the box.
+            // the box. In this case the surfels cover only a part of the area below the
+            // box.
             const glm::dvec2 middle_m = 0.5 * (footprint.half_m + margin_m);
             if (beside.x > middle_m.x || beside.y > middle_m.y) return {};
         }
@@ -214,15 +217,17 @@ Footprint footprint_of(const glm::dvec2& centre_m, double yaw_rad, const glm::dv
 }
 
 const BoxTrack& box_of_actor(const DrivingView& owner, const std::string& track) {
-    // Throws an error with the reason if the track does not belong to an actor.
+    // Calls move_track() only to throw an error with the reason if the track does not
+    // belong to an actor.
     (void)move_track(DrivingScene{layout_of(owner.scene), owner.sequence}, track, {});
     return *find_box(owner.sequence, track);
 }
 
 /// Returns the ground plane below an actor of the log whose box covers a position. The
-/// actor hides the road at this position from the sensor, so the plane is computed from
-/// the box. Returns nothing if no actor covers the position.
-/// @param clearance_m  returns the height of the bottom of a box above the ground
+/// plane is computed from the box, because the actor hides the road from the sensor.
+/// Returns nothing if no actor covers the position.
+/// @param clearance_m  function that returns the height of the bottom of a box above the
+/// ground
 std::optional<GroundPlane> below_actor_at(const glm::dvec2& xy, const Sequence& sequence,
                                           const std::function<double(const BoxTrack&)>& clearance_m) {
     const BoxTrack* nearest = nullptr;
@@ -331,7 +336,8 @@ Start start_on_ground(const DrivingView& driving, const GroundPlace& place, cons
     };
 
     Start start{pose_on(*plane, xy), place.speed_mps};
-    // The last plane of a seen part is noisy. The mean normal of the path is not.
+    // Uses the mean normal of the path, because the normal of the last plane alone is
+    // noisy.
     glm::dvec3 normal_sum = plane->normal;
     for (std::size_t i = 0; i < times_s.size(); ++i) {
         const glm::dvec2& position_m = positions[i + 1];

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads trajectories of actors from OpenSCENARIO XML 1.x. Supports
-// FollowTrajectoryActions of entities with a bounding box, along polylines whose vertices
-// have a time and a world position.
+// FollowTrajectoryActions of entities with a bounding box. The trajectory must be a
+// polyline whose vertices have a time and a world position.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -19,7 +19,8 @@ namespace {
 
 // Largest accepted number, in metres in any world frame, in radians, or in seconds.
 constexpr double kMost = 1e10;
-// Tolerance for comparing times, because files often store times with few digits.
+// Tolerance for comparing times. Files often store times with few digits, so equal times
+// can differ slightly.
 constexpr double kSlack_s = 1e-6;
 
 /// An XML document and its parameters. Attributes can refer to a parameter by "$name".
@@ -54,9 +55,9 @@ struct Source {
     }
 };
 
-/// Returns the time at which a start trigger fires. This is 0 if the trigger has no
-/// condition, or a fixed simulation time. Returns nothing if the time depends on the
-/// simulation.
+/// Returns the time at which a start trigger fires. A trigger without a condition fires
+/// at time 0. A trigger with a fixed simulation time fires at this time. Returns nothing
+/// if the time depends on the simulation.
 std::optional<double> trigger_time(const Source& source, const pugi::xml_node& trigger,
                                    const std::string& where) {
     const pugi::xml_node group = trigger.child("ConditionGroup"), condition = group.child("Condition");
@@ -68,7 +69,7 @@ std::optional<double> trigger_time(const Source& source, const pugi::xml_node& t
     return source.number(time, "value", where) + source.number(condition, "delay", where, 0.0);
 }
 
-/// An action of an entity. Also stores the start time of the action, if it is known.
+/// An action of an entity, and its start time if the start time is known.
 struct Action {
     pugi::xml_node node;  ///< A PrivateAction element of the XML document.
     std::optional<double> start_s;
@@ -142,8 +143,8 @@ Pose read_position(const Source& source, const pugi::xml_node& vertex, const std
 
 PoseTrack read_polyline(const Source& source, const Action& action, const std::string& where) {
     const pugi::xml_node follow = action.node.child("RoutingAction").child("FollowTrajectoryAction");
-    // The trajectory is a child of TrajectoryRef since version 1.1, and a direct child in
-    // version 1.0.
+    // In version 1.1 and later, the trajectory is a child of TrajectoryRef. In version
+    // 1.0, it is a direct child of the action.
     pugi::xml_node trajectory = follow.child("TrajectoryRef").child("Trajectory");
     if (!trajectory) trajectory = follow.child("Trajectory");
     if (!trajectory)

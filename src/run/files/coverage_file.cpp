@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes the coverage of a run, which is the observed space, as a safetensors
-// file.
+// Reads and writes the coverage of a run as a safetensors file. The coverage is the space
+// that the sensors of the log have observed.
 #include "run/files/coverage_file.hpp"
 
 #include <cstring>

@@ -9,9 +9,9 @@
 
 namespace relidar::run_detail {
 
-/// Writes the blocks of cells of a coverage to a file. The arrays are `place` [blocks,3]
-/// i4, in units of blocks, and `cells` [blocks,32] u2 (Coverage::Cells). Writes no file
-/// if the coverage is empty.
+/// Writes the coverage to a file. The array `place` [blocks,3] i4 has the position of
+/// each block, in units of blocks. The array `cells` [blocks,32] u2 has the cells of each
+/// block (Coverage::Cells). Writes no file if the coverage is empty.
 void save_coverage(const std::filesystem::path& path, const Coverage& coverage);
 /// Reads the coverage of a run from a file.
 /// @throws DataError for missing arrays, wrong shapes, or cells of another size

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads and writes model.safetensors, which stores the parameters of all surfels of a
 // scene. Each parameter group is one array. JSON in the metadata lists the models, the
-// range of surfels of each model, and the instances. All values are checked when the file
-// is read, because users may have edited the file.
+// range of surfels of each model, and the instances. The reader checks all values,
+// because users may have edited the file.
 #include <relidar/run/run.hpp>
 
 #include <algorithm>
@@ -71,8 +71,8 @@ float read_stride(const JsonField& model) {
     return model.has("stride_m") ? static_cast<float>(model.at("stride_m").number(1e-3, 1e6)) : 0.0f;
 }
 
-/// Reads the share of each side of a model's box that the log has seen. Returns nothing
-/// if the file does not have the shares.
+/// Reads the share of each side of a model's box that the log has observed. Returns
+/// nothing if the file does not contain these shares.
 std::optional<SideShares> read_seen_sides(const JsonField& model) {
     if (!model.has("seen_sides")) return {};
     SideShares shares{};
@@ -137,7 +137,7 @@ glm::vec3 read_corner(const JsonField& field) {
 }
 
 /// Reads the list of background blocks from JSON.
-/// @param folder  folder of the model; the files of the blocks must be inside it
+/// @param folder  folder of the model, which must contain the files of the blocks
 void read_blocks_json(const std::string& text, const std::string& where, const std::filesystem::path& folder,
                       Scene& scene) {
     const nlohmann::json json = parse_json(text, where);
@@ -157,8 +157,8 @@ void read_blocks_json(const std::string& text, const std::string& where, const s
 
 constexpr const char* kSensorDrop = "sensor_drop";
 
-/// Reads the table of the sensor's drop probabilities, [channels, bins], if the file has
-/// one.
+/// Reads the table of the sensor's drop probabilities, [channels, bins]. Does nothing if
+/// the file has no such table.
 void read_sensor_drop(const std::vector<NamedArray>& arrays, Scene& scene, const std::string& file) {
     const auto it =
         std::find_if(arrays.begin(), arrays.end(), [](const NamedArray& a) { return a.name == kSensorDrop; });
@@ -230,7 +230,7 @@ Scene load_model(const std::filesystem::path& path) {
                                     fmt::join(mean.shape, ", ")));
     const ParameterSet parameters = stored_parameters(
         metadata, kPrimitiveKey, [&](const char* name) { return find_array(arrays, name) != nullptr; });
-    // Checks the number of rows of each array first, so that no memory is allocated for
+    // Checks the number of rows of every array first, so that no memory is allocated for
     // an inconsistent file.
     for (const ParameterGroup& group : groups_of(parameters)) {
         const NamedArray& array = array_of(arrays, group.name, file);

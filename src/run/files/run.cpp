@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads and writes run folders. A new folder is written under a temporary name and then
-// renamed. In an existing folder, all files are first written to a temporary subfolder
+// renamed. For an existing folder, all files are first written to a temporary subfolder
 // and then moved to the folder. config.toml is moved last, because load_run() rejects a
 // folder without this file. Every error message of load_run() names the file.
 #include <relidar/run/run.hpp>
@@ -62,7 +62,7 @@ void link_or_copy(const fs::path& from, const fs::path& to) {
 
 /// Links or copies the files of the background blocks to `folder`. Returns the blocks
 /// with their new file names.
-/// @param keep  skip files that the run's folder already contains
+/// @param keep  true if files that the run's folder already contains are skipped
 std::vector<SceneBlock> copy_blocks(const Run& run, const fs::path& folder, bool keep) {
     std::vector<SceneBlock> blocks = run.scene.blocks;
     for (std::size_t i = 0; i < blocks.size(); ++i) {
@@ -75,9 +75,9 @@ std::vector<SceneBlock> copy_blocks(const Run& run, const fs::path& folder, bool
     return blocks;
 }
 
-/// Writes the settings of a run to config.toml. Some options are not settings, so the
-/// file cannot store them. Throws an error if such an option differs from the preset,
-/// because the run could not be rendered again in the same way.
+/// Writes the settings of a run to config.toml. The file cannot store options that are
+/// not settings. If such an option differs from the preset, throws an error. Otherwise
+/// the run could not be rendered again in the same way.
 void save_config(const Run& run, const fs::path& folder) {
     const fs::path path = folder / kConfigFile;
     write_text(path, to_toml(run.config));
@@ -90,16 +90,16 @@ void save_config(const Run& run, const fs::path& folder) {
 
 void save_scene(const Run& run, const fs::path& folder, bool keep_blocks) {
     if (run.scene.blocks.empty()) return save_model(folder / kModelFile, run.scene);
-    // Copy of the scene of the run. If the background consists of blocks, only the actors
-    // are in memory.
+    // Copies the scene of the run. If the background consists of blocks, the copy
+    // contains only the actors.
     Scene scene = run.scene;
     scene.blocks = copy_blocks(run, folder, keep_blocks);
     save_model(folder / kModelFile, scene);
 }
 
 void write_files(const Run& run, const fs::path& folder, bool keep_blocks) {
-    // Writes the text files before the large files, so that values that cannot be written
-    // are detected early.
+    // Writes the text files before the large files, so that an invalid value causes an
+    // error early.
     write_text(folder / kSceneFile, run_detail::to_scene_json(run));
     save_config(run, folder);
     save_scene(run, folder, keep_blocks);
@@ -151,8 +151,8 @@ bool holds(const fs::path& file, const std::string& bytes) {
     return path_exists(file) && read_file(file) == bytes;
 }
 
-/// Moves the files of `staged` to the run's folder. If config.toml is unchanged, it is
-/// not replaced. A training can then be resumed even if the process is killed at any
+/// Moves the files of `staged` to the run's folder. Keeps config.toml if its contents
+/// have not changed. Then a training can be resumed even if the process is killed at any
 /// time.
 void move_files(const fs::path& staged, const fs::path& folder, const std::function<void()>& remove_earlier) {
     const bool same_config = holds(folder / kConfigFile, read_file(staged / kConfigFile));
@@ -189,7 +189,7 @@ void replace_run(const Run& run, const std::function<void()>& remove_earlier) {
         write_staged_files(run, staged.path(), false);
         return staged.finish_new();
     }
-    make_folder(run.folder);  // Throws an error with the reason if the path is a file and not a folder.
+    make_folder(run.folder);  // throws an error with the reason if the path is a file and not a folder
     const TemporaryFolder staged(run.folder);
     write_staged_files(run, staged.path, !remove_earlier);
     move_files(staged.path, run.folder, remove_earlier);
@@ -243,9 +243,9 @@ bool is_run(const fs::path& path) {
 
 void check_writable(const fs::path& folder) {
     make_folder(folder);
-    // The name contains the process id, because several processes may test the folder at
-    // the same time. If the process is killed here, remove_temporaries() deletes the file
-    // later.
+    // The name of the test file contains the process id, because several processes may
+    // test the folder at the same time. If the process is killed here,
+    // remove_temporaries() deletes the test file later.
     const std::string probe = (folder / fmt::format(".probe.tmp-{}-0", ::getpid())).string();
     const int file = ::open(probe.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600);
     if (file < 0)

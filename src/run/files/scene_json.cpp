@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads and writes scene.json, format version 3. Numbers are written in the shortest form
-// that reads back to the same double. A pose is seven numbers: the translation x y z,
-// then the unit quaternion w x y z; p_world = R(q) p + t in the recentred world.
+// that reads back to the same double. A pose has seven numbers: the translation x y z,
+// then the unit quaternion w x y z. A point transforms as p_world = R(q) p + t in the
+// recentred world.
 #include "run/files/scene_json.hpp"
 
 #include <algorithm>
@@ -22,8 +23,8 @@ using Json = nlohmann::ordered_json;
 
 constexpr const char* kSceneFormat = "relidar scene";
 constexpr int kSceneVersion = 3;
-// Maximum absolute value of lengths and times in a log. Larger values mean that the file
-// is damaged.
+// Maximum absolute value of lengths and times in a log. If a value is larger, the file is
+// rejected as damaged.
 constexpr double kHuge = 1e12;
 // Maximum distance from the world origin, which is the position of the sensor in the
 // middle frame.
@@ -109,7 +110,7 @@ Pose read_pose(const JsonField& field) {
     if (std::abs(length - 1.0) > 1e-6)
         field.fail(fmt::format("found a quaternion of length {}", length), "expected 1");
     check_within(field, {v[0], v[1], v[2]}, kFarthest_m);
-    // The quaternion is not normalised again, because that would change its last digit.
+    // Does not normalise the quaternion again, because that would change its last digit.
     return {q, {v[0], v[1], v[2]}};
 }
 
@@ -144,8 +145,8 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
     return lidars;
 }
 
-/// Reads the dependence of the intensity on range and incidence. If the field is missing,
-/// the intensities of the run do not depend on the range.
+/// Reads how the intensity depends on range and incidence. If the field is missing, the
+/// intensities of the run do not depend on the range.
 IntensityResponse read_intensity_response(const JsonField& field) {
     const IntensityResponse r{field.at("range_m").numbers(), field.at("factor").numbers(),
                               field.at("incidence").number(0.0, 1.0)};
@@ -228,7 +229,7 @@ void read_edits(const JsonField& field, SceneFile& scene) {
 }
 
 /// Compares the counts in the file with the lengths of the lists. This detects lists that
-/// were shortened by hand or by a wrong merge.
+/// were shortened by a manual edit or by a wrong merge.
 void check_counts(const JsonField& root, const SceneFile& scene) {
     const auto check = [&](const char* name, std::size_t n) {
         const JsonField count = root.at("counts").at(name);
@@ -270,8 +271,8 @@ std::string to_scene_json(const Run& run) {
     if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
     for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
-    // Parses the text before it is written. This rejects values that cannot be read
-    // again, for example a NaN pose.
+    // Parses the text before it is written. This rejects values that could not be read
+    // again, for example a NaN in a pose.
     parse_scene_json(text, "writing scene.json");
     return text + "\n";
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the measured and simulated points of moving boxes in the frames of the boxes.
+// Compares the measured and the simulated points of moving boxes. The points are compared
+// in the frames of the boxes.
 #include "score/evaluation/actor_scores.hpp"
 
 #include <algorithm>
@@ -14,7 +15,8 @@ namespace relidar {
 namespace {
 
 constexpr double kMargin_m = 0.1, kSilhouette_m = 0.3;
-// Height above the bottom of a box. Points below this height belong to the ground.
+// Height above the bottom of a box. Points below this height are ignored, because they
+// belong to the ground.
 constexpr double kFloor_m = 0.15;
 constexpr double kNear_m = 0.03, kLargeError_m = 0.3;
 constexpr double kSweep_m = 2.0;  // Maximum distance that a box moves within one sweep.
@@ -38,9 +40,9 @@ struct InScan {
         return sequence.world_from_vehicle.at(t_s,
                                               sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor);
     }
-    /// Converts a point to the frame of the box. Uses the poses of sensor and box at the
-    /// time at which the head faces the point. Returns nothing if the point is far from
-    /// the box.
+    /// Converts a point to the frame of the box. Uses the poses of the sensor and the box
+    /// at the time at which the LiDAR's head faces the point. Returns nothing if the
+    /// point is far from the box.
     std::optional<glm::dvec3> in_box(const glm::dvec3& in_sensor) const {
         if (glm::distance(in_sensor, centre_m) > 0.5 * glm::length(box.size_m) + kSilhouette_m + kSweep_m)
             return std::nullopt;
@@ -70,8 +72,8 @@ double median_of(std::vector<double> values) {
     return *middle;
 }
 
-/// Adds the median, the bias and the fraction of large errors. Adds nothing if there are
-/// no errors.
+/// Adds three metrics of the range errors: the median, the bias, and the fraction of
+/// large errors. Adds nothing if there are no errors.
 /// @param prefix  prefix of the names
 void add_range_errors(MetricRow& row, const std::string& prefix, const std::vector<double>& error_m) {
     if (error_m.empty()) return;
@@ -85,7 +87,7 @@ void add_range_errors(MetricRow& row, const std::string& prefix, const std::vect
     row[prefix + "above_30cm"] = mean_of(large);
 }
 
-/// Sums over all people and cyclists, or over all other labelled boxes.
+/// Values collected over a group: all people and cyclists, or all other labelled boxes.
 struct GroupErrors {
     std::vector<double> range_error_m, chamfer_m, near;
     double both = 0.0, either = 0.0;
@@ -94,7 +96,7 @@ struct GroupErrors {
         range_error_m.insert(range_error_m.end(), p.range_error_m.begin(), p.range_error_m.end());
         both += double(p.n_both);
         either += double(p.n_both) + 0.5 * double(p.n_missed + p.n_false);
-        if (p.simulated_m.empty()) return;  // Without simulated points, only F1 can be computed.
+        if (p.simulated_m.empty()) return;  // without simulated points, only F1 can be computed
         const std::vector<double> to_real = nearest_distances(p.simulated_m, p.real_m);
         chamfer_m.push_back(mean_of(to_real) + mean_of(nearest_distances(p.real_m, p.simulated_m)));
         for (const double d : to_real) near.push_back(d <= kNear_m ? 1.0 : 0.0);
@@ -157,7 +159,7 @@ ActorScores actor_scores(const RangeImage& rendered, const std::vector<float>& p
     scores.metrics["actors/tail_share_real"] = real_tails.share;
     GroupErrors people, vehicles;
     for (const BoxTrack& box : sequence.boxes) {
-        if (!tails.n_of_box.contains(box.id)) continue;  // Boxes that do not move have no tail.
+        if (!tails.n_of_box.contains(box.id)) continue;  // a box that does not move has no tail
         BoxPoints p;
         if (box.present(seen.time_s)) p = points_in_box(rendered, points_m, real, sequence, seen, box);
         scores.actors.push_back({box.id, box.category, scores_of_box(p)});

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Metrics for moving boxes. Separate metrics are needed because actors have so few points
-// that averages over a scan do not show their errors.
+// Metrics for moving boxes. Averages over a full scan hide the errors of actors, because
+// actors have few points.
 #pragma once
 
 #include <vector>
@@ -14,7 +14,7 @@ namespace relidar {
 
 /// Scores of each moving box in a frame, and metrics over groups of boxes.
 struct ActorScores {
-    std::vector<ActorScore> actors;  ///< Labelled and discovered boxes.
+    std::vector<ActorScore> actors;  ///< scores of the labelled and the discovered boxes
     /// Metrics over all points, and over the labelled boxes with at least ten real
     /// points.
     ///   actors/{tail_share,tail_share_real}  fraction of the simulated and of the real
@@ -34,7 +34,7 @@ struct ActorScores {
 ActorScores actor_scores(const RangeImage& rendered, const std::vector<float>& points_m,
                          const RangeImage& real, const Sequence& sequence, const SweepMoment& seen);
 
-/// Combines the scores of several frames, see Evaluation::actors.
+/// Combines the scores of each actor over several frames (see Evaluation::actors).
 /// @param frames [frames][actors]
 std::vector<ActorScore> over_frames(const std::vector<std::vector<ActorScore>>& frames);
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Renders frames in batches, computes their metrics and averages the metrics over all
-// frames. A baseline projects real scans instead of rendering.
+// Renders frames in batches, computes their metrics, and averages the metrics over all
+// frames. For a baseline, real scans are projected instead of rendered.
 #include <relidar/score/evaluation.hpp>
 
 #include <algorithm>
@@ -21,8 +21,8 @@ namespace relidar {
 namespace {
 
 constexpr double kSameTime_s = 1e-3;
-// Number of frames whose metrics are computed in parallel. The images of these frames are
-// in memory at the same time.
+// Number of frames whose metrics are computed in parallel. This limits memory, because
+// the images of these frames are in memory at the same time.
 constexpr std::size_t kScoredAtOnce = 16;
 
 /// Returns the sensor that config.sensor selects for a frame. With the native grid, the
@@ -35,8 +35,8 @@ SensorChoice sensor_of_frame(const Config& config, const Sequence& sequence, con
     return sensor;
 }
 
-/// Converts flags of returns to flags of pixels. The flags are stored as intensities of
-/// the scan and are binned into the image together with its points.
+/// Converts flags of returns to flags of pixels. Stores the flags as intensities of the
+/// scan, and projects the scan into the image.
 std::vector<bool> pixels_of(const std::vector<bool>& returns, const Config& config, const Frame& frame) {
     Scan flags = frame.scan;
     std::copy(returns.begin(), returns.end(), flags.intensity.begin());
@@ -155,7 +155,8 @@ void drop_images(ScoredFrame& frame) {
 }
 
 /// Parameters of an evaluation of many frames. The frames are rendered and scored in
-/// small batches. The images of a batch are freed before the next batch, to limit memory.
+/// small batches. The images of each batch are freed before the next batch, to limit
+/// memory.
 struct ManyFrames {
     const std::vector<int>& positions;  ///< indices into sequence.frames
     const Sequence& sequence;
@@ -226,8 +227,8 @@ ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequ
 Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
                            const std::vector<int>& positions, const Progress& progress,
                            const FrameCallback& see) {
-    // Adds the drop probability before the correction by the network, because reports
-    // show both probabilities.
+    // Enables the channel with the drop probability before the correction by the network.
+    // Reports show both probabilities.
     if (see && renderer.refines(configured_sensor(config, sequence)))
         renderer.enable_channels("surfel_drop_prob");
     std::vector<ScoredFrame> scored = score_all(

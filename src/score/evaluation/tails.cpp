@@ -10,8 +10,8 @@
 namespace relidar {
 namespace {
 
-// Margin of the current boxes. Labelled boxes do not fit exactly, so points just outside
-// a box belong to it.
+// Margin by which the current boxes are enlarged. Labelled boxes do not fit exactly, so
+// points just outside a box count as part of it.
 constexpr double kNowMargin_m = 0.3;
 constexpr double kGround_m = 0.3;
 
@@ -50,8 +50,8 @@ bool is_swept(const Swept& s, const glm::dvec3& point_m) {
     });
 }
 
-/// Number of all points, and number of points in comet tails: a box is there at another
-/// time, but not now.
+/// Number of all points, and number of points in comet tails. A point is in a comet tail
+/// if a box is there at another time, but no box is there now.
 struct Tail {
     std::size_t n_points = 0, n_tail = 0;
     std::vector<std::size_t> n_of_box;  ///< [swept] points in the tail of each box
@@ -72,7 +72,7 @@ Tail sum_tails(const RangeImage& image, const std::vector<float>& points_m, cons
     return parallel_reduce(points_m.size(), kRays, [&](std::size_t begin, std::size_t end) {
         Tail part;
         part.n_of_box.resize(swept.size());
-        std::vector<std::size_t> boxes;  // boxes that are at the point at some time
+        std::vector<std::size_t> boxes;  // boxes that contain the point at some time of the log
         for (std::size_t i = begin; i < end; ++i) {
             if (!returned(image.drop_prob[i], points_m[i])) continue;
             ++part.n_points;

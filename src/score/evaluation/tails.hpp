@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Metric for comet tails: wrong points at a position where a moving actor was earlier or
-// will be later, but is not now.
+// Counts comet tails. A comet tail consists of wrong points at positions where a moving
+// actor is at other times, but not now.
 #pragma once
 
 #include <cstddef>
@@ -21,9 +21,10 @@ struct TailCounts {
     std::map<std::string, std::size_t> n_of_box;
 };
 /// Counts the returned points that lie in comet tails. The tail of a moving box is the
-/// volume that the box occupies at other times of the log, but in which no box is now.
-/// The current boxes are enlarged by 0.3 m. The lowest 0.3 m of the boxes counts as
-/// ground. Each point is tested at the time at which the head faces it.
+/// volume that the box occupies at other times of the log. Volume that any box occupies
+/// now is not part of a tail. The current boxes are enlarged by 0.3 m. Points in the
+/// lowest 0.3 m of a box count as ground, not as tail. Each point is tested at the time
+/// at which the LiDAR's head faces the point.
 /// @param points_m [n] ranges of the points of the image
 TailCounts count_tails(const RangeImage& image, const std::vector<float>& points_m, const Sequence& sequence,
                        const SweepMoment& seen);

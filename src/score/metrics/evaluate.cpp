@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the metrics of both protocols of docs/method.md section 8 for a rendered and a
-// real range image.
+// Computes the metrics of two protocols for a rendered and a real range image
+// (docs/method.md section 8).
 //   peer    all pixels, dropped pixels set to 0, values clamped; used by published tables
-//   strict  only pixels returned in both images; ray-drop has its own metrics
+//   strict  only pixels returned in both images; ray-drop has separate metrics
 // Chamfer distance and F-score use only the points of returned pixels. The published
-// script of the peer protocol instead places dropped pixels at the origin, which lowers
+// script of the peer protocol places dropped pixels at the origin instead. This lowers
 // the Chamfer distance and raises the F-score.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
@@ -23,15 +23,15 @@ namespace {
 using namespace metrics_detail;
 using Positions = std::vector<glm::dvec3>;
 
-// Minimum mean squared error, so that the PSNR of identical images is finite.
+// Minimum mean squared error. It keeps the PSNR of identical images finite.
 constexpr double kMinSquaredError = 1e-20;
 constexpr double kFineThreshold_m = 0.05;
-// Threshold of the F-score in the peer protocol. It is sqrt(0.05), because the peer
-// protocol compares the squared distance with 0.05.
+// Threshold of the F-score in the peer protocol. The peer protocol compares the squared
+// distance with 0.05, so the threshold is sqrt(0.05).
 constexpr double kPeerThreshold_m = 0.22360679774997896964;
 constexpr int kSsimWindow = 7;
-// Minimum edge length of an image for LPIPS. In smaller images, the pooling layers leave
-// no pixel.
+// Minimum edge length of an image for LPIPS. The pooling layers reduce a smaller image to
+// nothing.
 constexpr int kLpipsEdge = 31;
 
 Positions points(const RangeImage& image, const Mask& mask) {
@@ -50,8 +50,8 @@ struct ImagePair {
     double peak;
 };
 
-/// Returns both images with all pixels. Pixels that are dropped at the given threshold
-/// are 0.
+/// Returns both images with all pixels. A pixel is 0 if it is dropped at the given
+/// threshold.
 ImagePair depth_pair(const RangeImage& rendered, const RangeImage& real, double threshold,
                      double max_range_m) {
     return {masked(rendered.range_m, not_dropped(rendered, threshold), max_range_m),
@@ -65,7 +65,8 @@ ImagePair intensity_pair(const RangeImage& rendered, const RangeImage& real, dou
 }
 
 /// Computes errors, PSNR, SSIM and LPIPS of full images. Leaves out SSIM if it is
-/// undefined, because the image is smaller than the window or the real image is constant.
+/// undefined. SSIM is undefined if the image is smaller than the window, or if the real
+/// image is constant.
 void add_image(MetricRow& row, const std::string& prefix, const std::string& unit, const ImagePair& image,
                const Lpips* lpips) {
     const double squared = add_errors(row, prefix, unit, image.rendered, image.real);
@@ -121,8 +122,8 @@ void add_peer(MetricRow& row, const RangeImage& rendered, const RangeImage& real
     row["peer/f_score"] = distances.f_score(kPeerThreshold_m);
 }
 
-/// Returns the root mean square difference over all pixels between the rendered drop
-/// probability and the real drop (0 or 1). No threshold is applied.
+/// Compares the rendered drop probability with the real drop (0 or 1) without a
+/// threshold. Returns the root mean square difference over all pixels.
 double drop_rmse(const RangeImage& rendered, const RangeImage& real) {
     Values error(real.drop_prob.size());
     for (std::size_t i = 0; i < error.size(); ++i)
@@ -130,8 +131,8 @@ double drop_rmse(const RangeImage& rendered, const RangeImage& real) {
     return std::sqrt(mean_square(error));
 }
 
-/// Computes ray-drop metrics of a binary classification, in which a dropped pixel is
-/// positive.
+/// Computes ray-drop metrics as for a classifier with two classes. A dropped pixel is the
+/// positive class.
 void add_drop(MetricRow& row, const Mask& rendered, const Mask& real) {
     std::size_t hits = 0, false_drops = 0, missed_drops = 0, equal = 0;
     for (std::size_t i = 0; i < real.size(); ++i) {

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// LPIPS (Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual
-// Metric", CVPR 2018) with AlexNet features. Each of the five convolutions is a matrix
-// product of unrolled windows (columns) and filters (rows). The code runs on the CPU,
-// which is fast enough. The weights are read from a file, because they are not part of
-// the program.
+// Computes LPIPS (Zhang et al., "The Unreasonable Effectiveness of Deep Features as a
+// Perceptual Metric", CVPR 2018) with AlexNet features. Each of the five convolutions is
+// a matrix product of unrolled windows (columns) and filters (rows). It runs on the CPU,
+// which is fast enough. The weights are not part of the program, so they are read from a
+// file.
 #include <relidar/score/metrics.hpp>
 
 #include <algorithm>

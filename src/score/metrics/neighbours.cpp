@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Baseline for rendering. It moves the two neighbouring real scans into another sweep and
-// bins their points into the image of that sweep. The baseline does not know surfaces and
-// does not fill holes. But if the sensor has hardly moved, the result is close to the
-// real scan.
+// Computes a baseline for rendering. Moves the two neighbouring real scans into another
+// sweep, and projects their points into the image of that sweep. The baseline has no
+// model of surfaces and does not fill holes. If the sensor has hardly moved, its result
+// is close to the real scan.
 #include <relidar/score/metrics.hpp>
 
 #include <algorithm>
@@ -16,12 +16,12 @@
 namespace relidar {
 namespace {
 
-// Maximum number of columns between a ray and the column of its azimuth. In logs of an
-// HDL-64E the distance is up to 2.8 columns.
+// Maximum number of columns between the column of a ray and the column of its azimuth. In
+// logs of an HDL-64E, this difference is up to 2.8 columns.
 constexpr int kColumnSearch = 4;
 
-/// Returns the nearest training frames of the same LiDAR before and after a position.
-/// Returns a single frame if there is none on one side.
+/// Returns the nearest training frame before a position and the nearest one after it, of
+/// the same LiDAR. Returns a single frame if one side has no such frame.
 std::vector<int> neighbours_of(const Sequence& sequence, int position, const std::vector<int>& train) {
     const auto lidar_of = [&](int p) { return sequence.frames[std::size_t(p)].lidar; };
     int before = -1, after = -1;
@@ -50,8 +50,8 @@ const BoxTrack* box_of(const std::vector<const BoxTrack*>& moving, const glm::dv
     return it == moving.end() ? nullptr : *it;
 }
 
-/// Converts a point from the world frame to the sensor frame, at the time in the sweep at
-/// which the LiDAR faces the point.
+/// Converts a point from the world frame to the sensor frame. Uses the sensor pose at the
+/// time in the sweep at which the LiDAR faces the point.
 glm::dvec3 place_in_sweep(const Sequence& sequence, const glm::dvec3& world_m, const Frame& frame) {
     const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
     const glm::dvec3 at_reference = inverse(sequence.world_from_vehicle.at(frame.time_s, mounted)) * world_m;
@@ -78,7 +78,7 @@ struct Place {
 double elevation_of(const glm::dvec3& v) { return std::asin(std::clamp(v.z / glm::length(v), -1.0, 1.0)); }
 
 /// A table of rays with functions that assign points to rays. All functions use double
-/// precision, because the cosine of 0.02 degrees rounds to 1 in float.
+/// precision. Float is not enough, because the cosine of 0.02 degrees rounds to 1.
 struct Beams {
     const RayTable& rays;
 
@@ -90,7 +90,7 @@ struct Beams {
         return glm::dvec3(point_m) - glm::dvec3(rays.origin[at(p)]);
     }
     glm::dvec3 direction(Place p) const { return rays.direction[at(p)]; }
-    /// Returns the angle between a beam and a point above the beam.
+    /// Returns the angle by which a point is above a beam.
     double above(Place p, const glm::vec3& point_m) const {
         return elevation_of(from_origin(p, point_m)) - elevation_of(direction(p));
     }
@@ -115,8 +115,8 @@ struct Beams {
                 if (const double cos = cosine({r, c}, point_m); cos > most) most = cos, best = {r, c};
         return best;
     }
-    /// Returns true if a point is outside the vertical field of view: it is beyond the
-    /// outermost beam by more than half the spacing to the next beam.
+    /// Returns true if a point is outside the vertical field of view. It is outside if it
+    /// is beyond the outermost beam by more than half the spacing to the next beam.
     bool outside(Place p, const glm::vec3& point_m) const {
         const double half_spacing =
             0.5 * std::abs(elevation_of(direction(p)) -
@@ -140,14 +140,14 @@ Scan neighbour_points(const Sequence& sequence, int position, const std::vector<
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
             WorldReturn w = world_return(sequence, frame, ray);
-            // Moves the point to the measured range, which includes the range offset of
-            // the beam.
+            // Moves the point along the ray to the measured range. The measured range
+            // includes the range offset of the beam.
             w.point_m +=
                 double(frame.scan.range_m[ray] - surface_return(sequence, frame, ray).range_m) * w.direction;
             glm::dvec3 world_m = w.point_m;
             if (const BoxTrack* box = box_of(moving, w.point_m, w.time_s)) {
                 // Both sweeps measure the box at about the same time after their
-                // reference times.
+                // reference times. This gives the time of the box in the other sweep.
                 const double then_s = sweep.time_s + (w.time_s - frame.time_s);
                 if (!box->present(then_s)) continue;
                 world_m =

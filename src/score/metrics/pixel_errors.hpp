@@ -14,7 +14,8 @@ namespace relidar::metrics_detail {
 using Mask = std::vector<bool>;
 using Values = std::vector<double>;
 
-// Drop threshold for real images. Their drop probabilities are 0 or 1.
+// Drop threshold for real images. Any value between 0 and 1 works, because their drop
+// probabilities are 0 or 1.
 inline constexpr double kRealDropThreshold = 0.5;
 inline constexpr double kMaxIntensity = 1.0;
 
@@ -25,9 +26,9 @@ void check_pair(const RangeImage& rendered, const RangeImage& real);
 
 /// Returns a mask of the pixels whose drop probability is below the threshold.
 Mask not_dropped(const RangeImage& image, double threshold);
-/// Returns a mask of the pixels whose drop probability is below the threshold and whose
-/// range is above 0. A ray that hit nothing counts as dropped, even if its drop
-/// probability is low.
+/// Returns a mask of the returned pixels. Their drop probability is below the threshold
+/// and their range is above 0. A range of 0 means that the ray hit nothing. Such a pixel
+/// counts as dropped, even if its drop probability is low.
 Mask returned(const RangeImage& image, double threshold);
 
 /// Returns the values of all pixels, clamped to [1e-6, high]. Pixels outside the mask are
@@ -39,8 +40,8 @@ Values selected(const std::vector<float>& values, const Mask& mask, double high)
 double mean_of(const Values& values);
 double mean_square(const Values& values);
 
-/// Adds the metrics <prefix>rmse<unit>, mae and medae to the row. Adds nothing if there
-/// are no pixels.
+/// Adds the metrics <prefix>rmse<unit>, <prefix>mae<unit> and <prefix>medae<unit> to the
+/// row. Adds nothing if there are no pixels.
 /// @return mean squared error, or -1 if there are no pixels
 double add_errors(MetricRow& row, const std::string& prefix, const std::string& unit, const Values& a,
                   const Values& b);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes errors for regions that users examine: moving boxes, all other pixels, and
-// bands of range. Pixels with a real return are compared with the rendered value, even if
-// the rendered pixel counts as dropped. Otherwise more drops would improve the score of a
-// region. The fraction of rendered returns is a separate metric.
+// bands of range. Compares every pixel with a real return, even if the rendered pixel
+// counts as dropped. Otherwise more drops would improve the score of a region. The
+// fraction of rendered returns is a separate metric.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -91,8 +91,8 @@ std::vector<Region> standard_regions(const RangeImage& real, const std::vector<b
 std::vector<bool> moving_returns(const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
     std::vector<BoxTrack> labelled = sequence.boxes;
     std::erase_if(labelled, [](const BoxTrack& box) { return box.category == kDiscoveredCategory; });
-    // Removes the poses that discover_tracks() added. The same returns are then compared
-    // with and without discovered boxes.
+    // Removes the poses that discover_tracks() added without labels. The same returns are
+    // then compared in runs with and without discovered boxes.
     for (BoxTrack& box : labelled) box = box.labelled_part();
     return returns_in_moving(std::move(labelled), sequence, frame, sensor_offset);
 }

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Structural similarity with the defaults of scikit-image, which published LiDAR tables
-// use: uniform 7 x 7 window, sample covariance (divided by 48), K1 = 0.01, K2 = 0.03,
-// mean over the pixels whose window is inside the image.
+// Computes structural similarity with the defaults of scikit-image, which published LiDAR
+// tables use. These are a uniform 7 x 7 window, sample covariance (divided by 48), K1 =
+// 0.01, K2 = 0.03, and the mean over the pixels whose window is inside the image.
 //   S = (2 ma mb + C1) (2 cov + C2) / ((ma^2 + mb^2 + C1) (va + vb + C2)),   C1 = (K1 L)^2, C2 = (K2 L)^2
 // The sums over a window are computed along rows first, then along columns. Prefix sums
-// would be faster but less precise.
+// would be faster, but less precise.
 #include <relidar/score/metrics.hpp>
 
 #include <array>

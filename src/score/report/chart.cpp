@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Draws line charts as inline SVG: axes with round ticks, grid lines, and one path for
-// each curve. Colours and fonts come from the page's style sheet (classes c0 ... c7,
-// axis, grid, faint), so that charts follow its light and dark themes.
+// each curve. Colours and fonts are defined by the page's style sheet (classes c0 ... c7,
+// axis, grid, faint). Therefore the charts follow the light and dark themes of the page.
 #include "chart.hpp"
 
 #include <algorithm>
@@ -19,10 +19,11 @@ namespace {
 
 // Margins of a chart in SVG units. The labels must fit into the margins.
 constexpr double kLeft = 58, kRight = 14, kTop = 10, kBottom = 30;
-// Curves with more points look noisy, so the running mean of such a curve is drawn.
+// Number of points above which the running mean of a curve is drawn too, because the
+// curve itself is noisy.
 constexpr std::size_t kManyPoints = 250;
-// Number of horizontal intervals into which a drawn curve is divided. Each interval is
-// drawn with at most two points.
+// Number of horizontal intervals of a drawn curve. Each interval is drawn with at most
+// two points.
 constexpr std::size_t kBuckets = 500;
 
 /// Value range of an axis and its position on the page.
@@ -70,9 +71,9 @@ std::vector<double> linear_ticks(const Axis& axis, int n_ticks) {
     return ticks;
 }
 
-/// Returns the ticks of a logarithmic axis, at powers of ten. Leaves out some ticks if
-/// there are many powers. If there are few powers, also returns ticks at 2 and 5 times
-/// each power.
+/// Returns the ticks of a logarithmic axis at powers of ten. If there are many powers,
+/// leaves out some. If there are few powers, also returns ticks at 2 and 5 times each
+/// power.
 std::vector<double> log_ticks(const Axis& axis) {
     const int first = int(std::floor(std::log10(axis.low))), last = int(std::ceil(std::log10(axis.high)));
     const int every = std::max(1, (last - first) / 6);
@@ -115,16 +116,16 @@ Axis make_x_axis(const Extent& extent, double at_low, double at_high) {
     return axis;
 }
 
-/// Returns the indices of the points to draw. Each interval of the x axis keeps at most
-/// two points. They are the minimum and the maximum, so that spikes remain visible.
-/// Points that are not finite become gaps.
+/// Returns the indices of the points to draw. Each interval of the x axis keeps its
+/// minimum and its maximum, so that spikes remain visible. Points that are not finite
+/// become gaps.
 std::vector<std::size_t> thinned(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), width = std::max<std::size_t>(1, n / kBuckets);
     std::vector<std::size_t> kept;
     for (std::size_t first = 0; first < n; first += width) {
         std::size_t low = first, high = first;
         for (std::size_t i = first; i < std::min(n, first + width); ++i) {
-            // Keeps a point that is not finite, so that the curve has a gap there.
+            // Keeps a point that is not finite, because it becomes a gap in the curve.
             if (!drawable(curve, i)) low = high = i;
             else if (drawable(curve, low) && curve.y[i] < curve.y[low]) low = i;
             else if (drawable(curve, high) && curve.y[i] > curve.y[high]) high = i;
@@ -135,22 +136,22 @@ std::vector<std::size_t> thinned(const ReportCurve& curve) {
     return kept;
 }
 
-/// Returns the running mean of a curve at a few hundred points. Each mean is over the
-/// finite values in a centred window, whose width is 1/40 of the curve.
+/// Returns the running mean of a curve at a few hundred points. Each value is the mean of
+/// the finite values in a centred window. The width of the window is 1/40 of the curve.
 ReportCurve running_mean(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), half = n / 80, n_places = std::min(n, kBuckets);
     ReportCurve result{curve.name, {}, {}};
     for (std::size_t place = 0; place < n_places; ++place) {
         const std::size_t middle = place * (n - 1) / (n_places - 1);
-        // The window remains symmetric near the ends of the curve, because otherwise the
-        // mean would lag there.
+        // Keeps the window symmetric near the ends of the curve. Otherwise the mean would
+        // be shifted there.
         const std::size_t reach = std::min({half, middle, n - 1 - middle});
         double sum = 0.0, count = 0.0;
         for (std::size_t i = middle - reach; i <= middle + reach; ++i)
             if (drawable(curve, i)) sum += curve.y[i], ++count;
         result.x.push_back(curve.x[middle]);
-        // If the window has no finite value, the mean is NaN, so that the curve has a
-        // gap.
+        // If the window has no finite value, the mean becomes NaN. The curve then has a
+        // gap there.
         result.y.push_back(sum / count);
     }
     return result;

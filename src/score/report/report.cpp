@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the report as a single HTML page that needs no other file and no network. All
-// text from outside the program is escaped. The page contains a script only if it has 3D
-// views. Curves whose names have the same part before '/' share a chart. Metrics are
-// grouped in the same way.
+// Writes the report as a single HTML page that needs no other file and no network.
+// Escapes all text from outside the program. Adds a script only if the page has 3D views.
+// Curves share a chart if their names have the same part before '/'. Metrics are grouped
+// in the same way.
 #include <relidar/base/files.hpp>
 #include <relidar/score/metrics.hpp>
 #include <relidar/score/report.hpp>
@@ -27,8 +27,8 @@ namespace {
 using report_detail::escape_html;
 using report_detail::format_number;
 
-// Maximum width of an image divided by its height. Wider images, for example 66 x 1030,
-// are stretched vertically so that their rows remain visible.
+// Maximum ratio of width to height of an image. A wider image, for example 66 x 1030
+// pixels, is stretched vertically so that its rows remain visible.
 constexpr double kMaxAspect = 10.0;
 
 std::string section(const std::string& title, const std::string& body) {
@@ -80,8 +80,8 @@ std::pair<std::string, std::string> split_group(const std::string& name) {
     return {name.substr(0, slash), name.substr(slash + 1)};
 }
 
-/// Returns +1 if larger values of a metric are better, -1 if smaller values are better,
-/// and 0 if this is unknown.
+/// Returns +1 if larger values of a metric are better. Returns -1 if smaller values are
+/// better, and 0 if this is unknown.
 int better_direction(const std::string& metric) {
     const auto has = [&](std::string_view part) { return metric.find(part) != std::string::npos; };
     for (const char* part : {"rmse", "mae", "medae", "cd_", "lpips"})
@@ -122,7 +122,7 @@ std::string metric_cells(const Report& report, const std::string& name) {
 }
 
 std::string metrics(const Report& report) {
-    // A sorted set of names, so that the metrics of a group are next to each other.
+    // Uses a sorted set of names, so that the metrics of a group are next to each other.
     std::set<std::string> names;
     for (const auto& [column, row] : report.metrics)
         for (const auto& [name, value] : row) names.insert(name);
@@ -208,9 +208,9 @@ std::string timing_row(const std::string& name, double ms, double total_ms, doub
                        escape_html(name), ms, share, bar);
 }
 
-/// Returns a table of kernel times, the longest time first. The last row is the total:
-/// the entry "total", or the sum if there is no such entry. Percentages refer to the
-/// total.
+/// Returns a table of kernel times, sorted by time, the longest first. The last row is
+/// the total. It is the entry "total", or the sum of all entries if there is no such
+/// entry. Percentages refer to the total.
 std::string timing_table(const MetricRow& timings) {
     std::vector<std::pair<std::string, double>> rows;
     double longest = 0.0, sum = 0.0;

@@ -11,8 +11,9 @@
 namespace relidar::report_detail {
 
 /// Returns the HTML canvases of a 3D view. The points of the view's clouds are stored as
-/// base64.
-/// @param n_views  number of views of the page, which share its size limit
+/// base64 text.
+/// @param n_views  number of views on the page; the size limit of the page is divided
+/// among them
 std::string view_html(const ReportView& view, std::size_t n_views);
 /// Returns the JavaScript code that draws all 3D views of a page.
 std::string view_script();

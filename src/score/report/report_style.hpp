@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Style sheet of the report: a column of cards, with a light and a dark theme. Curve
-// colours differ in lightness as well as hue. Colour-blind readers can therefore
-// distinguish them, also in print. Private to the report.
+// colours differ in lightness as well as hue, so that colour-blind readers can
+// distinguish the curves. This also works in black-and-white print. Private to the
+// report.
 #pragma once
 
 #include <string_view>

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes the 3D views of the report. Packs each point of a view into 8 bytes,
 // little-endian: x, y, z in centimetres (int16), intensity in steps of 1/255, and the
-// range error. The range error has steps of 4 mm up to 1 m, and 255 means unknown.
-// points/report.js reads the points.
+// range error. The range error is stored in steps of 4 mm, up to 1 m. The value 255 means
+// an unknown error. points/report.js reads the points.
 #include "report_parts.hpp"
 
 #include <algorithm>
@@ -24,7 +24,7 @@ std::span<const std::pair<std::string_view, std::string_view>> report_script_tex
 namespace report_detail {
 namespace {
 
-// Maximum number of points on a page, which take 5.3 MB as base64.
+// Maximum number of points on a page. They take 5.3 MB as base64.
 constexpr std::size_t kMaxPoints = 500'000;
 constexpr float kFarthest_m = 300.0f;
 constexpr float kErrorStep_m = 0.004f;
@@ -53,8 +53,8 @@ std::vector<std::uint8_t> pack(const ReportCloud& cloud, std::size_t max_points)
     return bytes;
 }
 
-/// Converts a JavaScript module to a part of a single script. Removes imports and the
-/// keyword `export`.
+/// Converts a JavaScript module so that it can be joined with others into a single
+/// script. Removes imports and the keyword `export`.
 std::string inlined(std::string_view module) {
     std::string script;
     while (!module.empty()) {

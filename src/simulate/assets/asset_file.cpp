@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes asset.json, which describes an asset and is stored next to the files
-// of its run.
+// Reads and writes asset.json. The file describes an asset and is stored next to the
+// files of the asset's run.
 #include <relidar/simulate/assets.hpp>
 
 #include <algorithm>

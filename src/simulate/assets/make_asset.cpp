@@ -15,10 +15,11 @@
 namespace relidar {
 namespace {
 
-// An object without a class counts as a vehicle if it is at least this long. Cyclists are
+// Minimum length of a vehicle. It is used for objects without a class. Cyclists are
 // shorter.
 constexpr double kShortestVehicle_m = 3.0;
-/// Indices of the spherical harmonics that are odd in y. These have a negative order.
+/// Indices of the spherical harmonics that are odd in y. They are the harmonics with a
+/// negative order.
 constexpr int kOddInY[] = {1, 4, 5, 9, 10, 11};
 
 bool is_vehicle(const BoxTrack& box) {
@@ -26,9 +27,9 @@ bool is_vehicle(const BoxTrack& box) {
            (box.category == kDiscoveredCategory && box.size_m.x >= kShortestVehicle_m);
 }
 
-/// Returns the name of an asset, for example "car-3". The name contains only letters,
-/// digits, dots, dashes and underscores, so that it is a valid folder name on all
-/// systems. A discovered object without a class gets the id of its track.
+/// Returns the name of an asset, for example "car-3". The name is a valid folder name on
+/// all systems. It contains only letters, digits, dots, dashes and underscores. If an
+/// object has no class, its track id is the name.
 std::string asset_name(const BoxTrack& box) {
     std::string name = box.category == kDiscoveredCategory ? box.id : box.category + "-" + box.id;
     for (char& c : name) {
@@ -38,8 +39,8 @@ std::string asset_name(const BoxTrack& box) {
     return name.front() == '.' ? "-" + name : name;
 }
 
-/// Returns true if a surfel can be visible. It must be opaque enough to be blended and
-/// lie inside the box of its model.
+/// Returns true if a surfel can be visible. A visible surfel is opaque enough to be
+/// blended, and lies inside the box of its model.
 bool can_show(const Surfels& surfels, std::size_t i, const Model& model, const ImageModel& image) {
     const glm::vec3 outside = glm::abs(surfels.mean[i]) - model.half_size_m;
     const bool bounded = model.half_size_m.x > 0.0f;
@@ -47,8 +48,9 @@ bool can_show(const Surfels& surfels, std::size_t i, const Model& model, const I
     return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[i])) >= image.alpha_min;
 }
 
-/// Completes a symmetric object. Replaces surfels in unobserved places by the mirror
-/// image of the observed opposite side.
+/// Completes a symmetric object. If one side of a pair of mirrored patches was observed
+/// and the other was not, replaces the surfels of the unobserved side. The new surfels
+/// are the mirror image of the observed side.
 /// @return number of surfels that were added
 std::size_t complete(Surfels& surfels, const BoxSurface& surface) {
     std::vector<std::uint32_t> kept, copied;
@@ -63,8 +65,8 @@ std::size_t complete(Surfels& surfels, const BoxSurface& surface) {
     return copied.size();
 }
 
-/// Returns the frames of a log in which an actor is present. Removes the scans and all
-/// other actors.
+/// Returns the frames of a log in which an actor is present. The result has no scans and
+/// no other actors.
 Sequence frames_of(const Sequence& log, const BoxTrack& box) {
     Sequence sequence = without_frames(log);
     sequence.boxes = {box};
@@ -82,8 +84,8 @@ Sequence frames_of(const Sequence& log, const BoxTrack& box) {
     return sequence;
 }
 
-/// Returns the share of each side that has surfels: the observed share, and for vehicles
-/// the share that was completed from the other side.
+/// Returns the share of each side that has surfels. This is the observed share. For
+/// vehicles, the share that was completed by mirroring is added.
 SideShares known_sides(const BoxSurface& surface, ObjectKind kind) {
     SideShares shares{};
     for (std::size_t s = 0; s < kBoxSides; ++s)
@@ -104,8 +106,8 @@ BoxSurface seen_surface(const glm::dvec3& size_m, const ActorObservations& sight
 Surfels mirror_left_right(Surfels surfels) {
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         surfels.mean[i].y *= -1.0f;
-        // The mirrored quaternion (w, x, y, z) has a mirrored axis and the opposite
-        // direction of rotation.
+        // Mirrors the quaternion (w, x, y, z). A mirrored rotation has a mirrored axis
+        // and the opposite direction of rotation.
         glm::vec4& q = surfels.rotation[i];
         q = {q[0], -q[1], q[2], -q[3]};
         for (int channel = 0; channel < kShChannels; ++channel)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes which parts of its actors a log has observed. Renders the scans of the log
-// with the trained scene, so that objects in front of an actor hide it.
+// with the trained scene. Therefore an object in front of an actor hides the actor.
 #include <relidar/simulate/assets.hpp>
 
 #include <algorithm>
@@ -10,7 +10,7 @@
 namespace relidar {
 namespace {
 
-// sensor model that replaces a LiDAR whose rays differ in each scan
+// Sensor model that is used instead of a LiDAR whose rays differ in each scan.
 constexpr const char* kStandIn = "HDL-64E";
 
 std::vector<SensorChoice> sensors_of(const Run& run) {
@@ -24,8 +24,8 @@ std::vector<SensorChoice> sensors_of(const Run& run) {
     return sensors;
 }
 
-/// Returns the box of each instance; null for the background and for instances without a
-/// box.
+/// Returns the box of each instance. Returns null for the background and for instances
+/// without a box.
 std::vector<const BoxTrack*> boxes_of(const Run& run) {
     std::vector<const BoxTrack*> boxes;
     for (const Instance& instance : run.scene.instances)

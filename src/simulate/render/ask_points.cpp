@@ -96,8 +96,8 @@ RenderedPoints ScanRenderer::Impl::collect(PendingPoints& scan, Points memory) {
 /// Waits until all requested scans are finished. Stores their points until they are
 /// collected.
 void ScanRenderer::Impl::finish_pending() {
-    // If a request failed after recording had begun, its scan is not pending. Therefore
-    // this also waits for the device.
+    // If a request fails while its commands are recorded, its scan is not in the list of
+    // pending scans. Therefore also submits the batch and waits for the device.
     if (lanes->has_batch()) {
         lanes->submit_batch();
         scene.renderer().stream().finish();
@@ -139,9 +139,10 @@ ScanRenderer::~ScanRenderer() {
     if (std::ranges::none_of(impl_->pending, in_flight)) return;
     try {
         impl_->lanes->submit_batch();
-        // the device may still write to memory that this object frees
+        // Waits for the device, because it may still write to memory that this object
+        // frees.
         impl_->scene.renderer().stream().finish();
-    } catch (const DeviceError&) {  // a lost device no longer writes
+    } catch (const DeviceError&) {  // nothing to do, because a lost device no longer writes to memory
     }
 }
 

@@ -45,7 +45,7 @@ glm::dvec3 surface_velocity(const InstancePose& placed, double after_s, const gl
 
 /// Returns the rate of change of each ray's range:
 ///   direction * (velocity of the surface - velocity of the ray's origin)
-/// The rotation of the LiDAR's head is not a motion of the sensor.
+/// The rotation of the LiDAR's head does not count as a motion of the sensor.
 ChannelValues velocities(const RenderedScan& scan, const ScanContext& context) {
     constexpr double kStep_s = 0.005;
     std::vector<float> velocity(scan.median_range_m.size(), 0.0f);
@@ -77,16 +77,16 @@ ChannelValues seen(const RenderedScan& scan, const ScanContext& context) {
     return seen_shares(scan, rays, log);
 }
 
-// Returns "surface" for all rays. If there is weather, add_weather() later overwrites the
-// values with the cause of each return.
+// Returns "surface" as the cause of each return. If the scan has weather, add_weather()
+// later overwrites these values.
 ChannelValues surfaces(const RenderedScan& scan, const ScanContext&) {
     return std::vector<std::int32_t>(scan.median_range_m.size(), std::int32_t(PointSource::surface));
 }
 
 ChannelValues surfel_drop_prob(const RenderedScan& scan, const ScanContext&) { return scan.image.drop_prob; }
 
-/// Describes how an optional channel is computed. Exactly one of the three functions is
-/// set.
+/// Describes how an optional channel is computed. A row sets exactly one of the three
+/// functions.
 struct Maker {
     std::string_view name;
     ChannelValues (*of_rendering)(const Rendering&, const RenderedScan&);
@@ -102,7 +102,8 @@ constexpr Maker kMakers[] = {
 
 Maker maker_of(const ChannelInfo& channel) {
     const auto* maker = std::ranges::find(kMakers, channel.name, &Maker::name);
-    // tests/simulate/render/channels_test.cpp checks that each channel has a row.
+    // A test (tests/simulate/render/channels_test.cpp) checks that each channel has a row
+    // in the table.
     return maker == std::end(kMakers) ? Maker{} : *maker;
 }
 

@@ -16,7 +16,7 @@ namespace relidar {
 
 struct Rendering;
 
-/// Data that channels of a scan are computed from.
+/// Data from which the channels of a scan are computed.
 struct ScanContext {
     SeenByLog log;
     /// Poses of the scanning LiDAR in relidar's world frame
@@ -25,21 +25,22 @@ struct ScanContext {
     std::vector<InstancePose> placed;
 };
 
-/// If the blending weight of a ray is smaller than this, the ray counts as having hit
+/// Minimum blending weight of a ray. A ray with a smaller weight counts as having hit
 /// nothing.
 inline constexpr float kMinWeight = 1e-3f;
-/// Name of a channel that ray-drop networks also read.
+/// Name of the channel "incidence". Ray-drop networks also read this channel.
 inline constexpr const char* kIncidence = "incidence";
 
 /// Returns true if any of the channels needs the full rendering result of the rays.
 bool needs_rendering(const std::vector<ChannelInfo>& wanted);
 /// Adds the optional channels that are computed for each traced ray.
-/// @param scan scan of these rays; image, poses and times are set
-/// @param rendering empty unless needs_rendering()
+/// @param scan scan of these rays; its image, poses and times must be set
+/// @param rendering full rendering result; may be empty if needs_rendering() returns
+/// false
 void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured,
                       const Rendering& rendering, const std::vector<ChannelInfo>& wanted);
 /// Adds the optional channels that are computed after sub-rays were joined to beams. Call
-/// it before a network or a random sample changes the drop probabilities. Leaves out
+/// it before a network or random sampling changes the drop probabilities. Leaves out
 /// channels without values.
 void add_scan_channels(RenderedScan& scan, const ScanContext& context,
                        const std::vector<ChannelInfo>& wanted);

@@ -29,7 +29,8 @@ void for_each_basic_pair(const RenderedScan& from, RenderedScan& to, Visit&& vis
 
 /// Calls visit(info, values of `from`, values of `to`) for the basic and the optional
 /// channels of two scans.
-/// @param to has the channels of `from` in the same order, see emptied()
+/// @param to must have the channels of `from` in the same order; emptied() creates such a
+/// scan
 template <class Visit>
 void for_each_pair(const RenderedScan& from, RenderedScan& to, Visit&& visit) {
     for_each_basic_pair(from, to, visit);

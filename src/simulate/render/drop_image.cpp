@@ -13,8 +13,7 @@
 namespace relidar {
 namespace {
 
-// Limits the probabilities of a drop and of a return, so that the logits are between -9.2
-// and 9.2.
+// Minimum probability of a drop and of a return. It limits the logits to -9.2 ... 9.2.
 constexpr float kLeastProbability = 1e-4f;
 
 float logit(float probability) {

@@ -13,7 +13,8 @@
 namespace relidar {
 namespace {
 
-// Smallest weight of a sub-ray. The range of a sub-ray with intensity 0 still counts.
+// Smallest weight of a sub-ray. It keeps the range of a sub-ray with intensity 0 in the
+// mean.
 constexpr float kDarkest = 1e-3f;
 
 /// Returns two unit vectors that are perpendicular to a direction and to each other.
@@ -30,8 +31,8 @@ struct Group {
 };
 
 /// Returns true if the hits of sub-rays lie on one plane. On a plane, 1 / range is linear
-/// in the offsets of the sub-rays. A plane is one return even if its ranges differ much
-/// at a grazing angle. With fewer than five sub-rays the test is not significant.
+/// in the offsets of the sub-rays. A plane counts as one return even if its ranges differ
+/// much at a grazing angle. Fewer than five sub-rays are too few for this test.
 bool on_one_plane(const std::vector<std::size_t>& parts, const std::vector<float>& range_m, std::size_t first,
                   const std::vector<glm::dvec2>& offsets, double tolerance_m) {
     if (parts.size() < 5) return false;
@@ -111,8 +112,8 @@ float mean_of_all(const std::vector<float>& values, std::size_t first, int n) {
     return sum / static_cast<float>(n);
 }
 
-/// Smallest intensity of a second return, relative to the strongest return. Receivers can
-/// separate echoes down to about a tenth of the main echo.
+/// Smallest intensity of a second return, relative to the strongest return. Real
+/// receivers can separate echoes down to about a tenth of the main echo.
 constexpr double kSecondReturnShare = 0.1;
 
 /// Returns the group of sub-rays that forms the second return, or null if there is no
@@ -161,7 +162,7 @@ public:
                                                                                 static_cast<float>(n));
                           }
                           // Sub-rays are ordered from the centre outwards. Therefore the
-                          // smallest index belongs to the sub-ray nearest to the centre.
+                          // sub-ray with the smallest index is nearest to the centre.
                           of_rays.push_back(of_parts[std::ranges::min(strongest.parts)]);
                       });
         if (scan_.second_returns.empty()) return;

@@ -10,38 +10,38 @@ namespace relidar {
 
 /// Returns n sub-rays for each ray, in the order of footprint_pattern(). A sub-ray keeps
 /// the origin, time and channel of its ray.
-/// @param n 1, 5 or 9; any other number gives a spiral, whose first sub-ray is next to
-/// the centre
-/// @param divergence_rad full divergence of all rays; 0 selects the divergence of each
-/// ray
+/// @param n 1, 5 or 9; any other number gives a spiral that starts next to the centre
+/// @param divergence_rad full divergence of all rays; if 0, the divergence of each ray is
+/// used
 RayTable split_rays(const RayTable& rays, int n, double divergence_rad);
 
 /// Joins the returns of sub-rays to the returns of the beams. First groups sub-rays by
 /// range. Neighbours are in the same group if their ranges differ by less than
 /// config.return_separation_m, or if they lie on the same plane. Each group forms one
-/// return. Its range is the mean range, weighted by intensity. Its intensity is the sum
-/// of intensities divided by the number of sub-rays.
+/// return. The range of the return is the mean range of the group, weighted by intensity.
+/// The intensity of the return is the sum of intensities divided by the number of all
+/// sub-rays.
 ///
 /// The strongest group is the return of the beam. If config.returns is 2, the last group
 /// is the second return. If the last group is the strongest, the second strongest group
-/// is the second return. A second return must have at least a tenth of the strongest
-/// group's intensity. The drop probability is the mean over the sub-rays, because the
-/// returned light is the sum over the footprint. Weight, normal and instance are copied
-/// from the sub-ray of the strongest group that is nearest to the centre.
+/// is the second return instead. A second return must have at least a tenth of the
+/// strongest group's intensity. The drop probability is the mean over the sub-rays,
+/// because the returned light is the sum over the footprint. Weight, normal and instance
+/// are copied from one sub-ray of the strongest group: the sub-ray nearest to the centre.
 /// @param parts scan of split_rays(rays, config.sub_rays, ...)
 RenderedScan join_footprints(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config);
 
-/// Number of sub-rays of a beam that hits several surfaces. Only one or none of nine
-/// sub-rays hits a surface with a tenth of the light. At a straight edge, a single outer
-/// sub-ray of nine reports a surface that covers only 2.6 % of the footprint. Therefore
-/// such beams use more sub-rays.
+/// Number of sub-rays of a beam that hits several surfaces. Nine sub-rays are too few: a
+/// surface with a tenth of the light is hit by only one sub-ray or none. At a straight
+/// edge, one outer sub-ray of nine reports a surface that covers only 2.6 % of the
+/// footprint.
 inline constexpr int kEdgeParts = 40;
 
-/// Returns the indices of the beams that hit several surfaces, so that their sub-rays
-/// form more than one return.
+/// Returns the indices of the beams that hit several surfaces. The sub-rays of such a
+/// beam form more than one return.
 std::vector<std::size_t> find_edges(const RenderedScan& parts, const RayTable& rays,
                                     const SensorConfig& config);
-/// Replaces some rays of a scan by the rays of a better scan.
+/// Replaces some rays of a scan by the rays of another scan with better values.
 /// @param places [rays of `better`] indices of the replaced rays
 void replace_rays(RenderedScan& scan, const std::vector<std::size_t>& places, const RenderedScan& better);
 

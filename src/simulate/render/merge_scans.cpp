@@ -18,9 +18,9 @@ void append(std::vector<T>& to, const std::vector<T>& from) {
     to.insert(to.end(), from.begin(), from.end());
 }
 
-/// Adds the channels of a scan to the merged scan. Rays that were merged before have no
-/// value in new channels.
-/// @throws UsageError if a channel has two types
+/// Adds the channels of a scan to the merged scan. In a new channel, the rays that were
+/// merged earlier get no value.
+/// @throws UsageError if a channel has a different type in two scans
 void add_channels(RenderedScan& merged, const RenderedScan& scan) {
     for (const ScanChannel& channel : without_values(scan.channels)) {
         const auto known =
@@ -51,7 +51,7 @@ void append_second(ScanChannel& merged, const ScanChannel& own, std::size_t firs
     std::visit(add, own.second);
 }
 
-/// Returns a scan that has the poses of the rig but the firing times of another scan.
+/// Returns a scan with the poses of the rig and the firing times of another scan.
 RenderedScan rig_firing(const RenderedScan& merged, const RenderedScan& scan) {
     RenderedScan rig;
     rig.image.rows = scan.image.rows;
@@ -64,8 +64,8 @@ RenderedScan rig_firing(const RenderedScan& merged, const RenderedScan& scan) {
 }
 
 /// Computes the pose of a sensor in the rig's frame at the firing time of a ray.
-/// Interpolates the poses of sensor and rig separately at this time. A fixed mounting
-/// pose would be slightly wrong, because the interpolated positions of sensor and rig
+/// Interpolates the pose of the sensor and the pose of the rig separately. A fixed
+/// mounting pose would be slightly wrong: the interpolated positions of sensor and rig
 /// move along different straight lines.
 class RigPoses {
 public:
@@ -89,7 +89,8 @@ private:
 void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& poses, std::size_t first_ray) {
     const std::size_t n = scan.image.range_m.size();
     for (ScanChannel& channel : merged.channels) {
-        // clang 14 cannot capture structured bindings, so this copies the reference
+        // Copies the reference, because clang 14 cannot capture structured bindings in a
+        // lambda.
         const ChannelInfo& info = channel.info;
         const auto add = [&]<class T>(std::vector<T>& all) {
             const std::vector<T>* own = find_values<T>(scan.channels, info.name);
@@ -104,8 +105,8 @@ void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& p
     }
 }
 
-/// Fills the second returns of rays that have none. Ranges and intensities are 0, and
-/// channels have no value.
+/// Adds empty second returns for rays without a second return. Their ranges and
+/// intensities are 0, and their channels have no value.
 void fill_second_returns(RenderedScan& merged) {
     const std::size_t n = merged.image.range_m.size();
     for (SecondReturn& second : merged.second_returns) second.range_m.resize(n), second.intensity.resize(n);
@@ -115,9 +116,9 @@ void fill_second_returns(RenderedScan& merged) {
                        channel.second);
 }
 
-/// Appends the rays of a scan to the merged scan. Transforms each ray into the frame of
-/// the rig at its firing time.
-/// @param first_ring ring number in the merged scan of the scan's ring 0
+/// Appends the rays of a scan to the merged scan. Each ray is transformed into the frame
+/// of the rig at the firing time of the ray.
+/// @param first_ring number in the merged scan that ring 0 of this scan gets
 void append_rays(RenderedScan& merged, const RenderedScan& scan, RigPoses& poses, std::size_t first_ring) {
     for (std::size_t i = 0; i < scan.image.origin.size(); ++i) {
         merged.time_offset_s.push_back(scan.time_offset_s[i]);

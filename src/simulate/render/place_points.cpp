@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes the points of a scan on the host. src/CMakeLists.txt compiles this file
-// without fused multiply-add, so that positions are bitwise equal to the positions that
+// without fused multiply-add. The positions are then bitwise equal to the positions that
 // the device computes.
 #include <relidar/simulate/place_points.hpp>
 
@@ -16,7 +16,7 @@ namespace {
 
 constexpr std::size_t kPointsTogether = 4096;
 
-/// A return that becomes a point. @see Points::return_number
+/// A return that becomes a point. See Points::return_number.
 struct Return {
     std::size_t ray;
     std::uint8_t number;
@@ -35,8 +35,8 @@ std::vector<Return> find_returns(const RenderedScan& scan, const std::vector<flo
     return returns;
 }
 
-/// Returns the poses of the sensor during a scan, in the frame of the points. Returns no
-/// poses if the points stay in the sensor's frame.
+/// Returns the poses of the sensor during a scan, in the frame of the points. If the
+/// points are in the sensor's frame, returns no poses.
 std::vector<shared::SensorPose> poses_of(const RenderedScan& scan,
                                          const std::optional<Pose>& dataset_from_points) {
     if (!dataset_from_points || scan.time_offset_s.empty()) return {};
@@ -47,7 +47,7 @@ std::vector<shared::SensorPose> poses_of(const RenderedScan& scan,
                                double(last_s));
 }
 
-/// Returns the last pose before a time, like the function in
+/// Returns the last pose before a time. Works like the function in
 /// shaders/simulate/render/sensor_way.glsl.
 const shared::SensorPose& pose_before(const std::vector<shared::SensorPose>& poses, float time_offset_s) {
     std::size_t k = 0;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs the kernels simulate/render/mark_returns and simulate/render/gather_points, which
-// select the returned rays and compute their points.
+// Runs two kernels: simulate/render/mark_returns selects the returned rays, and
+// simulate/render/gather_points computes their points.
 #include "simulate/render/points_on_device.hpp"
 
 #include <relidar/log/range_image.hpp>

@@ -18,18 +18,19 @@ namespace relidar {
 
 class SensorRays;
 
-/// Number of sampled rays that estimate the share of rays through unobserved space
-/// (RenderedScan::unseen_share). The error is one or two percent.
+/// Number of rays that are sampled to estimate RenderedScan::unseen_share. This is the
+/// share of rays through space that the log did not observe. The error of the estimate is
+/// one or two percent.
 inline constexpr std::size_t kAskedRays = 1024;
 
 /// Options for computing the points of a scan.
 struct PointMaking {
-    /// Poses of the sensor in the frame of the points. A single pose if the sensor does
-    /// not move.
+    /// Poses of the sensor in the frame of the points. It has a single pose if the sensor
+    /// does not move.
     const PoseTrack& points_from_sensor;
     double time_s;  ///< time of the sweep
-    bool of_image;  ///< true: points use the range of the image; false: points use the median range
-    bool refined;   ///< true: uses the drop probabilities of the ray-drop network
+    bool of_image;  ///< true if points use the range of the image; false if they use the median range
+    bool refined;   ///< true if the drop probabilities of the ray-drop network are used
 };
 
 class PointsOnDevice {
@@ -48,21 +49,23 @@ public:
     /// Records GPU commands that compute the points of a measured scan and copy them to
     /// the host.
     /// @param n_capped see ForwardPass::pass_cap_count()
-    /// @return slot that receives the points; it is reused when no other owner holds it
+    /// @return host buffers that receive the points; they are reused when the caller
+    /// releases them
     std::shared_ptr<Slot> record(Stream& stream, const SensorRays& rays, const PointMaking& how,
                                  const Array<std::uint32_t>& n_capped);
 
     struct Gathered {
         std::span<const shared::ReturnedPoint> points;
-        /// surface ranges of the sampled rays, whose indices requested_ray() returns
+        /// surface ranges of the sampled rays; requested_ray() returns the indices of
+        /// these rays
         std::span<const float> requested_m;
         std::uint32_t n_capped;
     };
-    /// Waits until the points of a slot are on the host.
-    /// @return valid until the slot is reused
+    /// Waits until the points in these host buffers are complete.
+    /// @return valid until the buffers are reused
     static Gathered wait(Stream& stream, Slot& slot);
-    /// Returns the index of sampled ray k. The surface range of a sampled ray is copied
-    /// to the host even if the ray does not return.
+    /// Returns the index of the k-th sampled ray. The surface range of a sampled ray is
+    /// always copied to the host, even if the ray does not return.
     /// @param k index below n_requested()
     static std::size_t requested_ray(std::size_t k, std::size_t n_rays) {
         return k * n_rays / n_requested(n_rays);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Renders a scan: computes the sweep of the sensor, traces its rays, joins sub-rays,
-// corrects the ray-drop, and adds noise and weather. ScanRenderer::Impl::render() is
-// the chain.
+// corrects the ray-drop, and adds noise and weather. ScanRenderer::Impl::render() runs
+// these steps.
 #include <relidar/simulate/render.hpp>
 
 #include <algorithm>
@@ -63,8 +63,8 @@ void fill_scan(RenderedScan& scan, std::span<const shared::MeasuredRay> measured
     }
 }
 
-/// Drops beams whose range is outside the sensor's limits. The range of a beam can be
-/// outside although some of its sub-rays are inside.
+/// Drops beams whose range is outside the sensor's limits. The range of a beam is a mean
+/// over sub-rays, so it can be outside although some sub-rays are inside.
 void drop_beyond(RenderedScan& scan, const RangeLimits& limits) {
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i]))
@@ -89,8 +89,8 @@ WeatherSensor weather_sensor(const Config& config, const RayTable& rays, const R
     if (config.sensor.divergence_mrad > 0.0) result.divergence_rad = 1e-3 * config.sensor.divergence_mrad;
     else if (divergence_rad > 0.0) result.divergence_rad = divergence_rad;
     if (step > 0.0) result.darkest = 0.5 * step;
-    // An intensity that the sensor reports as 0 lies between 0 and half a step. This is
-    // the middle of the interval.
+    // Uses the middle of the interval from 0 to half an intensity step. The sensor
+    // reports every intensity in this interval as 0.
     result.weakest_reflectivity = 0.5 * result.darkest;
     result.separation_m = config.sensor.return_separation_m;
     result.min_range_m = limits.min_m, result.max_range_m = limits.max_m;
@@ -147,19 +147,19 @@ SeenByLog ScanRenderer::Impl::seen_by_log(const SensorChoice& sensor) const {
             std::min(sensor.limits.max_m, double(config.dataset.max_range_m))};
 }
 
-/// Loads the scene around the sensor, and moves the instances to their poses.
+/// Loads the part of the scene around the sensor, and moves the instances to their poses.
 void ScanRenderer::Impl::load_scene(const RenderLane& lane, const Sweep& sweep) {
-    // Waits for pending scans, because loading blocks can replace the renderer that they
-    // use.
+    // Waits for pending scans, because loading blocks can replace the renderer that these
+    // scans use.
     if (!sweeps.layout().blocks.empty()) finish_pending();
     const glm::vec3 sensor_m(sweep.pose.translation);
     scene.bring(sensor_m, sweeps.limits_of(sweep.sensor).max_m);
     lanes->renderer(lane).move(sweep.instances, sensor_m);
 }
 
-/// Records GPU commands that trace rays and compute the measurements. load_scene() must
-/// run before.
-/// @param corrects_drops true to run the ray-drop network too
+/// Records GPU commands that trace rays and compute the measurements. Call load_scene()
+/// before.
+/// @param corrects_drops true to run the ray-drop network as well
 std::shared_ptr<SensorRays> ScanRenderer::Impl::record(RenderLane& lane, const Sweep& sweep,
                                                        const RayTable& rays, bool corrects_drops) {
     const SensorChoice& sensor = sweep.sensor;
@@ -179,7 +179,7 @@ std::shared_ptr<SensorRays> ScanRenderer::Impl::record(RenderLane& lane, const S
 }
 
 /// Traces rays and waits for the result.
-/// @param corrects_drops true to compute the drop probabilities of the network too
+/// @param corrects_drops true to compute the drop probabilities of the network as well
 ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace(const Sweep& sweep, const RayTable& table,
                                                          bool corrects_drops) {
     Renderer& renderer = scene.renderer();
@@ -196,7 +196,8 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace(const Sweep& sweep, con
     scan.track = shifted_track(sweep.world_from_sensor, offset_m);
     scan.world_from_sensor = {sweep.pose.rotation, sweep.pose.translation + offset_m};
     scan.time_s = sweep.time_s;
-    // The host computes the inputs of a network from these channels.
+    // Adds the incidence channel if there is a network, because the host computes an
+    // input of the network from it.
     std::vector<ChannelInfo> channels = settings.channels;
     if (lanes->network() && !has_channel(kIncidence)) channels.push_back(parse_channels(kIncidence).front());
     add_ray_channels(scan, measured, needs_rendering(channels) ? renderer.download_rendering() : Rendering{},
@@ -204,8 +205,8 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace(const Sweep& sweep, con
     return {std::move(scan), corrects_drops ? rays->refined(renderer.stream()) : std::span<const float>{}};
 }
 
-/// Traces several sub-rays for each beam and joins them to one return. Traces beams that
-/// hit several surfaces again with more sub-rays.
+/// Traces several sub-rays for each beam and joins them to one return. If a beam hits
+/// several surfaces, traces it again with more sub-rays.
 RenderedScan ScanRenderer::Impl::trace_beams(const Sweep& sweep, SensorConfig beams) {
     const RayTable& rays = sweep.rays();
     const auto split = [&](const RayTable& some) {
@@ -230,7 +231,7 @@ void ScanRenderer::Impl::correct_drops(RenderedScan& scan) {
         lanes->refiner(lanes->first()).refine(drop_image(scan, lanes->network()->inputs, first_origin_m)));
 }
 
-/// Converts expected values to measured values. Samples the returns, adds weather, and
+/// Converts expected values to measured values: draws random returns, adds weather, and
 /// rounds intensities to the steps of the sensor.
 void ScanRenderer::Impl::measure(RenderedScan& scan, const Sweep& sweep,
                                  std::optional<std::uint64_t> sample) {
@@ -259,7 +260,7 @@ void ScanRenderer::Impl::measure(RenderedScan& scan, const Sweep& sweep,
         for (float& intensity : echo.intensity) intensity = scatter.quantised(intensity);
 }
 
-/// Renders the scan of a sweep: the chain of all steps.
+/// Renders the scan of a sweep by running all steps.
 RenderedScan ScanRenderer::Impl::render(const Sweep& sweep, std::optional<std::uint64_t> sample) {
     using Network = ScanPlan::Network;
     const SensorChoice& sensor = sweep.sensor;
@@ -294,7 +295,8 @@ ScanRenderer::ScanRenderer(Device& device, const Run& run)
 void ScanRenderer::show_only(const std::vector<bool>& shown) { impl_->sweeps.show_only(shown); }
 
 void ScanRenderer::refine_drops(const DropNetwork& network) {
-    drop_channels(network.inputs);  // throws an error if the network has inputs that cannot be rendered
+    // called only to throw an error if the network has inputs that cannot be rendered
+    drop_channels(network.inputs);
     impl_->finish_pending();
     impl_->lanes->set_network(network);
 }

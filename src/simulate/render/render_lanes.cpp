@@ -19,7 +19,7 @@ RenderLane& RenderLanes::next() {
         while (1 + std::ssize(others_) < most_) {
             try {
                 others_.emplace_back(device_).copy = scene_.copy();
-                // device memory is exhausted, so fewer copies of the scene are used
+                // Uses fewer copies of the scene, because device memory is exhausted.
             } catch (const DeviceError&) {
                 others_.pop_back();
                 most_ = 1 + int(others_.size());
@@ -60,7 +60,8 @@ void RenderLanes::set_most(int n) {
 std::shared_ptr<SensorRays> RenderLane::upload(Device& device, const SensorChoice& sensor,
                                                const RayTable& table,
                                                const std::function<float(std::size_t)>& never_seen) {
-    constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;  // 0.2 GB of device memory
+    // limits for rays that stay on the device; they need 0.2 GB
+    constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;
     const std::string name = fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_own);
     const auto known =
         std::ranges::find_if(known_rays, [&](const auto& rays) { return rays->has(table, name); });
@@ -68,11 +69,13 @@ std::shared_ptr<SensorRays> RenderLane::upload(Device& device, const SensorChoic
         std::rotate(known_rays.begin(), known, known + 1);
         return known_rays.front();
     }
-    // The rays of a pending scan must not be replaced.
+    // Tests whether an entry can be replaced. The rays of a pending scan must not be
+    // replaced.
     const auto is_free = [&](const std::shared_ptr<SensorRays>& rays) {
         return rays.use_count() == 1 && (rays->table().size() == 0 || rays->sensor() == name);
     };
-    // Reuses the entry of the same sensor if the sensor has different rays in every scan.
+    // Reuses the existing entry of a sensor. This happens if the sensor has different
+    // rays in every scan.
     auto place = std::ranges::find_if(known_rays, is_free);
     if (place == known_rays.end()) place = known_rays.insert(place, std::make_shared<SensorRays>(device));
     std::rotate(known_rays.begin(), place, place + 1);

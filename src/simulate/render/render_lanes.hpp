@@ -21,31 +21,32 @@ namespace relidar {
 
 class ResidentScene;
 
-/// Resources that one scan uses exclusively while it is being rendered. Each of the scans
-/// that are rendered in parallel has a lane.
+/// Resources that one scan uses exclusively while it is being rendered. If several scans
+/// are rendered in parallel, each scan has a separate lane.
 struct RenderLane {
-    /// copy of the scene on the device; null if the scene itself is used
+    /// copy of the scene on the device; null if this lane uses the original scene
     std::unique_ptr<Renderer> copy = {};
-    /// Rays of recently used sensors on the device. The most recently used sensor is
-    /// first.
+    /// Rays of recently used sensors on the device, sorted from the most to the least
+    /// recently used sensor.
     std::vector<std::shared_ptr<SensorRays>> known_rays;
     PointsOnDevice points;
     std::optional<DropRefiner> refiner = {};
 
     explicit RenderLane(Device& device) : known_rays{std::make_shared<SensorRays>(device)}, points(device) {}
-    /// Returns the rays of a sensor as arrays on the device. Keeps the rays of the most
-    /// recently used sensors there.
+    /// Returns the rays of a sensor as arrays on the device. Keeps these rays on the
+    /// device for the next scans of the same sensor.
     /// @param never_seen see SensorRays::take()
     std::shared_ptr<SensorRays> upload(Device& device, const SensorChoice& sensor, const RayTable& table,
                                        const std::function<float(std::size_t)>& never_seen);
 };
 
-/// The lanes of a scene. Records the GPU commands of a scan in one of them.
+/// All lanes of a scene. A lane is a set of resources for one scan at a time. The GPU
+/// commands of a scan are recorded in one lane.
 class RenderLanes {
 public:
     RenderLanes(Device& device, ResidentScene& scene);
 
-    /// Lane of a scan that the device renders alone.
+    /// Returns the lane for a scan that the device renders alone.
     RenderLane& first() { return first_; }
     /// Returns the lane for the next scan of a batch. Begins a batch if none is open.
     /// Creates the lanes at the first call.
@@ -55,11 +56,13 @@ public:
     void submit_batch();
     Renderer& renderer(const RenderLane& lane);
 
-    /// Sets the network that corrects the ray-drop. An empty network switches it off.
+    /// Sets the network that corrects the ray-drop. An empty network turns this
+    /// correction off.
     void set_network(const DropNetwork& network);
-    /// Returns the network, or null without one.
+    /// Returns the network that corrects the ray-drop, or null if there is none.
     const DropNetwork* network() const { return first_.refiner ? &first_.refiner->network() : nullptr; }
-    /// Returns the refiner of a lane. Creates it if the lane has none.
+    /// Returns the object that runs the ray-drop network in a lane. Creates the object at
+    /// the first call.
     DropRefiner& refiner(RenderLane& lane);
     int most() const { return most_; }
     void set_most(int n);
@@ -70,8 +73,9 @@ private:
     RenderLane first_;
     std::deque<RenderLane> others_ = {};  ///< lanes for further parallel scans
     int most_;
-    std::optional<StreamLanes> batch_ = {};  ///< commands of scans that were recorded but not submitted
-    std::size_t n_batch_ = 0;                ///< number of scans in the batch
+    /// GPU commands of scans that were recorded but not submitted yet
+    std::optional<StreamLanes> batch_ = {};
+    std::size_t n_batch_ = 0;  ///< number of scans in the batch
 };
 
 }  // namespace relidar

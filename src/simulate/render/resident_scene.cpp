@@ -29,7 +29,8 @@ ResidentScene::ResidentScene(Device& device, const Scene& scene, const Config& c
 
 void ResidentScene::load(const std::vector<std::size_t>& blocks) {
     if (renderer_) past_.add(renderer_->stream().times());
-    renderer_.reset();  // frees the memory of the old renderer before the new renderer allocates memory
+    // frees the memory of the old renderer before the new renderer allocates its memory
+    renderer_.reset();
     loaded_.clear();
     Scene scene = read_blocks(scene_, blocks);
     if (has_model_copy_) scene = copy_shared_models(std::move(scene));
@@ -40,8 +41,8 @@ void ResidentScene::load(const std::vector<std::size_t>& blocks) {
     loaded_ = blocks;
 }
 
-/// Returns the blocks that a scan needs, together with loaded blocks that still fit into
-/// memory. Prefers the most recently needed blocks.
+/// Returns the blocks that a scan needs, plus loaded blocks for which memory is left.
+/// Prefers the most recently needed blocks.
 std::vector<std::size_t> ResidentScene::add_kept_blocks(std::vector<std::size_t> blocks) const {
     double bytes = 0.0;
     for (const std::size_t i : blocks) bytes += scene_.blocks[i].count * bytes_per_surfel_;

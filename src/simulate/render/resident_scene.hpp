@@ -17,9 +17,9 @@
 
 namespace relidar {
 
-/// Loads the blocks of a scene that a scan needs, before the scan is rendered. Other
-/// blocks stay loaded while they fit into config.render.memory_mib. The least recently
-/// needed blocks are removed first. A scene without blocks is loaded in the constructor.
+/// Loads the blocks that a scan needs before the scan is rendered. Other blocks stay
+/// loaded while they fit into config.render.memory_mib. The least recently needed blocks
+/// are removed first. A scene without blocks is loaded in the constructor.
 class ResidentScene {
 public:
     ResidentScene(Device& device, const Scene& scene, const Config& config, const RendererOptions& options);
@@ -29,7 +29,7 @@ public:
     /// @param reach_m maximum range of its rays
     /// @throws DataError as read_blocks()
     void bring(const glm::vec3& sensor_m, double reach_m);
-    /// Returns the renderer of the loaded scene. Call bring() before, which loads the
+    /// Returns the renderer of the loaded scene. Call bring() first, because it loads the
     /// scene.
     Renderer& renderer() { return *renderer_; }
     /// Copies a scene without blocks on the device, so that several scans can be rendered
@@ -49,15 +49,15 @@ private:
     const RendererOptions options_;
     const double memory_bytes_;
     const bool has_model_copy_;
-    Scene scene_;  ///< blocks, and the parts that are always in memory; empty if the scene has no blocks
+    Scene scene_;  ///< blocks, and the parts that always stay in memory; empty if the scene has no blocks
     std::optional<Renderer> renderer_;
     std::vector<std::size_t> loaded_;  ///< blocks on the device, in ascending order
-    /// [blocks] number of the last scan that needed the block, or 0 if no scan did
+    /// [blocks] number of the last scan that needed the block, or 0 if no scan needed it
     std::vector<std::uint64_t> last_needed_;
     std::uint64_t scans_ = 0;
     double bytes_per_surfel_ = 0.0;  ///< measured when blocks were loaded last
-    /// past_ has the times of replaced renderers. times_ also has the times of the
-    /// current renderer.
+    /// past_ holds the kernel times of renderers that were replaced. times_ is the sum of
+    /// these and the times of the current renderer.
     KernelTimes past_, times_;
 };
 

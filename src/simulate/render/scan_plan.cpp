@@ -10,8 +10,8 @@
 namespace relidar {
 namespace {
 
-/// Name of the image of a network that corrects the rays of the sensor, not the cells of
-/// a grid.
+/// Name of the image of a network that corrects the rays of the sensor. Other names mean
+/// that the network corrects the cells of a grid.
 constexpr const char* kNative = "native";
 
 SensorConfig beams_of(const SensorChoice& sensor, const Config& config) {
@@ -45,7 +45,8 @@ void check_beams(const RayTable& rays, const SensorConfig& beams, const SensorCh
                         beams.sub_rays, rays.size(), kMaxRays));
 }
 
-/// Returns true if a network corrects images with this name, rows and columns.
+/// Returns true if a network can correct images with this name and this number of rows
+/// and columns.
 bool corrects(const DropNetwork* network, const std::string& image, int rows, int columns) {
     if (!network || network->image != image) return false;
     // A network with 1 x 1 convolutions processes each ray separately, so it needs no

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The only place that decides which steps of a scan run, and whether they run on the
-// device or on the host. Private to render.
+// Decides which steps of a scan run, and whether they run on the device or on the host.
+// No other code makes this decision. Private to render.
 #pragma once
 
 #include <vector>
@@ -9,7 +9,8 @@
 
 namespace relidar {
 
-/// Settings of all scans of a renderer, in addition to those of its configuration.
+/// Settings that apply to all scans of a renderer. They are not part of the
+/// configuration.
 struct ScanSettings {
     std::vector<ChannelInfo> channels;
     Coverage coverage = {};
@@ -19,26 +20,28 @@ struct ScanSettings {
 
 /// Steps of a scan. Rays are always traced and measured on the device.
 struct ScanPlan {
-    /// Numbers of sub-rays and returns. The host joins the sub-rays of a beam.
+    /// Number of sub-rays and number of returns of each beam. The host joins the sub-rays
+    /// of a beam.
     SensorConfig beams;
-    /// Where the ray-drop network runs: on the rays of the device, on the joined beams,
-    /// or on the cells of the grid.
+    /// Input of the ray-drop network: the traced rays on the device, the joined beams, or
+    /// the cells of the grid.
     enum class Network { none, device, beams, cells } network = Network::none;
-    /// True if the device computes the points: the scan needs neither sub-rays, grid,
-    /// channels, weather nor sample. Otherwise place_points() computes equal points.
+    /// True if the device computes the points. This is possible if the scan uses no
+    /// sub-rays, grid, channels, weather or random sampling. Otherwise place_points()
+    /// computes the same points on the host.
     bool points_on_device = false;
 
     bool splits_beams() const { return beams.sub_rays > 1; }
 };
 
-/// Plans the scan of a sensor.
-/// @param rays rays of the sensor before they are split
-/// @param network network that corrects the ray-drop; null: none
+/// Selects the steps for the scans of a sensor.
+/// @param rays rays of the sensor before they are split into sub-rays
+/// @param network network that corrects the ray-drop, or null
 /// @throws UsageError if the sensor cannot be rendered with these settings
 ScanPlan plan_scan(const SensorChoice& sensor, const RayTable& rays, const Config& config,
                    const ScanSettings& settings, const DropNetwork* network, bool is_sampled);
 
-/// Returns true if a network corrects the ray-drop of a sensor's scans.
+/// Returns true if a network corrects the ray-drop of this sensor.
 bool corrects_drops(const DropNetwork* network, const SensorChoice& sensor);
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The chain of steps that makes a scan: sweep, trace, join, network, measure, points.
-// Each step has an input and a result; ScanPlan decides which steps run. Private to
+// Declares the steps that make a scan: compute the sweep, trace rays, join sub-rays, run
+// the network, measure, compute points. ScanPlan decides which steps run. Private to
 // render.
 #pragma once
 
@@ -25,11 +25,12 @@ class RenderLanes;
 class SensorRays;
 struct RenderLane;
 
-/// Points of a requested scan that were not collected yet.
+/// Points of a requested scan that the caller has not collected yet.
 struct PendingPoints {
-    std::optional<RenderedPoints> ready = {};  ///< points, if the host computed them
+    std::optional<RenderedPoints> ready = {};  ///< the points, if the host computed them
     std::shared_ptr<SensorRays> rays = {};
-    PoseTrack dataset_from_sensor = {};  ///< a single pose if the sensor does not move
+    /// poses of the sensor; a single pose if the sensor does not move
+    PoseTrack dataset_from_sensor = {};
     Pose dataset_from_points = {};
     double time_s = 0.0;
     double max_range_m = 0.0;  ///< maximum range of the sensor
@@ -41,21 +42,21 @@ struct PendingPoints {
 struct ScanRenderer::Impl {
     Device& device;
     const Config config;
-    const glm::dvec3 first_origin_m;  ///< see first_origin()
+    const glm::dvec3 first_origin_m;  ///< origin of the first ray, see first_origin()
     ScanSettings settings;
     SweepMaker sweeps;
     ResidentScene scene;
     std::unique_ptr<RenderLanes> lanes;
-    std::deque<PendingPoints> pending = {};  ///< requested scans, the oldest first
+    std::deque<PendingPoints> pending = {};  ///< requested scans, sorted from the oldest to the newest
 
     Impl(Device& on, const Scene& all, const Config& settings_of_run, const Sequence& sequence);
-    /// A scan of traced rays, and the drop probabilities of the network if it ran on the
-    /// device. They are valid until the next scan is traced.
+    /// A scan of traced rays. Also holds the drop probabilities of the network if the
+    /// network ran on the device. Both are valid until the next scan is traced.
     struct TracedScan {
         RenderedScan scan;
         std::span<const float> drops;
     };
-    /// Plans the steps of a sweep.
+    /// Decides which steps run for a sweep.
     ScanPlan plan(const Sweep& sweep, bool is_sampled) const;
     void load_scene(const RenderLane& lane, const Sweep& sweep);
     std::shared_ptr<SensorRays> record(RenderLane& lane, const Sweep& sweep, const RayTable& rays,

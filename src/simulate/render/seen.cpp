@@ -9,7 +9,8 @@
 namespace relidar {
 namespace {
 
-// A ray counts as observed if the log observed at least this share of its path.
+// Minimum observed share of a ray's path. A ray with at least this share counts as
+// observed by the log.
 constexpr float kSeen = 0.5f;
 
 bool is_mostly_unseen(float share) { return share < kSeen; }
@@ -19,8 +20,8 @@ LookingRay looking_ray(const RenderedScan& scan, std::size_t i) {
             scan.median_range_m[i]};
 }
 
-/// Returns which share of a ray's path lies in space that the log observed. The path ends
-/// at the surface that the ray hits, or at the maximum range.
+/// Returns the share of a ray's path that lies in space observed by the log. The path
+/// ends at the surface that the ray hits, or at the maximum range.
 float seen_share(const LookingRay& ray, const SeenByLog& log) {
     Pose world_from_firing = ray.dataset_from_firing;
     world_from_firing.translation -= log.world_offset_m;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes which share of a simulated ray's path lies in space that the log observed.
-// Private to render.
+// Computes the observed share of a simulated ray: the share of its path in space that the
+// log observed. Private to render.
 #pragma once
 
 #include <functional>
@@ -24,20 +24,20 @@ struct LookingRay {
     glm::dvec3 origin_m, direction;  ///< in the sensor frame
     float met_m;                     ///< range of the surface that the ray hits; 0 if the ray hits nothing
 };
-/// Returns the share of rays that count as unobserved. The log observed less than half of
-/// the path of such a ray.
+/// Returns the share of rays that count as unobserved. A ray counts as unobserved if the
+/// log observed less than half of its path.
 /// @param ray_at returns the ray with an index below n
 double unseen_share(std::size_t n, const std::function<LookingRay(std::size_t)>& ray_at,
                     const SeenByLog& log);
 
-/// Returns for selected rays of a scan which share of the ray's path the log observed.
-/// The path ends at the surface that the ray hits, or at the maximum range.
+/// Returns the observed share of the path of each selected ray. The path ends at the
+/// surface that the ray hits, or at the maximum range.
 /// @return [rays] 0..1
 std::vector<float> seen_shares(const RenderedScan& scan, const std::vector<std::size_t>& rays,
                                const SeenByLog& log);
 
-/// Sets RenderedScan::unseen_share, the share of unobserved rays. Uses the channel "seen"
-/// if the scan has it. Otherwise uses a sample of kAskedRays rays. Leaves the share empty
+/// Sets RenderedScan::unseen_share to the share of unobserved rays. Uses the channel
+/// "seen" if the scan has it. Otherwise samples kAskedRays rays. Leaves the value empty
 /// if the log has no coverage.
 void set_unseen_share(RenderedScan& scan, const SeenByLog& log);
 

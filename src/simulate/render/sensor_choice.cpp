@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects the sensor to simulate. Also implements range grids as in published results.
-// Such a dataset bins real points into an image with linear elevation and azimuth. The
-// simulation bins the simulated points of the real beams in the same way.
+// Selects the sensor to simulate. Also implements range grids, because published results
+// use them. Such a dataset bins real points into an image with linear elevation and
+// azimuth. The simulation bins the simulated points of the real beams in the same way.
 #include <relidar/simulate/render.hpp>
 
 #include <algorithm>
@@ -20,7 +20,8 @@ namespace relidar {
 
 namespace {
 
-/// A simulated ray with a smaller blending weight has no point that can be binned.
+/// Minimum blending weight of a simulated ray. A ray with a smaller weight has no point
+/// that can be binned.
 constexpr float kLeastWeight = 0.05f;
 
 RangeLimits configured_limits(const Config& config, const Sequence& sequence) {
@@ -34,8 +35,9 @@ RayTable rays_of(const std::optional<SensorPattern>& pattern, const Make& make) 
     return pattern && describe_pattern(*pattern).has_rays_by_time ? RayTable{} : make();
 }
 
-/// Returns true if the LiDARs of the log have a rolling shutter, which means that rays
-/// have different firing times.
+/// Returns true if the rays of the simulated sensor fire at different times (a rolling
+/// shutter). This is the case if the setting requires it or if the LiDARs of the log do
+/// so.
 bool rolls_like_log(const Config& config, const Sequence& sequence) {
     return config.sensor.rolling_shutter == RollingShutter::yes || sequence.rolling_shutter;
 }
@@ -164,8 +166,8 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
                       of_cells.assign(n, missing_value_of<T>(channel));
                   });
     result.time_offset_s.assign(n, 0.0f);
-    // Drop probability of the ray whose values a cell stores. 2 means that the cell
-    // stores no ray.
+    // Drop probability of the ray whose values a cell stores. The value 2 means that the
+    // cell has no ray yet.
     std::vector<float> winner_drop(n, 2.0f);
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f) || scan.weight[i] < kLeastWeight) continue;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs the kernels simulate/render/fire_rays, measure_rays and drop_channels.
+// Runs the kernels fire_rays, measure_rays and drop_channels of simulate/render. They
+// compute world rays, measurements, and the inputs of ray-drop networks.
 #include "simulate/render/sensor_rays.hpp"
 
 #include <algorithm>
@@ -18,8 +19,8 @@
 namespace relidar {
 namespace {
 
-/// Returns true if two tables have the same bytes. Compares in parallel, because the
-/// tables of a scan have several megabytes.
+/// Returns true if two tables have the same bytes. Compares in parallel, because the ray
+/// table of a scan has several megabytes.
 template <class Values>
 bool same_bytes(const Values& a, const Values& b) {
     if (a.size() != b.size()) return false;

@@ -25,7 +25,8 @@ struct RayMeasuring {
     const std::vector<Beam>& beams;
     const IntensityResponse& response;
     RangeLimits limits;
-    /// if the blending weight of a ray is smaller, the ray counts as having hit nothing
+    /// Minimum blending weight of a ray. A ray with a smaller weight counts as having hit
+    /// nothing.
     float min_weight;
 };
 
@@ -33,33 +34,34 @@ class SensorRays {
 public:
     explicit SensorRays(Device& device);
 
-    /// Uploads the rays of a sensor, unless they are already on the device. No pending
-    /// GPU commands may use the old rays.
-    /// @param sensor name of the sensor; two sensors with the same rays can have
-    /// different `never_seen`
+    /// Uploads the rays of a sensor if they are not on the device yet. No pending GPU
+    /// commands may use the old rays.
+    /// @param sensor name of the sensor; needed because two sensors with the same rays
+    /// can have different `never_seen`
     /// @param never_seen returns the probability that the sensor never gets a return
     /// along a ray
     void take(const RayTable& rays, const std::string& sensor,
               const std::function<float(std::size_t)>& never_seen);
-    /// Records GPU commands that compute the rays of a sweep in the world frame. batch()
-    /// returns these rays. Each ray starts at the sensor's pose at its firing time.
-    /// @param world_from_sensor poses of the sensor; a single pose if it does not move
+    /// Records GPU commands that compute the rays of a sweep in the world frame. Each ray
+    /// starts at the sensor's pose at its firing time. Then batch() returns these rays.
+    /// @param world_from_sensor poses of the sensor; a single pose if the sensor does not
+    /// move
     void fire(Stream& stream, const PoseTrack& world_from_sensor, double time_s);
-    /// Returns the rays in the world frame. The rays have rows and columns if the
-    /// sensor's table has them.
+    /// Returns the rays in the world frame. They have rows and columns if the ray table
+    /// of the sensor has rows and columns.
     RayBatch batch() const;
-    /// Records GPU commands that compute the measurements of batch().
+    /// Records GPU commands that compute the measurements of all rays of batch().
     void measure(Stream& stream, const RenderedBatch& rendered, const RayMeasuring& how);
-    /// Records GPU commands that run a ray-drop network on the measured rays.
+    /// Records GPU commands that run a ray-drop network on the measured rays. Then
     /// drop_probabilities() returns the result.
     /// @param origin_m [3] position of the sensor relative to first_origin()
-    /// @throws DataError for an image or channels that do not fit the network
+    /// @throws DataError if the image or the channels do not match the network
     void refine(Stream& stream, DropPass& network, const glm::vec3& origin_m);
     /// Copies the measurements to the host and waits for them.
     /// @return [rays] valid until the next call
     std::span<const shared::MeasuredRay> wait(Stream& stream);
     /// Returns the drop probability of each ray that the network computed. Call wait()
-    /// before. The result is valid until the next wait().
+    /// first. The result is valid until the next call of wait().
     std::span<const float> refined(Stream& stream);
 
     /// Returns true if the device already stores the rays of this table and sensor.
@@ -68,11 +70,11 @@ public:
     const std::string& sensor() const { return sensor_; }
     const Array<shared::SensorRay>& rays() const { return rays_; }
     const Array<shared::MeasuredRay>& measured() const { return measured_; }
-    /// Returns the device address of the drop probabilities that the last refine()
-    /// computed.
+    /// Returns the device address of the drop probabilities that the last call of
+    /// refine() computed.
     Address<float, shared::DropProbabilities> drop_probabilities() const { return address_of(refined_); }
-    /// Returns the poses of the sensor between which the rays of a sweep are
-    /// interpolated.
+    /// Returns the sensor poses of a sweep. The pose of each ray is interpolated between
+    /// them.
     std::vector<shared::SensorPose> poses(const PoseTrack& track, double time_s) const;
 
 private:
@@ -89,8 +91,8 @@ private:
     Kernel<shared::DropChannelsParams> drop_channels_;
     Array<shared::RenderedSurface> no_surfaces_;  ///< a single entry of zeros
     Array<float, shared::DropSamples> samples_;   ///< inputs of the ray-drop network
-    /// output of the ray-drop network; null if refine() was not called since the last
-    /// measure()
+    /// Output of the ray-drop network. Null if refine() was not called since the last
+    /// call of measure().
     const Array<float, shared::DropProbabilities>* refined_ = nullptr;
 };
 
@@ -98,9 +100,9 @@ private:
 /// @throws DataError for an unknown input
 std::vector<std::uint32_t> drop_channels(const std::vector<std::string>& names);
 
-/// Returns the poses of a sensor during a sweep in the format of the kernels. The first
-/// pose is the last pose before the first ray. The last pose is the first pose after the
-/// last ray.
+/// Returns the poses of a sensor during a sweep in the format of the kernels. The list
+/// starts with the last pose before the first ray. The list ends with the first pose
+/// after the last ray.
 /// @param first_s time offset of the first ray
 /// @param last_s time offset of the last ray
 std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_sensor, double time_s,

@@ -90,16 +90,17 @@ PoseTrack SweepMaker::in_dataset(const PoseTrack& world_from_thing) const {
     return shifted_track(world_from_thing, log_.world_offset_m);
 }
 
-/// Makes a sweep whose vehicle moves so that the mounted sensor follows a track.
-/// @param world_from_actor poses of the actors; null: uses the tracks of the run
+/// Makes a sweep for a sensor that follows a given track. The vehicle is moved so that
+/// the mounted sensor has these poses.
+/// @param world_from_actor poses of the actors; if null, uses the tracks of the run
 Sweep SweepMaker::drive(const SensorChoice& sensor, double time_s, PoseTrack world_from_sensor,
                         const ActorPoses* world_from_actor) {
     Lidar& lidar = log_.lidars[std::size_t(sensor.lidar)];
     log_.world_from_vehicle = mounted_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
     log_.rolling_shutter = has_rolling_shutter(sensor, config_);
     lidar.pattern = sensor.pattern;
-    // The start azimuth comes from the pattern of the sensor, or from the LiDAR that the
-    // sensor replaces.
+    // The azimuth at which the sweep starts comes from the pattern of the sensor. Without
+    // a pattern, it comes from the LiDAR that the sensor replaces.
     const SweepMoment now{time_s, sensor.lidar, find_start(sensor.rays, lidar)};
     Sweep sweep{sensor, time_s, changed_rays(sensor, time_s, log_.rolling_shutter),
                 log_.world_from_sensor(sensor.lidar)};

@@ -15,11 +15,11 @@ namespace relidar {
 struct Sweep {
     const SensorChoice& sensor;
     double time_s = 0.0;
-    /// Rays of this sweep if they differ from the sensor's table. They differ if a
-    /// pattern generates new rays for each scan, or if all rays are fired at the same
-    /// time.
+    /// Rays of this sweep. Set only if they differ from the sensor's table. This is the
+    /// case if a pattern generates new rays for each scan, or if all rays are fired at
+    /// the same time.
     std::optional<RayTable> changed_rays = {};
-    PoseTrack world_from_sensor = {};  ///< a single pose if the sensor does not move
+    PoseTrack world_from_sensor = {};  ///< poses of the sensor; a single pose if the sensor does not move
     Pose pose = {};                    ///< pose of the sensor at `time_s`
     std::vector<InstancePose> instances = {};
 
@@ -29,39 +29,43 @@ struct Sweep {
 /// Makes sweeps from the log and the actors of a run.
 class SweepMaker {
 public:
+    /// Creates an object that makes sweeps for a scene and a log.
     /// @param config must outlive this object
     SweepMaker(const Config& config, const Scene& scene, const Sequence& sequence);
-    /// Hides instances in all following sweeps.
-    /// @throws UsageError for a wrong number of instances
+    /// Shows only the selected instances in all following sweeps.
+    /// @throws UsageError if the number of instances is wrong
     void show_only(const std::vector<bool>& shown);
-    /// Returns the sensor with the measured azimuths of the log, see sensor_in_sweep().
+    /// Returns the sensor with the head azimuths that the log has measured. See
+    /// sensor_in_sweep().
     SensorChoice in_log(const SensorChoice& sensor, double time_s) const;
     /// Returns a sweep on the recorded path of the log's vehicle.
     /// @param sensor must outlive the sweep
     Sweep make(const SensorChoice& sensor, double time_s, const Pose& sensor_offset);
-    /// Returns a sweep with the poses of a request.
+    /// Returns a sweep with the poses that a request contains.
     /// @throws DataError if poses or times are invalid
     Sweep make(const SensorChoice& sensor, const ScanRequest& request);
 
     /// LiDARs and boxes of the log, without scans.
     const Sequence& log() const { return log_; }
     const Scene& layout() const { return layout_; }
-    /// Returns the probability that the sensor itself never gets a return in a direction,
-    /// for example because the vehicle blocks it.
+    /// Returns the probability that the sensor never gets a return in a direction. One
+    /// cause is that the vehicle blocks the direction.
     float never_seen(const SensorChoice& sensor, std::uint16_t channel, const glm::vec3& direction) const;
     /// Returns the range limits of a sensor. If the sensor has no maximum range, returns
     /// the maximum range of the log.
     RangeLimits limits_of(const SensorChoice& sensor) const;
-    /// Converts a track between the world of the scene and the world of the dataset.
+    /// Converts a track from the world frame of the scene to the world frame of the
+    /// dataset.
     PoseTrack in_dataset(const PoseTrack& world_from_thing) const;
 
 private:
     const Config& config_;
     const Scene layout_;  ///< models, instances and sensor drop, without surfels
-    Sequence log_;        ///< the vehicle has the poses of the current sweep
+    Sequence log_;        ///< the log; during a sweep, its vehicle has the poses of this sweep
     const PoseTrack log_world_from_vehicle_;
-    const std::vector<Frame> shifted_;  ///< frames whose head azimuth differs from the nominal azimuth
-    std::vector<bool> shown_;           ///< [instances]
+    /// frames in which the measured head azimuth differs from the nominal azimuth
+    const std::vector<Frame> shifted_;
+    std::vector<bool> shown_;  ///< [instances]
 
     Sweep drive(const SensorChoice& sensor, double time_s, PoseTrack world_from_sensor,
                 const ActorPoses* world_from_actor);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Counts the rays of a scan that enter the box of an actor through a side that the log
-// has not seen. The model has no surfels on such a side, so rays pass through it.
+// Counts the rays of a scan that enter the box of an actor through an unobserved side.
+// The log has no points on such a side, so the model has no surfels there and rays pass
+// through.
 #include <relidar/simulate/render.hpp>
 
 #include <algorithm>
@@ -12,19 +13,21 @@
 namespace relidar {
 namespace {
 
-// A ray that grazes a side is not counted. It has the same limit as BoxSurface.
+// Minimum cosine between a counted ray and the normal of the side. BoxSurface uses the
+// same limit.
 constexpr double kGrazing = 0.2;
-// Fewer rays do not change the look of an actor.
+// Minimum number of rays through an unobserved side. Fewer rays do not change the
+// appearance of an actor.
 constexpr std::size_t kFewestRays = 5;
 
-/// An actor with at least one unseen side, at its pose in a scan.
+/// An actor with at least one unobserved side, and its pose in a scan.
 struct HollowBox {
     const std::string* track;
     const PoseTrack* world_from_box;
     glm::dvec3 half_m;
     const SideShares* shares;
-    /// Sphere in the world frame that contains the box during the scan. It excludes most
-    /// rays quickly.
+    /// Sphere in the world frame that contains the box during the scan. Testing the
+    /// sphere first excludes most rays quickly.
     glm::dvec3 centre_m{0.0};
     double radius_m = 0.0;
     std::array<std::size_t, kBoxSides> n_rays{};
@@ -37,8 +40,8 @@ struct HollowBox {
     }
 };
 
-/// Returns the range at which a ray enters a box, and the axis of the side through which
-/// it enters. Returns infinity if the ray misses the box or starts inside.
+/// Returns the range at which a ray enters a box, and the axis of the side that it
+/// enters. Returns infinity if the ray misses the box or starts inside the box.
 std::pair<double, int> enter_box(const glm::dvec3& origin, const glm::dvec3& direction,
                                  const glm::dvec3& half_m) {
     double enter_m = 0.0, leave_m = std::numeric_limits<double>::infinity();

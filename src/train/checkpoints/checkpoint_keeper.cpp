@@ -17,8 +17,8 @@
 namespace relidar {
 
 namespace {
-// Keeps the two newest checkpoints. The older checkpoint is needed if the machine fails
-// while the newest is being written.
+// Number of checkpoints that are kept. The older checkpoint is needed if the machine
+// fails while the newest is being written.
 constexpr int kKept = 2;
 }  // namespace
 
@@ -72,8 +72,8 @@ bool CheckpointKeeper::due(int step) const {
 }
 
 void CheckpointKeeper::save(TrainLoop& loop, const TrainResult& result, double train_s) {
-    // Also updates the time before a failed write, so that a full disk is tried again
-    // only at the next checkpoint.
+    // Updates the time also if the write fails. A full disk is then tried again only when
+    // the next checkpoint should be written.
     last_ = Clock::now();
     if (!folder_.wanted()) return;
     folder_.save({result.iterations, texts_.get(), {}}, [&](Checkpoint& checkpoint) {

@@ -17,14 +17,15 @@ namespace relidar {
 
 class TrainLoop;
 
-/// Folder with the checkpoints of a training. Training continues if a checkpoint cannot
-/// be written.
+/// Folder with the checkpoints of a training. A failed write prints a note, and training
+/// continues.
 class CheckpointFolder {
 public:
     /// Opens the folder. Keeps the two newest checkpoints, because a failure of the
-    /// machine can damage one of them.
-    /// @param folder  empty: nothing is written
-    /// @param newest  iteration of the newest checkpoint in the folder; 0: none
+    /// machine can damage the newest.
+    /// @param folder  path of the folder; if empty, no checkpoint is written
+    /// @param newest  iteration of the newest checkpoint in the folder, or 0 if there is
+    /// none
     /// @param count  word for iterations in messages, for example "iteration"
     CheckpointFolder(std::filesystem::path folder, int newest, std::string count,
                      const std::function<void(const std::string&)>& note);
@@ -50,9 +51,9 @@ public:
     CheckpointKeeper(const Sequence& sequence, const Split& split, const Config& config,
                      const TrainSession& session);
 
-    /// Returns true if a checkpoint should be written after this iteration. A checkpoint
-    /// is due after a number of iterations or after some minutes. It is also due after
-    /// the last iteration if an earlier checkpoint was written.
+    /// Returns true if a checkpoint must be written after this iteration. This is the
+    /// case after a fixed number of iterations, or after some minutes. It is also the
+    /// case after the last iteration, if an earlier checkpoint was written.
     bool due(int step) const;
     /// Writes the state after result.iterations to a checkpoint. If the disk is full, it
     /// prints a note and training continues.
@@ -64,8 +65,8 @@ private:
     using Clock = std::chrono::steady_clock;
     const TrainConfig& config_;
     CheckpointFolder folder_;
-    /// Settings and hashes that are stored in every checkpoint of this training. A thread
-    /// computes them, because hashing a log takes some time.
+    /// Settings and hashes that every checkpoint of this training contains. A separate
+    /// thread computes them, because hashing a log takes some time.
     std::shared_future<std::map<std::string, std::string>> texts_;
     Clock::time_point last_ = Clock::now();
 };

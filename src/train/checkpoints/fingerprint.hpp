@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stores in a checkpoint what its training depends on: the values of the settings, and
-// hashes of the log and the scene. These data show whether a checkpoint belongs to the
-// same training. Private to train.
+// Stores what a training depends on in its checkpoint: the values of the settings, and
+// hashes of the log and the scene. A resumed training compares them, to check that the
+// checkpoint belongs to the same training. Private to train.
 #pragma once
 
 #include <map>
@@ -22,20 +22,20 @@ struct Mark {
     std::string key, what, value;
 };
 
-/// Returns the hashes of a log and of the scans of its training frames. They are ordered
-/// so that the first difference gives the best explanation.
+/// Returns hashes of a log and of the scans of its training frames. The hashes are sorted
+/// so that the first difference explains best why two logs differ.
 std::vector<Mark> marks_of(const Sequence& sequence, const Split& split);
 /// Returns a hash of all surfels of a scene, including its blocks.
 /// @throws DataError like read_block()
 Mark mark_of(const Scene& scene);
 
-/// Stores a setting or a hash in the texts of a checkpoint.
+/// Adds a setting or a hash to the texts that a checkpoint stores.
 void put(const ConfigKey& setting, std::map<std::string, std::string>& texts);
 void put(const Mark& mark, std::map<std::string, std::string>& texts);
 /// Compares settings or a hash with the values in a checkpoint.
 /// @param doing  start of the error message
-/// @throws UsageError for a setting with another value
-/// @throws DataError for a missing setting or another hash
+/// @throws UsageError if a setting has another value
+/// @throws DataError if a setting is missing or a hash differs
 void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
                 const std::string& doing);
 void check_same(const Checkpoint& checkpoint, const Mark& mark, const std::string& doing);

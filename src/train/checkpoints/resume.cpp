@@ -19,9 +19,9 @@ namespace {
 
 // Prefixes of settings that are used only after training.
 constexpr std::array kFollows{"refine.", "render."};
-/// Settings that may change when training is resumed. They affect the number of
-/// iterations, the reports, or the location of the log, but not the result of an
-/// iteration. Paths may change because the log itself is compared.
+/// Settings that may change when training is resumed. They change the number of
+/// iterations, the reports, or the location of the log. They do not change the result of
+/// an iteration. Paths may change because the contents of the log are compared.
 constexpr std::array kFree{"dataset.path",
                            "dataset.sequence",
                            "dataset.poses",

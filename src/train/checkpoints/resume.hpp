@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes the data that a checkpoint stores in addition to the state of the
-// training loop. Private to train.
+// Reads and writes the part of a checkpoint that is not the state of the training loop:
+// settings, log lines, times. Private to train.
 #pragma once
 
 #include <map>
@@ -30,8 +30,8 @@ void read_result(const Checkpoint& checkpoint, const Config& config, TrainResult
 Scene scene_of(const Checkpoint& checkpoint);
 
 /// Adds a line to the training log. Estimates the remaining time from the speed since the
-/// first line, because drivers compile kernels before the first line. The remaining time
-/// in the first line is infinite.
+/// first line. The time before the first line is ignored, because drivers compile kernels
+/// then. The remaining time in the first line is infinite.
 /// @param seconds  seconds since training started
 void add_line(std::vector<TrainProgress>& log, const LogLine& line, const Config& config, double seconds);
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trains the ray-drop network, the last stage of training (paper, section 3.5). Renders
-// training frames once. The network learns which rays the sensor dropped. The images use
-// the nominal rays of the sensor. In a measured scan, only rays with a return have
-// jitter, which would reveal the answer to the network.
+// Trains the ray-drop network, which is the last stage of training (paper, section 3.5).
+// Renders training frames once, and trains the network to predict which rays the sensor
+// dropped. The images use the nominal rays of the sensor. In a measured scan, only rays
+// with a return have jitter. The jitter would reveal to the network which rays returned.
 #include <algorithm>
 #include <map>
 #include <optional>
@@ -30,19 +30,20 @@ bool uses_grid(const Config& config) {
 SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame& frame) {
     if (!uses_grid(config)) return nominal_rays_of(config, sequence, frame);
     SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
-    // same setting as in the scans from which the network learns
+    // must equal the setting of the scans from which the network learns
     sensor.rolling_shutter = sequence.rolling_shutter;
     return sensor;
 }
 
-/// Returns rays that lie between the rays of a sensor. Rotates each ray towards the next
-/// column by a fraction of the spacing. The surfels are fitted to the sensor's rays, so
-/// these rays look better than the rays of held-out frames. The rotated rays avoid this
-/// difference.
+/// Rotates each ray towards the next column by a fraction of the column spacing. Returns
+/// the rotated rays. The surfels are fitted to the original rays, so images along these
+/// rays are more accurate than images of held-out frames. Images along the rotated rays
+/// do not have this advantage.
 RayTable rotate_rays(RayTable rays, float share) {
     const RayTable original = rays;
-    // Minimum cosine of the angle between neighbouring columns. The column after the last
-    // column of a narrow field of view is at the opposite end, so it is skipped.
+    // Minimum cosine of the angle between neighbouring columns. In a narrow field of
+    // view, the first column is not next to the last column. This limit skips such a
+    // pair.
     constexpr float kNear = 0.9f;
     for (std::size_t i = 0; i < original.size(); ++i) {
         const std::size_t row = i / std::size_t(original.columns),
@@ -69,8 +70,8 @@ std::vector<float> measured_cell_drops(const Config& config, const Frame& frame,
     return cells;
 }
 
-/// Returns the training frames that have rows and columns. Returns only frames with the
-/// most frequent image shape.
+/// Returns the training frames whose rays have rows and columns. If the frames have
+/// different image sizes, returns only the frames with the most frequent size.
 std::vector<int> images_of(const Config& config, const Sequence& sequence, const std::vector<int>& train) {
     if (uses_grid(config)) return train;
     std::map<std::pair<int, int>, std::vector<int>> by_shape;
@@ -84,8 +85,8 @@ std::vector<int> images_of(const Config& config, const Sequence& sequence, const
     return most == by_shape.end() ? std::vector<int>{} : most->second;
 }
 
-/// Renders training frames. Returns the inputs of the ray-drop network together with the
-/// measured drops. Returns nothing if the user stopped the program.
+/// Renders training frames. Returns the rendered inputs of the ray-drop network together
+/// with the measured drops. Returns nothing if the user stopped the program.
 std::vector<DropImage> training_images(Device& device, const Run& run, const Config& config,
                                        const RefineSession& session) {
     const std::vector<int> positions =
@@ -114,8 +115,8 @@ std::vector<DropImage> training_images(Device& device, const Run& run, const Con
         if (uses_grid(config)) dropped = measured_cell_drops(config, frame, dropped);
         images.back().dropped = stripes.values(dropped);
         for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
-            // Excludes rays that are dropped with certainty, whatever the network
-            // predicts.
+            // Excludes rays that are always dropped, because the prediction of the
+            // network does not affect them.
             if (scan.image.drop_prob[i] == 1.0f) images.back().dropped[i] = -1.0f;
         if (session.stop && session.stop()) return {};
     }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes checkpoints while a ray-drop network is trained. When training is resumed,
-// checks that its inputs have not changed. Compares the scene and the log by hashes, and
-// the settings by value.
+// checks that its inputs have not changed: the scene and the log by hash, and the
+// settings by value.
 #include "train/drops/refine_keeper.hpp"
 
 #include <algorithm>
@@ -51,8 +51,8 @@ void RefineKeeper::after_step(const RefineProgress& progress, bool stops,
     const std::chrono::duration<double> since_last = Clock::now() - last_;
     const bool by_time = minutes_ > 0.0 && since_last.count() >= 60.0 * minutes_;
     if (!folder_.wanted() || !(ends_epoch || by_time || stops)) return;
-    // Also updates the time before a failed write, so that a full disk is tried again
-    // only at the next checkpoint.
+    // Updates the time also if the write fails. A full disk is then tried again only when
+    // the next checkpoint should be written.
     last_ = Clock::now();
     folder_.save({progress.step, texts_.get(), {}},
                  [&](Checkpoint& checkpoint) { state().visit_state(StateWriter(checkpoint)); });

@@ -15,11 +15,12 @@ constexpr int kColumnsPerBin = 3;
 // Number of neighbouring bins on each side that contribute to the expected drop rate of a
 // bin.
 constexpr int kNeighbours = 2;
-// Minimum number of rays for a drop rate. With fewer rays, a blind spot of the sensor
-// cannot be distinguished from a hole in the scene that a few sweeps have seen.
+// Minimum number of rays for a drop rate. With fewer rays, a blind spot of the sensor and
+// a hole in the scene cannot be distinguished.
 constexpr std::uint32_t kCertainRays = 60;
-// Weight of the prior, as a number of rays. The expected drop rate includes this many
-// returned rays. The drop rate of a bin includes this many rays with the expected rate.
+// Weight of the prior, as a number of rays. This many returned rays are added to the
+// expected drop rate. This many rays with the expected rate are added to the drop rate of
+// a bin.
 constexpr double kPriorRays = 8.0;
 // smallest sector without returns, as a share of the circle
 constexpr double kLeastSector = 10.0 / 360.0;
@@ -31,7 +32,7 @@ int bins_of(const Sequence& sequence) {
     return std::max(1, columns / kColumnsPerBin);
 }
 
-/// Calls visit(first, n) for each run of bins around the circle that fulfil a condition.
+/// Calls visit(first, n) for each run of neighbouring bins that fulfil a condition.
 /// Ignores runs that are narrower than the smallest sector. Does nothing if all bins
 /// fulfil the condition.
 template <class Condition, class Visit>
@@ -49,7 +50,8 @@ void each_sector(int bins, const Condition& is_in, const Visit& visit) {
     }
 }
 
-/// Returns how much the azimuths of a LiDAR's beams differ, in bins.
+/// Returns the difference between the largest and the smallest azimuth offset of a
+/// LiDAR's beams, in bins.
 int spread_of(const SpinningSensor& sensor, int bins) {
     const auto [least, most] = std::ranges::minmax(sensor.beams, {}, &Beam::azimuth_offset_rad);
     return int(std::ceil((most.azimuth_offset_rad - least.azimuth_offset_rad) / (2.0 * kPi) * bins));
@@ -152,7 +154,9 @@ void add_unseen_sectors(DropTable& drops, const DropTable& observed, const Seque
             },
             [&](int first, int n) {
                 for (const std::size_t row : rows) {
-                    int begin = first, end = first + n;  // beams with other azimuths see other sectors
+                    // Widens the sector for each beam to neighbouring blind bins, because
+                    // beams have different azimuth offsets.
+                    int begin = first, end = first + n;
                     while (first - begin < spread && is_blind_at(row, begin - 1)) --begin;
                     while (end - first - n < spread && is_blind_at(row, end)) ++end;
                     for (int bin = begin; bin < end; ++bin)

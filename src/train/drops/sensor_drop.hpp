@@ -2,8 +2,8 @@
 // Estimates from the training frames which rays the sensor itself drops (paper section
 // 3.5). Before training, rays that hardly ever return are excluded from the losses.
 // Otherwise the scene would learn the shadow of the vehicle as a property of the ground.
-// After training, the drop probability is the fraction of dropped rays among the rays for
-// which the scene expects a return.
+// After training, the program counts the rays for which the scene predicts a return. The
+// drop probability is the dropped fraction of these rays.
 #pragma once
 
 #include <cstdint>
@@ -22,21 +22,23 @@ public:
     /// Counts one ray of a frame of the log. Several threads may call this function
     /// simultaneously.
     void add(const Frame& frame, std::size_t ray);
-    /// Returns the drop rate of each bin. Uses intervals of neighbouring bins with at
-    /// least 60 rays, for example 20 sweeps in one bin or one sweep in 20 bins. A bin
-    /// gets the highest drop rate of the intervals that contain it, but at most its own
-    /// drop rate. The drop rate is 0 if all bins of a beam together have fewer than 60
-    /// rays. It is 1 in a sector of at least 10 degrees in which the beam never fires.
+    /// Returns the drop rate of each bin, for rays that are dropped persistently. Uses
+    /// intervals of neighbouring bins with at least 60 rays. Examples are 20 sweeps in
+    /// one bin, or one sweep in 20 bins. A bin gets the highest drop rate of all
+    /// intervals that contain it, but at most the drop rate of the bin itself. If a beam
+    /// has fewer than 60 rays in total, its drop rate is 0. The drop rate is 1 in a
+    /// sector of at least 10 degrees in which the beam never fires.
     DropTable persistent() const;
-    /// Returns the drop rate of each bin, also for a short log. The drop rate of the
-    /// neighbouring bins counts as 8 more rays of the bin. To compute the drop rate of
-    /// the neighbours, 8 returned rays are added to them.
+    /// Returns the drop rate of each bin. Also works for short logs, because the rate of
+    /// each bin is mixed with the rate of its neighbours. The neighbours' rate counts
+    /// like 8 more rays of the bin. To compute the neighbours' rate, 8 returned rays are
+    /// added.
     DropTable shrunk() const;
     std::size_t bins() const { return rays_.size(); }
 
 private:
     const Sequence& sequence_;
-    DropTable index_;  ///< no probabilities; used only for the layout of the bins
+    DropTable index_;  ///< contains no probabilities; used only for the layout of the bins
     std::vector<std::uint32_t> rays_, drops_;
 
     /// Returns the array index of a bin. Bin numbers outside the row wrap around.
@@ -46,19 +48,19 @@ private:
     }
     /// Sets the drop rate to 1 in sectors in which a beam never fires.
     void add_skipped_sectors(DropTable& table, int channel) const;
-    /// Returns the drop rate of a bin and its neighbours together. Includes a prior of
-    /// some returned rays.
+    /// Returns the drop rate of a bin and its neighbours together. Adds some returned
+    /// rays as a prior.
     double expected(int channel, int bin) const;
 };
 
-/// Returns how often each beam and azimuth was dropped in the given frames, for any
-/// reason (DropCounts::persistent).
+/// Returns how often rays of each beam and azimuth were dropped in the given frames, for
+/// any reason. Uses DropCounts::persistent().
 DropTable observed_drops(const Sequence& sequence, const std::vector<int>& positions);
 
-/// Sets the drop probability to 1 in sectors that a LiDAR does not see: sectors of at
-/// least 10 degrees in which no beam has a return. The reason is a field of view that is
-/// set in the sensor, or a part of the vehicle. The scene cannot tell which rays return
-/// there.
+/// Sets the drop probability to 1 in sectors that a LiDAR does not observe. These are
+/// sectors of at least 10 degrees in which no beam has a return. The cause is a field of
+/// view set in the sensor, or a part of the vehicle. The scene has no surfaces in these
+/// sectors, so it cannot predict the drops.
 /// @param drops  input and output
 /// @param observed  result of observed_drops()
 void add_unseen_sectors(DropTable& drops, const DropTable& observed, const Sequence& sequence);

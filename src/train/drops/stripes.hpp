@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Selects stripes of columns of an image, to train a network that processes single
 // pixels. Such a network has about a thousand parameters, so it does not need every pixel
-// of every frame. Neighbouring columns stay together, because tracing is faster for rays
-// with similar directions.
+// of every frame. A stripe has neighbouring columns, because rays with similar directions
+// are traced faster.
 #pragma once
 
 #include <cstddef>
@@ -12,18 +12,19 @@
 
 namespace relidar {
 
-/// Returns n so that every n-th stripe has about 32,768 pixels in total. If n is below 2,
-/// the full image is used.
+/// Returns a number n. Every n-th stripe of the image together has about 32,768 pixels.
+/// If n is below 2, the full image is used.
 inline int stripe_share(const RayTable& rays) { return int(rays.size()) / 32768; }
 
-/// Some vertical stripes of an image whose columns wrap around.
+/// Some vertical stripes of an image. The image covers a full turn, so its last column is
+/// next to its first.
 class Stripes {
 public:
     static constexpr int kColumns = 64;  ///< columns in a stripe
 
     /// Selects the stripes of a frame.
-    /// @param share  every share-th stripe is used. The full image is used if share is
-    /// below 2 or the image has fewer stripes.
+    /// @param share  a value n selects every n-th stripe. The full image is used if the
+    /// value is below 2, or if the image has fewer stripes than the value.
     /// @param of_frame  number of the frame. Each frame starts one stripe later, so that
     /// the frames together use all columns.
     Stripes(int share, const RayTable& rays, std::size_t of_frame)

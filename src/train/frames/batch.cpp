@@ -24,7 +24,8 @@ struct BatchSampler::Impl {
 
 namespace {
 
-/// Describes n columns of an image, spread over the image like every stride-th column.
+/// Describes n columns of an image. The columns are spread over the image with a fixed
+/// stride.
 struct Columns {
     std::uint32_t stride = 1;
     std::uint32_t n = 0;  ///< number of columns; 0 if the batch does not consist of columns
@@ -49,8 +50,8 @@ Columns window(const FrameData& frame, const TrainConfig& config) {
     return n < image.columns ? Columns{1, n} : Columns{};
 }
 
-/// Selects about one of n rays, in groups of neighbouring columns. Therefore neighbours
-/// in the batch have similar directions, whatever the number of columns.
+/// Selects every n-th group of neighbouring columns. The groups keep neighbouring rays
+/// together, so that the rays have similar directions for any number of columns.
 Columns every_nth(const FrameData& frame, const TrainConfig& config) {
     const std::uint32_t stride = std::min(stride_over_rays(frame, config), frame.image.columns);
     return frame.image.is_image() && stride > 1 ? Columns{stride, frame.image.columns / stride} : Columns{};
@@ -95,7 +96,8 @@ BatchSampler::BatchSampler(Device& device, const Config& config, const std::vect
 }
 BatchSampler::~BatchSampler() = default;
 
-/// Returns the same columns as frame_column() in shaders/train/columns.glsl.
+/// Selects the same columns as frame_column() in shaders/train/columns.glsl. The two
+/// functions must be changed together.
 std::size_t SampledBatch::ray_of_frame(std::uint32_t k) const {
     if (window.columns == 0) return rays.first + std::size_t(k) * rays.stride;
     const std::uint32_t row = k / window.n_columns, column = k % window.n_columns,
@@ -114,8 +116,8 @@ std::uint32_t BatchSampler::draw_first(const FrameData& frame, Random& random) c
     std::uint32_t choices = n_batches(frame);
     if (columns.n > 0) {
         const ImageShape image = frame_image(frame);
-        // Limits the first column of a window, because a window must not wrap around the
-        // end of the image.
+        // Limits the first column of a window, because a window must not continue past
+        // the end of the image.
         choices = image.circular || columns.stride > 1 ? image.columns : image.columns - columns.n + 1;
     }
     return static_cast<std::uint32_t>(random.next() % choices);
@@ -144,8 +146,8 @@ SampledBatch BatchSampler::take(Stream& stream, const FrameData& frame, std::uin
              .column_stride = columns.stride,
              .n_columns = columns.n});
         // Scales the counts of the full frame instead of counting in the batch. This
-        // makes the loss unbiased. It also gives no higher weight to a sector with few
-        // returns.
+        // makes the loss unbiased. With counts of the batch, a sector with few returns
+        // would get a higher weight.
         const double share = double(n) / frame.n_rays;
         return {{&b.rays, 0, 1, n, columns.n, &b.targets},
                 {&b.targets,

@@ -15,8 +15,8 @@ namespace relidar {
 struct Config;
 struct FrameData;
 
-/// Describes the columns of a frame that are copied to the arrays of a batch.
-/// shared::GatherColumnsParams defines the selection.
+/// Describes which columns of a frame are copied to the arrays of a batch. The selection
+/// is defined in shared::GatherColumnsParams.
 struct ColumnWindow {
     /// number of columns of the frame; 0 if the batch uses the frame's arrays directly
     std::uint32_t columns = 0;
@@ -35,33 +35,32 @@ struct SampledBatch {
     std::size_t ray_of_frame(std::uint32_t k) const;
 };
 
-/// Samples about train.rays_per_iteration rays of a frame; 0 means all rays. By default,
+/// Selects about train.rays_per_iteration rays of a frame; 0 means all rays. By default,
 /// it selects every n-th group of RELIDAR_COLUMN_GROUP neighbouring columns, starting at
-/// a random column. If structural similarity or normal consistency needs images
-/// (Config::needs_images), it selects one window of neighbouring columns. Both selections
-/// are images. Groups of columns are faster than single columns, because rays that are
-/// traced together visit the same tree nodes. In a frame without image order, it selects
-/// every n-th ray.
+/// a random column. Groups are faster than single columns, because rays that are traced
+/// together visit the same tree nodes. Some losses need images (Config::needs_images):
+/// structural similarity and normal consistency. For these losses it selects one window
+/// of neighbouring columns. In a frame without image order, it selects every n-th ray.
 class BatchSampler {
 public:
     /// Creates the device arrays for batches.
-    /// @throws UsageError if structural similarity or normal consistency is enabled and
-    /// batches or frames are not images
+    /// @throws UsageError if a loss needs images (structural similarity or normal
+    /// consistency), but batches or frames are not images
     BatchSampler(Device& device, const Config& config, const std::vector<FrameData>& frames);
     ~BatchSampler();
     /// Records GPU commands that copy a random batch to the batch arrays. The batch is
     /// valid until the next call.
     SampledBatch sample(Stream& stream, const FrameData& frame, Random& random);
     /// Records GPU commands that copy one of several batches. Together the batches
-    /// contain all rays of a frame once, except for a few columns where a full turn
-    /// closes. Windows of columns do not cover the frame.
+    /// contain all rays of a frame once. A few columns can be missing or repeated where a
+    /// full turn closes. Batches that are windows of columns do not cover the frame.
     /// @param first  start of the first batch, from draw_first()
     /// @param k  index of the batch
     SampledBatch take(Stream& stream, const FrameData& frame, std::uint32_t first, std::uint32_t k);
     /// Draws a random column or ray at which a batch starts.
     std::uint32_t draw_first(const FrameData& frame, Random& random) const;
-    /// Returns how many batches together contain all rays of the frame. Returns 1 if the
-    /// batches are windows of columns.
+    /// Returns the number of batches that together contain all rays of the frame. Returns
+    /// 1 if the batches are windows of columns.
     std::uint32_t n_batches(const FrameData& frame) const;
 
 private:

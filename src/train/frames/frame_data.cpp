@@ -20,8 +20,8 @@ namespace {
 struct MaskedBox {
     InstancePose placed;
     glm::dvec3 half_size_m;
-    /// Radius of a sphere around placed.world_from_model that contains the box during the
-    /// whole sweep.
+    /// Radius of a sphere around placed.world_from_model. The sphere contains the box
+    /// during the full sweep.
     double reach_m;
 
     bool may_meet(const WorldRay& ray) const {

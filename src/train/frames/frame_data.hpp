@@ -23,9 +23,9 @@ namespace relidar {
 struct FrameArrays {
     Array<DeviceRay> rays;        ///< [n] rays, computed from the poses at the start of training
     Array<DeviceTarget> targets;  ///< [n] measurements
-    /// [n] time of each ray on the vehicle's track: index of the pose before it, counted
-    /// from FrameData::first_knot, and fraction to the next pose. Empty if poses are not
-    /// corrected.
+    /// [n] time of each ray on the vehicle's track. The time is stored as the index of
+    /// the last pose before the ray, and the fraction to the next pose. The index counts
+    /// from FrameData::first_knot. Empty if poses are not corrected.
     Array<shared::RayPlace> places;
 };
 
@@ -43,8 +43,8 @@ struct FrameData {
     std::shared_ptr<const FrameArrays> arrays;  ///< arrays that hold the frame while it is on the device
     /// [n] rays, computed from corrected poses; null if poses are not corrected
     const Array<DeviceRay>* moved_rays = nullptr;
-    /// number of rays with a return that training uses; set when the frame is first
-    /// uploaded
+    /// Number of rays with a return that training uses. Set when the frame is uploaded
+    /// for the first time.
     double n_returned = 0.0;
     double n_known = 0.0;
     std::vector<InstancePose> placed;   ///< poses of all instances of the scene
@@ -63,10 +63,11 @@ std::uint32_t max_rays(std::span<const FrameData> frames);
 struct Unknown {
     /// settings that decide which boxes are actors, ignored, or part of the background
     InitialiseOptions moving;
-    /// tracks of actors; their points are used because the scene has a model for them
+    /// tracks of actors; their points are used for training, because the scene has a
+    /// model for these actors
     std::vector<std::string> actors;
-    /// table of drop rates; rays for which is_blind() is true are ignored; empty: none is
-    /// ignored
+    /// Table of drop rates. Rays for which is_blind() is true are ignored. If the table
+    /// is empty, no ray is ignored for this reason.
     DropTable observed_drops;
 };
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Converts a sweep to the form that published methods use for training. The result is an
-// image of elevation and azimuth cells (train.grid) instead of the fired rays.
+// image with elevation and azimuth cells (train.grid). It replaces the fired rays.
 #pragma once
 
 #include <relidar/log/sensor.hpp>
@@ -8,10 +8,10 @@
 
 namespace relidar {
 
-/// Returns the frame with one ray for each cell of the grid. The ray goes from the sensor
-/// origin through the centre of the cell. The range of a cell is the range of its nearest
-/// return (Eq. 6-7). The cell also takes the intensity, time and beam of this return. A
-/// cell without a return is a dropped ray. Its time is when the LiDAR's head faces the
+/// Returns the frame with one ray for each cell of the grid. The ray starts at the sensor
+/// origin and passes through the centre of the cell. A cell takes the range, intensity,
+/// time and beam of its nearest return (Eq. 6-7). A cell without a return becomes a
+/// dropped ray. The time of a dropped ray is the time at which the LiDAR's head faces the
 /// cell. Second returns are removed.
 Frame on_grid(const Sequence& sequence, const Frame& frame, const RangeGrid& grid);
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Provides rays and measured drops of training frames. After training, rendered frames
-// are compared with them to estimate properties of the sensor. Private to train.
+// Provides the rays and the measured drops of training frames. After training, they are
+// compared with rendered frames, to estimate properties of the sensor. Private to train.
 #pragma once
 
 #include <vector>
@@ -18,12 +18,12 @@ namespace relidar {
 /// its scan. Otherwise returns the rays of the scan.
 SensorChoice nominal_rays_of(const Config& config, const Sequence& sequence, const Frame& frame);
 
-/// Returns the rule by which measurements are ignored. Measurements of moving objects
-/// that are not in the scene are ignored.
+/// Returns the rule that selects which measurements are ignored. The rule ignores
+/// measurements of moving objects that are not in the scene.
 Unknown masks_of(const Config& config, const Scene& scene);
 
 /// Returns 0 for each returned ray of a frame, and 1 for each dropped ray. Returns -1 if
-/// a moving object that is not in the scene was hit, or may have been hit.
+/// the ray hit, or may have hit, a moving object that is not in the scene.
 std::vector<float> measured_drops(const Sequence& sequence, const Frame& frame, const Unknown& masks);
 
 /// Returns at most n of the positions, evenly distributed. Returns all positions if n is

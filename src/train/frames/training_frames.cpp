@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Keeps the first frames of the log in device memory. Training uses frames in random
-// order, so any selection of frames is equally good. All other frames share one set of
+// order, so it does not matter which frames stay there. All other frames share one set of
 // arrays. One set is enough, because the stream uploads a frame only after the iteration
-// with the previous frame.
+// of the previous frame.
 #include "train/frames/training_frames.hpp"
 
 #include <algorithm>
@@ -26,7 +26,7 @@ double firing_time(const Sequence& sequence, const Frame& frame, float offset_s)
     return frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0);
 }
 
-/// A frame of the log, or the grid image that was computed from this frame.
+/// A frame of the log, or the grid image computed from a frame.
 struct TrainedFrame {
     std::optional<Frame> binned;
     const Frame& frame;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Manages all training frames. Keeps frames in device memory within a memory budget.
-// Uploads the other frames to shared arrays when they are needed. Therefore device memory
-// does not grow with the log.
+// Manages all training frames. Keeps frames in device memory up to a memory budget.
+// Uploads every other frame to shared arrays when training uses the frame. Therefore
+// device memory does not grow with the log.
 #pragma once
 
 #include <cstdint>
@@ -28,17 +28,17 @@ struct FrameUse {
 
 class TrainingFrames {
 public:
-    /// Creates the frames, and uploads the frames that stay on the device.
+    /// Creates all frames, and uploads the frames that stay on the device.
     /// @param sequence  must outlive this object, because its scans are read for each
     /// upload
-    /// @param positions  indices into Sequence::frames of the frames
+    /// @param positions  indices of the frames in Sequence::frames
     /// @throws DataError if a frame has no ray
     TrainingFrames(Device& device, const Sequence& sequence, const std::vector<int>& positions, FrameUse use);
     ~TrainingFrames();
 
     const std::vector<FrameData>& all() const { return frames_; }
     FrameData& operator[](std::size_t i) { return frames_[i]; }
-    /// Returns which measurements have weight 0 in training.
+    /// Returns the rule that selects the measurements with weight 0 in training.
     const Unknown& unknown() const { return use_.unknown; }
     /// Returns the number of frames that stay on the device.
     std::size_t n_resident() const { return n_staying_; }
@@ -47,7 +47,7 @@ public:
     /// are valid until another frame is uploaded.
     FrameData& bring(Stream& stream, std::size_t i);
     /// Announces that frame i is used next. If the frame must be uploaded, a thread
-    /// starts to compute its rays.
+    /// starts to compute its rays in the background.
     void expect(std::size_t i);
 
 private:
@@ -61,8 +61,8 @@ private:
     const Sequence& sequence_;
     const FrameUse use_;
     std::vector<FrameData> frames_;
-    std::size_t n_staying_ = 0;  ///< number of frames that stay on the device; these are the first frames
-    /// arrays that all frames share that do not stay on the device
+    std::size_t n_staying_ = 0;  ///< number of frames that stay on the device; they are the first frames
+    /// arrays that are shared by all frames that do not stay on the device
     std::shared_ptr<const FrameArrays> shared_;
     std::future<HostFrame> coming_;
     std::size_t coming_frame_ = 0;

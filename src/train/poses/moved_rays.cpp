@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs the kernels train/move_rays and train/knot_gradients, which move rays to corrected
-// poses and compute the gradients of these poses.
+// Runs two kernels: train/move_rays moves rays to corrected poses, and
+// train/knot_gradients computes the gradients of these poses.
 #include "train/poses/moved_rays.hpp"
 
 #include <algorithm>

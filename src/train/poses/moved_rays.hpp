@@ -28,13 +28,13 @@ class MovedRays {
 public:
     MovedRays(Device& device, const std::vector<FrameData>& frames);
     /// Records GPU commands that compute the rays of a frame from the corrected poses.
-    /// The frame must be on the device. Afterwards the frame refers to the new rays,
-    /// which are valid until the next call.
+    /// The frame must be on the device. Then `frame` refers to the new rays, which are
+    /// valid until the next call.
     void move(Stream& stream, const TrackCorrection& sensor, FrameData& frame);
-    /// Records GPU commands that compute the gradients of poses from dL/d(ray) of a
-    /// backward pass. Each ray was fired between two of these poses. Call move() for the
-    /// same frame before. The direction for evaluating spherical harmonics is treated as
-    /// constant.
+    /// Records GPU commands that convert the ray gradients dL/d(ray) of a backward pass
+    /// to gradients of the poses. Each ray was fired between two poses. move() must be
+    /// called for the same frame before. The direction in which spherical harmonics are
+    /// evaluated is treated as constant.
     void sum_gradients(Stream& stream, const FrameData& frame, const SampledBatch& batch,
                        const Array<float, shared::DeviceRayGradients>& d_rays);
     /// Returns the partial sums [kRows, maximum poses of a frame, 6] that the last
@@ -45,7 +45,8 @@ public:
                                            const FrameData& frame) const;
 
 private:
-    /// Number of workgroups for each pose. It gives a GPU enough parallel work.
+    /// Number of workgroups for each pose. More than one is used so that a GPU has enough
+    /// parallel work.
     static constexpr std::uint32_t kRows = 16;
 
     std::uint32_t most_knots_;

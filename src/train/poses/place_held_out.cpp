@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Aligns held-out scans with the trained scene, which was trained without them. Estimates
-// the six pose parameters of each scan from its returns. Then metrics measure the quality
-// of the scene and not the error of the scan's pose.
+// Aligns held-out scans with the trained scene. Estimates the six pose parameters of each
+// scan from its returns. The metrics then measure the quality of the scene without the
+// pose error of the scan.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -17,11 +17,12 @@
 namespace relidar {
 namespace {
 
-// minimum blending weight of a rendered ray; below it, the ray hit no solid surface
+// Minimum blending weight of a rendered ray. A ray with a lower weight hit no solid
+// surface.
 constexpr float kFewestWeight = 0.5f;
 
-/// Renders the background of a run, to which scans are aligned. Excludes actors, because
-/// the poses of actors are estimates.
+/// Renders the background of a run. Scans are aligned to these renderings. Excludes
+/// actors, because the poses of actors are estimates.
 class RunView {
 public:
     RunView(Device& device, const Run& run)
@@ -79,8 +80,8 @@ HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& se
     RunView view(device, run);
     PoseTrack track = run.sequence.world_from_vehicle;
     std::vector<double> moved_m;
-    // poses of sweeps; LiDARs that sweep simultaneously share a pose and are aligned
-    // together
+    // Indices of the poses of the sweeps. LiDARs that sweep at the same time share a
+    // pose, so they are aligned together.
     std::set<std::size_t> poses;
     for (const int position : run.split.test)
         poses.insert(run.sequence.pose_of(run.sequence.frames[std::size_t(position)]));

@@ -13,10 +13,10 @@ struct PlacedBox {
     Pose box_from_world;
     glm::dvec3 half_size_m;
 
-    /// Returns the distances from the ray origin, at least 0, at which a ray enters and
-    /// leaves the box.
+    /// Returns the two distances from the ray origin at which a ray enters and leaves the
+    /// box. Both are at least 0.
     /// @param grown_m  enlarges the box on every side
-    /// @return entry > exit if the ray misses the box
+    /// @return entry and exit; entry > exit if the ray misses the box
     glm::dvec2 interval(const WorldRay& ray, double grown_m = 0.0) const;
 };
 

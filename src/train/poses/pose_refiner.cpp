@@ -20,12 +20,13 @@ namespace {
 // learning rates at the end of training, relative to the rates at the start
 constexpr double kFinalShare = 0.1;
 /// Learning rates are multiples of train.pose_rate_m, the learning rate of the sensor
-/// position in metres. The rotation rate per radian is a tenth of it, because most
-/// returns are about 10 m away. The rates of boxes are ten times as high. The initial
-/// errors of boxes are about ten times the errors of a registered sensor.
+/// position in metres. The rotation rate in radians is a tenth of this rate, because most
+/// returns are about 10 m away. The rates of boxes are ten times as high as the rates of
+/// the sensor. The initial errors of boxes are about ten times the errors of a registered
+/// sensor.
 constexpr double kMetresPerRadian = 10.0, kBoxFactor = 10.0;
 /// Weights of the squared pose corrections in the loss, per square metre and per square
-/// radian. The weights are small, so that they affect only pose parameters that no ray
+/// radian. The weights are small. They affect only pose parameters that no ray
 /// constrains.
 constexpr double kPriorPerM2 = 0.01, kPriorPerRad2 = 0.1;
 
@@ -146,11 +147,11 @@ void PoseRefiner::apply_oldest_step(Stream& stream) {
         Twist twist;
         std::copy_n(gradient.begin() + std::ptrdiff_t(floats_of_rays_ + 6 * actors_[k].instance), 6,
                     twist.begin());
-        // Assigns half of the gradient to each end of the time interval in which the
-        // actor is visible.
+        // Splits the gradient into two halves, one for each end of the time interval in
+        // which the actor is visible.
         for (double& g : twist) g *= 0.5;
-        // The gradient is zero if the actor was absent. add_gradient() ignores a gradient
-        // of zero.
+        // If the actor was absent, the gradient is zero. add_gradient() ignores such a
+        // gradient.
         for (std::size_t end = 0; end < 2; ++end)
             actors_[k].correction.add_gradient(coming_.actor_time_s[2 * k + end], twist);
         actors_[k].correction.step(step_at(config_, kBoxFactor * config_.pose_rate_m, step));

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Corrects the poses of the sensor and of the actors' boxes during training
 // (train.refine_poses). The device computes the gradients. The host updates the poses in
-// double precision, because there are only a few poses. The update follows a fixed number
-// of iterations later, so that the host does not wait (readback_lag.hpp). A checkpoint
-// includes the pending gradients, so that resuming a training does not change its result.
+// double precision, which is fast because there are few poses. Each update is applied a
+// fixed number of iterations later, so that the host does not wait (readback_lag.hpp). A
+// checkpoint includes the pending gradients. Therefore a resumed training gives the same
+// result.
 #pragma once
 
 #include <memory>
@@ -32,20 +33,20 @@ class PoseRefiner {
 public:
     /// Creates the pose corrections.
     /// @param layout  layout of the scene; the tracks of its instances are corrected
-    /// @param config  train.refine_poses selects the corrected poses; with "none" this
-    /// object does nothing
+    /// @param config  train.refine_poses selects the poses to correct; with "none", all
+    /// functions of this class do nothing
     PoseRefiner(Device& device, const Sequence& sequence, const Scene& layout, const TrainConfig& config,
                 const TrainingFrames& frames);
     ~PoseRefiner();
 
     bool is_active() const { return is_active_; }
-    /// Returns which gradients record() needs from a backward pass.
+    /// Returns the gradients that the backward pass must compute for record().
     GradientSelection wanted() const;
-    /// Applies the corrected poses to a frame that is on the device. Moves its rays and
-    /// its actors, and updates its sensor position.
+    /// Moves a frame to the corrected poses: its rays, its actors and its sensor
+    /// position. The frame must be on the device.
     void place(Stream& stream, FrameData& frame);
     /// Records GPU commands that compute the pose gradients of a batch and copy them to
-    /// the host. apply_steps() uses them later.
+    /// the host. A later call of apply_steps() uses these gradients.
     /// @param step  counts from 1
     void record(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch,
                 const Gradients& gradients, int step);
@@ -68,7 +69,7 @@ public:
         visit("poses/coming/actor_time_s", coming_.actor_time_s);
         visit("poses/coming/gradient", coming_.gradient);
     }
-    /// Applies the corrections after the state was read from a checkpoint.
+    /// Recomputes the corrected poses after the state was read from a checkpoint.
     /// @return false if the state is invalid
     bool restore();
 
@@ -101,8 +102,8 @@ private:
     std::vector<Actor> actors_;
     Coming coming_;
     std::size_t floats_of_rays_ = 0, floats_of_instances_ = 0;
-    /// [kReadbackLag] host buffers that the iterations use in turn. Empty if these poses
-    /// are not refined.
+    /// [kReadbackLag] Host buffers for gradients. Iteration i uses buffer i modulo
+    /// kReadbackLag. Empty if the corresponding poses are not refined.
     std::vector<Readback> of_rays_, of_instances_;
 
     /// Returns the gradients of the i-th pending iteration. Waits until the gradients are

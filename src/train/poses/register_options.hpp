@@ -11,8 +11,8 @@ inline bool registers_sensor(const TrainConfig& config) {
     return config.pose_register && config.refines("sensor");
 }
 
-/// Returns the registration options that follow from the settings. The caller adds stop,
-/// progress and group.
+/// Returns the registration options that follow from the settings. The caller must set
+/// `stop`, `progress` and `group`.
 RegisterOptions register_options(const Sequence& sequence, const Config& config);
 
 }  // namespace relidar

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Corrects the poses of a track by gradient descent. Pose k becomes (exp([w_k]x) R_k, T_k
 // + v_k). v is in metres in the world frame. w is a rotation vector in the world's axes
-// about the origin of the pose. The track still interpolates between its poses. Therefore
-// the corrections also move the interpolated poses. To first order, the fraction s
-// between two poses moves by (1 - s) times the previous correction plus s times the next
+// about the origin of the pose. Times between two poses still use interpolated poses, so
+// the corrections also move the interpolated poses. To first order, the pose at a
+// fraction s moves by (1 - s) times the previous correction plus s times the next
 // correction.
 #pragma once
 
@@ -27,25 +27,26 @@ public:
     explicit TrackCorrection(PoseTrack track);
 
     const PoseTrack& uncorrected() const { return track_; }
-    /// Returns the correction of a pose. The correction is zero before the first step. If
-    /// the pose had no step yet, interpolates between the nearest poses with steps.
+    /// Returns the correction of a pose. Before the first optimisation step, all
+    /// corrections are zero. If only this pose had no step yet, interpolates between the
+    /// nearest poses that had steps.
     Twist at(std::size_t pose) const;
     PoseTrack corrected() const;
 
-    /// Adds dL/d(v, w) for the track's pose at a given time, or for one of its recorded
-    /// poses. The next call of step() uses the sum.
+    /// Adds the gradient dL/d(v, w) for the pose at a given time, or for one of the
+    /// recorded poses. The next call of step() uses the sum of these gradients.
     void add_gradient(double t_s, const Twist& gradient);
     void add_gradient(std::size_t pose, double share, const Twist& gradient);
     /// Performs one Adam step on the loss and the prior. Changes only the poses that got
     /// a gradient since the last step.
     void step(const PoseStep& step);
     /// Removes the rigid motion that all corrections have in common. The loss does not
-    /// constrain this motion, because a scene that moves together with all its sensors
-    /// looks the same. Without this call, the scene would drift. Afterwards, the mean
+    /// constrain this motion, because moving the scene and all sensors together does not
+    /// change the images. Without this call, the scene would drift. Afterwards, the mean
     /// translation and the mean rotation are 0.
     void remove_common_motion();
 
-    /// Passes all variables of the optimizer to a visitor that reads or writes a
+    /// Passes all variables of the optimizer to a visitor, which reads or writes a
     /// checkpoint.
     /// @param name  name of the track
     template <class Visitor>
