@@ -318,7 +318,7 @@ rendering() {
     bad 2 "offset: found 1e[+]?30 in .*between -10000 and 10000" render run --out x --offset 1e30,0,0,0
     bad 2 "offset: found a yaw angle of 1000000000 in" render run --out x --offset 0,0,0,1e9
     bad 2 'lidar: found "rear", expected none' render run --out x --lidar rear
-    bad 2 '--frame: found "wold", expected sensor or world' render run --out x --frame wold
+    bad 2 '--frame: found "wold"; expected sensor or world' render run --out x --frame wold
     bad 2 "known: native, kitti360, HDL-64E" render run --out x --sensor nativ
     bad 2 "99999999 columns at 10 Hz, expected 1 to 1000000 columns" render run --out x --sensor beams.csv:99999999x10
     printf 'elevation_deg,azimuth_ofset_deg\n5,1\n' >typo.csv
@@ -569,7 +569,7 @@ wrong_edits() {
     bad 2 'copy: found "0@1,2,3,4,5", expected TRACK@x,y,z,yaw_deg' edit run --out x --copy 0@1,2,3,4,5
     bad 2 'copy: found "0@1,ground", expected TRACK@x,y,z,yaw_deg.* or TRACK@x,y,ground' edit run --out x --copy 0@1,ground
     bad 2 'copy: found "0@1,2,ground3", expected' edit run --out x --copy 0@1,2,ground3
-    bad 2 'copy 0@900,2,ground: place 0 on the ground at 900,2 .*no surface' edit run --out x --copy 0@900,2,ground
+    bad 2 'copy 0@900,2,ground: cannot place 0 on the ground at 900,2 .*no surface' edit run --out x --copy 0@900,2,ground
     bad 2 'insert run#7@1,2,ground: cannot edit track "7"' edit run --out x --insert run#7@1,2,ground
     bad 2 'copy: found "@1,2,3,4", expected' edit run --out x --copy @1,2,3,4
     bad 2 'copy: found "" in ""' edit run --out x --copy 0@1,2,3,4:
@@ -700,7 +700,7 @@ damaged_runs() {
     cp run/scene.json hurt/ && head -c 5000 run/model.safetensors >hurt/model.safetensors
     bad 3 "hurt/model.safetensors" render hurt --out x
     rm hurt/model.safetensors
-    bad 3 "hurt/model.safetensors: no such file" render hurt --out x
+    bad 3 "hurt/model.safetensors is missing" render hurt --out x
     cp run/model.safetensors hurt/ && printf '[loss]\ndpth = 1\n' >hurt/config.toml
     bad 3 "hurt/config.toml: setting loss.dpth: unknown key" info hurt
     printf 'n_frames = "x"\n' >short/street.toml

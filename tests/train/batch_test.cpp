@@ -190,8 +190,8 @@ TEST_F(Batch, SimilaritySeesWindows) {
     stream.finish();
     EXPECT_EQ(batch.targets.image.columns, 10u);
     EXPECT_EQ(batch.window.stride, 1u);
-    EXPECT_EQ(error_message<UsageError>([&] { BatchSampler(device(), config, cloud); }),
-              "setting loss.intensity_ssim: the rays of this sensor are not ordered in rows and columns");
+    EXPECT_THAT(error_message<UsageError>([&] { BatchSampler(device(), config, cloud); }),
+                testing::HasSubstr("setting loss.intensity_ssim: the rays of this sensor are not ordered"));
     config.loss.intensity_ssim = 0.0f, config.loss.likelihood = 0.15f;  // of single rays
     BatchSampler(device(), config, cloud);
 }

@@ -113,7 +113,7 @@ void check_weather(const Weather& weather) {
         if (effect->is_in(weather) && !are_valid(*effect, numbers_of(*effect, weather)))
             refuse(word_of(*effect, weather), effect->expected);
     if (weather.rain_mm_h > 0.0 && weather.snow_mm_h > 0.0)
-        throw UsageError(fmt::format("weather: found rain={} and snow={}, expected one of them",
+        throw UsageError(fmt::format("weather: found rain={} and snow={}, expected only one of them",
                                      weather.rain_mm_h, weather.snow_mm_h));
 }
 

@@ -88,8 +88,8 @@ Examples:
 }  // namespace
 
 void add_convert(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand(
-        "convert", "write a log as a plain folder (npz, text, JSON) or as packets of its sensor");
+    CLI::App* command =
+        app.add_subcommand("convert", "write a log as a folder (npz, text, JSON) or as packets");
     const auto options = std::make_shared<ConvertOptions>();
     command->add_option("DATASET", options->dataset, "log: a path, or kind:path")->required();
     command->add_option("--out", options->out, "folder or capture to create")
