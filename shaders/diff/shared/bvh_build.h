@@ -127,8 +127,8 @@ struct BvhRefitParams {
     BvhWide wide;
     RELIDAR_OF(Floats, SurfelBoxes) boxes;  // input [n,6] boxes of the surfels
     uint bound;                             // maximum number of wide nodes
-    uint first_surfel;  // First of the two bounds: models whose first surfel is in [first_surfel,
-    uint last_surfel;   // last_surfel] are refitted.
+    uint first_surfel;                      // Refits models whose first surfel has at least this index.
+    uint last_surfel;                       // Refits models whose first surfel has at most this index.
 };
 
 /// Parameters of accel/bvh_top.comp, which builds the top-level tree over all instances.
