@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes the record of each surfel from its parameters (docs/method.md section 2).
 // Normalises the rotation, applies exp to the scales and applies the sigmoid function to
-// the opacity. On actors with a walking motion (gait), mean and opacity also depend on
+// the opacity. On actors with a periodic motion (gait), mean and opacity also depend on
 // the phase of the motion.
 //
 // If spherical harmonics (SH) are evaluated per surfel, computes the channel values in

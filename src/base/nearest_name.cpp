@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds similar names, for error messages. Uses the edit distance of Levenshtein,
-// extended so that two exchanged neighbouring letters count as one error:
+// Finds similar names for error messages. Uses the edit distance of Levenshtein. Two
+// exchanged neighbouring letters count as one error:
 //   d(i, j) = min(d(i-1, j) + 1, d(i, j-1) + 1, d(i-1, j-1) + [a_i != b_j],
 //                 d(i-2, j-2) + 1 if a_i = b_{j-1} and a_{i-1} = b_j)
 #include <relidar/base/error.hpp>

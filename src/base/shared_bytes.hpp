@@ -16,7 +16,7 @@ struct SharedBytes {
     std::shared_ptr<const void> memory;
     std::string_view bytes;
 
-    /// Returns an object for a part of the bytes. It keeps the same memory alive.
+    /// Returns a view of a part of the bytes. The view keeps the same memory alive.
     SharedBytes with(std::string_view part) const { return {memory, part}; }
 };
 

@@ -24,8 +24,8 @@ double sum_error_of(Device& device, std::uint32_t n_threads);
 /// Returns the subgroup sizes that kernels can request, of 4 to 64 lanes.
 std::vector<int> subgroup_sizes(const Device& device);
 
-/// Checks subgroup operations, and a sort that uses them, with DeviceInfo::subgroup_size
-/// lanes per subgroup.
+/// Checks subgroup operations with DeviceInfo::subgroup_size lanes per subgroup. Also
+/// checks a sort that uses subgroup operations.
 /// @return a text with the first wrong result and the expected result. Empty if all
 /// results are correct
 std::string wrong_subgroups(Device& device);

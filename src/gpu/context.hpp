@@ -157,7 +157,7 @@ struct Device::Impl {
     gpu::Pipelines pipelines;
     gpu::LaunchLimit launch_limit;
     std::mutex queue_mutex;
-    /// Layout that all compute pipelines share. The push constants consist of two device
+    /// Layout that all compute pipelines share. The push constants contain two device
     /// addresses.
     VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;
     /// Buffer that contains only zeros. If a launch omits an array, the kernel receives

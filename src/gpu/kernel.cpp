@@ -117,8 +117,8 @@ std::string key_of(std::string_view name, const std::vector<Constant>& constants
     return key;
 }
 
-/// Limits the number of concurrent compilations. The constructor blocks until a
-/// compilation may start. The destructor lets the next one start.
+/// Limits the number of concurrent compilations. The constructor blocks until fewer
+/// compilations run. The destructor allows another compilation to start.
 class Turn {
 public:
     explicit Turn(std::counting_semaphore<>& compilers) : compilers_(compilers) { compilers_.acquire(); }

@@ -124,10 +124,10 @@ public:
         : KernelBase(device, std::string(name.text()) + variant.suffix, constants, subgroups) {}
 };
 
-/// Returns true if neighbouring threads should read neighbouring addresses. This is
-/// faster on a GPU, because a subgroup shares the cache lines that it loads, even if more
-/// threads or shared memory are needed. On a CPU, one thread per row is faster, because
-/// each core has its own cache.
+/// Returns true if neighbouring threads should read neighbouring addresses, even if this
+/// needs more threads or shared memory. On a GPU this is faster, because a subgroup loads
+/// complete cache lines. On a CPU, one thread per row is faster, because each core loads
+/// its own cache lines.
 bool coalesces(const Device& device);
 /// Returns true if rays must test every surfel instead of searching an acceleration
 /// structure. Only tests set this mode.
@@ -143,7 +143,8 @@ std::string missing_for_networks(const Device& device);
 
 /// Returns the variant of a kernel that adds floats to memory atomically. The variant
 /// uses float atomics if the device has them, otherwise compare-and-swap.
-/// @param variant variant of a tracing kernel, to which the method is appended
+/// @param variant variant of a tracing kernel, for example "@ray_query". The suffix for
+/// atomics is appended to it
 KernelVariant accumulating_variant(const Device& device, const KernelVariant& variant = KernelVariant("@"));
 
 }  // namespace relidar

@@ -44,7 +44,8 @@ private:
         variable = 59,
         load = 61,
         store = 62,
-        // SPIR-V opcodes. Storage classes and decorations follow them.
+        // SPIR-V opcodes. The enumeration then continues with storage classes and
+        // decorations.
         access_chain = 65,
         decorate = 71,
         iadd = 128,

@@ -50,8 +50,8 @@ struct Stream::Impl {
         VkCommandPool pool = VK_NULL_HANDLE;
         /// Command buffer that commands are currently recorded to.
         VkCommandBuffer commands = VK_NULL_HANDLE;
-        /// Command buffers of a submission, which are submitted in order. A long
-        /// submission has several. The next recording reuses them.
+        /// Command buffers of a submission. A long submission has several, which are
+        /// submitted in order. The next recording uses the same command buffers again.
         std::vector<VkCommandBuffer> buffers;
         std::size_t n_buffers = 0;  ///< Number of command buffers of the current recording.
         VkQueryPool queries = VK_NULL_HANDLE;
@@ -126,8 +126,9 @@ struct Stream::Impl {
         barrier();
     }
     void end_concurrent();
-    /// Records the stored commands of several sequences (lanes) and empties them. Step n
-    /// of one sequence may run concurrently with step n of the other sequences.
+    /// Records the stored commands of several concurrent sequences (lanes) and then
+    /// clears the sequences. Step n of one sequence may run concurrently with step n of
+    /// the other sequences.
     void record_lanes();
     /// Memory that holds values from the host until the submission is complete.
     struct Stored {

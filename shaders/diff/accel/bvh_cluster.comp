@@ -39,9 +39,9 @@ struct Cluster {
 shared vec3 low_of[ROOM], high_of[ROOM];
 shared uint root_of[ROOM], spare_of[ROOM];
 shared uint nearest[ROOM];
-// Two neighbouring ranges to join: first position, last position of the left range, last
-// position of the right range. w is the model index if both ranges together cover the
-// model, otherwise -1.
+// Two neighbouring ranges to join. x, y and z are the first position, the last position
+// of the left range and the last position of the right range. w is the model index if
+// both ranges together cover the model, otherwise -1.
 shared ivec4 task;
 
 /// Makes the writes of a subgroup to shared memory visible to all its lanes.

@@ -21,8 +21,8 @@ RELIDAR_CONSTANT(uint, UNTIL_DONE, 0u);
 RELIDAR_PARAMS(BvhWideParams);
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
 
-/// Replaces a child that is a wide node by its children if all of them fit into the
-/// parent.
+/// Finds a child that is a wide node and whose children all fit into the parent. Replaces
+/// the child by its children.
 /// @return false if no child was replaced
 bool open_child(inout uint slots[RELIDAR_BVH_WIDTH], inout uint n_slots) {
     for (uint s = 0u; s < n_slots; ++s) {

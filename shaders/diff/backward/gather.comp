@@ -38,10 +38,10 @@ uint sum_hit(TraceScene scene, uint i, uint row) {
     return h.instance;
 }
 
-/// Adds this block's sum of a row to the result. If the row extends over several blocks,
-/// stores the sum instead, and kernel backward/gather_heads adds all stored sums of the
-/// row. Two instances of a model add to the same coefficients. The result is repeatable
-/// for two additions, but not for four.
+/// Adds this block's sum of a row to the result. If the row also has hits in other
+/// blocks, only stores the sum, and kernel backward/gather_heads adds all stored sums of
+/// the row. This limits the number of additions: if two instances share coefficients, two
+/// additions give a repeatable result, but four do not.
 /// @param begins_here true if the row has no hits in earlier blocks
 /// @param goes_on true if the row continues in the next block
 void finish_row(uint block, uint row, uint instance, bool begins_here, bool goes_on) {

@@ -29,9 +29,11 @@ RELIDAR_CONSTANT(uint, GATHER, 0u);
 vec3 d_ray_origin;  // gradient of the ray's origin, world frame
 vec3 d_ray_direction;
 
-/// Adds the gradient of a hit to the gradient of its surfel's record.
-/// @param row row of the surfel, or kNoRow if this lane has no surfel but must take part
-/// in the exchange of rows
+/// Adds the gradient of a hit to the gradient of its surfel's record. Lanes may exchange
+/// gradients through shared memory, so that neighbouring lanes write neighbouring
+/// addresses.
+/// @param row index of the surfel's gradient, or kNoRow if this lane has no surfel but
+/// must take part in the exchange
 void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient d) {
     bool others = SH_PER_SURFEL != 0u || params.with_turn != 0u;  // lanes 7, 11, 15
     for (uint k = 0u; k < 16u; ++k)
@@ -60,11 +62,11 @@ struct BlendedHit {
     float behind;  // Sum of weight times `shade` over all hits behind this hit, including the background.
 };
 
-/// Computes the gradient of one hit. Adds it to the gradient of the ray. Then writes a
-/// record of the hit or adds the gradient of its surfel with atomics. If lanes exchange
-/// rows, the caller must add `d` with add_gradient().
+/// Computes the gradient of one hit and adds it to the gradient of the ray. Then writes a
+/// record of the hit, or adds the gradient of its surfel with atomics. If lanes exchange
+/// gradients, the caller must call add_gradient() with the results.
 /// @param d output: gradient for add_gradient()
-/// @return row for add_gradient(), or kNoRow
+/// @return `row` for add_gradient(), or kNoRow
 uint add_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHit b, out HitGradient d) {
     uint first_surfel = scene.instances.at[b.instance].first_surfel;
     uint row = b.surfel - first_surfel + scene.instances.at[b.instance].first_row;
@@ -94,7 +96,7 @@ void load_kept_hits(uint first, uint n) {
 }
 
 /// Adds the gradients of the first n hits of the buffer, from far to near. If lanes
-/// exchange rows, all lanes of a subgroup must call this function.
+/// exchange gradients, all lanes of a subgroup must call this function.
 /// @param slot index of the first hit's record
 /// @param behind sum of weight times shade over all later hits, including the background
 void add_chunk(TraceScene scene, Ray ray, uint ray_index, RayGradient g, uint slot, uint n, float behind) {
@@ -139,7 +141,7 @@ void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient g, in
 }
 
 /// Computes the gradients of a ray.
-/// @param going true if this lane has a ray with a gradient. If lanes exchange rows,
+/// @param going true if this lane has a ray with a gradient. If lanes exchange gradients,
 /// lanes without a ray must call this function too
 /// @return number of blended hits. Smaller than final.n_hits if the search did not find
 /// all hits again
@@ -185,7 +187,7 @@ void main() {
     if (!inside) {
         if (!rows_are_exchanged()) return;
         // Selects any valid ray, because this lane has no ray but must take part in the
-        // exchange of rows.
+        // exchange of gradients.
         i = 0u;
     }
     DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];

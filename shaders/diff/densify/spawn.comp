@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the values of split surfels, whose new rows already hold copies of the
-// original values (kernel densify/move). Moves each half to a random point of the
-// original surfel and divides its scales by 1.6. One thread per surfel of the old order.
-// Input: action, n_rows, starts. In place: surfels.
+// Computes the values of split surfels. Their new rows already contain copies of the
+// original values, which kernel densify/move has written. Moves each half to a random
+// point of the original surfel and divides its scales by 1.6. One thread per surfel of
+// the old order. Input: action, n_rows, starts. In place: surfels.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

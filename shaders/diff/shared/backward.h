@@ -9,8 +9,8 @@
 RELIDAR_SHARED_BEGIN
 
 #define RELIDAR_GATHER_BLOCK 32u  // number of hits that one thread sums
-// Row number of an unused entry. It is larger than all real row numbers, so that a sort
-// moves it to the end.
+// Row number of an unused entry. This number is larger than all real row numbers, so that
+// a sort moves unused entries to the end.
 #define RELIDAR_NO_ROW(n_rows) (n_rows)
 
 /// Gradient data of a blended hit, 16 bytes. Kernels recompute all other values of the

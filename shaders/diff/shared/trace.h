@@ -56,8 +56,8 @@ struct TraceScene {
 // contain at most 16 hits per lane.
 #define RELIDAR_MOST_HELD 16
 #define RELIDAR_SORTED_TOGETHER 4u  // lists that one workgroup sorts
-// Flag in the length of a hit list. It means that the transmittance falls below the limit
-// within the list, so that the ray ends there.
+// Flag in the length of a hit list. The flag means that the ray ends within the list,
+// because its transmittance falls below the limit there.
 #define RELIDAR_LIST_CLOSED 0x80000000u
 // Length of a hit list that cannot be used. Kernel forward/trace then renders the ray
 // without the list.

@@ -26,8 +26,8 @@ uint free_place;
 uint latest;       // index of the hit that was inserted last
 float latest_t;    // Distance of the hit that was inserted last. It is -kFar if that hit was removed.
 float farthest_t;  // distance of the farthest hit, valid if hits_closed is true
-// True if hits behind the farthest hit cannot contribute in this pass. Then the search
-// may stop at the farthest hit.
+// True if hits behind the farthest hit cannot contribute in this pass (the buffer is
+// closed). The search then stops at the farthest hit.
 bool hits_closed;
 float hits_transmittance;  // product of 1 - alpha over all hits in the buffer
 // Transmittance at which the ray ends, so that later hits are not needed. 0 keeps all
@@ -147,8 +147,8 @@ void insert(Key key, float alpha, float alpha_max) {
     if (hits_closed) farthest_t = placed_t[next_nearer[CHUNK]];
 }
 
-/// Returns the distance of the farthest hit in the buffer. A closed buffer accepts no
-/// hits behind this distance.
+/// Returns the distance of the farthest hit in the buffer. If hits_closed is true, the
+/// buffer accepts no hits behind this distance.
 float last_hit_t() { return farthest_t; }
 
 /// Returns true if a hit is too far away to contribute in this pass.

@@ -16,7 +16,7 @@
 
 HitLists listed;  // hit lists of all threads of the launch
 uint list_index;
-uint n_hits;       // Number of hits found, including hits that do not fit into the list.
+uint n_hits;       // Number of hits of the ray so far, including hits that do not fit into the list.
 bool hits_closed;  // True if hits behind the distance end_t cannot contribute.
 float end_t;
 // Product of 1 - alpha over the hits since the ray was last shortened.
@@ -25,8 +25,8 @@ float set_transmittance;
 float least_transmittance;
 float farthest_t;  // Distance of the farthest hit since the ray was last shortened.
 
-/// Returns the distance of the last hit that can contribute. If the list is closed, it
-/// accepts no hits behind this distance.
+/// Returns the distance of the last hit that can contribute. If hits_closed is true, the
+/// list accepts no hits behind this distance.
 float last_hit_t() { return end_t; }
 
 /// Returns true if a hit is too far away to contribute.

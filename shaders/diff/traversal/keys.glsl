@@ -17,8 +17,8 @@ bool before(Key a, Key b) {
 
 /// Returns the index of hit k of a hit list with capacity `room`. Each thread has one
 /// list. RELIDAR_SIDE_BY_SIDE lists are interleaved, so that reads use complete cache
-/// sectors in two cases: each thread reads its own list, or all lanes read one list
-/// together.
+/// sectors. This holds both if each thread reads a separate list and if all lanes read
+/// one list together.
 uint list_entry(uint room, uint list, uint k) {
     return ((list / RELIDAR_SIDE_BY_SIDE) * room + k) * RELIDAR_SIDE_BY_SIDE + list % RELIDAR_SIDE_BY_SIDE;
 }

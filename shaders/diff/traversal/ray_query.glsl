@@ -59,7 +59,8 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
         Search search = Search(ray.origin, ray.direction, RELIDAR_STANDING_MASK, RELIDAR_NO_INSTANCE);
         if (k > 0u && !search_moving(scene, ray, scene.moving.at[k - 1u], search)) continue;
         float end = 1e30;  // distance at which the query stops
-        // Limits the query if earlier queries have already closed the buffer.
+        // Limits the query to the distance of the farthest hit if earlier queries have
+        // already filled the hit buffer.
         if (hits_closed) end = max(last_hit_t() - start, 0.0) + (1e-4 + 1e-5 * last_hit_t()) + reach;
         rayQueryInitializeEXT(query, accelerationStructureEXT(uvec2(scene.tlas)), gl_RayFlagsNoOpaqueEXT,
                               search.mask, search.origin + start * search.direction, 0.0, search.direction,

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Periodic motion of surfels on actors that change their shape, such as pedestrians
-// (docs/method.md M14). p is the phase of the actor's motion. A surfel is visible mainly
-// around its own phase. Its opacity is multiplied by
+// Periodic motion of surfels on actors that change their shape, for example pedestrians
+// (docs/method.md M14). p is the phase of the actor's motion, and `phase` is the phase at
+// which the surfel is most visible. The opacity of the surfel is multiplied by
 //   exp(sharpness^2 (cos 2 pi (p - phase) - 1))
 //
 // and its mean is moved by swing sin 2 pi (p - phase). Include this file after

@@ -32,7 +32,7 @@ struct ActivateParams {
     // spherical harmonics (SH) are evaluated in the direction from this point. Used only
     // if SH are evaluated per surfel.
     Vec3s view_origins;
-    // Input [n_models]: phase of the model's walking motion (gait), in full cycles (0 to
+    // Input [n_models]: phase of the model's periodic motion (gait), in full cycles (0 to
     // 1). Negative for rigid models.
     RELIDAR_OF(Floats, GaitPhases) phases;
     float alpha_min;  // surfels whose opacity is lower get opacity 0

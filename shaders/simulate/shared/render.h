@@ -51,11 +51,11 @@ RELIDAR_POINTER(SensorBeams, SensorBeam);
 /// Measurement of a ray of a scan.
 struct MeasuredRay {
     float range_m;  // Range of the type that config.render.range selects. 0 if the ray hit nothing.
-    // Range of the surface with the largest weight. Equals range_m if the surfaces were
-    // not computed.
+    // Range of the surface with the largest weight, or range_m if surfaces were not
+    // computed.
     float median_range_m;
-    // Expected range: blended depth D divided by blended weight W. Equals range_m if the
-    // surfaces were not computed.
+    // Expected range D / W (blended depth / weight), or range_m if surfaces were not
+    // computed.
     float mean_range_m;
     float intensity;  // 0..1
     // Probability that the ray has no return. 1 if the ray hit nothing within the
@@ -80,8 +80,8 @@ struct MeasureRaysParams {
     Rays fired;                 // input [n_rays] the same rays in the world frame
     RenderedRays rendered;      // input [n_rays]
     RenderedSurfaces surfaces;  // Input [n_surfaces]: surface that each ray hit, or one entry of zeros.
-    // Input [n_beams]: range offset and intensity gain of each beam. Beams beyond the
-    // array have offset 0 and gain 1.
+    // Input [n_beams]: range offset and gain of each beam. Other beams use offset 0, gain
+    // 1.
     SensorBeams beams;
     // Input [n_response]: pairs of range in m and intensity factor. The factor is 1 if
     // the array is empty.
@@ -138,8 +138,8 @@ struct MarkReturnsParams {
     RELIDAR_OF(Uints, ReturnMarks) marks;  // output [n_rays] 1 for rays with a return, otherwise 0
     uint n_rays;
     uint refined;
-    // 1: points use the same range as the range image. 0: points use the range of the
-    // surface with the largest weight.
+    // 1: points use the range of the range image. 0: the range of the surface with most
+    // weight.
     uint of_image;
     // Threshold of the drop probability. A ray has no return if its probability reaches
     // the threshold.

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Converts range images and other scalar images to colours, by linear interpolation
-// between the colours below. "turbo" resembles the colour map Turbo: dark indigo, blue,
-// cyan, green, yellow, orange and dark red, from near to far. "heat" is for errors.
+// between the colours below. "turbo" resembles the colour map Turbo, from near (dark
+// indigo, blue, cyan) over green and yellow to far (orange, dark red). "heat" is for
+// errors.
 #include <relidar/base/images.hpp>
 
 #include <algorithm>

@@ -60,7 +60,7 @@ public:
     shared::BvhPointers pointers() const;
     std::uint64_t memory_bytes() const;
     /// record_cost() submits a kernel that computes the cost of all trees with the
-    /// surface area heuristic, in m^2. read_cost() waits for the result. It returns
+    /// surface area heuristic, in m^2. read_cost() waits for the cost and returns it, or
     /// nothing if record_cost() was not called since the last read_cost(). A rebuild is
     /// useful if the cost is much higher than after the last build.
     void record_cost(Stream& stream);

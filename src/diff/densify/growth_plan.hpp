@@ -14,8 +14,8 @@
 
 namespace relidar {
 
-/// Number of surfels of one model per outcome. The index is one of RELIDAR_DENSIFY_KEPT
-/// and the constants that follow it.
+/// Number of surfels of one model for each action of the densification. The index is
+/// RELIDAR_DENSIFY_KEPT or one of the constants that follow it.
 using ModelCounts = std::array<std::uint32_t, RELIDAR_DENSIFY_COUNTERS>;
 
 struct GrowthPlan {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Moves all arrays of surfels into the order after a densification. Moves one set of
-// arrays at a time into a spare set and then swaps both sets. Used only by densification.
+// Moves all arrays of surfels into their order after a densification. Moves one set of
+// arrays at a time into spare arrays, and then exchanges both sets. Used only by
+// densification.
 #pragma once
 
 #include <relidar/diff/densify.hpp>

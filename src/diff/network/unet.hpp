@@ -45,9 +45,9 @@ struct UnetPlan {
     explicit UnetPlan(const DropNetwork& network);
 };
 
-/// These functions return numbers of channels at a level of the decoder. up_channels() is
-/// its output. below_channels() is its input from the smaller images.
-/// count_joined_channels() is the sum of this input and the skip connection.
+/// Each function returns a number of channels at one level of the decoder. up_channels()
+/// counts the output. below_channels() counts the input from the smaller images.
+/// count_joined_channels() counts that input and the skip connection together.
 std::uint32_t up_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t below_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t count_joined_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
