@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads SPIR-V modules and edits them when they are loaded. The edits depend on the
-// device, so they cannot be made at compile time. Execution modes are added here because
-// glslang may not know their GLSL extensions. Parameters are marked read-only here
-// because the GLSL qualifier affects too many variables (shaders/base/kernel.glsl).
+// Reads SPIR-V modules and edits them when they are loaded. Execution modes are added
+// here because they depend on the device, and because glslang may not know their GLSL
+// extensions. Parameters are marked read-only here because the GLSL qualifier affects too
+// many variables (shaders/base/kernel.glsl).
 #pragma once
 
 #include <cstdint>

@@ -51,19 +51,16 @@ RELIDAR_POINTER(SensorBeams, SensorBeam);
 /// Measurement of a ray of a scan.
 struct MeasuredRay {
     float range_m;  // Range of the type that config.render.range selects. 0 if the ray hit nothing.
-    // Range of the surface with the largest weight, or range_m if surfaces were not
-    // computed.
+    // Range of the surface with the largest weight, or range_m if no surface was found.
     float median_range_m;
-    // Expected range D / W (blended depth / weight), or range_m if surfaces were not
-    // computed.
+    // Expected range D / W (blended depth / weight), or range_m if no surface was found.
     float mean_range_m;
     float intensity;  // 0..1
     // Probability that the ray has no return. 1 if the ray hit nothing within the
     // sensor's limits.
     float drop_prob;
     float weight;  // W
-    // Cosine of the angle between the ray and the blended normal. 0 if the hit has no
-    // normal.
+    // Cosine of the angle between ray and blended normal. 0 if the hit has no normal.
     float incidence;
     uint instance;  // instance that was hit, or RELIDAR_NO_INSTANCE
 };
@@ -80,8 +77,7 @@ struct MeasureRaysParams {
     Rays fired;                 // input [n_rays] the same rays in the world frame
     RenderedRays rendered;      // input [n_rays]
     RenderedSurfaces surfaces;  // Input [n_surfaces]: surface that each ray hit, or one entry of zeros.
-    // Input [n_beams]: range offset and gain of each beam. Other beams use offset 0, gain
-    // 1.
+    // Input [n_beams]: range offset and gain of each beam. Other beams: offset 0, gain 1.
     SensorBeams beams;
     // Input [n_response]: pairs of range in m and intensity factor. The factor is 1 if
     // the array is empty.
@@ -92,8 +88,7 @@ struct MeasureRaysParams {
     uint n_beams;
     uint n_response;
     uint range_kind;
-    // Minimum blended weight of a hit. A ray with a smaller weight counts as a ray
-    // without a hit.
+    // Minimum blended weight of a hit. Rays with less weight have no hit.
     float min_weight;
     float min_range_m;
     float max_range_m;
@@ -132,8 +127,7 @@ RELIDAR_POINTER(ReturnedPoints, ReturnedPoint);
 
 struct MarkReturnsParams {
     MeasuredRays measured;  // input [n_rays]
-    // Input [n_rays]: probability that each ray has no return, from the network. Used if
-    // `refined` is 1.
+    // Input [n_rays]: drop probabilities from the network. Used if `refined` is 1.
     RELIDAR_OF(Floats, DropProbabilities) drop_prob;
     RELIDAR_OF(Uints, ReturnMarks) marks;  // output [n_rays] 1 for rays with a return, otherwise 0
     uint n_rays;
@@ -141,8 +135,7 @@ struct MarkReturnsParams {
     // 1: points use the range of the range image. 0: the range of the surface with most
     // weight.
     uint of_image;
-    // Threshold of the drop probability. A ray has no return if its probability reaches
-    // the threshold.
+    // A ray has no return if its drop probability reaches this threshold.
     float drop_threshold;
 };
 
