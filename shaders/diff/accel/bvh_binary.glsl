@@ -50,8 +50,9 @@ uint collect_slots(BvhBinary tree, uint node, out uint slots[RELIDAR_BVH_WIDTH])
     return n_slots;
 }
 
-/// Finds the surfels of a leaf. Writes their positions in the sorted order.
-/// @param slot child slot that contains the leaf
+/// Finds the surfels of a subtree that becomes a leaf. Writes their positions in the
+/// sorted order.
+/// @param slot root of the subtree
 /// @return number of surfels
 uint collect_surfels(BvhBinary tree, uint slot, out uint positions[RELIDAR_BVH_LEAF_SIZE]) {
     uint stack[RELIDAR_BVH_LEAF_SIZE];

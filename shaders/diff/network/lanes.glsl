@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads values from neighbouring lanes of a subgroup. Define the constant LANES (size of
-// the subgroup) before this file is included.
+// Reads values from neighbouring lanes of a subgroup. The constant LANES (size of the
+// subgroup) must be defined before this file is included.
 #ifndef RELIDAR_INCLUDED_DIFF_NETWORK_LANES_GLSL
 #define RELIDAR_INCLUDED_DIFF_NETWORK_LANES_GLSL
 

@@ -54,11 +54,12 @@ struct BvhKeysParams {
 struct BvhBinary {
     RELIDAR_OF(Uvec2s, BinaryChildren) children;  // [n]
     RELIDAR_OF(Floats, BinaryBoxes) boxes;        // [n,6] m
-    // Cost [n,7] of converting the subtree to at most 1 ... 7 slots of a wide node, m^2.
+    // Cost [n,7] of storing a node's subtree as at most 1 ... 7 children of an eight-wide
+    // node, m^2.
     RELIDAR_OF(Floats, BinaryCosts) costs;
     // Best distribution of child slots to both children [n]. See accel/bvh_binary.glsl.
     RELIDAR_OF(Uints, BinaryDecisions) decisions;
-    // Sorted position in a node's subtree that no node uses as its index yet [n].
+    // Sorted position [n] in a node's subtree that is not yet used as a node index.
     RELIDAR_OF(Uints, SpareNodes) spares;
 };
 
@@ -70,25 +71,26 @@ struct BvhClusterParams {
     RELIDAR_OF(Uvec2s, MortonKeys) keys;       // input [n] sorted
     RELIDAR_OF(Uints, SortedSurfels) surfels;  // input [n] surfel at each sorted position
     Models models;                             // input [n_models]
-    // Scratch [n]: other end of the range that first reached the split after a position.
-    // Initially NO_NODE.
+    // Scratch [n]: for each split between neighbouring ranges, the far end of the range
+    // that reached the split first. Initially NO_NODE.
     RELIDAR_OF(Uints, OtherEnds) other_ends;
-    // Scratch [n]: root nodes of the clusters of a range, stored from the first position
-    // of the range on. NO_NODE follows the last cluster if the range has space left.
+    // Scratch [n]: root nodes of the clusters of a range. The list starts at the first
+    // position of the range and ends with NO_NODE if space is left.
     RELIDAR_OF(Uints, BinaryClusters) clusters;
     RELIDAR_OF(Uints, BinaryRoots) roots;  // output [n_models] root of each model
     uint n_surfels;
     uint n_models;
 };
 
-/// Trees of wide nodes (up to eight children), and data that only the build and the refit
-/// need.
+/// Trees of wide nodes (up to eight children). Some members are used only to build and
+/// refit the trees.
 struct BvhWide {
     BvhNodes nodes;                       // [bound]
     RELIDAR_OF(Uints, LeafOrder) order;   // [n]
     RELIDAR_OF(Uvec2s, WideLinks) links;  // [bound] parent or NO_NODE, first surfel of the model
     RELIDAR_OF(Floats, WideBoxes) boxes;  // [bound,6] m: box of the node before quantisation
-    // Number of inner children whose boxes are finished [bound]. 0 between launches.
+    // Number of inner children whose boxes are finished [bound]. Always 0 between
+    // launches.
     RELIDAR_OF(Uints, Arrivals) arrivals;
     RELIDAR_OF(Uints, WideCount) count;  // [1] number of nodes in use
 };
@@ -98,19 +100,20 @@ struct BvhWide {
 struct BvhWideParams {
     BvhBinary tree;  // input
     BvhWide wide;    // output
-    // Queue [bound] of binary nodes that become wide nodes. The roots of the models are
-    // first, then each level follows. The order within a level is arbitrary.
+    // Queue [bound] of binary nodes that become wide nodes. The roots of the models come
+    // first, then one level after another. The order within a level is arbitrary.
     RELIDAR_OF(Uints, BinaryRoots) queue;
-    // Children [bound,8] of the wide node that belongs to each queue entry. Unused slots
-    // contain NO_NODE.
+    // Children [bound,8] of the wide node that replaces each binary node in the queue.
+    // Unused entries contain NO_NODE.
     RELIDAR_OF(Uints, WideSlots) slots;
-    // Number of queue entries per level [levels + 1], without the roots. Initially 0.
+    // Number of binary nodes in the queue per tree level [levels + 1], without the roots.
+    // Initially 0.
     RELIDAR_OF(Uints, LevelSizes) level_sizes;
-    // Number of inner children + 256 * number of leaf entries of each binary node [n]. 0
-    // if the node does not become a wide node.
+    // For each binary node [n] that becomes a wide node: number of inner children + 256 *
+    // number of leaf entries. 0 for all other nodes.
     RELIDAR_OF(Uints, SlotDemands) demands;
-    // Numbers of inner children and of leaf entries, summed over all earlier nodes of the
-    // tile [n].
+    // Number of inner children and number of leaf entries, summed over all earlier binary
+    // nodes of the tile [n].
     RELIDAR_OF(Uvec2s, TileOffsets) offsets;
     RELIDAR_OF(Uvec2s, SumsOfTiles) tiles;     // [n_tiles] the same sums over all earlier tiles
     RELIDAR_OF(Uints, WidePlaces) places;      // [n] wide node that replaces a binary node

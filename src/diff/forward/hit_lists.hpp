@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Forward pass with hit lists: each ray writes its hits to a list, and then kernels sort
-// and blend the lists. Used only by the forward pass.
+// Forward pass with hit lists. Each ray writes its hits to a list, and then other kernels
+// sort and blend the lists. Used only by the forward pass.
 #pragma once
 
 #include <memory>
