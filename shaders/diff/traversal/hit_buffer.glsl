@@ -132,8 +132,8 @@ void insert(Key key, float alpha, float alpha_max) {
         nearer = next_nearer[nearer];
     }
     uint slot = insertion_index(alpha_max);
-    // If the search started at the removed farthest hit, its entry now belongs to the new
-    // hit. The sentinel replaces it as the farther neighbour.
+    // If the farther neighbour was removed to make space, its entry now belongs to the
+    // new hit. The sentinel then becomes the farther neighbour.
     if (slot == farther) farther = CHUNK;
     place_hit(slot, Hit(key.t, alpha, key.instance, key.surfel));
     latest = slot;
