@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Atomic float addition on a buffer. Uses the device's float atomics if it has them,
-// otherwise compare-and-swap on the bits. Kernels are built in both variants
-// (RELIDAR_FLOAT_ATOMICS), and the host selects the variant for the device.
+// Adds a float to a buffer atomically. Uses the device's float atomics if it has them,
+// otherwise compare-and-swap on the bits. Each kernel is built in both variants
+// (RELIDAR_FLOAT_ATOMICS), and the host selects the variant that the device supports.
 #ifndef RELIDAR_INCLUDED_BASE_ATOMIC_ADD_GLSL
 #define RELIDAR_INCLUDED_BASE_ATOMIC_ADD_GLSL
 

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compensated summation (Kahan): keeps the full float precision in long sums. The
+// Compensated summation (Kahan), which keeps the full float precision in long sums. The
 // backward pass needs this precision because it subtracts long sums from each other.
 #ifndef RELIDAR_INCLUDED_BASE_COMPENSATED_GLSL
 #define RELIDAR_INCLUDED_BASE_COMPENSATED_GLSL
 
-/// Adds x to `sum`. `lost` stores the rounding error, which the next call adds again.
+/// Adds x to `sum`. Stores the rounding error in `lost`. The next call corrects the sum
+/// by this error.
 void add_compensated(inout float sum, inout float lost, float x) {
     precise float y = x - lost;
     precise float t = sum + y;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sums over many threads that do not depend on the order of addition. Each sum is a
-// 64-bit fixed-point number with steps of 2^-20, stored as two words of a buffer. The
+// Sums over many threads whose result does not depend on the order of addition. Each sum
+// is a 64-bit fixed-point number with steps of 2^-20, stored as two 32-bit words. Its
 // range is +-8e12.
 #ifndef RELIDAR_INCLUDED_BASE_FIXED_POINT_GLSL
 #define RELIDAR_INCLUDED_BASE_FIXED_POINT_GLSL
@@ -9,14 +9,14 @@ layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer Fix
 
 const float kFixedSteps = 1048576.0, kFixedWord = 4294967296.0;
 
-/// Returns the negative of a two-word number (two's complement).
+/// Returns -x for a 64-bit number of two words (two's complement).
 uvec2 negated(uvec2 x) { return uvec2(~x.x + 1u, ~x.y + uint(x.x == 0u)); }
 
-/// Adds x to the fixed-point number sums[entry]. Each entry consists of two words, the
-/// low word first. x must be finite and below 1e12.
+/// Adds x to the fixed-point number sums[entry]. The number consists of two words, the
+/// low word first. x must be finite and its absolute value below 1e12.
 void add_fixed(Uints sums, uint entry, float x) {
-    // Splits the number of steps into two words. Both words are exact, because a float
-    // has 24 significant bits.
+    // Splits the number of steps into two words. The split is exact, because a float has
+    // only 24 significant bits.
     float steps = trunc(abs(x) * kFixedSteps), high = floor(steps / kFixedWord);
     uvec2 amount = uvec2(uint(steps - high * kFixedWord), uint(high));
     if (x < 0.0) amount = negated(amount);
@@ -28,8 +28,8 @@ void add_fixed(Uints sums, uint entry, float x) {
 float read_fixed(Uints sums, uint entry) {
     uvec2 sum = uvec2(sums.at[2u * entry], sums.at[2u * entry + 1u]);
     bool negative = (sum.y & 0x80000000u) != 0u;
-    // Negates the integer instead of the float. Otherwise the low word would be rounded
-    // before the subtraction.
+    // Negates the integer instead of the float, because converting a negative integer to
+    // float would round its low word first.
     if (negative) sum = negated(sum);
     float steps = float(sum.y) * kFixedWord + float(sum.x);
     return (negative ? -steps : steps) / kFixedSteps;

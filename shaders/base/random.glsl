@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stateless random numbers. Each number is a hash of its key and indices, so repeated and
-// resumed runs get the same numbers. Uses PCG4D of Jarzynski and Olano, "Hash Functions
-// for GPU Rendering" (2020).
+// Random numbers without a state. Each number is a hash of a key and indices, so repeated
+// and resumed runs get the same numbers. The hash is PCG4D of Jarzynski and Olano, "Hash
+// Functions for GPU Rendering" (2020).
 #ifndef RELIDAR_INCLUDED_BASE_RANDOM_GLSL
 #define RELIDAR_INCLUDED_BASE_RANDOM_GLSL
 
@@ -19,10 +19,11 @@ uvec4 pcg4d(uvec4 v) {
     return v;
 }
 
-/// Returns two independent standard normal deviates (Box and Muller).
+/// Returns two independent random numbers with a standard normal distribution (Box and
+/// Muller).
 /// @param key key of the launch
 /// @param item index of the item that needs the numbers
-/// @param draw index of the pair for that item
+/// @param draw index of the pair for this item
 vec2 random_normal2(uint key, uint item, uint draw) {
     uvec4 bits = pcg4d(uvec4(key, item, draw, 0u));
     float radius = sqrt(-2.0 * log((float(bits.x >> 8u) + 1.0) * (1.0 / 16777216.0)));

@@ -1,17 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sums values over a workgroup and adds the sum to memory with one atomic operation. One
-// atomic per thread would be slow, because the GPU serialises atomics on the same float.
-// Include after kernel.glsl, shared/ and atomic_add.glsl.
+// atomic operation per thread would be slow, because a GPU executes atomics on the same
+// float one after another. Include this file after kernel.glsl, shared/ and
+// atomic_add.glsl.
 #ifndef RELIDAR_INCLUDED_BASE_REDUCE_GLSL
 #define RELIDAR_INCLUDED_BASE_REDUCE_GLSL
 
-shared float reduce_partial[gl_WorkGroupSize.x];  // The workgroup size is a power of two.
+// The reduction requires a workgroup size that is a power of two.
+shared float reduce_partial[gl_WorkGroupSize.x];
 
 /// Adds the values of all threads of the workgroup to sums[entry]. Every thread must call
-/// it. Threads without an element pass 0.
+/// this function. Threads without an element pass 0.
 void add_to_sum(Floats sums, uint entry, float value) {
     uint lane = gl_LocalInvocationIndex;
-    barrier();  // Waits until the previous sum has been read.
+    barrier();  // Waits until all threads have read the previous sum.
     reduce_partial[lane] = value;
     barrier();
     for (uint n = gl_WorkGroupSize.x / 2u; n > 0u; n /= 2u) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Prefix sums over a workgroup of at most 64 subgroups. Threads are numbered subgroup by
-// subgroup with scan_thread(), so the sums are the same in every run. A shader must
-// number its elements in the same way.
+// Prefix sums over a workgroup of at most 64 subgroups. scan_thread() numbers the threads
+// subgroup by subgroup, so that the sums are the same in every run. A shader must assign
+// its elements to threads by this number.
 #ifndef RELIDAR_INCLUDED_BASE_WORKGROUP_SCAN_GLSL
 #define RELIDAR_INCLUDED_BASE_WORKGROUP_SCAN_GLSL
 #extension GL_KHR_shader_subgroup_basic : require
@@ -10,8 +10,8 @@ shared uvec2 scan_sums[64];
 
 uint scan_thread() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
 
-/// Returns the sum over all subgroups before this one. Every thread of the workgroup must
-/// call it.
+/// Returns the sum over all subgroups before this subgroup. Every thread of the workgroup
+/// must call this function.
 /// @param sum sum of this subgroup
 /// @param total output: sum of all subgroups
 uvec2 subgroups_before(uvec2 sum, out uvec2 total) {
@@ -29,8 +29,8 @@ uvec2 subgroups_before(uvec2 sum, out uvec2 total) {
     return before;
 }
 
-/// Returns the sum of x over all threads before this one. Every thread of the workgroup
-/// must call it.
+/// Returns the sum of x over all threads before this thread. Every thread of the
+/// workgroup must call this function.
 /// @param total output: sum over all threads
 uvec2 workgroup_exclusive_add(uvec2 x, out uvec2 total) {
     uvec2 before = subgroupExclusiveAdd(x);

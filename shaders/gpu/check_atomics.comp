@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adds small integers to float sums, to check the atomics of a device. All threads add to
-// the same few sums, so that additions collide. The host knows each sum exactly.
+// Adds small integers to float sums, so that the host can check the atomics of a device.
+// Many threads add to each sum at the same time. The host knows each sum exactly.
 // Accumulated: sums.
 #version 460
 #extension GL_GOOGLE_include_directive : require

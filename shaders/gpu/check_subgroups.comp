@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the results of subgroup operations, to check them on the host. Threads are
-// numbered by scan_thread(), as in all kernels that use subgroups. The value of a thread
-// depends only on its number, so the host knows every result. Output: results.
+// Writes the results of subgroup operations, so that the host can check them. The value
+// of a thread depends only on its number from scan_thread(), so the host knows every
+// correct result. Output: results.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -22,7 +22,7 @@ void main() {
     uvec2 total, before = workgroup_exclusive_add(uvec2(x, 1u), total);
     uvec4 ballot = subgroupBallot(odd);
     uint in_branch = 0u;
-    // Half of the lanes take this branch, so that the sum covers only active lanes.
+    // Half of the lanes take this branch. The sum must include only these active lanes.
     if (odd) in_branch = subgroupAdd(x);
     params.results.at[first] = gl_SubgroupSize;
     params.results.at[first + 1u] = sum;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Second of three kernels of a radix sort pass. For each value of the digit, computes the
-// number of keys in all earlier tiles. One subgroup per digit value. Input: n_keys. In
-// place: counts. Output: totals.
+// Second of three kernels of a radix sort pass. For each digit value and tile, computes
+// the number of keys with this digit value in all earlier tiles. One subgroup processes
+// one digit value. Input: n_keys. In place: counts. Output: totals.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"

@@ -1,9 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Radix sort, last of three kernels per pass: moves each key behind all keys with smaller
-// digits and behind earlier keys with the same digit. A workgroup of 256 threads
-// processes a tile of 4096 keys. Each subgroup processes a contiguous run of the tile and
-// ranks it round by round with ballots, so that equal digits keep their order. With more
-// than 32 subgroups (of 4 lanes), two subgroups share their counters and take turns.
+// Last of three kernels of a radix sort pass. Moves each key behind all keys with smaller
+// digits and behind earlier keys with the same digit.
+//
+// A workgroup of 256 threads processes a tile of 4096 keys. Each subgroup processes a
+// contiguous part of the tile. In each round, ballots compute the rank of one key per
+// lane, so that keys with equal digits keep their order. With more than 32 subgroups (of
+// 4 lanes), two subgroups share their counters and run one after the other.
+//
 // Input: n_keys, keys, order, counts, totals. Output: sorted_keys, sorted_order. Minimum
 // traffic: key and order are read and written once.
 #version 460
@@ -16,24 +19,25 @@ RELIDAR_PARAMS(RadixSortParams);
 #include "radix.glsl"
 
 const uint ROUNDS = RELIDAR_TILE_SIZE / RELIDAR_TILE_THREADS;
-// Number of words per row of counters. Each word holds two 16-bit counts. 16 bits are
-// enough, because a tile has fewer than 65536 keys.
+// Number of words in a row of counters. Each word holds two 16-bit counts, because a tile
+// has fewer than 65536 keys.
 const uint WORDS = RELIDAR_SORT_DIGITS / 2u;
 const uint ROWS = 32u;  // Number of rows of counters that fit into 16 KiB of shared memory.
-// Number of keys with each digit in the run of a subgroup. Two subgroups may share a row.
-// sum_counters() replaces the counts by prefix sums over the rows.
+// Number of keys with each digit in the part of the tile that a subgroup processes. Two
+// subgroups may share a row. sum_counters() replaces the counts by prefix sums over the
+// rows.
 shared uint counters[ROWS * WORDS];
-// Output position of this tile's first key with each digit.
+// Output position of the first key of this tile with each digit.
 shared uint digit_start[RELIDAR_SORT_DIGITS];
-uint rank[ROUNDS];  // Ranks of this lane's keys, one per round.
+uint rank[ROUNDS];  // Ranks of this lane's keys. The lane ranks one key per round.
 
-/// Returns the number of neighbouring subgroups that use the same row of counters.
+/// Returns the number of neighbouring subgroups that share a row of counters.
 uint n_sharing() { return (gl_NumSubgroups + ROWS - 1u) / ROWS; }
 
 uint half_word(uint word, uint digit) { return (word >> (16u * (digit & 1u))) & 0xffffu; }
 
-/// Returns a bit mask of the subgroup's lanes that have the same digit as this lane.
-/// Lanes without a key form a separate group.
+/// Returns a bit mask of the lanes of this subgroup whose keys have the same digit as
+/// this lane's key. Lanes without a key form a separate group.
 uvec2 peers_of(bool valid, uint digit) {
     uvec2 with_key = subgroupBallot(valid).xy;
     uvec2 peers = valid ? with_key : ~with_key;
@@ -45,13 +49,14 @@ uvec2 peers_of(bool valid, uint digit) {
     return peers;
 }
 
-/// Computes the rank of each key in the subgroup's run: the number of earlier keys in the
-/// same row with the same digit. Also counts the keys. Every subgroup must call it,
-/// because on lavapipe a subgroup barrier waits for all subgroups.
+/// Computes the rank of each key in this subgroup's part of the tile. The rank is the
+/// number of earlier keys with the same digit in the same row of counters. Also counts
+/// the keys. Every subgroup must call this function, because a subgroup barrier waits for
+/// all subgroups on lavapipe.
 /// @param run first key of this lane
 /// @param n total number of keys
 /// @param row row of counters
-/// @param in_turn true if this subgroup ranks its run in this turn
+/// @param in_turn true if this subgroup ranks its keys in this call
 void rank_run(uint run, uint n, uint row, bool in_turn) {
     for (uint r = 0u; r < ROUNDS; ++r) {
         uint i = run + r * gl_SubgroupSize;
@@ -70,7 +75,7 @@ void rank_run(uint run, uint n, uint row, bool in_turn) {
     }
 }
 
-/// Replaces the counts of each row by their sum over all earlier rows.
+/// Replaces the counts of each row by their sums over all earlier rows.
 void sum_counters(uint n_rows) {
     if (scan_thread() >= WORDS) return;
     uint sum = 0u;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // First of two kernels that compute prefix sums. Computes the sum of each tile of 4096
-// counts. One workgroup of 256 threads per tile. Input: counts. Output: tile_sums.
-// Minimum traffic: 4 B read per count.
+// counts. One workgroup of 256 threads processes one tile. Input: counts. Output:
+// tile_sums. Minimum traffic: 4 B read per count.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"

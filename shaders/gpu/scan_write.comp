@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Second of two kernels that compute prefix sums. Computes the sum of all counts before
-// each count. One workgroup of 256 threads per tile of 4096 counts. Each subgroup
-// processes a contiguous part of the tile. Input: counts, prefix sums of tile_sums.
-// Output: prefix, total. Minimum traffic: 4 B read, 4 B written per count.
+// Second of two kernels that compute prefix sums. For each count, computes the sum of all
+// earlier counts. One workgroup of 256 threads processes a tile of 4096 counts. Each
+// subgroup processes a contiguous part of the tile. Input: counts, prefix sums of
+// tile_sums. Output: prefix, total. Minimum traffic: 4 B read, 4 B written per count.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -16,7 +16,7 @@ void main() {
     uint tile = workgroup_index();
     if (tile * RELIDAR_TILE_SIZE >= params.n) return;
     uint run = tile * RELIDAR_TILE_SIZE + gl_SubgroupID * gl_SubgroupSize * ROUNDS + gl_SubgroupInvocationID;
-    uint before[ROUNDS], sum = 0u;  // `sum` is the sum of the run so far.
+    uint before[ROUNDS], sum = 0u;  // Sum of the counts that this subgroup has processed.
     for (uint r = 0u; r < ROUNDS; ++r) {
         uint i = run + r * gl_SubgroupSize,
              count = i < params.n ? params.counts.at[params.offset + i * params.stride] : 0u;

@@ -1,11 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the records of surfels from their parameters (docs/method.md section 2):
-// normalised rotation, exp of the scales, sigmoid of the opacity. For actors with a gait,
-// the mean and the opacity depend on the phase of the model. If SH are evaluated per
-// surfel, it also computes the channel values in the direction view origin -> mean. One
-// thread per surfel of any model. Input: surfels, models, view_origins, phases.
-// Output: records. A surfel with a value that is not finite, or that is too faint to be
-// visible, gets opacity 0 and is never hit.
+// Computes the record of each surfel from its parameters (docs/method.md section 2).
+// Normalises the rotation, applies exp to the scales and applies the sigmoid function to
+// the opacity. On actors with a periodic motion (gait), mean and opacity also depend on
+// the phase of the motion.
+//
+// If spherical harmonics (SH) are evaluated per surfel, computes the channel values in
+// the direction from the view origin to the mean. A surfel gets opacity 0 and is never
+// hit if a value is not finite or if it is too faint to be visible.
+//
+// One thread per surfel of any model. Input: surfels, models, view_origins, phases.
+// Output: records.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -18,9 +22,9 @@
 RELIDAR_PARAMS(ActivateParams);
 
 /// Evaluates the SH channels of a surfel in a direction. Every thread of the workgroup
-/// must call it.
-/// @return true if all active coefficients are finite. The channel values alone do not
-/// show a NaN, because max(NaN, 0) is 0.
+/// must call this function. Checks the coefficients for NaN, because max(NaN, 0) is 0 and
+/// hides a NaN.
+/// @return true if all active coefficients are finite
 bool channels(uint surfel, bool is_surfel, vec3 direction, out vec3 values) {
     float basis[16];
     sh_basis(direction, params.sh_degree, basis);
@@ -45,7 +49,7 @@ bool finite3(vec3 v) { return !any(isnan(v)) && !any(isinf(v)); }
 void main() {
     uint i = thread_index();
     bool is_surfel = i < params.n_surfels;
-    // Threads without a surfel continue if STAGED is set, because they load data for
+    // If STAGED is set, threads without a surfel continue, because they load data for
     // other threads.
     if (!STAGED && !is_surfel) return;
     uint surfel = is_surfel ? i : 0u;
@@ -59,14 +63,14 @@ void main() {
         vec3(mean.at[3 * surfel], mean.at[3 * surfel + 1], mean.at[3 * surfel + 2]) + gait.sine * gait.swing;
     vec4 q = vec4(rotation.at[4 * surfel], rotation.at[4 * surfel + 1], rotation.at[4 * surfel + 2],
                   rotation.at[4 * surfel + 3]);
-    // Rejects quaternions whose squared length is not within 1e-30 ... 1e30. They would
-    // underflow or overflow and give a wrong rotation.
+    // Rejects quaternions whose squared length is outside 1e-30 ... 1e30. Their rotation
+    // matrix would be wrong because of underflow or overflow.
     float q_length2 = dot(q, q);
     mat3 r = rotation_matrix(q);
     s.axis_u = r[0] * exp(-log_scale.at[2 * surfel]);
     s.axis_v = r[1] * exp(-log_scale.at[2 * surfel + 1]);
     s.normal = r[2];
-    // 3D Gaussians have a third scale along the normal
+    // 3D Gaussians have a third scale, which is along the normal
     if (!is_null(params.surfels.log_scale_w)) s.normal *= exp(-params.surfels.log_scale_w.at[surfel]);
     s.opacity = gait.presence / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
     vec3 values;

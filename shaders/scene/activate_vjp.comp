@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes parameter gradients from record gradients: the chain rule of activate.comp,
-// applied once for each frame instead of once for each hit (docs/method.md section 4,
-// reduction a). One thread per surfel of any model. With a list (list_touched.comp),
-// only for surfels that may have a gradient. This is for CPUs, where lanes without a
-// gradient take as long as the others. Input: surfels, d_records, models, more_rows,
-// view_origins, phases, rows, n_listed. Output: d_surfels (sh only if SH are evaluated
-// per surfel), touched, d_view.
+// Computes parameter gradients from record gradients. This is the chain rule of
+// activate.comp, applied once per frame instead of once per hit (docs/method.md section
+// 4, reduction a).
+//
+// One thread per surfel of any model. On CPUs, the kernel processes only surfels in a
+// list (list_touched.comp), because lanes without a gradient take as long as the others.
+//
+// Input: surfels, d_records, models, more_rows, view_origins, phases, rows, n_listed.
+// Output: d_surfels (sh only if SH are evaluated per surfel), touched, d_view.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -17,8 +19,9 @@
 #include "sh_rows.glsl"
 RELIDAR_PARAMS(ActivateVjpParams);
 
-/// Computes the gradient of a surfel's SH coefficients. The gradient is zero if the
-/// record gradient is zero. Every thread of the workgroup must call it.
+/// Computes the gradient of a surfel's spherical-harmonic (SH) coefficients. The gradient
+/// is zero if the record gradient is zero. Every thread of the workgroup must call this
+/// function.
 /// @return dL/d(direction)
 vec3 channels_vjp(uint surfel, bool any_gradient, vec3 direction, vec3 d_channel) {
     float basis[16], d_basis[16];
@@ -32,7 +35,7 @@ vec3 channels_vjp(uint surfel, bool any_gradient, vec3 direction, vec3 d_channel
         if (c == 0u) {
             float intensity = 0.5;
             for (uint k = 0u; k < n; ++k) intensity += basis[k] * coefficient(sh, surfel, c, k);
-            // The forward pass clamps the intensity at 0, so the gradient is 0 below 0.
+            // The forward pass clamps negative intensities to 0, so their gradient is 0.
             if (intensity < 0.0) d = 0.0;
         }
         for (uint k = 0u; k < n; ++k) {
@@ -52,7 +55,7 @@ void store_view(uint surfel, vec3 g) {
 }
 
 /// Loads the record gradient of a surfel, summed over all instances of its model.
-/// @return true if the gradient is not zero
+/// @return true if any component is not zero
 bool load_row(uint surfel, ModelEntry model, out float row[16]) {
     for (uint k = 0u; k < 16u; ++k) row[k] = params.d_records.at[16u * surfel + k];
     for (uint p = 0u; p < model.n_more; ++p) {
@@ -80,7 +83,8 @@ void store_zero(uint surfel) {
         params.d_surfels.sh.at[surfel * RELIDAR_SH_FLOATS + k] = 0.0;
 }
 
-/// Writes the gradients of all parameters of a surfel except the SH coefficients.
+/// Writes the gradients of all parameters of a surfel except its spherical-harmonic
+/// coefficients.
 void store_geometry(uint surfel, Gait gait, vec3 d_mean, float row[16]) {
     vec3 d_axis_u = vec3(row[4], row[5], row[6]);
     vec3 d_axis_v = vec3(row[8], row[9], row[10]);
@@ -107,8 +111,8 @@ void store_geometry(uint surfel, Gait gait, vec3 d_mean, float row[16]) {
     for (uint k = 0u; k < 5u; ++k) params.d_surfels.gait.at[5 * surfel + k] = d_gait[k];
 }
 
-/// Applies the chain rule to a surfel. If harmonics are staged, every thread of the
-/// workgroup must call it.
+/// Computes the parameter gradients of a surfel. If STAGED is set, every thread of the
+/// workgroup must call this function.
 void chain_rule(uint surfel, bool is_surfel) {
     uint model = find_model(params.models, params.n_models, surfel);
     float row[16];
@@ -139,7 +143,7 @@ void chain_rule(uint surfel, bool is_surfel) {
 void main() {
     uint i = thread_index(), n = is_null(params.rows) ? params.n_surfels : params.n_listed.at[0];
     if (STAGED) {
-        chain_rule(i, i < n);  // threads without a surfel move rows of other threads
+        chain_rule(i, i < n);  // threads without a surfel copy data of other threads
         return;
     }
     if (i >= n) return;

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds the model of a surfel.
+// Finds the model that contains a surfel.
 #ifndef RELIDAR_INCLUDED_SCENE_FIND_MODEL_GLSL
 #define RELIDAR_INCLUDED_SCENE_FIND_MODEL_GLSL
 #include "shared/scene.h"
 
-/// Returns the index of the model that contains a surfel: the last model whose first
-/// surfel is at or before it. Never returns a model without surfels.
+/// Returns the index of the model that contains a surfel. This is the last model whose
+/// first surfel is at or before the surfel. A model without surfels is never returned.
 uint find_model(Models models, uint n_models, uint surfel) {
     uint low = 0u, high = n_models;
     while (high - low > 1u) {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a list of the rows that have a gradient, so that later kernels process only
-// these rows. Each thread checks RELIDAR_LIST_STRETCH rows. The order of the list differs
-// from run to run, but no result depends on it. Input: touched. Output: rows, count (zero
-// before).
+// Writes a list of the surfels that have a gradient, so that later kernels process only
+// these surfels. Each thread checks RELIDAR_LIST_STRETCH surfels. The order of the list
+// differs between runs, but no result depends on it. Input: touched. Output: rows, count
+// (zero before).
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"

@@ -1,34 +1,39 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes the spherical-harmonic coefficients of a surfel for each thread,
-// channel by channel. On a CPU, a thread reads its row directly. On a GPU, neighbouring
-// threads would then access addresses 192 bytes apart. So with STAGED, the threads of a
-// workgroup copy a channel of all their surfels to shared memory together, with
-// neighbouring threads at neighbouring addresses. Include after kernel.glsl and
-// shared/scene.h.
+// Reads and writes the spherical-harmonic coefficients of one surfel per thread, one
+// channel at a time.
+//
+// On a CPU, each thread accesses its coefficients in memory directly. On a GPU,
+// neighbouring threads would then access addresses 192 bytes apart, which is slow.
+// Therefore, if STAGED is set, all threads of a workgroup together copy a channel of all
+// their surfels to shared memory. Neighbouring threads then access neighbouring
+// addresses.
+//
+// Include this file after kernel.glsl and shared/scene.h.
 #ifndef RELIDAR_INCLUDED_SCENE_SH_ROWS_GLSL
 #define RELIDAR_INCLUDED_SCENE_SH_ROWS_GLSL
 RELIDAR_CONSTANT(bool, STAGED, false);
 
-// Number of floats per surfel in shared memory. The number is odd, so that neighbouring
-// surfels use different memory banks.
+// Number of floats per surfel in shared memory. An odd number makes neighbouring surfels
+// use different memory banks.
 const uint kChannelPitch = 17u;
 shared float staged_channel[gl_WorkGroupSize.x * kChannelPitch];
 shared bool staged_loads[gl_WorkGroupSize.x], staged_stores[gl_WorkGroupSize.x];
 
-/// Sets whether this thread loads and stores the SH channels of its surfel. Every thread
-/// of the workgroup must call this function and the next two functions.
+/// Sets whether this thread loads and stores the spherical-harmonic coefficients of its
+/// surfel. Every thread of the workgroup must call this function, load_channel() and
+/// store_channel().
 void choose_moves(bool loads, bool stores) {
     if (!STAGED) return;
     staged_loads[gl_LocalInvocationIndex] = loads;
     staged_stores[gl_LocalInvocationIndex] = stores;
 }
 
-/// Loads the first n coefficients of a channel.
+/// Loads the first n coefficients of a channel of a surfel.
 void load_channel(Floats sh, uint surfel, uint channel, uint n) {
     if (!STAGED) return;
-    barrier();  // Waits until the stores of the previous channel are complete.
+    barrier();  // Waits until all threads have stored the previous channel.
     uint first = surfel - gl_LocalInvocationIndex, k = gl_LocalInvocationIndex % 16u;
-    float moved[16];  // Issues all loads before it uses the first value, so that the loads overlap.
+    float moved[16];  // Starts all loads before the first value is used, so that the loads overlap.
     [[unroll]] for (uint m = 0u; m < 16u; ++m) {
         uint s = (m * gl_WorkGroupSize.x + gl_LocalInvocationIndex) / 16u;
         moved[m] =

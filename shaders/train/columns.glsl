@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes which columns of a frame's range image belong to a training batch.
+// Computes which columns of a frame's range image form a training batch.
 #ifndef RELIDAR_INCLUDED_TRAIN_COLUMNS_GLSL
 #define RELIDAR_INCLUDED_TRAIN_COLUMNS_GLSL
 
-/// Returns the frame column of column k of a batch. The batch consists of groups of
-/// RELIDAR_COLUMN_GROUP neighbouring columns. The groups start column_stride times their
-/// width apart. Columns wrap around.
+/// Returns the frame column of batch column k. A batch consists of groups of
+/// RELIDAR_COLUMN_GROUP neighbouring columns. Consecutive groups start column_stride
+/// times the group width apart. Indices wrap around at the end of the frame.
 uint frame_column(uint k, uint first_column, uint column_stride, uint n_columns_of_frame) {
     uint within = k % RELIDAR_COLUMN_GROUP;
     return (first_column + (k - within) * column_stride + within) % n_columns_of_frame;

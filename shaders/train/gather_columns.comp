@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Copies selected columns of a frame next to each other, so that the batch is an image
-// for later kernels. One thread per ray of the batch. Input: rays, targets. Output:
+// Copies selected columns of a frame next to each other, so that later kernels can read
+// the batch as an image. One thread per ray of the batch. Input: rays, targets. Output:
 // batch_rays, batch_targets.
 #version 460
 #extension GL_GOOGLE_include_directive : require

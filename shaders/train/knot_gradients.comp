@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts gradients of rays to gradients of the sensor poses between which the rays were
-// fired, using the interpolation weights. c is the corrected position of the sensor:
+// Converts gradients of rays to gradients of the sensor poses. Each ray was fired between
+// two poses, and the interpolation weights distribute its gradient. c is the corrected
+// position of the sensor:
 //   dL/dv = dL/d(origin)
 //   dL/dw = (origin - c) x dL/d(origin) + direction x dL/d(direction)
-// One workgroup for each row and knot. Thread k of n sums every n-th ray in order. Then
-// the workgroup adds the sums of its threads, always in the same order. Input: moved,
-// places, knots, d_rays. Output: rows.
+//
+// One workgroup processes one output row of one pose. Thread k of n sums every n-th ray,
+// starting with ray k. Then the workgroup adds the sums of its threads, always in the
+// same order. Input: moved, places, knots, d_rays. Output: rows.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -15,7 +17,7 @@
 RELIDAR_PARAMS(KnotGradientsParams);
 shared vec3 forces[RELIDAR_KNOT_WORKGROUP], torques[RELIDAR_KNOT_WORKGROUP];
 
-/// Returns the index in the frame of ray k of the batch.
+/// Returns the index in the frame of batch ray k.
 uint frame_ray(uint k) {
     if (params.columns == 0u) return params.first_ray + k * params.ray_stride;
     return k / params.n_columns * params.columns +
@@ -24,7 +26,8 @@ uint frame_ray(uint k) {
 
 vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1u], a.at[i + 2u]); }
 
-/// Sums the gradients of every n-th ray, starting with the ray of this thread.
+/// Sums the gradients of every n-th ray, starting with the ray whose index is the thread
+/// index.
 void sum_rays(uint thread, uint n_threads, uint knot, out vec3 force, out vec3 torque) {
     force = torque = vec3(0.0);
     for (uint k = thread; k < params.n_rays; k += n_threads) {

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // Interpolates between the sensor poses before and after the firing time of a ray.
-// Include after shared/train.h.
+// Include this file after shared/train.h.
 #ifndef RELIDAR_INCLUDED_TRAIN_KNOTS_GLSL
 #define RELIDAR_INCLUDED_TRAIN_KNOTS_GLSL
 
 PoseKnot knot_at(PoseKnots knots, RayPlace place) {
     PoseKnot a = knots.at[place.left];
-    // Returns early, because the next pose may not exist if its weight s is 0.
+    // Returns early if the next pose has weight 0, because then it may not exist.
     if (place.s == 0.0) return a;
     PoseKnot b = knots.at[place.left + 1u];
     return PoseKnot(mix(a.position, b.position, place.s), mix(a.translation, b.translation, place.s),

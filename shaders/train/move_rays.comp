@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Applies the pose corrections of the sensor to the rays of a frame. A ray rotates around
-// the sensor position c at its firing time and moves by v:
-//    origin' = c + exp([w]x) (origin - c) + v,   direction' = exp([w]x) direction
+// Applies the pose corrections of the sensor to the rays of a frame. Each ray rotates by
+// w around the sensor position c at its firing time, and moves by v:
+//   origin' = c + exp([w]x) (origin - c) + v,   direction' = exp([w]x) direction
+//
 // One thread per ray. Input: rays, places, knots. Output: moved.
 #version 460
 #extension GL_GOOGLE_include_directive : require

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Assertions for internal invariants. A failed assertion prints both values with file and
-// line, and aborts. Releases disable assertions. The presets dev, ci and sanitize enable
-// them (RELIDAR_ASSERTS). Mistakes in files or of callers throw an Error instead.
+// line, and aborts the program. Only the presets dev, ci and sanitize enable assertions
+// (RELIDAR_ASSERTS). Errors in files or arguments throw an Error instead.
 #pragma once
 
 /// RELIDAR_ASSERT_LE(a, b) checks that a <= b. RELIDAR_ASSERT_EQ(a, b) checks that a ==
-/// b. Both macros print a and b if the check fails.
+/// b. If the check fails, both macros print a and b.
 #define RELIDAR_ASSERT_LE(a, b) RELIDAR_ASSERT_THAT(a, <=, b)
 #define RELIDAR_ASSERT_EQ(a, b) RELIDAR_ASSERT_THAT(a, ==, b)
 

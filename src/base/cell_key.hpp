@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts the cells of a world grid to integer keys. The keys are used for hashing and
-// sorting.
+// Converts the cells of a world grid to integer keys for hashing and sorting.
 #pragma once
 
 #include <cmath>
@@ -11,7 +10,7 @@
 namespace relidar {
 
 /// Returns the key of the cubic grid cell that contains a point. A key has 21 bits per
-/// axis and is unique within 2^20 cells of the origin.
+/// axis. Keys are unique up to 2^20 cells from the origin.
 /// @param point_m [3] metres
 /// @param cell_m edge length of the cells, metres
 inline std::uint64_t cell_key(const glm::dvec3& point_m, double cell_m) {

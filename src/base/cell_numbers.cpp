@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Numbers cells in parallel. Keys are divided into parts by their hash, and each part has
-// a separate hash table. A part processes its items in order, so that it finds the first
-// item of each cell. The first items of all parts, counted in item order, give the cell
-// numbers.
+// Numbers the grid cells that contain items, in parallel. Keys are divided into parts by
+// their hash, and each part has a separate hash table. Each part processes its items in
+// order, so that it finds the first item of each cell. Cells are then numbered by the
+// order of their first items.
 #include "base/cell_numbers.hpp"
 
 #include <array>
@@ -18,7 +18,7 @@ constexpr std::size_t kParts = 32;
 // Number of items that one task distributes to the hash tables.
 constexpr std::size_t kItemsPerBlock = 1 << 16;
 
-/// Indices of the items of one block, sorted by the hash table that stores them.
+/// Indices of the items of one block. Each part of the keys has a separate list.
 using ItemsByPart = std::array<std::vector<std::uint32_t>, kParts>;
 
 std::vector<ItemsByPart> distribute_items(std::span<const std::uint64_t> key) {
@@ -36,8 +36,8 @@ std::vector<ItemsByPart> distribute_items(std::span<const std::uint64_t> key) {
 CellNumbers number_cells(std::span<const std::uint64_t> key) {
     const std::vector<ItemsByPart> blocks = distribute_items(key);
     CellNumbers numbers{std::vector<std::uint32_t>(key.size()), 0};
-    // Index of the first item in the same cell as each item. Later replaced by the number
-    // of the cell.
+    // Index of the first item in the same cell as each item. The cell number replaces it
+    // later.
     std::vector<std::uint32_t>& first = numbers.of;
     parallel_for(kParts, [&](int part) {
         std::unordered_map<std::uint64_t, std::uint32_t> table;

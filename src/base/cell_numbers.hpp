@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Assigns consecutive numbers to the cells that contain items, and lists the items of
-// each cell. Runs on all cores.
+// Assigns consecutive numbers to the grid cells that contain items, and lists the items
+// of each cell. Runs on all cores.
 #pragma once
 
 #include <cstdint>
@@ -11,17 +11,17 @@
 
 namespace relidar {
 
-/// Cell number of each item. Cells are numbered in the order of their first item. The
-/// numbers do not depend on the number of cores.
+/// Cell number of each item. Cells are numbered in the order of their first items.
+/// Therefore the numbers do not depend on the number of cores.
 struct CellNumbers {
     std::vector<std::uint32_t> of;  ///< Cell number of each item, [items].
     std::size_t n_cells = 0;
 };
-/// Assigns consecutive numbers to the cells.
+/// Assigns consecutive numbers to the cells that contain items.
 /// @param key [items] key of the cell that contains each item
 CellNumbers number_cells(std::span<const std::uint64_t> key);
-/// Assigns consecutive numbers to the cells of n items.
-/// @param key_of function that returns the key of the cell of an item
+/// Assigns consecutive numbers to the cells that contain n items.
+/// @param key_of function that returns the key of the cell that contains an item
 template <class KeyOf>
 CellNumbers number_cells(std::size_t n, const KeyOf& key_of) {
     std::vector<std::uint64_t> keys(n);
@@ -40,7 +40,7 @@ public:
     }
 
 private:
-    // [cells + 1]: index in items_ at which the items of each cell begin.
+    // Index in items_ at which the items of each cell begin, [cells + 1].
     std::vector<std::size_t> first_;
     std::vector<std::uint32_t> items_;
 };

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads complete files, and parses numbers in their lines.
+// Reads complete files, splits them into lines and parses numbers.
 #include "base/files.hpp"
 
 #include <algorithm>
@@ -94,7 +94,7 @@ std::string excerpt(std::string_view text) {
     constexpr std::size_t kMost = 80;
     const bool cut = text.size() > kMost;
     std::size_t n = cut ? kMost - 3 : text.size();
-    // Does not cut within a UTF-8 character.
+    // Moves the end of the text, so that it does not split a UTF-8 character.
     while (cut && n > 0 && (static_cast<unsigned char>(text[n]) & 0xC0) == 0x80) --n;
     std::string result(text.substr(0, n));
     std::replace_if(

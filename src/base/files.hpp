@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads complete files and parses the numbers in them. Every failure throws a DataError
-// that names the file.
+// Reads complete files and parses numbers in texts. Every failure to read a file throws a
+// DataError with its path.
 #pragma once
 
 #include <filesystem>
@@ -15,48 +15,48 @@ namespace relidar {
 /// @throws DataError if the file is missing or cannot be read
 std::string read_file(const std::filesystem::path& path);
 
-/// Returns the content of a text file. Removes the UTF-8 byte-order mark that Excel and
-/// other programs write at the beginning.
+/// Returns the content of a text file. Removes the UTF-8 byte-order mark at the
+/// beginning, which Excel and other programs write.
 /// @throws DataError if the file is missing, cannot be read, or begins with a UTF-16
 /// byte-order mark
 std::string read_text(const std::filesystem::path& path);
 
 /// Returns true if a file or folder exists at the path.
-/// @throws DataError if the system reports an error, for example no permission, a loop of
-/// links or a name that is too long
+/// @throws DataError if the system reports an error, for example missing permission, a
+/// loop of links or a name that is too long
 bool path_exists(const std::filesystem::path& path);
 
 /// Checks that a path is a folder.
-/// @param expected description of the expected folder, for the message
-/// @throws DataError if the path is not a folder or cannot be reached
+/// @param expected description of the expected folder, for the error message
+/// @throws DataError if the path is not a folder or cannot be accessed
 void check_folder(const std::filesystem::path& path, const std::string& expected);
 
 /// Returns the paths of all files and folders in a folder, sorted by name.
-/// @throws DataError if the folder is missing, not a folder, or cannot be read
+/// @throws DataError if the path is missing, is not a folder, or cannot be read
 std::vector<std::filesystem::path> list_folder(const std::filesystem::path& folder);
 
-/// Returns the number in a file name without its extension. The name must consist of
-/// digits. The number must be below 10^8, so that arithmetic with it fits into an int.
+/// Returns the number that a file name without its extension represents. The name must
+/// consist of digits, and the number must be below 10^8 so that it fits into an int.
 /// Returns nullopt for other names.
 std::optional<int> file_number(const std::string& stem);
 
-/// Shortens a text for an error message: at most 80 characters, without control
+/// Shortens a text to at most 80 characters for an error message, and replaces control
 /// characters.
 std::string excerpt(std::string_view text);
 
-/// Splits a text into lines and removes "\n" or "\r\n". A line break at the end does not
-/// produce an empty line.
+/// Splits a text into lines without "\n" or "\r\n". A line break at the end of the text
+/// does not produce an empty line.
 std::vector<std::string> split_lines(const std::string& text);
 
 /// Returns the text without blanks at both ends.
 std::string_view trimmed(std::string_view text);
 
-/// Converts a text that contains one number, including "nan" and "inf". Returns nullopt
+/// Converts a text that consists of one number. Accepts "nan" and "inf". Returns nullopt
 /// if the text is not a number.
 std::optional<double> parse_number(std::string_view text);
 
-/// Converts all numbers of a text, which are separated by blanks or line breaks. Returns
-/// nullopt if a word is not a number.
+/// Converts a text of numbers that are separated by blanks or line breaks. Returns
+/// nullopt if any word is not a number.
 std::optional<std::vector<double>> parse_numbers(std::string_view text);
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates the angle between the rays of a range image and the surface normals. Uses the
-// points of neighbouring pixels.
+// Estimates the angle between the rays of a range image and the surface normals, using
+// the points of neighbouring pixels.
 #pragma once
 
 #include <cmath>
@@ -10,7 +10,8 @@
 
 namespace relidar {
 
-/// Rays and ranges of a range image, row by row. The columns cover a full turn.
+/// Rays and ranges of a range image, row by row. The columns cover a full turn of the
+/// sensor.
 struct ImageRays {
     int rows, columns;
     /// Origins and unit directions of the rays, [rows*columns].
@@ -22,17 +23,16 @@ struct ImageRays {
     }
 };
 
-/// Distance in columns to the neighbours that incidence_cosine() uses.
+/// Distance in columns between a pixel and the neighbours that incidence_cosine() uses.
 inline constexpr std::size_t kIncidenceColumns = 4;
 
-/// Returns the cosine of the angle of incidence at pixel i. Uses the points in the rows
-/// above and below, and the points four columns to either side. The distance of four
-/// columns reduces the effect of range noise. Returns a negative value if one of the
-/// points is missing or lies on another surface.
+/// Returns the cosine of the angle of incidence at pixel i. Uses the points one row above
+/// and below, and the points four columns to the left and right. Four columns are used
+/// because a larger distance reduces the effect of range noise. Returns a negative value
+/// if a point is missing or on another surface.
 inline double incidence_cosine(const ImageRays& image, std::size_t i) {
     constexpr std::size_t kColumns = kIncidenceColumns;
-    // Largest difference between the ranges of two pixels on one surface, relative to the
-    // range.
+    // Maximum relative difference between the ranges of two pixels on the same surface.
     constexpr double kSameSurface = 0.2;
     const auto columns = std::size_t(image.columns), row = i / columns, column = i % columns;
     if (columns < 2 * kColumns + 1 || row == 0 || row + 1 >= std::size_t(image.rows) ||

@@ -7,7 +7,7 @@
 
 namespace relidar {
 
-/// Concatenates lists into one list. Frees each list after it has been copied, to limit
+/// Concatenates lists into one list. Frees each list after it has been copied, to save
 /// memory.
 template <class T>
 std::vector<T> joined(std::vector<std::vector<T>> parts) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads JSON values and checks their types. Error messages quote the value, shortened to
-// one line.
+// Reads JSON values and checks their types. Error messages contain the value, shortened
+// to one line.
 #include "base/json_field.hpp"
 
 #include <algorithm>
@@ -25,7 +25,7 @@ std::string describe_value(const nlohmann::json& value) {
 
 /// Appends the numbers of nested lists to `numbers`.
 /// @return null if all values are valid. Otherwise the first value that is neither a
-/// number nor a list, or that is nested too deeply.
+/// number nor a list, or that is nested too deeply
 const nlohmann::json* collect_numbers(const nlohmann::json& value, int depth, std::vector<double>& numbers) {
     if (value.is_number()) {
         numbers.push_back(value.get<double>());
@@ -137,13 +137,13 @@ nlohmann::json parse_json(const std::string& text, const std::string& file) {
     try {
         return nlohmann::json::parse(text);
     } catch (const nlohmann::json::exception& error) {
-        // Removes the prefix of the library's message, for example
+        // Removes the prefix of the JSON library's message, for example
         // "[json.exception.parse_error.101] parse error at line 1, column 2: ".
         std::string why = error.what();
         if (const std::size_t bracket = why.find("] "); bracket != std::string::npos)
             why.erase(0, bracket + 2);
-        // Removes the part of the message that quotes the file, because the quotation may
-        // be very long.
+        // Removes the end of the message, which quotes the file, because it may be very
+        // long.
         why = why.substr(0, why.find("; last read"));
         for (char& c : why) c = static_cast<unsigned char>(c) < 0x20 ? ' ' : c;
         throw DataError(fmt::format("{}: not valid JSON, truncated or damaged: {}", file, why));

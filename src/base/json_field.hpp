@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads JSON files with unknown content. Each value knows its file and field, so that
-// every error message names both: "run/scene.json: frames[3].time_s: found null, expected
-// a finite number".
+// Reads JSON files whose content is not trusted. Each value stores its file and field, so
+// that every error message contains both: "run/scene.json: frames[3].time_s: found null,
+// expected a finite number".
 #pragma once
 
 #include <array>
@@ -17,18 +17,18 @@ class JsonField {
 public:
     /// Creates a reader for a JSON value.
     /// @param value must outlive this object
-    /// @param name name of the field in error messages. Empty for the root value.
+    /// @param name name of the field in error messages, empty for the root value
     JsonField(const nlohmann::json& value, const std::string& file, std::string name)
         : value_(&value), file_(&file), name_(std::move(name)) {}
 
     JsonField at(const std::string& key) const;  ///< Returns a member of an object.
-    /// Returns true if the JSON value is an object that has this member.
+    /// Returns true if the JSON value is an object with the member `key`.
     bool has(const std::string& key) const;
     JsonField at(std::size_t index) const;  ///< Returns an entry of an array.
     std::size_t size() const;               ///< Returns the number of entries of an array.
     bool is_text() const;
     bool is_array() const;
-    /// Checks that a JSON object has no members except the known ones.
+    /// Checks that a JSON object has only known members.
     /// @throws DataError if the object has an unknown member
     void check_members(const std::vector<std::string>& known) const;
     double number() const;  ///< Returns a finite number.
@@ -36,14 +36,14 @@ public:
     std::int64_t integer(std::int64_t low, std::int64_t high) const;
     bool boolean() const;
     std::string text() const;
-    /// Returns the value as a text. The text must have at most `most` bytes and no line
-    /// breaks.
+    /// Returns the value as a text. Throws an error if the text has more than `most`
+    /// bytes or contains line breaks.
     std::string text(std::size_t most) const;
     std::vector<double> numbers() const;
-    /// Returns all numbers of nested lists as one flat list.
-    /// @param depth  maximum depth of nesting
+    /// Returns all numbers of nested lists as one list.
+    /// @param depth maximum nesting depth
     std::vector<double> nested_numbers(int depth) const;
-    /// Returns the numbers of a list, which must have exactly n numbers.
+    /// Returns the numbers of a list. The list must contain exactly n numbers.
     template <std::size_t n>
     std::array<double, n> numbers() const {
         const std::vector<double> all = numbers();
@@ -64,8 +64,8 @@ private:
     std::string name_;
 };
 
-/// Parses JSON.
-/// @throws DataError naming the file and the position of the syntax error
+/// Parses a JSON text.
+/// @throws DataError with the file and the position of the syntax error
 nlohmann::json parse_json(const std::string& text, const std::string& file);
 
 }  // namespace relidar

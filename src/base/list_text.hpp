@@ -11,8 +11,8 @@
 
 namespace relidar {
 
-/// Formats numbers as "3, 4, 7". Shortens lists of more than `most` numbers: "3, 4, 7,
-/// ... 91 (78 in all)".
+/// Formats numbers as "3, 4, 7". If the list has more than `most` numbers, shortens it:
+/// "3, 4, 7, ... 91 (78 in all)".
 inline std::string list_text(const std::vector<int>& numbers, std::size_t most = 6) {
     if (numbers.size() <= most) return fmt::format("{}", fmt::join(numbers, ", "));
     return fmt::format("{}, ... {} ({} in total)",
@@ -20,7 +20,7 @@ inline std::string list_text(const std::vector<int>& numbers, std::size_t most =
                        numbers.back(), numbers.size());
 }
 
-/// Splits "a, b,c" into words without blanks.
+/// Splits a list such as "a, b,c" at its commas. Returns the words without blanks.
 inline std::vector<std::string> words_of(const std::string& list) {
     std::vector<std::string> words{""};
     for (const char c : list) {

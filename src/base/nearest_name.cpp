@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds similar names. Uses the Levenshtein distance, in which two swapped neighbours
-// count as one error:
-//
+// Finds similar names for error messages. Uses the edit distance of Levenshtein. Two
+// exchanged neighbouring letters count as one error:
 //   d(i, j) = min(d(i-1, j) + 1, d(i, j-1) + 1, d(i-1, j-1) + [a_i != b_j],
 //                 d(i-2, j-2) + 1 if a_i = b_{j-1} and a_{i-1} = b_j)
 #include <relidar/base/error.hpp>
@@ -43,7 +42,7 @@ bool contains(std::string_view text, std::string_view part) {
 }
 
 /// Returns true if two names are similar: at most two of five letters differ, or one name
-/// contains the other name.
+/// contains the other.
 bool is_similar(std::string_view query, std::string_view name) {
     const std::size_t most = std::max<std::size_t>(1, 2 * std::max(query.size(), name.size()) / 5);
     return edit_distance(query, name) <= most || contains(query, name) || contains(name, query);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds the nearest of several points, for example the nearest sensor position.
+// Finds the nearest of several points, for example the sensor position nearest to a
+// point.
 #pragma once
 
 #include <cstddef>
@@ -11,7 +12,7 @@
 
 namespace relidar {
 
-/// A k-d tree that finds the nearest of its points. Thread-safe.
+/// k-d tree that finds the nearest of its points. Thread-safe.
 /// @tparam Scalar type of coordinates and distances
 template <class Scalar>
 class NearestPlace {
@@ -19,17 +20,17 @@ public:
     using Point = glm::vec<3, Scalar>;
 
     /// Builds the tree.
-    /// @param places at least one point
+    /// @param places points to search, at least one
     explicit NearestPlace(std::vector<Point> places)
         : places_{std::move(places)}, tree_(3, places_, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
-    NearestPlace(const NearestPlace&) = delete;  // Not copyable, because the tree refers to the points.
+    NearestPlace(const NearestPlace&) = delete;  // Not copyable, because the tree refers to `places_`.
     NearestPlace& operator=(const NearestPlace&) = delete;
 
     std::size_t of(const Point& point) const { return find(point).first; }
     Scalar squared_distance(const Point& point) const { return find(point).second; }
 
 private:
-    /// Container interface that nanoflann requires, with its member names.
+    /// Container of points with the member functions that nanoflann requires.
     struct Places {
         std::vector<Point> all;
         std::size_t kdtree_get_point_count() const { return all.size(); }

@@ -10,7 +10,7 @@ namespace {
 
 template <class T>
 std::string shortest_text(T value) {
-    if (std::isnan(value)) return "nan";  // The sign of a NaN is ignored.
+    if (std::isnan(value)) return "nan";  // Ignores the sign of a NaN.
     std::array<char, 32> buffer;          // The longest text has 24 characters: -2.2250738585072014e-308.
     const std::to_chars_result end = std::to_chars(buffer.data(), buffer.data() + buffer.size(), value);
     const std::string text(buffer.data(), end.ptr);

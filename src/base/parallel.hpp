@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Runs loops over independent items on the threads of oneTBB. The result of a loop does
-// not depend on the number of threads. A tbb::global_control or the CPU affinity of the
-// process limits the number of threads.
+// not depend on the number of threads. Callers can limit this number with
+// tbb::global_control or the CPU affinity of the process.
 #pragma once
 
 #include <algorithm>
@@ -12,29 +12,29 @@
 
 namespace relidar {
 
-/// Returns the number of threads that a loop may use if the calling thread starts it. The
-/// number is at least 1.
+/// Returns the number of threads that can run a loop of the calling thread. The number is
+/// at least 1.
 std::size_t max_concurrency();
 
-/// Runs task(i) for every i in [0, n) on the calling thread and on idle threads of
-/// oneTBB. Tasks start in ascending order of i. A task may run another loop. While it
-/// waits for that loop, its thread does not run tasks of any other loop.
+/// Runs task(i) for every i in [0, n), on the calling thread and on idle threads of
+/// oneTBB. Tasks start in ascending order of i. A task may start another parallel loop.
+/// While it waits for the inner loop, its thread runs no tasks of other loops.
 ///
-/// After a failure, no further task is started. When all started tasks have ended, the
-/// function throws the failure with the smallest i, so that the error message does not
-/// depend on timing.
+/// If a task throws, no further task starts. After all started tasks have ended, the
+/// exception with the smallest i is rethrown, so that the error message does not depend
+/// on timing.
 void parallel_for(int n, const std::function<void(int)>& task);
 
-/// Returns the number of consecutive items that a thread processes as one block. Each
-/// thread gets several blocks. The blocks are large enough to hide the cost of starting
-/// them.
+/// Returns the number of consecutive items in a block that one thread processes. Blocks
+/// are large enough to make the cost of starting them negligible. Each thread gets
+/// several blocks.
 inline std::size_t block_size(std::size_t n) {
     constexpr std::size_t kSmallest = 128, kLargest = 4096, kBlocksPerThread = 8;
     return std::clamp(n / (kBlocksPerThread * max_concurrency()), kSmallest, kLargest);
 }
 
-/// Divides [0, n) into ranges of `size` items, and runs task(begin, end) for each range.
-/// The last range may be shorter.
+/// Divides [0, n) into ranges of `size` items, and runs task(begin, end) for each range
+/// in parallel. The last range may be shorter.
 template <class Task>
 void for_each_part(std::size_t n, std::size_t size, const Task& task) {
     parallel_for(static_cast<int>((n + size - 1) / size),
@@ -50,10 +50,10 @@ void for_each_block(std::size_t n, const Task& task) {
     });
 }
 
-/// Computes a sum over [0, n) in parallel. Each range of `size` items has one partial
-/// sum. The partial sums are added in the order of their ranges, so that the result does
-/// not depend on the number of threads.
-/// @param part  (begin, end) -> Sum. operator+= adds two sums.
+/// Computes a sum over [0, n) in parallel. Each range of `size` items has a partial sum.
+/// Partial sums are added in the order of the ranges, so that the result does not depend
+/// on the number of threads.
+/// @param part function (begin, end) -> Sum. Sums are added with operator+=
 template <class Part>
 auto parallel_reduce(std::size_t n, std::size_t size, const Part& part) {
     using Sum = decltype(part(std::size_t{}, std::size_t{}));

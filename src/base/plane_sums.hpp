@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits a plane to points that are added one by one:
-//
+// Fits a plane to points that are added one by one. d is a point relative to an origin:
 //   mean = sum d / n,   covariance = sum d d^T / n - mean mean^T,   the normal is the axis of least variance
 #pragma once
 
@@ -12,8 +11,8 @@ namespace relidar {
 struct PlaneFit {
     glm::dvec3 mean{0.0};
     glm::dvec3 variance{0.0};  ///< Variances along the axes, ascending.
-    /// Principal axes of the points, unit length. The first axis is the normal of the
-    /// plane.
+    /// Principal axes of the points, unit length. The first axis has the least variance
+    /// and is the normal of the plane.
     glm::dvec3 axes[3];
 };
 
@@ -23,8 +22,8 @@ struct PlaneSums {
     glm::dvec3 sum{0.0}, squares{0.0}, products{0.0};
 
     /// Adds a point to the sums.
-    /// @param d point relative to an origin near the points. A near origin keeps the
-    /// precision of the squares.
+    /// @param d point relative to an origin near all points, because the squares of large
+    /// coordinates would lose precision
     void add(const glm::dvec3& d) {
         n += 1.0;
         sum += d;
@@ -32,8 +31,8 @@ struct PlaneSums {
         products += glm::dvec3(d.y * d.z, d.x * d.z, d.x * d.y);
     }
 
-    /// Returns the plane that fits the points best, relative to the same origin. Requires
-    /// at least one point.
+    /// Returns the plane with the smallest squared distances to the points, relative to
+    /// the same origin. Requires at least one point.
     PlaneFit fit() const {
         const glm::dvec3 mean = sum / n, s = squares / n - mean * mean,
                          p = products / n - glm::dvec3(mean.y * mean.z, mean.x * mean.z, mean.x * mean.y);

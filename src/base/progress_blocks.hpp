@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parallel loops over independent items that report their progress.
+// Parallel loops over independent items that report their progress to the caller.
 #pragma once
 
 #include <algorithm>
@@ -13,9 +13,10 @@
 
 namespace relidar {
 
-/// Like parallel_for, but also reports progress. The calling thread calls `progress` with
-/// the finished fraction before each of its items. At the end it reports 1, because other
-/// threads may process the last items. The loop stops if `progress` throws.
+/// Runs task(i) for every i in [0, n) in parallel, and reports progress. Before each of
+/// its items, the calling thread calls `progress` with the finished fraction. At the end,
+/// it reports 1, because other threads may process the last items. The loop stops if
+/// `progress` throws.
 template <class Task>
 void for_each_with_progress(std::size_t n, const Progress& progress, std::string_view what,
                             const Task& task) {
@@ -37,7 +38,8 @@ void for_each_with_progress(std::size_t n, const Progress& progress, std::string
     if (progress) progress(what, 1.0);
 }
 
-/// Runs task(i) for every i in [0, n) in parallel, block by block, and reports progress.
+/// Runs task(i) for every i in [0, n) in parallel, and reports progress. Each thread
+/// processes blocks of consecutive items.
 template <class Task>
 void for_each_block_with_progress(std::size_t n, const Progress& progress, std::string_view what,
                                   const Task& task) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Random numbers with a seed, equal on every machine. Uses SplitMix64 (Steele, Lea, Flood
-// 2014) as generator and hash function. Uses the method of Box and Muller for normal
-// deviates.
+// Random numbers with a seed, which are equal on every machine. SplitMix64 (Steele, Lea,
+// Flood 2014) is the generator and the hash function. Normally distributed numbers use
+// the method of Box and Muller.
 #pragma once
 
 #include <cmath>
@@ -9,7 +9,7 @@
 
 namespace relidar {
 
-/// Returns a 64-bit hash of x. It is the output function of SplitMix64.
+/// Returns a 64-bit hash of x, computed with the output function of SplitMix64.
 inline std::uint64_t hash64(std::uint64_t x) {
     x += 0x9E3779B97F4A7C15ull;
     x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9ull;
@@ -17,7 +17,7 @@ inline std::uint64_t hash64(std::uint64_t x) {
     return x ^ (x >> 31);
 }
 
-/// Returns a hash of two numbers. Exchanging the numbers changes the hash.
+/// Returns a hash of two numbers. The hash depends on their order.
 inline std::uint64_t hash64(std::uint64_t a, std::uint64_t b) {
     return hash64(hash64(a) ^ (b * 0xD6E8FEB86659FD93ull));
 }
@@ -29,16 +29,16 @@ public:
 
     std::uint64_t next() { return hash64(state_ += 0x9E3779B97F4A7C15ull); }
 
-    /// Complete state of the generator, to save and restore.
+    /// Returns the state of the generator, so that callers can save and restore it.
     std::uint64_t& state() { return state_; }
 
     /// Returns a uniformly distributed number in [0, 1) with 53 random bits.
     double uniform() { return static_cast<double>(next() >> 11) * 0x1.0p-53; }
 
-    /// Returns a uniform number in [low, high).
+    /// Returns a uniformly distributed number in [low, high).
     double uniform(double low, double high) { return low + (high - low) * uniform(); }
 
-    /// Returns a standard normal deviate.
+    /// Returns a random number with a standard normal distribution.
     double normal() {
         const double radius = std::sqrt(-2.0 * std::log(1.0 - uniform()));
         return radius * std::cos(6.283185307179586 * uniform());

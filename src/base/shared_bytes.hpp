@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bytes of a file that several objects share without copying them.
+// Bytes, for example of a file, that several objects share without a copy.
 #pragma once
 
 #include <cstddef>
@@ -11,7 +11,7 @@
 
 namespace relidar {
 
-/// Read-only bytes. They stay valid as long as a copy of `memory` exists.
+/// Read-only bytes that stay valid as long as any copy of `memory` exists.
 struct SharedBytes {
     std::shared_ptr<const void> memory;
     std::string_view bytes;
@@ -25,8 +25,8 @@ inline SharedBytes share_bytes(std::string bytes) {
     return {memory, *memory};
 }
 
-/// Allocates n bytes and calls fill(std::span<char>) to write them. The bytes are not set
-/// to 0 before.
+/// Allocates n bytes and calls fill(std::span<char>) to write them. The bytes are
+/// uninitialised before this call.
 template <class Fill>
 SharedBytes make_shared_bytes(std::size_t n, const Fill& fill) {
     const std::shared_ptr<char[]> memory(new char[n]);

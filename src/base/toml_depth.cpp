@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Counts the dots in each key of a TOML text. Skips quoted texts and comments. In
-// multi-line texts, it may count too many dots but never too few.
+// Counts the dots in each key of a TOML text, without quoted texts and comments. In
+// multi-line texts, the count may be too high but never too low.
 #include "base/toml_depth.hpp"
 
 #include <algorithm>
@@ -14,8 +14,8 @@ namespace {
 
 constexpr int kMostParts = 8, kDeepest = 8;
 
-/// Returns the position after a quoted text. If the quote is not closed, returns the end
-/// of the line.
+/// Returns the position after a quoted text. If the closing quote is missing, returns the
+/// end of the line.
 std::size_t skip_quoted(std::string_view text, std::size_t at) {
     const char quote = text[at++];
     for (; at < text.size() && text[at] != quote && text[at] != '\n'; ++at) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks TOML text before it is parsed.
+// Checks the nesting depth of a TOML text before it is parsed.
 #pragma once
 
 #include <string>
@@ -7,10 +7,10 @@
 
 namespace relidar {
 
-/// Rejects TOML with too deep nesting. A TOML library creates nested tables for the parts
-/// of a key and destroys them recursively, so that forty thousand dots overflow the
-/// stack. Keys of settings have two parts.
-/// @param file file name for the message
+/// Rejects TOML text with too deep nesting. A TOML library creates one nested table per
+/// part of a key and destroys the tables recursively. Therefore a key with forty thousand
+/// dots would overflow the stack. Keys of our settings have two parts.
+/// @param file file name for the error message
 /// @throws DataError if a key has more than 8 parts, or brackets are nested more than 8
 /// deep
 void check_toml_depth(std::string_view text, const std::string& file);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Allocates Vulkan buffers from pools of device memory. Throws an error with the buffer's
-// name if the buffer is too large for the device, before the driver is called.
+// Allocates Vulkan buffers from pools of device memory. Checks the size before it calls
+// the driver. Throws an error with the buffer's name if the device does not allow a
+// buffer of this size.
 #include "gpu/buffer.hpp"
 
 #include <cstring>
@@ -49,16 +50,18 @@ void check_budget(const Device::Impl& device, std::size_t size, const std::strin
 
 Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::MemoryUse used, const std::string& what)
     : device(&owner), use(used), n_bytes(size) {
-    if (owner.compile_only) return;  // A driver without hardware cannot allocate memory.
+    // A driver without hardware can compile kernels but cannot allocate memory.
+    if (owner.compile_only) return;
     check_size(owner, size, what);
-    // Other kinds of memory belong to the host.
+    // Checks the budget only for device memory, because all other buffers use host
+    // memory.
     if (use == gpu::MemoryUse::device) check_budget(owner, size, what);
     VkBufferCreateInfo info{VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
     info.size = size;
     info.usage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT |
                  VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
-    // Sets these usage flags only for ray queries, because otherwise the acceleration
-    // structure extension is not enabled.
+    // Sets these usage flags only if the device traces with ray queries. Otherwise the
+    // extension for acceleration structures is not enabled, so the flags are not allowed.
     if (owner.traversal == Traversal::ray_query)
         info.usage |= VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_BUILD_INPUT_READ_ONLY_BIT_KHR |
                       VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_STORAGE_BIT_KHR;

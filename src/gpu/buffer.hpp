@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Vulkan buffer that implements relidar::Buffer. It is also used for memory that the host
-// reads or writes.
+// Implements relidar::Buffer with a Vulkan buffer. The same class is used for memory that
+// the host reads or writes.
 #pragma once
 
 #include "gpu/context.hpp"
@@ -15,7 +15,7 @@ struct Buffer::Impl {
     gpu::MemoryUse use;
     std::uint64_t address = 0;
     std::size_t n_bytes = 0;
-    /// Address of the memory on the host. Null for device memory that is not mapped.
+    /// Host address of the mapped memory. Null if the memory is not mapped.
     std::byte* mapped = nullptr;
 
     /// Allocates a buffer.

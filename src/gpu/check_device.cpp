@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bindings of the kernels gpu/check_atomics and gpu/check_subgroups.
+// Runs the kernels gpu/check_atomics and gpu/check_subgroups and compares their results
+// with the host's results.
 #include "gpu/check_device.hpp"
 
 #include <algorithm>
@@ -21,7 +22,8 @@ namespace {
 
 using Words = std::vector<std::uint32_t>;
 
-/// Returns the largest relative error of `n_sums` sums to which `n` threads add.
+/// Lets `n` threads add integers to `n_sums` sums on the device. Returns the largest
+/// relative error of a sum.
 double error_of_sums(Stream& stream, const Kernel<shared::CheckAtomicsParams>& kernel, std::uint32_t n,
                      std::uint32_t n_sums, bool fault) {
     std::vector<double> expected(n_sums, 0.0);
@@ -48,7 +50,9 @@ constexpr std::array<const char*, RELIDAR_CHECK_RESULTS> kOperations = {
 };
 constexpr std::uint32_t kCheckWorkgroup = 256;
 
-/// Returns the right results of the thread `lane` of a subgroup with these values.
+/// Returns the correct results of one thread in a subgroup.
+/// @param values values of the lanes of this subgroup
+/// @param lane index of the thread in the subgroup
 /// @param before sum of all earlier subgroups of the workgroup
 /// @param total sum of the workgroup
 std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> right_results(const Words& values, std::size_t lane,
@@ -106,7 +110,7 @@ std::string wrong_operations(Device& device) {
     return {};
 }
 
-/// Sorts 5000 keys. Returns an empty text if the order is right.
+/// Sorts 5000 keys on the device. Returns an empty text if the order is correct.
 std::string wrong_sort(Device& device) {
     if (!device.info().has_known_subgroups) return {};
     constexpr std::uint32_t kKeys = 5000;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks of float sums and subgroup operations. The host knows the right results exactly.
+// Checks whether a device adds floats and runs subgroup operations correctly. Compares
+// the device's results with exact results of the host.
 #pragma once
 
 #include <cstdint>
@@ -10,22 +11,23 @@
 
 namespace relidar {
 
-/// Adds many small integers to few sums on the device.
-/// @param swaps true: checks compare-and-swap. false: checks the float atomics of the
-/// device, which it must have
-/// @return the largest error of a sum, divided by the right sum. 0 if all sums are right
+/// Lets many threads add small integers to a few sums on the device.
+/// @param swaps true: adds with compare-and-swap. false: adds with float atomics, which
+/// the device must support
+/// @return the largest relative error of a sum. 0 if all sums are correct
 double sum_error(Device& device, bool swaps);
 
-/// Adds to 1024 sums by compare-and-swap with this number of threads in one dispatch.
-/// @return the largest error of a sum, divided by the right sum
+/// Lets `n_threads` threads of one dispatch add to 1024 sums with compare-and-swap.
+/// @return the largest relative error of a sum
 double sum_error_of(Device& device, std::uint32_t n_threads);
 
 /// Returns the subgroup sizes that kernels can request, of 4 to 64 lanes.
 std::vector<int> subgroup_sizes(const Device& device);
 
-/// Checks subgroup operations and a sort with subgroups of DeviceInfo::subgroup_size
-/// lanes.
-/// @return the first wrong result and the expected result. Empty if all results are right
+/// Checks subgroup operations with DeviceInfo::subgroup_size lanes per subgroup. Also
+/// checks a sort that uses subgroup operations.
+/// @return a text with the first wrong result and the expected result. Empty if all
+/// results are correct
 std::string wrong_subgroups(Device& device);
 
 }  // namespace relidar

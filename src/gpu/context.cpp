@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Opens a device: creates the instance, checks the required features (and reports all
-// missing ones together), gets one compute queue and creates the pipeline layout of all
-// kernels.
+// Opens a Vulkan device. Creates the instance, checks the required features, gets one
+// compute queue and creates the pipeline layout of all kernels. One error lists all
+// missing features.
 #include "gpu/context.hpp"
 
 #include <algorithm>
@@ -99,8 +99,8 @@ Instance::Instance(bool validation) {
     VkInstanceCreateInfo info{VK_STRUCTURE_TYPE_INSTANCE_CREATE_INFO};
     info.pApplicationInfo = &app;
     VkDebugUtilsMessengerCreateInfoEXT debug = messenger_info(this);
-    // Every instance enables the extension, so that debuggers show names without an
-    // option of relidar.
+    // Every instance enables VK_EXT_debug_utils if it is available, so that debuggers
+    // always show object names.
     if (validation || has_debug_utils()) {
         info.enabledExtensionCount = 1;
         info.ppEnabledExtensionNames = &extension;
@@ -153,8 +153,8 @@ std::vector<DeviceInfo> describe_all(const std::vector<VkPhysicalDevice>& physic
     return infos;
 }
 
-/// Returns the index of the requested device, or of the best device. Prefers GPUs to
-/// CPUs, then devices with ray queries.
+/// Returns the index of the requested device, or of the best device if none was
+/// requested. Prefers GPUs to CPUs. Among GPUs, prefers devices with ray queries.
 int choose(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
     if (infos.empty())
         throw DeviceError(
@@ -197,7 +197,7 @@ void require(const DeviceInfo& info, Traversal traversal) {
             "{}; use --traversal auto",
             info.index, info.name, info.why_not_software));
     // Accepts SwiftShader although it cannot run the tracing kernels, because tests run
-    // the other kernels on it.
+    // all other kernels on it.
     const bool runs_the_rest = gpu::is_swiftshader(info);
     if (traversal == Traversal::automatic && best_traversal(info) == Traversal::automatic && !runs_the_rest)
         throw DeviceError(fmt::format(
@@ -223,7 +223,7 @@ Traversal find_traversal(const std::string& name) {
 }
 
 Traversal best_traversal(const DeviceInfo& info) {
-    // docs/performance.md has the measurements.
+    // Chooses the faster method. docs/performance.md has the measurements.
     if (info.software && (info.type == "CPU" || !info.ray_query)) return Traversal::software;
     return info.ray_query ? Traversal::ray_query : Traversal::automatic;
 }
@@ -237,7 +237,8 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     require(impl_->info, options.traversal);
     impl_->traversal =
         options.traversal == Traversal::automatic ? best_traversal(impl_->info) : options.traversal;
-    // The constructors of the trees then reject the device.
+    // Falls back to the software traversal if the device supports no method. The
+    // constructors of the acceleration structures then reject the device.
     if (impl_->traversal == Traversal::automatic) impl_->traversal = Traversal::software;
     impl_->physical = physical[static_cast<std::size_t>(index)];
     impl_->memory_limit_bytes = options.memory_limit_bytes;
@@ -262,7 +263,7 @@ void Device::Impl::open(const std::filesystem::path& cache_folder) {
     gpu::name_object(device, VK_OBJECT_TYPE_QUEUE, queue, "compute queue");
     read_limits();
     make_pipeline_layout();
-    if (compile_only) return;  // A driver without hardware lacks the functions below.
+    if (compile_only) return;  // A driver without hardware lacks the functions that are called below.
     pipeline_cache = std::make_unique<gpu::PipelineCache>(physical, device, cache_folder);
     memory = std::make_unique<gpu::MemoryPools>(physical, device);
     transfers = std::make_unique<gpu::Transfers>(*this);
@@ -274,8 +275,8 @@ void Device::Impl::open(const std::filesystem::path& cache_folder) {
 
 namespace {
 
-/// Feature structs of Vulkan extensions, with all features set. make_device() selects the
-/// structs that a device enables.
+/// Feature structs of Vulkan extensions with all features enabled. make_device() passes
+/// only the structs that the device supports.
 struct ExtensionFeatures {
     VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
@@ -376,7 +377,7 @@ void Device::Impl::read_limits() {
     vkGetPhysicalDeviceProperties2(physical, &properties);
     timestamp_period_ns = properties.properties.limits.timestampPeriod;
     compiles_ahead = info.type != "CPU" && !compile_only;
-    // No watchdog resets a CPU.
+    // Limits the duration of dispatches only on GPUs, because no watchdog resets a CPU.
     if (info.type != "CPU") launch_limit.piece_s = 0.25;
     workgroup_size = std::max(32u, static_cast<std::uint32_t>(info.subgroup_size));
     largest_buffer = {sizes.maxBufferSize, "maxBufferSize"};
@@ -405,12 +406,12 @@ Device::Impl::~Impl() {
     transfers.reset();
     memory.reset();
     for (const auto& [key, made] : pipelines.by_key) {
-        // Skips kernels that were never launched, because their pipelines were not
-        // created.
+        // Skips kernels that were never launched, because they have no pipeline to
+        // destroy.
         if (made.wait_for(std::chrono::seconds(0)) == std::future_status::deferred) continue;
         try {
             vkDestroyPipeline(device, made.get().pipeline, nullptr);
-            // Ignores the error, because the launch of the kernel has already reported
+            // Ignores this error, because the launch of the kernel has already reported
             // it.
         } catch (const Error&) {}
     }

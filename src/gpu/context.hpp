@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Vulkan objects that implement relidar::Device: the instance, the device and one compute
-// queue. Converts failed Vulkan calls to DeviceError.
+// Implements relidar::Device with Vulkan: an instance, a device and one compute queue.
+// Throws a DeviceError if a Vulkan call fails.
 #pragma once
 
 #include <array>
@@ -26,21 +26,22 @@ class MemoryPools;
 class PipelineCache;
 class Transfers;
 
-/// Checks the result of a Vulkan call. Throws a DeviceError with the call and the
-/// VkResult if it failed.
+/// Checks the result of a Vulkan call. If the call failed, throws a DeviceError that
+/// contains `call` and the name of the VkResult.
 void check(VkResult result, const char* call);
 /// Throws an error for a failed Vulkan call.
-/// @throws DeviceLost if the driver has lost the device, otherwise DeviceError
+/// @throws DeviceLost if the driver has lost the device
+/// @throws DeviceError for all other results
 [[noreturn]] void fail(VkResult result, const std::string& message);
 std::string result_name(VkResult result);
 
-/// Vulkan instance with its optional validation messenger.
+/// Vulkan instance and its debug messenger, which exists only if validation is enabled.
 struct Instance {
     VkInstance handle = VK_NULL_HANDLE;
     VkDebugUtilsMessengerEXT messenger = VK_NULL_HANDLE;
-    /// Function of this instance that destroys the debug messenger. It is stored here
-    /// because opening another instance without the extension sets the global pointer to
-    /// null.
+    /// Function that destroys the debug messenger of this instance. It is stored per
+    /// instance because volk's global pointer becomes null if another instance is opened
+    /// without the extension.
     PFN_vkDestroyDebugUtilsMessengerEXT destroy_messenger = nullptr;
     std::atomic<std::size_t> n_messages{0};
 
@@ -52,8 +53,8 @@ struct Instance {
     std::vector<VkPhysicalDevice> physical_devices() const;
 };
 
-/// Sets the name of a Vulkan object for debuggers and the validation layer. Has no
-/// effect if the Vulkan loader lacks VK_EXT_debug_utils.
+/// Sets the name of a Vulkan object, which debuggers and the validation layer show. Has
+/// no effect if the Vulkan loader lacks VK_EXT_debug_utils.
 template <class Handle>
 void name_object(VkDevice device, VkObjectType type, Handle handle, const std::string& name) {
     if (!vkSetDebugUtilsObjectNameEXT) return;
@@ -64,10 +65,10 @@ void name_object(VkDevice device, VkObjectType type, Handle handle, const std::s
     vkSetDebugUtilsObjectNameEXT(device, &info);
 }
 
-/// Returns true if a device supports an extension.
+/// Returns true if the physical device supports the extension `name`.
 bool has_extension(VkPhysicalDevice physical, const char* name);
 
-/// Collects the names of missing features for a message.
+/// Collects the names of missing features for an error message.
 struct Missing {
     std::string text;
     void need(bool present, const char* name) {
@@ -75,41 +76,43 @@ struct Missing {
     }
 };
 
-/// Optional device features that make kernels more robust. Without these features, the
-/// Vulkan specification does not guarantee the behaviour of subgroups that the kernels
-/// rely on.
+/// Optional device features for subgroups. Kernels rely on this subgroup behaviour.
+/// Without these features, the Vulkan specification does not guarantee it.
 struct OptionalFeatures {
-    /// True if the subgroup size varies and a kernel can request subgroups of
-    /// DeviceInfo::subgroup_size lanes.
+    /// True if a kernel can request subgroups of exactly DeviceInfo::subgroup_size lanes.
     bool subgroup_size = false;
-    bool full_subgroups = false;  ///< A kernel can request full subgroups, without inactive lanes.
+    /// True if a kernel can request full subgroups, which have no inactive lanes.
+    bool full_subgroups = false;
     bool subgroup_uniform_control_flow = false;
     bool maximal_reconvergence = false;
 };
 OptionalFeatures optional_features(VkPhysicalDevice physical);
 
-/// Returns true if kernels can run in full subgroups of exactly DeviceInfo::subgroup_size
-/// lanes.
+/// Returns true if kernels can request full subgroups of exactly
+/// DeviceInfo::subgroup_size lanes.
 bool has_known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                          const OptionalFeatures& optional);
-/// Returns a text with the missing features that the software traversal needs. Returns an
-/// empty text if none is missing.
+/// Lists the features that the software traversal needs and the device lacks. Returns an
+/// empty text if no feature is missing.
 std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                                  const OptionalFeatures& optional);
 
-/// Returns a text with the missing features that neural networks need. Returns an empty
-/// text if none is missing.
+/// Lists the features that neural networks need and the device lacks. Returns an empty
+/// text if no feature is missing.
 std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                                  const OptionalFeatures& optional);
 
-/// Pipelines by kernel name, specialisation constants and subgroup requirements. Equal
-/// kernels share one pipeline, which is kept until the device is closed. Sharing is
-/// needed because trainings and renderers create dozens of kernels, and lavapipe needs 10
-/// ms for each pipeline even if its code is cached. A GPU's driver compiles for seconds
-/// without a cache. Therefore a separate thread starts to compile a pipeline as soon as
-/// its kernel is created.
+/// Cache of compute pipelines. The key is the kernel name, its specialisation constants
+/// and its subgroup requirements. Kernels with equal keys share one pipeline until the
+/// device is closed.
+///
+/// Sharing saves time because trainings and renderers create dozens of kernels. The CPU
+/// driver lavapipe needs 10 ms for each pipeline, even if its code is cached.
+///
+/// A GPU's driver needs seconds to compile without a cache. Therefore a thread starts to
+/// compile a pipeline as soon as its kernel is created.
 struct Pipelines {
     struct Made {
         VkResult result;
@@ -117,11 +120,11 @@ struct Pipelines {
     };
     std::mutex mutex;
     std::map<std::string, std::shared_future<Made>> by_key;
-    std::counting_semaphore<> compilers{
-        std::ptrdiff_t(max_concurrency())};  ///< threads that may work at a time
+    std::counting_semaphore<> compilers{/// Limits the number of threads that compile simultaneously.
+                                        std::ptrdiff_t(max_concurrency())};
 };
 
-/// Returns a description of a physical device, including the names of all missing
+/// Describes a physical device. The description includes the names of all missing
 /// features.
 DeviceInfo describe(VkPhysicalDevice physical, int index);
 
@@ -136,14 +139,14 @@ struct Device::Impl {
     VkQueue queue = VK_NULL_HANDLE;
     std::uint32_t queue_family = 0;
     DeviceInfo info;
-    std::vector<const char*> extensions;  ///< Enabled extensions.
-    gpu::OptionalFeatures optional;       ///< Enabled optional features.
+    std::vector<const char*> extensions;  ///< Device extensions that are enabled.
+    gpu::OptionalFeatures optional;       ///< Optional features that are enabled.
     Traversal traversal = Traversal::ray_query;
     float timestamp_period_ns = 1.0f;
     std::uint32_t workgroup_size = 32;
     std::uint32_t scratch_alignment = 256;
-    /// Maximum size of one array in bytes, and the name of the device limit that
-    /// determines this size.
+    /// Maximum size of one array in bytes, and the name of the Vulkan limit that sets
+    /// this maximum.
     struct {
         std::uint64_t n_bytes;
         const char* name;
@@ -154,42 +157,45 @@ struct Device::Impl {
     gpu::Pipelines pipelines;
     gpu::LaunchLimit launch_limit;
     std::mutex queue_mutex;
-    /// Layout of all compute pipelines. The push constants consist of two addresses.
+    /// Layout that all compute pipelines share. The push constants contain two device
+    /// addresses.
     VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;
-    /// Buffer of zeros. A kernel receives its address instead of an array that the launch
-    /// omits.
+    /// Buffer that contains only zeros. If a launch omits an array, the kernel receives
+    /// the address of this buffer.
     std::unique_ptr<Buffer::Impl> nothing;
-    std::uint64_t memory_limit_bytes = 0;  ///< Limit for the device memory in bytes. 0 means no limit.
+    std::uint64_t memory_limit_bytes = 0;  ///< Maximum size of all arrays in bytes. 0 means no limit.
     bool compile_only = false;
-    bool wrong_sums = false;  ///< True if the device adds floats incorrectly with every method.
-    /// True if every kernel must use DeviceInfo::subgroup_size, because the check found
-    /// wrong results with the default size of the driver.
+    /// True if both methods of adding floats (float atomics and compare-and-swap) gave
+    /// wrong sums on this device.
+    bool wrong_sums = false;
+    /// True if every kernel must request DeviceInfo::subgroup_size, because the device
+    /// check found wrong results with the driver's default size.
     bool forced_lanes = false;
-    ForcedWays forced;  ///< Behaviour that tests have forced.
-    /// If true, pipelines are compiled when their kernels are created. If false (CPU), a
-    /// pipeline is compiled at its first launch.
+    ForcedWays forced;  ///< Behaviour that a test selects instead of the default.
+    /// If true (GPU), pipelines are compiled when their kernels are created. If false
+    /// (CPU), each pipeline is compiled at its first launch.
     bool compiles_ahead = false;
     bool pipeline_statistics = false;  ///< True if VK_KHR_pipeline_executable_properties is enabled.
-    /// Statistics of compiled pipelines. Collected only if kernels are compiled but not
-    /// run.
+    /// Compiler statistics of the pipelines. Collected only in the mode that compiles
+    /// kernels but does not run them.
     std::vector<PipelineStatistics> compiled;
-    std::atomic<std::uint64_t> allocated{0};  ///< Bytes allocated by arrays.
+    std::atomic<std::uint64_t> allocated{0};  ///< Total size of all allocated arrays, in bytes.
     std::atomic<std::uint64_t> peak{0};
-    /// Number of created buffers, and number of times that the host waited for all
+    /// Number of buffers created, and number of times that the host waited for all
     /// submissions.
     std::atomic<std::uint64_t> n_buffers{0}, n_full_waits{0};
 
     Impl();
     ~Impl();
     /// Opens the Vulkan device.
-    /// @param cache_folder folder of the pipeline cache. Empty for no cache file.
+    /// @param cache_folder folder of the pipeline cache. If empty, no cache file is used
     void open(const std::filesystem::path& cache_folder);
     void find_compute_queues();
     void make_device();
     void read_limits();
     void make_pipeline_layout();
-    /// Submits work to the compute queue. Locks a mutex, because only one thread may
-    /// access the queue at a time.
+    /// Submits work to the compute queue. Locks a mutex, because Vulkan allows only one
+    /// thread to use a queue at a time.
     void submit(const VkSubmitInfo& work, VkFence fence = VK_NULL_HANDLE);
 };
 

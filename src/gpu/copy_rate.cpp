@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of the kernel gpu/copy.
+// Measures the copy bandwidth with the kernel gpu/copy and with the driver's copy
+// command.
 #include "gpu/copy_rate.hpp"
 
 #include <algorithm>
@@ -15,12 +16,14 @@
 namespace relidar {
 namespace {
 
-/// Returns the time of the fastest of several copies of n vectors, in seconds. Copies
-/// alternate between a kernel and the driver, because a GPU's driver may use only a part
-/// of the GPU, while a CPU's driver moves larger pieces than threads do. Copies follow
-/// each other without a pause, because a GPU raises its clock only under load. A CPU
-/// needs seconds for what a GPU does in 10 ms, so that it makes only one turn of each
-/// kind.
+/// Copies n vectors several times. Returns the duration of the fastest copy in seconds.
+///
+/// Alternates between a copy kernel and the driver's copy command, because either can be
+/// faster. A GPU's driver may use only a part of the GPU. A CPU's driver moves larger
+/// pieces than kernel threads do.
+///
+/// A GPU raises its clock only under load, so the copies run without pauses. A CPU runs
+/// each kind of copy only once, because each copy takes seconds there.
 double seconds_of_copy(Device& device, std::size_t n) {
     const Array<glm::vec4, shared::CopySource> from(device, n, "source of the copy");
     const Array<glm::vec4, shared::CopyTarget> to(device, n, "target of the copy");
@@ -57,7 +60,8 @@ std::optional<double> copy_bytes_per_s(Device& device) {
     for (std::size_t n_bytes = 256 * kMiB; n_bytes >= kMiB; n_bytes /= 4) {
         try {
             return 2.0 * static_cast<double>(n_bytes) / seconds_of_copy(device, n_bytes / sizeof(glm::vec4));
-            // Not enough memory: tries a smaller size.
+            // The device has too little memory for this size, so the loop tries a smaller
+            // size.
         } catch (const DeviceError&) {}
     }
     return std::nullopt;

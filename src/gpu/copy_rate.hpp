@@ -8,10 +8,10 @@ namespace relidar {
 
 class Device;
 
-/// Measures the memory bandwidth of a device. Returns the bytes per second that a copy
-/// reads and writes in total. Takes the fastest of several copies of 256 MiB, which do
-/// not fit into any cache. Copies less if memory is short.
-/// @return nullopt if not even 1 MiB is free
+/// Measures the memory bandwidth of a device in bytes per second. Counts the bytes that a
+/// copy reads and the bytes that it writes. Uses the fastest of several copies of 256
+/// MiB, because 256 MiB do not fit into any cache. Copies less if memory is short.
+/// @return nullopt if less than 1 MiB is free
 std::optional<double> copy_bytes_per_s(Device& device);
 
 }  // namespace relidar

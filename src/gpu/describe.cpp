@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the features of a physical device with the features that relidar needs. Lists
-// all missing extensions and features.
+// Checks which of the features that relidar needs a physical device supports. Lists all
+// missing extensions and features.
 #include <algorithm>
 #include <cstdio>
 #include <cstring>
@@ -103,8 +103,8 @@ bool has_known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& si
            (optional.subgroup_size && optional.full_subgroups);
 }
 
-/// Returns true for versions of lavapipe before 24.1. These versions terminate the
-/// process on some CPUs when they compile our kernels (docs/debugging.md).
+/// Returns true for lavapipe (Mesa's CPU driver) before version 24.1. On some CPUs, these
+/// versions terminate the process when they compile our kernels (docs/debugging.md).
 bool is_old_lavapipe(const VkPhysicalDeviceDriverProperties& driver) {
     int major = 0, minor = 0;
     return driver.driverID == VK_DRIVER_ID_MESA_LLVMPIPE &&
@@ -149,8 +149,8 @@ bool has_extension(VkPhysicalDevice physical, const char* name) {
 
 namespace {
 
-/// Returns a text with the missing features that every kernel needs. Returns an empty
-/// text if none is missing.
+/// Lists the features that every kernel needs and the device lacks. Returns an empty text
+/// if no feature is missing.
 std::string missing_for_kernels(const VkPhysicalDeviceProperties& properties,
                                 const VkPhysicalDeviceDriverProperties& driver,
                                 const VkPhysicalDeviceVulkan12Features& v12,
@@ -171,8 +171,8 @@ std::string missing_for_kernels(const VkPhysicalDeviceProperties& properties,
     return base.text;
 }
 
-/// Returns a text with the missing features that ray queries need. Returns an empty text
-/// if none is missing.
+/// Lists the features that ray queries need and the device lacks. Returns an empty text
+/// if no feature is missing.
 std::string missing_for_ray_query(const std::vector<VkExtensionProperties>& extensions,
                                   const VkPhysicalDeviceAccelerationStructureFeaturesKHR& accel,
                                   const VkPhysicalDeviceRayQueryFeaturesKHR& query) {

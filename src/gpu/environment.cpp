@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads device options from environment variables. A program must call this function
-// explicitly.
+// Reads device options from environment variables. The library ignores these variables
+// unless a program calls this function.
 #include <relidar/gpu/device.hpp>
 
 #include <charconv>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Device settings that only tests change. Also returns the number of validation messages.
+// Device settings that only tests change, and the number of validation messages.
 #pragma once
 
 #include <cstddef>
@@ -10,14 +10,15 @@
 namespace relidar {
 
 /// Returns the number of warnings and errors that the Vulkan validation layer has
-/// reported. Returns 0 without validation.
+/// reported. Returns 0 if validation is disabled.
 std::size_t validation_messages(const Device& device);
 
-/// Device behaviour that a test selects instead of the default.
+/// Device behaviour that a test selects instead of the default behaviour.
 struct ForcedWays {
-    /// If true, rays test every surfel instead of searching an acceleration structure.
+    /// If true, each ray tests every surfel instead of searching an acceleration
+    /// structure.
     bool brute_force = false;
-    /// If true, neighbouring threads read neighbouring floats, which is the default on
+    /// If true, neighbouring threads read neighbouring floats. This is the default on
     /// GPUs.
     std::optional<bool> coalesces = std::nullopt;
     /// Number of scans that a renderer processes concurrently. See
@@ -25,8 +26,8 @@ struct ForcedWays {
     std::optional<int> side_by_side = std::nullopt;
 };
 
-/// Scope object: while it exists, new objects on a device use the behaviour that a test
-/// selects.
+/// Selects the behaviour of a device in a test. Applies to objects that are created on
+/// the device while this scope object exists.
 class Forced {
 public:
     Forced(Device& device, const ForcedWays& ways);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Creates pipelines from embedded SPIR-V with specialisation constants.
+// Creates compute pipelines from embedded SPIR-V modules and specialisation constants.
 #include "gpu/kernel.hpp"
 
 #include <algorithm>
@@ -30,12 +30,12 @@ std::span<const std::uint32_t> find_words(std::string_view name) {
                     name));
 }
 
-/// Kernels whose lanes cooperate inside branches, or in loops that lanes leave at
-/// different times.
+/// Kernels that need lanes to reconverge. They use subgroup operations inside branches,
+/// or in loops that lanes leave at different times.
 constexpr std::array<std::string_view, 2> kReconverging{"diff/accel/bvh_cluster", "diff/backward/trace"};
 
-/// Returns true for lavapipe 25.0 and older. These versions skip a load in a branch that
-/// no lane takes.
+/// Returns true for lavapipe 25.0 and older. These versions skip a load inside a branch
+/// if no lane takes the branch.
 bool loads_by_mask(const std::string& driver) {
     int major = 0, minor = 0;
     const std::size_t version = driver.find("Mesa ");
@@ -45,8 +45,7 @@ bool loads_by_mask(const std::string& driver) {
     return major < 25 || (major == 25 && minor == 0);
 }
 
-/// Returns the SPIR-V module of a kernel. The module contains the changes that this
-/// device needs.
+/// Returns the SPIR-V module of a kernel after the edits that this device needs.
 std::vector<std::uint32_t> module_words(const Device::Impl& device, std::string_view name,
                                         std::string_view stem, const std::vector<Constant>& constants) {
     std::map<std::uint32_t, std::uint32_t> values;
@@ -66,6 +65,7 @@ std::vector<std::uint32_t> module_words(const Device::Impl& device, std::string_
     return words;
 }
 
+/// Creates the Vulkan pipeline of a kernel.
 /// @param name name of the kernel with its constants, for debuggers
 gpu::Pipelines::Made make_pipeline(Device::Impl& device, std::span<const std::uint32_t> words,
                                    const std::string& name, const std::vector<Constant>& constants,
@@ -84,7 +84,8 @@ gpu::Pipelines::Made make_pipeline(Device::Impl& device, std::span<const std::ui
     const VkSpecializationInfo specialisation{static_cast<std::uint32_t>(map.size()), map.data(),
                                               constants.size() * sizeof(Constant), constants.data()};
     VkComputePipelineCreateInfo info{VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO};
-    // Large launches are cut into pieces, and a piece begins at any workgroup.
+    // Requests support for a dispatch that begins at any workgroup. Large launches are
+    // split into several such dispatches.
     info.flags = VK_PIPELINE_CREATE_DISPATCH_BASE_BIT;
     if (device.pipeline_statistics) info.flags |= VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR;
     info.stage.sType = VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO;
@@ -116,8 +117,8 @@ std::string key_of(std::string_view name, const std::vector<Constant>& constants
     return key;
 }
 
-/// Scope object that limits the number of concurrent compilations. The constructor blocks
-/// until fewer compilations run.
+/// Limits the number of concurrent compilations. The constructor blocks until fewer
+/// compilations run. The destructor allows another compilation to start.
 class Turn {
 public:
     explicit Turn(std::counting_semaphore<>& compilers) : compilers_(compilers) { compilers_.acquire(); }
@@ -140,8 +141,9 @@ std::string constants_text(std::span<const std::uint32_t> words, std::vector<Con
     return text;
 }
 
-/// Returns the pipeline of a kernel. If it does not exist, it is created at the first use
-/// or immediately in another thread.
+/// Returns the pipeline of a kernel from the cache, or creates it if the cache has none.
+/// @param how whether the pipeline is created at its first use or immediately in another
+/// thread
 std::shared_future<gpu::Pipelines::Made> find_or_begin_pipeline(Device::Impl& device,
                                                                 const KernelBase::Impl& kernel,
                                                                 std::launch how) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Creates compute pipelines from embedded SPIR-V. Every kernel has the same interface: it
-// receives the address of its parameter struct.
+// Creates compute pipelines from embedded SPIR-V. All kernels have the same interface:
+// each receives the address of its parameter struct.
 #pragma once
 
 #include <span>
@@ -16,16 +16,16 @@
 
 namespace relidar {
 
-/// SPIR-V module embedded in the library.
+/// SPIR-V module of a kernel that is embedded in the library.
 struct EmbeddedKernel {
-    std::string_view name;  ///< Name: "stage/stem" or "stage/stem@variant".
+    std::string_view name;  ///< Name of the kernel, either "stage/stem" or "stage/stem@variant".
     std::span<const std::uint32_t> words;
 };
 
 /// Returns all SPIR-V modules that are embedded in the library.
 std::span<const EmbeddedKernel> embedded_kernels();
 
-/// Ids of specialisation constants. The names are the same as in the shaders.
+/// Ids of specialisation constants. The shaders use the same names.
 enum class ConstantId : std::uint32_t {
 #define RELIDAR_CONSTANT_ID(name, id) name = id,
     RELIDAR_CONSTANTS(RELIDAR_CONSTANT_ID)
@@ -39,12 +39,12 @@ struct Constant {
 };
 
 /// Requirements of a kernel on subgroups. `full` means that every subgroup has exactly
-/// DeviceInfo::subgroup_size active lanes. Kernels that number their threads by subgroups
-/// need it, because some compilers choose smaller subgroups.
+/// DeviceInfo::subgroup_size active lanes. Kernels that compute thread indices from
+/// subgroups need `full`, because some compilers choose smaller subgroups.
 enum class Subgroups { any, full };
 
-/// Returns the name of the parameter struct that a kernel's shader declares. Returns an
-/// empty text for an unknown kernel.
+/// Returns the name of the parameter struct of a kernel. Returns an empty text if the
+/// kernel is unknown.
 constexpr std::string_view params_of_kernel(std::string_view name) {
     for (const auto& [kernel, params] : kKernelParams)
         if (kernel == name) return params;
@@ -54,8 +54,8 @@ constexpr std::string_view params_of_kernel(std::string_view name) {
 /// Returns the name of a struct without its namespaces.
 template <class Struct>
 consteval std::string_view name_of_struct() {
-    // Text that contains the name of the struct, for example "... [with Struct =
-    // relidar::shared::AdamParams; ...]".
+    // Compiler-generated text that contains the struct's name, for example "... [with
+    // Struct = relidar::shared::AdamParams; ...]".
     std::string_view text = __PRETTY_FUNCTION__;
     const std::size_t begin = text.find("Struct = ") + 9;
     text = text.substr(begin, text.find_first_of(";]", begin) - begin);
@@ -66,9 +66,9 @@ consteval std::string_view name_of_struct() {
 /// pipeline. The workgroup size is the default of the device, unless a constant sets it.
 class KernelBase {
 public:
-    /// Creates a kernel. On a GPU, another thread compiles it immediately. On a CPU, it
-    /// is compiled at the first launch. The first launch throws a DeviceError if the
-    /// driver rejects the kernel.
+    /// Creates a kernel. On a GPU, another thread compiles the kernel immediately. On a
+    /// CPU, the kernel is compiled at its first launch. If the driver rejects the kernel,
+    /// its first launch throws a DeviceError.
     /// @param name name of an embedded kernel
     KernelBase(Device& device, std::string_view name, const std::vector<Constant>& constants = {},
                Subgroups subgroups = Subgroups::any);
@@ -82,13 +82,13 @@ public:
 private:
     std::unique_ptr<Impl> impl_;
 
-    /// Creates the pipeline if it does not exist yet, and stores the compiler statistics
-    /// of the driver.
+    /// Creates the pipeline if it does not exist yet. Stores the statistics that the
+    /// driver's compiler reports.
     void compile_only();
 };
 
-/// Name of a kernel with the parameter struct Params, for example "stage/stem". A name of
-/// a kernel with another parameter struct does not compile.
+/// Name of a kernel whose parameter struct is Params, for example "stage/stem". The name
+/// of a kernel with a different parameter struct is a compile error.
 template <class Params>
 class KernelName {
 public:
@@ -125,24 +125,26 @@ public:
 };
 
 /// Returns true if neighbouring threads should read neighbouring addresses, even if this
-/// needs more threads or shared memory. A GPU loads cache lines for a subgroup. A CPU
-/// loads them per core, so one thread per row is faster there.
+/// needs more threads or shared memory. On a GPU this is faster, because a subgroup loads
+/// complete cache lines. On a CPU, one thread per row is faster, because each core loads
+/// its own cache lines.
 bool coalesces(const Device& device);
 /// Returns true if rays must test every surfel instead of searching an acceleration
-/// structure. Only tests select this.
+/// structure. Only tests set this mode.
 bool tests_every_surfel(const Device& device);
 
-/// Returns true if the device guarantees that diverged lanes of a subgroup reconverge
-/// after a branch or loop. An extension gives this guarantee.
+/// Returns true if the device guarantees that the lanes of a subgroup reconverge after a
+/// branch or loop. The guarantee needs a Vulkan extension.
 bool reconverges(const Device& device);
 
-/// Returns a text with the missing features that neural networks need. Returns an empty
-/// text if none is missing.
+/// Lists the features that neural networks need and the device lacks. Returns an empty
+/// text if no feature is missing.
 std::string missing_for_networks(const Device& device);
 
-/// Returns the variant of a kernel that adds floats to memory. Uses float atomics if the
-/// device has them, otherwise compare-and-swap.
-/// @param variant variant of a tracing kernel
+/// Returns the variant of a kernel that adds floats to memory atomically. The variant
+/// uses float atomics if the device has them, otherwise compare-and-swap.
+/// @param variant variant of a tracing kernel, for example "@ray_query". The suffix for
+/// atomics is appended to it
 KernelVariant accumulating_variant(const Device& device, const KernelVariant& variant = KernelVariant("@"));
 
 }  // namespace relidar

@@ -22,7 +22,7 @@ double LaunchLimit::expected_s(const std::string& kernel, std::uint32_t n_groups
 
 bool LaunchLimit::should_measure(const std::string& kernel, std::uint32_t n_groups) {
     constexpr std::uint64_t kFirst = 8, kEvery = 64;
-    // Small launches have a large fixed cost, so they would make a kernel look slow.
+    // Skips small launches, because their fixed cost would make the kernel look slow.
     if (!is_set() || n_groups < kUnknownGroups / 4) return false;
     const std::scoped_lock lock(mutex_);
     const std::uint64_t n = speeds_[kernel].n_launches++;
@@ -30,7 +30,8 @@ bool LaunchLimit::should_measure(const std::string& kernel, std::uint32_t n_grou
 }
 
 void LaunchLimit::add(const std::string& kernel, std::uint32_t n_groups, double seconds) {
-    // Scenes differ, so a kernel may become slower. The slowest recent launch counts.
+    // Forgets old speeds slowly. The slowest recent launch counts, because the same
+    // kernel may be slower in another scene.
     constexpr double kForget = 0.9;
     const std::scoped_lock lock(mutex_);
     double& s_per_group = speeds_[kernel].s_per_group;

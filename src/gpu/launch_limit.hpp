@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Limits the duration of a dispatch. Drivers and operating systems reset a GPU if a
-// dispatch takes seconds. Large launches are cut into pieces by the speed of earlier
-// launches of the same kernel.
+// Limits the duration of a dispatch, because drivers and operating systems reset a GPU if
+// a dispatch takes seconds. Splits a large launch into several dispatches. Earlier
+// launches of the same kernel give the expected duration.
 #pragma once
 
 #include <cstdint>
@@ -11,24 +11,24 @@
 
 namespace relidar::gpu {
 
-/// Speeds of kernels on a device. Thread-safe.
+/// Measured speeds of the kernels of a device. Thread-safe.
 class LaunchLimit {
 public:
-    /// Number of workgroups in a piece of a kernel of unknown speed.
+    /// Number of workgroups per dispatch for a kernel whose speed is unknown.
     static constexpr std::uint32_t kUnknownGroups = 4096;
 
-    /// Expected duration of a piece and of a submission, in seconds. It is half of the
-    /// longest duration that is allowed, because speeds vary. 0 = no limit.
+    /// Target duration of a dispatch and of a submission, in seconds. The target is half
+    /// of the allowed duration, because speeds vary. 0 means no limit.
     double piece_s = 0.0;
 
     bool is_set() const { return piece_s > 0.0; }
-    /// Returns the number of workgroups in a piece of a launch.
+    /// Returns the number of workgroups that one dispatch of this kernel should have.
     std::uint32_t groups_per_piece(const std::string& kernel) const;
-    /// Returns the expected duration of workgroups of a kernel. 0 if its speed is
-    /// unknown.
+    /// Returns the expected duration of `n_groups` workgroups in seconds. Returns 0 if
+    /// the speed of the kernel is unknown.
     double expected_s(const std::string& kernel, std::uint32_t n_groups) const;
-    /// Returns true if the next launch should be measured: each of the first 8, then
-    /// every 64th.
+    /// Returns true if the next launch should be measured. The first 8 launches of a
+    /// kernel are measured, and then every 64th.
     bool should_measure(const std::string& kernel, std::uint32_t n_groups);
     void add(const std::string& kernel, std::uint32_t n_groups, double seconds);
 
@@ -41,8 +41,9 @@ private:
     std::map<std::string, Speed> speeds_;
 };
 
-/// Returns true if a kernel may be cut into pieces. Other kernels read the number of all
-/// workgroups, which differs between a launch and its pieces.
+/// Returns true if launches of this kernel may be split into several dispatches. Kernels
+/// that read the total number of workgroups must not be split, because each dispatch
+/// would report a smaller number.
 bool can_cut(const std::string& kernel);
 
 }  // namespace relidar::gpu

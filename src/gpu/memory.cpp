@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blocks of device memory with first-fit allocation.
+// Allocates device memory in blocks. Inside a block, a buffer gets the first free range
+// that is large enough.
 #include "gpu/memory.hpp"
 
 #include <algorithm>
@@ -13,8 +14,8 @@ namespace relidar::gpu {
 
 namespace {
 
-// Alignment of all buffers, in bytes. It satisfies the largest requirement: storage of
-// acceleration structures, cache lines.
+// Alignment of all buffers in bytes. It satisfies the largest requirement, which comes
+// from acceleration structures and cache lines.
 constexpr std::uint64_t kAlignment = 256;
 
 /// Returns the memory properties to request, best first.
@@ -93,16 +94,16 @@ MemoryPools::~MemoryPools() {
 }
 
 /// Returns the size of a memory block that several buffers share. The size depends on the
-/// heap, because some heaps have only 256 MiB. This happens if the host can access only a
-/// window of the device memory.
+/// heap, because a heap may have only 256 MiB. Such a heap exists if the host can access
+/// only a part of the device memory.
 std::uint64_t MemoryPools::shared_bytes(std::uint32_t type) const {
     const std::uint64_t heap_bytes = properties_.memoryHeaps[properties_.memoryTypes[type].heapIndex].size;
-    // Drivers without hardware report a heap size of 0.
+    // Uses the default size for a heap size of 0, which drivers without hardware report.
     return heap_bytes ? std::min(kBlockBytes, heap_bytes / 16) : kBlockBytes;
 }
 
-/// Returns the memory types that satisfy the requirements, best first. Device memory that
-/// the host can access is used only for small buffers.
+/// Returns the memory types that satisfy the requirements, best first. Small buffers may
+/// use device memory that the host can access. Other device buffers do not use it.
 std::vector<std::uint32_t> MemoryPools::types(const VkMemoryRequirements& needs, MemoryUse use) const {
     std::vector<std::uint32_t> suitable_types;
     for (const VkMemoryPropertyFlags properties_mask : preferred_properties(use))
@@ -131,7 +132,7 @@ bool MemoryPools::allocate_of_type(const VkMemoryRequirements& needs, std::uint3
 
 VkResult MemoryPools::take(const VkMemoryRequirements& needs, MemoryUse use, MemoryPiece& piece) {
     const std::lock_guard lock(mutex_);
-    VkResult result = VK_ERROR_FEATURE_NOT_PRESENT;  // No suitable memory type.
+    VkResult result = VK_ERROR_FEATURE_NOT_PRESENT;  // Result if no memory type is suitable.
     for (const std::uint32_t type : types(needs, use)) {
         result = allocate_of_type(needs, type, piece) ? VK_SUCCESS : grow(needs, type, piece);
         if (result != VK_SUCCESS) continue;
@@ -145,7 +146,7 @@ VkResult MemoryPools::take(const VkMemoryRequirements& needs, MemoryUse use, Mem
 VkResult MemoryPools::grow(const VkMemoryRequirements& needs, std::uint32_t type, MemoryPiece& piece) {
     const std::uint64_t shared = shared_bytes(type);
     VkResult result = VK_SUCCESS;
-    // The second attempt allocates only the required size.
+    // If the first attempt fails, the second attempt allocates only the required size.
     for (const std::uint64_t n_bytes : {needs.size > shared / 2 ? needs.size : shared, needs.size}) {
         result = add_block(type, n_bytes);
         if (result == VK_SUCCESS && allocate_of_type(needs, type, piece)) return VK_SUCCESS;
@@ -178,15 +179,15 @@ VkResult MemoryPools::map(MemoryBlock& block) {
     return result;
 }
 
-/// Releases the memory of a buffer. Keeps one empty block of each memory type. Otherwise
-/// short-lived arrays would allocate and free a block each time.
+/// Releases the memory of a buffer. Keeps one empty block of each memory type, because
+/// otherwise each short-lived array would allocate and free a block.
 void MemoryPools::release(const MemoryPiece& piece) {
     const std::lock_guard lock(mutex_);
     piece.block->free.release(piece.offset, piece.n_bytes);
     if (piece.block->free.all_free()) release_empty(piece.block->type, 1);
 }
 
-/// Frees empty blocks of a memory type.
+/// Frees the empty blocks of a memory type.
 /// @param n_kept number of empty shared blocks to keep
 void MemoryPools::release_empty(std::uint32_t type, std::size_t n_kept) {
     std::erase_if(blocks_[type], [&](const std::unique_ptr<MemoryBlock>& block) {

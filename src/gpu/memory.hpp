@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Device memory for buffers, allocated in blocks that many buffers share. Blocks are
-// needed because a driver may allow only 4096 allocations (maxMemoryAllocationCount), and
-// each allocation costs a system call. An array larger than half a block gets a separate
-// block. (Vulkan Memory Allocator has this function, but Debian 12 does not package it.)
+// Allocates device memory in blocks that many buffers share. A driver may allow only 4096
+// allocations (maxMemoryAllocationCount), and each allocation needs a slow system call.
+// An array larger than half a block gets a separate block. (The Vulkan Memory Allocator
+// library also does this, but Debian 12 has no package of it.)
 #pragma once
 
 #include <array>
@@ -18,64 +18,66 @@
 
 namespace relidar::gpu {
 
-/// Purpose of memory, which determines its Vulkan memory type. All memory except `device`
-/// is host-coherent and mapped as long as it exists.
+/// Purpose of memory, which determines its Vulkan memory type. All purposes except
+/// `device` use host-coherent memory that stays mapped.
 enum class MemoryUse {
-    device,  ///< Arrays of kernels.
-    /// The host writes this memory and kernels read it. Uses device memory that the host
-    /// can write, if such memory exists.
+    device,  ///< Arrays that kernels read and write.
+    /// Parameters that the host writes and kernels read. They are stored in device memory
+    /// if the host can write to it.
     parameters,
-    upload,  ///< Written by the host, read by copies.
-    /// Copies write this memory and the host reads it. Uses host-cached memory if such
-    /// memory exists.
+    upload,  ///< Staging memory that the host writes and copy commands read.
+    /// Staging memory that copy commands write and the host reads. It is host-cached if
+    /// such memory exists.
     readback,
 };
 
 /// Device memory that this process may use.
 struct MemoryBudget {
-    std::uint64_t n_bytes = 0;  ///< Budget of the largest device-local heap.
-    std::uint64_t n_used = 0;   ///< Memory of the heap that this process uses.
+    std::uint64_t n_bytes = 0;  ///< Budget of the largest device-local heap, in bytes.
+    std::uint64_t n_used = 0;   ///< Memory of this heap that this process uses, in bytes.
 
     std::uint64_t n_free() const { return n_bytes > n_used ? n_bytes - n_used : 0; }
 };
-/// Returns the current budget. It depends on other programs if the driver has
-/// VK_EXT_memory_budget. Otherwise it is the size of the heap, and n_used is 0.
+/// Returns the current memory budget. With VK_EXT_memory_budget, the driver considers the
+/// memory that other programs use. Otherwise the budget is the size of the heap, and
+/// n_used is 0.
 MemoryBudget memory_budget(VkPhysicalDevice physical);
 
-/// Free ranges of a block.
+/// Free ranges of a memory block.
 class FreeRanges {
 public:
     explicit FreeRanges(std::uint64_t n_bytes) : n_bytes_(n_bytes), ranges_{{0, n_bytes}} {}
-    /// Allocates the first free range that is large enough.
-    /// @param alignment a power of two
-    /// @return offset of the range, or nullopt if no range is large enough
+    /// Allocates space in the first free range that is large enough.
+    /// @param alignment alignment of the offset in bytes, a power of two
+    /// @return offset of the allocated range, or nullopt if no free range is large enough
     std::optional<std::uint64_t> take(std::uint64_t n_bytes, std::uint64_t alignment);
     void release(std::uint64_t offset, std::uint64_t n_bytes);
     bool all_free() const { return ranges_.size() == 1 && ranges_.begin()->second == n_bytes_; }
 
 private:
     std::uint64_t n_bytes_;
-    /// Free ranges: map from offset to size in bytes. Adjacent ranges are merged.
+    /// Map from the offset of each free range to its size in bytes. Adjacent free ranges
+    /// are merged.
     std::map<std::uint64_t, std::uint64_t> ranges_;
 };
 
-/// Allocation of the driver.
+/// One allocation of device memory from the driver.
 struct MemoryBlock {
     VkDeviceMemory memory = VK_NULL_HANDLE;
     std::uint32_t type = 0;
     std::uint64_t n_bytes = 0;
-    std::byte* mapped = nullptr;  ///< Host address, if the host uses the block.
+    std::byte* mapped = nullptr;  ///< Host address of the block. Null if the block is not mapped.
     FreeRanges free;
 };
 
-/// Part of a block that belongs to a buffer.
+/// Part of a memory block that one buffer uses.
 struct MemoryPiece {
     MemoryBlock* block = nullptr;
     std::uint64_t offset = 0;
     std::uint64_t n_bytes = 0;
 };
 
-/// All memory of a device. Thread-safe.
+/// Allocator for all memory of a device. Thread-safe.
 class MemoryPools {
 public:
     static constexpr std::uint64_t kBlockBytes = std::uint64_t(64) << 20;
@@ -86,7 +88,7 @@ public:
     MemoryPools& operator=(const MemoryPools&) = delete;
 
     /// Allocates memory for a buffer.
-    /// @param piece output: the memory, set if the result is VK_SUCCESS
+    /// @param piece receives the memory if the result is VK_SUCCESS
     /// @return result of the driver for the last memory type that was tried
     VkResult take(const VkMemoryRequirements& needs, MemoryUse use, MemoryPiece& piece);
     void release(const MemoryPiece& piece);
@@ -98,7 +100,7 @@ private:
     VkDevice device_;
     VkPhysicalDeviceMemoryProperties properties_{};
     mutable std::mutex mutex_;
-    std::array<Blocks, VK_MAX_MEMORY_TYPES> blocks_;  ///< Blocks of each memory type.
+    std::array<Blocks, VK_MAX_MEMORY_TYPES> blocks_;  ///< Memory blocks, indexed by memory type.
 
     std::vector<std::uint32_t> types(const VkMemoryRequirements& needs, MemoryUse use) const;
     std::uint64_t shared_bytes(std::uint32_t type) const;

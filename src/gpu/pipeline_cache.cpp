@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes the pipeline cache file. It contains "RELIDAR1", the size and the hash
-// of the remaining data, then the data of the driver.
+// Reads and writes the pipeline cache file. The file contains "RELIDAR1", the size and
+// the hash of the remaining data, and then the driver's data.
 #include "gpu/pipeline_cache.hpp"
 
 #include <unistd.h>
@@ -26,8 +26,8 @@ struct FileHeader {
     std::uint64_t hash = 0;
 };
 
-/// Returns the FNV-1a hash of the bytes. The hash detects damaged files. Drivers check
-/// only their header, so damaged data behind the header may crash them.
+/// Returns the FNV-1a hash of the bytes, which detects damaged files. A damaged file may
+/// crash the driver, because drivers check only the header of their data.
 std::uint64_t hash_of(std::string_view bytes) {
     std::uint64_t hash = 0xcbf29ce484222325u;
     for (const char byte : bytes) hash = (hash ^ static_cast<unsigned char>(byte)) * 0x100000001b3u;
@@ -41,8 +41,8 @@ FileHeader header_of(std::string_view bytes) {
     return header;
 }
 
-/// Returns the driver data of a cache file. Returns an empty string if the file is
-/// missing, truncated, changed, or from another driver.
+/// Returns the driver's data from a cache file. Returns an empty string if the file is
+/// missing, truncated, damaged, or written by another driver.
 std::string read_file(const std::filesystem::path& path, const VkPhysicalDeviceProperties& device) {
     std::ifstream file(path, std::ios::binary);
     FileHeader header;
@@ -68,7 +68,8 @@ std::string read_file(const std::filesystem::path& path, const VkPhysicalDeviceP
 void replace_file(const std::filesystem::path& path, std::string_view bytes) {
     std::error_code failed;
     std::filesystem::create_directories(path.parent_path(), failed);
-    // Several devices of one process may be closed simultaneously.
+    // Gives each temporary file a number, because one process may close several devices
+    // simultaneously.
     static std::atomic<unsigned> count{0};
     const std::filesystem::path temporary = fmt::format("{}.{}-{}", path.string(), ::getpid(), count++);
     std::ofstream file(temporary, std::ios::binary);
@@ -99,7 +100,7 @@ PipelineCache::PipelineCache(VkPhysicalDevice physical, VkDevice device, const s
         name_object(device, VK_OBJECT_TYPE_PIPELINE_CACHE, handle_, "pipelines of relidar");
         return;
     }
-    handle_ = VK_NULL_HANDLE;  // Pipelines are then created without a cache.
+    handle_ = VK_NULL_HANDLE;  // Without a handle, pipelines are created without a cache.
     path_.clear();
 }
 
@@ -107,8 +108,8 @@ void PipelineCache::save() const {
     std::size_t n_bytes = 0;
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, nullptr) != VK_SUCCESS || n_bytes <= read_bytes_)
         return;
-    // Ignores data that is too small for a cache. The lavapipe of Mesa 26.2 returns 20
-    // bytes, which are not a valid cache.
+    // Ignores data that is smaller than the header of a valid cache. The lavapipe of Mesa
+    // 26.2 returns such data (20 bytes).
     if (n_bytes < sizeof(VkPipelineCacheHeaderVersionOne)) return;
     std::string bytes(n_bytes, '\0');
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, bytes.data()) != VK_SUCCESS) return;

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Stores compiled pipelines on disk, because a GPU's compiler needs seconds for the
-// largest kernels. Each device and driver has one file. Ignores damaged files and files
-// from another driver. An unwritable folder is not an error.
+// largest kernels. Each combination of device and driver has a separate file. Damaged
+// files and files of other drivers are ignored. A folder without write permission is not
+// an error.
 #pragma once
 
 #include <filesystem>
@@ -12,19 +13,20 @@
 
 namespace relidar::gpu {
 
-/// Writes a file of the cache folder atomically, because other processes may access it at
-/// the same time. Ignores failures, because a missing file only costs time.
+/// Replaces a file of the cache folder atomically, because other processes may read it at
+/// the same time. Ignores failures, because a missing cache file only makes the next
+/// start slower.
 void replace_file(const std::filesystem::path& path, std::string_view bytes);
 
-/// Returns a name for files that belong to one device and one version of its driver.
+/// Returns a file name that is unique for the device and its driver version.
 std::string device_key(const VkPhysicalDeviceProperties& properties);
 
 class PipelineCache {
 public:
     /// Opens the pipeline cache.
-    /// @param folder folder of the cache file. Empty for no file.
+    /// @param folder folder of the cache file. If empty, no file is used
     PipelineCache(VkPhysicalDevice physical, VkDevice device, const std::filesystem::path& folder);
-    /// Writes the cache file if the cache has grown since the file was read.
+    /// Writes the cache file if the cache contains more data than the file.
     ~PipelineCache();
     PipelineCache(const PipelineCache&) = delete;
     PipelineCache& operator=(const PipelineCache&) = delete;
@@ -33,8 +35,8 @@ public:
     /// Returns the path of the cache file. Returns an empty path if the cache has no
     /// file.
     const std::filesystem::path& path() const { return path_; }
-    /// Returns the number of bytes read from the cache file. Returns 0 if the file was
-    /// missing.
+    /// Returns the number of bytes that were read from the cache file. Returns 0 if the
+    /// file was missing.
     std::size_t read_bytes() const { return read_bytes_; }
 
 private:

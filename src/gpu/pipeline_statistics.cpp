@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the compiler statistics of pipelines. Uses the names that the driver gives them.
+// Reads the compiler statistics of pipelines. Each value keeps the name that the driver
+// reports.
 #include "gpu/pipeline_statistics.hpp"
 
 #include <vector>
@@ -33,8 +34,8 @@ void read_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& s
     check(vkGetPipelineExecutablePropertiesKHR(device, &info, &n, executables.data()),
           "vkGetPipelineExecutablePropertiesKHR");
     if (n == 0) return;
-    // Uses the last executable of the pipeline. Some drivers (Intel) compile variants for
-    // several subgroup sizes, and the last variant is the widest.
+    // Reads the last executable of the pipeline. Some drivers (Intel) compile one
+    // executable per subgroup size, and the last executable has the largest subgroups.
     statistics.subgroup_size = static_cast<int>(executables[n - 1].subgroupSize);
     VkPipelineExecutableInfoKHR program{VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_INFO_KHR};
     program.pipeline = pipeline;

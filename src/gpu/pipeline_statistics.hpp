@@ -9,8 +9,8 @@
 
 namespace relidar::gpu {
 
-/// Fills the values and the subgroup size of `statistics`. The pipeline must have been
-/// created with VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR.
+/// Writes the compiler statistics and the subgroup size into `statistics`. The pipeline
+/// must have been created with VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR.
 void read_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& statistics);
 
 }  // namespace relidar::gpu

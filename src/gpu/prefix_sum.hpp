@@ -7,7 +7,7 @@
 
 namespace relidar {
 
-/// View of counts in memory. Count i is at index offset + i * stride.
+/// View of counts in device memory. Count i is stored at index offset + i * stride.
 struct StridedCounts {
     Address<std::uint32_t, shared::ScanCounts> address;
     std::uint32_t offset = 0;
@@ -17,19 +17,21 @@ struct StridedCounts {
 class PrefixSum {
 public:
     explicit PrefixSum(Device& device);
-    /// Allocates scratch memory for n counts. No pending submission may use this object.
+    /// Allocates scratch memory for n counts. No pending submission may use this object,
+    /// because the old memory is freed.
     void reserve(Device& device, std::size_t n);
-    /// Submits kernels that compute prefix[i], the sum of all counts before count i, for
-    /// i < n. `prefix` may be the same array as the counts. The total sum must fit into
-    /// 32 bits.
-    /// @param total address for the total sum, or null. Not written if n is 0.
+    /// Submits kernels that compute prefix[i] for all i < n. prefix[i] is the sum of all
+    /// counts before count i. `prefix` may be the same array as the counts. The total
+    /// must fit into 32 bits.
+    /// @param total address that receives the total sum, or null. Nothing is written if n
+    /// is 0
     void run(Stream& stream, const StridedCounts& counts, Address<std::uint32_t, shared::ScanPrefix> prefix,
              std::uint32_t n, Address<std::uint32_t, shared::ScanTotal> total = {}) const;
 
 private:
     Kernel<shared::ScanParams> sums_, write_;
-    /// Sums of the tiles on each level. Level 0 sums the counts, level 1 sums level 0,
-    /// and so on.
+    /// Sums of the tiles on each level. A tile of level 0 sums counts. A tile of each
+    /// higher level sums tiles of the level below.
     std::vector<Array<std::uint32_t, shared::ScanTileSums>> levels_;
 
     void run_level(Stream& stream, shared::ScanParams params, std::size_t level) const;

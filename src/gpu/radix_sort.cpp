@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Submits the kernels of a radix sort. Sorts by the least significant digit first.
+// Submits the kernels of a radix sort that starts with the least significant digit.
 #include "gpu/radix_sort.hpp"
 
 #include <utility>
@@ -14,7 +14,7 @@
 namespace relidar {
 namespace {
 
-// 128 to 2048 subgroups, for 256 digits.
+// Number of threads of the digit scan. They form 128 to 2048 subgroups for 256 digits.
 constexpr std::uint32_t kScanThreads = 32 * RELIDAR_TILE_THREADS;
 
 }  // namespace

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stable radix sort of keys on the device. The device can compute the number of keys.
-// Each pass sorts by 8 bits with three kernels.
+// Stable radix sort of keys on the device. The number of keys can be a result of earlier
+// kernels. Each pass sorts by 8 bits and launches three kernels.
 #pragma once
 
 #include "gpu/kernel.hpp"
@@ -10,7 +10,8 @@ namespace relidar {
 
 /// Addresses of a set of keys.
 struct SortSet {
-    Address<std::uint32_t, shared::SortKeys> keys;    ///< Keys, [n,key_words], low word first.
+    /// Keys [n,key_words]. The low word of a key is first.
+    Address<std::uint32_t, shared::SortKeys> keys;
     Address<std::uint32_t, shared::SortOrder> order;  ///< Original index of each key, [n].
 };
 
@@ -24,14 +25,14 @@ public:
     RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_words);
     std::uint32_t capacity() const { return capacity_; }
 
-    /// Returns the number of sort passes for keys with this many bits. After an odd
-    /// number of passes, the result is in the second set of arrays.
+    /// Returns the number of sort passes for keys with `key_bits` bits. If the number is
+    /// odd, the result is in the second set of arrays.
     static std::uint32_t passes(std::uint32_t key_bits) { return key_bits > 8 ? (key_bits + 7) / 8 : 1; }
-    /// Submits kernels that sort keys by their low key_bits bits. Equal keys keep their
+    /// Submits kernels that sort keys by their low `key_bits` bits. Equal keys keep their
     /// order. Overwrites both sets.
-    /// @param from keys to sort. The order array of this set is not read.
-    /// @param n_keys address of the number of keys. Null means that the number equals the
-    /// capacity. Keys beyond the capacity are ignored.
+    /// @param from keys to sort. The order array of this set is not read
+    /// @param n_keys address of the number of keys. If null, the number equals the
+    /// capacity. Keys beyond the capacity are ignored
     /// @return the set that contains the sorted keys
     SortSet run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits,
                 Address<std::uint32_t, shared::SortCount> n_keys = {}) const;
@@ -42,9 +43,9 @@ public:
 private:
     std::uint32_t capacity_;
     Kernel<shared::RadixSortParams> count_, scan_, scatter_;
-    /// Counts of each digit in each tile, [RELIDAR_SORT_DIGITS, tiles].
+    /// Number of keys per digit and tile [RELIDAR_SORT_DIGITS, tiles].
     Array<std::uint32_t, shared::DigitCounts> counts_;
-    /// Total counts of each digit, [RELIDAR_SORT_DIGITS].
+    /// Number of keys per digit [RELIDAR_SORT_DIGITS].
     Array<std::uint32_t, shared::DigitTotals> totals_;
 };
 

@@ -10,11 +10,10 @@ namespace relidar {
 
 struct Readback::Impl {
     std::string what;
-    /// Host memory that receives the copy. The stream shares ownership until the copy is
-    /// done.
+    /// Host memory that receives the copy. The stream also owns it until the copy is
+    /// complete.
     std::shared_ptr<Buffer::Impl> host;
-    /// Ticket (number) of the submission that contains the copy. 0 means that no copy is
-    /// pending.
+    /// Number of the submission that contains the copy. 0 means that no copy is pending.
     std::uint64_t ticket = 0;
     bool pending = false;
 

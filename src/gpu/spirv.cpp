@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Edits SPIR-V modules. A module has this order: capabilities, extensions, ..., entry
-// points, execution modes, ...
+// Edits SPIR-V modules. The instructions of a module have a fixed order: capabilities,
+// extensions, ..., entry points, execution modes, ...
 #include "gpu/spirv.hpp"
 
 #include <cstring>
@@ -15,7 +15,8 @@ constexpr std::uint32_t kOpMemberDecorate = 72, kOffset = 35, kNonWritable = 24;
 constexpr std::uint32_t kOpExtension = 10, kOpEntryPoint = 15, kOpExecutionMode = 16, kOpCapability = 17;
 
 std::vector<std::uint32_t> extension_instruction(std::string_view name) {
-    std::vector<std::uint32_t> words(1 + name.size() / 4 + 1, 0u);  // The name ends with a zero byte.
+    // Adds space for the zero byte at the end of the name.
+    std::vector<std::uint32_t> words(1 + name.size() / 4 + 1, 0u);
     std::memcpy(words.data() + 1, name.data(), name.size());
     words[0] = static_cast<std::uint32_t>(words.size()) << 16 | kOpExtension;
     return words;
@@ -34,7 +35,7 @@ std::vector<std::uint32_t> with_execution_mode(std::span<const std::uint32_t> wo
         }
         if (opcode == kOpEntryPoint) {
             modes.insert(modes.end(), {3u << 16 | kOpExecutionMode, instruction[2], mode.mode});
-        } else {  // Execution modes follow the last entry point.
+        } else {  // Inserts the execution mode after the last entry point, as SPIR-V requires.
             append(result, modes);
             modes.clear();
         }
@@ -45,8 +46,8 @@ std::vector<std::uint32_t> with_execution_mode(std::span<const std::uint32_t> wo
 
 std::vector<std::uint32_t> make_parameters_read_only(std::span<const std::uint32_t> words) {
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
-    // Id of the struct type of the parameter block. In a module, names precede
-    // decorations, so the id is known in time.
+    // Id of the struct type of the parameter block. SPIR-V stores names before
+    // decorations, so this loop has read the id before it reaches the decorations.
     std::uint32_t block = 0;
     for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
         if (opcode == kOpName && std::strcmp(name_in(instruction), "ParamsBlock") == 0)

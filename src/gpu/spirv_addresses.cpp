@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds the device addresses in the parameter block of a kernel. Uses the types that the
-// SPIR-V module declares.
+// Finds the device addresses in the parameter block of a kernel, using the types in the
+// SPIR-V module.
 #include <map>
 #include <string>
 
@@ -24,7 +24,8 @@ public:
     /// @param begin byte offset of the value
     void collect(std::uint32_t type, std::uint32_t begin, std::vector<std::uint32_t>& offsets) const {
         const auto known = types_.find(type);
-        if (known == types_.end()) return;  // Numbers and vectors contain no address.
+        // Numbers and vectors contain no address, so they are not in the map.
+        if (known == types_.end()) return;
         const Instruction t = known->second;
         switch (t[0] & 0xffffu) {
             case type_pointer:
@@ -42,20 +43,20 @@ public:
 
 private:
     enum Number : std::uint32_t {
-        // Opcodes of instructions, followed by decorations.
+        // SPIR-V opcodes. The last two values of the enumeration are decorations.
         type_array = 28,
         type_struct = 30,
         type_pointer = 32,
         constant = 43,
         member_decorate = 72,
         array_stride = 6,
-        member_offset = 35  // The last two values are decorations.
+        member_offset = 35  // Decoration, not an opcode.
     };
 
     std::uint32_t block_ = 0;
     std::map<std::uint32_t, Instruction> types_;  ///< Pointer, array and struct types.
     std::map<std::uint32_t, std::uint32_t> constants_, strides_;
-    /// Offsets by struct and member.
+    /// Byte offset of each member. The key is the struct's id and the member's index.
     std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> offsets_;
 
     void read(std::uint32_t op, Instruction i) {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Removes branches that specialisation constants decide. Evaluates the operations that
-// kernels use in conditions: 32-bit constants, equality and logical operators. Leaves
-// other conditions to the driver, and also branches that cannot be removed without moving
-// blocks.
+// Removes branches whose conditions depend only on specialisation constants. Evaluates
+// the operations that our kernels use in conditions: 32-bit constants, equality and
+// logical operators. The driver handles other conditions. Keeps a branch if its removal
+// requires moving blocks.
 #include <algorithm>
 #include <map>
 #include <optional>
@@ -22,7 +22,7 @@ constexpr std::uint32_t kOpLogicalOr = 166, kOpLogicalAnd = 167, kOpLogicalNot =
 constexpr std::uint32_t kOpPhi = 245, kOpLoopMerge = 246, kOpSelectionMerge = 247, kOpLabel = 248,
                         kOpBranch = 249, kOpBranchConditional = 250, kOpSwitch = 251;
 
-/// Values of a module's integers and booleans (0 or 1) that are known at load time.
+/// Integers and booleans (0 or 1) of a module whose values are known when it is loaded.
 class Values {
 public:
     explicit Values(const std::map<std::uint32_t, std::uint32_t>& constants) : constants_(constants) {}
@@ -32,7 +32,7 @@ public:
         return found == known_.end() ? std::nullopt : std::optional(found->second);
     }
 
-    /// Processes the instructions of the module in order.
+    /// Reads the instructions of a module in their order.
     void process(std::uint32_t opcode, Instruction instruction) {
         switch (opcode) {
             case kOpTypeBool:
@@ -107,7 +107,7 @@ private:
     }
 };
 
-/// Control flow between the blocks of a module.
+/// Control flow graph of the blocks of a module.
 class Blocks {
 public:
     explicit Blocks(std::span<const std::uint32_t> words) {
@@ -140,9 +140,9 @@ public:
     }
 
     /// Returns true if the module stays valid without the branch from block `from` to
-    /// block `left`. A phi instruction must name all blocks that lead to it, so its block
-    /// must stay reachable as before. Unreachable blocks must not end or continue an
-    /// enclosing loop.
+    /// block `left`. A phi instruction names all predecessors of its block, so the
+    /// predecessors must stay reachable. Blocks that become unreachable must not end or
+    /// continue an enclosing loop.
     /// @param merge block in which both paths of the branch join
     bool can_be_left(std::uint32_t from, std::uint32_t left, std::uint32_t merge) const {
         if (left == merge) return !with_phi_.contains(merge);
@@ -150,7 +150,7 @@ public:
         for (std::vector<std::uint32_t> open = {left}; !open.empty();) {
             const auto next = next_.find(open.back());
             open.pop_back();
-            if (next == next_.end()) continue;  // The block returns.
+            if (next == next_.end()) continue;  // A block without a successor returns from the function.
             for (const std::uint32_t block : next->second)
                 if (block != merge && behind.insert(block).second) open.push_back(block);
         }
@@ -162,7 +162,7 @@ public:
 
 private:
     std::map<std::uint32_t, std::vector<std::uint32_t>> next_;
-    // For each block that ends or continues a loop: the header block of this loop.
+    // Header block of the loop that a block ends or continues. The key is this block.
     std::map<std::uint32_t, std::uint32_t> header_of_;
     std::set<std::uint32_t> with_phi_;
 };
@@ -175,7 +175,7 @@ std::vector<std::uint32_t> resolve_branches(std::span<const std::uint32_t> words
     Values values(constants);
     const Blocks blocks(words);
     std::uint32_t block = 0;
-    Instruction merge;  // Merge instruction of the next branch.
+    Instruction merge;  // Merge instruction that belongs to the next branch.
     for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
         values.process(opcode, instruction);
         if (opcode == kOpLabel) block = instruction[1];

@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adds a zero to every array index. The compiler cannot know that the value is zero in
-// each lane, and therefore treats the index as different for each lane:
-//
+// Adds a zero to every array index. The compiler does not know that the value is always
+// zero, so it assumes that the index differs between lanes:
 //   %lane_zero = LocalInvocationIndex & push.nothing.x & 255
 //   %place = OpAccessChain %pointer %array %int_0 (%index + %lane_zero)
 //
-// The second line replaces `%index` by the sum. `nothing` is a multiple of 256
-// (shaders/base/kernel.glsl).
+// The second line replaces `%index` with the sum. The result of the first line is zero
+// because `nothing` is a multiple of 256 (shaders/base/kernel.glsl).
 #include <set>
 #include <string>
 
@@ -45,7 +44,8 @@ private:
         variable = 59,
         load = 61,
         store = 62,
-        // Opcodes of instructions, followed by storage classes and decorations.
+        // SPIR-V opcodes. The enumeration then continues with storage classes and
+        // decorations.
         access_chain = 65,
         decorate = 71,
         iadd = 128,
@@ -56,9 +56,9 @@ private:
         input = 1,
         in_private = 6,
         push_constant = 9,
-        physical_storage = 5349,  // The values from `input` on are storage classes.
+        physical_storage = 5349,  // This value and the following values are storage classes.
         built_in = 11,
-        local_invocation_index = 29  // The last two values are decorations.
+        local_invocation_index = 29  // This value and the previous value are decorations.
     };
 
     std::span<const std::uint32_t> words_;
@@ -66,7 +66,7 @@ private:
     std::uint32_t next_, uint_ = 0, entry_ = 0, push_ = 0, lane_ = 0, block_ = 0, block_pointer_ = 0;
     std::uint32_t input_pointer_ = 0, private_pointer_ = 0, push_pointer_ = 0, zero_ = 0, constant_0_ = 0,
                   constant_1_ = 0, constant_255_ = 0;
-    /// Ids of the pointer types of device addresses, and ids of addresses of the
+    /// Ids of the types of pointers to device memory, and ids of the addresses of the
     /// parameter block.
     std::set<std::uint32_t> storage_pointers_, parameters_;
     bool is_new_lane_ = false, decorated_ = false, declared_ = false, in_entry_ = false, filled_ = false;

@@ -39,7 +39,7 @@ enum Op : std::uint32_t {
 constexpr std::uint32_t kPrivate = 6, kPhysicalStorage = 5349, kAliasedPointer = 5356, kAligned = 2;
 
 using Words = std::vector<std::uint32_t>;
-// Member indices that lead from the parameter block to a nested value.
+// Indices of the nested struct members that lead from the parameter block to a value.
 using Path = std::vector<std::uint32_t>;
 
 Words instruction(Op op, std::initializer_list<std::uint32_t> operands) {
@@ -51,12 +51,15 @@ Words instruction(Op op, std::initializer_list<std::uint32_t> operands) {
 /// Types, constants and parameters of a module.
 struct Module {
     std::uint32_t bound = 0, block = 0, block_pointer = 0, int_type = 0;
-    Words push_chain;  ///< Access chain instruction that reads the address of the parameter block.
+    /// Instruction that computes the pointer to the block's address in the push
+    /// constants.
+    Words push_chain;
     std::uint32_t entry = 0;
     std::map<std::uint32_t, Words> types;              ///< Types by id.
     std::map<std::uint32_t, std::uint32_t> constants;  ///< 32-bit integer constants by id.
-    std::set<std::uint32_t> addresses;                 ///< Ids of the address of the parameter block.
-    std::map<std::uint32_t, Path> places;              ///< Positions in the parameter block by id.
+    std::set<std::uint32_t> addresses;  ///< Ids that contain the address of the parameter block.
+    /// Member path in the parameter block that each pointer id refers to.
+    std::map<std::uint32_t, Path> places;
 
     explicit Module(std::span<const std::uint32_t> words) : bound(words[3]) {
         for_each_instruction(words, [&](std::uint32_t op, Instruction i) { read(op, i); });
@@ -94,8 +97,8 @@ private:
     }
 };
 
-/// Edits a module: adds declarations before its functions, and replaces loads of
-/// parameters.
+/// Edits a module. Declares private variables before its functions. Replaces loads from
+/// the parameter block by loads of these variables.
 class ParametersFirst {
 public:
     explicit ParametersFirst(const Module& module) : module_(module), next_(module.bound) {}
@@ -110,6 +113,8 @@ public:
     }
 
     /// Appends the instructions that load one parameter.
+    /// @param code receives the instructions
+    /// @param path member indices of the parameter
     /// @param id id of the loaded value
     void load(Words& code, std::uint32_t type, const Path& path, std::uint32_t id) {
         const Words& t = module_.types.at(type);
@@ -128,8 +133,8 @@ public:
     }
 
     /// Returns the edited SPIR-V module.
-    /// @param code functions of the module with replaced loads, from the first OpFunction
-    /// on
+    /// @param code functions of the module, from the first OpFunction on, with their
+    /// loads already replaced
     Words written(std::span<const std::uint32_t> words, const Words& code) {
         const Words first = fill();
         Words result(words.begin(), words.begin() + kHeaderWords);
@@ -195,7 +200,7 @@ private:
         variables_[path] = {id, type};
         return id;
     }
-    /// Returns the instructions that fill the private variables.
+    /// Returns the instructions that copy the parameters to the private variables.
     Words fill() {
         Words code, chain = module_.push_chain;
         const std::uint32_t block = next_ + 1;
@@ -205,7 +210,7 @@ private:
         next_ += 2;
         for (const auto& [path, v] : variables_) {
             const std::uint32_t to_storage = pointer(storage_pointer_, kPhysicalStorage, v.type);
-            // These ids are reserved before index() creates further ids.
+            // Reserves these ids first, because index() also creates ids.
             const std::uint32_t at = next_++, value = next_++;
             Words place{std::uint32_t(path.size() + 4) << 16 | kAccessChain, to_storage, at, block};
             for (const std::uint32_t member : path) place.push_back(index(member));
@@ -221,8 +226,8 @@ private:
         words[0] = std::uint32_t(words.size()) << 16 | kEntryPoint;
         return words;
     }
-    /// Appends the functions to the module. Inserts `first` after the variables of the
-    /// entry point.
+    /// Appends the functions to the module. Inserts the instructions `first` after the
+    /// variable declarations of the entry point.
     void append_code(Words& result, const Words& code, const Words& first) const {
         bool in_entry = false, filled = false;
         for (std::size_t at = 0; at < code.size(); at += code[at] >> 16) {

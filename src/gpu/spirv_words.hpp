@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads SPIR-V as 32-bit words: a header, followed by instructions. The first word of an
-// instruction contains its length and opcode.
+// Reads SPIR-V as a sequence of 32-bit words. A header is followed by instructions. The
+// first word of each instruction contains its length and opcode.
 #pragma once
 
 #include <cstddef>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Records commands, submits them with a timeline semaphore, and measures launches with
-// timestamps.
+// Records Vulkan commands and submits them with a timeline semaphore. Measures kernel
+// launches with timestamps.
 #include "gpu/stream.hpp"
 
 #include <algorithm>
@@ -113,9 +113,9 @@ void Stream::Impl::keep(const std::string& name, Command command) {
     barrier();
 }
 
-/// Records the commands of all concurrent sequences. Each step has one pair of
-/// timestamps, because timestamps inside a step would make its commands wait for each
-/// other.
+/// Records the commands of all concurrent sequences, step by step. Each step has only one
+/// pair of timestamps, because timestamps inside a step would force its commands to wait
+/// for each other.
 void Stream::Impl::record_lanes() {
     std::size_t n_steps = 0;
     for (const StreamLane& one : lanes) n_steps = std::max(n_steps, one.size());
@@ -222,8 +222,9 @@ std::uint64_t Stream::Impl::store_parameters(const KernelBase& kernel, const voi
     return store(params.data(), n_bytes).address;
 }
 
-/// Launch of n workgroups in rows and columns, because Vulkan limits the number in one
-/// dimension. A piece consists of consecutive rows.
+/// Launch of n workgroups, arranged in rows and columns because Vulkan limits the number
+/// in one dimension. A launch that is too long is split into dispatches of consecutive
+/// rows.
 struct Stream::Impl::Dispatch {
     VkPipeline pipeline;
     std::array<std::uint64_t, 2> pushed;
@@ -245,7 +246,8 @@ Stream::Impl::Dispatch make_dispatch(VkPipeline pipeline, const std::array<std::
     constexpr std::uint32_t kMaxGroups = 65535;
     const std::uint32_t columns =
         std::max(std::min({n_groups, kMaxGroups, groups_per_piece}), (n_groups - 1) / kMaxGroups + 1);
-    // Spreads the workgroups evenly over the rows, so that few of them have no work.
+    // Distributes the workgroups evenly over the rows, so that few workgroups have no
+    // work.
     const std::uint32_t rows = (n_groups - 1) / columns + 1, even_columns = (n_groups - 1) / rows + 1;
     return {pipeline, pushed, rows, even_columns, std::max(1u, groups_per_piece / even_columns)};
 }
@@ -265,7 +267,8 @@ void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, con
     const bool limited = device->launch_limit.is_set() && gpu::can_cut(name);
     const Dispatch dispatch = make_dispatch(pipeline, pushed, n_groups,
                                             limited ? device->launch_limit.groups_per_piece(name) : n_groups);
-    // The commands of lanes are recorded later, and all in one submission.
+    // Splits the launch only outside of concurrent sequences. The commands of concurrent
+    // sequences are recorded later and in a single submission.
     if (limited && lanes.empty()) return record_pieces(name, dispatch);
     record(name, [layout = device->pipeline_layout, dispatch](VkCommandBuffer c) {
         for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece)
@@ -377,8 +380,8 @@ std::uint64_t Stream::submit() {
         throw Error(ExitCode::bug, "cannot submit commands: a Concurrent scope is still open");
     s.record_lanes();
     VkCommandBuffer commands = s.commands();
-    // RenderDoc and GFXReconstruct treat a command buffer with this label as a frame, so
-    // that they can capture a program without a window.
+    // Marks the end of a frame. RenderDoc and GFXReconstruct need this label to capture a
+    // program that has no window.
     if (vkCmdInsertDebugUtilsLabelEXT) {
         VkDebugUtilsLabelEXT frame_end{VK_STRUCTURE_TYPE_DEBUG_UTILS_LABEL_EXT};
         frame_end.pLabelName = "vr-marker,frame_end,type,application";

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recording and submission of commands. run() copies the parameters to memory that host
-// and device share, passes their address to the kernel, and records a full barrier after
-// it. Submissions overlap with the host. A slot is reused only after the device has
-// finished its submission.
+// Records and submits commands. run() copies the parameters of a kernel to memory that
+// host and device share. It passes their address to the kernel and records a full barrier
+// after the launch.
+//
+// The host continues while the device works. A slot (command buffer and its memory) is
+// reused only after the device has finished its submission.
 #pragma once
 
 #include <array>
@@ -18,15 +20,16 @@ namespace relidar {
 
 struct KernelBase::Impl {
     Device::Impl* device = nullptr;
-    std::string module;  ///< Name of the embedded kernel.
-    std::string name;    ///< Name without the variant.
+    std::string module;  ///< Name of the embedded SPIR-V module.
+    std::string name;    ///< Name of the kernel without its variant.
     std::vector<Constant> constants;
     Subgroups subgroups = Subgroups::any;
-    std::uint32_t workgroup_size = 0;           ///< Threads per workgroup.
-    std::vector<std::uint32_t> addresses = {};  ///< Offsets of the addresses in the parameters.
+    std::uint32_t workgroup_size = 0;  ///< Number of threads per workgroup.
+    /// Byte offsets of the device addresses in the parameter struct.
+    std::vector<std::uint32_t> addresses = {};
 
-    /// Returns the compute pipeline, which the device owns. Waits if the pipeline is
-    /// still being compiled.
+    /// Returns the compute pipeline, which the device owns. Waits until the pipeline is
+    /// compiled.
     /// @throws DeviceError if the driver rejects the kernel
     VkPipeline pipeline();
 
@@ -38,38 +41,43 @@ private:
 
 struct Stream::Impl {
     static constexpr std::size_t kSlots = 3;  ///< Maximum number of pending submissions.
-    /// Minimum size of a block of host values, bytes.
+    /// Minimum size of a memory block for values that the host writes, in bytes.
     static constexpr std::size_t kBlockBytes = 1 << 16;
     /// Maximum number of timed launches per submission.
     static constexpr std::uint32_t kMaxLaunches = 256;
 
     struct Slot {
         VkCommandPool pool = VK_NULL_HANDLE;
-        VkCommandBuffer commands = VK_NULL_HANDLE;  ///< Command buffer that is being recorded.
+        /// Command buffer that commands are currently recorded to.
+        VkCommandBuffer commands = VK_NULL_HANDLE;
         /// Command buffers of a submission. A long submission has several, which are
-        /// submitted in order. The next recording uses them again.
+        /// submitted in order. The next recording uses the same command buffers again.
         std::vector<VkCommandBuffer> buffers;
         std::size_t n_buffers = 0;  ///< Number of command buffers of the current recording.
         VkQueryPool queries = VK_NULL_HANDLE;
-        /// Launches with timestamps, in the order of their pairs of timestamps.
+        /// Launch that a pair of timestamps measures. The list has the same order as the
+        /// timestamps.
         struct TimedLaunch {
             std::string name;
-            std::uint32_t n_groups;  ///< Number of workgroups. 0 if the speed is not measured.
+            /// Number of workgroups. 0 if the launch does not measure the kernel's speed.
+            std::uint32_t n_groups;
         };
         std::vector<TimedLaunch> launches;
-        /// Memory blocks for values that the host writes. Their number grows to the needs
-        /// of the largest submission.
+        /// Memory blocks for values that the host writes. Blocks are added until the
+        /// largest submission fits.
         std::vector<std::unique_ptr<Buffer::Impl>> blocks;
-        std::size_t block = 0, block_bytes = 0;  ///< Position of the next host value.
-        /// Buffers kept alive until the submission is done.
+        /// Block and byte offset at which the next host value is stored.
+        std::size_t block = 0, block_bytes = 0;
+        /// Buffers that stay allocated until the submission is complete.
         std::vector<std::shared_ptr<const Buffer::Impl>> kept;
-        std::uint64_t ticket = 0;  ///< Ticket (number) of the submission. 0 if nothing was submitted.
+        std::uint64_t ticket = 0;  ///< Number of the submission. 0 if nothing was submitted.
     };
 
     using Command = std::function<void(VkCommandBuffer)>;
-    /// Commands between two barriers in one of several concurrent sequences ("lanes").
+    /// Commands between two barriers in one of several concurrent sequences. A sequence
+    /// is called a lane.
     struct Step {
-        std::string name;  ///< Name of the first command.
+        std::string name;  ///< Name of the first command of the step.
         std::vector<Command> commands;
         bool closed = false;
     };
@@ -82,30 +90,31 @@ struct Stream::Impl {
     std::size_t current = 0;
     bool recording = false;
     int n_concurrent = 0;  ///< Number of open Concurrent scopes.
-    /// True if commands were recorded in the current scope, so that a barrier is needed
+    /// True if the current scope has recorded commands, so that it must record a barrier
     /// at its end.
     bool owes_barrier = false;
-    std::vector<StreamLane> lanes = {};  ///< Concurrent sequences of commands of the current Strands scope.
-    std::size_t lane = 0;                ///< Index of the selected lane.
-    bool timed = false;                  ///< True if timestamps measure the launch that is being recorded.
+    /// Concurrent command sequences (lanes) of the current Strands scope.
+    std::vector<StreamLane> lanes = {};
+    std::size_t lane = 0;  ///< Index of the lane that receives new commands.
+    bool timed = false;    ///< True if timestamps measure the launch that is currently recorded.
     /// True if the next barrier must also make device writes visible to the host.
     bool host_reads = false;
     VkSemaphore timeline = VK_NULL_HANDLE;
     std::uint64_t last_ticket = 0;
     std::string last_kernel = "none";
-    /// Expected duration of the commands that were recorded since the last submission.
+    /// Expected duration of the commands since the last submission, in seconds.
     double recorded_s = 0.0;
     KernelTimes times;
 
     Impl(Device& device, bool timing);
     ~Impl();
 
-    /// Returns the command buffer that is being recorded. Starts a new recording if
-    /// necessary.
+    /// Returns the command buffer that commands are recorded to. Starts a new recording
+    /// if there is none.
     VkCommandBuffer commands();
-    /// Records a command, timestamps and a barrier after it. `name` identifies the
-    /// command in the measured times. In a Strands scope, the command is stored until
-    /// record_lanes() is called.
+    /// Records a command with timestamps and a barrier after it. In a Strands scope, only
+    /// stores the command until record_lanes() is called.
+    /// @param name name of the command in the measured times
     template <class Recorded>
     void record(const std::string& name, Recorded command) {
         if (!lanes.empty()) return keep(name, std::move(command));
@@ -117,27 +126,28 @@ struct Stream::Impl {
         barrier();
     }
     void end_concurrent();
-    /// Records the stored commands of several sequences ("lanes"). Step n of one
-    /// sequence may run concurrently with step n of the others. Afterwards the sequences
-    /// are empty.
+    /// Records the stored commands of several concurrent sequences (lanes) and then
+    /// clears the sequences. Step n of one sequence may run concurrently with step n of
+    /// the other sequences.
     void record_lanes();
-    /// Location of host values until the submission is done.
+    /// Memory that holds values from the host until the submission is complete.
     struct Stored {
         VkBuffer buffer;
         std::size_t offset;
         std::uint64_t address;
     };
-    /// Copies values from the host to memory that the kernels of this submission read.
+    /// Copies host values to memory that the kernels of this submission can read.
     Stored store(const void* bytes, std::size_t n_bytes);
-    /// Stores a copy of an array of host values.
+    /// Copies an array from the host to memory that the kernels of this submission can
+    /// read. Returns its device address.
     template <class T>
     Address<T> values(const std::vector<T>& values) {
         return Address<T>(store(values.data(), values.size() * sizeof(T)).address);
     }
-    /// Records a copy from host memory to a buffer.
+    /// Records a copy of host bytes to a device buffer.
     void write(const Buffer& buffer, const void* bytes, std::size_t n_bytes);
-    /// Records a copy from a device buffer to memory that the host reads after the
-    /// submission. Keeps the memory alive until then.
+    /// Records a copy from a device buffer to host-readable memory. Keeps the
+    /// host-readable memory alive until the submission is complete.
     void read_back(const Buffer::Impl& from, const std::shared_ptr<const Buffer::Impl>& to,
                    const VkBufferCopy& region);
     void launch(const KernelBase& kernel, std::uint32_t n_threads, const void* params, std::size_t n_bytes);
@@ -146,30 +156,32 @@ struct Stream::Impl {
     struct Dispatch;
 
 private:
-    /// Stores the parameters of a launch for the kernel. Replaces each address 0 by the
-    /// address of a buffer with zeros.
-    /// @return device address of the parameters
+    /// Stores the parameter struct of a launch. Replaces each address 0 by the address of
+    /// a buffer with zeros.
+    /// @return device address of the stored struct
     std::uint64_t store_parameters(const KernelBase& kernel, const void* bytes, std::size_t n_bytes);
     void keep(const std::string& name, Command command);
-    /// Makes earlier device writes visible to later commands. In a Concurrent scope, only
-    /// one barrier is recorded, at the end of the scope.
+    /// Records a barrier, so that later commands see earlier device writes. In a
+    /// Concurrent scope, only the end of the scope records a barrier.
     void barrier();
     void record_barrier();
-    /// @param n_groups number of workgroups of a launch whose speed may be measured, or 0
+    /// Writes the timestamp before a command.
+    /// @param n_groups number of workgroups if the launch may measure the kernel's speed,
+    /// otherwise 0
     void begin_timing(const std::string& name, std::uint32_t n_groups = 0);
     void end_timing();
-    /// Begins or ends a region that debuggers show with a name.
+    /// Begins a region that debuggers show with a name. end_label() ends the region.
     void begin_label(const std::string& name);
     void end_label();
     void record_pieces(const std::string& name, const Dispatch& dispatch);
     void begin_buffer(Slot& slot);
-    /// Submits the commands recorded so far. The recording continues in a new command
-    /// buffer of the same submission.
+    /// Submits the commands recorded so far, without ending the submission. Later
+    /// commands are recorded to a new command buffer.
     void submit_part();
 };
 
 /// Records a kernel launch with n_threads threads. The kernel sees the results of all
-/// commands that were recorded before.
+/// earlier commands.
 template <class Params>
 void run(Stream& stream, const Kernel<Params>& kernel, std::size_t n_threads, const Params& params) {
     if (n_threads)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Workgroup size of kernels that process tiles of items. Also computes the number of
-// tiles for n items.
+// Defines the workgroup size of kernels that process tiles of items, and computes the
+// number of tiles for n items.
 #pragma once
 
 #include <cstddef>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Copies through staging memory, 32 MiB at a time.
+// Copies data between host and device through staging memory, at most 32 MiB at a time.
 #include "gpu/transfers.hpp"
 
 #include <algorithm>
@@ -10,7 +10,7 @@ namespace relidar::gpu {
 
 namespace {
 
-// Smallest and largest size of the staging memory, bytes.
+// Minimum and maximum size of the staging memory in bytes.
 constexpr std::size_t kSmallest = std::size_t(64) << 10, kLargest = std::size_t(32) << 20;
 
 }  // namespace
@@ -71,8 +71,8 @@ void Transfers::copy(const Buffer::Impl& from, const Buffer::Impl& to, std::size
     copy_and_wait(from.handle, to.handle, {0, 0, n_bytes});
 }
 
-/// Copies and waits. Needs no barrier before the copy, because every submission of a
-/// stream ends with a barrier.
+/// Copies and waits until the copy is complete. Records no barrier before the copy,
+/// because every submission of a stream ends with a barrier.
 void Transfers::copy_and_wait(VkBuffer from, VkBuffer to, const VkBufferCopy& region) {
     if (!done_) make_commands();
     check(vkResetCommandPool(device_.device, pool_, 0), "vkResetCommandPool");

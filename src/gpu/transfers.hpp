@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blocking copies between host and device, for code that need not be fast. Creates one
-// command buffer and one staging buffer per direction at the first copy. Thread-safe.
+// Blocking copies between host and device, for code that need not be fast. The first copy
+// creates the command buffer and a staging buffer per direction. Thread-safe.
 #pragma once
 
 #include <memory>
@@ -19,7 +19,7 @@ public:
 
     void upload(const Buffer::Impl& to, const void* data, std::size_t n_bytes, std::size_t offset_bytes);
     void download(const Buffer::Impl& from, void* data, std::size_t n_bytes, std::size_t offset_bytes);
-    /// Copies the first bytes of one buffer to another.
+    /// Copies the first `n_bytes` bytes of the buffer `from` to the buffer `to`.
     void copy(const Buffer::Impl& from, const Buffer::Impl& to, std::size_t n_bytes);
 
 private:
@@ -28,7 +28,8 @@ private:
     VkCommandPool pool_ = VK_NULL_HANDLE;
     VkCommandBuffer commands_ = VK_NULL_HANDLE;
     VkFence done_ = VK_NULL_HANDLE;
-    /// Staging buffers for both directions. Null until the first copy.
+    /// Staging buffers for copies to and from the device. Each is null until the first
+    /// copy in its direction.
     std::unique_ptr<Buffer::Impl> upload_, download_;
 
     void make_commands();

@@ -23,11 +23,11 @@ std::string& all_faults() {
     return faults;
 }
 
-/// Results that a Trusting object sets for this thread, or null.
+/// Check results that a Trusting object selects for this thread, or null.
 thread_local const DeviceTrust* fixed_trust = nullptr;
 
-/// Returns the content of the file. A file is used only if it equals this text, so that
-/// damaged files are ignored.
+/// Returns the text of a file with check results. A stored file is used only if it equals
+/// this text exactly, so that damaged files are ignored.
 std::string trust_text(const std::string& driver, const DeviceTrust& trust) {
     return fmt::format(
         "relidar {} checked this device at its first use. Delete this file to repeat the check.\n"
@@ -75,7 +75,8 @@ DeviceTrust find_trust(const Device::Impl& device, const DeviceOptions& options)
     VkPhysicalDeviceProperties properties;
     vkGetPhysicalDeviceProperties(device.physical, &properties);
     std::filesystem::path path;
-    // Faults that a test has forced must not affect later runs.
+    // Stores results only if no test has forced a fault, because a forced fault must not
+    // affect later runs.
     if (!options.pipeline_cache.empty() && all_faults().empty())
         path = options.pipeline_cache / ("check_" + device_key(properties) + ".txt");
     const std::optional<DeviceTrust> known = read_trust(path, device.info.driver);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds out which methods of a device relidar trusts. The results of the check are stored
-// next to the pipeline cache.
+// Decides which methods of a device give correct results. The results of this check are
+// stored next to the pipeline cache.
 #pragma once
 
 #include <filesystem>
@@ -12,18 +12,19 @@
 
 namespace relidar::gpu {
 
-/// Returns the results of the check of a device. Reads them from the cache folder. Runs
-/// the check if the file is missing, damaged, or from another driver or another version
-/// of relidar. Trusts everything if the program has set no check.
+/// Returns the results of the device check. Reads the results from the cache folder if a
+/// valid file exists. Runs the check if the file is missing, damaged, or from another
+/// version of the driver or of relidar. Trusts every method if the program has set no
+/// check.
 DeviceTrust find_trust(const Device::Impl& device, const DeviceOptions& options);
 
-/// Replaces the methods that gave wrong results, and prints a line for each. Must be
-/// called before the device is opened.
+/// Replaces the methods that gave wrong results, and prints one line for each. Call this
+/// function before the device is opened.
 void distrust(Device::Impl& device, const DeviceTrust& trust);
 
-/// Sets the checks that a test makes fail, separated by commas: float_atomics,
-/// float_swaps, subgroups:N, ray_query. from_environment() sets them from RELIDAR_FAULTS
-/// in builds with RELIDAR_ASSERTS.
+/// Sets the checks that fail in a test, separated by commas: float_atomics, float_swaps,
+/// subgroups:N, ray_query. In builds with RELIDAR_ASSERTS, from_environment() reads them
+/// from RELIDAR_FAULTS.
 void set_faults(const std::string& faults);
 bool has_fault(const std::string& fault);
 

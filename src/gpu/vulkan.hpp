@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Functions and structs of Vulkan. Private to the library.
+// Declares the functions and structs of Vulkan. Only the library includes this header,
+// not its users.
 #pragma once
 
 #include <volk.h>
 
 #if defined(__GNUC__)
-// Disables a warning about missing initialisers. Vulkan structs are initialised with
-// {sType} and then filled member by member.
+// Disables a warning about missing initialisers, because Vulkan structs are initialised
+// with {sType} and then filled member by member.
 #pragma GCC diagnostic ignored "-Wmissing-field-initializers"
 #endif

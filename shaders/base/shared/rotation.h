@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rotates points by a rotation vector, with bit-identical results on host and device.
-// sin() and cos() are computed as series, because Vulkan allows errors of 2^-11, which is
-// 4 cm at 80 m. The series use only additions, subtractions and multiplications, because
-// Vulkan allows different rounding for all other operations.
+// Rotates points by a rotation vector. Host and device compute bit-identical results.
+//
+// Sine and cosine are computed as series, because Vulkan allows errors of 2^-11 for sin()
+// and cos(). Such an error moves a point by 4 cm at 80 m. The series use only additions,
+// subtractions and multiplications, because Vulkan allows different rounding for all
+// other operations.
 #ifndef RELIDAR_INCLUDED_BASE_SHARED_ROTATION_H
 #define RELIDAR_INCLUDED_BASE_SHARED_ROTATION_H
 #include "relidar/base/lang.h"
@@ -14,8 +16,8 @@ RELIDAR_FUNCTION vec3 exact_cross(vec3 a, vec3 b) {
     return c;
 }
 
-/// Returns sin(x) / x as a series in x^2. The error is at most 3e-7 for |x| <= pi. The
-/// factors of the series are 1 / (2k (2k + 1)).
+/// Returns sin(x) / x as a series in x^2. Its error is at most 3e-7 for |x| <= pi. Term k
+/// has the factor 1 / (2k (2k + 1)).
 RELIDAR_FUNCTION float sine_over(float x2) {
     RELIDAR_EXACT float sum = 1.0f - x2 * 0.00476190476f;
     sum = 1.0f - x2 * 0.00641025641f * sum;
@@ -27,12 +29,13 @@ RELIDAR_FUNCTION float sine_over(float x2) {
     return sum;
 }
 
-/// Rotates the point p by the rotation vector w (axis times angle, at most one full
-/// turn). Returns exp([w]x) p.
+/// Returns the point p rotated by the rotation vector w: exp([w]x) p. w is the axis times
+/// the angle, at most one full turn.
 RELIDAR_FUNCTION vec3 turned(vec3 w, vec3 p) {
     RELIDAR_EXACT float half2 = 0.25f * (w.x * w.x + w.y * w.y + w.z * w.z);
     RELIDAR_EXACT float quarter2 = 0.25f * half2;
-    float sine = sine_over(half2), quarter = sine_over(quarter2);  // series for 1/2 and 1/4 of the angle
+    // series for 1/2 and 1/4 of the rotation angle
+    float sine = sine_over(half2), quarter = sine_over(quarter2);
     RELIDAR_EXACT float cosine = 1.0f - 0.5f * half2 * quarter * quarter;
     vec3 once = exact_cross(w, p), twice = exact_cross(w, once);
     RELIDAR_EXACT vec3 result = p + sine * (cosine * once + 0.5f * sine * twice);

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Access to the nodes of a binary tree that is collapsed into wide nodes (Ylitie et al.
-// 2017, section 3.1). A subtree in one slot of a wide node is a leaf if it has at most
-// LEAF_SIZE surfels. Otherwise it is a wide node.
+// Reads a binary tree that is converted to wide nodes, which have up to eight child slots
+// (Ylitie et al. 2017, section 3.1). A subtree in a slot becomes a leaf if it has at most
+// LEAF_SIZE surfels. Otherwise it becomes another wide node.
 //
-// Each binary node has a decision word. Bits 0-3 hold its number of surfels, at most 15.
-// Then, for 2 ... 8 available slots, 3 bits each from bit 4 on hold the number of slots
-// of the left child. The value 0 means that one slot fewer is at least as good.
+// Each binary node has a decision word. Bits 0-3 contain its number of surfels, at most
+// 15. The following bits contain 3 bits for each number of available slots from 2 to 8.
+// These 3 bits contain the number of slots that the left child receives. The value 0
+// means that one slot fewer gives the same or a lower cost.
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_BINARY_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_BINARY_GLSL
 
@@ -13,14 +14,14 @@ bool is_leaf(uint child) { return (child & RELIDAR_BVH_LEAF) != 0u; }
 uint surfels_of(uint decisions) { return decisions & 15u; }
 uint left_share(uint decisions, uint n_slots) { return (decisions >> (3u * n_slots - 2u)) & 7u; }
 
-/// Returns the number of surfels in the subtree of a child. The number is at most 15.
+/// Returns the number of surfels in the subtree of a child, at most 15.
 uint count_surfels(BvhBinary tree, uint child) {
     return is_leaf(child) ? 1u : surfels_of(tree.decisions.at[child]);
 }
 bool is_inner_slot(BvhBinary tree, uint child) { return count_surfels(tree, child) > RELIDAR_BVH_LEAF_SIZE; }
 
-/// Finds the children of the wide node that replaces a binary node. Writes them to
-/// `slots` from left to right.
+/// Finds the children of the wide node (up to eight children) that replaces a binary
+/// node. Writes the children to `slots` from left to right.
 /// @return number of children
 uint collect_slots(BvhBinary tree, uint node, out uint slots[RELIDAR_BVH_WIDTH]) {
     slots[0] = node;
@@ -49,7 +50,9 @@ uint collect_slots(BvhBinary tree, uint node, out uint slots[RELIDAR_BVH_WIDTH])
     return n_slots;
 }
 
-/// Finds the surfels of a leaf slot. Writes their positions in the sorted order.
+/// Finds the surfels of a subtree that becomes a leaf. Writes their positions in the
+/// sorted order.
+/// @param slot root of the subtree
 /// @return number of surfels
 uint collect_surfels(BvhBinary tree, uint slot, out uint positions[RELIDAR_BVH_LEAF_SIZE]) {
     uint stack[RELIDAR_BVH_LEAF_SIZE];

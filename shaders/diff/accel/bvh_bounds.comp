@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes bounds of the box centres of each model, over all surfels that can be hit.
-// Morton codes are relative to these bounds. Workgroups of 256 threads, 16 surfels per
-// thread. Input: boxes, models. Accumulated: bounds. Memory traffic: at least 24 B read
-// per surfel.
+// Computes the bounds of the box centres of each model. Ignores surfels that can never be
+// hit. Later kernels compute Morton codes relative to these bounds. Workgroups of 256
+// threads, 16 surfels per thread. Input: boxes, models. Accumulated: bounds. Memory
+// traffic: at least 24 B read per surfel.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -29,8 +29,8 @@ void main() {
         Box b = load_box(params.boxes, i);
         if (is_empty(b)) continue;
         uint first_surfel = params.models.at[model].first_surfel;
-        // Checks whether surfel i belongs to another model. If it precedes the model, the
-        // unsigned difference wraps to a large number.
+        // Checks whether surfel i belongs to another model. If the surfel precedes the
+        // model, the unsigned difference wraps to a large number.
         if (i - first_surfel >= params.models.at[model].n_surfels) {
             if (!is_empty(bounds)) add_to_model(model, bounds.low, bounds.high);
             bounds = empty_box();

@@ -1,14 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 // Builds binary trees by agglomerative clustering (Benthin et al., "H-PLOC: Hierarchical
-// Parallel Locally-Ordered Clustering", 2024). A radix tree over the sorted keys (as in
-// Apetrei 2014, with the ends of ranges exchanged at splits) determines which ranges are
-// joined. A join merges the at most 32 clusters of two ranges to at most 16, as pairs of
-// mutual nearest neighbours among 8 on either side. One thread per sorted position. The
-// second thread that reaches a split continues upwards, and all lanes of its subgroup
-// join one range together. A workgroup is one subgroup, because on lavapipe a subgroup
-// barrier stops the full workgroup. Nodes are numbered by sorted positions, so that
-// builds are repeatable. Input: boxes, keys, surfels, models. Output: tree, roots. At
-// least 36 B read per surfel, 68 B written and read per node, 500 box unions per surfel.
+// Parallel Locally-Ordered Clustering", 2024).
+//
+// A radix tree over the sorted keys determines which neighbouring ranges are joined (as
+// in Apetrei 2014, with the ends of ranges exchanged at splits). Two ranges have at most
+// 32 clusters together. A join reduces them to at most 16 by merging mutual nearest
+// neighbours, searched among 8 clusters on either side.
+//
+// One thread per sorted position. The second thread that reaches a split continues
+// upwards, and all lanes of its subgroup join the ranges. A workgroup is one subgroup,
+// because a subgroup barrier stops the full workgroup on lavapipe. Nodes are numbered by
+// sorted positions, so that builds are repeatable.
+//
+// Input: boxes, keys, surfels, models. Output: tree, roots. At least 36 B read per
+// surfel, 68 B written and read per node, 500 box unions per surfel.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -27,25 +32,26 @@ const uint KEPT = 16u, ROOM = 2u * KEPT, RADIUS = 8u;
 struct Cluster {
     Box box;
     uint root;   // node or leaf
-    uint spare;  // A sorted position within this subtree that is not yet the number of a node.
+    uint spare;  // Sorted position in this subtree that no node uses as its index yet.
 };
 // Clusters as a structure of arrays. Lanes read the same field of neighbouring clusters,
-// so they use different memory banks.
+// which are in different memory banks.
 shared vec3 low_of[ROOM], high_of[ROOM];
 shared uint root_of[ROOM], spare_of[ROOM];
 shared uint nearest[ROOM];
-// Two neighbouring ranges to join: first position, last position of the left range, last
-// position. w is the model if both ranges together cover it, otherwise -1.
+// Two neighbouring ranges to join. x, y and z are the first position, the last position
+// of the left range and the last position of the right range. w is the model index if
+// both ranges together cover the model, otherwise -1.
 shared ivec4 task;
 
-/// Makes all writes of a subgroup to shared memory visible to all its lanes.
+/// Makes the writes of a subgroup to shared memory visible to all its lanes.
 void synchronise() {
     subgroupMemoryBarrierShared();
     subgroupBarrier();
 }
 
-/// Returns the number of leading bits in which the sorted keys i and i + 1 agree. Returns
-/// -1 at the ends of the model.
+/// Returns the number of leading bits that the sorted keys i and i + 1 have in common.
+/// Returns -1 at the ends of the model.
 int common_prefix(int i, int first, int last) {
     if (i < first || i >= last) return -1;
     uvec2 a = params.keys.at[i], b = params.keys.at[i + 1];
@@ -89,9 +95,9 @@ uint load_clusters(int from, int to, uint n) {
     return n + n_range;
 }
 
-/// Returns the neighbour of a cluster for which the joint bounding box is smallest. Of
-/// equal neighbours, returns the first one. Therefore at least one pair of clusters
-/// chooses each other.
+/// Returns the neighbour for which the union of both bounding boxes is smallest. Of
+/// several equal neighbours, returns the first. This rule guarantees at least one pair of
+/// mutual nearest neighbours.
 uint nearest_to(uint i, uint n) {
     Box own = box_of(i);
     float least = BOX_HUGE;
@@ -105,7 +111,7 @@ uint nearest_to(uint i, uint n) {
     return neighbour;
 }
 
-/// Creates a node above two clusters.
+/// Creates a binary node whose children are the clusters a and b.
 Cluster merged(Cluster a, Cluster b) {
     uint node = b.spare;
     Box box = joined(a.box, b.box);
@@ -117,7 +123,7 @@ Cluster merged(Cluster a, Cluster b) {
     return Cluster(box, node, a.spare);
 }
 
-/// Merges each pair of clusters that are nearest to each other.
+/// Merges each pair of clusters that are mutual nearest neighbours.
 /// @return number of remaining clusters
 uint merge_mutual(uint n) {
     for (uint i = gl_SubgroupInvocationID; i < n; i += gl_SubgroupSize) nearest[i] = nearest_to(i, n);
@@ -132,8 +138,8 @@ uint merge_mutual(uint n) {
         if (kept && mutual) c = merged(c, cluster_of(j));
         synchronise();
         uvec2 lanes = subgroupBallot(kept).xy, before = lanes & gl_SubgroupLtMask.xy;
-        // Writing here is safe, because the target index is at most i and all lanes have
-        // read their cluster before.
+        // Overwriting is safe here, because all lanes have already read their clusters
+        // and the target index is at most i.
         if (kept) put_cluster(n_kept + uint(bitCount(before.x) + bitCount(before.y)), c);
         n_kept += uint(bitCount(lanes.x) + bitCount(lanes.y));
     }
@@ -142,8 +148,7 @@ uint merge_mutual(uint n) {
     return n_kept;
 }
 
-/// Joins the clusters of the two ranges in `task`. All lanes of the subgroup must call
-/// it.
+/// Joins the two ranges in `task`. All lanes of the subgroup must call this function.
 void join_ranges() {
     uint n = load_clusters(task.x, task.y, 0u);
     n = load_clusters(task.y + 1, task.z, n);
@@ -159,10 +164,10 @@ void join_ranges() {
     if (n < KEPT && gl_SubgroupInvocationID == 0u) roots.at[task.x + n] = RELIDAR_BVH_NO_NODE;
 }
 
-/// Registers a range at the split between this range and its neighbour. The second of the
-/// two threads continues.
-/// @return true if the neighbour was registered before. The range then includes the
-/// neighbour.
+/// Registers a range at the split between this range and its neighbour. The thread that
+/// registers second continues with the joined range.
+/// @return true if the neighbour was registered before. Then `from` and `to` also include
+/// the neighbour
 bool meet_neighbour(inout int from, inout int to, out int split, int first, int last) {
     bool leftward = common_prefix(from - 1, first, last) > common_prefix(to, first, last);
     split = leftward ? from - 1 : to;

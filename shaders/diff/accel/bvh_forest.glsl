@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bounding boxes stored as six floats, and buffers for values that workgroups of one
-// launch exchange.
+// Defines bounding boxes, stored as six floats, and coherent buffers for data exchange
+// between workgroups of one launch.
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_FOREST_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_FOREST_GLSL
 
@@ -20,8 +20,8 @@ Box load_box(Floats boxes, uint i) {
 }
 
 // Buffers for values that another subgroup of the same launch reads after a barrier or an
-// atomic counter. GPUs with separate caches need coherent access for this. The plain
-// pointers of shared/ are not coherent.
+// atomic counter. They must be coherent, because each core of a GPU may have a separate
+// cache. The plain pointers in shared/ are not coherent.
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedFloats { float at[]; };
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
 layout(buffer_reference, scalar, buffer_reference_align = 8) coherent buffer SharedUvec2s { uvec2 at[]; };
@@ -39,18 +39,19 @@ void store_shared_box(Floats boxes, uint i, Box value) {
     }
 }
 
-// Cost of a surfel test relative to the cost of visiting a node. A surfel test reads 64 B
-// and intersects a plane. A node visit reads 80 B and tests eight boxes.
+// Cost of testing a surfel relative to the cost of visiting a node. A surfel test reads
+// 64 B and intersects a plane. A node visit reads 80 B and tests eight boxes.
 const float SURFEL_COST = 0.3;
 
-/// Returns half the surface area of a box. Limits each edge to 1e18 m, so that the area
+/// Returns half the surface area of a box. Limits each edge to 1e18 m, so that the result
 /// is finite.
 float half_area(Box b) {
     vec3 e = clamp(b.high - b.low, vec3(0.0), vec3(1e18));
     return e.x * e.y + e.y * e.z + e.z * e.x;
 }
 
-/// Maps floats to unsigned integers with the same order.
+/// Maps floats to unsigned integers that have the same order, so that integer atomics can
+/// compute minima.
 uint ordered_bits(float x) {
     uint bits = floatBitsToUint(x);
     return (bits & 0x80000000u) != 0u ? ~bits : bits | 0x80000000u;

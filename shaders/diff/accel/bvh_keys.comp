@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the sort key of every surfel. The high bits hold the model, the low bits the
-// Morton code of the mean with 13 bits per axis. All axes use the same cell size, so that
-// the first splits cut the longest edge of the model. One thread per surfel. Input:
-// records, models, bounds. Output: keys, initial values of other_ends and demands.
+// Computes the sort key of every surfel. The high bits contain the model index. The low
+// bits contain the Morton code of the mean, with 13 bits per axis. All axes use the same
+// cell size, so that the first splits divide the longest edge of the model. One thread
+// per surfel. Input: records, models, bounds. Output: keys, initial values of other_ends
+// and demands.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

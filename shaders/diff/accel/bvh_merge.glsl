@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the cost of storing a binary subtree in wide nodes (Ylitie et al. 2017, Eq.
-// 2-5). The cost depends on the areas of the boxes that a ray tests.
+// Computes the cost of converting a binary subtree to wide nodes, which have up to eight
+// child slots (Ylitie et al. 2017, Eq. 2-5). The cost depends on the surface areas of the
+// boxes that a ray tests.
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MERGE_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MERGE_GLSL
 
@@ -9,16 +10,16 @@ struct Subtree {
     float area;
 };
 
-/// Loads the cost of storing a subtree in at most 1 ... 7 slots of a wide node. The cost
-/// of a leaf does not depend on the number of slots.
+/// Loads the costs of a subtree. Entry k is the cost if the subtree may use at most k
+/// child slots of a wide node (1 ... 7). The cost of a leaf is the same for all k.
 void load_costs(BvhBinary tree, Subtree s, out float costs[RELIDAR_BVH_WIDTH]) {
     for (uint k = 1u; k < RELIDAR_BVH_WIDTH; ++k)
         costs[k] =
             is_leaf(s.root) ? s.area * SURFEL_COST : SharedFloats(uvec2(tree.costs)).at[7u * s.root + k - 1u];
 }
 
-/// Computes the costs of a node and its best distribution of slots, from the costs of
-/// both children.
+/// Computes the costs of a node from the costs of both children. Also chooses how many
+/// slots of a wide node each child receives.
 void write_costs(BvhBinary tree, uint node, Subtree left, Subtree right, float area) {
     float in_left[RELIDAR_BVH_WIDTH], in_right[RELIDAR_BVH_WIDTH];
     load_costs(tree, left, in_left);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes Morton codes: indices of grid cells along a space-filling curve. All axes use
-// the same cell size, so that the first splits cut the longest edge of the bounds.
+// Computes Morton codes, which are indices of grid cells along a space-filling curve. All
+// axes use the same cell size, so that the first splits divide the longest edge of the
+// bounds.
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MORTON_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MORTON_GLSL
 
@@ -13,8 +14,8 @@ uint spread(uint x) {
 }
 uint interleave(uvec3 cell) { return spread(cell.x) << 2 | spread(cell.y) << 1 | spread(cell.z); }
 
-/// Returns the grid cell of a point within the bounds. The grid has 2^bits cells per
-/// axis. Returns cell 0 for a NaN coordinate.
+/// Returns the grid cell of a point. The grid covers the bounds with 2^bits cells along
+/// the longest edge. A NaN coordinate gives cell 0.
 uvec3 morton_cell(vec3 point, vec3 low, vec3 high, uint bits) {
     vec3 edges = high - low;
     float longest = max(max(edges.x, edges.y), edges.z), n_cells = float(1u << bits);

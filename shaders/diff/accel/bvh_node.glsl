@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Quantises the child boxes of a wide node to 8 bits per side, rounded outward. The
-// traversal computes origin + q 2^(e - 127) in floats. The decoded box always contains
-// the exact box.
+// Quantises the child boxes of a node to 8 bits per bound, rounded outward. The traversal
+// decodes a bound as origin + q 2^(e - 127). The decoded box always contains the exact
+// box.
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_NODE_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_NODE_GLSL
 
@@ -12,7 +12,7 @@ float decoded(float origin, uint q, float scale) {
 }
 
 /// Returns the smallest exponent e for which 255 steps of 2^(e - 127) reach from low to
-/// high. The steps are normal floats between 2^-126 and 2^126.
+/// high. The steps are limited to normal floats between 2^-126 and 2^126.
 uint exponent_for(float low, float high) {
     uint bits = floatBitsToUint((high - low) / 255.0);
     uint e = clamp((bits >> 23) + ((bits & 0x7fffffu) != 0u ? 1u : 0u), 1u, 253u);
@@ -31,14 +31,14 @@ uint quantised(float origin, uint e, float low, float high) {
     return q_low | q_high << 8;
 }
 
-/// Grid to which a node quantises the boxes of its children.
+/// Quantisation grid for the child boxes of a node.
 struct NodeGrid {
     vec3 origin;
     uvec3 exponents;
 };
 
 /// Returns the quantisation grid of a node.
-/// @param bounds  bounding box of the node
+/// @param bounds bounding box of the node
 NodeGrid grid_of(Box bounds) {
     Box frame = is_empty(bounds) ? Box(vec3(0.0), vec3(0.0)) : bounds;
     return NodeGrid(frame.low,
@@ -47,7 +47,7 @@ NodeGrid grid_of(Box bounds) {
 }
 
 /// Quantises the box of a child along all three axes, in the format of quantised().
-/// Returns an inverted box (lower bound above upper bound) if the child is empty.
+/// Returns an inverted box (low above high), which no ray hits, if the child is empty.
 uvec3 steps_of(NodeGrid grid, Box child) {
     if (is_empty(child)) return uvec3(255u);
     return uvec3(quantised(grid.origin.x, grid.exponents.x, child.low.x, child.high.x),
@@ -61,8 +61,7 @@ void store_grid(BvhNodes nodes, uint node, NodeGrid grid, uint inner_mask) {
         grid.exponents.x | grid.exponents.y << 8 | grid.exponents.z << 16 | inner_mask << 24;
 }
 
-/// Writes the lower and upper bounds of four child boxes to a node. Each bound is one
-/// byte.
+/// Writes the bounds of four child boxes to a node. Each bound is one byte.
 void store_word(BvhNodes nodes, uint node, uint word, uvec3 low, uvec3 high) {
     nodes.at[node].low_x[word] = low.x;
     nodes.at[node].low_y[word] = low.y;
@@ -74,7 +73,7 @@ void store_word(BvhNodes nodes, uint node, uint word, uvec3 low, uvec3 high) {
 
 /// Writes the quantisation grid, the mask of inner children and the child boxes of a
 /// node.
-/// @return bounding box of the node
+/// @return bounding box of all children
 Box write_boxes(BvhNodes nodes, uint node, uint inner_mask, Box children[RELIDAR_BVH_WIDTH]) {
     Box bounds = empty_box();
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) bounds = joined(bounds, children[s]);

@@ -1,16 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the boxes of the wide nodes, bottom up, from the boxes of the surfels. Runs
-// after a build and whenever surfels have moved. Can be limited to some models.
+// Computes the boxes of all tree nodes from the boxes of the surfels, bottom up. Runs
+// after a build and after surfels have moved. Can process only some of the models.
 //
-// Eight lanes of a subgroup process one node, one child per lane. With subgroups of four,
-// each lane has two children. This balances the work, because nodes differ in the number
-// of surfels and chains of nodes differ in length. Each group of lanes visits every n-th
-// wide node. Nodes without inner children are processed first. The last child that
-// arrives at a node continues with that node.
+// Eight lanes of a subgroup process one node, one child per lane. In subgroups of four
+// lanes, each lane processes two children. This balances the work, because nodes differ
+// in their number of surfels. Each group of lanes processes every n-th node without inner
+// children first. The group that finishes the last child of a parent continues with the
+// parent.
 //
 // Input: boxes, topology of wide. Output: origin, exponents and child boxes of the nodes,
 // wide.boxes. Memory traffic: at least 28 B read per surfel, 28 B read and 104 B written
-// per wide node.
+// per node.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -28,8 +28,8 @@ const uint OF_LANE = RELIDAR_BVH_WIDTH / OF_NODE;                            // 
 uint lane() { return gl_SubgroupInvocationID % OF_NODE; }
 uint slot_of(uint k) { return k * OF_NODE + lane(); }
 
-/// Returns the union of the boxes of all lanes that process one node. All lanes of the
-/// subgroup must call it, because it uses shuffles.
+/// Returns the union of the boxes of all lanes that process the same node. Uses shuffles,
+/// so all lanes of the subgroup must call this function.
 Box joined_over_node(Box b) {
     for (uint step = 1u; step < OF_NODE; step *= 2u)
         b = joined(b, Box(subgroupShuffleXor(b.low, step), subgroupShuffleXor(b.high, step)));
@@ -53,8 +53,8 @@ Box child_box(uint node, uint slot, uint first_surfel, uint inner_mask) {
     return b;
 }
 
-/// Computes the boxes of one node per group of eight lanes. Groups without a node must
-/// call it too, because it uses shuffles.
+/// Computes the boxes of one node with a group of eight lanes. Uses shuffles, so groups
+/// without a node must also call this function.
 void refit_node(bool has_node, uint node, uint first_surfel, uint inner_mask) {
     Box children[2], bounds = empty_box();
     for (uint k = 0u; k < OF_LANE; ++k) {
@@ -76,10 +76,11 @@ void refit_node(bool has_node, uint node, uint first_surfel, uint inner_mask) {
     store_shared_box(params.wide.boxes, node, bounds);
 }
 
-/// Increments the counter of finished children at a parent node. Makes all earlier writes
-/// visible first.
-/// @param expected  number of children of the parent
-/// @return true for the last child. It then sees all writes of the other children.
+/// Increments the number of finished children of a parent node, after all earlier writes
+/// are visible.
+/// @param arrives true if this lane group has finished a child
+/// @param expected number of children of the parent
+/// @return true for the last child, which then sees the writes of all other children
 bool arrives_last(bool arrives, uint node, uint expected) {
     bool last = false;
     memoryBarrierBuffer();
@@ -89,12 +90,12 @@ bool arrives_last(bool arrives, uint node, uint expected) {
     return from_first_lane(last);
 }
 
-/// Computes the boxes of a node without inner children, then of each ancestor whose
-/// children are all finished.
+/// Computes the boxes of a node without inner children. Then does the same for each
+/// ancestor whose children are all finished.
 void refit_upwards(bool has_node, uint node) {
     uint inner_mask = has_node ? params.wide.nodes.at[node].exponents >> 24 : 1u;
     uvec2 link = has_node ? params.wide.links.at[node] : uvec2(RELIDAR_BVH_NO_NODE);
-    // Skips nodes of models outside the requested range of surfels.
+    // Skips nodes of models that are outside the requested range.
     has_node = inner_mask == 0u && link.y >= params.first_surfel && link.y <= params.last_surfel;
     while (subgroupAny(has_node)) {
         refit_node(has_node, node, link.y, inner_mask);

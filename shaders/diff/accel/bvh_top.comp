@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Builds the tree over the instances. Computes their world boxes, sorts them along a
-// space-filling curve and groups eight at a time into a node, level by level. One
-// workgroup of 256 threads, because a scene has at most hundreds of instances. Leaves out
-// absent instances and instances without a surfel that can be hit. A tree without
-// instances is one empty node. Input: instances, model_of, models, model_boxes. Output:
-// roots, top_nodes, top_order. Memory traffic: at least 112 B read per instance. The sort
-// takes n log^2 n steps.
+// Builds the top-level tree over the instances. Computes their world boxes and sorts them
+// along a space-filling curve. Then groups eight elements at a time into a node, level by
+// level. Leaves out absent instances and instances without any surfel that can be hit. A
+// tree without instances consists of one empty node.
+//
+// Uses one workgroup of 256 threads, because a scene has at most hundreds of instances.
+// Input: instances, model_of, models, model_boxes. Output: roots, top_nodes, top_order.
+// Memory traffic: at least 112 B read per instance. The sort takes n log^2 n steps.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -20,15 +21,16 @@ const uint ABSENT = 0xffffffffu;
 shared vec3 group_low[64], group_high[64];
 shared uint group_present;
 
-/// Makes all writes to buffers visible to all threads of the workgroup.
+/// Makes buffer writes of the workgroup visible to all its threads.
 void synchronise() {
     memoryBarrierBuffer();
     barrier();
 }
 
-/// Returns a world box that contains a model during the complete time span of an
-/// instance. The box includes the rounding error of the transform. A rotation by an angle
-/// moves a point by less than the angle times its distance from the model's origin.
+/// Returns a world box that contains a moving model during the full time span of its
+/// instance. The box includes a margin for the rounding error of the transform. A
+/// rotation moves a point by less than the angle times its distance from the model's
+/// origin.
 Box world_box(InstanceEntry m, Box model) {
     vec3 x = cross(m.row1.xyz, m.row2.xyz), y = cross(m.row2.xyz, m.row0.xyz),
          z = cross(m.row0.xyz, m.row1.xyz);
@@ -45,9 +47,9 @@ Box world_box(InstanceEntry m, Box model) {
     return Box(centre - grown, centre + grown);
 }
 
-/// Computes the world boxes and the roots of all instances. Sets the sort keys to 0, or
-/// to ABSENT for absent instances.
-/// @return bounds of the box centres of this thread
+/// Computes the world boxes and the root nodes of all instances. Sets the sort keys to 0,
+/// or to ABSENT for absent instances.
+/// @return bounds of the box centres that this thread has computed
 Box place_instances() {
     Box centres = empty_box();
     for (uint i = scan_thread(); i < params.n_padded; i += RELIDAR_BVH_WORKGROUP) {
@@ -70,7 +72,7 @@ Box place_instances() {
     return centres;
 }
 
-/// Joins the boxes of all threads.
+/// Returns the union of the boxes of all threads of the workgroup.
 Box join_workgroup(Box b) {
     b.low = subgroupMin(b.low);
     b.high = subgroupMax(b.high);
@@ -95,7 +97,7 @@ void write_codes(Box bounds) {
 
 bool follows(uvec2 a, uvec2 b) { return a.x != b.x ? a.x > b.x : a.y > b.y; }
 
-/// Sorts the keys by Morton code and then by instance, with a bitonic sort.
+/// Sorts the keys by Morton code with a bitonic sort. Equal codes are sorted by instance.
 void sort_keys() {
     SharedUvec2s keys = SharedUvec2s(uvec2(params.keys));
     for (uint size = 2u; size <= params.n_padded; size *= 2u)
@@ -111,9 +113,9 @@ void sort_keys() {
         }
 }
 
-/// Writes a node of the tree over the instances. Its children are nodes of the level
-/// below. Children of the lowest level are instances.
-/// @param n  number of elements of the level below
+/// Writes a node of the top-level tree. Its children are nodes of the level below, or
+/// instances on the lowest level.
+/// @param n number of elements of the level below
 void write_node(uint node, uint first, uint n, uint first_below, bool lowest) {
     Box children[RELIDAR_BVH_WIDTH];
     uint leaves[2] = uint[](0u, 0u), inner_mask = 0u;
@@ -146,8 +148,8 @@ void main() {
     write_codes(bounds);
     synchronise();
     sort_keys();
-    // Number of nodes of all levels. The root is stored first, and the lowest level is
-    // stored last.
+    // Total number of nodes on all levels. The root is stored first and the lowest level
+    // last.
     uint n_nodes = 0u;
     for (uint n = group_present;; n = (n + 7u) / 8u) {
         n_nodes += max((n + 7u) / 8u, 1u);

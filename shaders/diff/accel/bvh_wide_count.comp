@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Second of five kernels that convert binary trees to wide trees. Within tiles of 4096
-// binary nodes, computes prefix sums of the inner children and leaf entries of the wide
+// Second of five kernels that convert binary trees to trees of wide nodes (up to eight
+// children). Each binary node that becomes a wide node needs space for its inner children
+// and leaf entries. Computes prefix sums of these numbers within tiles of 4096 binary
 // nodes. Workgroups of 256 threads. Input: demands. Output: offsets within the tile, sums
 // of the tiles.
 #version 460
@@ -15,7 +16,8 @@ uvec2 sums_of(uint demand) { return uvec2(demand & 255u, demand >> 8); }
 void main() {
     uint tile = workgroup_index();
     if (tile >= params.n_tiles) return;
-    // Number of consecutive nodes that a thread processes. They fill two cache lines.
+    // Number of consecutive nodes that a thread processes. Their data fill two cache
+    // lines.
     const uint RUN = RELIDAR_BVH_TILE / RELIDAR_BVH_WORKGROUP;
     uint first = tile * RELIDAR_BVH_TILE + scan_thread() * RUN, end = min(first + RUN, params.n_surfels);
     uvec2 sums = uvec2(0u), total;

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Last of five kernels that convert binary trees to wide trees. Writes the children and
-// the leaf entries of each wide node. Kernel accel/bvh_refit then computes the boxes. One
-// thread per queue entry. Input: tree, queue, slots, offsets, tiles, places, surfels,
-// models. Output: wide.nodes, wide.order, wide.links.
+// Last of five kernels that convert binary trees to trees of wide nodes (up to eight
+// children). Writes the children and the leaf entries of each wide node. Kernel
+// accel/bvh_refit computes the boxes afterwards. One thread per wide node in the queue.
+// Input: tree, queue, slots, offsets, tiles, places, surfels, models. Output: wide.nodes,
+// wide.order, wide.links.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -20,8 +21,8 @@ void main() {
     uint place = entry < params.n_models ? entry : params.places.at[node];
     node &= ~RELIDAR_BVH_LEAF;
     uvec2 start = params.offsets.at[node] + params.tiles.at[node / RELIDAR_BVH_TILE];
-    // The index of a binary node is also the index of a sorted surfel of its model, so it
-    // identifies the model.
+    // Finds the model by the node's index, because this index is also the position of a
+    // sorted surfel of the same model.
     uint model = find_model(params.models, params.n_models, node);
     uint first_surfel = params.models.at[model].first_surfel;
     uint first_child = params.n_models + start.x;

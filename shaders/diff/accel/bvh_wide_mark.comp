@@ -1,15 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// Collapse, first of five kernels. Starts at the roots, writes the slots of each future
-// wide node, and appends its wide children to a queue. One launch per level. The last
-// launch is a single workgroup that processes all remaining levels. The order of the
-// queue is arbitrary, but its content does not depend on the order. One thread per queue
-// entry. Input: tree. Output: queue, slots, level_sizes, demands.
+// First of five kernels that convert binary trees to trees of wide nodes (up to eight
+// children). Starts at the roots, chooses the children of each wide node, and appends
+// children that become wide nodes to a queue.
 //
-// A wide child that fits is always opened into its parent, even if rounding made this
-// look more expensive. So a child and its parent have at least 10 slots together, and a
-// wide node without wide children has at least 5 surfels. Therefore n surfels make at
-// most n / 4 wide nodes besides the root. Memory traffic: at least 12 B read per binary
-// node, 40 B written per wide node.
+// One launch processes one level. The last launch is a single workgroup that processes
+// all remaining levels. Threads append to the queue in arbitrary order, but its content
+// does not depend on the order. One thread per wide node in the queue. Input: tree.
+// Output: queue, slots, level_sizes, demands.
+//
+// A wide child that fits into its parent is always replaced by its children. Therefore
+// child and parent together have at least 10 slots, and a wide node without wide children
+// has at least 5 surfels. Thus n surfels need at most n / 4 wide nodes besides the root.
+// Memory traffic: at least 12 B read per binary node, 40 B written per wide node.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -19,8 +21,9 @@ RELIDAR_CONSTANT(uint, UNTIL_DONE, 0u);
 RELIDAR_PARAMS(BvhWideParams);
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
 
-/// Replaces a wide child by its children if the slots of the parent have enough space.
-/// @return false if no child could be replaced
+/// Finds a child that is a wide node and whose children all fit into the parent. Replaces
+/// the child by its children.
+/// @return false if no child was replaced
 bool open_child(inout uint slots[RELIDAR_BVH_WIDTH], inout uint n_slots) {
     for (uint s = 0u; s < n_slots; ++s) {
         if (!is_inner_slot(params.tree, slots[s])) continue;
@@ -58,7 +61,7 @@ void mark(uint entry) {
             SharedUints(uvec2(params.queue)).at[at++] = slots[s];
 }
 
-/// Processes this level and all levels below it with one workgroup.
+/// Processes this level and all lower levels with one workgroup.
 void mark_rest(uint begin) {
     for (uint end = level_end; begin < end;) {
         for (uint entry = begin + gl_LocalInvocationIndex; entry < end; entry += gl_WorkGroupSize.x)

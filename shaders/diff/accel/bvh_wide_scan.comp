@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Third of five kernels that convert binary trees to wide trees. Computes prefix sums
-// over the tiles and the number of wide nodes. One workgroup of 256 threads. In place:
-// tiles. Output: wide.count.
+// Third of five kernels that convert binary trees to trees of wide nodes (up to eight
+// children). Computes prefix sums over the tiles of binary nodes, and the total number of
+// wide nodes. One workgroup of 256 threads. In place: tiles. Output: wide.count.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the radius of a sphere around each model's origin. The sphere contains all
-// points where a ray can hit the model. A ray query searches a moving model only if the
-// ray intersects the sphere. Each thread processes RELIDAR_RADIUS_STRETCH surfels. Input:
-// records, models. Maximum: radii.
+// Computes the radius of a sphere around each model's origin that contains all possible
+// hits. A ray query searches a moving model only if the ray intersects this sphere. Each
+// thread processes RELIDAR_RADIUS_STRETCH surfels. Input: records, models. Maximum:
+// radii.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -11,15 +11,15 @@
 #include "../../scene/gaussian/kinds.glsl"
 RELIDAR_PARAMS(ModelRadiiParams);
 
-/// Returns the standard deviation s along an axis that is stored as axis / s. Returns 0
-/// if s is not finite, because such a surfel is never hit.
+/// Returns the standard deviation s of a surfel along an axis, which the record stores as
+/// axis / s. Returns 0 if s is not finite, because such a surfel is never hit.
 float scale_of(vec3 axis) {
     float s = 1.0 / length(axis);
     return isnan(s) || isinf(s) ? 0.0 : s;
 }
 
-/// Returns the distance from the model's origin beyond which a ray cannot hit the surfel.
-/// Returns 0 if the surfel can never be hit.
+/// Returns the largest distance from the model's origin at which a ray can hit the
+/// surfel. Returns 0 if the surfel can never be hit.
 float radius_of(SurfelRecord s) {
     if (!(s.opacity > params.alpha_min)) return 0.0;
     float k = sqrt(2.0 * log(s.opacity / params.alpha_min));

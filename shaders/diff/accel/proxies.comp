@@ -1,14 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the proxy geometry of every surfel (M3, Fig. 3), which encloses all points
-// with sigma G >= alpha_min. The proxy is a rectangle, an icosahedron for 3D Gaussians,
-// or an axis-aligned box. One thread per surfel of a range. Input: records. Maximum:
-// reach. Output: vertices (two co-planar triangles share four corners, twenty triangles
-// share twelve) or boxes, in the model frame.
+// Computes the proxy geometry of every surfel (docs/method.md M3, Fig. 3). The proxy
+// encloses all points with sigma G >= alpha_min. It is a rectangle for surfels, an
+// icosahedron for 3D Gaussians, or an axis-aligned box for both. One thread per surfel of
+// a range.
 //
-// Surfels that cannot be hit get a proxy of zero area at their mean. They never get a
-// NaN, which would corrupt neighbouring boxes in the tree. In the software tree such
-// surfels get an empty box (low above high), and other boxes grow by the rounding error
-// of a mean that is far from the origin.
+// Input: records. Maximum: reach. Output: vertices or boxes, in the model frame. A
+// rectangle has two triangles and four corners, an icosahedron has twenty triangles and
+// twelve corners.
+//
+// Surfels that cannot be hit get a proxy of zero area at their mean. Their coordinates
+// are never NaN, because a NaN would corrupt neighbouring boxes in the tree. In the
+// software tree, such surfels get an empty box (low above high). All other boxes grow by
+// the rounding error of their mean, which matters far from the origin.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -17,17 +20,18 @@
 RELIDAR_CONSTANT(uint, BOXES, 0u);
 RELIDAR_PARAMS(ProxyParams);
 
-// Golden ratio phi. The corners of an icosahedron are the even permutations of (0, +-1,
+// Golden ratio phi, for the corners of the icosahedron: even permutations of (0, +-1,
 // +-phi).
 const float kPhi = 1.618033988749895;
-// Scale of the icosahedron for which its inscribed sphere has radius 1: sqrt(3) / phi^2.
+// Scale factor that gives the inscribed sphere of the icosahedron the radius 1: sqrt(3) /
+// phi^2.
 const float kCircumscribed = 0.66158453824961;
 // Radius of the circumscribed sphere of the scaled icosahedron: sqrt(1 + phi^2)
 // kCircumscribed.
 const float kOuterRadius = 1.25840857236482;
 
-/// Returns a half axis of the proxy geometry from a record axis a / s. It has direction a
-/// and length k s plus the margin.
+/// Returns a half axis of the proxy from a record axis a / s. The half axis has the
+/// direction of a. Its length is k s plus the margin.
 vec3 half_axis(vec3 axis, float k) {
     float inverse_scale = length(axis);
     float half_size = k / inverse_scale * params.margin_scale + params.margin_m;
@@ -35,8 +39,8 @@ vec3 half_axis(vec3 axis, float k) {
     return any(isnan(half_vector)) || any(isinf(half_vector)) ? vec3(0.0) : half_vector;
 }
 
-/// Writes the twelve corners of an icosahedron. The faces in src/diff/accel/hardware.cpp
-/// use the same order.
+/// Writes the twelve corners of an icosahedron. Their order must match the triangles in
+/// src/diff/accel/hardware.cpp.
 void write_icosahedron(uint i, vec3 mean, vec3 u, vec3 v, vec3 w) {
     for (uint k = 0u; k < 12u; ++k) {
         float one = (k & 1u) != 0u ? -1.0 : 1.0, phi = (k & 2u) != 0u ? -kPhi : kPhi;
@@ -61,7 +65,7 @@ void main() {
         if (has_third_scale()) w = half_axis(s.normal, k);
     }
     if (BOXES != 0u) {
-        // Half size of the tightest box around the ellipse or ellipsoid. Along x it is
+        // Half size of the smallest box around the ellipse or ellipsoid. Along x, it is
         // |(u.x, v.x, w.x)|.
         vec3 half_size = sqrt(u * u + v * v + w * w) + (visible ? params.margin_m : 0.0);
         if (BOXES == 2u) half_size += 2.4e-7 * abs(s.mean);

@@ -1,48 +1,52 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adds rows of 16 floats, one per lane, to rows of an array with atomics. Either each
-// lane adds its row, or (COALESCED_ATOMICS) the lanes of a subgroup exchange their rows
-// through shared memory, and neighbouring lanes add neighbouring floats of one row. The
-// rays of a subgroup rarely hit the same surfel. If each lane adds its row, each of 16
-// instructions touches one cache sector per lane. If lanes exchange rows, the same
-// additions touch two sectors per row. Include this file after kernel.glsl and
-// atomic_add.glsl.
+// Adds one row of 16 floats per lane to the rows of an array, with atomics. Each lane may
+// add its row alone. With COALESCED_ATOMICS, the lanes exchange rows through shared
+// memory, and neighbouring lanes add neighbouring floats of one row.
+//
+// The exchange is faster on GPUs, because the rays of a subgroup rarely hit the same
+// surfel. Without the exchange, each of 16 instructions touches one cache sector per
+// lane. With the exchange, the same additions touch two sectors per row.
+//
+// Include this file after kernel.glsl and atomic_add.glsl.
 #ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_ADD_ROW_GLSL
 #define RELIDAR_INCLUDED_DIFF_BACKWARD_ADD_ROW_GLSL
 #extension GL_KHR_shader_subgroup_basic : require
 RELIDAR_CONSTANT(uint, COALESCED_ATOMICS, 0u);
 
 const uint kNoRow = 0xffffffffu;
-// Number of floats between two rows in shared memory. It is odd, so that lanes that
-// access the same column of different rows use different memory banks.
+// Number of floats between two rows in shared memory. An odd number lets lanes access the
+// same column of different rows in different memory banks.
 const uint kRowPitch = 17u;
 shared float shared_rows[COALESCED_ATOMICS != 0u ? gl_WorkGroupSize.x * kRowPitch : 1u];
 shared uint shared_targets[COALESCED_ATOMICS != 0u ? gl_WorkGroupSize.x : 1u];
 
-/// Returns true if all lanes of a subgroup must call add_row() together. The result is
-/// the same for the full workgroup. Returns false for partial subgroups, because the
-/// missing lanes would not add their floats.
+/// Returns true if the lanes of a subgroup exchange rows through shared memory. All lanes
+/// must then call add_row() together. All lanes of a workgroup get the same result.
+/// Partial subgroups do not exchange rows, because the missing lanes would not add their
+/// floats.
 bool rows_are_exchanged() {
     return COALESCED_ATOMICS != 0u && gl_NumSubgroups * gl_SubgroupSize == gl_WorkGroupSize.x;
 }
 
 uint shared_row_index() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
 
-/// Adds to array[16 row + k]. The addition happens immediately or in the next add_row()
-/// of the same row.
+/// Adds `amount` to array[16 row + k]. If lanes exchange rows, the addition happens in
+/// the next add_row() of the same row.
 void add_float(Floats array, uint row, uint k, float amount) {
     if (rows_are_exchanged()) shared_rows[shared_row_index() * kRowPitch + k] = amount;
     else atomic_add(array, 16u * row + k, amount);
 }
 
-/// Adds the rows of the subgroup's lanes to the array if lanes exchange rows. All lanes
-/// must then call it together.
-/// @param row  row of this lane, or kNoRow if it has none
-/// @param wanted  bit mask: bit k is set if float k has been set. The same for all lanes.
+/// Adds the rows of all lanes of the subgroup to the array. Does nothing unless lanes
+/// exchange rows. In that case all lanes must call this function together.
+/// @param row row of this lane, or kNoRow if this lane has no row
+/// @param wanted bit mask with bit k set if float k has a value. Must be equal in all
+/// lanes
 void add_row(Floats array, uint row, uint wanted) {
     if (!rows_are_exchanged()) return;
     shared_targets[shared_row_index()] = row;
     subgroupBarrier();
-    // Groups of n lanes add n rows. Lane k % n adds float k of each row.
+    // Groups of n lanes add n rows together. Lane k % n adds float k of each row.
     uint n = min(16u, gl_SubgroupSize), lane = gl_SubgroupInvocationID % n;
     uint first = shared_row_index() - lane;
     for (uint from = first; from < first + n; ++from) {
@@ -53,6 +57,6 @@ void add_row(Floats array, uint row, uint wanted) {
             if ((wanted & (1u << k)) != 0u && amount != 0.0) atomic_add(array, 16u * to + k, amount);
         }
     }
-    subgroupBarrier();  // before the next rows are written
+    subgroupBarrier();  // waits before the next rows are written
 }
 #endif

@@ -1,23 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
-// Repeats the blending of the forward pass, chunk by chunk, to compute the share of each
-// hit in the loss (M7). Stores the blended values of one chunk. So the sum behind a hit
-// is computed back to front instead of as a difference of two long sums. This keeps the
-// precision where 1 / (1 - alpha) is large.
+// Repeats the blending of the forward pass to compute how each hit contributes to the
+// loss (docs/method.md M7). Processes the hits in chunks and stores the blended values of
+// one chunk. The sum over the hits behind a hit is then computed back to front. This
+// keeps the precision where 1 / (1 - alpha) is large, unlike a difference of two long
+// sums.
 #ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_BLEND_GRADIENT_GLSL
 #define RELIDAR_INCLUDED_DIFF_BACKWARD_BLEND_GRADIENT_GLSL
 float chunk_transmittance[SLOTS];
 float chunk_w[SLOTS];
 float chunk_shade[SLOTS];
 
-/// State that is passed from chunk to chunk.
+/// State of the blending that one chunk of hits passes to the next chunk.
 struct BlendState {
     float shift;
     float transmittance;
-    float remaining;  // Part of the loss from the hits that are not blended yet and from the background.
+    float remaining;  // Part of the loss from the background and from the hits that are not blended yet.
     float lost;       // rounding error of `remaining`
 };
 
-/// Returns true if any blended value has a gradient.
+/// Returns true if the gradient of any blended value is not zero.
 bool has_gradient(RayGradient g) {
     bool any_gradient = false;
 #define RELIDAR_HAS(name, built, value, input, slope, meaning) \
@@ -27,8 +28,8 @@ bool has_gradient(RayGradient g) {
     return any_gradient;
 }
 
-/// Returns the derivative of the loss with respect to the blending weight of a hit (g .
-/// c).
+/// Returns the derivative of the loss with respect to the blending weight of a hit: the
+/// dot product g . c of gradients and channel values.
 float shade_of(TraceScene scene, Ray ray, RayGradient g, Hit hit) {
     vec3 channels = hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
     float shade = 0.0;
@@ -39,8 +40,8 @@ float shade_of(TraceScene scene, Ray ray, RayGradient g, Hit hit) {
     return shade;
 }
 
-/// Blends the first n hits of the buffer from near to far. Subtracts their contribution
-/// from the remaining loss.
+/// Blends the first n hits of the buffer from near to far. Subtracts their contributions
+/// from `state.remaining`.
 void blend_chunk(TraceScene scene, Ray ray, RayGradient g, uint n, inout BlendState state) {
     for (uint i = 0u; i < n; ++i) {
         Hit hit = hit_at(i);

@@ -1,10 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sums the gradients of hits by surfel, in the order of rays, without atomics. So the
-// result is the same in every run. The hits are sorted by row. A thread processes a block
-// of 32 hits and adds the sum of each row that lies within the block. Partial sums of
-// rows that begin in an earlier block or continue in the next block are stored in `parts`
-// for backward/gather_heads. Input: scene, upstream, hits, rows, slots, n_hits.
-// Accumulated: d_records, d_sh. Output: parts. Maximum: most_hits.
+// Sums the gradients of hits by surfel without atomics, in the order of the rays, so that
+// the result is the same in every run. The hits are sorted by gradient row (one row per
+// surfel and instance).
+//
+// Each thread processes a block of 32 hits. It adds the sums of rows that lie completely
+// within its block. Partial sums of rows that extend over several blocks are stored in
+// `parts`, and kernel backward/gather_heads adds them later.
+//
+// Input: scene, upstream, hits, rows, slots, n_hits. Accumulated: d_records, d_sh.
+// Output: parts. Maximum: most_hits.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -15,14 +19,13 @@
 RELIDAR_PARAMS(GatherParams);
 #include "gather.glsl"
 
-/// Adds the gradient of a hit to the local sums.
+/// Adds the gradient of hit i to the sums of this thread.
 /// @return the instance of the hit
 uint sum_hit(TraceScene scene, uint i, uint row) {
     HitRecord h = params.hits.at[params.slots.at[i]];
     InstanceEntry m = scene.instances.at[h.instance];
     DeviceRay entry = scene.rays.at[scene.first_ray + h.ray * scene.ray_stride];
-    // Forces enter_instance() to transform this ray, because the cached ray is a
-    // different one.
+    // Invalidates the cached ray, because this hit may belong to a different ray.
     entered_instance = kNoInstance;
     ray_basis_instance = kNoInstance;
     if (LIKELIHOOD != 0u) load_measurement(scene, h.ray);
@@ -35,10 +38,12 @@ uint sum_hit(TraceScene scene, uint i, uint row) {
     return h.instance;
 }
 
-/// Adds a block's sum of a row to the result, or stores it if the row continues in
-/// another block. Kernel backward/gather_heads adds the stored sums in one step. This
-/// matters because two instances of a model add to the same coefficients: the result is
-/// repeatable for two additions, but not for four.
+/// Adds this block's sum of a row to the result. If the row also has hits in other
+/// blocks, only stores the sum, and kernel backward/gather_heads adds all stored sums of
+/// the row. This limits the number of additions: if two instances share coefficients, two
+/// additions give a repeatable result, but four do not.
+/// @param begins_here true if the row has no hits in earlier blocks
+/// @param goes_on true if the row continues in the next block
 void finish_row(uint block, uint row, uint instance, bool begins_here, bool goes_on) {
     if (begins_here && !goes_on) {
         add_to_row(row, instance);
@@ -59,7 +64,7 @@ void main() {
     clear_sums();
     for (uint i = first; i < end; ++i) {
         uint next = params.rows.at[i];
-        if (next >= params.n_rows) break;  // empty slots are sorted to the end
+        if (next >= params.n_rows) break;  // slots without a hit are sorted to the end
         if (next != row) {
             finish_row(block, row, instance, begins_here, false);
             clear_sums();

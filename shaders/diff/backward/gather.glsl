@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// Functions of the kernels gather and gather_heads, which add the gradients of hits by
-// surfel. Each sum has 16 floats, and 48 SH coefficients if SH are evaluated per hit.
+// Functions of the kernels gather and gather_heads, which sum the gradients of hits by
+// surfel. A sum consists of 16 floats. If spherical harmonics (SH) are evaluated per hit,
+// it has 48 more floats for their coefficients.
 #ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_GATHER_GLSL
 #define RELIDAR_INCLUDED_DIFF_BACKWARD_GATHER_GLSL
 float sums[16];
 float sh_sums[RELIDAR_SH_FLOATS];
 
 uint part_width() { return SH_PER_SURFEL != 0u ? 16u : 16u + RELIDAR_SH_FLOATS; }
-// part of the row that began before the block
+// Returns the index of the partial sum of a row that began in an earlier block.
 uint head_of(uint block) { return 2u * block * part_width(); }
-// part of the row that continues after the block
+// Returns the index of the partial sum of a row that continues in the next block.
 uint tail_of(uint block) { return head_of(block) + part_width(); }
 uint n_sorted() { return min(params.n_hits.at[0], params.capacity); }
 uint block_end(uint block) { return min((block + 1u) * RELIDAR_GATHER_BLOCK, n_sorted()); }
@@ -20,8 +21,8 @@ void clear_sums() {
         for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k) sh_sums[k] = 0.0;
 }
 
-/// Adds the local sums to a row. Only one thread of a launch adds to a row. Two threads
-/// may add to the SH coefficients of a model with two instances.
+/// Adds this thread's sums to a row. Only one thread of a launch adds to each row. Two
+/// threads may add to the spherical-harmonic coefficients of a model with two instances.
 void add_to_row(uint row, uint instance) {
     for (uint k = 0u; k < 16u; ++k) params.d_records.at[16u * row + k] += sums[k];
     if (SH_PER_SURFEL != 0u) return;

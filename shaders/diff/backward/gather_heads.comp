@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adds up the gradient rows that are split over several blocks. Processes each row that
-// begins in a block and continues in later blocks, in the order of the blocks. One thread
-// per block. Input: scene, hits, rows, slots, n_hits, parts. Accumulated: d_records,
-// d_sh.
+// Adds the partial sums of gradient rows that extend over several blocks of hits. The
+// thread of the block in which a row begins adds all partial sums of this row, in the
+// order of the blocks. One thread per block. Input: scene, hits, rows, slots, n_hits,
+// parts. Accumulated: d_records, d_sh.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -25,7 +25,8 @@ void add_part(uint part) {
 void main() {
     uint block = thread_index(), n = n_sorted();
     uint end = block_end(block);
-    if (end >= n || block * RELIDAR_GATHER_BLOCK >= end) return;  // no row continues after this block
+    // the last row of this block does not continue
+    if (end >= n || block * RELIDAR_GATHER_BLOCK >= end) return;
     uint row = params.rows.at[end - 1u];
     if (row >= params.n_rows || params.rows.at[end] != row || !begins_in(block, row)) return;
     clear_sums();

@@ -1,25 +1,25 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the gradient of one blended hit with respect to its record, its channels and
-// the ray in the model frame. Both backward kernels use it: the one with atomics and the
-// one with a fixed order of addition.
+// Computes the gradient of one hit with respect to its surfel's record, its channel
+// values and the ray in the model frame. Two backward kernels use this file: one adds
+// gradients with atomics, the other adds them in a fixed order.
 #ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_HIT_GRADIENT_GLSL
 #define RELIDAR_INCLUDED_DIFF_BACKWARD_HIT_GRADIENT_GLSL
 
 #include "../traversal/likelihood.glsl"
 
-/// Gradient of one hit with respect to the 16 floats of its surfel's record and to its
+/// Gradient of one hit with respect to the 16 floats of its surfel's record and to the
 /// ray in the model frame.
 struct HitGradient {
     float lanes[16];
-    // Gradient of the channels. If SH are evaluated per hit, the gradient of a
-    // coefficient is d_channel times ray_basis.
+    // Gradient of the channel values. If spherical harmonics (SH) are evaluated per hit,
+    // the gradient of coefficient k is d_channel times ray_basis[k].
     vec3 d_channel;
     vec3 d_origin;
     vec3 d_direction;
 };
 
-/// Returns the gradient with respect to the ray direction through the SH basis, in the
-/// model frame.
+/// Returns the gradient with respect to the ray direction, because spherical harmonics
+/// depend on the direction. The result is in the model frame.
 vec3 sh_direction_gradient(TraceScene scene, vec3 direction, uint surfel, vec3 d_channel) {
     float d_basis[16];
     for (uint k = 0u; k < 16u; ++k) d_basis[k] = 0.0;
@@ -31,8 +31,9 @@ vec3 sh_direction_gradient(TraceScene scene, vec3 direction, uint surfel, vec3 d
 }
 
 /// Computes the gradient of a hit.
-/// @param w  blending weight of the hit
-/// @param d_alpha  dL/d(sigma G). Must be 0 if alpha was clamped.
+/// @param g gradients of the ray's blended values
+/// @param w blending weight of the hit
+/// @param d_alpha dL/d(sigma G). Must be 0 if alpha was clamped
 HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance, uint surfel, float w,
                          float d_alpha) {
     SurfelRecord record = scene.records.at[surfel];
@@ -48,12 +49,13 @@ HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance
 #undef RELIDAR_SEND
     if (SINGLE_DROP_LOGIT != 0u) d_channel.y = 0.0;
     SurfelHitGradient d = intersect_vjp(record, origin, direction, hit, d_t, d_alpha);
-    // Floats 7, 11 and 15 of a row hold the gradient of the channels. If SH are evaluated
-    // per hit, they hold the rotation gradient of the SH direction instead.
+    // Floats 7, 11 and 15 of a row contain the gradient of the channel values. If
+    // spherical harmonics (SH) are evaluated per hit, they contain the rotation gradient
+    // of the SH direction instead.
     vec3 others = d_channel;
     if (SH_PER_SURFEL == 0u) {
         use_basis(scene, ray, instance);
-        // clamped in the forward pass
+        // The forward pass clamps negative intensities to 0, so their gradient is 0.
         if (!(evaluate_channel(scene, surfel, 0u) > 0.0)) d_channel.x = 0.0;
         vec3 d_sh_direction = sh_direction_gradient(scene, direction, surfel, d_channel);
         d.d_direction += d_sh_direction;

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Gradients of instance poses, first half. Moving a model moves its surfels, so the
-// gradient of its pose is the sum of its record gradients as forces and torques (the
-// chain rule of mean' = R mean + T, axis' = R axis). One workgroup per block of surfels.
-// The order of summation is fixed, so the result is the same in every run. Input:
-// records, d_records, d_view, blocks. Output: sums.
+// First of two kernels that compute gradients of instance poses. Moving a model moves all
+// its surfels, so the gradient of its pose is the sum of their gradients as forces and
+// torques. This is the chain rule of mean' = R mean + T, axis' = R axis. One workgroup
+// sums a block of surfels in a fixed order, so that the result is the same in every run.
+// Input: records, d_records, d_view, blocks. Output: sums.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -13,9 +13,9 @@ RELIDAR_PARAMS(PoseBlocksParams);
 
 vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1], a.at[i + 2]); }
 
-/// Returns the gradient of the rotation of the SH directions. It is opposite to the
-/// rotation of the model. Floats 7, 11 and 15 of a row hold it if SH are evaluated per
-/// hit.
+/// Returns the gradient of the rotation of the view direction for spherical harmonics
+/// (SH). This rotation is opposite to the rotation of the model. If SH are evaluated per
+/// hit, floats 7, 11 and 15 of a row contain this gradient.
 vec3 turn(uint row) {
     return vec3(params.d_records.at[row + 7], params.d_records.at[row + 11], params.d_records.at[row + 15]);
 }
@@ -23,7 +23,7 @@ vec3 turn(uint row) {
 bool is_zero(vec3 v) { return v == vec3(0.0); }
 
 /// Adds the gradient of one surfel to the sum. Skips surfels without a gradient, so that
-/// their records are not loaded.
+/// their records need not be loaded.
 void add_surfel(PoseBlock block, uint k, inout PoseSum sum) {
     uint surfel = block.first_surfel + k, row = 16u * (block.first_row + k);
     vec3 d_mean = load3(params.d_records, row), d_axis_u = load3(params.d_records, row + 4u);

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Second of two kernels that compute gradients of instance poses. Sums the blocks of an
-// instance, adds the motion of the view origin relative to the model, and rotates the
-// result into the world frame. One workgroup per instance, with a fixed order of
-// summation.
-//    world_from_model becomes (exp([rotation]x) R, T + translation)
-// Input: instances, sums, first_block. Output: d_poses.
+// Second of two kernels that compute gradients of instance poses. Sums the blocks of each
+// instance and adds the gradient of the view origin, which moves relative to the model.
+// Then rotates the result into the world frame. A pose correction means:
+//   world_from_model becomes (exp([rotation]x) R, T + translation)
+//
+// One workgroup sums the blocks of one instance in a fixed order. Input: instances, sums,
+// first_block. Output: d_poses.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -30,7 +31,7 @@ void main() {
     vec4 eye = vec4(params.view_origin, 1.0);
     sum.torque -= cross(vec3(dot(m.row0, eye), dot(m.row1, eye), dot(m.row2, eye)), sum.view);
     sum.force -= sum.view;
-    // The transpose of the rotation in the table.
+    // Transposes the rotation of the instance, which is stored as model from world.
     mat3 world_from_model = mat3(m.row0.xyz, m.row1.xyz, m.row2.xyz);
     vec3 translation = world_from_model * sum.force, rotation = world_from_model * sum.torque;
     for (uint k = 0u; k < 3u; ++k) {

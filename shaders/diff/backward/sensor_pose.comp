@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the gradient of the sensor's pose. Moving the sensor is the same as moving all
-// instances in the opposite way. So the gradient is minus the sum over all instances,
-// with torques about the sensor. One thread. Input: instances, d_poses. Output: d_sensor.
+// Computes the gradient of the sensor pose. Moving the sensor has the same effect as
+// moving all instances in the opposite direction. Therefore the gradient is minus the sum
+// over all instances, with torques about the sensor. One thread. Input: instances,
+// d_poses. Output: d_sensor.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

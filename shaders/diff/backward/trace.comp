@@ -1,12 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Backward pass (Eq. 9; M7, M8): casts the same rays again, or uses the hits that the
-// forward pass has stored, front to back. Adds the gradient of every hit to its surfel's
-// record gradient, or writes a record of the hit for backward/gather. One thread per ray.
+// Backward pass of the renderer (Eq. 9; docs/method.md M7, M8). Finds the hits of each
+// ray again, or loads the hits that the forward pass has stored, front to back. Adds the
+// gradient of each hit to its surfel's record gradient, or writes the hit to a list for
+// backward/gather. One thread per ray.
+//
 // Input: scene, rendered, upstream, kept, first_hit. Accumulated: d_records, d_sh (if SH
 // are evaluated per hit). Output: touched, d_rays, hits, rows.
-// @differs Eq. 8 as printed lacks the factor 1 / (1 - alpha) on the sum; Eq. 9 has it and
-// is correct. The background needs no separate term, because the final value from which
-// Eq. 9 subtracts includes it.
+//
+// @differs Eq. 8 of the paper lacks the factor 1 / (1 - alpha) on the sum. Eq. 9 has this
+// factor and is correct. The background needs no separate term, because the blended value
+// that Eq. 9 starts with includes it.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -26,9 +29,11 @@ RELIDAR_CONSTANT(uint, GATHER, 0u);
 vec3 d_ray_origin;  // gradient of the ray's origin, world frame
 vec3 d_ray_direction;
 
-/// Adds the gradient of a hit to the gradient of its surfel's record.
-/// @param row  row of the surfel. kNoRow if this lane has no surfel but must take part in
-/// the exchange of rows.
+/// Adds the gradient of a hit to the gradient of its surfel's record. Lanes may exchange
+/// gradients through shared memory, so that neighbouring lanes write neighbouring
+/// addresses.
+/// @param row index of the surfel's gradient, or kNoRow if this lane has no surfel but
+/// must take part in the exchange
 void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient d) {
     bool others = SH_PER_SURFEL != 0u || params.with_turn != 0u;  // lanes 7, 11, 15
     for (uint k = 0u; k < 16u; ++k)
@@ -43,23 +48,25 @@ void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient d) {
     }
 }
 
-/// A hit with the values that blending computes for it.
+/// Hit and the values that blending computes for this hit.
 struct BlendedHit {
-    uint slot;  // slot of its record
+    uint slot;  // index of the hit's record in `hits`
     uint instance;
     uint surfel;
-    float alpha;          // Opacity at the hit, sigma G, before it is clamped.
+    float alpha;          // Opacity at the hit (sigma G) before it is clamped.
     float transmittance;  // transmittance before the hit
     float w;              // alpha times transmittance
-    float shade;          // Derivative of the loss with respect to the blending weight, minus the shift.
-    float behind;  // Sum of weight times shade over the hits behind this hit, including the background.
+    // Derivative of the loss with respect to the blending weight, minus a constant shift
+    // (see start_shift()).
+    float shade;
+    float behind;  // Sum of weight times `shade` over all hits behind this hit, including the background.
 };
 
-/// Computes the gradient of one hit and adds it to the gradient of the ray. Writes a
-/// record of the hit, or adds the gradient of the surfel with atomics. If lanes exchange
-/// rows, the caller must add it with add_gradient().
-/// @param d  output: gradient for add_gradient()
-/// @return row for add_gradient(), or kNoRow
+/// Computes the gradient of one hit and adds it to the gradient of the ray. Then writes a
+/// record of the hit, or adds the gradient of its surfel with atomics. If lanes exchange
+/// gradients, the caller must call add_gradient() with the results.
+/// @param d output: gradient for add_gradient()
+/// @return `row` for add_gradient(), or kNoRow
 uint add_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHit b, out HitGradient d) {
     uint first_surfel = scene.instances.at[b.instance].first_surfel;
     uint row = b.surfel - first_surfel + scene.instances.at[b.instance].first_row;
@@ -79,7 +86,7 @@ uint add_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHi
     return recorded ? kNoRow : row;
 }
 
-/// Loads hits that the forward pass has stored into the hit buffer.
+/// Loads hits into the hit buffer that the forward pass has stored.
 void load_kept_hits(uint first, uint n) {
     uint list = thread_index();
     reset_hits(0.0);
@@ -89,10 +96,9 @@ void load_kept_hits(uint first, uint n) {
 }
 
 /// Adds the gradients of the first n hits of the buffer, from far to near. If lanes
-/// exchange rows, all lanes of a subgroup must call it.
-/// @param slot  slot of the first hit's record
-/// @param behind  sum of weight times shade over the hits behind these hits, including
-/// the background
+/// exchange gradients, all lanes of a subgroup must call this function.
+/// @param slot index of the first hit's record
+/// @param behind sum of weight times shade over all later hits, including the background
 void add_chunk(TraceScene scene, Ray ray, uint ray_index, RayGradient g, uint slot, uint n, float behind) {
     for (uint k = rows_are_exchanged() ? subgroupMax(n) : n; k > 0u; --k) {
         uint i = k - 1u, row = kNoRow, surfel = 0u;
@@ -110,7 +116,7 @@ void add_chunk(TraceScene scene, Ray ray, uint ray_index, RayGradient g, uint sl
     }
 }
 
-/// Returns the initial blending state of a ray.
+/// Returns the blending state at the start of a ray.
 BlendState start_blending(RenderedRay final, RayGradient g) {
 #define RELIDAR_REMAINS(name, built, value, input, slope, meaning) +g.name* final.name
     precise float remaining = RELIDAR_CHANNEL_VALUES(RELIDAR_REMAINS);
@@ -124,10 +130,10 @@ BlendState start_blending(RenderedRay final, RayGradient g) {
     return state;
 }
 
-/// Subtracts a constant shift from all values. Eq. 9 does not change if the same number
-/// is subtracted from every value and from the background's value, because all weights
-/// sum to 1. The shift is the value of the nearest hit in the buffer. It prevents small
-/// differences of large numbers.
+/// Subtracts a constant shift from all values. Eq. 9 does not change if all values and
+/// the background's value are shifted equally, because all weights sum to 1. The shift is
+/// the value of the nearest hit in the buffer. It avoids differences of large numbers,
+/// which lose precision.
 void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient g, inout BlendState state) {
     state.shift = shade_of(scene, ray, g, hit_at(0u));
     add_compensated(state.remaining, state.lost, -state.shift * final.weight);
@@ -135,10 +141,10 @@ void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient g, in
 }
 
 /// Computes the gradients of a ray.
-/// @param going  true if this lane has a ray with a gradient. If lanes exchange rows, the
-/// other lanes of the subgroup must call it too.
+/// @param going true if this lane has a ray with a gradient. If lanes exchange gradients,
+/// lanes without a ray must call this function too
 /// @return number of blended hits. Smaller than final.n_hits if the search did not find
-/// all hits again.
+/// all hits again
 uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient g, bool going) {
     BlendState state = start_blending(final, g);
     uint blended = 0u, start = GATHER != 0u ? params.first_hit.at[ray_index] : 0u;
@@ -150,7 +156,7 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
         float behind = 0.0;
         if (going) {
             // Loads stored hits only in full chunks, so that the sums do not depend on
-            // how many hits were stored.
+            // the number of stored hits.
             bool kept = min(blended + CHUNK, final.n_hits) <= params.n_kept;
             if (kept) load_kept_hits(blended, final.n_hits - blended);
             else next_hits(scene, ray, after, least_of_rest(scene, state.transmittance));
@@ -168,7 +174,7 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
     return blended;
 }
 
-/// Marks the record slots of a ray from `first` on as empty.
+/// Marks the records of a ray's hits as empty, from hit `first` on.
 void empty_slots(uint ray_index, uint first, uint n) {
     uint start = params.first_hit.at[ray_index];
     for (uint k = start + first; k < min(start + n, params.capacity); ++k)
@@ -180,8 +186,8 @@ void main() {
     bool inside = i < params.scene.n_rays;
     if (!inside) {
         if (!rows_are_exchanged()) return;
-        // Uses any valid ray, because this lane has no ray but must take part in the
-        // exchange of rows.
+        // Selects any valid ray, because this lane has no ray but must take part in the
+        // exchange of gradients.
         i = 0u;
     }
     DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];

@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 // Distributes n_new copies to growing surfels in proportion to their weights, by
 // systematic sampling. Copy j belongs to the surfel whose interval of the cumulative
-// weights contains (j + 1 - phase / W) W / n_new. Exactly n_new copies are distributed,
-// and each surfel gets its expected number rounded up or down. The host can compute the
-// sum over any range of surfels without a readback. One thread per surfel. Input: weight,
-// cumulative. In place: action. Output: n_rows.
+// weights contains (j + 1 - phase / W) W / n_new. Each surfel receives its expected
+// number of copies, rounded up or down. The total is exactly n_new, and the host can
+// compute the total of any range of surfels without a readback. One thread per surfel.
+// Input: weight, cumulative. In place: action. Output: n_rows.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
 #include "../shared/densify.h"
 RELIDAR_PARAMS(AllotParams);
 
-/// Returns (high * 2^32 + low) / d, rounded down, by binary long division. The result
-/// fits into 32 bits because high is below d.
+/// Returns (high * 2^32 + low) / d, rounded down, with a binary long division. Requires
+/// high < d, so that the result fits into 32 bits.
 uint divided(uint high, uint low, uint d) {
     uint quotient = 0u, rest = high;
     for (int bit = 31; bit >= 0; --bit) {
@@ -25,7 +25,7 @@ uint divided(uint high, uint low, uint d) {
     return quotient;
 }
 
-/// Returns (weight * n_new + phase) / total_weight. Uses a 64-bit product.
+/// Returns (weight * n_new + phase) / total_weight, computed with a 64-bit product.
 uint sum_before(uint weight) {
     if (params.total_weight == 0u) return 0u;
     uint high, low, carry;

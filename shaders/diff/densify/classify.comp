@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decides what happens to each surfel (docs/method.md section 6). Drops a surfel if it is
-// invalid, faint, too large or outside its actor's box. Otherwise the surfel grows by its
-// gradient (clone or split), or is kept. One thread per surfel of any model. Input:
-// surfels, statistics, models, extents. Output: action, weight. Accumulated: counters.
+// Decides what happens to each surfel during densification (docs/method.md section 6).
+// Drops a surfel if it is invalid, too faint, too large, or outside the box of its actor.
+// A surfel with a large gradient grows: it is cloned or split. All other surfels are
+// kept. One thread per surfel of any model. Input: surfels, statistics, models, extents.
+// Output: action, weight. Accumulated: counters.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -17,7 +18,7 @@ void count(uint model, uint counter, uint amount) {
 }
 
 /// Returns the sum of the absolute values of n floats. The sum is not finite if any float
-/// is not finite.
+/// is not finite, so one test of the sum checks all floats.
 float magnitude(Floats array, uint first, uint n) {
     float sum = 0.0;
     for (uint k = 0u; k < n; ++k) sum += abs(array.at[first + k]);
@@ -27,8 +28,7 @@ float magnitude(Floats array, uint first, uint n) {
 bool has_third_scale() { return !is_null(params.surfels.log_scale_w); }
 
 /// Returns true if all parameters of a surfel are finite and within their valid range.
-/// @param scale  three scales. The third scale is 1 unless the primitive is a 3D
-/// Gaussian.
+/// @param scale three scales. The third scale is 1 unless the primitive is a 3D Gaussian
 bool is_surfel(uint i, vec4 q, vec3 scale) {
     float sum = magnitude(params.surfels.mean, 3 * i, 3u) + magnitude(params.surfels.opacity_logit, i, 1u);
     sum += magnitude(params.surfels.sh, RELIDAR_SH_FLOATS * i, RELIDAR_SH_FLOATS);
@@ -37,8 +37,8 @@ bool is_surfel(uint i, vec4 q, vec3 scale) {
            all(greaterThan(scale, vec3(1e-6))) && all(lessThan(scale, vec3(1e6)));
 }
 
-/// Draws two random points of the surfel. Returns true if both are outside the model's
-/// box.
+/// Draws two random points of the surfel. Returns true if both points are outside the
+/// model's box.
 bool is_outside(uint i, vec4 q, vec3 scale, vec3 half_size) {
     if (!(half_size.x > 0.0)) return false;
     vec3 mean = vec3(params.surfels.mean.at[3 * i], params.surfels.mean.at[3 * i + 1],
@@ -47,15 +47,15 @@ bool is_outside(uint i, vec4 q, vec3 scale, vec3 half_size) {
     for (uint draw = 0u; draw < 2u; ++draw) {
         vec2 z = scale.xy * random_normal2(params.key, i, draw);
         vec3 p = mean + z.x * r[0] + z.y * r[1];
-        // spawn.comp uses the draws 2 and 3
+        // Uses draws 4 and 5, because spawn.comp uses the draws 2 and 3.
         if (has_third_scale()) p += scale.z * random_normal2(params.key, i, 4u + draw).x * r[2];
         if (!any(greaterThan(abs(p), half_size))) return false;
     }
     return true;
 }
 
-/// Returns the action clone, split or keep, depending on the mean gradient norm of the
-/// surfel.
+/// Returns the action of a surfel that is not dropped: clone, split or keep. The action
+/// depends on the surfel's mean gradient norm.
 uint grow_by_gradient(uint i, float max_scale, float extent_m) {
     uint n_seen = params.n_seen.at[i];
     if (n_seen == 0u || !(params.gradient_sum.at[i] > params.gradient_threshold * float(n_seen)))
@@ -64,7 +64,7 @@ uint grow_by_gradient(uint i, float max_scale, float extent_m) {
 }
 
 /// Returns the reason why a surfel is dropped, as an index of a counter. Returns
-/// RELIDAR_DENSIFY_KEPT if it is kept.
+/// RELIDAR_DENSIFY_KEPT if the surfel is kept.
 uint verdict(uint i, uint model, vec4 q, vec3 scale, float opacity, float max_scale) {
     if (!is_surfel(i, q, scale)) return RELIDAR_DENSIFY_INVALID;
     if (opacity < params.min_opacity) return RELIDAR_DENSIFY_FAINT;
@@ -85,7 +85,7 @@ void main() {
     float max_scale = max(scale.x, scale.y);
     if (has_third_scale()) max_scale = max(max_scale, scale.z);
     uint action = grow_by_gradient(i, max_scale, params.extents.at[model]);
-    // A split divides the scale by 1.6, so the test uses the scale after the split.
+    // A split divides the scale by 1.6, so the following test uses the smaller scale.
     if (action == RELIDAR_DENSIFY_SPLIT) max_scale /= 1.6;
     uint why = verdict(i, model, q, scale, opacity, max_scale);
     uint weight = 0u;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Copies the rows of one array to their new positions after densification. Surviving rows
-// keep their order, and copies follow their original. Neighbours in space therefore stay
-// neighbours in memory. One thread per surfel. Input: from, action, n_rows, starts.
-// Output: to.
+// Moves one array of surfel data into the order after densification. Each surfel has one
+// row in the array. Surviving rows keep their order, and each copy follows its original,
+// so that surfels that are close in space stay close in memory. One thread per surfel.
+// Input: from, action, n_rows, starts. Output: to.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Updates the statistics for densification: the norm of the gradient with respect to the
-// mean, summed over batches, and the number of batches in which the surfel was visible.
-// The gradient is in the model's frame. A model is placed by a rigid transform, so the
-// norm is the same in the world. One thread per surfel. Input: d_mean, touched.
+// Updates the statistics for densification. They are the gradient norm with respect to
+// the mean, summed over batches, and the number of batches in which the surfel was
+// visible. The gradient is in the model frame. Its norm is the same in the world frame,
+// because the transform is rigid. One thread per surfel. Input: d_mean, touched.
 // Accumulated: gradient_sum, n_seen, frames.
 //
-// A batch of every s-th ray of a frame may miss a small surfel that is visible in the
-// frame. The gradients of the other surfels are larger by the factor s, because the loss
-// is a mean over the batch. So a batch counts as visible for every surfel that has ever
-// had a gradient in the batch's frame. The mean over batches is then the mean over full
-// frames, whatever the number of rays in a batch.
+// A batch that contains every s-th ray of a frame may miss a small visible surfel. In
+// return, the gradients of the other surfels are s times larger, because the loss is a
+// mean over the batch. Therefore a batch counts for every surfel that has ever had a
+// gradient in the same frame. Then the mean over batches equals the mean over full frames
+// for any batch size.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

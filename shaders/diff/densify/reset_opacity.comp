@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Limits all opacities to a small value. Training raises the opacity of the surfels that
-// the scans need, and the others are pruned later. One thread per surfel. In place:
-// opacity_logit.
+// Limits all opacities to a small value. Afterwards, training raises the opacity of
+// surfels that the scans need. Surfels that stay faint are pruned later. One thread per
+// surfel. In place: opacity_logit.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -11,7 +11,7 @@ RELIDAR_PARAMS(ResetOpacityParams);
 void main() {
     uint i = thread_index();
     if (i >= params.n_surfels) return;
-    // The comparison is false for a NaN, so a NaN stays. The next densification counts
-    // NaNs.
+    // The comparison is false for a NaN, so that the NaN stays. The next densification
+    // counts NaNs.
     if (params.opacity_logit.at[i] > params.max_logit) params.opacity_logit.at[i] = params.max_logit;
 }

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the values of split surfels. The kernel densify/move has copied the original
-// values to the new rows before. Moves each half to a random point of the surfel and
-// divides its scales by 1.6. One thread per surfel of the old order. Input: action,
-// n_rows, starts. In place: surfels.
+// Computes the values of split surfels. Their new rows already contain copies of the
+// original values, which kernel densify/move has written. Moves each half to a random
+// point of the original surfel and divides its scales by 1.6. One thread per surfel of
+// the old order. Input: action, n_rows, starts. In place: surfels.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -22,7 +22,8 @@ void split(uint row) {
     vec4 q;
     for (uint k = 0u; k < 4u; ++k) q[k] = params.surfels.rotation.at[4 * row + k];
     mat3 r = rotation_matrix(q);
-    vec2 z = random_normal2(params.key, row, 2u);  // classify.comp uses the draws 0 and 1
+    // uses draw 2, because classify.comp uses the draws 0 and 1
+    vec2 z = random_normal2(params.key, row, 2u);
     vec3 offset = z.x * exp(params.surfels.log_scale.at[2 * row]) * r[0] +
                   z.y * exp(params.surfels.log_scale.at[2 * row + 1]) * r[1];
     if (has_third_scale())

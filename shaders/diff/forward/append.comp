@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Collects all hits of a ray that can contribute to the result. Writes them to the ray's
-// hit list in any order. One thread per ray. Input: scene (rays, records, instances,
-// acceleration structure). Output: lists. Accumulated: scene.pass_cap_count, n_overflows.
+// Writes all hits of a ray that can contribute to its result to the ray's hit list, in
+// any order. One thread per ray. Input: scene (rays, records, instances, acceleration
+// structure). Output: lists. Accumulated: scene.pass_cap_count, n_overflows.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #define RELIDAR_APPENDS_HITS

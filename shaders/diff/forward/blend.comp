@@ -1,9 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Forward pass: blends the hits of sorted lists, one thread per ray. Marks a list as
-// unfit, so that forward/trace renders its ray, if the list is too short or was closed
-// too early because of hits that were reported twice. Input: scene (records, instances,
-// sh, targets, and rays if SH are evaluated per hit or normals are blended), lists.
-// Output: rendered, kept, surfaces, lists.lengths. Accumulated: n_overfull.
+// Forward pass of the renderer with sorted hit lists: blends the hits of each ray. Marks
+// a list as unfit if it is too short or incomplete, so that kernel forward/trace renders
+// the ray instead. A list can be incomplete because the driver reported a hit twice. One
+// thread per ray.
+//
+// Input: scene (records, instances, sh, targets, and rays if SH are evaluated per hit or
+// normals are blended), lists. Output: rendered, kept, surfaces, lists.lengths.
+// Accumulated: n_overfull.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -20,13 +23,13 @@
 RELIDAR_PARAMS(ForwardParams);
 #include "blend.glsl"
 
-/// Returns hit k of a sorted list, or the last hit if k is too large.
+/// Returns hit k of a sorted list. Returns the last hit if the list has no hit k.
 Hit listed_hit(uint list, uint k, uint n) {
     return params.lists.hits.at[list_entry(params.lists.room, list, min(k, n - 1u))];
 }
 
-/// Blends the n > 0 hits of a list. Loads hits two iterations ahead and their channels
-/// one iteration ahead, so that no load waits for another.
+/// Blends the n > 0 hits of a list. Loads hits two iterations ahead and their channel
+/// values one iteration ahead, to hide the latency of the loads.
 /// @return true if the transmittance fell below the limit within the list
 bool blend_list(uint list, uint n, Ray ray, inout Blended b) {
     Hit next = listed_hit(list, 0u, n), after_next = listed_hit(list, 1u, n);
@@ -39,7 +42,7 @@ bool blend_list(uint list, uint n, Ray ray, inout Blended b) {
         after_next = listed_hit(list, k + 2u, n);
         next_channels = channels_of(params.scene, ray, next);
         Key key = Key(hit.t, hit.instance, hit.surfel);
-        if (key == last) continue;  // the driver reported the hit twice
+        if (key == last) continue;  // skips a hit that the driver reported twice
         last = key;
         if (ends_before(params.scene, hit, b.ray.transmittance)) return true;
         if (params.kept_in_lists == 0u || b.ray.n_hits != k) keep_hit(b.ray.n_hits, hit);

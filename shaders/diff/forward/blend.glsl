@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blends the hits of a ray from near to far (Eq. 2-4). Computes the values of
-// relidar/diff/blended_values.h. For scans, also computes the normal and the heaviest
-// surface. Include this file after RELIDAR_PARAMS(ForwardParams).
+// Blends the hits of a ray from near to far (Eq. 2-4), which gives the values in
+// relidar/diff/blended_values.h. For scans, also computes the blended normal and the
+// surface with the largest weight. Include this file after RELIDAR_PARAMS(ForwardParams).
 #ifndef RELIDAR_INCLUDED_DIFF_FORWARD_BLEND_GLSL
 #define RELIDAR_INCLUDED_DIFF_FORWARD_BLEND_GLSL
 
-/// State of a ray during blending.
+/// State of a ray while its hits are blended.
 struct Blended {
     RenderedRay ray;
     RayGradient lost;  // rounding error of each blended value, for compensated summation
@@ -33,24 +33,24 @@ vec3 channels_of(TraceScene scene, Ray ray, Hit hit) {
     return hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
 }
 
-/// Returns the transmittance behind a hit.
-/// @param transmittance  transmittance before the hit
+/// Returns the transmittance of the ray behind a hit.
+/// @param transmittance transmittance before the hit
 float left_behind(TraceScene scene, Hit hit, float transmittance) {
     return transmittance * (1.0 - min(hit.alpha, scene.alpha_max));
 }
 
-/// Returns true if the transmittance behind a hit is below the limit. The ray then ends,
-/// and the hit is not blended.
+/// Returns true if a hit reduces the transmittance below the limit. The ray then ends
+/// before this hit, and the hit is not blended.
 bool ends_before(TraceScene scene, Hit hit, float transmittance) {
     return left_behind(scene, hit, transmittance) < scene.transmittance_min;
 }
 
-/// Blends the next hit.
+/// Adds the next hit of the ray to the blended values.
 void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 channels, inout Blended b) {
     float next = left_behind(scene, hit, b.ray.transmittance),
           w = min(hit.alpha, scene.alpha_max) * b.ray.transmittance;
     if (NORMAL != 0u) b.normal += w * facing_normal(scene, ray, hit.instance, hit.surfel);
-    if (MODE != 0u) add_to_surface(hit.t, w, params.surface_gap_m, b.surfaces);  // M13
+    if (MODE != 0u) add_to_surface(hit.t, w, params.surface_gap_m, b.surfaces);  // docs/method.md, M13
 #define RELIDAR_BLEND(name, built, value, input, slope, meaning) \
     if (built) add_compensated(b.ray.name, b.lost.name, w*(value));
     RELIDAR_BLENDED_VALUES(RELIDAR_BLEND)
@@ -63,7 +63,7 @@ void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 channels, inout Blended 
 }
 
 /// Stores hit k of this thread's ray for the backward pass. Hits are numbered in the
-/// order of blending.
+/// order in which they are blended.
 void keep_hit(uint k, Hit hit) {
     if (k < params.n_kept) params.kept.at[list_entry(params.n_kept, thread_index(), k)] = hit;
 }
@@ -71,7 +71,7 @@ void keep_hit(uint k, Hit hit) {
 /// Adds the background to the blended values and writes the result of the ray.
 void finish_blending(uint ray_index, inout Blended b) {
     if (params.n_kept > 0u && b.ray.n_hits > params.n_kept) atomicAdd(params.n_overfull.at[0], 1u);
-    // background: intensity 0, hit 0, drop 1
+    // the background has intensity 0, hit logit 0 and drop logit 1
     add_compensated(b.ray.drop_logit, b.lost.drop_logit, b.ray.transmittance);
     weigh_surface(b.surfaces);
     if (NORMAL != 0u || MODE != 0u)

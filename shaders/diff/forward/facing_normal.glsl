@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes surface normals at hits, for kernels that blend normals. Include this file
-// after includes.glsl.
+// Computes surface normals at hits. Only kernels that blend normals use this file.
+// Include it after includes.glsl.
 #ifndef RELIDAR_INCLUDED_DIFF_FORWARD_FACING_NORMAL_GLSL
 #define RELIDAR_INCLUDED_DIFF_FORWARD_FACING_NORMAL_GLSL
 RELIDAR_CONSTANT(uint, NORMAL, 0u);
 
-/// Returns the unit normal of a surfel in the world frame. The normal points towards the
+/// Returns the unit normal of a surfel in the world frame, on the side that faces the
 /// sensor.
 vec3 facing_normal(TraceScene scene, Ray ray, uint instance, uint surfel) {
     enter_instance(scene, ray, instance);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sorts a list of at most HELD hits per lane. sort_hits.comp includes this file once per
-// list size and defines HELD, EACH and SORT before.
+// Sorts a hit list with at most HELD hits per lane. sort_hits.comp defines HELD, EACH and
+// SORT and then includes this file, once per list size.
 
 #define LOAD(h)                                            \
     {                                                      \
@@ -9,7 +9,7 @@
         if (place[h] < n) t[h] = hit_of(list, place[h]).t; \
     }
 
-// One step of a bitonic sorting network. Compares hits whose positions differ in one bit
+// One step of a bitonic sorting network: compares hits whose positions differ in one bit,
 // and swaps them if necessary. Bit `run` of the position selects ascending or descending
 // order.
 #define IS_UPWARD(h) (((lane * HELD + h) & run) == 0u)
@@ -72,7 +72,7 @@ void SORT(uint list, uint n) {
     }
     Hit hits[HELD];
     EACH(READ)
-    subgroupBarrier();  // all hits must be read before any is written
+    subgroupBarrier();  // waits until all lanes have read their hits
     EACH(STORE)
 }
 

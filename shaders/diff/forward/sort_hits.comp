@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sorts the hits of each list by (t, instance, surfel) with a bitonic network in
-// registers. One subgroup per list. Each lane holds 1 to 16 consecutive hits, depending
-// on the length of the list. The network sorts only distances and positions. The hits are
-// reordered afterwards. In place: lists.
+// Sorts each hit list by (t, instance, surfel) with a bitonic sorting network in
+// registers. One subgroup sorts one list. Each lane holds 1 to 16 consecutive hits,
+// depending on the length of the list. The network sorts only distances and positions.
+// Then the subgroup moves the hits to their sorted positions. In place: lists.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_shuffle : require
@@ -15,9 +15,8 @@ RELIDAR_CONSTANT(uint, LANES, 32u);
 
 Hit hit_of(uint list, uint place) { return params.lists.hits.at[list_entry(params.lists.room, list, place)]; }
 
-/// Returns true if hit a comes before hit b, for hits at equal distance. A hit that was
-/// reported twice keeps its original order. Positions beyond the end of the list are
-/// empty and come last.
+/// Returns true if hit a comes before hit b, when both have the same distance. A hit that
+/// was reported twice keeps its order. Positions beyond the end of the list come last.
 bool tied_before(uint list, uint n, uint a, uint b) {
     if (a >= n || b >= n) return a < b;
     Hit hit_a = hit_of(list, a), hit_b = hit_of(list, b);
@@ -26,9 +25,9 @@ bool tied_before(uint list, uint n, uint a, uint b) {
     return before(key_a, key_b) || (key_a == key_b && a < b);
 }
 
-// Macros unroll the loops over the hits of a lane, with one sort function per number of
-// hits. A compiler may put an array that is indexed in a loop into memory, which makes
-// the sort slower.
+// Macros unroll the loops over the hits of a lane. Each number of hits has a separate
+// sort function. Without unrolling, a compiler may store the array in memory instead of
+// registers, which makes the sort slower.
 #define EACH_OF_1(X, h) X((h))
 #define EACH_OF_2(X, h) EACH_OF_1(X, h) EACH_OF_1(X, h + 1u)
 #define EACH_OF_4(X, h) EACH_OF_2(X, h) EACH_OF_2(X, h + 2u)
@@ -51,17 +50,18 @@ bool tied_before(uint list, uint n, uint a, uint b) {
 #define EACH(X) EACH_OF_8(X, 0u)
 #define SORT sort_8
 #include "sort_held.glsl"
-#define HELD 16  // RELIDAR_MOST_HELD in shared/trace.h
+#define HELD 16  // must equal RELIDAR_MOST_HELD in shared/trace.h
 #define EACH(X) EACH_OF_16(X, 0u)
 #define SORT sort_16
 #include "sort_held.glsl"
 
 void main() {
-    uint list = workgroup_index() * RELIDAR_SORTED_TOGETHER + gl_SubgroupID;  // subgroups are full
+    // correct only because all subgroups are full
+    uint list = workgroup_index() * RELIDAR_SORTED_TOGETHER + gl_SubgroupID;
     uint length = list < params.lists.n ? params.lists.lengths.at[list] : 0u,
          n = length & ~RELIDAR_LIST_CLOSED;
-    // This path needs the barrier too, because lavapipe treats a subgroup barrier as a
-    // barrier of the workgroup.
+    // Executes a barrier although this list needs no sort, because lavapipe treats a
+    // subgroup barrier as a barrier of the full workgroup.
     if (length == RELIDAR_LIST_UNFIT || n < 2u) subgroupBarrier();
     else if (n <= LANES) sort_1(list, n);
     else if (n <= 2u * LANES) sort_2(list, n);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Groups the hits of a ray into surfaces (docs/method.md M13). A new surface begins where
-// the distance to the previous hit exceeds a gap. Hits are sorted by distance, so one
-// pass finds the surface with the largest weight.
+// Groups the hits of a ray into surfaces (docs/method.md M13). A new surface begins if
+// the distance to the previous hit exceeds a threshold. The hits are sorted by distance,
+// so one pass is enough to find the surface with the largest weight.
 #ifndef RELIDAR_INCLUDED_DIFF_FORWARD_SURFACES_GLSL
 #define RELIDAR_INCLUDED_DIFF_FORWARD_SURFACES_GLSL
 RELIDAR_CONSTANT(uint, MODE, 0u);
@@ -9,16 +9,16 @@ RELIDAR_CONSTANT(uint, MODE, 0u);
 struct Surfaces {
     float last_t;      // t of the previous hit
     float start;       // t of the first hit of the current surface
-    float weight;      // weight of the current surface
+    float weight;      // sum of the blending weights of the current surface
     float moment;      // sum w (t - start) over the current surface
-    float heaviest;    // weight of the heaviest surface so far
-    float heaviest_t;  // mean of t over the heaviest surface
+    float heaviest;    // largest weight of a surface so far
+    float heaviest_t;  // mean of t over the surface with the largest weight
 };
 
 Surfaces no_surfaces() { return Surfaces(-1e30, 0.0, 0.0, 0.0, 0.0, 0.0); }
 
-/// Stores the current surface as the heaviest one if its weight is larger. If weights are
-/// equal, the nearer surface stays.
+/// Stores the current surface as the result if its weight exceeds the largest weight so
+/// far. If both weights are equal, the nearer surface stays.
 void weigh_surface(inout Surfaces s) {
     if (!(s.weight > s.heaviest)) return;
     s.heaviest = s.weight;

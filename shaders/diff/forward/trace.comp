@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Forward pass without hit lists: finds the hits of a ray in chunks, from near to far,
-// and blends them. If hit lists exist, traces only the rays that forward/blend could not
-// finish. One thread per ray. Input: scene, lists.lengths. Output: rendered, kept,
-// surfaces. Accumulated: scene.pass_cap_count, n_overfull.
+// Forward pass of the renderer without hit lists: finds the hits of a ray in chunks, from
+// near to far, and blends them. If hit lists exist, renders only the rays that kernel
+// forward/blend could not finish. One thread per ray. Input: scene, lists.lengths.
+// Output: rendered, kept, surfaces. Accumulated: scene.pass_cap_count, n_overfull.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../traversal/includes.glsl"

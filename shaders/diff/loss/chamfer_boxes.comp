@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the bounding box of each tile of an image. The pixels are points or smaller
-// boxes. One thread per tile. Input: low, high. Output: tile_low, tile_high.
+// Computes the bounding box of each tile of an image. Each pixel of the image contains a
+// point or a smaller box. One thread per tile. Input: low, high. Output: tile_low,
+// tile_high.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds the exact nearest point of a cloud for each point of another cloud in the same
-// image order. Starts with the point of the same pixel and the tile around it. Then
-// searches only boxes that are nearer than the best point so far. One thread per point.
-// Rounding does not matter: the distance to a box uses the same operations in the same
-// order as the distance to a point, so it is never larger. Input: queries, cloud. Output:
-// nearest.
+// For each point of one cloud, finds the exact nearest point of another cloud. Both
+// clouds have the same image layout. First tests the point in the same pixel and in the
+// tile around it. Then searches only boxes that are nearer than the best point so far.
+//
+// Rounding cannot change the result. The distance to a box uses the same operations in
+// the same order as the distance to a point in the box, so it is never larger. One thread
+// per point. Input: queries, cloud. Output: nearest.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -27,7 +28,7 @@ float squared_length(vec3 d) {
 }
 
 /// Returns the squared distance between a point and a box. The distance to an empty box
-/// is infinite, because RELIDAR_NO_POINT squared is infinite.
+/// is infinite, because the square of RELIDAR_NO_POINT overflows to infinity.
 float squared_distance(vec3 query, vec3 low, vec3 high) {
     return squared_length(max(max(low - query, query - high), vec3(0.0)));
 }
@@ -41,10 +42,12 @@ void visit_point(uint i, inout Nearest best) {
     }
 }
 
-/// A rectangle of items in an image: the points of a tile, or the tiles of a group.
+/// Rectangle of an image that is searched: the points of a tile, or the tiles of a group.
 struct Cells {
-    uvec2 begin, end;  // First row and column, and the row and column after the last.
-    uint across;       // items per row of the image
+    // Index of the first row and column (begin), and index after the last row and column
+    // (end).
+    uvec2 begin, end;
+    uint across;  // number of points or tiles per row of the image
 };
 
 Cells cells_of(uint cell, uvec2 items, uint cells_across) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the simulated and the measured point of each ray from the ray's origin.
-// Origins differ because the sensor moves during a sweep. One thread per ray. Input:
-// rays, rendered, targets. Output: simulated, measured. Accumulated: counts.
+// Computes the simulated and the measured point of each ray. Each point is relative to
+// the origin of its ray, because the sensor moves during a sweep. One thread per ray.
+// Input: rays, rendered, targets. Output: simulated, measured. Accumulated: counts.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -11,12 +11,12 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(ChamferPointsParams);
 
-// Minimum blended weight W of a simulated point. With a smaller weight, the range D / W
-// is not meaningful.
+// Minimum blended weight W for which a ray has a simulated point. The range D / W is
+// meaningless for a smaller weight.
 const float kLeastWeight = 0.1;
 
-/// Returns the range of the simulated point, or 0 if the ray has no simulated point. A
-/// ray with a NaN has no point.
+/// Returns the range of the simulated point of a ray. Returns 0 if the ray has no
+/// simulated point, or if a value is NaN.
 float simulated_range(RenderedRay r) {
     if (!(r.weight > kLeastWeight) || !(r.drop_logit < r.hit_logit)) return 0.0;
     return params.normalised_depth != 0u ? r.depth / r.weight : r.depth;
@@ -29,7 +29,7 @@ void main() {
         uint i = params.first_ray + k * params.ray_stride;
         DeviceTarget target = params.targets.at[i];
         DeviceRay ray = params.rays.at[i];
-        // relative to the first ray's origin, to keep precision
+        // subtracts the first ray's origin, to keep float precision
         vec3 origin = ray.origin - params.rays.at[params.first_ray].origin;
         vec2 range =
             target.weight > 0.0 ? vec2(simulated_range(params.rendered.at[k]), target.range_m) : vec2(0.0);

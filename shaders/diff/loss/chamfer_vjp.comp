@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derivative of the Chamfer distance with respect to the rendered values. For a simulated
-// point a = o + r d, sums the gradient as a query, 2 (a - b) . d, and the gradient as a
-// nearest point (loss/chamfer). Then applies the derivative of r = D / W or D. One thread
-// per ray. Input: rays, rendered, points, nearest, counts, d_found. Accumulated:
-// upstream.
+// Computes the gradient of the Chamfer distance with respect to the rendered values. A
+// simulated point a = o + r d has two gradients. The first is 2 (a - b) . d, where b is
+// the measured point nearest to a. The second comes from measured points whose nearest
+// point is a (kernel loss/chamfer). Adds both and applies the derivative of the range r =
+// D / W or r = D. One thread per ray. Input: rays, rendered, points, nearest, counts,
+// d_found. Accumulated: upstream.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -15,8 +16,8 @@ void main() {
     uint k = thread_index();
     if (k >= params.n_rays) return;
     uint b = params.nearest_measured.at[k];
-    // Returns if the ray has no simulated point or no measured point exists. Then this
-    // point is not the nearest point of any measured point either.
+    // Returns if this ray has no simulated point, or if no measured point exists. In both
+    // cases the gradient is zero.
     if (b == RELIDAR_NO_INDEX) return;
     vec3 difference = params.simulated.at[k] - params.measured.at[b];
     float asked = 2.0 * dot(difference, params.rays.at[params.first_ray + k * params.ray_stride].direction);

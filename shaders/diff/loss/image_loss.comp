@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Image losses (Eq. 10) and their derivatives: L1 of the depth and L1 or Huber loss of
-// the intensity on rays with a return, and the ray-drop cross-entropy of the softmax of
-// the two blended logits (M6) on all known rays. One thread per ray. Input: rendered,
-// targets. Output: upstream. Accumulated: terms.
+// Computes the image losses (Eq. 10) and their derivatives. Rays with a return have an L1
+// loss of the depth and an L1 or Huber loss of the intensity. All rays with a known
+// measurement have a ray-drop loss. It is the cross-entropy of the predicted probability
+// that the ray has no return, which is computed from the two blended logits
+// (docs/method.md M6). One thread per ray. Input: rendered, targets. Output: upstream.
+// Accumulated: terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -12,7 +14,8 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(ImageLossParams);
 
-/// Computes the L1 loss of the depth. The depth is D, or D / W if it is normalised.
+/// Computes the L1 loss of the depth, and adds its derivative to the gradient. The depth
+/// is D, or D / W if it is normalised.
 /// @return value of this loss term
 float depth_term(RenderedRay r, float range_m, inout RayGradient g) {
     float weight = max(r.weight, 1e-3);
@@ -24,8 +27,8 @@ float depth_term(RenderedRay r, float range_m, inout RayGradient g) {
     return params.depth_weight * abs(error);
 }
 
-/// Computes the Huber loss of an intensity error e: e^2 / (2 delta) up to delta, |e| -
-/// delta / 2 beyond. If delta is 0, computes the L1 loss.
+/// Computes the Huber loss of an intensity error e. The loss is e^2 / (2 delta) for |e| <
+/// delta, otherwise |e| - delta / 2. If delta is 0, this is the L1 loss.
 /// @return value of this loss term
 float intensity_term(float error, inout RayGradient g) {
     float delta = params.intensity_delta, size = abs(error);
@@ -34,7 +37,7 @@ float intensity_term(float error, inout RayGradient g) {
     return params.intensity_weight * (squared ? 0.5 * error * error / delta : size - 0.5 * delta);
 }
 
-/// Computes the negative log probability of the measured outcome (return or drop).
+/// Computes the negative log probability of the measured outcome (return or no return).
 /// Evaluates log(1 + exp(x)) without overflow.
 /// @return value of this loss term
 float drop_term(RenderedRay r, bool dropped, inout RayGradient g) {
@@ -47,8 +50,8 @@ float drop_term(RenderedRay r, bool dropped, inout RayGradient g) {
     return params.drop_weight * (max(z, 0.0) + log(1.0 + exp(-abs(z))));
 }
 
-/// Computes all loss terms of a ray with a known measurement: depth, intensity, drop,
-/// opacity.
+/// Computes all loss terms of a ray with a known measurement: depth, intensity, ray drop
+/// and opacity.
 vec4 ray_terms(RenderedRay r, DeviceTarget target, inout RayGradient g) {
     vec4 terms = vec4(0.0);
     bool dropped = !(target.range_m > 0.0);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the loss -ln(floor + (1 - floor) S) of rays with a return (docs/method.md
+// Computes the loss -ln(floor + (1 - floor) S) of each ray with a return (docs/method.md
 // M12). S is the likelihood of the measured range given the hits of the ray. One thread
 // per ray. Input: rendered, targets. Accumulated: upstream, terms.
 #version 460
@@ -12,7 +12,7 @@
 RELIDAR_PARAMS(LikelihoodLossParams);
 
 /// Returns the loss of ray i, which must have a return. Adds the derivative of the loss
-/// to the gradient.
+/// to the ray's gradient.
 float ray_term(uint i) {
     float explained =
         params.likelihood_floor + (1.0 - params.likelihood_floor) * params.rendered.at[i].likelihood;

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Structural similarity of rendered (x) and measured (y) intensity around each pixel with
-// a return. Uses the constants of Wang et al. 2004 for values 0..1. Also computes the
-// derivatives with respect to the window's mean, variance and covariance. One thread per
-// pixel.
+// Computes the structural similarity S of rendered (x) and measured (y) intensity in a
+// window around each pixel with a return. Uses the constants of Wang et al. 2004 for
+// values 0..1. Also writes the derivatives with respect to the mean, variance and
+// covariance in the window. One thread per pixel.
 //   S = (2 mx my + C1) (2 cov + C2) / ((mx^2 + my^2 + C1) (vx + vy + C2)),   term = weight (1 - S)
+//
 // Input: rendered, targets. Output: statistics. Accumulated: terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -19,14 +20,15 @@ const float kC1 = 1e-4;  // (0.01)^2
 const float kC2 = 9e-4;  // (0.03)^2
 
 struct Window {
-    float sum;  // sum of weights
+    float sum;  // sum of the window's weights
     vec2 mean;  // means of x and y
     vec2 variance;
     float covariance;
 };
 
-/// Computes weighted moments of the intensities around a pixel. Subtracts the centre
-/// pixel first, because plain moments would lose precision in flat regions.
+/// Computes the weighted mean, variance and covariance of the intensities in the window
+/// around a pixel. Subtracts the value of the centre pixel first, because the sums would
+/// otherwise lose precision in flat regions.
 Window window_around(uint i) {
     vec2 centre = vec2(params.rendered.at[i].intensity, target_of(i).intensity);
     float sum = 0.0, products = 0.0;
@@ -50,7 +52,7 @@ Window window_around(uint i) {
                   products / sum - shifted.x * shifted.y);
 }
 
-/// Writes the derivatives of the similarity loss of pixel i.
+/// Computes the similarity loss of pixel i. Writes its derivatives to `statistics`.
 /// @return the loss of the pixel
 float similarity_term(uint i) {
     Window w = window_around(i);

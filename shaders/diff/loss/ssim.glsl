@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The window of structural similarity: 11 x 11 pixels, Gaussian with 1.5 pixels. Only
-// known pixels with a return have a weight, and the window is normalised over these
-// pixels. So dropped and unknown pixels, and rows outside the image, have no influence.
-// Columns wrap around if the image is a full sweep.
+// Defines the window of the structural similarity: a Gaussian of 1.5 pixels in 11 x 11
+// pixels. Only known pixels with a return have a weight, and the weights are normalised
+// over these pixels. Therefore pixels without a return, unknown pixels and rows outside
+// the image have no influence. Columns wrap around if the image is a full sweep.
 #ifndef RELIDAR_INCLUDED_DIFF_LOSS_SSIM_GLSL
 #define RELIDAR_INCLUDED_DIFF_LOSS_SSIM_GLSL
 
@@ -11,8 +11,8 @@ const uint kNoPixel = 0xffffffffu;
 // exp(-d^2 / 4.5)
 const float kGaussian[6] = float[](1.0, 0.80073740, 0.41111229, 0.13533528, 0.028565500, 0.0038659201);
 
-/// Returns the pixel at an offset from pixel `i`. Returns kNoPixel if the pixel is
-/// outside the image.
+/// Returns the index of the pixel at an offset from pixel `i`. Returns kNoPixel if that
+/// pixel would be outside the image.
 uint window_pixel(uint i, int row_offset, int column_offset) {
     int columns = int(params.columns);
     int row = int(i / params.columns) + row_offset, column = int(i % params.columns) + column_offset;

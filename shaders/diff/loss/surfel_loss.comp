@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Penalises surfels of actors that are outside the actor's box or large compared with the
-// box. Adds the derivatives to the parameter gradients. One thread per surfel of any
-// model. Input: surfels, touched, models. Accumulated: d_surfels, terms.
+// Loss that penalises surfels of an actor if they are outside the actor's box, or large
+// compared with the box. Adds its derivatives to the parameter gradients. One thread per
+// surfel of any model. Input: surfels, touched, models. Accumulated: d_surfels, terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -13,7 +13,8 @@
 RELIDAR_PARAMS(SurfelLossParams);
 
 /// Returns the penalty for one standard deviation of a surfel.
-/// @param largest_m  largest standard deviation without a penalty, m
+/// @param largest_m largest standard deviation that has no penalty, m
+/// @param write true: adds the derivative to d_log_scale
 float scale_term(Floats log_scale, Floats d_log_scale, uint at, float largest_m, bool write) {
     float relative = exp(log_scale.at[at]) / largest_m;
     if (!(relative > 1.0)) return 0.0;
@@ -21,8 +22,9 @@ float scale_term(Floats log_scale, Floats d_log_scale, uint at, float largest_m,
     return relative - 1.0;
 }
 
-/// Computes the sum over x, y, z of max(0, |mean| / half size - 1). Adds the penalty for
-/// the standard deviations.
+/// Computes the penalty of a surfel. It is the sum over x, y, z of max(0, |mean| / half
+/// size - 1), plus the penalty for large standard deviations.
+/// @param write true: adds the derivatives to the gradients
 /// @return penalty of the surfel
 float box_term(uint i, ModelEntry model, bool write) {
     if (!all(greaterThan(model.half_size, vec3(0.0)))) return 0.0;  // the model has no box

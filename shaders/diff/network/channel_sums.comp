@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sums over the pixels of each channel, split into parts. One subgroup per channel and
-// part. Computes the moments for the normalisation (mean of the part, then sum of squares
-// about it), the derivatives with respect to beta and gamma, or plain sums. Input: from,
-// d_to, scale_shift, moments. Output: partial.
+// Sums over the pixels of each channel of a batch of images. The pixels are split into
+// parts, and one subgroup processes one part of one channel. A constant selects the sums:
+// mean and squared deviations for batch normalisation, derivatives with respect to beta
+// and gamma, or plain sums. Input: from, d_to, scale_shift, moments. Output: partial.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -13,15 +13,15 @@
 RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(ChannelSumsParams);
 
-/// Returns the first pixel of a part of an image. The end of the part is the first pixel
-/// of part + 1.
+/// Returns the first pixel of a part of an image. The part ends before begin_of(part +
+/// 1).
 uint begin_of(uint part, uint of_image) {
     return params.n_pixels / of_image * part + min(part, params.n_pixels % of_image);
 }
 
 /// Returns the contribution of one pixel to the gradients dL/d(beta) and dL/d(gamma) of a
 /// normalisation.
-/// @param plane  index of the first pixel of the image's channel
+/// @param plane index of the first pixel of this channel
 vec2 gradients_at(uint pixel, uint plane, uint d_plane, uint place, vec2 affine, vec2 moments) {
     float x = params.from.values.at[plane + pixel];
     float passes = gate(affine.x * x + affine.y, place + pixel, params.dropout_key, params.dropout);

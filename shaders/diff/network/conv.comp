@@ -1,13 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// Convolution 1x1 or 3x3 as an implicit matrix product. Columns wrap around, rows are
-// padded with zeros.
+// Convolution with 1x1 or 3x3 weights, computed as an implicit matrix product. Columns
+// wrap around, and rows are padded with zeros. The transposed variant is the derivative
+// with respect to the input.
 //   to[o, y, x] = bias[o] + sum_i,ky,kx weights[o, i, ky, kx] from[i, y + ky - 1, x + kx - 1]
-// The transposed variant is the derivative with respect to the input. A subgroup computes
-// RELIDAR_CONV_OUT channels of LANES * PIXELS columns of a row. Sums stay in registers,
-// and neighbouring columns are read from neighbouring lanes. Weights are in shared memory
-// (STAGED) or in the lanes of the subgroup. The latter suits a CPU, which loads lane by
-// lane but moves values between lanes in one instruction. Input: from, weights, bias.
-// Output or accumulated: to. Work: at least 2 n_in TAPS operations per value.
+//
+// A subgroup computes RELIDAR_CONV_OUT channels of LANES * PIXELS columns of a row. Sums
+// stay in registers, and lanes read neighbouring columns from neighbouring lanes. Weights
+// are in shared memory (STAGED) or distributed over the lanes. Distribution is faster on
+// a CPU, which loads lane by lane but moves values between lanes with one instruction.
+//
+// Input: from, weights, bias. Output or accumulated: to. Work: at least 2 n_in TAPS
+// operations per value.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -25,14 +28,14 @@ RELIDAR_PARAMS(ConvParams);
 
 const uint kOut = RELIDAR_CONV_OUT, kIn = RELIDAR_CONV_IN, kLines = TAPS == 1u ? 1u : 3u,
            kHeld = (kOut + LANES - 1u) / LANES;
-// Number of loads per lane. A 3x3 convolution needs one more load for the neighbours of
-// the last lane.
+// Number of loads per lane. A 3x3 convolution needs one more load than a 1x1 convolution,
+// for the neighbours of the last lane.
 const uint kLoads = TAPS == 1u ? PIXELS : PIXELS + 1u;
 shared float tile[kIn * 9 * kOut];  // weights of a tile, indexed [in, tap, out]
 
-/// Copies the weights from some input channels to the output channels of this workgroup
-/// into shared memory. Indices beyond the last channel are clamped, and their values are
-/// never used.
+/// Copies weights to shared memory: those from kIn input channels to the output channels
+/// of this workgroup. Channel indices beyond the last channel are clamped, and the copied
+/// values are not used.
 void load_tile(uint first_out, uint first_in) {
     for (uint k = gl_LocalInvocationIndex; k < kIn * TAPS * kOut; k += gl_WorkGroupSize.x) {
         uint o = min(first_out + k % kOut, params.n_out - 1u),
@@ -41,16 +44,16 @@ void load_tile(uint first_out, uint first_in) {
     }
 }
 
-/// Replaces the weights in shared memory by those of the input channels from `first_in`
-/// on.
+/// Replaces the weights in shared memory by the weights of the next input channels, which
+/// start at `first_in`.
 void stage_tile(uint first_out, uint first_in) {
     barrier();
     load_tile(first_out, first_in);
     barrier();
 }
 
-/// Loads this lane's part of the weights of one input channel and one tap. The lanes of
-/// the subgroup exchange the weights later.
+/// Loads this lane's part of the weights of one input channel and one tap (position in
+/// the 3x3 kernel). Later the lanes exchange their parts.
 void load_weights(uint first_out, uint i, uint tap, out float held[kHeld]) {
     [[unroll]] for (uint k = 0u; k < kHeld; ++k) {
         uint o = min(first_out + k * LANES + gl_SubgroupInvocationID, params.n_out - 1u);
@@ -75,7 +78,8 @@ void main() {
     [[unroll]] for (uint v = 0u; v < kLoads; ++v) column[v] =
         (first_column + v * LANES + lane + (TAPS == 1u ? 0u : params.columns - 1u)) % params.columns;
     [[unroll]] for (uint k = 0u; k < kLines; ++k) {
-        // Row -1 wraps to a large unsigned number, which the bounds check rejects.
+        // Row -1 wraps to a large unsigned number, which the following bounds check
+        // rejects.
         uint row = TAPS == 1u ? y : y + k - 1u;
         inside[k] = row < params.rows;
         row_at[k] = (image * params.from.channels + params.from.first) * n_pixels +

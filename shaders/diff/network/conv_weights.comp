@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derivative of a convolution with respect to its weights, in parts of the images' rows:
+// Computes the derivative of a convolution with respect to its weights. The rows of the
+// images are split into parts:
 //   partial[part, o, i, ky, kx] = sum_y,x d_to[o, y, x] from[i, y + ky - 1, x + kx - 1]
-// A subgroup computes RELIDAR_CONV_OUT output channels of one input channel (1x1: of
-// RELIDAR_CONV_IN input channels). Each lane sums its columns, and the lanes are added at
-// the end. Input: from, d_to. Output: partial, which network/sum_parts sums. Work: at
-// least 2 n_in n_out TAPS operations per pixel.
+//
+// A subgroup computes RELIDAR_CONV_OUT output channels of one input channel, or of
+// RELIDAR_CONV_IN input channels for 1x1. Each lane sums over some columns, and the sums
+// of all lanes are added at the end. Input: from, d_to. Output: partial, which
+// network/sum_parts sums. Work: at least 2 n_in n_out TAPS operations per pixel.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -20,12 +22,12 @@ RELIDAR_PARAMS(ConvWeightsParams);
 const uint kOut = RELIDAR_CONV_OUT, kIn = TAPS == 1u ? RELIDAR_CONV_IN : 1u, kLines = TAPS == 1u ? 1u : 3u;
 
 float sum[kOut * kIn * TAPS];  // partial sums of this lane, indexed [out, in, tap]
-// Pixels of one line, [in, line]. `before` holds the LANES columns that start one column
-// before the lane's column. `next` holds the LANES columns after them.
+// Input pixels of each line, [in, line]. `before` contains the LANES columns that start
+// one column before the lane's column. `next` contains the LANES columns after these.
 float before[kIn * kLines], next[kIn * kLines];
 float d_out[kOut];  // d_to of the lane's column
 
-/// Adds the contribution of LANES columns of a row.
+/// Adds the contribution of LANES columns of a row to the sums of this lane.
 void add_columns() {
     [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) [[unroll]] for (uint kx = 0u; kx < kLines; ++kx) {
         float seen = kx == 0u ? before[k] : from_lane(before[k], next[k], kx);
@@ -49,7 +51,8 @@ void main() {
         bool inside[kIn * kLines];
         uint column = (lane + (TAPS == 1u ? 0u : params.columns - 1u)) % params.columns;
         [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) {
-            // Row -1 wraps to a large unsigned number, which the bounds check rejects.
+            // Row -1 wraps to a large unsigned number, which the following bounds check
+            // rejects.
             uint row = TAPS == 1u ? y : y + k % kLines - 1u, i = min(first_in + k / kLines, params.n_in - 1u);
             inside[k] = row < params.rows;
             row_at[k] = (image * params.from.channels + params.from.first + i) * n_pixels +

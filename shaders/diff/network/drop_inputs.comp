@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Assembles a normalised batch of input images for the ray-drop network. Shifts each
-// image by `turn` columns, which rotates the scene around the sensor. Does not shift the
-// channels that belong to the sensor's pixels. One thread per pixel. Input: samples,
-// targets, chosen, turn, scale_shift. Output: images, start, target.
+// Copies stored samples into a batch of normalised input images for the ray-drop network.
+// Shifts each image by `turn` columns, which is a rotation of the scene around the
+// sensor. Channels that describe the sensor's pixels are not shifted. One thread per
+// pixel. Input: samples, targets, chosen, turn, scale_shift. Output: images, start,
+// target.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sigmoid and cross-entropy of the drop logit (paper, Eq. 13). One subgroup per part of
-// the pixels.
+// Computes the ray-drop probability as the sigmoid of the network's logit, and its
+// cross-entropy loss (paper, Eq. 13). One subgroup processes one part of the pixels.
 //   probability = 1 / (1 + exp(-x)),   d_x = weight (probability - target),   x = logit + start
+//
 // Input: logit, start, target. Output: d_logit, probability, partial.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -12,7 +13,8 @@
 RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(DropLossParams);
 
-/// Returns the cross-entropy of a pixel, and 1 if the predicted class is correct.
+/// Returns two values of a pixel: its cross-entropy, and 1 if the predicted class is
+/// correct, otherwise 0.
 vec2 compare(uint i, float x, float probability) {
     float target = is_null(params.target) ? -1.0 : params.target.at[i];
     bool known = target >= 0.0;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the matrix product C = scale A B for each batch entry and each head. The
-// matrices have arbitrary strides. A subgroup computes RELIDAR_MATMUL_ROWS rows of LANES
-// columns. Each lane holds a column of A, and the subgroup broadcasts its values. Input:
-// a, b. Output: c.
+// Computes the matrix product C = scale A B for each batch entry and each attention head.
+// The matrices may have any strides. A subgroup computes RELIDAR_MATMUL_ROWS rows and
+// LANES columns of C. Each lane loads one column of A, and the subgroup broadcasts the
+// values to all lanes. Input: a, b. Output: c.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Applies normalisation, ReLU and dropout: to = dropout(max(scale x + shift, 0)). A
-// workgroup processes a range of pixels of one channel. Input: from, scale_shift. Output:
-// to. Memory traffic: at least 8 B per value.
+// Applies a normalisation layer with ReLU and dropout: to = dropout(max(scale x + shift,
+// 0)). A workgroup processes a range of pixels of one channel. Input: from, scale_shift.
+// Output: to. Memory traffic: at least 8 B per value.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,22 +1,23 @@
 // SPDX-License-Identifier: Apache-2.0
-// Applies ReLU and dropout after a normalisation. All passes over one batch drop the same
-// values. Include this file after shared/refine.h.
+// Applies ReLU and dropout after a normalisation. The forward and backward passes of one
+// batch drop the same values, because the random numbers depend only on a key and the
+// index. Include this file after shared/refine.h.
 #ifndef RELIDAR_INCLUDED_DIFF_NETWORK_NORM_GLSL
 #define RELIDAR_INCLUDED_DIFF_NETWORK_NORM_GLSL
 #include "../../base/random.glsl"
 
-/// Returns the factor that ReLU and dropout apply to a normalised value. The factor is 0
-/// for a negative or dropped value, otherwise 1 / (1 - dropout).
-/// @param place  index of the value among the values of the layer
+/// Returns the factor that ReLU and dropout apply to a normalised value. It is 0 for a
+/// negative or dropped value, otherwise 1 / (1 - dropout).
+/// @param place index of the value in the layer
 float gate(float normalised, uint place, uint key, float dropout) {
     if (dropout <= 0.0) return normalised > 0.0 ? 1.0 : 0.0;
     float drawn = float(pcg4d(uvec4(key, place, 0u, 0u)).x >> 8u) * (1.0 / 16777216.0);
     return normalised > 0.0 && drawn >= dropout ? 1.0 / (1.0 - dropout) : 0.0;
 }
 
-// Returns the number of workgroups per channel of one image. A workgroup stays within one
-// channel, so that it computes the index of the channel only once. Integer divisions are
-// slow on a CPU.
+// Returns the number of workgroups that process one channel of an image. A workgroup
+// never processes two channels, so that it computes the channel index only once. Integer
+// divisions are slow on a CPU.
 uint stretches(uint n_pixels) {
     uint stretch = gl_WorkGroupSize.x * RELIDAR_NORM_PIXELS;
     return (n_pixels + stretch - 1u) / stretch;
@@ -27,8 +28,7 @@ uint first_pixel(uint n_pixels) {
            gl_LocalInvocationIndex;
 }
 
-/// Returns the index of a channel of one image among the channels of all images of a
-/// tensor.
+/// Returns the index of a channel in a tensor, counted over the channels of all images.
 uint plane_in(ImageSlice slice, uint plane, uint n_channels) {
     return plane / n_channels * slice.channels + slice.first + plane % n_channels;
 }

@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes scale and shift of a batch normalisation (Ioffe and Szegedy) per channel.
-// Combines the moments of the parts into the moments of the batch (Chan). In evaluation,
-// uses the running moments instead. One thread per channel. Input: partial, beta_gamma.
-// In place: running. Output: moments, scale_shift.
+// Computes scale and shift of a batch normalisation (Ioffe and Szegedy) for each channel.
+// In training, combines the mean and variance of all parts into the values of the batch
+// (method of Chan). In evaluation, uses the running mean and variance instead. One thread
+// per channel. Input: partial, beta_gamma. In place: running. Output: moments,
+// scale_shift.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
 #include "../shared/refine.h"
 RELIDAR_PARAMS(NormFinishParams);
 
-/// Returns the mean and the variance of the batch.
+/// Returns the mean and the variance of a channel over the batch.
 vec2 batch_moments(uint channel) {
     float n = 0.0, mean = 0.0, squares = 0.0;
     uint of_image = params.n_parts / params.n_images;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Max pooling: computes the maximum over 2 x 2 pixels. Ignores the last row or column if
-// their number is odd. One thread per pooled value. Input: from (large). Output: to
-// (small).
+// Max pooling: computes the maximum of each block of 2 x 2 pixels. Ignores the last row
+// or column if the number of rows or columns is odd. One thread per pooled value. Input:
+// from (large). Output: to (small).
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derivative of 2 x 2 max pooling. Adds the gradient of a pooled value to the pixel that
-// has the maximum, or to the first of several such pixels. One thread per pooled value.
-// Input: from (small gradients), pooled (large values). In place: to (large gradients).
+// Derivative of max pooling over 2 x 2 pixels. Adds the gradient of each pooled value to
+// the pixel with the maximum. If several pixels have the maximum, uses the first. One
+// thread per pooled value. Input: from (small gradients), pooled (large values). In
+// place: to (large gradients).
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the softmax of each row, or its derivative d_x = p (d_p - sum p d_p). One
-// subgroup per row. In place: values, d_values.
+// Computes the softmax p of each row, or its derivative d_x = p (d_p - sum p d_p). One
+// subgroup processes one row. In place: values, d_values.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adds partial sums in a fixed order. One thread per entry. Input: partial. Output: sum.
+// Adds partial sums in a fixed order, so that the result is the same in every run. One
+// thread per entry. Input: partial. Output: sum.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derivative of the bilinear interpolation. Each small pixel sums the gradients of the
-// large pixels that were interpolated from it. One thread per value. Input: from (large
-// gradients). Output: to (small gradients).
+// Derivative of bilinear upsampling. Each pixel of the small image sums the gradients of
+// all large pixels that were interpolated from it. One thread per value. Input: from
+// (large gradients). Output: to (small gradients).
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -9,8 +9,9 @@
 RELIDAR_PARAMS(ResampleParams);
 #include "resample.glsl"
 
-/// Returns the range of large pixels that may be interpolated from a small pixel: the
-/// first pixel and the number of pixels.
+/// Finds the large pixels that may be interpolated from a small pixel, along one axis.
+/// @param first output: first large pixel
+/// @param n output: number of large pixels
 void candidates(uint at, uint n_large, uint n_small, out int first, out int n) {
     float step = float(n_large) / float(n_small);
     first = int(floor((float(at) - 0.5) * step - 0.5)) - 1;
@@ -40,8 +41,8 @@ void main() {
     int first_x, first_y, n_x, n_y;
     candidates(column, params.columns, params.small_columns, first_x, n_x);
     candidates(row, params.rows, params.small_rows, first_y, n_y);
-    // Clamps the range of rows, because rows do not wrap. The range still contains all
-    // rows that use the first or last small row.
+    // Clamps the range of rows, because rows do not wrap around. The range still contains
+    // all large rows that use the first or last small row.
     first_y = clamp(first_y, 0, int(params.rows) - n_y);
     float sum = 0.0;
     for (int y = first_y; y < first_y + n_y; ++y) {

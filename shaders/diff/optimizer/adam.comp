@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adam (Kingma and Ba) for one parameter group. One thread per row, or one thread per
-// float (PER_FLOAT). With one thread per float, neighbouring threads read neighbouring
-// addresses, which is faster on a GPU but not on a CPU. Rows that are not touched have
-// gradient zero, whatever the array holds. With a list of rows (list_touched.comp), rows
-// that are not in the list stay unchanged. Input: gradients, touched or rows and
-// n_listed, bounds, model_scale, models. In place: values, moment1, moment2.
+// Updates one parameter group with the Adam optimizer (Kingma and Ba). Uses one thread
+// per row on a CPU, and one thread per float (PER_FLOAT) on a GPU. With one thread per
+// float, neighbouring threads read neighbouring addresses, which is faster on a GPU.
+//
+// Rows that are not marked in `touched` have gradient zero, whatever the gradient array
+// contains. If a list of rows exists (list_touched.comp), other rows stay unchanged.
+//
+// Input: gradients, touched or rows and n_listed, bounds, model_scale, models. In place:
+// values, moment1, moment2.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../scene/find_model.glsl"
@@ -13,12 +16,13 @@
 RELIDAR_CONSTANT(bool, PER_FLOAT, false);
 RELIDAR_PARAMS(AdamParams);
 
-/// Updates one parameter of a row with an Adam step.
-/// @param block,within  position of the value: start of its block, column in the block
+/// Updates one value with an Adam step.
+/// @param block index in the row at which the value's block starts
+/// @param within index of the value in its block
 void update(uint row, uint block, uint within, bool has_gradient, float learning_rate) {
     uint i = row * params.stride + block + within;
-    // Loads the gradient without a branch if possible, because on a CPU an unconditional
-    // load is faster.
+    // Loads the gradient unconditionally on a CPU, because a load in a branch is slower
+    // there.
     float g = PER_FLOAT && !has_gradient ? 0.0 : params.gradients.at[i];
     g = has_gradient ? g : 0.0;
     float m = mix(g, params.moment1.at[i], params.beta1);
@@ -29,14 +33,14 @@ void update(uint row, uint block, uint within, bool has_gradient, float learning
         learning_rate * (within == 0u ? params.first_scale : 1.0) * (block == 0u ? params.block_scale : 1.0);
     float value = params.values.at[i] -
                   rate * (m * params.correction1) / (sqrt(v * params.correction2) + params.epsilon);
-    // Clamps with a comparison instead of min(), so that a NaN stays. Later checks look
-    // for NaNs.
+    // Limits the value with a comparison instead of min(), because min() could replace a
+    // NaN. Later checks must be able to find NaNs.
     if (!is_null(params.bounds) && value > params.bounds.at[row]) value = params.bounds.at[row];
     params.values.at[i] = value;
 }
 
-/// Updates all active columns of a row, or one float.
-/// @param i  index among the updated rows, or among the updated floats if PER_FLOAT
+/// Updates all active columns of a row, or only one float.
+/// @param i index of the row, or index of the float if PER_FLOAT
 void step_row(uint i) {
     uint n_updated = params.n_blocks * params.n_active, row = PER_FLOAT ? i / n_updated : i;
     if (!is_null(params.rows)) row = params.rows.at[row];
@@ -50,8 +54,7 @@ void step_row(uint i) {
         update(row, k / params.n_active * params.block, k % params.n_active, has_gradient, learning_rate);
         return;
     }
-    // Uses nested loops instead of divisions, because a CPU divides integers lane by
-    // lane.
+    // Uses nested loops instead of integer divisions, which are slow on a CPU.
     for (uint block = 0u; block < params.stride; block += params.block)
         for (uint within = 0u; within < params.n_active; ++within)
             update(row, block, within, has_gradient, learning_rate);

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of the kernels that make proxy geometry (M3), with k = sqrt(2 ln(sigma /
-// alpha_min)). A surfel gets a rectangle of half sizes k s_u, k s_v, as two triangles. A
-// 3D Gaussian gets the icosahedron around the ellipsoid of half axes k s_u, k s_v, k s_w.
-// Alternatively, both get their axis-aligned box.
+// Parameters of the kernels that compute proxy geometry for ray queries (docs/method.md
+// M3), with k = sqrt(2 ln(sigma / alpha_min)). The proxy of a surfel is a rectangle with
+// half sizes k s_u, k s_v, stored as two triangles. The proxy of a 3D Gaussian is an
+// icosahedron around the ellipsoid with half axes k s_u, k s_v, k s_w. Alternatively,
+// both use their axis-aligned box.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_ACCEL_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_ACCEL_H
 #include "../../scene/shared/scene.h"
@@ -11,21 +12,21 @@ RELIDAR_SHARED_BEGIN
 
 struct ProxyParams {
     Records records;  // input [n], all surfels
-    // Output in m: four corners [n,4,3] per surfel or twelve corners [n,12,3] per 3D
-    // Gaussian. Written only if the proxies are triangles.
+    // Output in m: corners of the proxies, [n,4,3] for surfels or [n,12,3] for 3D
+    // Gaussians. Written only if the proxies are triangles.
     RELIDAR_OF(Floats, ProxyVertices) vertices;
     // Output [n,6] in m: lower and upper corners of the boxes. Written only if the
     // proxies are boxes.
     RELIDAR_OF(Floats, SurfelBoxes) boxes;
-    // Maximum [1] in m, stored as bits of a float: largest distance between a hit and a
-    // point of the icosahedron around its 3D Gaussian. Written only if the proxies are
+    // Output [1] in m, stored as float bits: maximum distance between a hit and a point
+    // of the icosahedron around its 3D Gaussian. Written only if the proxies are
     // triangles.
     Uints reach;
     float alpha_min;  // Opacity threshold. The proxy encloses all points with sigma G >= alpha_min.
-    // Margin added to the size of each proxy, m. It prevents rounding errors of the
-    // traversal from losing a hit.
+    // Margin in m that is added to the size of each proxy, so that rounding errors of the
+    // traversal cannot lose a hit.
     float margin_m;
-    // Factor on the proxy's size. Like the margin, it prevents rounding errors from
+    // Factor on the size of each proxy. Like the margin, it prevents rounding errors from
     // losing a hit.
     float margin_scale;
     uint first_surfel;  // first surfel of the range
@@ -34,11 +35,13 @@ struct ProxyParams {
 
 #define RELIDAR_RADIUS_STRETCH 64u  // surfels per thread of accel/model_radii
 
-/// Parameters of the kernel that computes the radius of each model around its origin.
+/// Parameters of accel/model_radii.comp, which computes the radius of each model around
+/// its origin.
 struct ModelRadiiParams {
     Records records;  // input [n], all surfels
     Models models;    // input [n_models]
-    // Maximum [n_models] in m, stored as bits of floats: radius of each model.
+    // Output [n_models] in m, stored as float bits: radius around the model's origin that
+    // contains all its hits.
     RELIDAR_OF(Uints, ModelRadii) radii;
     float alpha_min;     // Opacity threshold. A ray hits a surfel only where sigma G >= alpha_min.
     float margin_m;      // added to each radius

@@ -1,18 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of the backward kernels. They trace the rays again, add the gradients of
-// hits by surfel, and compute the gradients of poses.
+// Parameters of the kernels of the backward pass. They trace the rays again, add the
+// gradients of hits by surfel, and compute the gradients of poses. A gradient row belongs
+// to one surfel of one instance.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_BACKWARD_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_BACKWARD_H
 #include "trace.h"
 
 RELIDAR_SHARED_BEGIN
 
-#define RELIDAR_GATHER_BLOCK 32u  // hits that one thread sums
-// Row number of a slot without a gradient. It is sorted behind all other rows.
+#define RELIDAR_GATHER_BLOCK 32u  // number of hits that one thread sums
+// Row number of an unused entry. This number is larger than all real row numbers, so that
+// a sort moves unused entries to the end.
 #define RELIDAR_NO_ROW(n_rows) (n_rows)
 
-/// Gradient record of a blended hit, in 16 bytes. Kernels compute all other values of the
-/// hit again.
+/// Gradient data of a blended hit, 16 bytes. Kernels recompute all other values of the
+/// hit.
 struct HitRecord {
     uint ray;  // index in the batch
     uint instance;
@@ -24,64 +26,66 @@ RELIDAR_POINTER(HitRecords, HitRecord);
 struct BackwardParams {
     TraceScene scene;
     RenderedRays rendered;  // Input [n_rays]: results of the forward pass with the same scene.
-    RayGradients upstream;  // input [n_rays]
-    // Accumulated [n_rows,16]. Rows are numbered as in InstanceEntry.
+    RayGradients upstream;  // input [n_rays] gradients of the blended values
+    // Accumulated [n_rows,16]: record gradients. Rows are numbered as in InstanceEntry.
     RELIDAR_OF(Floats, RecordGradients) d_records;
     RELIDAR_OF(Floats, Harmonics) d_sh;  // accumulated [n,3,16], if SH are evaluated per hit
-    // Output [n]: 1 for surfels that have a hit with a gradient. Address 0 means that it
-    // is not needed.
+    // Output [n]: 1 for surfels that have a hit with a gradient. If the address is 0, the
+    // kernel does not write it.
     RELIDAR_OF(Uints, TouchedSurfels) touched;
     // output [n_rays,6] d_origin, d_direction, or address 0
     RELIDAR_OF(Floats, DeviceRayGradients) d_rays;
-    // Input [n_rays]: record slot of each ray's first hit. Used only if hit records are
-    // summed without atomics.
+    // Input [n_rays]: index in `hits` of each ray's first hit. Used only if gradients are
+    // added without atomics.
     RELIDAR_OF(Uints, FirstHits) first_hit;
     HitRecords hits;                  // output [capacity] (gather)
     RELIDAR_OF(Uints, HitRows) rows;  // output [capacity] (gather)
-    // Input [ceil(n/2),n_kept,2]: hits of n threads in the order in which the forward
-    // pass blended them.
+    // Input [ceil(n/2),n_kept,2]: hits of n threads that the forward pass has stored, in
+    // the order of blending.
     Hits kept;
-    uint n_kept;  // Number of hits stored per ray. The backward pass searches later hits again.
-    // Number of slots of `hits`. The gradients of hits in later slots are added with
+    // Number of hits per ray that the forward pass has stored. The backward pass must
+    // search for later hits again.
+    uint n_kept;
+    // Capacity of `hits`. The gradients of hits beyond the capacity are added with
     // atomics.
     uint capacity;
     uint n_rows;
-    // 1: d_records also receives the rotation gradient of the SH directions. Used only if
-    // SH are evaluated per hit.
+    // 1: d_records also receives the rotation gradient of the view direction for
+    // spherical harmonics (SH). Used only if SH are evaluated per hit.
     uint with_turn;
 };
 
-/// Parameters of the kernels that add the gradients of hits by row. Kernel gather_heads
-/// adds the rows that are split over several blocks.
+/// Parameters of the kernels gather and gather_heads, which add the gradients of hits by
+/// row. Kernel gather_heads adds the rows that extend over several blocks of hits.
 struct GatherParams {
     TraceScene scene;
     RayGradients upstream;               // input [n_rays]
     HitRecords hits;                     // input [capacity]
     RELIDAR_OF(Uints, HitRows) rows;     // input [capacity] ascending
-    RELIDAR_OF(Uints, HitSlots) slots;   // Input [capacity]: index into `hits`, sorted by row.
+    RELIDAR_OF(Uints, HitSlots) slots;   // Input [capacity]: indices into `hits`, sorted by row.
     RELIDAR_OF(Uints, HitCount) n_hits;  // input [1], may exceed capacity
-    // [blocks,2,16 or 64]: two partial sums per block. The first belongs to a row that
-    // began in an earlier block. The second belongs to a row that continues in the next
-    // block.
+    // Partial sums [blocks,2,16 or 64] of each block of hits. The first sum belongs to a
+    // row that began in an earlier block. The second sum belongs to a row that continues
+    // in the next block.
     RELIDAR_OF(Floats, RowParts) parts;
     RELIDAR_OF(Floats, RecordGradients) d_records;  // accumulated [n_rows,16]
     RELIDAR_OF(Floats, Harmonics) d_sh;             // accumulated [n,3,16], if SH are evaluated per hit
-    RELIDAR_OF(Uints, MostHits) most_hits;          // maximum [1] of n_hits
+    RELIDAR_OF(Uints, MostHits) most_hits;          // output [1]: maximum of n_hits over all launches
     uint capacity;
     uint n_rows;
 };
 
-/// Consecutive surfels of one instance.
+/// Block of consecutive surfels of one instance, which one workgroup sums.
 struct PoseBlock {
     uint first_surfel;
     uint first_row;
     uint n_surfels;
-    uint with_view;  // 1: the view direction of the model's SH depends on this instance.
+    uint with_view;  // 1: this instance determines the view direction of the model's spherical harmonics.
 };
 RELIDAR_POINTER(PoseBlocks, PoseBlock);
 
-// Number of floats of a sum: force, torque about the model's origin and dL/d(view
-// origin), all in the model frame.
+// Number of floats of a sum: force, torque about the model's origin, and dL/d(view
+// origin). All are in the model frame.
 #define RELIDAR_POSE_SUMS 9
 
 struct PoseBlocksParams {
@@ -98,7 +102,7 @@ struct PosesParams {
     Instances instances;                // input
     RELIDAR_OF(Floats, PoseSums) sums;  // input [n_blocks,9]
     Uints first_block;                  // input [n_instances + 1]
-    // Output [n_instances,6] d_translation, d_rotation, in the world frame.
+    // Output [n_instances,6]: d_translation, d_rotation, in the world frame.
     RELIDAR_OF(Floats, InstancePoseGradients) d_poses;
     vec3 view_origin;  // world, m
     uint n_instances;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Parameters of the densification kernels (docs/method.md section 6). They collect
-// statistics, choose an action for each surfel, and reorder the surfels.
+// statistics, choose an action for each surfel, and move the surfels to their new rows.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_DENSIFY_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_DENSIFY_H
 #include "relidar/base/lang.h"
@@ -8,34 +8,35 @@
 
 RELIDAR_SHARED_BEGIN
 
-// Actions for a surfel.
+// Actions that densification can choose for a surfel.
 #define RELIDAR_DENSIFY_DROP 0  // pruned
 #define RELIDAR_DENSIFY_KEEP 1
-#define RELIDAR_DENSIFY_CLONE 2  // kept, with a copy next to it
+#define RELIDAR_DENSIFY_CLONE 2  // kept, and a copy is added next to it
 #define RELIDAR_DENSIFY_SPLIT 3  // replaced by two smaller surfels
 
 // Counters per model, one uint each.
-#define RELIDAR_DENSIFY_KEPT 0     // survivors, including growing surfels
+#define RELIDAR_DENSIFY_KEPT 0     // surfels that stay, including growing surfels
 #define RELIDAR_DENSIFY_INVALID 1  // dropped: parameters not finite or invalid
 #define RELIDAR_DENSIFY_FAINT 2    // dropped: opacity too small
 #define RELIDAR_DENSIFY_LARGE 3    // dropped: scale too large
 #define RELIDAR_DENSIFY_OUTSIDE 4  // dropped: outside the box of the actor
 #define RELIDAR_DENSIFY_CLONES 5   // surfels that should be cloned
 #define RELIDAR_DENSIFY_SPLITS 6   // surfels that should be split
-#define RELIDAR_DENSIFY_WEIGHT 7   // sum of weights
+#define RELIDAR_DENSIFY_WEIGHT 7   // sum of the weights of growing surfels
 #define RELIDAR_DENSIFY_COUNTERS 8
 
-/// Parameters of the kernel that adds one batch to the densification statistics.
+/// Parameters of densify/observe.comp, which adds one batch to the densification
+/// statistics.
 struct ObserveParams {
-    // Input [n,3]: gradient with respect to the mean. Undefined for surfels without a
-    // gradient in this batch.
+    // Input [n,3]: gradient with respect to the mean. Undefined for surfels whose entry
+    // in `touched` is 0.
     RELIDAR_OF(Floats, Means) d_mean;
     RELIDAR_OF(Uints, TouchedSurfels) touched;  // input [n]
     // Accumulated [n]: sum of the norms of the gradient over all batches.
     RELIDAR_OF(Floats, GradientSums) gradient_sum;
-    // Accumulated [n]: number of batches in whose frame the surfel is visible.
+    // Accumulated [n]: number of batches in whose frame the surfel was visible.
     RELIDAR_OF(Uints, SeenBatches) n_seen;
-    // Accumulated [n,n_words]: one bit per training frame. The bit is set if the surfel
+    // Accumulated [n,n_words]: one bit per training frame. The bit is 1 if the surfel has
     // had a gradient in that frame.
     RELIDAR_OF(Uints, SeenFrames) frames;
     uint n_surfels;
@@ -44,37 +45,39 @@ struct ObserveParams {
     uint is_full_frame;  // 1: the batch contains all rays of the frame.
 };
 
-/// Parameters of the kernel that chooses the action (drop, keep, clone or split) for each
-/// surfel.
+/// Parameters of densify/classify.comp, which chooses the action (drop, keep, clone or
+/// split) for each surfel.
 struct ClassifyParams {
     SurfelPointers surfels;                         // input
     RELIDAR_OF(Floats, GradientSums) gradient_sum;  // input [n]
     RELIDAR_OF(Uints, SeenBatches) n_seen;          // input [n]
     RELIDAR_OF(Uints, DensifyActions) action;       // output [n] RELIDAR_DENSIFY_DROP ... SPLIT
-    // Output [n]: weight with which a surfel receives copies. 0 for a surfel that does
-    // not grow.
+    // Output [n]: weight of each surfel in the distribution of new copies. 0 if the
+    // surfel does not grow.
     RELIDAR_OF(Uints, GrowthWeights) weight;
     RELIDAR_OF(Uints, DensifyCounters) counters;  // accumulated [n_models,RELIDAR_DENSIFY_COUNTERS]
     Models models;                                // input [n_models]
     RELIDAR_OF(Floats, ModelExtents) extents;     // input [n_models] m
     float min_opacity;                            // surfels with a smaller opacity are dropped
-    // Largest allowed scale relative to the model's extent. Larger surfels are dropped.
+    // Maximum scale relative to the model's extent. Surfels with a larger scale are
+    // dropped.
     float max_extent_share;
     // Scale limit relative to the model's extent. Growing surfels below this limit are
-    // cloned, larger ones are split.
+    // cloned. Growing surfels above it are split.
     float clone_extent_share;
-    float gradient_threshold;  // surfels with a larger mean gradient norm grow
+    float gradient_threshold;  // surfels whose mean gradient norm is larger grow
     uint n_surfels;
     uint n_models;
     uint key;  // key of the random numbers
 };
 
-/// Parameters of densify/allot.comp, which distributes n_new copies by weight.
+/// Parameters of densify/allot.comp, which distributes n_new copies to growing surfels in
+/// proportion to their weights.
 struct AllotParams {
     RELIDAR_OF(Uints, GrowthWeights) weight;      // input [n]
     RELIDAR_OF(Uints, WeightsBefore) cumulative;  // input [n] sum of the preceding weights
-    // In place [n]: action of each surfel. Growing surfels that receive no copy become
-    // KEEP.
+    // In place [n]: action of each surfel. Becomes KEEP for growing surfels that receive
+    // no copy.
     RELIDAR_OF(Uints, DensifyActions) action;
     // Output [n]: number of rows that each surfel has after densification.
     RELIDAR_OF(Uints, RowCounts) n_rows;
@@ -84,7 +87,8 @@ struct AllotParams {
     uint phase;  // 0 <= phase < total_weight
 };
 
-/// Parameters of the kernel that copies the rows of one array to their new positions.
+/// Parameters of densify/move.comp, which copies the rows of one array to their new
+/// positions.
 struct MoveParams {
     RELIDAR_OF(Uints, OldRows) from;           // input [n,stride] bits of any type
     RELIDAR_OF(Uints, NewRows) to;             // output [sum of n_rows,stride]
@@ -93,11 +97,13 @@ struct MoveParams {
     RELIDAR_OF(Uints, RowStarts) starts;       // input [n] first new row of each surfel
     uint n_surfels;
     uint stride;
-    uint fresh;  // 1: rows of new and changed surfels become zero, as the moments of Adam require.
+    // 1: rows of new and changed surfels are set to zero, as the moment estimates of Adam
+    // require.
+    uint fresh;
 };
 
-/// Parameters of the kernel that computes the values of split surfels. Their new rows
-/// hold copies of the old values.
+/// Parameters of densify/spawn.comp, which computes the values of split surfels. Their
+/// new rows contain copies of the old values before.
 struct SpawnParams {
     SurfelPointers surfels;                    // in place, in the new order
     RELIDAR_OF(Uints, DensifyActions) action;  // input [n] in the old order
@@ -107,7 +113,7 @@ struct SpawnParams {
     uint key;
 };
 
-/// Parameters of the kernel that lowers the opacity of all surfels.
+/// Parameters of densify/reset_opacity.comp, which limits the opacity of all surfels.
 struct ResetOpacityParams {
     RELIDAR_OF(Floats, OpacityLogits) opacity_logit;  // in place [n]
     float max_logit;

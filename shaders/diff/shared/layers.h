@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 // Parameters of the layers of the ray-drop network: convolution, normalisation and change
-// of size. Images are [n_images, channels, rows, columns], columns fastest. Columns wrap
-// around (azimuth), rows end at the field of view.
+// of image size. Images are [n_images, channels, rows, columns]. Neighbouring columns are
+// adjacent in memory. Columns wrap around (azimuth), and rows end at the sensor's field
+// of view.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_LAYERS_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_LAYERS_H
 #include "images.h"
 
 #define RELIDAR_CONV_OUT 8  // Number of output channels that a subgroup of a convolution kernel computes.
-// Number of input channels whose weights a workgroup of network/conv holds at a time.
-// Also the number of input channels that a subgroup of network/conv_weights processes for
-// 1x1 convolutions.
+// Number of input channels whose weights a workgroup of network/conv keeps in shared
+// memory. A subgroup of network/conv_weights processes the same number of input channels
+// for 1x1 convolutions.
 #define RELIDAR_CONV_IN 8
 // Number of pixels of a channel that one thread of the normalisation kernels computes.
 #define RELIDAR_NORM_PIXELS 8
@@ -19,7 +20,7 @@ RELIDAR_SHARED_BEGIN
 struct ConvParams {
     ImageSlice from;  // input [n_images, n_in, rows, columns]
     ImageSlice to;    // output, or accumulated [n_images, n_out, rows, columns]
-    // Input [n_out,n_in,TAPS]; [n_in,n_out,TAPS] if `transposed`.
+    // Input [n_out,n_in,TAPS]. If `transposed` is 1, [n_in,n_out,TAPS].
     RELIDAR_OF(Floats, ConvWeights) weights;
     RELIDAR_OF(Floats, ConvBias) bias;  // input [n_out], or address 0
     uint n_images;
@@ -27,8 +28,8 @@ struct ConvParams {
     uint columns;
     uint n_in;
     uint n_out;
-    // 1: computes the derivative with respect to the input, with swapped channels and
-    // mirrored taps.
+    // 1: computes the derivative with respect to the input, with input and output
+    // channels exchanged and taps mirrored.
     uint transposed;
     uint accumulate;  // 1: adds the result to the stored values instead of overwriting them.
 };
@@ -36,8 +37,8 @@ struct ConvParams {
 struct ConvWeightsParams {
     ImageSlice from;  // input [n_images, n_in, rows, columns]
     ImageSlice d_to;  // input [n_images, n_out, rows, columns]
-    // Output [n_parts, n_out, n_in, TAPS]: gradient of the weights, summed over the rows
-    // of a part.
+    // Output [n_parts, n_out, n_in, TAPS]: gradient of the weights, summed over the image
+    // rows of each part.
     RELIDAR_OF(Floats, PartSums) partial;
     uint n_images;
     uint rows;
@@ -54,8 +55,8 @@ struct SumPartsParams {
     uint n;
 };
 
-// Parameters of the kernel that sums over the pixels of each channel. The pixels are
-// split into parts.
+// Parameters of network/channel_sums.comp, which sums over the pixels of each channel.
+// The pixels are split into parts.
 struct ChannelSumsParams {
     ImageSlice from;  // input
     ImageSlice d_to;  // input, for kSums_norm_vjp: gradient of the output of network/norm
@@ -67,16 +68,18 @@ struct ChannelSumsParams {
     uint n_images;
     uint n_pixels;  // pixels per image
     uint n_channels;
-    // Number of parts. It is a multiple of n_images, because each part lies within one
-    // image.
+    // Number of parts of all images. It is a multiple of n_images, because each part is
+    // within one image.
     uint n_parts;
     uint dropout_key;
     float dropout;
 };
 #ifdef __cplusplus
-constexpr uint kSums_moments = 0;   // Kind of sums: mean of the part, and sum of squares about this mean.
-constexpr uint kSums_norm_vjp = 1;  // dL/d(beta), dL/d(gamma)
-constexpr uint kSums_plain = 2;     // the sum: derivative with respect to a bias
+// Selects the sums for batch normalisation: mean of each part, and sum of squared
+// deviations from this mean.
+constexpr uint kSums_moments = 0;
+constexpr uint kSums_norm_vjp = 1;  // selects the gradients dL/d(beta), dL/d(gamma)
+constexpr uint kSums_plain = 2;     // selects plain sums, which are the gradient of a bias
 #else
 const uint kSums_moments = 0u, kSums_norm_vjp = 1u, kSums_plain = 2u;
 #endif
@@ -84,11 +87,11 @@ const uint kSums_moments = 0u, kSums_norm_vjp = 1u, kSums_plain = 2u;
 struct NormFinishParams {
     RELIDAR_OF(Floats, PartSums) partial;     // input [n_parts, channels, 2] of kSums_moments
     RELIDAR_OF(Vec2s, BetaGamma) beta_gamma;  // input [channels]
-    // In place [channels]: running mean and variance. They are updated in training and
-    // used in evaluation (`training` is 0).
+    // In place [channels]: running mean and variance. Training updates them. Evaluation
+    // (`training` is 0) uses them.
     RELIDAR_OF(Vec2s, RunningMoments) running;
     RELIDAR_OF(Vec2s, NormMoments) moments;  // output [channels] mean and 1 / deviation
-    // Output [channels]: scale and shift, so that gamma * normalised + beta = scale x +
+    // Output [channels]: scale and shift such that gamma * normalised + beta = scale x +
     // shift.
     RELIDAR_OF(Vec2s, ScaleShift) scale_shift;
     uint n_channels;
@@ -96,7 +99,7 @@ struct NormFinishParams {
     uint n_images;
     uint n_pixels;  // pixels per image
     uint training;
-    float momentum;  // Weight of the new batch when the running mean and variance are updated.
+    float momentum;  // Weight of the current batch in the update of the running mean and variance.
     float epsilon;
 };
 
@@ -107,8 +110,8 @@ struct NormParams {
     uint n_images;
     uint n_pixels;  // pixels per image
     uint n_channels;
-    // Key of the random dropout mask. The mask depends only on this key and on the
-    // position of a value.
+    // Key of the random dropout mask. A value is dropped depending only on this key and
+    // its index.
     uint dropout_key;
     float dropout;  // Share of values that dropout sets to 0. 0 means no dropout.
 };
@@ -129,9 +132,11 @@ struct NormVjpParams {
 };
 
 struct ResampleParams {
-    ImageSlice from;    // input
-    ImageSlice to;      // output; in place for network/pool_vjp
-    ImageSlice pooled;  // Input images of the max pooling. Only the derivative of the pooling reads them.
+    ImageSlice from;  // input
+    ImageSlice to;    // output; in place for network/pool_vjp
+    // Input images of the max pooling. Only the derivative of the pooling
+    // (network/pool_vjp) reads them.
+    ImageSlice pooled;
     uint n_images;
     uint n_channels;
     uint rows;  // size of the larger images

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of the likelihood loss (docs/method.md M12). The meaning of weights, rays
-// and targets is the same as in loss.h.
+// Parameters of the likelihood loss (docs/method.md M12). Weights, rays and targets have
+// the same meaning as in loss.h.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_LIKELIHOOD_LOSS_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_LIKELIHOOD_LOSS_H
 #include "loss.h"
@@ -13,7 +13,7 @@ struct LikelihoodLossParams {
     RayGradients upstream;                // accumulated [n_rays]
     RELIDAR_OF(Floats, LossTerms) terms;  // accumulated
     float weight;
-    float likelihood_floor;  // Share of returns that may have any range, whatever the hits are.
+    float likelihood_floor;  // Assumed share of returns whose range does not depend on the hits.
     uint n_rays;
     uint first_ray;
     uint ray_stride;

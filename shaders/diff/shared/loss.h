@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of the losses (Eq. 10-11) and their derivatives. A weight is already divided
-// by the number of elements over which its term is averaged. Ray k of a launch uses entry
-// first_ray + k * ray_stride of the targets, and entry k of the rendered values and
-// gradients.
+// Parameters of the losses (Eq. 10-11) and their derivatives. Each loss weight is already
+// divided by the number of averaged elements. Ray k of a launch uses entry first_ray + k
+// * ray_stride of the targets, but entry k of rendered values and gradients.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_LOSS_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_LOSS_H
 #include "relidar/diff/loss_terms.h"
@@ -24,23 +23,25 @@ struct ImageLossParams {
     float depth_weight;
     float intensity_weight;
     float drop_weight;
-    // Weight of the loss (1 - W)^2 on pixels with a return, where W is the blended
-    // weight.
+    // Weight of the loss (1 - W)^2 for pixels with a return. W is the blended weight.
     float opacity_weight;
     float intensity_delta;  // Threshold of the Huber loss of the intensity. 0 selects the L1 loss.
     uint n_rays;
     uint first_ray;
     uint ray_stride;
-    // 1: the loss compares the measured range with D / W. 0: with D (as in the paper).
+    // 1: the depth loss compares the measured range with D / W. 0: it compares the range
+    // with D, as in the paper.
     uint normalised_depth;
 };
 
-// Number of floats per pixel: derivatives with respect to the mean, the variance (times
-// two) and the covariance, each divided by the sum of weights, then both means.
+// Number of floats per pixel. Three derivatives come first, each divided by the sum of
+// weights: with respect to the mean, the variance (times two) and the covariance. Both
+// means follow.
 #define RELIDAR_SSIM_FLOATS 5
 
-/// Parameters of the kernels for the structural similarity of the intensity image and its
-/// derivative. Kernel loss/ssim writes `statistics`, and loss/ssim_vjp reads it.
+/// Parameters of the kernels loss/ssim and loss/ssim_vjp for the structural similarity of
+/// the intensity image and its derivative. Kernel ssim writes `statistics`, and ssim_vjp
+/// reads it.
 struct SsimParams {
     RenderedRays rendered;  // input [rows,columns]
     Targets targets;        // input
@@ -48,7 +49,7 @@ struct SsimParams {
     RELIDAR_OF(Floats, SsimStatistics) statistics;
     RayGradients upstream;                // [rows,columns] accumulated by ssim_vjp
     RELIDAR_OF(Floats, LossTerms) terms;  // accumulated by ssim
-    float weight;                         // Weight of the loss 1 - S of one pixel, where S is the similarity.
+    float weight;  // Weight of the loss 1 - S of one pixel. S is the structural similarity.
     uint first_ray;
     uint ray_stride;
     uint rows;
@@ -56,12 +57,12 @@ struct SsimParams {
     uint circular;  // 1: the first column follows the last column
 };
 
-// Value of all three coordinates if a ray has no point.
+// Value of all three coordinates of a point that does not exist.
 #define RELIDAR_NO_POINT 1e30
 #define RELIDAR_NO_INDEX 0xffffffffu
 
-/// Parameters of the kernel that computes the simulated and the measured point of each
-/// ray.
+/// Parameters of loss/chamfer_points.comp, which computes the simulated and the measured
+/// point of each ray.
 struct ChamferPointsParams {
     Rays rays;              // input
     RenderedRays rendered;  // input [n_rays]
@@ -77,8 +78,8 @@ struct ChamferPointsParams {
     uint normalised_depth;  // 1: the range of a simulated point is D / W. 0: the range is D.
 };
 
-/// Parameters of the kernel that computes bounding boxes of tiles of points, or of tiles
-/// of boxes.
+/// Parameters of loss/chamfer_boxes.comp, which computes bounding boxes of tiles of
+/// points, or of tiles of boxes.
 struct ChamferBoxesParams {
     RELIDAR_OF(Vec3s, LowCorners) low;    // input [rows,columns]
     RELIDAR_OF(Vec3s, HighCorners) high;  // input [rows,columns]
@@ -92,7 +93,8 @@ struct ChamferBoxesParams {
     uint tile_columns;
 };
 
-/// Point cloud in the order of an image, with two levels of bounding boxes for searches.
+/// Point cloud with image layout. Two levels of bounding boxes speed up nearest-point
+/// searches.
 struct ChamferCloud {
     RELIDAR_OF(Vec3s, CloudPoints) points;  // [rows,columns]
     RELIDAR_OF(Vec3s, TileLows) tile_low;   // boxes over tile_rows x tile_columns points
@@ -101,13 +103,13 @@ struct ChamferCloud {
     RELIDAR_OF(Vec3s, GroupHighs) group_high;
 };
 
-/// Parameters of the kernel that finds nearest points between two clouds of the same
-/// image size.
+/// Parameters of loss/chamfer_nearest.comp, which finds nearest points between two clouds
+/// of the same image size.
 struct ChamferNearestParams {
     RELIDAR_OF(Vec3s, QueryPoints) queries;  // input [rows,columns]
     ChamferCloud cloud;                      // input
     // Output [rows,columns]: index of the nearest point in cloud.points. RELIDAR_NO_INDEX
-    // if the query has no point or the cloud is empty.
+    // if the query is not a point or the cloud is empty.
     Uints nearest;
     uint rows;
     uint columns;
@@ -115,8 +117,8 @@ struct ChamferNearestParams {
     uint tile_columns;
 };
 
-/// Parameters of the Chamfer loss, which sums squared distances in both directions, and
-/// of its derivative.
+/// Parameters of the Chamfer loss and of its derivative. The loss sums squared
+/// nearest-point distances in both directions.
 struct ChamferParams {
     Rays rays;                                     // input
     RenderedRays rendered;                         // input [n_rays]
@@ -127,8 +129,8 @@ struct ChamferParams {
     // input [n_rays] index, per measured point
     RELIDAR_OF(Uints, NearestSimulated) nearest_simulated;
     RELIDAR_OF(Floats, PointCounts) counts;  // input [2]
-    // [n_rays,2] in m, fixed point: gradients of simulated points that are nearest to a
-    // measured point. Kernel chamfer accumulates them, and chamfer_vjp reads them.
+    // Gradients [n_rays,2] of simulated points that are nearest to a measured point, in
+    // m, fixed point. Kernel chamfer accumulates them, and chamfer_vjp reads them.
     RELIDAR_OF(Uints, FoundGradients) d_found;
     RayGradients upstream;                // accumulated [n_rays] by chamfer_vjp
     RELIDAR_OF(Floats, LossTerms) terms;  // accumulated by chamfer
@@ -139,15 +141,17 @@ struct ChamferParams {
     uint normalised_depth;
 };
 
-/// Parameters of the loss that penalises surfels outside the box of their actor.
+/// Parameters of loss/surfel_loss.comp, which penalises surfels outside the box of their
+/// actor.
 struct SurfelLossParams {
     SurfelPointers surfels;    // input
     SurfelPointers d_surfels;  // accumulated: mean, log_scale
-    // Input [n]: marks rows whose gradients are defined. Address 0 means all rows.
+    // Input [n]: 1 for surfels whose gradients are defined. Address 0 means that all
+    // gradients are defined.
     RELIDAR_OF(Uints, TouchedSurfels) touched;
     RELIDAR_OF(Floats, LossTerms) terms;  // accumulated
     Models models;                        // input [n_models]
-    // Largest scale without a penalty, relative to half the diagonal of the box.
+    // Largest scale that has no penalty, relative to half the diagonal of the box.
     float box_scale_share;
     float box_weight;
     uint first_surfel;  // first surfel of the launch

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of Adam for one parameter group.
+// Parameters of the Adam optimizer for one parameter group.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_OPTIMIZER_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_OPTIMIZER_H
 #include "relidar/scene/surfels.h"
@@ -11,15 +11,18 @@ struct AdamParams {
     RELIDAR_OF(Floats, AdamGradients) gradients;  // input [n_rows,stride]
     RELIDAR_OF(Floats, FirstMoments) moment1;     // in place
     RELIDAR_OF(Floats, SecondMoments) moment2;    // in place
-    // Input [n_rows]: marks the rows that have a gradient. Address 0 means all rows.
+    // Input [n_rows]: 1 for rows that have a gradient. Address 0 means that all rows have
+    // a gradient.
     RELIDAR_OF(Uints, TouchedSurfels) touched;
-    // Input [n_listed]: rows that are updated. Address 0 means all n_rows rows.
+    // Input [n_listed]: indices of the rows to update. Address 0 means that all n_rows
+    // rows are updated.
     RELIDAR_OF(Uints, TouchedRows) rows;
     RELIDAR_OF(Uints, TouchedCount) n_listed;  // input [1]
-    // Input [n_rows]: upper bound of the values in each row. Address 0 means no bounds.
+    // Input [n_rows]: upper bound of the values in each row. Address 0 means that values
+    // have no bounds.
     RELIDAR_OF(Floats, ScaleBounds) bounds;
-    // Input [n_models]: factor on the learning rate for the rows of each model. Address 0
-    // means a factor of 1.
+    // Input [n_models]: factor on the learning rate of each model. Address 0 means that
+    // all factors are 1.
     RELIDAR_OF(Floats, ModelRates) model_scale;
     Models models;  // input [n_models], if there are factors
     float learning_rate;
@@ -28,11 +31,11 @@ struct AdamParams {
     float epsilon;
     float correction1;  // 1 / (1 - beta1^step)
     float correction2;  // 1 / (1 - beta2^step)
-    // Factor on the learning rate of column 0 of each block. For SH this column is the
-    // constant (DC) coefficient.
+    // Factor on the learning rate of column 0 of each block. In spherical harmonics,
+    // column 0 is the constant coefficient.
     float first_scale;
-    // Factor on the learning rate of the first block. For SH this block is the intensity,
-    // the others are the drop logits.
+    // Factor on the learning rate of the first block. In spherical harmonics, the first
+    // block is the intensity and the others are the logits.
     float block_scale;
     uint n_models;
     uint first_row;  // surfel of row 0

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of the remaining kernels of the ray-drop network: matrix products, softmax,
-// inputs and loss.
+// Parameters of the other kernels of the ray-drop network: matrix products, softmax,
+// input images and loss.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_REFINE_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_REFINE_H
 #include "layers.h"
@@ -9,17 +9,17 @@
 
 RELIDAR_SHARED_BEGIN
 
-// View of a matrix with strides, for batched products C[b,h][i,j] = scale sum_k
+// View of a matrix with strides. Used for batched products C[b,h][i,j] = scale sum_k
 // A[b,h][i,k] B[b,h][k,j].
 struct MatrixView {
     Floats values;
     uint first;
     uint batch;  // Distance in floats between the matrices of two consecutive batch entries.
-    uint head;   // Distance in floats between the matrices of two consecutive heads.
+    uint head;   // Distance in floats between the matrices of two consecutive attention heads.
     uint row;
     uint column;
-    // Pads the struct to 32 bytes, so that later fields have the same offset in C++ and
-    // GLSL.
+    // Pads the struct to 32 bytes, so that the fields after it have the same offset in
+    // C++ and GLSL.
     uint unused;
 };
 struct MatmulParams {
@@ -35,12 +35,11 @@ struct MatmulParams {
 };
 
 struct SoftmaxParams {
-    // In place [n_rows, n]: replaced by the softmax of each row. The derivative reads the
-    // softmax from here.
+    // In place [n_rows, n]: input values, replaced by the softmax of each row. The
+    // derivative reads the softmax from this array.
     RELIDAR_OF(Floats, SoftmaxValues) values;
-    // In place [n_rows, n]: derivative with respect to the softmax, replaced by the
-    // derivative with respect to its input. Address 0 means that this is the forward
-    // pass.
+    // In place [n_rows, n]: gradient of the softmax, replaced by the gradient of its
+    // input. Address 0 selects the forward pass.
     RELIDAR_OF(Floats, SoftmaxGradients) d_values;
     uint n_rows;
     uint n;
@@ -49,23 +48,23 @@ struct SoftmaxParams {
 struct DropLossParams {
     RELIDAR_OF(Floats, DropLogits) logit;   // input [n]
     RELIDAR_OF(Floats, StartLogits) start;  // input [n], added to logit, or address 0
-    // Input [n]: 1 for a dropped ray, 0 for a return, negative for an unknown ray.
-    // Address 0 means that all rays are unknown.
+    // Input [n]: 1 for a ray without a return, 0 for a ray with a return, negative for an
+    // unknown ray. Address 0 means that all rays are unknown.
     RELIDAR_OF(Floats, DropTargets) target;
-    // Output [n]: derivative of `weight` times the sum of the cross-entropy over the
-    // known pixels.
+    // Output [n]: derivative of the loss, which is `weight` times the sum of the
+    // cross-entropies of the known pixels.
     RELIDAR_OF(Floats, DropLogitGradients) d_logit;
     RELIDAR_OF(Floats, DropProbabilities) probability;  // output [n], or address 0
-    // Output [n_parts, 2]: sum of the cross-entropies and number of correct pixels of
-    // each part.
+    // Output [n_parts, 2]: sum of the cross-entropies of each part, and its number of
+    // correctly predicted pixels.
     RELIDAR_OF(Floats, PartSums) partial;
     uint n;
     uint n_parts;
     float weight;  // weight per pixel
 };
 
-// Parameters of the kernel that assembles a batch of input images from the stored
-// samples.
+// Parameters of network/drop_inputs.comp, which copies stored samples into a batch of
+// input images.
 struct DropInputsParams {
     RELIDAR_OF(Floats, DropSamples) samples;    // input [n_samples, channels, n_pixels] rendered values
     RELIDAR_OF(Floats, SampleTargets) targets;  // input [n_samples, n_pixels], or address 0
@@ -78,8 +77,8 @@ struct DropInputsParams {
     RELIDAR_OF(Floats, DropTargets) target;  // output [n_images, n_pixels]
     uint n_images;
     uint n_channels;
-    // Number of channels at the end that belong to the sensor's pixels and are not
-    // rotated.
+    // Number of channels at the end that describe the sensor's pixels, so that they are
+    // not rotated.
     uint n_fixed;
     uint logit_channel;
     uint rows;

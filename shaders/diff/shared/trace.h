@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of the kernels that trace rays.
+// Parameters of the kernels that find and blend the hits of rays.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_TRACE_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_TRACE_H
 #include "relidar/diff/bvh.h"
@@ -14,25 +14,26 @@ RELIDAR_SHARED_BEGIN
 /// * ray_stride of `rays`.
 struct TraceScene {
     TlasHandle tlas;  // acceleration structure (ray query)
-    // Input [1] in m: largest distance from a hit to the far side of its icosahedron.
-    // Used for ray queries with 3D Gaussians, otherwise address 0.
+    // Input [1] in m: maximum distance from a hit to the far side of the icosahedron
+    // around it. Used for ray queries with 3D Gaussians, otherwise address 0.
     RELIDAR_OF(Floats, ProxyReach) proxy_reach;
     MovingInstances moving;  // input [n_moving] (ray query)
-    // Input [n_models] in m: radius of each model around its origin. Used for ray
-    // queries.
+    // Input [n_models] in m: radius around each model's origin that contains all its
+    // hits. Used for ray queries.
     RELIDAR_OF(Floats, ModelRadii) model_radii;
     BvhPointers bvh;                   // the tree (software traversal)
     Rays rays;                         // input
     Records records;                   // input
     Instances instances;               // input
     RELIDAR_OF(Floats, Harmonics) sh;  // input [n,3,16], read if SH are evaluated per hit
-    // Accumulated [1]: number of rays that reached the maximum number of passes.
+    // Accumulated [1]: number of rays that ended early because they reached the maximum
+    // number of passes.
     RELIDAR_OF(Uints, PassCapCount) pass_cap_count;
-    // Accumulated [2]: number of visited nodes and of tested surfels. Only kernels of the
-    // software traversal that count visits write it.
+    // Accumulated [2]: number of visited nodes and number of tested surfels. Written only
+    // by kernels of the software traversal that count visits.
     RELIDAR_OF(Uints, VisitCounters) visits;
-    // Input: measurements of the rays. Address 0 means no measurements. Used only by
-    // kernels that are built with likelihoods.
+    // Input: measurements of the rays. Address 0 means that none exist. Used only by
+    // kernels that compute likelihoods.
     Targets targets;
     float near_m;
     float alpha_min;
@@ -46,20 +47,20 @@ struct TraceScene {
     uint first_ray;
     uint ray_stride;
     // Number of columns of the image that the batch forms. Its rays are traced in tiles.
-    // 0 means that rays are traced in their order.
+    // If 0, rays are traced in their order.
     uint columns;
 };
 
 #define RELIDAR_MOST_ROOM 512  // maximum capacity of a list
-// Maximum number of hits per lane while a subgroup sorts a list. So a list can hold at
-// most 16 hits per lane.
+// Maximum number of hits per lane when a subgroup sorts a list. A list can therefore
+// contain at most 16 hits per lane.
 #define RELIDAR_MOST_HELD 16
-#define RELIDAR_SORTED_TOGETHER 4u  // lists that a workgroup sorts
-// Flag in the length of a hit list: the transmittance falls below the limit within the
-// list, so the ray ends there.
+#define RELIDAR_SORTED_TOGETHER 4u  // lists that one workgroup sorts
+// Flag in the length of a hit list. The flag means that the ray ends within the list,
+// because its transmittance falls below the limit there.
 #define RELIDAR_LIST_CLOSED 0x80000000u
-// Value of a list's length if the list cannot be used. Kernel forward/trace then renders
-// the ray.
+// Length of a hit list that cannot be used. Kernel forward/trace then renders the ray
+// without the list.
 #define RELIDAR_LIST_UNFIT 0xffffffffu
 
 /// Hit lists, one for each tracing thread.
@@ -70,34 +71,34 @@ struct HitLists {
     uint room;  // capacity of a list in hits
 };
 
-/// Parameters of the forward kernels. Kernel forward/blend blends the hits of lists.
-/// Kernel forward/trace finds and blends hits.
+/// Parameters of the forward kernels. Kernel forward/blend blends hits from lists. Kernel
+/// forward/trace finds and blends hits without lists.
 struct ForwardParams {
     TraceScene scene;
-    // Hit lists of the rays. If they exist, forward/trace traces only rays whose list
-    // could not be used.
+    // Hit lists of the rays. If they exist, forward/trace renders only the rays whose
+    // list cannot be used.
     HitLists lists;
     RenderedRays rendered;  // output [n_rays]
-    // Output [ceil(n/2),n_kept,2]: first hits of the rays of n threads, for the backward
+    // Output [ceil(n/2),n_kept,2]: the first hits of each ray, stored for the backward
     // pass.
     Hits kept;
-    // Accumulated [1]: number of rays with more hits than are stored. Not used if n_kept
-    // is 0.
+    // Accumulated [1]: number of rays with more hits than n_kept. Not used if n_kept is
+    // 0.
     RELIDAR_OF(Uints, OverfullCount) n_overfull;
-    // Output [n_rays]: surface of each ray. Written only by kernels that are built with
-    // normals or modes.
+    // Output [n_rays]: surface that each ray hit. Written only by kernels that are built
+    // with normals or modes.
     RenderedSurfaces surfaces;
     uint n_kept;
-    uint kept_in_lists;  // 1: the hits for the backward pass are stored in the same memory as lists.hits.
-    // Minimum distance between two surfaces of a ray. Used only by kernels that are built
-    // with modes.
+    uint kept_in_lists;  // 1: the stored hits share the memory of lists.hits.
+    // Minimum distance in m between two surfaces on a ray. Used only by kernels that are
+    // built with modes.
     float surface_gap_m;
 };
 
 struct AppendParams {
     TraceScene scene;
     HitLists lists;  // output: unordered hits
-    // Accumulated [1]: number of rays with more hits than a list can hold.
+    // Accumulated [1]: number of rays that have more hits than a list can contain.
     RELIDAR_OF(Uints, OverflowCount) n_overflows;
 };
 
@@ -105,7 +106,8 @@ struct SortHitsParams {
     HitLists lists;  // in and output: hits sorted by key
 };
 
-/// Parameters of the kernel that writes all hits of each ray from near to far, for tests.
+/// Parameters of traversal/collect_hits.comp, which writes all hits of each ray from near
+/// to far, for tests.
 struct CollectHitsParams {
     TraceScene scene;
     RELIDAR_OF(Uints, HitCounts) counts;       // output [n_rays] number of hits, may exceed max_hits

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds hits by testing every surfel of every instance. Tests compare the acceleration
-// structures with this search.
+// Finds the hits of a ray by testing every surfel of every instance. Tests compare the
+// acceleration structures with this search.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_BRUTE_FORCE_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_BRUTE_FORCE_GLSL
 

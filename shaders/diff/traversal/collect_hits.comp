@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes all hits of each ray from near to far. Does not stop at low transmittance. The
-// tests compare these hits between all acceleration structures. One thread per ray.
+// Writes all hits of each ray from near to far, even if the transmittance is already low.
+// Tests compare these hits between the acceleration structures. One thread per ray.
 // Input: scene. Output: counts, t, instance, surfel.
 #version 460
 #extension GL_GOOGLE_include_directive : require

@@ -1,38 +1,40 @@
 // SPDX-License-Identifier: Apache-2.0
-// Buffer for the nearest hits of a ray. Each thread has one buffer, which holds at most
-// CHUNK hits in order. next_hits() fills it.
+// Buffer for the nearest hits of a ray. Each thread has one buffer with at most CHUNK
+// hits. next_hits() fills the buffer and sorts it from near to far.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_HIT_BUFFER_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_HIT_BUFFER_GLSL
 RELIDAR_CONSTANT(uint, CHUNK, 16u);
 
-// While the buffer is filled, it is a linked ring of at most CHUNK slots, from the
-// farthest hit to the nearest. A hit is inserted without moving others. Slot CHUNK is a
-// sentinel between the nearest and the farthest hit. The search for an insertion point
-// starts at the far end, because hits arrive roughly from near to far. It starts at the
-// latest hit if the new hit is nearer than that, because hits arrive in clusters.
+// During the search, the buffer is a linked ring of at most CHUNK entries, ordered from
+// the farthest hit to the nearest. Therefore inserting a hit does not move other hits.
+// Entry CHUNK is a sentinel between the nearest and the farthest hit.
+//
+// The search for an insertion point starts at the farthest hit, because hits arrive
+// roughly from near to far. If the new hit is nearer than the latest inserted hit, the
+// search starts at the latest hit, because hits arrive in clusters.
 const float kFar = 1e38;
 float placed_t[SLOTS];
-uint next_nearer[SLOTS];  // slot of the next nearer hit
+uint next_nearer[SLOTS];  // index of the next nearer hit
 float placed_alpha[SLOTS];
 uint placed_instance[SLOTS];
 uint placed_surfel[SLOTS];
 uint n_hits;
-uint n_places;  // slots used so far
-// First free slot of a removed hit, or CHUNK if no slot is free. The array next_nearer
-// links the free slots.
+uint n_places;  // number of entries used so far
+// First free entry of a removed hit, or CHUNK if no entry is free. next_nearer links the
+// free entries.
 uint free_place;
-uint latest;       // slot of the hit that was inserted last
-float latest_t;    // Distance of the hit that was inserted last, or -kFar if this hit was removed.
-float farthest_t;  // distance of the farthest hit, if hits_closed
-// True if hits beyond the last hit cannot contribute in this pass, so that the search may
-// end there.
+uint latest;       // index of the hit that was inserted last
+float latest_t;    // Distance of the hit that was inserted last. It is -kFar if that hit was removed.
+float farthest_t;  // distance of the farthest hit, valid if hits_closed is true
+// True if hits behind the farthest hit cannot contribute in this pass (the buffer is
+// closed). The search then stops at the farthest hit.
 bool hits_closed;
-float hits_transmittance;  // product of 1 - alpha over the buffer
-// Transmittance below which the ray ends, so hits farther away are not needed. 0 keeps
-// all hits.
+float hits_transmittance;  // product of 1 - alpha over all hits in the buffer
+// Transmittance at which the ray ends, so that later hits are not needed. 0 keeps all
+// hits.
 float least_transmittance;
 
-// Slots of the hits of a filled buffer, sorted from near to far.
+// Indices of the hits after the search, sorted from near to far.
 uint hit_place[SLOTS];
 
 Hit placed_hit(uint place) {
@@ -40,11 +42,11 @@ Hit placed_hit(uint place) {
 }
 Key placed_key(uint place) { return Key(placed_t[place], placed_instance[place], placed_surfel[place]); }
 
-/// Returns hit i of the filled buffer. Hit 0 is the nearest hit.
+/// Returns hit i of the sorted buffer. Hit 0 is the nearest hit.
 Hit hit_at(uint i) { return placed_hit(hit_place[i]); }
 Key hit_key(uint i) { return placed_key(hit_place[i]); }
 
-/// Writes a hit to a slot of the buffer.
+/// Writes a hit to an entry of the buffer.
 void place_hit(uint place, Hit hit) {
     placed_t[place] = hit.t;
     placed_alpha[place] = hit.alpha;
@@ -59,7 +61,7 @@ void append_hit(Hit hit) {
     ++n_hits;
 }
 
-/// Writes the slots of a filled buffer to hit_place, from near to far.
+/// Writes the indices of all hits to hit_place, sorted from near to far.
 void order_hits() {
     uint place = next_nearer[CHUNK];
     for (uint i = n_hits; i > 0u; --i) {
@@ -69,8 +71,8 @@ void order_hits() {
 }
 
 /// Removes the farthest hit from the buffer.
-/// @param left  transmittance of the remaining hits
-/// @return slot of the removed hit
+/// @param left transmittance of the remaining hits
+/// @return index of the entry that is free now
 uint drop_farthest(float left) {
     uint place = next_nearer[CHUNK];
     next_nearer[CHUNK] = next_nearer[place];
@@ -80,15 +82,15 @@ uint drop_farthest(float left) {
     return place;
 }
 
-/// Returns the transmittance of all hits in the buffer except the farthest hit.
+/// Returns the transmittance of the ray before the farthest hit in the buffer.
 float left_before_farthest(float alpha_max) {
     return hits_transmittance / (1.0 - min(placed_alpha[next_nearer[CHUNK]], alpha_max));
 }
 
 /// Removes the farthest hits if the nearer hits already reduce the transmittance below
-/// T_min. Hits behind these cannot contribute.
+/// the limit, because the removed hits cannot contribute.
 void cut_by_transmittance(float alpha_max) {
-    // Returns early in the usual case. Without this test a CPU would execute the loop
+    // Returns early in the usual case. Without this test, a CPU would execute the loop
     // body once.
     if (!(hits_transmittance < least_transmittance)) return;
     while (n_hits > 1u) {
@@ -101,7 +103,8 @@ void cut_by_transmittance(float alpha_max) {
     }
 }
 
-/// Returns a slot for a new hit: the slot of a removed hit, or an unused slot.
+/// Returns the index of an entry for a new hit. It is an entry of a removed hit or an
+/// unused entry.
 uint insertion_index(float alpha_max) {
     if (n_hits == CHUNK) return drop_farthest(left_before_farthest(alpha_max));
     uint place = free_place;
@@ -110,16 +113,18 @@ uint insertion_index(float alpha_max) {
     return place;
 }
 
-/// Inserts a hit into the sorted buffer. Removes the farthest hit if the buffer is full.
+/// Inserts a hit into the ordered buffer. If the buffer is full, removes the farthest hit
+/// first.
 void insert(Key key, float alpha, float alpha_max) {
     uint farther = key.t < latest_t ? latest : CHUNK, nearer = next_nearer[farther];
     for (;;) {
         float t = placed_t[nearer];
         if (!(t >= key.t)) break;
-        if (t == key.t) {  // equal distances are rare
+        if (t == key.t) {  // hits at equal distances are rare
             Key present_key = placed_key(nearer);
-            // Ignores a surfel that is already in the buffer. The ray also hit its other
-            // triangle, or the driver reported its box twice.
+            // Ignores a hit that is already in the buffer. A hit arrives twice if the ray
+            // crosses two triangles of the same proxy, or if the driver reports a box
+            // twice.
             if (present_key == key) return;
             if (before(present_key, key)) break;
         }
@@ -127,8 +132,8 @@ void insert(Key key, float alpha, float alpha_max) {
         nearer = next_nearer[nearer];
     }
     uint slot = insertion_index(alpha_max);
-    // The new slot belonged to the farthest hit, which was removed, so the sentinel
-    // replaces it as neighbour.
+    // If the farther neighbour was removed to make space, its entry now belongs to the
+    // new hit. The sentinel then becomes the farther neighbour.
     if (slot == farther) farther = CHUNK;
     place_hit(slot, Hit(key.t, alpha, key.instance, key.surfel));
     latest = slot;
@@ -142,8 +147,8 @@ void insert(Key key, float alpha, float alpha_max) {
     if (hits_closed) farthest_t = placed_t[next_nearer[CHUNK]];
 }
 
-/// Returns the distance of the farthest hit in the buffer. A closed buffer accepts no
-/// hits behind it.
+/// Returns the distance of the farthest hit in the buffer. If hits_closed is true, the
+/// buffer accepts no hits behind this distance.
 float last_hit_t() { return farthest_t; }
 
 /// Returns true if a hit is too far away to contribute in this pass.
@@ -156,7 +161,7 @@ void reset_hits(float least) {
     n_hits = 0u;
     n_places = 0u;
     free_place = CHUNK;
-    placed_t[CHUNK] = -kFar;  // sentinel: nearer than any hit
+    placed_t[CHUNK] = -kFar;  // sentinel, nearer than any hit
     next_nearer[CHUNK] = CHUNK;
     latest_t = -kFar;
     hits_closed = false;

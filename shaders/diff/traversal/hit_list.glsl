@@ -1,41 +1,42 @@
 // SPDX-License-Identifier: Apache-2.0
-// Hit list that next_hits() fills in kernels that append. The hits are stored in global
-// memory, unordered, because an ordered buffer costs a GPU more time than the search.
-// Kernel forward/sort_hits sorts the list afterwards.
+// List of the hits of a ray in global memory, which replaces the ordered hit buffer in
+// some kernels. The list is not ordered, because ordering during the search takes a GPU
+// more time than the search itself. Kernel forward/sort_hits sorts the list afterwards.
 //
-// No hit is lost. If the product of 1 - alpha over some set of hits is below T_min, the
-// same holds for all hits up to the farthest of the set. So the ray ends at that hit or
-// before it. The hits that arrive afterwards are nearer and form the next set, which can
-// move the end of the ray nearer again. A hit that a driver reports twice counts twice,
-// so the list may be closed too early. Kernel forward/blend detects that the ray has not
-// ended, and leaves the ray to forward/trace.
+// Shortening the ray never loses a hit that contributes. If the product of 1 - alpha over
+// a set of hits is below T_min, the ray ends at the farthest hit of the set or before it.
+// Then the product starts again with the following hits, which are all nearer. They can
+// shorten the ray again.
+//
+// If a driver reports a hit twice, the product contains it twice, so the ray may be
+// shortened too much. Kernel forward/blend detects such a ray because its transmittance
+// has not reached the limit. It leaves the ray to kernel forward/trace.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_HIT_LIST_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_HIT_LIST_GLSL
 
-HitLists listed;  // hit lists of the launch
+HitLists listed;  // hit lists of all threads of the launch
 uint list_index;
-uint n_hits;       // Number of hits so far, including hits that do not fit into the list.
-bool hits_closed;  // True if hits behind the distance end_t cannot contribute any more.
+uint n_hits;       // Number of hits of the ray so far, including hits that do not fit into the list.
+bool hits_closed;  // True if hits behind the distance end_t cannot contribute.
 float end_t;
-// Product of 1 - alpha over the hits since the far end of the list was last shortened.
+// Product of 1 - alpha over the hits since the ray was last shortened.
 float set_transmittance;
-// Limit of the transmittance product. When the product falls below it, the far end of the
-// list is shortened.
+// The ray is shortened when set_transmittance falls below this limit.
 float least_transmittance;
-float farthest_t;  // Distance of the farthest hit since the far end of the list was last shortened.
+float farthest_t;  // Distance of the farthest hit since the ray was last shortened.
 
-/// Returns the distance of the last hit that can contribute. Hits behind this distance
-/// are not added to a closed list.
+/// Returns the distance of the last hit that can contribute. If hits_closed is true, the
+/// list accepts no hits behind this distance.
 float last_hit_t() { return end_t; }
 
-/// Returns true if a hit cannot contribute any more.
+/// Returns true if a hit is too far away to contribute.
 bool is_behind(Key key) { return hits_closed && key.t > end_t; }
 
-/// Returns the factor by which one reported hit reduces the transmittance product.
+/// Returns the factor by which one reported hit reduces the transmittance.
 float left_by(float alpha) {
 #ifdef RELIDAR_TRAVERSAL_RAY_QUERY
-    // A driver reports an icosahedron twice: where the ray enters and where the ray
-    // leaves. So each report counts half.
+    // The driver reports an icosahedron twice, where the ray enters it and where the ray
+    // leaves it. The square root makes both reports together count once.
     if (proxy_triangles() == kProxy_icosahedron) return sqrt(1.0 - alpha);
 #endif
     return 1.0 - alpha;
@@ -44,7 +45,7 @@ float left_by(float alpha) {
 /// Appends a hit to the list.
 void insert(Key key, float alpha, float alpha_max) {
     uint slot = n_hits++;
-    if (slot >= listed.room) {  // The list is full, so forward/trace must render this ray.
+    if (slot >= listed.room) {  // The list is full, so kernel forward/trace must render this ray.
         hits_closed = true;
         end_t = 0.0;
         return;
@@ -60,7 +61,7 @@ void insert(Key key, float alpha, float alpha_max) {
     }
 }
 
-/// Does nothing, because kernel forward/sort_hits sorts the list.
+/// Does nothing, because kernel forward/sort_hits sorts the list later.
 void order_hits() {}
 
 void reset_hits(float least) {

@@ -15,10 +15,10 @@ bool before(Key a, Key b) {
     return a.surfel < b.surfel;
 }
 
-/// Returns the index of hit k of a hit list that has space for `room` hits. Each thread
-/// has one list. A few lists are interleaved, so that memory accesses use complete cache
-/// sectors. This holds if each thread reads its list, and if the lanes read one list
-/// together.
+/// Returns the index of hit k of a hit list with capacity `room`. Each thread has one
+/// list. RELIDAR_SIDE_BY_SIDE lists are interleaved, so that reads use complete cache
+/// sectors. This holds both if each thread reads a separate list and if all lanes read
+/// one list together.
 uint list_entry(uint room, uint list, uint k) {
     return ((list / RELIDAR_SIDE_BY_SIDE) * room + k) * RELIDAR_SIDE_BY_SIDE + list % RELIDAR_SIDE_BY_SIDE;
 }

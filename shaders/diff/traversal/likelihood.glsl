@@ -1,16 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// Likelihood of a hit given the measured range of its ray (docs/method.md M12). Only
-// kernels that are built with this feature use it. Include this file after includes.glsl.
+// Computes the likelihood of a hit given the measured range of its ray (docs/method.md
+// M12). Only kernels that are built with likelihoods use this file. Include it after
+// includes.glsl.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_LIKELIHOOD_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_LIKELIHOOD_GLSL
 RELIDAR_CONSTANT(uint, LIKELIHOOD, 0u);
 
-// Measurement of this thread's ray, if LIKELIHOOD is set.
-// Measured range in m. 0 if the ray was dropped or its measurement is unknown.
+// Measured range of this thread's ray in m, used if LIKELIHOOD is set. 0 if the ray has
+// no return or its measurement is unknown.
 float measured_range = 0.0;
 float measured_per_scale = 0.0;  // inverse of the likelihood's scale, in 1/m
 
-/// Loads the measurement of a ray of the batch.
+/// Loads the measurement of a ray into this thread's variables.
 void load_measurement(TraceScene scene, uint ray) {
     measured_range = 0.0;
     if (is_null(scene.targets)) return;
@@ -19,8 +20,8 @@ void load_measurement(TraceScene scene, uint ray) {
     measured_per_scale = 1.0 / scene.likelihood_scale_m;
 }
 
-/// Returns the likelihood k = 1 / (1 + ((t - z) / s)^2) of a hit at t, where z is the
-/// measured range and s its scale. Returns 0 if no range was measured.
+/// Returns the likelihood k = 1 / (1 + ((t - z) / s)^2) of a hit at distance t. z is the
+/// measured range, and s is its scale. Returns 0 if no range was measured.
 float range_kernel(float t) {
     if (!(measured_range > 0.0)) return 0.0;
     float d = (t - measured_range) * measured_per_scale;

@@ -11,24 +11,26 @@ struct Ray {
 
 Ray ray_of(DeviceRay entry) { return Ray(entry.origin, entry.direction, entry.time_s); }
 
-// Ray in the frame of the instance that was used last. It is cached because consecutive
-// candidates usually belong to one instance.
+// Cached ray in the frame of the last instance. Consecutive surfels usually belong to the
+// same instance, so the cache avoids most transforms.
 uint entered_instance = 0xffffffffu;
 uint entered_first_surfel;
 vec3 entered_origin;
 vec3 entered_direction;
-// Rotation of the model since its reference time as a Rodrigues vector, in the model's
-// axes. turned_by() applies it.
+// Rotation of the model since its reference time, as a Rodrigues vector in the model's
+// axes (see turned_by()).
 vec3 entered_turn = vec3(0.0);
 
-/// Returns the ray of this thread in the order of the batch, or at least n_rays if the
-/// thread has none.
+/// Returns the index of this thread's ray in the batch. The index is at least n_rays if
+/// this thread has no ray.
 ///
-/// In an image, 8 consecutive threads are 4 x 2 pixels and 32 threads are 16 x 2 pixels.
-/// Columns are closer together than rows, so these rays visit the same nodes. Tiles run
-/// down the image first, then across. A driver such as lavapipe gives each of its threads
-/// one contiguous range of workgroups. With this order each range has a similar share of
-/// sky and ground, which differ in cost.
+/// In an image, 8 consecutive threads trace 4 x 2 pixels, and 32 threads trace 16 x 2
+/// pixels. Columns are closer together than rows, so the rays of such a tile visit the
+/// same tree nodes.
+///
+/// Tiles are numbered down the image first, then across. A driver such as lavapipe gives
+/// each of its threads one contiguous range of workgroups. With this order, all ranges
+/// contain sky and ground in similar shares, so they take a similar time.
 uint traced_ray(TraceScene scene) {
     uint i = thread_index();
     if (scene.columns == 0u) return i;
@@ -51,9 +53,9 @@ vec3 exact_cross(vec3 a, vec3 b) {
     return product;
 }
 
-/// Rotates a vector by a Rodrigues vector g (axis times tangent of half the angle). The
-/// length of the vector never changes, so the distance t is the same in the world and in
-/// a rotating model.
+/// Rotates a vector p by a Rodrigues vector g (axis times tangent of half the angle).
+/// This keeps the length of p exactly, so the distance t is the same in the world and in
+/// a rotated model.
 vec3 turned_by(vec3 g, vec3 p) {
     vec3 q = exact_cross(g, p), r = exact_cross(g, q);
     precise vec3 result = p + 2.0 / (1.0 + exact_dot(g, g)) * (q + r);
@@ -70,8 +72,7 @@ vec3 rodrigues_vector(vec3 turn) {
     return g;
 }
 
-/// Transforms the cached ray into the frame that a moving model has at the ray's firing
-/// time.
+/// Transforms the cached ray into the frame of a moving model at the ray's firing time.
 void follow_motion(TraceScene scene, uint instance, float time_s) {
     vec3 velocity = scene.instances.at[instance].velocity, turn_rate = scene.instances.at[instance].turn_rate;
     float span_s = scene.instances.at[instance].half_span_s;
@@ -84,8 +85,9 @@ void follow_motion(TraceScene scene, uint instance, float time_s) {
     entered_direction = turned_by(-entered_turn, entered_direction);
 }
 
-/// Transforms the ray into the frame of an instance's model, with the model's pose at the
-/// ray's firing time. All kernels and traversal backends use this function.
+/// Transforms the ray into the frame of an instance's model, using the model's pose at
+/// the ray's firing time. All kernels and traversal methods use this function, so that
+/// they get bit-identical rays.
 void enter_instance(TraceScene scene, Ray ray, uint instance) {
     if (entered_instance == instance) return;
     InstanceEntry m = scene.instances.at[instance];
@@ -97,8 +99,9 @@ void enter_instance(TraceScene scene, Ray ray, uint instance) {
     if (m.moves != 0u) follow_motion(scene, instance, ray.time_s);
 }
 
-/// Rotates a vector from the model of the current instance into the world frame. Loads
-/// the instance here, because an earlier load would occupy 12 registers until it is used.
+/// Rotates a vector from the frame of the current instance's model into the world frame.
+/// Loads the instance only here, because an earlier load would occupy 12 registers during
+/// the search.
 vec3 world_vector(TraceScene scene, vec3 g) {
     InstanceEntry m = scene.instances.at[entered_instance];
     vec3 v = g;

@@ -1,25 +1,25 @@
 // SPDX-License-Identifier: Apache-2.0
-// Traversal backend: ray query on a two-level acceleration structure. All geometry is
-// non-opaque, so each candidate is offered. When the buffer is closed, the ray is
-// shortened to the last hit. Otherwise the search would visit everything behind that hit.
+// Finds hits with Vulkan ray queries on a two-level acceleration structure. All geometry
+// is non-opaque, so the shader tests each candidate. When the hit buffer is closed, the
+// query stops at its farthest hit.
 //
-// A ray crosses the triangles of a surfel exactly at the hit. A ray enters a box before
-// the hit and leaves it behind the hit. An icosahedron is a surface that encloses the
-// hit, so a ray crosses it before and behind the hit. The far crossing is at most `reach`
-// behind the hit, so the ray is shortened to the last hit plus `reach`. No such crossing
-// is lost, even if the icosahedron begins before the start or contains the sensor. A hit
-// that is offered at both crossings is recognised the second time.
+// Each surfel has a proxy shape. A ray crosses the triangles of a surfel exactly at the
+// hit. A ray enters a box before the hit and leaves it behind the hit. A ray crosses the
+// surface of an icosahedron before and behind the hit, at most `reach` behind it.
+// Therefore the query stops at the farthest hit plus `reach`. Then it finds at least one
+// crossing, even if the icosahedron contains the sensor. If both crossings are found, the
+// hit buffer ignores the second one.
 //
-// The driver stores one pose per model. A model that moves during the sweep needs a
-// separate query, in which the ray is moved instead of the model. The cull mask limits
-// the first query to the models that do not move. No hit of a moving model is lost,
-// because its radius contains all possible hits. The rounding error of the moved ray is
-// far below the margin of the proxies.
+// The driver stores one pose per model. Each model that moves during the sweep needs a
+// separate query with a moved ray. A cull mask limits the first query to models that do
+// not move. The radius of a moving model contains all its possible hits, so none is lost.
+// The rounding error of a moved ray is far below the margin of the proxies.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_QUERY_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_QUERY_GLSL
 RELIDAR_CONSTANT(uint, BOXES, 0u);
 
-/// Returns true if the ray passes the origin of its model within the given radius.
+/// Returns true if the distance between the ray and the origin of the model is less than
+/// `radius`.
 bool comes_near(float radius) {
     float along = dot(entered_origin, entered_direction);
     vec3 nearest = along < 0.0 ? entered_origin - along * entered_direction : entered_origin;
@@ -32,12 +32,12 @@ struct Search {
     vec3 origin;  // world, m
     vec3 direction;
     uint mask;
-    // The query accepts only candidates of this instance. RELIDAR_NO_INSTANCE means all
+    // The query accepts only hits on this instance. RELIDAR_NO_INSTANCE accepts all
     // instances.
     uint instance;
 };
 
-/// Initialises the query for one moving instance.
+/// Sets the parameters of a ray query for one moving instance.
 /// @return false if the ray cannot hit the instance
 bool search_moving(TraceScene scene, Ray ray, MovingInstance moving, out Search search) {
     enter_instance(scene, ray, moving.instance);
@@ -59,7 +59,8 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
         Search search = Search(ray.origin, ray.direction, RELIDAR_STANDING_MASK, RELIDAR_NO_INSTANCE);
         if (k > 0u && !search_moving(scene, ray, scene.moving.at[k - 1u], search)) continue;
         float end = 1e30;  // distance at which the query stops
-        // The earlier queries may have closed the buffer already.
+        // Limits the query to the distance of the farthest hit if earlier queries have
+        // already filled the hit buffer.
         if (hits_closed) end = max(last_hit_t() - start, 0.0) + (1e-4 + 1e-5 * last_hit_t()) + reach;
         rayQueryInitializeEXT(query, accelerationStructureEXT(uvec2(scene.tlas)), gl_RayFlagsNoOpaqueEXT,
                               search.mask, search.origin + start * search.direction, 0.0, search.direction,
@@ -67,7 +68,7 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
         while (rayQueryProceedEXT(query)) {
             uint instance = uint(rayQueryGetIntersectionInstanceCustomIndexEXT(query, false));
             uint primitive = uint(rayQueryGetIntersectionPrimitiveIndexEXT(query, false));
-            // Another instance can have the same cull mask.
+            // Skips other instances that have the same cull mask.
             if (search.instance != RELIDAR_NO_INSTANCE && instance != search.instance) continue;
             offer(scene, ray, after, instance, BOXES != 0u ? primitive : primitive / proxy_triangles());
             if (!hits_closed) continue;

@@ -1,18 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
-// Channel values of a hit: intensity, hit logit, drop logit. If SH are evaluated per
-// surfel, the values are read from the record. Otherwise they are evaluated from the SH
-// coefficients, in the direction of the ray in the model's frame (docs/method.md section
-// 3).
+// Computes the channel values of a hit: intensity, hit logit and drop logit. If spherical
+// harmonics (SH) are evaluated per surfel, the record contains the values. Otherwise the
+// SH are evaluated here, in the direction of the ray in the model's frame (docs/method.md
+// section 3).
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHADING_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHADING_GLSL
 RELIDAR_CONSTANT(uint, SH_PER_SURFEL, 1u);
 RELIDAR_CONSTANT(uint, SINGLE_DROP_LOGIT, 0u);
 
 const uint kNoInstance = 0xffffffffu;
-float ray_basis[16];  // SH basis functions for the current ray, in the frame of ray_basis_instance.
+// Values of the spherical-harmonic basis functions for the current ray, in the frame of
+// ray_basis_instance.
+float ray_basis[16];
 uint ray_basis_instance;
 
-/// Computes the SH basis for an instance's frame if SH are evaluated per hit.
+/// Computes the spherical-harmonic (SH) basis for the ray in the frame of an instance.
+/// Does nothing if SH are evaluated per surfel.
 void use_basis(TraceScene scene, Ray ray, uint instance) {
     if (SH_PER_SURFEL != 0u || ray_basis_instance == instance) return;
     enter_instance(scene, ray, instance);
@@ -27,8 +30,8 @@ float evaluate_channel(TraceScene scene, uint surfel, uint channel) {
     return value;
 }
 
-/// Evaluates the SH of all three channels in one loop, so that the array of basis
-/// functions is read only once.
+/// Evaluates the spherical harmonics of all three channels in one loop, so that the array
+/// of basis values is read only once.
 vec3 evaluate_channels(TraceScene scene, uint surfel) {
     vec3 value = vec3(0.5);
     uint x = surfel * RELIDAR_SH_FLOATS, y = x + RELIDAR_SH_COEFFICIENTS, z = y + RELIDAR_SH_COEFFICIENTS;
@@ -39,7 +42,7 @@ vec3 evaluate_channels(TraceScene scene, uint surfel) {
     return value;
 }
 
-/// Returns the channel values of a hit: intensity (at least 0), hit logit, drop logit.
+/// Returns the channel values of a hit: intensity (at least 0), hit logit and drop logit.
 vec3 hit_channels(TraceScene scene, Ray ray, uint instance, uint surfel, SurfelRecord record) {
     if (SH_PER_SURFEL != 0u)
         return vec3(record.intensity, SINGLE_DROP_LOGIT != 0u ? 0.0 : record.hit_logit, record.drop_logit);

@@ -1,27 +1,26 @@
 // SPDX-License-Identifier: Apache-2.0
-// Cooperative loads of a struct that all lanes of a subgroup read from one address. Each
-// lane loads a different word, and shuffles distribute the words. A CPU gathers lane by
-// lane even if all addresses are equal. A node of 20 words then needs 20 gathers, but
-// only 3 with cooperative loads on 8 lanes. All lanes must be active and must not
-// diverge.
+// Loads a struct once for all lanes of a subgroup. Each lane loads a different word, and
+// shuffles distribute the words. On a CPU, a normal load repeats for each lane, even if
+// all addresses are equal. A node of 20 words then takes 20 gather instructions, but only
+// 3 with this method on 8 lanes. All lanes must be active and must not diverge.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHARED_LOAD_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHARED_LOAD_GLSL
 
-// Sizes of BvhNode and SurfelRecord in 32-bit words. The words have the order of
-// declaration.
+// Sizes of BvhNode and SurfelRecord in 32-bit words. Words are in the order of the
+// declared members.
 const uint kNodeWords = 20u, kRecordWords = 16u;
-// Number of loads per node in a subgroup of 4 lanes, which is the smallest supported
+// Number of loads per node in a subgroup of 4 lanes, the smallest supported subgroup
 // size.
 const uint kMostParts = 5u;
 
-/// Words of a struct, distributed over the lanes of a subgroup. Lane k % size holds word
-/// k in part k / size.
+/// Words of a struct, distributed over the lanes of a subgroup. Word k is in lane k %
+/// size, in part k / size.
 struct SharedWords {
     uint part[kMostParts];
 };
 
-/// Loads n words of a struct. Each lane of the subgroup loads a different word.
-/// @param from,first,n  must be equal in all lanes
+/// Loads n words of a struct. Each lane of the subgroup loads different words.
+/// @param from,first,n must be equal in all lanes
 SharedWords load_words(Uints from, uint first, uint n) {
     SharedWords words;
     [[unroll]] for (uint p = 0u; p < kMostParts; ++p) {
@@ -63,7 +62,7 @@ BvhNode load_node(BvhNodes nodes, uint index) {
     return node;
 }
 
-/// Loads the fields of a record that intersect() reads.
+/// Loads a surfel record. Fills only the fields that intersect() reads.
 SurfelRecord load_record(Records records, uint surfel) {
     SharedWords words = load_words(Uints(uvec2(records)), surfel * kRecordWords, kRecordWords);
     SurfelRecord record;

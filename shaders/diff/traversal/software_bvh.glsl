@@ -1,43 +1,42 @@
 // SPDX-License-Identifier: Apache-2.0
-// Traversal backend: a two-level tree of wide nodes with quantised boxes
-// (relidar/diff/bvh.h).
-// The walk uses a stack and visits near children first. The top tree holds instances. An
-// instance entry transforms the ray into the frame of its model. The ray stays in this
-// frame until the walk returns to an entry of the top tree.
+// Finds hits with a two-level tree of nodes with up to eight children, whose boxes are
+// quantised (relidar/diff/bvh.h). The traversal uses a stack and visits near children
+// first. The top-level tree contains instances. An instance transforms the ray into the
+// frame of its model, until the traversal returns to an entry of the top-level tree.
 //
-// A specialisation constant selects the walk: each ray separately, or all rays of a
-// subgroup together. In the joint walk the subgroup opens a node if any of its rays needs
-// the node, and tests its surfels in all lanes. Every ray still keeps a separate stack
-// and separate distances. All rays process the same entry at a time: the top entry of the
-// first active ray. A ray with a different stack waits. So no hit is lost, however the
-// driver lets lanes diverge and reconverge. All lanes load from the same address, and the
-// broadcast lets the compiler use a single load.
+// A specialisation constant selects whether each ray is traversed separately, or all rays
+// of a subgroup together. In joint traversal, the subgroup visits a node if any of its
+// rays needs the node, and tests the surfels of the node in all lanes. Each ray still has
+// a separate stack and separate distances. All rays process the same entry, which is the
+// top entry of the first active ray. A ray with a different stack waits. Therefore no hit
+// is lost, however the lanes diverge and reconverge. All lanes load from the same
+// address, so that the compiler can use a single load.
 //
-// The compiler of a CPU does not do this, so on a CPU the lanes load cooperatively
-// (kSharesLoads, shared_load.glsl). The lanes of a CPU are the lanes of a vector and
-// cannot diverge. If all lanes are active at the start, they have the same stack until
-// the end. This compiler also runs each loop once more, without an active lane, to detect
-// its end. Loops with few iterations therefore test their condition at the end.
+// A CPU's compiler does not do this, so lanes load cooperatively on a CPU (kSharesLoads,
+// shared_load.glsl). The lanes of a CPU are elements of a vector and cannot diverge. If
+// all lanes are active at the start, they have the same stack until the end. This
+// compiler also runs each loop once more, without an active lane, to detect its end.
+// Therefore loops with few iterations test their condition at the end.
 //
-// No hit is lost:
-// - The slab test uses the same ray as intersect(): entered_origin, entered_direction. t
+// No hit is lost, for these reasons:
+// - The box test uses the same ray as intersect(): entered_origin, entered_direction. t
 //   is the ray's parameter. It is the same in the world and in a model, whatever the
-//   instance's scale. So distances of all trees are comparable with the canonical t.
-// - A slab distance q scale + at has an error of at most 8 roundings of its terms. The
-//   slack, kSlack times both terms, is larger. It moves near planes nearer and far planes
-//   farther.
+//   instance's scale. So distances in all trees are comparable with the t of intersect().
+// - The distance to a box side, q scale + at, has an error of at most 8 roundings of its
+//   terms. The slack, kSlack times both terms, is larger. It moves near sides nearer and
+//   far sides farther.
 // - A direction component below kLeastSlope is replaced by kLeastSlope. Over 100 km this
 //   moves the ray by 10^-7 m, less than the slack. So a division by zero is impossible. A
-//   NaN is impossible for coordinates below 10^25 m, and the comparisons would open a
-//   node with a NaN.
-// - A moving model is inside its box of the top tree whenever a ray is fired. The box
-//   contains the model at all times of its span, and enter_instance() clamps the time of
-//   a ray to that span.
+//   NaN is impossible for coordinates below 10^25 m. If a NaN occurred, the comparisons
+//   would visit the node.
+// - A moving model is inside its box of the top-level tree whenever a ray is fired. The
+//   box contains the model at all times of its span, and enter_instance() clamps the time
+//   of a ray to that span.
 // - A node is skipped only if it is behind `end` or before `start`. Both include 1e-4 m +
-//   1e-5 t for the rounding error of the canonical t, as in every backend (README.md).
+//   1e-5 t for the rounding error of t, as in every traversal method (README.md).
 //
-// Costs on a GPU: a node is 80 bytes and about 150 operations for eight boxes. A surfel
-// is 64 bytes and 40 operations.
+// Costs on a GPU: a node takes 80 bytes and about 150 operations for eight boxes. A
+// surfel takes 64 bytes and 40 operations.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_SOFTWARE_BVH_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_SOFTWARE_BVH_GLSL
 #extension GL_KHR_shader_subgroup_basic : enable
@@ -50,31 +49,31 @@ RELIDAR_CONSTANT(uint, TOGETHER, 0u);
 const uint kSharesLoads = 2u;
 RELIDAR_CONSTANT(uint, COUNT_VISITS, 0u);
 
-// Capacity of the traversal stack. Each level adds at most 7 entries, so 64 entries are
-// enough for 9 levels of full nodes. If a tree is deeper, the ray ends early and is
-// counted as an error.
+// Capacity of the traversal stack. Each tree level adds at most 7 entries, so 64 entries
+// are enough for 9 levels of full nodes. In a deeper tree, a ray may overflow the stack.
+// It then ends early and is counted as an error.
 const uint kStackSize = 64u;
-const uint kInstanceEntry = 0x80000000u;  // flag of entries that are instances
-// Marks an entry as a node of the top tree. All other nodes belong to the current
-// instance.
+const uint kInstanceEntry = 0x80000000u;  // flag of a stack entry that is an instance
+// Flag of a stack entry that is a node of the top-level tree. All other nodes belong to
+// the current instance.
 const uint kTopEntry = 0x40000000u;
 const float kNever = 1e30;
-// Relative rounding error of the distance to a box side: 8 roundings of 2^-24 each.
+// Relative rounding error of the distance to a box side (8 roundings of 2^-24 each).
 const float kSlack = 5e-7;
 const float kLeastSlope = 1e-12;
 
-uint stack_entry[SLOTS];  // Traversal stack. SLOTS is one larger than the number of entries in use.
-// Distance at which the ray enters the node on the stack, or kNever if the ray misses the
-// node.
+uint stack_entry[SLOTS];  // Traversal stack. SLOTS is one larger than the number of used entries.
+// Distance at which the ray enters the node of the stack entry. kNever if the ray misses
+// this node.
 float stack_t[SLOTS];
 uint stack_size;
 bool stack_full;
 
-/// Ray with precomputed values for box tests, in the frame of the current tree.
+/// Ray in the frame of the current tree, with precomputed values for box tests.
 struct BoxRay {
     vec3 origin;
     vec3 inverse;  // 1 / direction, per axis
-    float start;   // Distance along the ray in m. Boxes before `start` and behind `end` are skipped.
+    float start;   // Distances along the ray in m. Boxes before `start` or behind `end` are skipped.
     float end;
 };
 
@@ -89,9 +88,9 @@ uint byte_of(uvec2 bytes, uint slot) {
 }
 
 /// Intersects a ray with the eight child boxes of a node.
-/// @param t  output: distance at which the ray enters each box that it meets
-/// @return bit mask of the boxes that the ray meets within [start, end]. It may include
-/// empty slots.
+/// @param t output: distance at which the ray enters each box that it intersects
+/// @return bit mask of the boxes that the ray intersects within [start, end]. May include
+/// unused child slots
 uint meet_boxes(BvhNode node, BoxRay ray, out float t[RELIDAR_BVH_WIDTH]) {
     vec3 scale =
         uintBitsToFloat((uvec3(node.exponents, node.exponents >> 8u, node.exponents >> 16u) & 255u) << 23u) *
@@ -130,10 +129,12 @@ void push_entry(uint entry, float t) {
 }
 
 /// Pushes the inner children that a ray must visit onto the stack, the nearest on top.
-/// The index and the distance of a child are packed into one integer, so that the sorting
-/// network needs only minima and maxima. The packed distance loses four bits and is
-/// rounded towards the ray's origin.
-/// @param first  entry of the first inner child
+/// Packs index and distance of a child into one integer, so that the sorting network
+/// needs only minima and maxima. The packed distance loses four bits and is rounded
+/// towards the ray's origin.
+/// @param first stack entry of the first inner child
+/// @param inner bit mask of the inner children
+/// @param met bit mask of the children whose boxes the ray intersects
 void push_lane_children(uint first, uint inner, uint met, float t[RELIDAR_BVH_WIDTH]) {
     const uint kThere = 0x80000000u;
     uint key[RELIDAR_BVH_WIDTH];
@@ -155,8 +156,8 @@ void push_lane_children(uint first, uint inner, uint met, float t[RELIDAR_BVH_WI
     }
 }
 
-/// Pushes the inner children that any ray of the subgroup must visit, for rays that walk
-/// together. All rays use the order of the subgroup's first ray.
+/// Pushes the inner children that any ray of the subgroup must visit, for joint
+/// traversal. All rays use the order of the subgroup's first ray.
 void push_children(uint first, uint inner, uint opened, uint met, float t[RELIDAR_BVH_WIDTH]) {
     float key[RELIDAR_BVH_WIDTH];
     [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) key[slot] =
@@ -178,8 +179,8 @@ void push_children(uint first, uint inner, uint opened, uint met, float t[RELIDA
     } while (left != 0u);
 }
 
-/// Returns a bit mask of the surfels or instances in the selected leaf slots of a node.
-/// Bit k stands for the k-th leaf entry of the node.
+/// Returns a bit mask of the surfels or instances in the opened leaf children of a node.
+/// Bit k belongs to leaf entry k of the node.
 uint leaf_entries(BvhNode node, uint opened) {
     uvec2 leaves = uvec2(node.leaves[0], node.leaves[1]);
     uint entries = 0u;
@@ -199,13 +200,13 @@ uint pop_nearest(inout uint entries) {
 }
 
 /// Returns true if all lanes of this subgroup are active, so that they can load a struct
-/// together. At the end of a batch some lanes may be inactive or finished.
+/// together. Lanes at the end of a batch may have no ray.
 bool shares_loads() {
     return TOGETHER == kSharesLoads && subgroupBallotBitCount(subgroupBallot(true)) == gl_SubgroupSize;
 }
 
-/// Tests the selected leaf entries of a node against all rays of a full subgroup.
-/// @param entries  must be equal in all lanes
+/// Tests leaf entries of a node against all rays of a full subgroup.
+/// @param entries bit mask of the entries. Must be equal in all lanes
 void offer_together(TraceScene scene, Key after, uint instance, uint first_surfel, uint first_leaf,
                     uint entries) {
     if (entries == 0u) return;
@@ -216,7 +217,7 @@ void offer_together(TraceScene scene, Key after, uint instance, uint first_surfe
         float lane_x = 0.0;
         if (own < end && (entries & (1u << own)) != 0u) {
             lane_surfel = first_surfel + scene.bvh.order.at[first_leaf + own];
-            // Each lane reads a different record first, so that the cache misses of all
+            // Each lane first reads a different record, so that the cache misses of all
             // lanes overlap.
             lane_x = scene.records.at[lane_surfel].mean.x;
         }
@@ -229,8 +230,8 @@ void offer_together(TraceScene scene, Key after, uint instance, uint first_surfe
     } while (entries != 0u);
 }
 
-/// Tests the selected leaf entries of a node against one ray. Loads the next record
-/// before it tests the current record, to hide the latency.
+/// Tests leaf entries of a node against one ray. Loads the next record before it tests
+/// the current record, to hide the latency of the load.
 void offer_alone(TraceScene scene, Key after, uint instance, uint first_leaf, uint entries) {
     while (entries != 0u) {
         uint entry = first_leaf + pop_nearest(entries),
@@ -245,8 +246,8 @@ void offer_alone(TraceScene scene, Key after, uint instance, uint first_leaf, ui
     }
 }
 
-/// Transforms the ray for box tests into the frame of an instance's model, or into the
-/// world frame for the top tree.
+/// Transforms the ray for box tests into the frame of an instance's model. For the
+/// top-level tree, transforms it into the world frame.
 void enter_tree(TraceScene scene, Ray ray, uint instance, inout BoxRay walked) {
     if (instance != RELIDAR_BVH_NO_NODE) enter_instance(scene, ray, instance);
     bool in_model = instance != RELIDAR_BVH_NO_NODE;
@@ -254,9 +255,9 @@ void enter_tree(TraceScene scene, Ray ray, uint instance, inout BoxRay walked) {
 }
 
 /// Visits a node: tests its leaf entries and pushes its inner children onto the stack.
-/// @param tree  instance whose model contains the node, or RELIDAR_BVH_NO_NODE for the
-/// top tree
-/// @param full_subgroup  result of shares_loads()
+/// @param tree instance whose model contains the node, or RELIDAR_BVH_NO_NODE for the
+/// top-level tree
+/// @param full_subgroup result of shares_loads()
 /// @return number of tested surfels
 uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, bool full_subgroup,
                inout BoxRay walked) {
@@ -297,7 +298,8 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
     BoxRay walked;
     walked.start = search_start(after);
     walked.end = kNever;
-    // Instance whose model the ray traverses, or RELIDAR_BVH_NO_NODE for the top tree.
+    // Instance whose model the ray currently traverses, or RELIDAR_BVH_NO_NODE for the
+    // top-level tree.
     uint instance = RELIDAR_BVH_NO_NODE;
     uint n_nodes = 0u, n_tested = 0u;
     bool full_subgroup = shares_loads();
@@ -311,7 +313,7 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
             uint lane_entry = entry;
             entry = subgroupBroadcastFirst(entry);
             tree = subgroupBroadcastFirst(tree);
-            // Skips this ray in this step, because the subgroup processes a different
+            // This ray waits in this step, because the subgroup processes a different
             // node.
             if (lane_entry != entry || instance != tree) continue;
         }

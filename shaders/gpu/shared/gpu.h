@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of general-purpose kernels: prefix sums, a stable radix sort, a copy and
-// checks of a device. Prefix sums and sort give the same result in every run. A workgroup
+// Parameters of general-purpose kernels: prefix sums, a stable radix sort, a memory copy
+// and device checks. Prefix sums and sorts give the same result in every run. A workgroup
 // of 256 threads processes a tile of 4096 elements.
 #ifndef RELIDAR_INCLUDED_GPU_SHARED_GPU_H
 #define RELIDAR_INCLUDED_GPU_SHARED_GPU_H
@@ -13,17 +13,17 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_SORT_BITS 8u      // Bits of a digit.
 #define RELIDAR_SORT_DIGITS 256u  // Number of values of a digit. One thread processes one value.
 
-/// Exclusive prefix sum (gpu/scan_sums.comp, scan_write.comp).
+/// Parameters of an exclusive prefix sum (gpu/scan_sums.comp, gpu/scan_write.comp).
 struct ScanParams {
     RELIDAR_OF(Uints, ScanCounts) counts;  // Input: element i is counts[offset + i * stride].
-    // [tiles] Sum of each tile. Kernel scan_sums writes it. Kernel scan_write reads its
-    // prefix sums. Address 0 means that only one tile exists.
+    // Sum of each tile [tiles]. Kernel scan_sums writes the sums. Kernel scan_write reads
+    // their prefix sums. Address 0 means that the input has only one tile.
     RELIDAR_OF(Uints, ScanTileSums) tile_sums;
-    // Output of scan_write, [n]: prefix sums. May be the same array as `counts` if the
+    // Output of scan_write: prefix sums [n]. May be the same array as `counts` if the
     // stride is 1.
     RELIDAR_OF(Uints, ScanPrefix) prefix;
-    // Output of scan_write, [1]: sum of all counts. Address 0 means that the sum is not
-    // needed.
+    // Output of scan_write: sum of all counts [1]. Address 0 means that the kernel does
+    // not write the sum.
     RELIDAR_OF(Uints, ScanTotal) total;
     uint n;
     uint offset;
@@ -33,23 +33,23 @@ struct ScanParams {
 /// Parameters of one pass of a stable radix sort. Each pass sorts by one digit of the
 /// keys.
 struct RadixSortParams {
-    // Input [1]: number of keys. Values above the capacity are clamped. Address 0 means
-    // that the number equals the capacity.
+    // Input: number of keys [1]. The kernel clamps the number to the capacity. Address 0
+    // means that the number equals the capacity.
     RELIDAR_OF(Uints, SortCount) n_keys;
     RELIDAR_OF(Uints, SortKeys) keys;  // Input: keys, [n,KEY_WORDS], low word first.
-    // Input [n]: original index of each key. Address 0 means 0, 1, 2, ...
+    // Input: original index of each key [n]. Address 0 means that key i has the index i.
     RELIDAR_OF(Uints, SortOrder) order;
     RELIDAR_OF(Uints, SortKeys) sorted_keys;    // Output: sorted keys.
     RELIDAR_OF(Uints, SortOrder) sorted_order;  // Output: original indices of the sorted keys.
-    // [digits,tiles] Number of keys with each digit in each tile. Kernel radix_scan
-    // replaces it by the number of such keys in all earlier tiles.
+    // Number of keys per digit and tile [digits,tiles]. Kernel radix_scan replaces each
+    // number by the sum over all earlier tiles.
     RELIDAR_OF(Uints, DigitCounts) counts;
     RELIDAR_OF(Uints, DigitTotals) totals;  // Number of keys with each digit, [digits].
     uint capacity;
     uint shift;  // Bit position of the digit, a multiple of RELIDAR_SORT_BITS.
 };
 
-/// Copy for bandwidth measurements (gpu/copy.comp).
+/// Parameters of the copy kernel for bandwidth measurements (gpu/copy.comp).
 struct CopyParams {
     RELIDAR_OF(Vec4s, CopySource) from;  // Input: source vectors, [n].
     RELIDAR_OF(Vec4s, CopyTarget) to;    // Output: copied vectors, [n].
@@ -59,21 +59,23 @@ struct CopyParams {
 #define RELIDAR_CHECK_AMOUNTS 7u   // Number of different values that check_atomics adds.
 #define RELIDAR_CHECK_RESULTS 11u  // Results per thread of check_subgroups.
 
-/// Sums that many threads add to (gpu/check_atomics.comp).
+/// Parameters of the kernel in which many threads add to the same sums
+/// (gpu/check_atomics.comp).
 struct CheckAtomicsParams {
     Floats sums;  // Accumulated: thread i adds 1 + i % RELIDAR_CHECK_AMOUNTS to sum i % n_sums.
     uint n;
     uint n_sums;
-    uint fault;  // 1: adds without atomics, so that a test sees wrong sums.
+    uint fault;  // 1: adds without atomics, so that a test can provoke wrong sums.
 };
 
-/// Results of subgroup operations (gpu/check_subgroups.comp).
+/// Parameters of the kernel that checks subgroup operations (gpu/check_subgroups.comp).
 struct CheckSubgroupsParams {
     Uints results;  // Output, [threads,RELIDAR_CHECK_RESULTS].
-    uint fault;     // 1: a lane adds nothing, so that a test sees a wrong sum.
+    uint fault;     // 1: one lane adds nothing, so that a test can provoke a wrong sum.
 };
 
-/// Returns the value of a thread in check_subgroups: a hash below 65536.
+/// Returns the value that a thread of check_subgroups uses. The value is a hash below
+/// 65536.
 RELIDAR_FUNCTION uint check_value(uint thread) {
     uint x = thread * 747796405u + 2891336453u;
     return (x ^ (x >> 15u)) >> 16u;

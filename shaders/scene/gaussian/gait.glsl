@@ -1,42 +1,45 @@
 // SPDX-License-Identifier: Apache-2.0
-// Window of time of a surfel on an actor whose shape changes (docs/method.md M14). At a
-// phase p of the actor's motion, its opacity is multiplied by
-//   exp(sharpness^2 (cos 2 pi (p - phase) - 1)),
-// and it is moved by swing sin 2 pi (p - phase). Include after shared/scene.h.
+// Periodic motion of surfels on actors that change their shape, for example pedestrians
+// (docs/method.md M14). p is the phase of the actor's motion, and `phase` is the phase at
+// which the surfel is most visible. The opacity of the surfel is multiplied by
+//   exp(sharpness^2 (cos 2 pi (p - phase) - 1))
+//
+// and its mean is moved by swing sin 2 pi (p - phase). Include this file after
+// shared/scene.h.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAIT_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAIT_GLSL
 
 struct Gait {
     float sharpness;
-    vec3 swing;  // amplitude, m
+    vec3 swing;  // amplitude of the motion, m
     float sine;  // sine of 2 pi (p - phase)
     float cosine;
-    float less;      // cosine - 1
-    float presence;  // factor on the opacity
+    float less;      // cosine of 2 pi (p - phase), minus 1
+    float presence;  // factor that multiplies the opacity
 };
 
 const float kTurn = 6.283185307;
 
-/// Returns the state of a surfel at a phase of its actor's motion.
-/// @param at  phase, 0 to 1. A negative value means that the model is rigid and its
-/// surfels do not move.
+/// Returns the motion state of a surfel at a phase of its actor's motion.
+/// @param at phase, 0 to 1. A negative value means that the model is rigid, so its
+/// surfels do not move
 Gait gait_of(Floats gaits, uint surfel, float at) {
     if (is_null(gaits) || at < 0.0) return Gait(0.0, vec3(0.0), 0.0, 1.0, 0.0, 1.0);
     uint i = 5u * surfel;
     float off = at - gaits.at[i];
-    // Wraps the phase difference to half a cycle, because sine and cosine are accurate in
-    // this range.
+    // Wraps the phase difference to half a cycle, because sine and cosine are most
+    // accurate there.
     off = kTurn * (off - round(off));
-    // Computes cosine - 1 from the sine of half the angle, because sharp surfels multiply
-    // the rounding error of the cosine.
+    // Computes cosine - 1 from the sine of half the angle. This avoids the rounding error
+    // of the cosine, which a large sharpness would multiply.
     float sharpness = gaits.at[i + 1u], half_sine = sin(0.5 * off), less = -2.0 * half_sine * half_sine;
     return Gait(sharpness, vec3(gaits.at[i + 2u], gaits.at[i + 3u], gaits.at[i + 4u]), sin(off), cos(off),
                 less, exp(sharpness * sharpness * less));
 }
 
 /// Computes the gradient of the five gait parameters.
-/// @param d_mean  gradient of the moved mean
-/// @param d_presence  gradient of the factor on the opacity
+/// @param d_mean gradient of the moved mean
+/// @param d_presence gradient of the factor on the opacity
 void gait_vjp(Gait g, vec3 d_mean, float d_presence, out float d_gait[5]) {
     d_gait[0] = -kTurn * (g.cosine * dot(g.swing, d_mean) -
                           g.sharpness * g.sharpness * g.sine * g.presence * d_presence);

@@ -1,23 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
-// Intersection of a ray with a 3D Gaussian (M9) and its derivative. The hit is the point
-// of highest density along the ray. It is the point nearest to the mean in the frame
-// whose unit is the standard deviation. The rows of A = (a_u / s_u, a_v / s_v, a_w / s_w)
-// are in the record. With a = A (mean - o), b = A d:
+// Intersection of a ray with a 3D Gaussian (docs/method.md M9), and its derivative. The
+// hit is the point of highest density along the ray. It is the point nearest to the mean
+// if distances are measured in standard deviations. The record stores the rows of A =
+// (a_u / s_u, a_v / s_v, a_w / s_w). With a = A (mean - o), b = A d:
 //   t = a.b / b.b,  q = A (o + t d - mean),  G = exp(-|q|^2 / 2)
-// As for surfels, q is computed from the rounded t. The point at t then is in the
-// ellipsoid of alpha >= alpha_min, and so in every proxy of it. Therefore no traversal
-// loses the hit.
 //
-// Along b the density does not change, so a remainder of q along b is only rounding
-// error. It is removed, for at most kTolerance_m along the ray, which is half of the
-// margin of the proxies. Otherwise the rounding at 50 m, about 3e-6 m, would add noise to
-// the opacity of Gaussians thinner than 1e-4 m.
+// q is computed from the rounded t. Then the point at t is inside the ellipsoid alpha >=
+// alpha_min and inside every proxy shape around it. Therefore every traversal finds the
+// hit.
+//
+// Exact arithmetic gives q . b = 0, so any component of q along b is a rounding error and
+// is removed. The removed part is at most kTolerance_m along the ray, which is half of
+// the margin of the proxies. At 50 m, the rounding error is about 3e-6 m. Without this
+// correction, it would add noise to the opacity of Gaussians thinner than 1e-4 m.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAUSSIAN3D_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAUSSIAN3D_GLSL
 
 const float kTolerance_m = 5e-5;
 
-/// Converts a vector to units of standard deviations.
+/// Converts a vector to units of standard deviations of the Gaussian.
 vec3 whitened(SurfelRecord s, vec3 v) {
     return vec3(exact_dot(s.axis_u, v), exact_dot(s.axis_v, v), exact_dot(s.normal, v));
 }
@@ -46,9 +47,10 @@ bool intersect_gaussian(SurfelRecord s, vec3 origin, vec3 direction, out SurfelH
 
 /// Derivative of intersect_gaussian(). q is perpendicular to b, so |q|^2 does not change
 /// with t:
-///    dalpha = -alpha q . dq with t held constant,  dt = (b . da - (q + t b) . db) / b.b
-/// @param d_t      dL/dt at fixed alpha
-/// @param d_alpha  dL/d(sigma G). Must be 0 if alpha was clamped.
+///   dalpha = -alpha q . dq with t held constant,  dt = (b . da - (q + t b) . db) / b.b
+///
+/// @param d_t dL/dt at fixed alpha
+/// @param d_alpha dL/d(sigma G). Must be 0 if alpha was clamped
 SurfelHitGradient intersect_gaussian_vjp(SurfelRecord s, vec3 origin, vec3 direction, SurfelHit hit,
                                          float d_t, float d_alpha) {
     SurfelHitGradient g;

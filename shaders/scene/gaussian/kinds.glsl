@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects the primitive (surfel or 3D Gaussian) for which a kernel is built. Defines its
-// properties from the table in relidar/scene/primitives.h.
+// Selects the type of primitive (surfel or 3D Gaussian) for which a kernel is compiled.
+// The table in relidar/scene/primitives.h lists the properties of each type.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_KINDS_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_KINDS_GLSL
 #include "relidar/scene/primitives.h"

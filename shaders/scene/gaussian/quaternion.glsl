@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rotation matrix of a quaternion (w, x, y, z) of any length, and its derivative. The
-// gradient is perpendicular to the quaternion.
+// Rotation matrix of a quaternion (w, x, y, z), and its derivative. The quaternion may
+// have any length, so its gradient is perpendicular to it.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_QUATERNION_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_QUATERNION_GLSL
 
-/// Returns the rotation matrix of q / |q|. Its columns are the surfel's two axes a_u and
-/// a_v and its normal.
+/// Returns the rotation matrix of q / |q|. Its columns are the surfel's axes a_u and a_v,
+/// and its normal.
 mat3 rotation_matrix(vec4 q) {
     q = normalize(q);
     float w = q.x, x = q.y, y = q.z, z = q.w;

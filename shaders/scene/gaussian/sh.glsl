@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Real spherical harmonics (SH) up to degree 3 and their gradient with respect to the
-// direction. The order and the signs are the same as in 3D Gaussian splatting. value =
-// 0.5 + basis(direction) . coefficients.
+// Real spherical harmonics (SH) up to degree 3, and their gradient with respect to the
+// direction. Order and signs are the same as in 3D Gaussian Splatting. A channel has the
+// value 0.5 + basis(direction) . coefficients.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_SH_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_SH_GLSL
 
@@ -14,8 +14,8 @@ const float kSh3[7] = float[](-0.5900435899266435, 2.890611442640554, -0.4570457
 
 uint sh_count(uint degree) { return (degree + 1u) * (degree + 1u); }
 
-/// Computes the SH basis functions for a unit direction. Sets entries beyond the degree
-/// to 0.
+/// Computes the SH basis functions for a unit direction. Functions above the given degree
+/// are set to 0.
 void sh_basis(vec3 d, uint degree, out float basis[16]) {
     for (int k = 0; k < 16; ++k) basis[k] = 0.0;
     basis[0] = kSh0;
@@ -41,8 +41,8 @@ void sh_basis(vec3 d, uint degree, out float basis[16]) {
     basis[15] = kSh3[6] * x * (xx - 3.0 * yy);
 }
 
-/// Returns dL/d(direction) from dL/d(basis). The caller must add the derivative of the
-/// direction's normalisation.
+/// Returns dL/d(direction) from dL/d(basis). The caller must also apply the derivative of
+/// the direction's normalisation.
 vec3 sh_basis_vjp(vec3 d, uint degree, float d_basis[16]) {
     vec3 g = vec3(0.0);
     if (degree < 1u) return g;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Intersection of a ray with a surfel, and its derivative. The keyword `precise` makes
-// the distance t and alpha identical in every kernel. Kernels call intersect() of
-// primitive.glsl instead of these functions.
+// the distance t and alpha bit-identical in every kernel. Kernels call intersect() in
+// primitive.glsl, which calls these functions.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_SURFEL_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_SURFEL_GLSL
 
@@ -11,7 +11,7 @@ struct SurfelHit {
     // Position of the hit in standard deviations. w is used only for 3D Gaussians and is
     // 0 for surfels.
     float u, v, w;
-    float alpha;  // sigma G, not clamped
+    float alpha;  // opacity at the hit: sigma G, before it is clamped
 };
 
 float exact_dot(vec3 a, vec3 b) {
@@ -39,7 +39,8 @@ bool intersect_surfel(SurfelRecord s, vec3 origin, vec3 direction, out SurfelHit
     return facing != 0.0 && !isinf(t) && !isnan(t) && !isnan(hit.alpha);
 }
 
-/// Gradients of the surfel's record, in the layout of the record, and of the ray.
+/// Gradients of the surfel's record, in the same layout as the record, and gradients of
+/// the ray.
 struct SurfelHitGradient {
     vec3 d_mean;
     vec3 d_axis_u;
@@ -51,8 +52,8 @@ struct SurfelHitGradient {
 };
 
 /// Derivative of intersect_surfel().
-/// @param d_t      dL/dt at fixed u, v
-/// @param d_alpha  dL/d(sigma G). Must be 0 if alpha was clamped.
+/// @param d_t dL/dt at fixed u, v
+/// @param d_alpha dL/d(sigma G). Must be 0 if alpha was clamped
 SurfelHitGradient intersect_surfel_vjp(SurfelRecord s, vec3 origin, vec3 direction, SurfelHit hit, float d_t,
                                        float d_alpha) {
     SurfelHitGradient g;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Data of surfels in kernels. The optimizer changes the parameters. The tracing kernels
-// read records that are computed from the parameters. Quaternions are stored as w, x, y,
-// z.
+// Memory layout of surfels in kernels. The optimizer changes the parameters of a surfel.
+// Tracing kernels read its record, which is computed from the parameters. Quaternions are
+// stored as w, x, y, z.
 #ifndef RELIDAR_INCLUDED_SCENE_SHARED_SCENE_H
 #define RELIDAR_INCLUDED_SCENE_SHARED_SCENE_H
 #include "relidar/scene/surfels.h"
@@ -10,8 +10,8 @@
 
 RELIDAR_SHARED_BEGIN
 
-/// Arrays of all surfels, one per parameter group. They hold parameters, gradients or the
-/// moments of Adam.
+/// Addresses of the parameter arrays of all surfels. Also used for their gradients and
+/// for the moment estimates of the Adam optimizer.
 struct SurfelPointers {
     RELIDAR_OF(Floats, Means) mean;                   // [n,3]
     RELIDAR_OF(Floats, Rotations) rotation;           // [n,4]
@@ -26,54 +26,56 @@ struct SurfelPointers {
 /// their parameters.
 struct ActivateParams {
     SurfelPointers surfels;  // input
-    Records records;         // output [n]
+    Records records;         // output [n] records that tracing kernels read
     Models models;           // input [n_models]
-    // Input [n_models]: origin of the view directions for SH, model frame, m. Used only
+    // Input [n_models]: point from which the model is viewed, model frame, m. The
+    // spherical harmonics (SH) are evaluated in the direction from this point. Used only
     // if SH are evaluated per surfel.
     Vec3s view_origins;
-    // Input [n_models]: phase of each model's gait in full cycles (0 to 1). Negative for
-    // rigid models.
+    // Input [n_models]: phase of the model's periodic motion (gait), in full cycles (0 to
+    // 1). Negative for rigid models.
     RELIDAR_OF(Floats, GaitPhases) phases;
-    float alpha_min;  // surfels with a lower opacity get opacity 0
+    float alpha_min;  // surfels whose opacity is lower get opacity 0
     uint n_surfels;
     uint n_models;
     uint sh_degree;  // active degree 0..3
-    // 1: this kernel evaluates the SH once per surfel. 0: tracing kernels evaluate the SH
-    // at each hit.
+    // 1: this kernel evaluates the spherical harmonics (SH) once per surfel. 0: tracing
+    // kernels evaluate the SH at each hit.
     uint sh_per_surfel;
 };
 
-/// Parameters of the kernel that computes parameter gradients from record gradients.
+/// Parameters of scene/activate_vjp.comp, which computes parameter gradients from record
+/// gradients.
 struct ActivateVjpParams {
     SurfelPointers surfels;                         // input
     RELIDAR_OF(Floats, RecordGradients) d_records;  // input [n_rows,16] in the layout of SurfelRecord
     Models models;                                  // input [n_models]
-    // Input: first row of each instance of a model after its first instance, sorted by
-    // model.
+    // Input: index of the first gradient row of each further instance of a model. The
+    // first instance is not included. Sorted by model.
     RELIDAR_OF(Uints, FurtherRows) more_rows;
     Vec3s view_origins;                     // input [n_models] same as for the activation
     RELIDAR_OF(Floats, GaitPhases) phases;  // input [n_models] same as for the activation
-    // Output: gradients of the surfels' parameters. The gradients of SH are added to the
-    // array if SH are evaluated at each hit.
+    // Output: gradients of the surfels' parameters. If spherical harmonics are evaluated
+    // at each hit, the tracing kernels have already written their gradients.
     SurfelPointers d_surfels;
-    // Output [n]: 1 if a record gradient is not zero. Written only for surfels in the
-    // list.
+    // Output [n]: 1 if the record gradient of the surfel is not zero. Written only for
+    // surfels in the list `rows`.
     RELIDAR_OF(Uints, TouchedSurfels) touched;
-    // Input [n_listed]: indices of surfels that may have a gradient. Address 0 means all
-    // surfels.
+    // Input [n_listed]: indices of the surfels that may have a gradient. Address 0 means
+    // that the kernel processes all surfels.
     RELIDAR_OF(Uints, TouchedRows) rows;
     RELIDAR_OF(Uints, TouchedCount) n_listed;  // input [1]
-    // Output [n,3]: dL/d(view origin) through each surfel, or address 0. Used only if SH
-    // are evaluated per surfel.
+    // Output [n,3]: dL/d(view origin) from each surfel, or address 0. Used only if
+    // spherical harmonics are evaluated per surfel.
     RELIDAR_OF(Floats, ViewGradients) d_view;
     uint n_surfels;
     uint n_models;
     uint sh_degree;
     uint sh_per_surfel;
-    uint zero_untouched;  // 1: writes zero gradients for surfels without a record gradient.
+    uint zero_untouched;  // 1: writes zero gradients for surfels whose record gradient is zero.
 };
 
-/// Parameters of the kernel that lists the rows with a gradient.
+/// Parameters of scene/list_touched.comp, which lists the surfels that have a gradient.
 struct ListTouchedParams {
     RELIDAR_OF(Uints, TouchedSurfels) touched;  // input [n_rows] 0 or 1
     RELIDAR_OF(Uints, TouchedRows) rows;        // output, at most [n_rows]

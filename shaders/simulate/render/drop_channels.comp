@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the inputs of the ray-drop network for each ray. The inputs do not depend on
-// the yaw of the sensor. One thread per ray. Input: rays, measured, channels. Output:
-// samples.
+// Computes the inputs of the network that predicts which rays have no return (ray drop).
+// The inputs do not depend on the heading of the sensor. One thread per ray. Input: rays,
+// measured, channels. Output: samples.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
 #include "../shared/render.h"
 RELIDAR_PARAMS(DropChannelsParams);
 
-// Minimum probability of a drop and of a return. It limits the logits to +-9.2.
+// Minimum probability of both outcomes (return or no return). It limits the logits to
+// +-9.2.
 const float kLeastProbability = 1e-4;
 
 float channel_of(uint i, uint channel) {

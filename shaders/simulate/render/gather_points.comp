@@ -1,15 +1,16 @@
-// SPDX-License-Identifier: Apache-2.0 Writes the points of all rays with a return to a
-// contiguous array, in the order of the rays. Points are in the frame of the sensor's
-// poses. Also writes the ranges of n_requested evenly spaced rays. One thread per ray.
-// Input: rays, measured, poses, marks, places. Output: points, asked.
+// SPDX-License-Identifier: Apache-2.0
+// Writes the points of all rays with a return to a contiguous array, in the order of the
+// rays. Points are in the frame in which the sensor poses are given. Also writes the
+// ranges of n_requested evenly spaced rays. One thread per ray. Input: rays, measured,
+// poses, marks, places. Output: points, asked.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
 #include "sensor_way.glsl"
 RELIDAR_PARAMS(GatherPointsParams);
 
-/// Returns floor(k n_rays / n_requested), the index of the k-th evenly spaced ray. Avoids
-/// an overflow of 32 bits.
+/// Returns floor(k n_rays / n_requested), the index of the k-th evenly spaced ray. The
+/// order of operations avoids an overflow of 32 bits.
 uint requested_ray(uint k) {
     return k * (params.n_rays / params.n_requested) +
            k * (params.n_rays % params.n_requested) / params.n_requested;

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the measurements of a sensor from rendered rays: ranges, intensity and drop
-// probability (method.md, M6)
-//   drop_prob = 1 - sees (1 - 1 / (1 + exp(hit - drop))),
-// or 1 if the ray hit nothing within the sensor's range limits. A ray with a drop_prob of
-// 1 never returns. No other kernel changes this. One thread per ray. Input: rays, fired,
-// rendered, surfaces, beams, response. Output: measured.
+// Computes range, intensity and drop probability of each ray of a sensor from the
+// rendered ray (docs/method.md, M6). The drop probability is the probability that the ray
+// has no return:
+//   drop_prob = 1 - sees (1 - 1 / (1 + exp(hit - drop)))
+//
+// The drop probability is 1 if the ray hit nothing within the sensor's range limits. Such
+// a ray never returns, because later kernels keep the value 1. One thread per ray. Input:
+// rays, fired, rendered, surfaces, beams, response. Output: measured.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -12,7 +14,7 @@
 RELIDAR_PARAMS(MeasureRaysParams);
 
 /// Returns the intensity factor at a range. Interpolates linearly between the entries of
-/// the response table. Uses the first or last entry outside the table.
+/// the response table. Outside the table, returns the factor of the first or last entry.
 float fall_at(float range_m) {
     if (params.n_response == 0u) return 1.0;
     vec2 before = params.response.at[0];
@@ -25,9 +27,9 @@ float fall_at(float range_m) {
     return before.y;
 }
 
-/// Returns the range of the range image before the offset of the beam is added.
-/// @param mode_m  range of the surface with the largest weight
-/// @param normalised  blended depth divided by blended weight, D / W
+/// Returns the range of a ray of the range image, without the range offset of its beam.
+/// @param mode_m range of the surface with the largest weight
+/// @param normalised blended depth divided by blended weight, D / W
 float chosen_range(RenderedRay r, float mode_m, float normalised) {
     if (params.range_kind == RELIDAR_RANGE_EXPECTED) return r.depth;
     if (r.weight < params.min_weight) return 0.0;
@@ -38,8 +40,8 @@ float chosen_range(RenderedRay r, float mode_m, float normalised) {
 float measured_range(float surface_m, SensorBeam beam) {
     return surface_m > 0.0 ? max(surface_m + beam.range_offset_m, 0.0) : surface_m;
 }
-/// Returns true if a range is within the limits of the sensor. Must match
-/// RangeLimits::contains() on the host.
+/// Returns true if a range is within the limits of the sensor. Must give the same result
+/// as RangeLimits::contains() on the host.
 bool within_limits(float range_m) {
     return range_m > 0.0 && range_m >= params.min_range_m && range_m <= params.max_range_m;
 }

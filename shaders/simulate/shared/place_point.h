@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Transforms points and directions from the sensor's frame at their firing time to the
-// frame of the sensor's poses. Between two poses the sensor moves along a straight line
-// and rotates about one axis at constant speed. Before the first and after the last pose
-// this motion continues. Host and device compute bitwise equal results, because
-// src/CMakeLists.txt disables fused multiply-add for place_points.cpp.
+// Transforms points and directions from the sensor frame at their firing time to the
+// frame in which the sensor poses are given. Between two poses, the sensor moves along a
+// straight line and rotates about one axis at constant speed. The motion continues before
+// the first pose and after the last pose.
+//
+// Host and device compute bit-identical results, because src/CMakeLists.txt disables
+// fused multiply-add for place_points.cpp.
 #ifndef RELIDAR_INCLUDED_SIMULATE_SHARED_PLACE_POINT_H
 #define RELIDAR_INCLUDED_SIMULATE_SHARED_PLACE_POINT_H
 #include "../../base/shared/rotation.h"
@@ -11,21 +13,21 @@
 
 RELIDAR_SHARED_BEGIN
 
-/// Returns the end point of a ray, in the sensor's frame at the firing time.
+/// Returns the end point of a ray in the sensor frame at the firing time.
 RELIDAR_FUNCTION vec3 ray_end(vec3 origin, vec3 direction, float range_m) {
     RELIDAR_EXACT vec3 end = origin + range_m * direction;
     return end;
 }
 
-/// Returns the fraction of the motion between two sensor poses that is complete at a
-/// firing time.
+/// Returns the fraction (0 to 1) of the motion between two sensor poses that is complete
+/// at a firing time.
 RELIDAR_FUNCTION float way_share(SensorPose pose, float time_offset_s) {
     RELIDAR_EXACT float share = (time_offset_s - pose.time_offset_s) * pose.per_s;
     return share;
 }
 
-/// Transforms a direction from the sensor's frame at the firing time to the frame of the
-/// sensor's poses.
+/// Transforms a direction from the sensor frame at the firing time to the frame in which
+/// the sensor poses are given.
 /// @param pose last pose before the firing time
 RELIDAR_FUNCTION vec3 place_direction(SensorPose pose, float time_offset_s, vec3 d) {
     RELIDAR_EXACT vec3 rotated = d.x * pose.x + d.y * pose.y + d.z * pose.z;
@@ -33,8 +35,8 @@ RELIDAR_FUNCTION vec3 place_direction(SensorPose pose, float time_offset_s, vec3
     return turned(turn, rotated);
 }
 
-/// Transforms a point from the sensor's frame at the firing time to the frame of the
-/// sensor's poses.
+/// Transforms a point from the sensor frame at the firing time to the frame in which the
+/// sensor poses are given.
 /// @param pose last pose before the firing time
 RELIDAR_FUNCTION vec3 place_point(SensorPose pose, float time_offset_s, vec3 p) {
     RELIDAR_EXACT vec3 moved = pose.position_rest + way_share(pose, time_offset_s) * pose.way;

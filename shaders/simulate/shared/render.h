@@ -11,14 +11,14 @@ struct SensorRay {
     vec3 origin;          // m
     vec3 direction;       // unit vector
     float time_offset_s;  // firing time relative to the sweep's reference time
-    // Probability that the sensor can receive a return in this direction, independent of
-    // the scene.
+    // Probability that the sensor can receive a return in this direction. It does not
+    // depend on the scene.
     float sees;
     uint channel;  // beam number
 };
 RELIDAR_POINTER(SensorRays, SensorRay);
 
-/// Pose of the sensor, and its motion from this pose to the next pose.
+/// Pose of the sensor, and the motion from this pose to the next pose.
 struct SensorPose {
     vec3 x;  // axes of the sensor
     vec3 y;
@@ -40,7 +40,7 @@ struct FireRaysParams {
     uint n_poses;
 };
 
-/// Measurement parameters of a beam (Beam in relidar/log/sensor.hpp).
+/// Calibration of a beam (Beam in relidar/log/sensor.hpp).
 struct SensorBeam {
     float range_offset_m;
     float intensity_gain;
@@ -50,23 +50,23 @@ RELIDAR_POINTER(SensorBeams, SensorBeam);
 
 /// Measurement of a ray of a scan.
 struct MeasuredRay {
-    float range_m;  // Range that config.render.range selects, or 0 if the ray hit nothing.
-    // Range of the surface with the largest weight. Equals range_m if no surface was
-    // found.
+    float range_m;  // Range of the type that config.render.range selects. 0 if the ray hit nothing.
+    // Range of the surface with the largest weight, or range_m if no surface was found.
     float median_range_m;
-    float mean_range_m;  // Expected range D / W. Equals range_m if no surface was found.
-    float intensity;     // 0..1
+    // Expected range D / W (blended depth / weight), or range_m if no surface was found.
+    float mean_range_m;
+    float intensity;  // 0..1
     // Probability that the ray has no return. 1 if the ray hit nothing within the
     // sensor's limits.
     float drop_prob;
     float weight;  // W
-    // Cosine of the angle between the ray and the blended normal. 0 if no normal exists.
+    // Cosine of the angle between ray and blended normal. 0 if the hit has no normal.
     float incidence;
     uint instance;  // instance that was hit, or RELIDAR_NO_INSTANCE
 };
 RELIDAR_POINTER(MeasuredRays, MeasuredRay);
 
-// Kinds of range for config.render.range.
+// Types of range that config.render.range can select.
 #define RELIDAR_RANGE_NORMALISED 0u
 #define RELIDAR_RANGE_EXPECTED 1u
 #define RELIDAR_RANGE_MODE 2u
@@ -76,9 +76,8 @@ struct MeasureRaysParams {
     SensorRays rays;            // input [n_rays]
     Rays fired;                 // input [n_rays] the same rays in the world frame
     RenderedRays rendered;      // input [n_rays]
-    RenderedSurfaces surfaces;  // Input [n_surfaces]: surface of each ray, or one entry of zeros.
-    // Input [n_beams]: range offset and gain of each beam. Other channels use offset 0
-    // and gain 1.
+    RenderedSurfaces surfaces;  // Input [n_surfaces]: surface that each ray hit, or one entry of zeros.
+    // Input [n_beams]: range offset and gain of each beam. Other beams: offset 0, gain 1.
     SensorBeams beams;
     // Input [n_response]: pairs of range in m and intensity factor. The factor is 1 if
     // the array is empty.
@@ -89,13 +88,14 @@ struct MeasureRaysParams {
     uint n_beams;
     uint n_response;
     uint range_kind;
-    float min_weight;  // Minimum blended weight of a hit. A ray with a smaller weight hit nothing.
+    // Minimum blended weight of a hit. Rays with less weight have no hit.
+    float min_weight;
     float min_range_m;
     float max_range_m;
 };
 
-// Input channels of the ray-drop network. The origin of the ray takes three channels: x,
-// y, z.
+// Input channels of the network that predicts which rays have no return. The ray origin
+// takes three channels: x, y, z.
 #define RELIDAR_DROP_LOG_RANGE 0u
 #define RELIDAR_DROP_INTENSITY 1u
 #define RELIDAR_DROP_LOGIT 2u
@@ -115,11 +115,11 @@ struct DropChannelsParams {
     uint n_rays;
 };
 
-/// Point of a returned ray.
+/// Point that a ray with a return produces.
 struct ReturnedPoint {
     vec3 position;        // m
     float intensity;      // 0..1
-    float time_offset_s;  // Firing time of the point's ray, relative to the reference time of the sweep.
+    float time_offset_s;  // Firing time of the ray, relative to the reference time of the sweep, s.
     uint ring;            // beam number
     uint instance;        // Instance that contains the point, or RELIDAR_NO_INSTANCE.
 };
@@ -129,13 +129,14 @@ struct MarkReturnsParams {
     MeasuredRays measured;  // input [n_rays]
     // Input [n_rays]: drop probabilities from the network. Used if `refined` is 1.
     RELIDAR_OF(Floats, DropProbabilities) drop_prob;
-    RELIDAR_OF(Uints, ReturnMarks) marks;  // output [n_rays] 1 for returned rays, otherwise 0
+    RELIDAR_OF(Uints, ReturnMarks) marks;  // output [n_rays] 1 for rays with a return, otherwise 0
     uint n_rays;
     uint refined;
-    // 1: points use the range of the range image. 0: points use the range of the surface
-    // with the largest weight.
+    // 1: points use the range of the range image. 0: the range of the surface with most
+    // weight.
     uint of_image;
-    float drop_threshold;  // A ray has no return if its drop probability is at or above this threshold.
+    // A ray has no return if its drop probability reaches this threshold.
+    float drop_threshold;
 };
 
 struct GatherPointsParams {
@@ -143,11 +144,11 @@ struct GatherPointsParams {
     MeasuredRays measured;  // input [n_rays]
     SensorPoses poses;      // Input [n_poses]: poses of the sensor, in the frame of the output points.
     RELIDAR_OF(Uints, ReturnMarks) marks;  // input [n_rays]
-    // Input [n_rays]: number of rays with a return before each ray.
+    // Input [n_rays]: number of earlier rays with a return.
     RELIDAR_OF(Uints, ReturnPlaces) places;
     ReturnedPoints points;  // output [number of returned rays]
-    // Output [n_requested]: range of the surface with the largest weight, for evenly
-    // spaced rays k n_rays / n_requested.
+    // Output [n_requested]: range of the surface with the largest weight for evenly
+    // spaced rays. Entry k belongs to ray k n_rays / n_requested.
     RELIDAR_OF(Floats, RequestedRanges) asked;
     uint n_rays;
     uint n_poses;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of the kernels that select batches of rays and compute the gradients of
+// Parameters of the kernels that select batches of rays and compute the gradients of the
 // sensor poses.
 #ifndef RELIDAR_INCLUDED_TRAIN_SHARED_TRAIN_H
 #define RELIDAR_INCLUDED_TRAIN_SHARED_TRAIN_H
@@ -7,14 +7,14 @@
 
 RELIDAR_SHARED_BEGIN
 
-// Number of columns in a group. It is the width of a tile of eight rays, which a CPU
-// traces together.
+// Number of neighbouring columns in a group. A CPU traces tiles of eight rays, and a
+// group is as wide as a tile.
 #define RELIDAR_COLUMN_GROUP 4u
 
-/// Copies columns of a frame next to each other as a new image. The columns are groups of
-/// RELIDAR_COLUMN_GROUP neighbours. The distance between two groups is column_stride
-/// times their width, starting at first_column (train/columns.glsl). The frame wraps
-/// around.
+/// Parameters of train/gather_columns.comp, which copies columns of a frame next to each
+/// other as a new image. It copies groups of RELIDAR_COLUMN_GROUP neighbouring columns,
+/// starting at first_column. Consecutive groups start column_stride times the group width
+/// apart. Indices wrap around at the end of the frame.
 struct GatherColumnsParams {
     Rays rays;              // input [rows,columns]
     Targets targets;        // input [rows,columns]
@@ -27,8 +27,8 @@ struct GatherColumnsParams {
     uint n_columns;
 };
 
-/// Position of a ray between two sensor poses. The ray moves with weight 1 - s of pose
-/// `left` and weight s of the next pose.
+/// Position of a ray between two sensor poses. Pose `left` has the weight 1 - s, and the
+/// next pose has the weight s.
 struct RayPlace {
     uint left;
     float s;
@@ -43,8 +43,8 @@ struct PoseKnot {
 };
 RELIDAR_POINTER(PoseKnots, PoseKnot);
 
-/// Parameters of the kernel that computes the rays of a frame from the corrected sensor
-/// poses.
+/// Parameters of train/move_rays.comp, which applies the corrections of the sensor poses
+/// to the rays of a frame.
 struct MoveRaysParams {
     Rays rays;         // input [n_rays]
     RayPlaces places;  // input [n_rays]
@@ -55,9 +55,9 @@ struct MoveRaysParams {
 
 #define RELIDAR_KNOT_WORKGROUP 256
 
-/// Parameters of the kernel that converts gradients of rays to gradients of the pose
-/// corrections. Ray k of the batch is entry first_ray + k * ray_stride of `moved`. It is
-/// the same entry of `places`, unless the batch was copied from columns.
+/// Parameters of train/knot_gradients.comp, which converts gradients of rays to gradients
+/// of the pose corrections. Ray k of the batch is entry first_ray + k * ray_stride of
+/// `moved`. Unless the batch was copied from columns, `places` uses the same index.
 struct KnotGradientsParams {
     Rays moved;        // input
     RayPlaces places;  // Input: position of each ray of the frame between two sensor poses.

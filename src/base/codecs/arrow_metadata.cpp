@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads the tables of a flatbuffer by field number. A table refers to a vtable. The
-// vtable has two sizes, then the offset of each field.
+// vtable contains two sizes, followed by the offset of each field.
 #include "base/codecs/arrow_metadata.hpp"
 
 #include <cstring>
@@ -13,12 +13,11 @@
 namespace relidar::arrow {
 namespace {
 
-// Largest accepted number of tables in a file. The columns of a dataset need tens of
-// tables.
+// Maximum number of tables in a file. The columns of a dataset need only tens of tables.
 constexpr flatbuffers::uoffset_t kMostTables = 10000;
 constexpr std::size_t kLongestName = 200;
 
-// Values of Arrow's unions and enums.
+// Values of the unions and enumerations in Arrow's format.
 constexpr std::uint8_t kTypeInt = 2, kTypeFloat = 3, kTypeUtf8 = 5;
 constexpr std::uint8_t kHeaderDictionary = 2, kHeaderRecords = 3;
 constexpr std::int8_t kCodecLz4 = 0, kCodecZstd = 1;
@@ -27,8 +26,8 @@ constexpr std::int8_t kCodecLz4 = 0, kCodecZstd = 1;
     throw DataError(fmt::format("the metadata are malformed ({}), expected an Arrow IPC file", what));
 }
 
-/// Aligned copy of a flatbuffer. The flatbuffer verifier checks alignment, so the bytes
-/// must be aligned.
+/// Aligned copy of a flatbuffer. The copy is needed because the flatbuffer verifier
+/// checks the alignment.
 struct Bytes {
     std::vector<std::uint64_t> words;
     flatbuffers::Verifier verifier;
@@ -48,7 +47,7 @@ private:
     }
 };
 
-/// A table in a flatbuffer. Each field is checked when it is read.
+/// Table in a flatbuffer. Each field is checked when it is read.
 class Table {
 public:
     static Table root(Bytes& bytes) {
@@ -76,8 +75,8 @@ public:
         if (!text || !bytes_->verifier.VerifyString(text) || text->size() > kLongestName) malformed("name");
         return text->str();
     }
-    /// Returns the structs of a vector field. The vector has a length of 4 bytes,
-    /// followed by structs that need not be aligned.
+    /// Returns the structs of a vector field. The vector contains its length (4 bytes),
+    /// followed by structs that may be unaligned.
     template <class Struct>
     std::vector<Struct> structs(int field) const {
         const std::uint8_t* vector = verified_vector(field, sizeof(Struct));
@@ -104,8 +103,8 @@ private:
     Table(Bytes& bytes, const std::uint8_t* at)
         : bytes_(&bytes), table_(reinterpret_cast<const flatbuffers::Table*>(at)) {
         if (!table_->VerifyTableStart(bytes.verifier)) malformed("table");
-        // Ends the check of the table immediately, because the code that reads tables
-        // already limits the nesting depth.
+        // Ends the verifier's check of the table immediately, because this parser limits
+        // the nesting depth itself.
         bytes.verifier.EndTable();
     }
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Parses the metadata of Arrow IPC files: the footer at the end of the file, and the
-// message before each record batch. Both are flatbuffers. Field numbers are those of
-// Arrow's public format (File.fbs, Schema.fbs, Message.fbs). All data is verified to be
-// inside the buffer before it is read.
+// message before each record batch. Both are flatbuffers. Field numbers come from Arrow's
+// public format (File.fbs, Schema.fbs, Message.fbs). Each position is checked against the
+// size of the buffer before it is read.
 #pragma once
 
 #include <cstdint>
@@ -16,12 +16,12 @@ namespace relidar::arrow {
 enum class Kind { integer, floating, text };
 enum class Codec { none, lz4_frame, zstd };
 
-/// A column of an Arrow table. A dictionary-encoded column also has the type of its
+/// Column of an Arrow table. For a dictionary-encoded column, also stores the type of its
 /// indices.
 struct Field {
     struct Type {
         Kind kind = Kind::text;
-        int bits = 0;            ///< Number of bits of a number: 8, 16, 32 or 64. 0 for text.
+        int bits = 0;            ///< Size of a number in bits: 8, 16, 32 or 64. 0 for text.
         bool is_signed = false;  ///< True for signed integers.
     };
     std::string name;
@@ -33,27 +33,28 @@ struct Field {
     std::optional<Dictionary> dictionary;
 
     /// Returns the number of buffers that a record batch stores for this column. Numbers
-    /// have two buffers: validity and values. Text has three: validity, offsets and
-    /// characters.
+    /// have two buffers: validity and values. Text has three buffers: validity, offsets
+    /// and characters.
     std::size_t count_buffers() const { return type.kind == Kind::text && !dictionary ? 3 : 2; }
 };
 
-/// Position of a record batch in the file. The batch consists of a message and a body.
+/// Position of a record batch in the file. A record batch consists of a message and a
+/// body.
 struct Block {
     std::int64_t offset;
-    /// Size of the message in bytes, including the 8 bytes before the message.
+    /// Size of the message in bytes, including its prefix of 8 bytes.
     std::int32_t metadata_bytes;
     std::int32_t padding;
     std::int64_t body_bytes;
 };
 
-/// Number of rows and of missing values of a column in a record batch.
+/// Number of rows of a column in a record batch, and number of missing values.
 struct Node {
     std::int64_t length;
     std::int64_t null_count;
 };
 
-/// Part of the body of a record batch.
+/// Position of a buffer in the body of a record batch.
 struct Buffer {
     std::int64_t offset;
     std::int64_t length;
@@ -65,7 +66,7 @@ struct Footer {
 };
 
 struct RecordBatch {
-    /// Id of the dictionary if the batch contains dictionary values. nullopt if the batch
+    /// Id of the dictionary whose values this batch contains. nullopt if the batch
     /// contains rows of the table.
     std::optional<std::int64_t> dictionary;
     std::int64_t length = 0;

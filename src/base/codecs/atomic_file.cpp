@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes files atomically: writes to a temporary name in the same folder, flushes the
-// file, renames it and flushes the folder. After a power failure, either the old or the
-// new file exists.
+// Writes files atomically. Writes to a temporary file in the same folder, flushes it,
+// renames it and flushes the folder. After a power failure, the path contains either the
+// complete old file or the complete new file.
 #include <relidar/base/files.hpp>
 
 #include <algorithm>
@@ -25,14 +25,14 @@ namespace fs = std::filesystem;
 using report_detail::system_message;
 
 [[noreturn]] void fail(const fs::path& path, std::string why) {
-    // Replaces line breaks, because messages of libraries may have several lines, but an
-    // error message must have one line.
+    // Replaces line breaks in the messages of libraries, because our error messages have
+    // only one line.
     std::replace(why.begin(), why.end(), '\n', ' ');
     throw DataError(fmt::format("cannot write '{}': {}", path.string(), why));
 }
 
-/// Scope object that removes the temporary file at the end, unless the file was renamed
-/// to its final name.
+/// Removes the temporary file when the scope ends, unless it was renamed to its final
+/// name.
 struct TemporaryFile {
     fs::path path;
     bool renamed = false;
@@ -42,9 +42,9 @@ struct TemporaryFile {
     }
 };
 
-/// Returns the path of the file to write. If the path is a symbolic link, returns its
-/// target, so that the link stays. Rejects targets that are not regular files, because
-/// renaming would replace a device by a file.
+/// Returns the path of the file to write. For a symbolic link, returns its target, so
+/// that the link stays. Rejects targets that are not regular files, because renaming
+/// would replace a device with a file.
 fs::path final_path(const fs::path& path) {
     if (!path.has_filename()) fail(path, "the path has no file name");
     std::error_code error;
@@ -68,8 +68,8 @@ void call_writer(const fs::path& path, const fs::path& temporary,
     try {
         write(temporary);
     } catch (const Error& error) {
-        // Rethrows other errors unchanged. A GPU that fails while data is downloaded is
-        // not a file error.
+        // Rethrows all errors except data errors. For example, a GPU failure during a
+        // download is not a file error.
         if (error.code() != ExitCode::data) throw;
         fail(path, error.what());
     } catch (const std::bad_alloc&) {
@@ -88,7 +88,8 @@ void flush_file(const fs::path& path, const fs::path& temporary) {
 }
 
 /// Flushes the folder, so that the new file name survives a power failure. Ignores
-/// folders that cannot be opened for reading and file systems that cannot flush folders.
+/// failures, because some folders cannot be opened and some file systems cannot flush
+/// folders.
 void flush_folder(const fs::path& path) {
     const int folder = ::open(path.parent_path().c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (folder < 0) return;
@@ -101,7 +102,8 @@ void flush_folder(const fs::path& path) {
 }  // namespace
 
 fs::path temporary_path(const fs::path& path) {
-    static std::atomic<unsigned> count{0};  // Two threads may write to the same name.
+    // Makes temporary names unique, because two threads may write the same file.
+    static std::atomic<unsigned> count{0};
     return path.parent_path() / fmt::format(".{}.tmp-{}-{}", path.filename().string(), ::getpid(), count++);
 }
 
@@ -117,7 +119,7 @@ void write_atomically(const fs::path& path, const std::function<void(const fs::p
 }
 
 void remove_temporaries(const fs::path& folder) {
-    // Pattern of the names that temporary_path() creates.
+    // Pattern that matches the names from temporary_path().
     static const std::regex kTemporary(R"(\..+\.tmp-[0-9]+-[0-9]+)");
     std::error_code failed;
     std::vector<fs::path> temporary_paths;

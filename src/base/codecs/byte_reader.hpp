@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads binary data: little-endian numbers, and byte strings with a length prefix.
+// Reads binary data from memory: little-endian numbers, and byte strings with a length
+// prefix.
 #pragma once
 
 #include <bit>
@@ -16,8 +17,8 @@ namespace relidar::bag {
 
 static_assert(std::endian::native == std::endian::little, "numbers are taken as they lie");
 
-/// Reads values from bytes in order.
-/// @throws DataError if there are not enough bytes for a value
+/// Reads values from a byte string, one after another.
+/// @throws DataError if too few bytes are left for a value
 class ByteReader {
 public:
     explicit ByteReader(std::string_view bytes) : bytes_(bytes) {}
@@ -36,7 +37,7 @@ public:
         at_ += std::size_t(n);
         return part;
     }
-    /// Returns bytes with a length prefix of 4 bytes.
+    /// Returns a byte string that is stored with a 4-byte length before it.
     std::string_view sized() { return take(number<std::uint32_t>()); }
     std::size_t at() const { return at_; }
     std::size_t left() const { return bytes_.size() - at_; }

@@ -10,8 +10,8 @@
 
 namespace relidar::scan_files {
 
-/// Writes values in little-endian CDR. Each number is aligned to a multiple of its size,
-/// counted from the fifth byte.
+/// Writes values in little-endian CDR. The offset of each number from the fifth byte is a
+/// multiple of its size.
 class Cdr {
 public:
     template <class T>

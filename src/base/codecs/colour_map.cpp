@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts scalar range images to colour images by linear interpolation between the
-// colours below. "turbo" resembles the map of that name (dark indigo, blue, cyan, green,
-// yellow, orange, dark red) from near to far. "heat" is for errors.
+// Converts range images and other scalar images to colours, by linear interpolation
+// between the colours below. "turbo" resembles the colour map Turbo, from near (dark
+// indigo, blue, cyan) over green and yellow to far (orange, dark red). "heat" is for
+// errors.
 #include <relidar/base/images.hpp>
 
 #include <algorithm>
@@ -49,8 +50,8 @@ std::span<const Colour> stops_of(const std::string& map) {
     throw UsageError(fmt::format("the colour map '{}' is unknown, expected turbo, gray or heat", map));
 }
 
-/// Returns the colour at a position of a colour map. Interpolates between the colours of
-/// the map.
+/// Returns the interpolated colour at a position of a colour map.
+/// @param stops colours of the map, evenly spaced
 /// @param t position in the map, [0, 1]
 Colour interpolate(std::span<const Colour> stops, double t) {
     const double position = t * double(stops.size() - 1);
@@ -79,7 +80,7 @@ Image colour_map(const std::vector<float>& values, int rows, int columns, float 
         throw DataError(fmt::format(
             "cannot colour an image: found the range {} to {}, expected finite values", low, high));
     const std::span<const Colour> stops = stops_of(map);
-    // A constant image gets the lowest colour.
+    // Avoids a division by zero. A constant image gets the lowest colour.
     const double span = high > low ? double(high) - double(low) : 1.0;
 
     Image image{rows, columns, {}};

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes OpenEXR images of float channels with ZIP compression. Encodes the image in
-// memory, because OpenEXR writes its line table in a destructor, which cannot report a
-// full disk. Our file functions then write the bytes.
+// memory and then writes the bytes with our own file functions. OpenEXR's file class
+// could not report a full disk, because it writes its line table in a destructor.
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
 
@@ -22,7 +22,7 @@
 namespace relidar {
 namespace {
 
-/// Memory buffer to which OpenEXR writes an image instead of a file.
+/// Memory buffer to which OpenEXR writes an image.
 class MemoryStream : public OPENEXR_IMF_NAMESPACE::OStream {
 public:
     MemoryStream() : OStream("memory") {}
@@ -71,7 +71,8 @@ void write_exr(const std::filesystem::path& path, int rows, int columns,
         const std::size_t stride = sizeof(float);
         for (const auto& [name, values] : channels) {
             header.channels().insert(name, imf::Channel(imf::FLOAT));
-            // OpenEXR only reads the values.
+            // Removes const, because the interface requires it. OpenEXR only reads the
+            // values.
             char* base = reinterpret_cast<char*>(const_cast<float*>(values.data()));
             buffer.insert(name, imf::Slice(imf::FLOAT, base, stride, stride * std::size_t(columns)));
         }

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads OpenEXR scan-line images. Parses the header itself before OpenEXR does. OpenEXR
-// allocates the memory that a header requests without checking whether the file can
-// contain so much data.
+// Reads OpenEXR scan-line images. Checks the header before OpenEXR parses it. Otherwise a
+// damaged header could make OpenEXR allocate much more memory than the file can fill.
 #include <relidar/base/images.hpp>
 
 #include <algorithm>
@@ -28,18 +27,16 @@ namespace imf = OPENEXR_IMF_NAMESPACE;
 
 constexpr std::uint32_t kExrMagic = 20000630, kVersionBits = 0xFF, kTiles = 0x200, kDeep = 0x800,
                         kParts = 0x1000;
-constexpr std::size_t kMostChannels = 256, kLongestNote = 10000;  // Maximum length in bytes.
-// Maximum compression ratio of deflate. An image that would need a higher ratio is
-// invalid.
+// Maximum number of channels, and maximum length of a text in bytes.
+constexpr std::size_t kMostChannels = 256, kLongestNote = 10000;
+// Maximum compression ratio of deflate. An image with a higher ratio is invalid.
 constexpr std::size_t kMostInflated = 1032;
-// Size in bytes up to which an image is accepted without a check of the compression
-// ratio.
+// Uncompressed size in bytes up to which the compression ratio is not checked.
 constexpr std::size_t kAlwaysFits = 16 << 20;
-// Number of rows that OpenEXR compresses as one block. The index is the compression
-// method.
+// Number of rows in a compressed block, indexed by compression method.
 constexpr std::int64_t kRowsAtOnce[] = {1, 1, 1, 16, 32, 16, 32, 32, 32, 256};
 
-/// Reads the bytes of a header in order.
+/// Reads the bytes of a header from start to end.
 class ExrHeader {
 public:
     explicit ExrHeader(const std::string& file) : file_(file) {}
@@ -54,7 +51,7 @@ public:
         at_ += n;
         return std::string_view(file_).substr(at_ - n, n);
     }
-    /// Returns a name that ends with a zero byte.
+    /// Returns the next name. A zero byte marks the end of a name.
     std::string name() {
         const std::size_t end = file_.find('\0', at_);
         if (end == std::string::npos || end - at_ > 255)
@@ -71,10 +68,10 @@ private:
     std::size_t at_ = 0;
 };
 
-// Largest accepted number of pixels. As rays of a scan they need 500 MB of memory.
+// Maximum number of pixels. The rays of a scan with so many pixels need 500 MB of memory.
 constexpr std::int64_t kMaxPixels = std::int64_t(1) << 24;
 
-/// Image description from a header.
+/// Description of an image from its header.
 struct ImageHeader {
     std::int64_t rows = 0, columns = 0, rows_at_once = 1;
     std::vector<std::string> channels;
@@ -88,8 +85,8 @@ void read_window(std::string_view bytes, ImageHeader& image_header) {
     std::memcpy(corner, bytes.data(), sizeof corner);
     image_header.columns = std::int64_t(corner[2]) - corner[0] + 1;
     image_header.rows = std::int64_t(corner[3]) - corner[1] + 1;
-    // Largest accepted corner coordinate. OpenEXR computes with 32-bit integers, so
-    // larger values could overflow.
+    // Maximum absolute value of a corner coordinate. Larger values could overflow
+    // OpenEXR's 32-bit integers.
     constexpr std::int32_t kFarthest = 1 << 29;
     for (const std::int32_t c : corner)
         if (c < -kFarthest || c > kFarthest)
@@ -108,7 +105,7 @@ void read_channels(std::string_view bytes, ImageHeader& image_header) {
     const std::string list(bytes);
     ExrHeader items(list);
     for (std::string name = items.name(); !name.empty(); name = items.name()) {
-        items.bytes(8);  // Type and linearity, which OpenEXR checks.
+        items.bytes(8);  // Skips type and linearity, because OpenEXR checks both.
         const std::int32_t x = items.number(), y = items.number();
         if (x != 1 || y != 1)
             throw DataError(fmt::format("channel '{}' is subsampled by {} x {}, expected all pixels",
@@ -124,7 +121,7 @@ void read_channels(std::string_view bytes, ImageHeader& image_header) {
 }
 
 /// Checks that the size of an attribute matches its type. OpenEXR ignores the stored
-/// size, so a wrong size would let it read unchecked data at a wrong position.
+/// size, so a wrong size would make it read unchecked data.
 void check_layout(const std::string& name, const std::string& type, std::string_view bytes) {
     static const std::map<std::string_view, std::size_t> kSizes = {{"box2i", 16},
                                                                    {"box2f", 16},
@@ -193,8 +190,8 @@ ImageHeader read_header(const std::string& file) {
         const std::string_view bytes = header.bytes(std::size_t(size));
         if (!seen.insert(name).second)
             throw DataError(fmt::format("attribute '{}' occurs twice", excerpt(name)));
-        // Rejects these attribute types, because they contain sizes that are not checked
-        // here.
+        // Rejects attribute types that contain sizes, because this function does not
+        // check these sizes.
         if (type == "idmanifest" || type == "preview" || type == "bytes")
             throw DataError(
                 fmt::format("attribute '{}' has the type '{}', which is not supported", excerpt(name), type));
@@ -209,7 +206,7 @@ ImageHeader read_header(const std::string& file) {
     return image_header;
 }
 
-/// Checks that the file is large enough for the image size in its header.
+/// Checks that the file is large enough for the image size that its header states.
 void check_image_size(const ImageHeader& image_header, std::size_t file_bytes) {
     const std::int64_t rows = image_header.rows, columns = image_header.columns;
     if (rows <= 0 || columns <= 0 || image_header.channels.empty())
@@ -220,7 +217,7 @@ void check_image_size(const ImageHeader& image_header, std::size_t file_bytes) {
             fmt::format("it has {} x {} pixels, expected at most {} pixels", rows, columns, kMaxPixels));
     const std::int64_t unpacked =
         (rows + image_header.rows_at_once - 1) / image_header.rows_at_once * image_header.rows_at_once;
-    // Minimum size in bytes, with half precision.
+    // Minimum uncompressed size in bytes, assuming half-precision channels.
     const std::size_t least = std::size_t(unpacked * columns) * image_header.channels.size() * 2;
     if (least > std::max(kAlwaysFits, kMostInflated * file_bytes))
         throw DataError(fmt::format(
@@ -229,7 +226,7 @@ void check_image_size(const ImageHeader& image_header, std::size_t file_bytes) {
             rows, columns, image_header.channels.size(), file_bytes));
 }
 
-/// Memory stream that OpenEXR reads instead of a file.
+/// Memory buffer from which OpenEXR reads an image.
 class MemoryInput : public imf::IStream {
 public:
     explicit MemoryInput(const std::string& bytes) : IStream("memory"), bytes_(bytes) {}
@@ -278,7 +275,7 @@ ExrImage read_exr(const std::filesystem::path& path) {
         const std::string message = error.what();
         throw DataError(message.starts_with(path.string()) ? message
                                                            : fmt::format("{}: {}", path.string(), message));
-    } catch (const std::exception& error) {  // Exceptions of OpenEXR.
+    } catch (const std::exception& error) {  // OpenEXR throws its own exceptions.
         throw DataError(fmt::format("{}: {}", path.string(), excerpt(error.what())));
     }
 }

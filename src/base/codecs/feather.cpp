@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads Arrow IPC files: "ARROW1", messages, footer, 4 bytes with the footer's length,
-// "ARROW1". A compressed buffer begins with 8 bytes that hold its uncompressed length. A
-// length of -1 means that the buffer is not compressed.
+// Reads Arrow IPC files. A file contains "ARROW1", messages, a footer, 4 bytes with the
+// footer's length, and "ARROW1". A compressed buffer begins with its uncompressed length
+// (8 bytes). The length -1 means that the buffer is not compressed.
 #include "base/codecs/feather.hpp"
 
 #include <cmath>
@@ -24,11 +24,11 @@ using arrow::Kind;
 using Batch = Feather::Batch;
 
 constexpr std::string_view kMagic = "ARROW1";
-// Largest accepted number of rows and of text bytes per byte of the file. The limit
-// prevents huge allocations. lz4 compresses by a factor of up to 255, and zstd compresses
-// equal values more.
+// Maximum number of rows, and of text bytes, per byte of the file. These limits prevent
+// huge allocations. lz4 compresses by a factor of at most 255, and zstd compresses equal
+// values even more.
 constexpr std::size_t kMostRows = 64, kMostText = 1024;
-constexpr std::size_t kPadding = 64;  // Number of padding bytes that a writer may add to a buffer.
+constexpr std::size_t kPadding = 64;  // Maximum number of padding bytes at the end of a buffer.
 
 template <class T>
 T load(std::string_view bytes, std::size_t at) {
@@ -37,7 +37,8 @@ T load(std::string_view bytes, std::size_t at) {
     return value;
 }
 
-/// Returns a part of the bytes. Rejects negative numbers.
+/// Returns n bytes from an offset. Throws an error if the range is negative or exceeds
+/// the bytes.
 std::string_view part(std::string_view bytes, std::int64_t offset, std::int64_t n, const char* what) {
     if (offset < 0 || n < 0 || std::uint64_t(offset) > bytes.size() ||
         std::uint64_t(n) > bytes.size() - std::uint64_t(offset))
@@ -58,8 +59,8 @@ std::string_view footer_of(std::string_view bytes) {
     return part(bytes, end - n, n, "a footer");
 }
 
-/// Reads the record batch at a position of the file. The message of a batch begins with
-/// 0xFFFFFFFF and the length of its flatbuffer.
+/// Reads the record batch at a position of the file. Its message begins with 0xFFFFFFFF
+/// and the length of its flatbuffer.
 Batch batch_at(std::string_view bytes, const arrow::Block& block) {
     constexpr std::int64_t kPrefix = 8;
     const std::string_view message = part(bytes, block.offset, block.metadata_bytes, "a message");
@@ -71,8 +72,9 @@ Batch batch_at(std::string_view bytes, const arrow::Block& block) {
             part(bytes, block.offset + block.metadata_bytes, block.body_bytes, "a record batch")};
 }
 
-/// Returns an uncompressed buffer of a record batch with at least n_bytes. Before it
-/// allocates memory, it checks that the stored length matches, except for padding.
+/// Returns a buffer of a record batch, decompressed, with at least n_bytes. Checks the
+/// stored length before it allocates memory. The length may exceed n_bytes only by
+/// padding.
 std::string buffer_of(const Batch& batch, std::size_t at, std::size_t n_bytes) {
     const arrow::Buffer& place = batch.layout.buffers.at(at);
     std::string_view stored = part(batch.body, place.offset, place.length, "a buffer");
@@ -96,8 +98,8 @@ std::string buffer_of(const Batch& batch, std::size_t at, std::size_t n_bytes) {
     return bytes;
 }
 
-/// Returns the number of rows of a column in a record batch. Throws an error if values
-/// are missing.
+/// Returns the number of rows of a column in a record batch. Throws an error if the
+/// column has missing values.
 std::size_t rows_of(const Batch& batch, std::size_t node, std::size_t last_buffer) {
     if (node >= batch.layout.nodes.size() || last_buffer >= batch.layout.buffers.size())
         throw DataError(
@@ -120,7 +122,7 @@ void push_as(std::vector<T>& values, const Batch& batch, const Feather::Column& 
     for (std::size_t i = 0; i < n; ++i) values.push_back(convert(load<Stored>(bytes, i * sizeof(Stored))));
 }
 
-/// Appends integers of any width.
+/// Appends the integers of a column to `values`. The integers may have any width.
 template <class T>
 void append_integers(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
                      const Field::Type& type) {
@@ -155,13 +157,13 @@ void append_floats(std::vector<double>& values, const Batch& batch, const Feathe
                                [](std::uint16_t half) { return double(glm::unpackHalf1x16(half)); });
 }
 
-/// Appends the texts of a column to `values`. Text i is stored between offsets i and i +
-/// 1.
+/// Appends the texts of a column to `values`. Text i is stored between the offsets i and
+/// i + 1.
 /// @param most maximum number of text bytes
 void append_texts(std::vector<std::string>& values, const Batch& batch, std::size_t node,
                   std::size_t first_buffer, std::size_t most) {
     const std::size_t n = rows_of(batch, node, first_buffer + 2);
-    if (n == 0) return;  // Writers omit the offsets if there are no rows.
+    if (n == 0) return;  // Without rows, writers may omit the offsets.
     const std::string offsets = buffer_of(batch, first_buffer + 1, (n + 1) * sizeof(std::int32_t));
     const auto offset = [&](std::size_t i) { return load<std::int32_t>(offsets, i * sizeof(std::int32_t)); };
     for (std::size_t i = 0; i < n; ++i)
@@ -176,7 +178,7 @@ void append_texts(std::vector<std::string>& values, const Batch& batch, std::siz
 }
 
 /// Returns the total number of rows of all record batches.
-/// @throws DataError if there are more rows than the file size allows
+/// @throws DataError if the number exceeds `most`
 std::size_t count_rows(const std::vector<Batch>& batches, std::size_t most) {
     std::size_t rows = 0;
     for (const Batch& batch : batches) {
@@ -202,7 +204,8 @@ Feather::Feather(std::string name, std::string bytes) : name_(std::move(name)), 
             at.node += 1;
             at.buffer += n_buffers;
         }
-        std::int64_t left = std::int64_t(bytes_.size());  // Blocks do not overlap.
+        // Bytes not used by earlier blocks, because blocks do not overlap.
+        std::int64_t left = std::int64_t(bytes_.size());
         const auto read = [&](const std::vector<arrow::Block>& blocks, std::vector<Batch>& batches) {
             for (const arrow::Block& block : blocks) {
                 batches.push_back(batch_at(bytes_, block));

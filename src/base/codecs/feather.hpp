@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads tables from Feather V2 files, which are Arrow IPC files. Columns of numbers or
-// text may be uncompressed or compressed with lz4 or zstd.
+// Reads tables from Feather V2 files, which are Arrow IPC files. Supports columns of
+// numbers and text, uncompressed or compressed with lz4 or zstd.
 #pragma once
 
 #include <cstdint>
@@ -13,13 +13,14 @@
 
 namespace relidar {
 
-/// Feather file in memory. A column is decompressed when it is requested. Every offset
-/// and length is checked against the file. To limit memory, a file may have at most 64
-/// rows, and 1024 bytes of text per column, for each of its bytes.
+/// Feather file in memory. Each column is decompressed when it is requested. Every offset
+/// and length is checked against the size of the file. To limit memory, the number of
+/// rows may be at most 64 times the file size in bytes. The text of a column may have at
+/// most 1024 bytes per byte of the file.
 class Feather {
 public:
     /// Reads a Feather file into memory.
-    /// @throws DataError naming the file if it is missing, truncated or damaged
+    /// @throws DataError with the file name if the file is missing, truncated or damaged
     explicit Feather(const std::filesystem::path& file);
     /// Parses the bytes of a Feather file.
     /// @param name name of the data in error messages
@@ -30,24 +31,25 @@ public:
     const std::string& name() const { return name_; }
     std::size_t rows() const { return rows_; }
 
-    /// Returns the values of a numeric column. All values are finite.
-    /// @throws DataError naming file and column if the column is missing, has another
-    /// type, or is damaged
+    /// Returns the values of a numeric column. All returned values are finite.
+    /// @throws DataError with file and column if the column is missing, damaged or not
+    /// numeric
     std::vector<double> numbers(const std::string& column) const;
     /// Returns the values of an integer column.
-    /// @throws DataError naming file and column if the column is missing, has another
-    /// type, or is damaged
+    /// @throws DataError with file and column if the column is missing, damaged or has
+    /// another type
     std::vector<std::int64_t> integers(const std::string& column) const;
-    /// Returns the values of a text column. The column may be dictionary-encoded.
-    /// @throws DataError naming file and column if the column is missing, has another
-    /// type, or is damaged
+    /// Returns the values of a text column, which may be dictionary-encoded.
+    /// @throws DataError with file and column if the column is missing, damaged or has
+    /// another type
     std::vector<std::string> texts(const std::string& column) const;
 
     struct Batch {
         arrow::RecordBatch layout;
         std::string_view body;
     };
-    /// A column, and the index of its first node and first buffer in each record batch.
+    /// Column, and the indices of its first node and its first buffer in each record
+    /// batch.
     struct Column {
         arrow::Field field;
         std::size_t node = 0, buffer = 0;
@@ -60,8 +62,8 @@ private:
     std::size_t rows_ = 0;
 
     const Column& find(const std::string& name) const;
-    /// Runs a task that reads a column. If it fails, adds the names of file and column to
-    /// the error message.
+    /// Runs a task that reads a column. If the task throws a DataError, adds file and
+    /// column to the message.
     template <class Task>
     auto reading(const std::string& column, const Task& task) const;
 };

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes and reads the bytes of files, and detects every failure: short writes, failed
-// flushes, files that shrink during reading. Error messages contain only the failed
-// operation. write_atomically() and the readers add the path and the purpose. Private to
+// Writes and reads the bytes of files. Detects every failure, for example short writes,
+// failed flushes and files that shrink while they are read. Error messages contain only
+// the failed operation. write_atomically() and the readers add the path. Private to
 // base/codecs.
 #pragma once
 
@@ -18,7 +18,7 @@ namespace relidar::report_detail {
 
 static_assert(std::endian::native == std::endian::little, "every format written here is little-endian");
 
-/// A file that is open for writing. Call close() at the end: without it, the destructor
+/// File that is open for writing. Call close() at the end, because the destructor
 /// discards buffered data.
 class OutputFile {
 public:
@@ -37,14 +37,14 @@ private:
     std::FILE* file_ = nullptr;
 };
 
-/// Writes a complete file with write_atomically().
+/// Writes a complete file atomically with write_atomically().
 void write_file(const std::filesystem::path& path, std::string_view bytes);
 
 /// Reads a complete file.
-/// @throws DataError naming the path
+/// @throws DataError with the path
 std::vector<std::byte> read_file(const std::filesystem::path& path);
 
-/// Returns a metadata entry (key and value) as one line of a file header.
+/// Returns a metadata entry (key and value) as one line for a file header.
 std::string note_line(const std::pair<std::string, std::string>& note);
 
 /// Returns the text for a system error number (errno), like strerror.

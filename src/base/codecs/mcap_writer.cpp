@@ -112,7 +112,8 @@ void McapWriter::add_message(std::uint16_t channel, std::uint64_t time_ns, std::
     chunk_first_ns_ = std::min(chunk_first_ns_, time_ns), chunk_last_ns_ = std::max(chunk_last_ns_, time_ns);
     std::string body;
     append(body, channel), append(body, std::uint32_t(n_messages_.at(channel)++));
-    append(body, time_ns), append(body, time_ns);  // Log time and publish time of the message.
+    // The same time is written twice: log time and publish time.
+    append(body, time_ns), append(body, time_ns);
     body += message;
     chunk_ += record(kMessageRecord, body);
 }
@@ -123,14 +124,15 @@ void McapWriter::end_chunk() {
     std::string body;
     append(body, chunk_first_ns_), append(body, chunk_last_ns_), append(body, std::uint64_t(chunk_.size()));
     append(body, std::uint32_t(crc32(0, reinterpret_cast<const Bytef*>(chunk_.data()), uInt(chunk_.size()))));
-    // An empty name means no compression, because the floats of a scan compress poorly.
+    // Writes an empty name, which means no compression. Compression would save little,
+    // because the floats of a scan compress poorly.
     append_text(body, "");
     append(body, std::uint64_t(chunk_.size()));
     put(record(kChunk, body + chunk_));
     const std::uint64_t end = written_;
 
-    // File positions of the message indices of each channel. The chunk index needs these
-    // positions.
+    // File positions of the message indices of each channel, which the chunk index
+    // contains.
     std::string index_positions;
     for (const auto& [channel, messages] : chunk_index_) {
         append(index_positions, channel), append(index_positions, written_);
@@ -158,15 +160,16 @@ std::string McapWriter::statistics() const {
     std::uint64_t n_messages = 0;
     for (const auto& [channel, n] : n_messages_) append(counts, channel), append(counts, n), n_messages += n;
     append(body, n_messages), append(body, n_schemas_), append(body, std::uint32_t(n_messages_.size()));
-    // Number of attachments.
+    // The number of attachments is 0.
     append(body, std::uint32_t(0)), append(body, n_metadata_), append(body, n_chunks_);
     append(body, n_messages ? first_ns_ : std::uint64_t(0)), append(body, last_ns_);
     append_text(body, counts);
     return record(kStatistics, body);
 }
 
-/// Returns the bytes of the summary section, which follows at the end of the file.
-/// Records with the same code form a group.
+/// Returns the bytes of the summary section at the end of the file. Records with the same
+/// code form a group.
+/// @param groups receives the position of each group
 std::string McapWriter::summary(std::vector<Group>& groups) const {
     std::string bytes;
     const auto add = [&](Code code, const std::string& records) {
@@ -181,7 +184,8 @@ std::string McapWriter::summary(std::vector<Group>& groups) const {
 void McapWriter::close() {
     end_chunk();
     std::string end, footer;
-    // A value of 0 means no checksum for the complete file. The chunks have checksums.
+    // Writes 0, which means that the file has no checksum. Each chunk has a separate
+    // checksum.
     append(end, std::uint32_t(0));
     put(record(kDataEnd, end));
     const std::uint64_t begin = written_;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes MCAP files (mcap.dev/spec): messages of several channels in time order, in
-// chunks, with an index at the end for seeking. The caller defines the content of the
-// messages.
+// Writes MCAP files (mcap.dev/spec). Messages of several channels are written in time
+// order, in chunks. An index at the end of the file allows seeking. The caller encodes
+// the messages.
 #pragma once
 
 #include <cstdint>
@@ -17,27 +17,27 @@ namespace relidar::scan_files {
 /// Writer of an MCAP file.
 class McapWriter {
 public:
-    using Values = std::map<std::string, std::string>;  ///< Values by name.
+    using Values = std::map<std::string, std::string>;  ///< Maps names to values.
 
     /// Creates an MCAP file.
     /// @param profile "ros2" for messages of ROS 2, otherwise empty
     /// @throws DataError if the file cannot be written. All other functions that write
-    /// throw it too.
+    /// throw the same error
     McapWriter(std::filesystem::path path, std::string_view profile);
 
-    /// Adds a schema or a channel to the file. Add all schemas and channels before the
-    /// first message.
+    /// add_schema() and add_channel() write a schema or a channel to the file. Call them
+    /// before the first message.
     /// @return id of the schema or channel
     std::uint16_t add_schema(std::string_view name, std::string_view encoding, std::string_view definition);
     std::uint16_t add_channel(std::uint16_t schema, std::string_view topic, std::string_view encoding,
                               const Values& metadata = {});
     void add_metadata(std::string_view name, const Values& values);
     void add_message(std::uint16_t channel, std::uint64_t time_ns, std::string_view message);
-    /// Writes the messages since the last call as one chunk. Readers load a chunk as a
-    /// unit.
+    /// Writes all messages since the last call as one chunk. Readers load one chunk at a
+    /// time.
     void end_chunk();
-    /// Writes the summary and the footer, which readers read first. Do not write any data
-    /// after this call.
+    /// Writes the summary and the footer, which readers read first. Call this function
+    /// last.
     void close();
 
 private:

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the name, the type and the shape of arrays. The codecs for npz and safetensors
-// use these checks.
+// Checks the names, types and shapes of arrays for the npz and safetensors codecs.
 #include "named_array.hpp"
 
 #include <algorithm>
@@ -91,10 +90,10 @@ std::vector<Out> values_of(const NamedArray& array) {
     return function(array);
 }
 
-/// Converts UTF-8 to Unicode code points. Replaces each invalid byte by U+FFFD.
+/// Converts UTF-8 to Unicode code points. Replaces each invalid byte with U+FFFD.
 std::u32string code_points(std::string_view utf8) {
-    // Smallest valid code point for each length of a UTF-8 sequence. A smaller code point
-    // has an overlong encoding, which is invalid.
+    // Minimum code point for each length of a UTF-8 sequence. A smaller code point in a
+    // longer sequence is invalid (overlong encoding).
     constexpr char32_t kReplacement = 0xFFFD, kLeast[] = {0, 0x80, 0x800, 0x10000};
     std::u32string points;
     for (std::size_t i = 0; i < utf8.size();) {
@@ -141,7 +140,7 @@ std::optional<std::size_t> byte_count(const std::vector<std::size_t>& shape, std
         empty = empty || extent == 0;
         overflow = __builtin_mul_overflow(product, extent, &product) || overflow;
     }
-    if (empty) return 0;  // An array with an extent of 0 has no bytes, whatever the other extents are.
+    if (empty) return 0;  // If any extent is 0, the array has no bytes.
     if (overflow) return std::nullopt;
     return product;
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks of arrays, used by the codecs for npz and safetensors.
+// Checks arrays for the npz and safetensors codecs.
 #pragma once
 
 #include <cstddef>
@@ -15,13 +15,13 @@ namespace relidar::report_detail {
 /// support the type.
 std::size_t item_size(std::string_view dtype);
 
-/// Returns the number of bytes of an array with this shape. Returns nullopt if the number
-/// exceeds the address space.
+/// Returns the size in bytes of an array with this shape. Returns nullopt if the size
+/// does not fit into std::size_t.
 std::optional<std::size_t> byte_count(const std::vector<std::size_t>& shape, std::size_t item_size);
 
 /// Checks the name, the type and the size of an array.
-/// @throws DataError if the array has no name or an unknown type, or if the number of
-/// bytes does not match the shape
+/// @throws DataError if the array has no name, an unknown type, or a number of bytes that
+/// does not match its shape
 void check_array(const NamedArray& array);
 
 }  // namespace relidar::report_detail

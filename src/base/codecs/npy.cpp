@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes and parses the .npy header in numpy's format:
-//
+// Writes and parses the header of a .npy file in numpy's format, for example:
 //   {'descr': '<f4', 'fortran_order': False, 'shape': (66, 1030), }
 //
-// Accepts only types that NamedArray supports. Rejects big-endian numbers, Fortran order,
-// structs and objects with a specific message.
+// Accepts only the types that NamedArray supports. Rejects big-endian numbers, Fortran
+// order, structs and objects, each with a separate message.
 #include "npy.hpp"
 
 #include <charconv>
@@ -24,7 +23,7 @@ namespace {
 constexpr std::string_view kNpyMagic{"\x93NUMPY", 6};
 constexpr std::size_t kAlignment = 64;
 
-/// Parses the Python dict in the header of a .npy file, from left to right.
+/// Parses the header of a .npy file, which is a Python dict, from left to right.
 class HeaderParser {
 public:
     explicit HeaderParser(std::string_view text) : text_(text) {}
@@ -93,7 +92,7 @@ private:
         const auto [end, error] = std::from_chars(text_.data(), text_.data() + text_.size(), value);
         if (error != std::errc()) refuse("contains an invalid shape");
         text_.remove_prefix(std::size_t(end - text_.data()));
-        accept('L');  // Python 2 writes long integers with this suffix.
+        accept('L');  // Accepts the suffix L, which Python 2 writes after long integers.
         return value;
     }
     std::vector<std::size_t> tuple() {
@@ -132,12 +131,12 @@ std::string npy_header(const NamedArray& array) {
     std::string shape;
     for (std::size_t extent : array.shape) shape += fmt::format("{}, ", extent);
     if (array.shape.size() > 1) shape.resize(shape.size() - 2);
-    // Keeps the comma if the shape has one extent: in Python, (n,) is a tuple, but (n) is
-    // a number.
+    // Keeps the trailing comma if the shape has only one extent. In Python, (n,) is a
+    // tuple but (n) is a number.
     if (array.shape.size() == 1) shape.pop_back();
     std::string dict = fmt::format("{{'descr': '{}{}', 'fortran_order': False, 'shape': ({}), }}", order,
                                    array.dtype, shape);
-    constexpr std::size_t kPrefix = 10;  // Magic, version and length.
+    constexpr std::size_t kPrefix = 10;  // Number of bytes of magic, version and length.
     const std::size_t total = (kPrefix + dict.size() + 1 + kAlignment - 1) / kAlignment * kAlignment;
     dict.resize(total - kPrefix - 1, ' ');
     dict += '\n';

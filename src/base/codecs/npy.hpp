@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes and parses .npy data, which an npz file contains for each array. It consists of
-// magic bytes, a version, and a Python dict with type, order and shape.
+// Writes and parses .npy data, which an npz file contains for each array. The data
+// consists of magic bytes, a version, a header with type, order and shape, and the
+// values.
 #pragma once
 
 #include <cstddef>
@@ -11,13 +12,12 @@
 
 namespace relidar::report_detail {
 
-/// Returns the .npy header (version 1.0) of an array. The header is padded to a multiple
-/// of 64 bytes.
+/// Returns the .npy header (version 1.0) of an array, padded to a multiple of 64 bytes.
 std::string npy_header(const NamedArray& array);
 
 /// Parses the bytes of a .npy file. Supports versions 1 to 3, little-endian numbers and
 /// row-major order.
-/// @throws DataError with the reason if the file has any other form
+/// @throws DataError with the reason if the file uses any other version, type or order
 NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& bytes);
 
 }  // namespace relidar::report_detail

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads npz files of numpy.savez and numpy.savez_compressed: stored or deflated zip
-// entries, including zip64 fields. Uses the central directory. Every offset and size is
-// checked against the file before it is used, and the checksum afterwards.
+// Reads npz files from numpy.savez and numpy.savez_compressed. Supports stored and
+// deflated zip entries and zip64 fields. Reads the central directory of the archive.
+// Every offset and size is checked against the file before it is used. The checksum of
+// each entry is checked after decompression.
 #include <relidar/base/arrays.hpp>
 
 #include <algorithm>
@@ -27,11 +28,12 @@ constexpr std::uint32_t kEnd64Signature = 0x06064b50, kLocator64Signature = 0x07
 constexpr std::size_t kLocalSize = 30, kCentralSize = 46, kEndSize = 22, kEnd64Size = 56, kLocator64Size = 20;
 constexpr std::uint16_t kZip64Extra = 1;
 constexpr std::uint32_t kSee64 = 0xFFFFFFFF;
-// Maximum compression ratio of deflate. An entry with a larger size is invalid.
+// Maximum compression ratio of deflate. An entry with a higher ratio is invalid.
 constexpr std::size_t kMaxExpansion = 1032;
-constexpr std::size_t kPiece = 1 << 30;  // zlib counts bytes with 32 bits.
+// Processes at most this many bytes at a time, because zlib counts bytes with 32 bits.
+constexpr std::size_t kPiece = 1 << 30;
 
-/// Bytes of the archive, with bounds checks.
+/// Bytes of the zip archive. part() checks the bounds.
 struct Archive {
     std::vector<std::byte> bytes;
 
@@ -56,7 +58,7 @@ struct Directory {
     std::uint64_t n_entries = 0, size = 0, offset = 0;
 };
 
-/// Returns the position of the zip end record. It is the last record whose comment ends
+/// Returns the position of the zip end record. This is the last record whose comment ends
 /// exactly at the end of the file.
 std::size_t find_end(const Archive& archive) {
     const std::size_t n = archive.bytes.size();
@@ -103,8 +105,8 @@ struct NpzEntry {
     std::uint64_t packed_size = 0, size = 0, offset = 0;
 };
 
-/// Reads the 64-bit values of zip64 from the extra field. The extra field contains one
-/// value for each field that is marked "see zip64", in the same order.
+/// Reads 64-bit values from the zip64 extra field. It contains one value for each field
+/// whose 32-bit value means "see zip64", in the same order.
 void apply_zip64(NpzEntry& entry, std::span<const std::byte> extra) {
     for (std::size_t at = 0; at + 4 <= extra.size();) {
         const std::size_t size = get<std::uint16_t>(extra, at + 2);
@@ -121,7 +123,7 @@ void apply_zip64(NpzEntry& entry, std::span<const std::byte> extra) {
     }
 }
 
-/// Parses the zip directory entry at position `at`. Then sets `at` to the next entry.
+/// Parses the zip directory entry at position `at`. Then advances `at` to the next entry.
 NpzEntry parse_entry(std::span<const std::byte> directory, std::size_t& at) {
     const auto record = directory.subspan(at);
     if (get<std::uint32_t>(record, 0) != kCentralSignature || record.size() < kCentralSize)
@@ -149,8 +151,7 @@ std::vector<std::byte> inflate_bytes(std::span<const std::byte> packed, std::siz
     if (inflateInit2(&stream, -MAX_WBITS) != Z_OK) throw std::bad_alloc();
     int status = Z_OK;
     std::size_t consumed = 0, produced = 0;
-    // Provides a valid output pointer, because zlib requires it even if no output is
-    // expected.
+    // Provides a valid output pointer, because zlib requires one even for empty output.
     Bytef none = 0;
     while (status == Z_OK) {
         stream.next_in = reinterpret_cast<Bytef*>(const_cast<std::byte*>(packed.data() + consumed));
@@ -219,7 +220,7 @@ std::vector<NamedArray> parse(const Archive& archive) {
         if (!names.insert(entry.name).second)
             throw DataError(fmt::format("entry '{}' occurs twice, expected it once", entry.name));
         n_packed += std::min<std::uint64_t>(entry.packed_size, archive.bytes.size() + 1);
-        // Zip bombs use overlapping entries.
+        // Rejects overlapping entries, which zip bombs use.
         if (n_packed > archive.bytes.size()) throw DataError("its zip entries overlap");
         arrays.push_back(read_array(archive, entry));
     }

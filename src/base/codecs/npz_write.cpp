@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes npz files: zip archives of deflated .npy files, like numpy.savez_compressed.
-// Entries have a fixed time (1980-01-01), so that equal arrays give identical files. Does
-// not use zip64, so it rejects entries and archives of 4 GiB or more.
+// Writes npz files, which are zip archives of deflated .npy files, like
+// numpy.savez_compressed. All entries have the same time (1980-01-01), so that equal
+// arrays give identical files. Rejects entries and archives of 4 GiB or more, because
+// zip64 is not supported.
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
 
@@ -22,21 +23,21 @@ namespace relidar {
 namespace {
 
 constexpr std::uint32_t kLocalHeader = 0x04034b50, kCentralHeader = 0x02014b50, kEndRecord = 0x06054b50;
-constexpr std::uint16_t kVersion = 20;  // Version needed for deflate.
+constexpr std::uint16_t kVersion = 20;  // Zip version that a reader needs for deflate.
 constexpr std::uint16_t kUtf8Names = 1 << 11;
 constexpr std::uint16_t kDeflated = 8;
 constexpr std::uint16_t kDate = 0x0021;  // 1980-01-01, the earliest date of the format.
-// This value means "see zip64".
+// Field value that means "see zip64". Sizes and offsets must be smaller.
 constexpr std::uint64_t kLimit = std::numeric_limits<std::uint32_t>::max();
 
-/// A file in the zip archive. Its description is written to the local header and to the
-/// central directory.
+/// File in the zip archive. Its description is written twice: to the local header and to
+/// the central directory.
 struct Entry {
     std::string name;
     std::uint32_t crc = 0, packed_size = 0, size = 0, offset = 0;
 };
 
-/// Compresses consecutive pieces of data with raw deflate (without a zlib header). Also
+/// Compresses data piece by piece with raw deflate, which has no zlib header. Also
 /// computes the checksum of the uncompressed data.
 class Deflater {
 public:
@@ -49,11 +50,12 @@ public:
     Deflater(const Deflater&) = delete;
     Deflater& operator=(const Deflater&) = delete;
 
-    /// Compresses a piece.
+    /// Compresses one piece of the data.
     /// @param n_bytes below 4 GiB
+    /// @param last true for the last piece
     void add(const void* data, std::size_t n_bytes, bool last) {
         const auto* bytes = static_cast<const Bytef*>(data);
-        // zlib would reset the checksum for a null pointer.
+        // Skips empty pieces, because zlib resets the checksum if the pointer is null.
         if (n_bytes > 0) crc = std::uint32_t(::crc32(crc, bytes, uInt(n_bytes)));
         stream_.next_in = const_cast<Bytef*>(bytes);
         stream_.avail_in = uInt(n_bytes);
@@ -73,8 +75,8 @@ private:
     z_stream stream_{};
 };
 
-/// Appends the fields that the local header and the central directory have in common,
-/// from "version needed" to "name length".
+/// Appends the fields from "version needed" to "name length", which are the same in the
+/// local header and the central directory.
 void append_common(std::string& bytes, const Entry& entry) {
     append(bytes, kVersion);
     append(bytes, kUtf8Names);
@@ -126,8 +128,8 @@ void check_size(const std::string& what, std::uint64_t n_bytes) {
             fmt::format("{} has {} bytes, but npz files have at most 4 GiB; use safetensors", what, n_bytes));
 }
 
-/// Writes an array at `offset`.
-/// @return its directory entry
+/// Writes an array to the zip file at `offset`.
+/// @return directory entry of the array
 Entry write_entry(report_detail::OutputFile& file, const NamedArray& array, std::size_t offset) {
     const std::string header = report_detail::npy_header(array);
     check_size(fmt::format("array '{}'", array.name), header.size() + array.bytes.size());

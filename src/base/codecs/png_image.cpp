@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes 8-bit RGB images as PNG files. Uses the simplified interface of libpng, which
-// reports failures by return values instead of jumps.
+// Writes 8-bit RGB images as PNG files. Uses the simplified interface of libpng, because
+// it reports failures by return values instead of longjmp.
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
 
@@ -23,11 +23,11 @@ void append_big_endian(std::string& bytes, std::uint32_t value) {
     for (int shift = 24; shift >= 0; shift -= 8) bytes += static_cast<char>(value >> shift);
 }
 
-/// Returns a PNG chunk (iTXt) with a name and an uncompressed UTF-8 text. The simplified
-/// interface of libpng cannot write text.
+/// Returns a PNG text chunk (iTXt) with a name and an uncompressed UTF-8 text. We write
+/// this chunk ourselves, because the simplified interface of libpng cannot write text.
 std::string text_chunk(const std::string& name, const std::string& text) {
-    // Five zero bytes follow the name: the end of the name, the flag "not compressed",
-    // the method, and an empty language and translated name.
+    // Five zero bytes follow the name. They mean: end of the name, not compressed,
+    // compression method 0, empty language, and empty translated name.
     const std::string body = "iTXt" + name + std::string(5, '\0') + text;
     std::string chunk;
     append_big_endian(chunk, static_cast<std::uint32_t>(body.size() - 4));
@@ -37,7 +37,8 @@ std::string text_chunk(const std::string& name, const std::string& text) {
     return chunk;
 }
 
-// Number of bytes of the PNG signature and of the IHDR chunk, which has 13 bytes of data.
+// Number of bytes before the first chunk after the header: the PNG signature (8) and the
+// IHDR chunk (25).
 constexpr std::ptrdiff_t kAfterHeader = 8 + 25;
 
 }  // namespace
@@ -53,7 +54,7 @@ std::vector<std::uint8_t> encode_png(const Image& image, const FileNotes& notes)
     description.width = png_uint_32(image.columns);
     description.height = png_uint_32(image.rows);
     description.format = PNG_FORMAT_RGB;
-    // Upper bound of the size. The next call sets the exact size.
+    // Upper bound of the PNG size. The next call replaces it by the exact size.
     png_alloc_size_t size = PNG_IMAGE_PNG_SIZE_MAX(description);
     std::vector<std::uint8_t> bytes(size);
     const int done =

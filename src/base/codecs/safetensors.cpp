@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes safetensors files: a u64 header size, a JSON header (type, shape and
-// byte range of each array, and string metadata), then the data without gaps. The reader
-// checks all sizes, ranges and the coverage of the data, so that it rejects a truncated
-// file. The caller checks whether values are finite.
+// Reads and writes safetensors files. A file consists of the header size (u64), a JSON
+// header and the data without gaps. The header contains type, shape and byte range of
+// each array, and string metadata. The reader checks that the ranges cover the data
+// exactly, so it rejects truncated files. The caller must check whether values are
+// finite.
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
 
@@ -26,8 +27,8 @@ using Json = nlohmann::json;
 using report_detail::byte_count;
 using report_detail::item_size;
 
-// Largest accepted header in bytes. The format allows 100 MB, but a parsed header needs
-// 24 times its size in memory. Our headers have a few kB.
+// Maximum size of a header in bytes. The format allows 100 MB, but a parsed header needs
+// 24 times as much memory. Our headers have only a few kB.
 constexpr std::size_t kMaxHeader = 4u << 20;
 constexpr std::size_t kMaxName = 200, kMaxDimensions = 16;
 constexpr const char* kMetadata = "__metadata__";
@@ -48,7 +49,7 @@ constexpr std::array<std::pair<std::string_view, std::string_view>, 12> kTypes{{
 }};
 
 /// Returns the safetensors name of a numpy type.
-/// @throws DataError for text, which safetensors does not support
+/// @throws DataError if safetensors has no such type, for example text
 std::string tensor_type(const std::string& dtype) {
     const auto it =
         std::find_if(kTypes.begin(), kTypes.end(), [&](const auto& type) { return type.second == dtype; });
@@ -66,8 +67,8 @@ std::string numpy_type(const std::string& name, const std::string& type) {
     return std::string(it->second);
 }
 
-/// Returns the JSON header of a file. Lists the arrays in their given order, so that
-/// readers see the same order.
+/// Returns the JSON header of a file. Keeps the order of the arrays, so that readers get
+/// them in the same order.
 std::string make_header(const std::vector<NamedArray>& arrays,
                         const std::map<std::string, std::string>& metadata) {
     nlohmann::ordered_json header = nlohmann::ordered_json::object();
@@ -83,13 +84,14 @@ std::string make_header(const std::vector<NamedArray>& arrays,
         offset = end;
     }
     std::string text = header.dump();
-    text.resize((text.size() + 7) / 8 * 8, ' ');  // Aligns the data to a multiple of 8 bytes.
+    // Pads the header, so that the data starts at a multiple of 8 bytes.
+    text.resize((text.size() + 7) / 8 * 8, ' ');
     if (text.size() > kMaxHeader) throw DataError("the header would exceed 4 MiB");
     return text;
 }
 
-/// Parsed header of a file. `names` contains the array names in file order, because
-/// positions do not order empty arrays.
+/// Parsed header of a file. `names` contains the array names in file order. The positions
+/// are not enough for this order, because empty arrays share a position.
 struct Header {
     Json json;
     std::vector<std::string> names;
@@ -128,7 +130,7 @@ Header parse_header(const std::vector<std::byte>& file) {
     return header;
 }
 
-/// Returns a list of non-negative integers.
+/// Returns a list of non-negative integers from a field of the header.
 std::vector<std::size_t> integers(const std::string& name, const Json& entry, const char* key) {
     if (!entry.is_object() || !entry.contains(key) || !entry[key].is_array())
         throw DataError(fmt::format("array '{}' has no list '{}'", name, key));
@@ -150,8 +152,8 @@ struct Range {
     std::size_t begin = 0, end = 0;
 };
 
-/// Returns the name, type and shape of an array without its data, and the byte range of
-/// the data.
+/// Parses the header entry of an array. Returns its name, type and shape, and the byte
+/// range of its data.
 std::pair<NamedArray, Range> parse_tensor(const std::string& name, const Json& entry, std::size_t n_data) {
     if (!entry.is_object() || !entry.contains("dtype") || !entry["dtype"].is_string())
         throw DataError(fmt::format("array '{}' has no string 'dtype'", name));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Creates folders atomically. Fills a temporary folder next to the final folder, and
-// renames it when it is complete.
+// Creates folders atomically. Files are written to a temporary folder next to the final
+// folder. When the temporary folder is complete, it is renamed.
 #include <relidar/base/files.hpp>
 
 #include <cerrno>
@@ -20,8 +20,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Removes temporary folders of processes that no longer exist. The name of such a folder
-/// is the prefix and a process id.
+/// Removes temporary folders of processes that no longer exist. The name of a temporary
+/// folder consists of the prefix and a process id.
 void remove_abandoned(const fs::path& parent, const std::string& prefix) {
     std::error_code failed;
     std::vector<fs::path> abandoned;
@@ -58,7 +58,8 @@ StagedFolder::~StagedFolder() {
 }
 
 void StagedFolder::finish_new() const {
-    // Renames the folder. This fails if the destination exists and is not empty.
+    // Renames the folder. This fails if the destination exists, unless it is an empty
+    // folder.
     if (::rename(path_.c_str(), wanted_.c_str()) == 0) return;
     const int error = errno;
     const bool is_taken = error == ENOTEMPTY || error == EEXIST || error == ENOTDIR;
@@ -70,8 +71,8 @@ void StagedFolder::finish_new() const {
 
 void StagedFolder::finish() const {
 #ifdef RENAME_EXCHANGE
-    // Exchanges the two folders atomically. The destructor then removes the old folder,
-    // which has the temporary name.
+    // Exchanges both folders atomically. Afterwards the old folder has the temporary
+    // name, and the destructor removes it.
     if (::renameat2(AT_FDCWD, path_.c_str(), AT_FDCWD, wanted_.c_str(), RENAME_EXCHANGE) == 0) return;
 #endif
     const fs::path old = path_.string() + "-old";

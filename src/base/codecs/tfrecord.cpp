@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the records of TFRecord files and checks their CRC-32C. The CRC uses the
-// reflected polynomial 0x82F63B78 and inverts the initial and the final value.
+// Reads the records of TFRecord files and checks their CRC-32C. This CRC uses the
+// reflected polynomial 0x82F63B78, and inverts its initial and final value.
 #include "base/codecs/tfrecord.hpp"
 
 #include <array>
@@ -16,7 +16,7 @@
 namespace relidar {
 namespace {
 
-// Number of bytes before the data of a record, and number of bytes after the data.
+// Number of bytes before and after the data of a record.
 constexpr std::uint64_t kHeader = 12, kFooter = 4;
 
 constexpr std::array<std::uint32_t, 256> make_table() {

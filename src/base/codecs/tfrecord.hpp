@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads TFRecord files. Each record has a u64 length, a u32 masked CRC-32C of these 8
-// bytes, the data, and a u32 masked CRC-32C of the data. Numbers are little-endian. The
-// file has no header.
+// Reads TFRecord files. Each record contains a u64 length, its masked CRC-32C (u32), the
+// data, and the masked CRC-32C of the data (u32). Numbers are little-endian. The file has
+// no header.
 #pragma once
 
 #include <cstdint>
@@ -12,16 +12,16 @@
 
 namespace relidar {
 
-/// Returns the CRC-32C (Castagnoli) of bytes with the mask of TFRecord: rotated right by
-/// 15 bits, plus 0xa282ead8.
+/// Returns the CRC-32C (Castagnoli) of bytes in the masked form of TFRecord: rotated
+/// right by 15 bits, plus 0xa282ead8.
 std::uint32_t masked_crc32c(std::string_view bytes);
 
-/// Gives access to the records of a TFRecord file. Each record is read from the file when
+/// Reads records of a TFRecord file. The data of a record is read from the file only when
 /// it is requested.
 class TfRecords {
 public:
     /// Finds the positions of all records in the file.
-    /// @throws DataError naming the record whose length or end is wrong
+    /// @throws DataError with the number of the record whose length or end is wrong
     explicit TfRecords(std::filesystem::path file);
 
     std::size_t size() const { return records_.size(); }

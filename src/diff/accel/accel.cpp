@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Common interface of the driver's acceleration structures and the software tree. Decides
-// when an acceleration structure is rebuilt instead of refitted.
+// Common interface of the two acceleration structures: the driver's and the software
+// tree. Decides whether an update rebuilds the structure or only refits its boxes.
 #include <relidar/diff/accel.hpp>
 
 #include "diff/accel/bvh.hpp"
@@ -11,7 +11,7 @@ namespace relidar {
 Proxy resolve(Proxy proxy, const Device& device) {
     if (device.traversal() == Traversal::software) return Proxy::boxes;
     if (proxy != Proxy::automatic) return proxy;
-    // A GPU intersects triangles in hardware, so triangles are faster than boxes there
+    // Uses triangles on a GPU, which intersects triangles in hardware faster than boxes
     // (docs/performance.md).
     return device.info().type == "CPU" ? Proxy::boxes : Proxy::triangles;
 }
@@ -19,15 +19,15 @@ Proxy resolve(Proxy proxy, const Device& device) {
 struct Accel::Impl {
     AccelOptions options;
     Proxy proxy;
-    std::unique_ptr<HardwareAccel> hardware;  ///< exactly one of `hardware` and `software` is set
+    std::unique_ptr<HardwareAccel> hardware;  ///< exactly one of `hardware` and `software` is not null
     std::unique_ptr<Bvh> software;
     bool built = false;
-    /// True if the cost of the tree has grown too much, so that the next update rebuilds
-    /// it.
+    /// True if the tree has become too expensive since the last build. The next update
+    /// then rebuilds it.
     bool outgrown = false;
-    int refits = 0;                ///< refits since the last build
+    int refits = 0;                ///< number of refits since the last build
     bool measured = false;         ///< True if the cost of the tree was measured since the last build.
-    double cost_when_built = 0.0;  ///< 0: not known yet
+    double cost_when_built = 0.0;  ///< cost after the last build, 0 if it is not known yet
     std::uint64_t n_updates = 0;
 
     Impl(Device& device, const DeviceScene& scene, const AccelOptions& o)
@@ -88,8 +88,8 @@ void Accel::update(Stream& stream, const DeviceScene& scene, bool rebuild) {
 void Accel::bend(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
     if (!a.built) return update(stream, scene);
-    // Does not count this refit towards a rebuild. Walking actors return to earlier
-    // poses, so the tree does not degrade.
+    // Refits walking actors. This refit does not count towards a rebuild, because actors
+    // return to earlier poses, so that the tree does not degrade.
     a.refit(stream, scene, find_bending_ranges(scene.layout().models));
     ++a.n_updates;
 }

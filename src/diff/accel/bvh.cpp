@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Submits the kernels that build and refit the software BVH and its top tree over the
-// instances.
+// Submits the kernels that build and refit the software BVH (bounding volume hierarchy),
+// including its top-level tree over the instances.
 #include "diff/accel/bvh.hpp"
 
 #include <algorithm>
@@ -24,16 +24,16 @@ static_assert(sizeof(shared::BvhNode) == 80);
 namespace {
 
 constexpr std::uint32_t kWorkgroup = RELIDAR_BVH_WORKGROUP;
-// Workgroup size of the kernels that use shared memory.
+// Workgroup size of the kernels that share data in shared memory.
 constexpr Constant kShares{ConstantId::WORKGROUP_SIZE, kWorkgroup};
 
-// Number of threads of a refit on a CPU. A CPU gives each of its threads a contiguous
-// part of a launch. With few invocations that each process nodes from the full range, the
-// work is balanced.
+// Number of threads of a refit on a CPU. A CPU driver gives each of its threads a
+// contiguous part of the launch. The work is balanced because each thread processes nodes
+// from the full range.
 constexpr std::uint32_t kRefitThreadsOfCpu = 1 << 12;
 
-/// Rounds the length of a scratch array up to a multiple of 4, so that the next array
-/// begins at a multiple of 16 bytes.
+/// Rounds the length of a scratch array up to a multiple of 4 words, so that the next
+/// array starts at a multiple of 16 bytes.
 std::uint32_t padded(std::uint32_t n) { return (n + 3) / 4 * 4; }
 
 std::uint32_t groups_of(std::uint32_t n_threads) { return (n_threads + kWorkgroup - 1) / kWorkgroup; }
@@ -55,8 +55,8 @@ std::vector<std::uint32_t> model_of_instances(const DeviceScene& scene) {
     return models;
 }
 
-/// Returns the number of nodes in the tree over n instances. Each node has eight
-/// children.
+/// Returns the number of nodes in the top-level tree over n instances. Each node has
+/// eight children.
 std::uint32_t top_nodes(std::uint32_t n) {
     std::uint32_t n_nodes = 0;
     do {
@@ -68,12 +68,11 @@ std::uint32_t top_nodes(std::uint32_t n) {
 
 }  // namespace
 
-/// Upper limit of surfel indices that selects all models, including models without
-/// surfels.
+/// Upper limit of surfel indices that selects all models, even models without surfels.
 constexpr std::uint32_t kAllModels = std::numeric_limits<std::uint32_t>::max();
 
-/// Offsets of the scratch arrays, in words per surfel. The conversion to wide nodes
-/// reuses the memory of keys, boxes and costs.
+/// Offsets of the scratch arrays, in words per surfel. The conversion to wide nodes (up
+/// to eight children) reuses the memory of keys, boxes and costs.
 constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 2, kValuesAt = 3, kDemandsAt = 4, kKeysAt = 5,
                         kBoxesAt = 7, kCostsAt = 13, kSparesAt = 20, kOtherEndsAt = 21, kClustersAt = 22,
                         kScratchWords = 23;
@@ -93,17 +92,17 @@ struct Bvh::Impl {
     Array<std::uint32_t, shared::InstanceModels> model_of;  ///< [n_instances] model of each instance
     Array<float, shared::SurfelBoxes> boxes;                ///< [n,6] boxes of the surfels, in m
     Array<std::uint32_t, shared::ModelBounds> bounds;       ///< [n_models,6] bounds of the box centres
-    /// Scratch memory for the binary trees, and for sort keys during the sort.
+    /// Scratch memory for the binary trees. The sort uses the same memory for its keys.
     Array<std::uint32_t> scratch;
-    Array<std::uint32_t, shared::BinaryRoots> queue;       ///< [bound] binary nodes that become wide
-    Array<std::uint32_t, shared::LevelSizes> level_sizes;  ///< entries of the queue per level
+    Array<std::uint32_t, shared::BinaryRoots> queue;       ///< [bound] binary nodes that become wide nodes
+    Array<std::uint32_t, shared::LevelSizes> level_sizes;  ///< number of queue entries per level
     Array<glm::uvec2, shared::SumsOfTiles> tiles;
     Array<shared::BvhNode> nodes;                   ///< [bound] wide nodes of all models
     Array<std::uint32_t, shared::LeafOrder> order;  ///< [n] surfels in the order of the leaves
-    /// [bound]: parent of each node, and first surfel of the node's model.
+    /// Parent of each node, and first surfel of the node's model [bound].
     Array<glm::uvec2, shared::WideLinks> links;
     Array<float, shared::WideBoxes> node_boxes;  ///< [bound,6] boxes of the nodes before quantisation
-    /// [bound] number of children that have been refitted
+    /// [bound] number of children whose boxes are finished
     Array<std::uint32_t, shared::Arrivals> arrivals;
     Array<std::uint32_t, shared::WideCount> count;  ///< [1] number of nodes in use
     /// [n_instances] root node of each instance's model
@@ -113,7 +112,7 @@ struct Bvh::Impl {
     Array<shared::BvhNode> top_node_array;
     Array<float, shared::InstanceBoxes> top_boxes;
     Array<glm::uvec2> top_keys;
-    Array<float, shared::CostSums> cost_sums;  ///< one per workgroup
+    Array<float, shared::CostSums> cost_sums;  ///< sums of accel/bvh_cost, one per workgroup
     Readback costs;
 
     Impl(Device& device, const DeviceScene& scene);
@@ -123,8 +122,8 @@ struct Bvh::Impl {
     Address<T, Meaning> at(std::uint32_t words_a_surfel) const {
         return scratch.address_as<T, Meaning>(words_a_surfel * std::size_t(padded(n)));
     }
-    /// Returns the offset of one of two sets of sort keys. Set 0 holds the result. The
-    /// costs of the binary nodes later overwrite set 1.
+    /// Returns the offset of one of two sets of sort keys. The sorted keys end in set 0.
+    /// The costs of the binary nodes later overwrite set 1.
     std::uint32_t keys_at(int set) const { return set == 0 ? kKeysAt : kCostsAt; }
     SortSet sort_set(int set) const;
     std::uint32_t levels() const;
@@ -136,8 +135,8 @@ struct Bvh::Impl {
     void make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                     const SurfelRange& range);
     SortSet sort_surfels(Stream& stream, const DeviceScene& scene);
-    /// Adds kernels to the stream that compute the node boxes of some models: those whose
-    /// first surfel is in [first, last].
+    /// Submits kernels that compute the node boxes of the models whose first surfel is in
+    /// [first, last].
     void fit_nodes(Stream& stream, std::uint32_t first, std::uint32_t last);
 };
 
@@ -188,8 +187,9 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       cost_sums(d, groups_of(bound), "cost sums"),
       costs(d, groups_of(bound) * sizeof(float), "cost sums") {}
 
-/// Returns the number of launches of bvh_wide_mark, one per level of the tree. A full
-/// tree with this capacity has 4 levels fewer.
+/// Returns the number of launches of bvh_wide_mark, which processes one tree level per
+/// launch. This is 4 more than the number of levels of a full tree with the same
+/// capacity.
 std::uint32_t Bvh::Impl::levels() const {
     std::uint32_t n_levels = 4;
     for (std::uint64_t width = n_models; width < bound; width *= RELIDAR_BVH_WIDTH) ++n_levels;
@@ -240,7 +240,7 @@ SortSet Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
          .bounds = bounds.address(),
          .n_surfels = n,
          .n_models = n_models});
-    // Selects the first set of sort keys, so that the sorted keys end in set 0.
+    // Selects the set in which the sort starts, so that the sorted keys end in set 0.
     const int first_set = static_cast<int>(RadixSort::passes(key_bits()) % 2);
     run(stream, keys_kernel, n,
         {.records = scene.records().address(),
@@ -296,7 +296,7 @@ Bvh::Bvh(Device& device, const DeviceScene& scene) {
     Stream stream(device);
     for (const Buffer* zero : {&impl_->nodes.buffer(), &impl_->arrivals.buffer(), &impl_->count.buffer()})
         stream.fill(*zero);
-    // Initial value that models without surfels keep.
+    // Sets an initial value that models without surfels keep.
     for (const Buffer* none : {&impl_->links.buffer(), &impl_->queue.buffer()})
         stream.fill(*none, RELIDAR_BVH_NO_NODE);
     stream.finish();

@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// The software acceleration structure (relidar/diff/bvh.h), which the device builds and
-// refits.
-// One forest holds the trees of all models, so the number of launches does not depend on
-// the number of models. The steps are: sort along a space-filling curve, cluster into
-// binary trees, collapse into wide nodes of eight children, compute boxes bottom up. Only
-// read_cost() and download() make the host wait. Memory per surfel: 24 B for boxes, 92 B
-// for scratch, 4 B for the order, 30 B for wide nodes (at most n / 4 nodes, plus one per
-// model).
+// Software acceleration structure (relidar/diff/bvh.h) that the device builds and refits.
+// The trees of all models share the same arrays, so that the number of launches does not
+// depend on the number of models.
+//
+// The build sorts surfels along a space-filling curve and clusters them into binary
+// trees. Then it converts these to nodes with up to eight children and computes the boxes
+// bottom up. Only read_cost() and download() wait for the device.
+//
+// Memory per surfel: 24 B for boxes, 92 B for scratch, 4 B for the order, 30 B for nodes
+// (at most n / 4 nodes, plus one per model).
 #pragma once
 
 #include <cstdint>
@@ -21,54 +23,54 @@
 
 namespace relidar {
 
-/// Copy of the BVH on the host, for tests and measurements.
+/// Copy of the BVH (bounding volume hierarchy) in host memory, for tests and
+/// measurements.
 struct BvhOnHost {
     std::vector<shared::BvhNode> nodes;  ///< nodes in use
     std::vector<std::uint32_t> order;    ///< [n] surfels in the order of the leaves
     std::vector<std::uint32_t> roots;    ///< [n_instances] root node of each instance's model
     std::vector<shared::BvhNode> top_nodes;
     std::vector<std::uint32_t> top_order;  ///< [n_instances] instances in the order of the leaves
-    /// [n,6] in m: boxes of the surfels. The lower corner is above the upper corner for
-    /// surfels that are never hit.
+    /// Boxes of the surfels, [n,6] in m. Surfels that are never hit have an inverted box
+    /// (lower corner above upper corner).
     std::vector<float> boxes;
 };
 
 class Bvh {
 public:
-    /// Allocates memory for the surfels, models and instances of a scene. Does not build
-    /// the BVH.
+    /// Allocates memory for the surfels, models and instances of a scene. build() must be
+    /// called before the first use.
     /// @throws DeviceError if compute shaders lack subgroup arithmetic or ballots, or
     /// subgroups have fewer than 4 lanes
     Bvh(Device& device, const DeviceScene& scene);
     ~Bvh();
 
-    /// Submits kernels to the stream that compute the surfel boxes and build the trees of
-    /// all models and the top tree.
+    /// Submits kernels that compute the surfel boxes, the trees of all models and the
+    /// top-level tree over the instances.
     void build(Stream& stream, const DeviceScene& scene, const AccelOptions& options);
-    /// Submits kernels to the stream that update all boxes without changing the trees,
-    /// and rebuild the top tree. build() must have been called before.
-    /// @param ranges  models to update. The surfels of other models must not have
-    /// changed.
+    /// Submits kernels that update all boxes without changing the trees of the models,
+    /// and rebuild the top-level tree. Requires an earlier build().
+    /// @param ranges models to update. The surfels of other models must not have changed
     void refit(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                const std::vector<SurfelRange>& ranges);
-    /// Submits kernels to the stream that rebuild only the tree over the instances. Call
-    /// it after instances have moved.
+    /// Submits kernels that rebuild only the top-level tree. Call this function after
+    /// instances have moved.
     void move(Stream& stream, const DeviceScene& scene);
 
     shared::BvhPointers pointers() const;
     std::uint64_t memory_bytes() const;
-    /// Computes the surface-area cost of all trees in m^2. Compare the cost with its
-    /// value after the last build to decide about a rebuild. record_cost() submits the
-    /// kernel. read_cost() waits for the result and returns it, or nothing if
-    /// record_cost() was not called since the last read_cost().
+    /// record_cost() submits a kernel that computes the cost of all trees with the
+    /// surface area heuristic, in m^2. read_cost() waits for the cost and returns it, or
+    /// nothing if record_cost() was not called since the last read_cost(). A rebuild is
+    /// useful if the cost is much higher than after the last build.
     void record_cost(Stream& stream);
     std::optional<double> read_cost(Stream& stream);
-    /// Copies the BVH to the host and blocks. All recorded commands must have been
-    /// submitted before.
+    /// Waits for the device and copies the BVH to the host. All recorded commands must
+    /// have been submitted before.
     BvhOnHost download() const;
 
-    /// Returns the largest possible number of wide nodes. n surfels create at most n / 4
-    /// nodes, plus one root per model.
+    /// Returns the maximum number of nodes in the trees of all models. n surfels need at
+    /// most n / 4 nodes, plus one root per model.
     static std::uint32_t node_bound(std::uint32_t n_surfels, std::uint32_t n_models) {
         return n_surfels / 4 + n_models;
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Acceleration structures that the Vulkan driver builds and refits: one bottom level per
-// model, and one top level with all instances.
+// Acceleration structures of the Vulkan driver: one bottom-level structure per model, and
+// one top-level structure with all instances.
 #include "diff/accel/hardware.hpp"
 
 #include <algorithm>
@@ -18,7 +18,7 @@ namespace relidar {
 
 namespace {
 
-/// A buffer that holds one acceleration structure.
+/// Acceleration structure and the buffer that stores it.
 struct Structure {
     Device::Impl* device = nullptr;
     std::unique_ptr<Buffer> storage;
@@ -48,16 +48,16 @@ struct Structure {
     Structure& operator=(const Structure&) = delete;
 };
 
-/// Input of one acceleration structure build. The parts are stored together because
-/// Vulkan structs point to each other.
+/// Input of one acceleration structure build. All parts are stored together, because
+/// Vulkan structs contain pointers to each other.
 struct BuildInput {
     VkAccelerationStructureGeometryKHR geometry{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_KHR};
     VkAccelerationStructureBuildGeometryInfoKHR info{
         VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_BUILD_GEOMETRY_INFO_KHR};
     VkAccelerationStructureBuildRangeInfoKHR range{};
 
-    /// Queries the memory that a build needs.
-    /// @param n  number of primitives or instances
+    /// Returns the memory sizes that a build needs.
+    /// @param n number of primitives or instances
     VkAccelerationStructureBuildSizesInfoKHR sizes(Device::Impl& device, std::uint32_t n) {
         range.primitiveCount = n;
         info.geometryCount = 1;
@@ -78,8 +78,8 @@ struct BuildInput {
     }
 };
 
-/// Adds one command with all builds to the stream, so that the device can run the builds
-/// concurrently. Copies the inputs.
+/// Records one command with all builds, so that the device can run them concurrently.
+/// Copies the inputs into the command.
 void record_builds(Stream::Impl& stream, const std::string& name, std::vector<BuildInput> inputs) {
     stream.record(name, [inputs = std::move(inputs)](VkCommandBuffer commands) {
         std::vector<VkAccelerationStructureBuildGeometryInfoKHR> infos;
@@ -94,7 +94,7 @@ void record_builds(Stream::Impl& stream, const std::string& name, std::vector<Bu
     });
 }
 
-/// Triangles between the corners that diff/accel/proxies writes.
+/// Triangle mesh of one proxy. Kernel diff/accel/proxies writes its corners.
 struct Mesh {
     std::uint32_t n_corners;
     std::vector<std::uint32_t> corners;  ///< [triangles,3] indices of the corners
@@ -107,7 +107,8 @@ const Mesh kIcosahedron{
     12, {0, 1, 8, 0, 1, 10, 0, 4, 5,  0, 4, 8, 0, 5, 10, 1, 6, 7,  1, 6, 8, 1, 7,  10, 2, 3, 9, 2, 3,  11,
          2, 4, 5, 2, 4, 9,  2, 5, 11, 3, 6, 7, 3, 6, 9,  3, 7, 11, 4, 8, 9, 5, 10, 11, 6, 8, 9, 7, 10, 11}};
 
-/// Returns the vertex indices of n consecutive meshes.
+/// Returns the vertex indices of n equal meshes whose vertices are stored one after
+/// another.
 std::vector<std::uint32_t> triangle_indices(const Mesh& mesh, std::uint32_t n) {
     std::vector<std::uint32_t> indices;
     indices.reserve(mesh.corners.size() * n);
@@ -123,20 +124,21 @@ struct HardwareAccel::Impl {
     const Mesh& mesh;
     Kernel<shared::ProxyParams> proxies;
     Array<float> geometry;       ///< vertices [n,corners,3] or boxes [n,6]
-    Array<std::uint32_t> reach;  ///< [1] reach of the icosahedra
-    /// Triangle indices of the largest model. All models use these indices with different
-    /// first vertices.
+    Array<std::uint32_t> reach;  ///< [1] maximum distance from a hit to the far side of its icosahedron
+    /// Triangle indices for the largest model. Smaller models use the first of them with
+    /// a different first vertex.
     Array<std::uint32_t> indices;
     std::vector<std::unique_ptr<Structure>> blas;  ///< one per model, null for a model without surfels
     std::vector<BuildInput> blas_input;
-    /// Offset of each model's scratch memory. Models need separate memory because they
-    /// are built concurrently.
+    /// Offset of each model's scratch memory. Concurrent builds need separate scratch
+    /// memory.
     std::vector<std::uint64_t> blas_scratch;
     std::unique_ptr<Structure> tlas;
     BuildInput tlas_input;
     Kernel<shared::ModelRadiiParams> model_radii;
-    Array<std::uint32_t, shared::ModelRadii> radii;  ///< [models] radius of each model
-    Array<shared::MovingInstance> moving;            ///< [instances] capacity for all instances
+    /// [models] radius around each model's origin that contains all its hits
+    Array<std::uint32_t, shared::ModelRadii> radii;
+    Array<shared::MovingInstance> moving;  ///< [instances] instances that move during a sweep
     std::uint32_t n_moving = 0;
     Buffer scratch;
     std::uint64_t scratch_address = 0;
@@ -164,8 +166,8 @@ struct HardwareAccel::Impl {
     std::uint64_t write_instances(Stream::Impl& stream, const DeviceScene& scene);
 };
 
-/// Describes the geometry of one bottom level: the model's part of the proxy array. The
-/// geometry is not opaque, because the shader must test every candidate.
+/// Describes the geometry of one model: its part of the proxy array. The geometry is not
+/// opaque, because the shader must test every candidate.
 void HardwareAccel::Impl::describe_model(const Model& model) {
     BuildInput& input = blas_input.emplace_back();
     if (proxy == Proxy::boxes) {
@@ -197,8 +199,7 @@ void HardwareAccel::Impl::write_moving(Stream::Impl& stream, const std::vector<s
     if (n_moving > 0) stream.write(moving.buffer(), all.data(), all.size() * sizeof(all[0]));
 }
 
-/// Writes the instances of all models that have surfels to temporary memory of the
-/// stream.
+/// Writes the instances of all models that have surfels to temporary memory.
 /// @return device address of the instances
 std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const DeviceScene& scene) {
     const Scene& layout = scene.layout();
@@ -306,12 +307,12 @@ void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const Accel
     Impl& a = *impl_;
     std::uint32_t n = 0;
     for (const SurfelRange& range : ranges) n += range.count;
-    // Clears the maximum only in a full update, because a partial update must keep the
-    // maximum of the other models.
+    // Resets the maximum only in a full update. A partial update must keep the maximum
+    // over the other models.
     if (a.reach.size() && n == scene.size()) stream.fill(a.reach);
     for (const SurfelRange& range : ranges) a.make_proxies(stream, scene, options, range);
-    // Clears the radii only in a full update, because a partial update must keep the
-    // radii of the other models.
+    // Resets the radii only in a full update. A partial update must keep the radii of the
+    // other models.
     if (n == scene.size()) stream.fill(a.radii);
     for (const SurfelRange& range : ranges) a.measure_radii(stream, scene, options, range);
     std::vector<BuildInput> inputs;
@@ -339,11 +340,11 @@ void HardwareAccel::move(Stream& stream, const DeviceScene& scene) {
 void HardwareAccel::fill(AccelAddresses& addresses) const {
     const Impl& a = *impl_;
     addresses.tlas = {a.tlas->address};
-    // Reads an integer maximum as a float. This works because the bits of positive floats
-    // have the same order as the floats.
+    // Reads an integer as a float. The kernel computes the maximum of float bits, which
+    // have the same order as the floats if these are positive.
     addresses.proxy_reach = a.reach.address_as<float, shared::ProxyReach>();
     addresses.moving = a.moving.address();
-    addresses.model_radii = a.radii.address_as<float, shared::ModelRadii>();  // also bits of floats
+    addresses.model_radii = a.radii.address_as<float, shared::ModelRadii>();  // also stored as float bits
     addresses.n_moving = a.n_moving;
 }
 

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Acceleration structures of the Vulkan driver for ray queries. They contain proxies that
-// enclose the surfels. Each model has one bottom level, and each instance of a model is
-// one instance in the top level. Needs a device with ray query.
+// Acceleration structures of the Vulkan driver for ray queries. They contain proxy shapes
+// (triangles or boxes) that enclose the surfels. Each model has one bottom-level
+// structure. The top-level structure contains all instances of the models. Requires a
+// device with ray queries.
 #pragma once
 
 #include <cstdint>
@@ -16,21 +17,21 @@ namespace relidar {
 
 class HardwareAccel {
 public:
-    /// Allocates memory for the acceleration structures of a scene. Does not build them.
-    /// @param proxy  geometry that encloses the surfels: triangles or boxes
+    /// Allocates memory for the acceleration structures of a scene, without building
+    /// them.
+    /// @param proxy shape that encloses a surfel: triangles or boxes
     HardwareAccel(Device& device, const DeviceScene& scene, Proxy proxy);
     ~HardwareAccel();
 
-    /// Adds commands to the stream that compute the proxies, build or refit the bottom
-    /// levels, and build the top level. A refit needs an earlier build.
-    /// @param ranges  models to update. The surfels of other models must not have
-    /// changed.
+    /// Records commands that compute the proxy shapes, build or refit the bottom-level
+    /// structures, and build the top-level structure. A refit requires an earlier build.
+    /// @param ranges models to update. The surfels of other models must not have changed
     void record(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                 const std::vector<SurfelRange>& ranges, bool refit);
-    /// Records only the top level.
+    /// Records the build of only the top-level structure, for instances that have moved.
     void move(Stream& stream, const DeviceScene& scene);
 
-    /// Sets the addresses that ray query reads.
+    /// Writes the addresses that ray queries need into `addresses`.
     void fill(AccelAddresses& addresses) const;
     std::uint64_t memory_bytes() const;
 

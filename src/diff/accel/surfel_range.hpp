@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Range of surfels that a refit updates.
+// Range of surfels whose boxes a refit updates.
 #pragma once
 
 #include <cstdint>
 
 namespace relidar {
 
-/// All surfels of consecutive models.
+/// Range that contains all surfels of one or more consecutive models.
 struct SurfelRange {
     std::uint32_t first = 0, count = 0;
 

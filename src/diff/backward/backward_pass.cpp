@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of the backward pass: traces the rays again, sums the gradients of the hits,
-// and applies the chain rule per surfel (Eq. 9).
+// Host side of the backward pass (Eq. 9). Submits kernels that trace the rays again, sum
+// the gradients of the hits, and apply the chain rule per surfel.
 #include <relidar/diff/backward.hpp>
 
 #include <fmt/format.h>
@@ -19,19 +19,21 @@ namespace {
 
 constexpr std::uint32_t kMostHitsPerRay = 4096;
 
-/// Returns true if hits are recorded and summed without atomics. If SH are evaluated per
-/// hit, a hit needs 64 atomics, and one record is faster. With 16 atomics both are about
-/// equally fast, but atomics need no memory. A device without float atomics uses
-/// compare-and-swap loops, which block each other if many rays hit one surfel.
+/// Returns true if the kernels write one record per hit and sum the records without
+/// atomics. If spherical harmonics (SH) are evaluated per hit, atomics are slower,
+/// because each hit needs 64 of them. If SH are evaluated per surfel, a hit needs 16
+/// atomics. Then both methods take about the same time, but atomics need no memory.
+/// Devices without float atomics use records, because their compare-and-swap loops
+/// conflict if many rays hit one surfel.
 bool gathers(const Device& device, Reduction reduction, ShDirection direction) {
     if (reduction != Reduction::automatic) return reduction == Reduction::gather;
     return direction == ShDirection::ray || !device.info().float_atomics;
 }
 
-/// Returns true if lanes exchange rows in shared memory before they add them. An atomic
-/// instruction costs time per cache sector on a GPU, but per lane on a CPU. Lanes leave
-/// the loops over hits at different times. The Vulkan specification guarantees a correct
-/// exchange only for devices with maximal reconvergence.
+/// Returns true if lanes exchange gradient rows through shared memory before they add
+/// them with atomics. The time of an atomic instruction depends on the number of cache
+/// sectors on a GPU, but on the number of lanes on a CPU. The exchange requires maximal
+/// reconvergence, because lanes leave the loops over hits at different times.
 bool exchanges_rows(const Device& device, const BackwardOptions& backward, bool gathered) {
     return !gathered && backward.coalesced_atomics.value_or(coalesces(device) && reconverges(device));
 }
@@ -43,9 +45,9 @@ struct BackwardPass::Impl {
     TraceOptions options;
     Kernel<shared::BackwardParams> trace;
     PoseGradients poses;
-    std::unique_ptr<HitGather> gather;  ///< null: uses atomics
-    /// Counter that the kernel requires. Its value is not used here, because the forward
-    /// pass has already reported the count.
+    std::unique_ptr<HitGather> gather;  ///< null if gradients are added with atomics
+    /// Counter that the kernel requires as an output. The host ignores its value, because
+    /// the forward pass has already reported it.
     Array<std::uint32_t, shared::PassCapCount> pass_cap;
 
     static std::vector<Constant> constants(const Device& device, const ImageModel& m, Proxy proxy,
@@ -56,7 +58,7 @@ struct BackwardPass::Impl {
         const bool exchanged = exchanges_rows(device, backward, gathered);
         all.push_back({ConstantId::COALESCED_ATOMICS, exchanged ? 1u : 0u});
         // Uses one subgroup per workgroup, because lavapipe treats a subgroup barrier as
-        // a barrier of the workgroup.
+        // a barrier of the full workgroup.
         if (exchanged)
             all.push_back(
                 {ConstantId::WORKGROUP_SIZE, static_cast<std::uint32_t>(device.info().subgroup_size)});

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Allocates the arrays of all gradients.
+// Allocates the device arrays for all requested gradients.
 #include "diff/backward/pose_gradients.hpp"
 
 namespace relidar {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/backward/gather and diff/backward/gather_heads.
+// Submits the kernels diff/backward/gather and diff/backward/gather_heads, which sum the
+// gradients of hits without atomics.
 #include "diff/backward/hit_gather.hpp"
 
 #include <algorithm>
@@ -33,7 +34,7 @@ HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits
       prefix_sum_(device) {}
 
 void HitGather::reserve(std::uint64_t n_hits) {
-    constexpr std::uint64_t kMost = 1ull << 31;  // slot indices have 32 bits
+    constexpr std::uint64_t kMost = 1ull << 31;  // record indices have 32 bits
     const auto capacity = static_cast<std::uint32_t>(std::min(n_hits, kMost));
     if (sort_ && capacity <= sort_->capacity()) return;
     sort_.reset();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of the kernels that compute the gradients of the poses of instances and of
-// the sensor.
+// Submits the kernels that compute the gradients of the poses of instances and of the
+// sensor.
 #include "diff/backward/pose_gradients.hpp"
 
 #include <algorithm>
@@ -12,8 +12,8 @@ namespace relidar {
 namespace {
 
 constexpr std::uint32_t kThreads = 64;  // threads per workgroup
-// Number of surfels per workgroup. With a million surfels, each thread then adds 16
-// values in both passes.
+// Number of surfels per workgroup. With this value and a million surfels, each thread
+// adds 16 values in both passes.
 constexpr std::uint32_t kBlock = 1024;
 
 struct BlockTable {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the gradients of the poses of instances and of the sensor from the gradients
-// of surfel records.
+// Computes the gradients of instance poses and of the sensor pose from the gradients of
+// surfel records.
 #pragma once
 
 #include <relidar/diff/backward.hpp>
@@ -10,7 +10,7 @@
 
 namespace relidar {
 
-/// Lists the blocks of surfels of all instances, and stores the sum of each block.
+/// List of the surfel blocks of all instances, and the gradient sum of each block.
 struct Gradients::PoseSums {
     Array<shared::PoseBlock> blocks;
     Array<std::uint32_t> first_block;            ///< [instances + 1] first block of each instance
@@ -20,11 +20,11 @@ struct Gradients::PoseSums {
     PoseSums(Device& device, const DeviceScene& scene);
 };
 
-/// The three kernels of pose gradients.
+/// The three kernels that compute pose gradients.
 class PoseGradients {
 public:
     explicit PoseGradients(Device& device);
-    /// Computes gradients.poses and gradients.sensor. Reads gradients.records and the
+    /// Computes gradients.poses and gradients.sensor. Reads gradients.records, and the
     /// gradients of the view directions in pose_sums.
     void run(Stream& stream, const DeviceScene& scene, const ImageModel& model,
              const glm::vec3& view_origin_m, Gradients& gradients);

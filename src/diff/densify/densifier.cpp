@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of densification: classifies surfels, reads the counts back, allocates
-// memory, distributes copies, moves every array, and computes the values of new surfels.
+// Host side of densification, which adds and removes surfels. Chooses an action for each
+// surfel, reads the counts, allocates memory, distributes copies, moves every array, and
+// computes the values of new surfels.
 #include <relidar/diff/densify.hpp>
 
 #include <cmath>
@@ -24,17 +25,18 @@ constexpr float kUnbounded = std::numeric_limits<float>::infinity();
 
 double logit(double p) { return std::log(p / (1.0 - p)); }
 
-/// Settings of a classification.
+/// Thresholds that decide which surfels are dropped or grow.
 struct Rules {
     float min_opacity = 0.0f;
     float max_extent_share = kUnbounded;
 };
 
-/// Makes the random numbers for different purposes independent of each other.
+/// Identifies the purpose of random numbers, so that different purposes get independent
+/// numbers.
 enum class Draw : std::uint64_t { classify = 1, phase = 2 };
 
-// Opacity after a reset, relative to alpha_min. Surfels must stay visible after a reset,
-// otherwise they would get no gradient.
+// Opacity after a reset, relative to alpha_min. It is above 1, because invisible surfels
+// would get no gradient.
 constexpr double kResetOverAlphaMin = 2.5;
 
 }  // namespace
@@ -53,7 +55,7 @@ struct Densifier::Impl {
     Kernel<shared::ClassifyParams> classify;
     Kernel<shared::SpawnParams> spawn;
     Kernel<shared::ResetOpacityParams> reset_opacity;
-    /// Maximum number of surfels, set when memory is exhausted.
+    /// Maximum number of surfels. It is lowered if an allocation fails.
     std::uint32_t memory_limit = std::numeric_limits<std::uint32_t>::max();
 
     Impl(Device& d, const Scene& scene, const DensifyOptions& o, float alpha_min, std::uint32_t n_frames,
@@ -119,14 +121,16 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
     return result;
 }
 
-/// Allocates memory for a densification. Tries smaller sizes if the memory is not
-/// sufficient.
-/// @return the largest tested size that fits into memory, at most `wanted`. The arrays
-/// then have this capacity.
+/// Allocates memory for a densification. If the memory is not sufficient, tries smaller
+/// sizes.
+/// @param wanted requested number of surfels
+/// @param why receives the reason if the memory is not sufficient
+/// @return number of surfels, at most `wanted`, for which the arrays have space
+/// afterwards
 std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::uint32_t wanted,
                                          double others_bytes, std::string& why) {
     const std::uint32_t before = scene.size();
-    // bytes of parameters, moments and records
+    // bytes per surfel of parameters, Adam moments and records
     const double others = 4.0 * (3.0 * floats_per_surfel(scene.parameters().parameters()) + 16.0);
     const double bytes = double(arrays.bytes_per_surfel()) + others;
     const auto fits = [&](std::uint32_t target, double capacity) {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the sizes after a densification from counts.
+// Computes the number of surfels after a densification from the number of surfels per
+// action.
 #include "diff/densify/growth_plan.hpp"
 
 #include <algorithm>
@@ -33,7 +34,7 @@ GrowthPlan plan_growth(const std::vector<ModelCounts>& counts, const DensifyOpti
     }
     if (plan.total_weight == 0) return plan;
     plan.phase = static_cast<std::uint32_t>(random % plan.total_weight);
-    plan.n_new = plan.total_weight;  // each growing surfel has weight 1
+    plan.n_new = plan.total_weight;  // one new surfel per growing surfel, because each has weight 1
     return limited_to(plan, static_cast<std::uint32_t>(options.max_surfels));
 }
 

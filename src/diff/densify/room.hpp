@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks for free device memory before any array is moved, so that a failed densification
-// changes nothing. Used only by densify.
+// Checks whether enough device memory is free before any array is moved, so that a failed
+// densification changes nothing. Used only by densification.
 #pragma once
 
 #include <algorithm>
@@ -12,10 +12,10 @@
 
 namespace relidar {
 
-/// Tries to allocate this many bytes on the device, in pieces.
+/// Tests whether `n_bytes` bytes of device memory can be allocated, and frees them again.
 /// @return an empty string, or the reason why the allocation failed
 inline std::string missing_memory(Device& device, double n_bytes) {
-    // drivers limit single allocations in addition to their sum
+    // allocates in pieces, because drivers limit the size of one allocation
     constexpr double kPiece = double(256 << 20);
     std::vector<Buffer> pieces;
     try {

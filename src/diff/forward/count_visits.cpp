@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Repeats the forward pass with counters of visited nodes and surfels. Separate kernel
-// variants count, so that normal rendering does not become slower.
+// Runs the forward pass with kernels that count visited nodes and surfels. These are
+// separate kernel variants, so that normal rendering does not become slower.
 #include "diff/forward/count_visits.hpp"
 
 #include "diff/forward/hit_lists.hpp"
@@ -36,7 +36,7 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
                                     .surface_gap_m = options.mode_gap_m.value_or(0.0f)};
     std::optional<HitLists> lists;
     if (appends_hits(device, options)) {
-        // large enough for all hits
+        // lists with space for all hits
         lists.emplace(device, KernelVariant("@software_bvh"), constants, RELIDAR_MOST_ROOM);
         lists->run(stream, batch, params);
     }

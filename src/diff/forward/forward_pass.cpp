@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of the kernel diff/forward/trace, which renders rays (Eq. 2-4). If hit lists
-// are used, it renders only the rays whose lists could not be used.
+// Host side of the forward pass, which renders rays (Eq. 2-4). If hit lists are used,
+// kernel diff/forward/trace renders only the rays whose lists cannot be used.
 #include <relidar/diff/forward.hpp>
 
 #include <fmt/format.h>
@@ -20,7 +20,7 @@ struct ForwardPass::Impl {
     Kernel<shared::ForwardParams> trace;
     Array<std::uint32_t, shared::PassCapCount> pass_cap;
     Array<std::uint32_t, shared::OverfullCount> n_overfull;
-    std::optional<HitLists> lists;  ///< set if rays append their hits to lists
+    std::optional<HitLists> lists;  ///< set if rays write their hits to lists
 
     Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& o)
         : model(m),
@@ -55,7 +55,7 @@ void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& acc
     RELIDAR_ASSERT_LE(end, batch.rays->size());
     RELIDAR_ASSERT_LE(batch.targets ? end : 0, batch.targets ? batch.targets->size() : 0);
     RELIDAR_ASSERT_EQ(!kept || kept->hold(batch), true);
-    // an image must have complete rows
+    // the rays of an image must form complete rows
     RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);
     RELIDAR_ASSERT_LE(impl_->options.has_surfaces() ? std::size_t(batch.n_rays) : 0,
                       surfaces ? surfaces->size() : 0);

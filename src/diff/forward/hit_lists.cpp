@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of rendering with hit lists: appends hits to lists, sorts the lists, blends
-// them, and sets the capacity of the lists.
+// Host side of rendering with hit lists: submits kernels that fill, sort and blend the
+// lists. Increases the capacity of the lists if rays have more hits.
 #include "diff/forward/hit_lists.hpp"
 
 #include <algorithm>
@@ -12,11 +12,11 @@
 namespace relidar {
 namespace {
 
-// Maximum number of lists. It keeps the number of threads that sort the lists below 2^32.
+// Maximum number of lists, so that the number of threads that sort them stays below 2^32.
 constexpr std::size_t kMostLists = std::size_t(1) << 24;
 
-/// Returns the memory limit of all hit lists: an eighth of the device's memory. Assumes 8
-/// GiB if the size is unknown.
+/// Returns the maximum size of all hit lists in bytes: one eighth of the device's memory.
+/// Assumes 8 GiB of memory if the size is unknown.
 std::size_t max_bytes(const Device& device) {
     const std::size_t memory = device.info().memory_bytes;
     return (memory ? memory : std::size_t(8) << 30) / 8;
@@ -50,8 +50,8 @@ HitLists::HitLists(Device& device, const KernelVariant& variant, const std::vect
       n_overflows_(device, std::vector<std::uint32_t>{0u}, "rays with more hits than fit into their lists"),
       overflows_(device, sizeof(std::uint32_t), "rays with more hits than fit into their lists") {}
 
-/// Allocates the hit lists with as much of the requested capacity as fits into the free
-/// device memory. Allocates none if there is no free memory.
+/// Allocates hit lists. Reduces their capacity until they fit into the free device
+/// memory. Allocates none if no memory is free.
 void HitLists::make_hits(std::size_t n_lists) {
     const std::uint32_t wanted = room_;
     hits_ = {};
@@ -67,9 +67,10 @@ void HitLists::make_hits(std::size_t n_lists) {
     if (room_ < wanted) grows_ = false;
 }
 
-/// Returns true if a ray had more hits than its list can hold. Such rays are slow,
-/// because the full device may wait for them in diff/forward/trace. Reads the count
-/// without waiting: the stream has already waited for that submission to reuse its slot.
+/// Returns true if a ray had more hits than its list can contain. Such rays are slow,
+/// because kernel diff/forward/trace must render them, and the full device may wait for
+/// it. Reads the count only after its submission is finished, so that the host never
+/// waits here.
 bool HitLists::needs_more_room(Stream& stream) {
     if (!overflows_.pending() || impl_of(stream).last_ticket + 1 < counted_until_ + Stream::Impl::kSlots)
         return false;
@@ -79,24 +80,24 @@ bool HitLists::needs_more_room(Stream& stream) {
     return grows_ && room_ < most_room_ && n_overflows > 0;
 }
 
-/// Provides memory for hit lists. Uses the memory that stores hits for the backward pass
+/// Returns memory for hit lists. Uses the memory that stores hits for the backward pass
 /// if it is large enough.
 shared::HitLists HitLists::make_room(Stream& stream, std::size_t n_threads, const KeptHits* kept) {
     const std::size_t n = KeptHits::side_by_side(n_threads);
     if (n > kMostLists) return {};
     if (needs_more_room(stream)) {
         room_ = std::min(2 * room_, most_room_);
-        // Resets the overflow count, because it belongs to lists with a smaller capacity.
+        // Resets the overflow count, because the old count belongs to lists of a smaller
+        // capacity.
         stream.fill(n_overflows_);
         overflows_before_ = 0;
     }
     const bool in_kept = kept && kept->per_ray >= std::max(room_, 1u) && kept->per_ray <= most_room_;
     const bool room_fits = hits_room_ == room_ && hits_.size() >= n * room_;
-    // Waits for the device, because it must not write to lists that are about to be
-    // freed.
+    // Waits for the device, because it may still write to lists that are freed below.
     if ((in_kept ? hits_.size() > 0 : !room_fits) || lengths_.size() < n) stream.finish();
     if (in_kept) hits_ = {};
-    // at least as many lists as before
+    // allocates at least as many lists as before
     else if (!room_fits) make_hits(std::max(n, hits_room_ > 0 ? hits_.size() / hits_room_ : 0));
     try {
         if (lengths_.size() < n)

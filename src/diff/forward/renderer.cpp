@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Renders rays: computes surfel records, updates the acceleration structure and runs the
-// forward pass. Owns the arrays of rendered values.
+// forward pass. Owns the arrays for the rendered values.
 #include <relidar/diff/forward.hpp>
 
 #include <algorithm>
@@ -26,7 +26,7 @@ struct Renderer::Impl {
     ForwardPass forward;
     bool placed = false;
     glm::vec3 view_origin_m{0.0f};
-    Array<DeviceRay> host_rays;  ///< rays of forward()
+    Array<DeviceRay> host_rays;  ///< rays that forward() uploads
     Array<shared::RenderedRay> rendered;
     std::optional<KeptHits> kept;
     std::optional<Array<shared::RenderedSurface>> surfaces;
@@ -52,8 +52,8 @@ struct Renderer::Impl {
     }
 
     void allocate_kept_hits(std::size_t n_threads) {
-        // Frees the old memory before the allocation. No command reads the old memory any
-        // more.
+        // Frees the old memory before it allocates new memory, because both may not fit.
+        // No command reads the old memory any more.
         kept.reset();
         if (options.keep_hits > 0) kept.emplace(device, n_threads, options.keep_hits);
         batch.kept = kept ? &*kept : nullptr;
@@ -93,8 +93,8 @@ void Renderer::record_forward(const RayBatch& rays) {
         r.stream.finish();
         r.make_room(rays.n_rays);
     }
-    // Allocates more entries than rays if necessary, because the tiles of an image need
-    // more threads than rays.
+    // Allocates more entries than rays if necessary. The tiles of an image need more
+    // threads than rays.
     if (r.kept && !r.kept->hold(rays)) {
         r.stream.finish();
         r.allocate_kept_hits(trace_threads(rays));
@@ -107,7 +107,7 @@ void Renderer::record_forward(const RayBatch& rays) {
 
 Rendering Renderer::forward(const WorldRays& rays) {
     Impl& r = *impl_;
-    r.stream.finish();  // earlier commands may still read the rays
+    r.stream.finish();  // waits, because earlier commands may still read the rays
     if (rays.size() > r.host_rays.size()) r.host_rays = Array<DeviceRay>(r.device, rays.size(), "rays");
     r.host_rays.upload(to_device_rays(rays));
     record_forward({&r.host_rays, 0, 1, static_cast<std::uint32_t>(rays.size())});

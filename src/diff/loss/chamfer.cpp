@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of the Chamfer loss (Eq. 11): computes points, finds nearest points, and
-// submits the loss and its derivative.
+// Host side of the Chamfer loss (Eq. 11): submits kernels that compute points, find
+// nearest points, and compute the loss and its derivative.
 #include <relidar/diff/loss.hpp>
 
 #include <relidar/diff/traversal.hpp>
@@ -14,10 +14,9 @@ namespace relidar {
 
 namespace {
 
-/// Sizes of the three levels of a point image, in rows and columns: points, tiles of
-/// points, groups of tiles.
+/// Rows and columns on three levels: points, tiles of points, groups of tiles.
 struct Levels {
-    glm::uvec2 tile{4, 8};  ///< points per tile, tiles per group
+    glm::uvec2 tile{4, 8};  ///< number of points per tile, and of tiles per group
     glm::uvec2 points, tiles, groups;
 
     explicit Levels(const TargetBatch& batch) {
@@ -29,7 +28,7 @@ struct Levels {
     }
 };
 
-/// A point cloud and its bounding boxes.
+/// Point cloud with bounding boxes of its tiles.
 struct Cloud {
     Array<glm::vec3, shared::CloudPoints> points;
     Array<glm::vec3, shared::TileLows> tile_low;
@@ -37,8 +36,8 @@ struct Cloud {
     Array<glm::vec3, shared::GroupLows> group_low;
     Array<glm::vec3, shared::GroupHighs> group_high;
 
-    /// Allocates a point cloud. An image of one column has the most tiles, ceil(n / 4).
-    /// The same holds for groups of tiles.
+    /// Allocates a point cloud. n / 4 + 1 tiles are always enough, because an image with
+    /// one column has the most tiles: ceil(n / 4). The same holds for groups of tiles.
     Cloud(Device& device, std::size_t n, const std::string& what)
         : points(device, n, what + " points"),
           tile_low(device, n / 4 + 1, what + " tiles"),
@@ -67,7 +66,7 @@ struct ChamferLoss::Impl {
     Kernel<shared::ChamferBoxesParams> boxes;
     Kernel<shared::ChamferNearestParams> nearest;
     Kernel<shared::ChamferParams> chamfer, vjp;
-    std::uint32_t n_rays = 0;  ///< rays of the last batch
+    std::uint32_t n_rays = 0;  ///< number of rays of the last batch
 
     Impl(Device& device, const LossWeights& w, std::size_t n)
         : weights(w),
@@ -118,8 +117,8 @@ struct ChamferLoss::Impl {
                       .tile_rows = l.tile.x,
                       .tile_columns = l.tile.y});
     }
-    /// Finds nearest points in both directions. The device processes the two clouds
-    /// concurrently.
+    /// Submits kernels that find nearest points in both directions. Both directions run
+    /// concurrently on the device.
     void search(Stream& stream, const Levels& l) const {
         {
             const Concurrent both(stream);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of the image losses: depth, intensity, ray-drop and structural similarity
-// (Eq. 10).
+// Host side of the image losses (Eq. 10): depth, intensity, ray drop and structural
+// similarity.
 #include <relidar/diff/loss.hpp>
 
 #include <algorithm>

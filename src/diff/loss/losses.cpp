@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Creates all losses of the list of loss terms. Checks that the order of the list is
-// correct.
+// Creates all losses in the list of loss terms. Checks the order of the list.
 #include <algorithm>
 
 #include "diff/loss/losses.hpp"
@@ -36,7 +35,7 @@ std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights
         RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
     };
-    // The image loss must be first, because it overwrites the gradients. The other losses
+    // Puts the image loss first, because it overwrites the gradients. All other losses
     // add to them.
     std::vector<LossMaker*> makers{make_image_loss};
     for (const Term& term : terms)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Declares one factory function per loss: make_image_loss, make_surfel_loss and so on.
-// The names come from the list in relidar/diff/loss_terms.h. The file of each loss
+// Declares one factory function per loss, for example make_image_loss. The list in
+// relidar/diff/loss_terms.h contains the names. Each loss has a separate source file that
 // defines its function.
 #pragma once
 
@@ -11,7 +11,7 @@ namespace relidar {
 using LossMaker = std::unique_ptr<Loss>(Device& device, const LossWeights& weights, std::uint32_t n_rays);
 
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) LossMaker make_##maker##_loss;
-RELIDAR_LOSS_TERMS(RELIDAR_TERM)  // terms of one loss repeat the declaration
+RELIDAR_LOSS_TERMS(RELIDAR_TERM)  // the same function is declared once for each of its terms
 #undef RELIDAR_TERM
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of the kernel diff/loss/surfel_loss. Submits one launch over the surfels of
-// all models that have a box.
+// Host side of the loss for surfels outside the box of their actor. Submits one launch
+// over the surfels of all models that have a box.
 #include <relidar/diff/loss.hpp>
 
 #include <algorithm>
@@ -38,7 +38,7 @@ void SurfelLoss::regularise(Stream& stream, const DeviceScene& scene, const Surf
     const LossWeights& w = impl_->weights;
     const std::vector<Model>& models = scene.layout().models;
     double n_boxed = 0.0;
-    std::uint32_t first = scene.size(), end = 0;  // range of surfels of models with a box
+    std::uint32_t first = scene.size(), end = 0;  // surfel range that contains all models with a box
     for (const Model& m : models) {
         if (!has_box(m)) continue;
         n_boxed += m.count;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of multi-head attention: submits matrix products and softmax. Attention
+// Host side of multi-head attention: submits matrix products and the softmax. Attention
 // weights are stored as [n, heads, query pixel, key pixel].
 #include "diff/network/attention.hpp"
 
@@ -16,8 +16,8 @@ std::vector<Constant> attention_constants(std::uint32_t lanes) {
     return {{ConstantId::LANES, lanes}, {ConstantId::WORKGROUP_SIZE, kAttentionThreads}};
 }
 
-/// Returns a view of an image slice as one matrix [channels, pixels] per head. The
-/// transposed view is [pixels, channels].
+/// Returns a view of an image slice as one matrix per head, [channels, pixels]. If
+/// `transposed` is true, the matrix is [pixels, channels].
 shared::MatrixView view_heads(const Slice& slice, std::uint32_t heads, bool transposed) {
     const auto pixels = std::uint32_t(slice.grid.pixels());
     return {.values = slice.view.values,
@@ -130,10 +130,10 @@ void Attention::vjp(Stream& stream, const Slice& qkv, AttentionState& state, con
                   .scale = factor},
                  grid);
     };
-    // d_value = d_to share
+    // computes d_value = d_to share
     product(view_heads(d_to, heads_, false), of_shares(state.share, grid, heads_, false),
             view_heads(d_value, heads_, false), size, pixels, 1.0f);
-    // Computes d_share = d_to^T value, then the derivative of the softmax.
+    // Computes d_share = d_to^T value. The derivative of the softmax follows.
     product(view_heads(d_to, heads_, true), view_heads(value, heads_, false),
             of_shares(state.d_share, grid, heads_, false), pixels, size, 1.0f);
     run_softmax(stream, state, grid, true);

@@ -7,24 +7,25 @@
 
 namespace relidar::refine {
 
-/// Intermediate results of the forward pass that the backward pass needs.
+/// Intermediate results that the forward pass stores for the backward pass.
 struct AttentionState {
-    /// [n, heads, pixels, pixels]: softmax of the scores. Each row holds the attention
-    /// weights of one query pixel.
+    /// Attention weights [n, heads, pixels, pixels]: softmax of the scores. Each row
+    /// contains the weights of one query pixel.
     Tensor share;
-    Tensor d_share;  ///< same shape, scratch of the backward pass
+    Tensor d_share;  ///< gradient of `share`, scratch memory of the backward pass
 };
 
 class Attention {
 public:
     /// Creates the kernels for attention.
-    /// @param heads  number of heads. The channels are divided equally between them.
+    /// @param heads number of heads. The channels are divided equally between the heads
     Attention(Device& device, std::uint32_t heads);
 
     AttentionState make_state(Device& device, const Grid& grid, bool with_gradients) const;
     /// Computes to[h] = V softmax(K^T Q / sqrt(channels per head)) for each head h.
-    /// @param qkv  [n, 3 channels, rows, columns] query, key and value of each pixel
-    /// @param to  [n, channels, rows, columns]
+    /// @param qkv query Q, key K and value V of each pixel, [n, 3 channels, rows,
+    /// columns]
+    /// @param to output, [n, channels, rows, columns]
     void forward(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& to);
     void vjp(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& d_to, const Slice& d_qkv);
 

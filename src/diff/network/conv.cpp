@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of convolutions: submits the forward pass and the derivatives with respect to
-// images and weights.
+// Submits the kernels of convolutions: the forward pass and the derivatives with respect
+// to images and weights.
 #include "diff/network/conv.hpp"
 
 #include <algorithm>
@@ -16,9 +16,10 @@ namespace relidar::refine {
 namespace {
 
 constexpr std::uint32_t kConvThreads = 64;  // threads per workgroup
-// Number of image rows over which one subgroup sums the gradient of the weights.
+// Number of image rows over which one subgroup sums the gradient of the weights. Each
+// such part has separate partial sums.
 constexpr std::uint32_t kLinesOfPart = 8;
-constexpr std::size_t kMostPartial = 1 << 24;  // limit of the memory for partial sums, in floats
+constexpr std::size_t kMostPartial = 1 << 24;  // maximum number of floats of the partial sums
 
 std::uint32_t inputs_of_subgroup(std::uint32_t taps) { return taps == 1 ? RELIDAR_CONV_IN : 1; }
 

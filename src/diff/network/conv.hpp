@@ -10,30 +10,30 @@
 
 namespace relidar::refine {
 
-/// Kernels of all convolutions of one size (1x1 or 3x3), and memory for their partial
-/// sums.
+/// Kernels for convolutions of one size (1x1 or 3x3), and memory for their partial sums.
 class Conv {
 public:
     using Weights = Address<float, shared::ConvWeights>;
     using Bias = Address<float, shared::ConvBias>;
 
-    /// Creates the kernels for one size of convolution.
-    /// @param taps  1 (1x1) or 9 (3x3)
+    /// Creates the kernels for convolutions of one size.
+    /// @param taps number of weights per channel pair: 1 (1x1) or 9 (3x3)
     /// @throws DeviceError with the name of a missing device feature
     Conv(Device& device, std::uint32_t taps);
 
     /// Computes the convolution to = bias + weights * from.
-    /// @param weights  [to.channels, from.channels, taps]
-    /// @param bias  [to.channels], or a null address
-    /// @param accumulate  true: adds the result to `to` instead of overwriting it
+    /// @param weights [to.channels, from.channels, taps]
+    /// @param bias [to.channels], or a null address
+    /// @param accumulate true: adds the result to `to` instead of overwriting `to`
     void forward(Stream& stream, const Slice& from, Weights weights, Bias bias, const Slice& to,
                  bool accumulate = false);
     /// Computes dL/d(from) from dL/d(to).
-    /// @param accumulate  true: adds the result to `d_from` instead of overwriting it
+    /// @param accumulate true: adds the result to `d_from` instead of overwriting
+    /// `d_from`
     void input_vjp(Stream& stream, const Slice& d_to, Weights weights, const Slice& d_from,
                    bool accumulate = false);
-    /// Computes dL/d(weights), [to.channels, from.channels, taps]. The order of summation
-    /// is fixed, so the result is repeatable.
+    /// Computes dL/d(weights), [to.channels, from.channels, taps]. Adds in a fixed order,
+    /// so that the result is the same in every run.
     void weights_vjp(Stream& stream, const Slice& from, const Slice& d_to, Weights d_weights);
     /// Returns the number of floats that weights_vjp() needs for its partial sums.
     std::size_t partial_floats(const Grid& grid, std::uint32_t n_in, std::uint32_t n_out) const;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/network/drop_inputs.
+// Submits the kernel diff/network/drop_inputs, which copies stored samples into input
+// images.
 #include "diff/network/drop_inputs.hpp"
 
 #include <algorithm>
@@ -89,8 +90,8 @@ void DropInputs::make(Stream& stream, std::span<const Chosen> chosen,
     make(stream, chosen, params, images);
 }
 
-/// Submits the kernel that assembles a batch of input images.
-/// @param params  addresses of samples and targets
+/// Submits the kernel that copies the chosen samples into a batch of input images.
+/// @param params addresses of samples and targets
 void DropInputs::make(Stream& stream, std::span<const Chosen> chosen, shared::DropInputsParams params,
                       const Tensor& images) {
     std::vector<std::uint32_t> samples, turns;

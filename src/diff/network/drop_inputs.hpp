@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stores training images on the device and creates normalised, rotated batches of them.
+// Stores training images on the device. Copies selected images into batches, which are
+// normalised and rotated around the sensor.
 #pragma once
 
 #include <span>
@@ -13,35 +14,35 @@
 namespace relidar::refine {
 
 /// Returns scale and shift of each input channel, [channels, 2]. They give the channel
-/// mean 0 and standard deviation 1 over all images. A constant channel becomes 0.
+/// the mean 0 and the standard deviation 1 over all images. A constant channel becomes 0.
 std::vector<float> normalisation_of(const std::vector<DropImage>& images, std::size_t n_channels);
 
 class DropInputs {
 public:
     DropInputs(Device& device, const DropNetwork& network);
 
-    /// Uploads training images to the device. Replaces all earlier images.
-    /// @param images  images of one shape, already checked
+    /// Uploads training images to the device and replaces all earlier images.
+    /// @param images images of equal size, already checked
     void keep(Device& device, std::span<const DropImage> images);
 
-    /// Selects an image for a batch, and the number of columns by which its scene is
-    /// rotated.
+    /// Image that is selected for a batch, and the number of columns by which its scene
+    /// is rotated.
     struct Chosen {
         std::uint32_t sample = 0, turn = 0;
     };
-    /// Submits the kernel that assembles a batch from the uploaded images.
-    /// @param images  output, [n, channels, rows, columns]
+    /// Submits the kernel that creates a batch from the uploaded images.
+    /// @param images output, [n, channels, rows, columns]
     void make(Stream& stream, std::span<const Chosen> chosen, const Tensor& images);
-    /// Submits the kernel that assembles a batch without targets from images in another
-    /// array.
-    /// @param samples  [samples, channels, rows, columns]
+    /// Submits the kernel that creates a batch without targets from images in another
+    /// device array.
+    /// @param samples [samples, channels, rows, columns]
     void make(Stream& stream, std::span<const Chosen> chosen, Address<float, shared::DropSamples> samples,
               const Tensor& images);
 
-    /// Rendered logits [n, rows, columns] of the last batch.
+    /// Returns the rendered logits of the last batch, [n, rows, columns].
     const Array<float, shared::StartLogits>& start() const { return start_; }
-    /// Returns the targets of the last batch, [n, rows, columns], with the values of
-    /// DropImage::dropped.
+    /// Returns the targets of the last batch, [n, rows, columns]. DropImage::dropped
+    /// explains their values.
     const Array<float, shared::DropTargets>& target() const { return target_; }
     bool has_targets() const { return targets_.size() > 0; }
     /// Returns the number of pixels of an image whose target is known.

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/network/drop_loss.
+// Submits the kernel diff/network/drop_loss, which computes drop probabilities and their
+// cross-entropy.
 #include "diff/network/drop_loss.hpp"
 
 #include <algorithm>

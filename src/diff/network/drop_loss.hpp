@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes drop probabilities from the network's logits, their cross-entropy, and its
-// derivative.
+// Computes the probability that a ray has no return (ray drop) from the network's logits.
+// Also computes the cross-entropy loss and its derivative.
 #pragma once
 
 #include "diff/network/tensor.hpp"
@@ -8,18 +8,19 @@
 
 namespace relidar::refine {
 
-/// Means over the known pixels of a batch.
+/// Means over all pixels of a batch with a known measurement.
 struct DropScore {
-    double entropy = 0.0;   ///< cross-entropy of the measured drops
-    double accuracy = 0.0;  ///< Share of pixels for which the more likely class is correct.
+    double entropy = 0.0;   ///< mean cross-entropy of the measured outcomes
+    double accuracy = 0.0;  ///< Share of pixels whose predicted class (return or no return) is correct.
 };
 
-/// Arrays of n pixels that DropLoss reads and writes. All arrays except the logits may be
+/// Arrays of n pixels that DropLoss reads and writes. All addresses except `logit` may be
 /// null.
 struct DropLossArrays {
     Address<float, shared::DropLogits> logit;
     Address<float, shared::StartLogits> start = {};  ///< added to the logits
-    /// Targets: 1 for a dropped ray, 0 for a return, negative for an unknown ray.
+    /// Measured outcome: 1 for a ray without a return, 0 for a ray with a return,
+    /// negative for an unknown ray.
     Address<float, shared::DropTargets> target = {};
     Address<float, shared::DropLogitGradients> d_logit = {};     ///< output: gradient of the logits
     Address<float, shared::DropProbabilities> probability = {};  ///< output: drop probabilities
@@ -30,11 +31,11 @@ public:
     DropLoss(Device& device, std::size_t n_pixels);
 
     /// Submits the kernel that computes the loss of n pixels.
-    /// @param known  number of pixels with a known target, by which the derivative is
-    /// divided
+    /// @param known number of pixels with a known target. The derivative is divided by
+    /// this number
     void run(Stream& stream, std::size_t n, const DropLossArrays& arrays, std::size_t known);
-    /// Returns loss and accuracy of the last finished run.
-    /// @param known  number of pixels with a known target
+    /// Returns loss and accuracy of the last run, which must be finished.
+    /// @param known number of pixels with a known target
     DropScore score(std::size_t known) const;
 
 private:

@@ -17,8 +17,8 @@ constexpr int kMostWidth = 512, kMostLevels = 6;
 
 using refine::Regularisation;
 
-/// A predefined network. The number of channels on each level, from full size to the
-/// smallest, is a multiple of `width`.
+/// Predefined network. `width` multiplies the numbers of channels, which are listed for
+/// each level from full size to the smallest.
 struct Known {
     const char* name;
     std::uint32_t width;

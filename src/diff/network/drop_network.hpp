@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Functions that both training and inference of the ray-drop network use. They compute
-// its shape from the options and check images.
+// Functions for both training and inference of the ray-drop network. They compute the
+// shape of the network from the options, and check images.
 #pragma once
 
 #include <cstdint>
@@ -11,7 +11,7 @@
 
 namespace relidar::refine {
 
-/// Returns a network with the shape that the options describe, but without parameters.
+/// Returns a network without parameters, with the shape that the options describe.
 /// @throws UsageError if the network is unknown, too wide or too deep, or the number of
 /// heads does not divide the channels
 DropNetwork shape_of(const RefineOptions& options);
@@ -20,29 +20,28 @@ DropNetwork shape_of(const RefineOptions& options);
 /// @throws UsageError if the network is unknown
 int batch_of(const RefineOptions& options);
 
-/// Training settings that reduce overfitting. Dropout has little effect for small
-/// networks, and rotating the images reduced their accuracy.
+/// Training settings that reduce overfitting. Small networks hardly profit from dropout,
+/// and rotating the images makes them less accurate.
 struct Regularisation {
     double dropout = 0.0;  ///< share of the values that a layer drops
     /// True: training rotates images around the sensor by a random number of columns.
-    /// Channels that belong to the sensor's pixels are not rotated.
+    /// Channels that describe the sensor's pixels are not rotated.
     bool turns = false;
 };
-/// Returns the settings that reduce overfitting for a network.
+/// Returns the training settings that reduce overfitting of a network.
 /// @throws UsageError if the network is unknown
 Regularisation regularisation_of(const RefineOptions& options);
 
 /// Returns the index of the input channel that contains the rendered drop logit.
 std::uint32_t logit_channel(const DropNetwork& network);
 
-/// Returns the number of channels at the end of the input that belong to the sensor's
-/// pixels.
+/// Returns the number of input channels that describe the sensor's pixels. They are the
+/// last channels.
 std::uint32_t fixed_channels(const DropNetwork& network);
 
 /// Checks the size and the values of an image.
-/// @param what  description of the image for error messages
-/// @throws DataError if the image does not fit the network or has values that are not
-/// finite
+/// @param what description of the image for error messages
+/// @throws DataError if the image has the wrong size or values that are not finite
 void check_image(const DropNetwork& network, const DropImage& image, const std::string& what);
 
 }  // namespace relidar::refine

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Inference of a trained ray-drop network.
+// Runs inference with a trained ray-drop network, which predicts the rays that have no
+// return.
 #include <algorithm>
 #include <list>
 #include <optional>
@@ -50,7 +51,7 @@ void compile_drop_network(Device& device, const RefineOptions& options) {
 
 namespace {
 
-/// The network with memory for images of one shape.
+/// Copy of the network with memory for images of one size.
 struct ShapedNetwork {
     refine::Grid grid{};
     refine::DropInputs inputs;
@@ -72,8 +73,8 @@ struct ShapedNetwork {
 }  // namespace
 
 struct DropPass::Impl {
-    // Number of image sizes whose arrays are cached. Two are useful because a vehicle may
-    // render its large and its small LiDARs alternately.
+    // Number of image sizes whose arrays are cached. A vehicle may render a large and a
+    // small LiDAR alternately, which needs two.
     static constexpr std::size_t kShapes = 2;
 
     Device& device;
@@ -91,8 +92,8 @@ struct DropPass::Impl {
         if (place == shaped.end() && shaped.size() < kShapes)
             place = shaped.emplace(shaped.end(), device, network);
         if (place == shaped.end()) {
-            // Waits, because the device may still use the arrays that are about to be
-            // replaced.
+            // Waits for the device, because it may still use the arrays that are replaced
+            // below.
             stream.finish();
             --place;
         }

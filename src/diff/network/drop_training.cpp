@@ -14,8 +14,8 @@
 namespace relidar::refine {
 namespace {
 
-constexpr double kLastRate = 0.01;         // last learning rate relative to the first
-constexpr std::uint32_t kKeysOfStep = 64;  // dropout keys per step, one for each layer
+constexpr double kLastRate = 0.01;         // final learning rate relative to the initial rate
+constexpr std::uint32_t kKeysOfStep = 64;  // number of dropout keys per step, one for each layer
 
 void check_images(const DropNetwork& network, const std::vector<DropImage>& images) {
     if (images.empty()) throw DataError("cannot train the ray-drop network: there are no training images");
@@ -74,7 +74,8 @@ struct DropTraining::Impl {
           stream(device, timing) {
         inputs.keep(device, images);
         unet.reserve(device, grid, true);
-        stream.fill(unet.gradients());  // padding between groups has no gradient
+        // sets all gradients to zero, because no kernel writes the padding between groups
+        stream.fill(unet.gradients());
         stream.finish();
     }
 };

@@ -17,25 +17,26 @@ namespace relidar::refine {
 class DropTraining {
 public:
     /// Uploads the images, and creates the network and the optimizer.
-    /// @throws DataError under the same conditions as train_drop_network()
+    /// @throws DataError in the same cases as train_drop_network()
     DropTraining(Device& device, const std::vector<DropImage>& images, const RefineOptions& options,
                  std::uint64_t seed, bool timing = false);
     ~DropTraining();
 
     std::size_t batch() const;  ///< images per step
-    /// Returns the number of steps per epoch. An epoch omits the images that do not fill
-    /// a batch. Other epochs may use them.
+    /// Returns the number of steps per epoch. Images that do not fill a batch are not
+    /// used in this epoch, but may be used in other epochs.
     std::size_t steps_of_epoch() const;
 
     /// Trains the network on one batch.
-    /// @param step  number of the step, starting at 1
-    /// @return loss and accuracy of the network before the step
+    /// @param step number of the step, starting at 1
+    /// @return loss and accuracy of the network before this step
     DropScore step(std::span<const DropInputs::Chosen> chosen, int step, int n_steps);
     DropNetwork download() const;
-    /// Returns the parameters of the network and the moments of the optimizer. The caller
-    /// sets the other fields of the state.
+    /// Returns the parameters of the network and the moment estimates of the Adam
+    /// optimizer. The caller must set the other fields of the state.
     RefineState state() const;
-    /// Restores the parameters of the network and the moments of the optimizer.
+    /// Restores the parameters of the network and the moment estimates of the Adam
+    /// optimizer.
     /// @throws DataError if their sizes do not match the network
     void restore(const RefineState& state);
     const KernelTimes& times() const;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Benchmarks of the ray-drop network and of its most expensive layer.
+// Benchmarks of the ray-drop network and of its slowest layer, a convolution.
 #pragma once
 
 #include <cstdint>
@@ -14,14 +14,14 @@ namespace relidar {
 struct ConvolutionSize {
     std::uint32_t rows = 0, columns = 0, n_in = 0, n_out = 0;
 
-    /// Returns the number of multiplications and additions of one pass. The forward pass
-    /// and both derivatives need the same number.
+    /// Returns the number of multiplications and additions of one pass. This number is
+    /// the same for the forward pass and both derivatives.
     double operations() const {
         return 2.0 * 9.0 * double(rows) * double(columns) * double(n_in) * double(n_out);
     }
 };
 
-/// A convolution on a device for benchmarks, with non-zero values. Each call blocks until
+/// Convolution with non-zero values on a device, for benchmarks. Each call waits until
 /// its pass is finished.
 class MeasuredConvolution {
 public:
@@ -29,8 +29,8 @@ public:
     ~MeasuredConvolution();
 
     void forward();
-    void by_input();    ///< derivative with respect to the image
-    void by_weights();  ///< derivative with respect to the weights
+    void by_input();    ///< computes the derivative with respect to the image
+    void by_weights();  ///< computes the derivative with respect to the weights
 
 private:
     struct Impl;
@@ -43,13 +43,13 @@ public:
     MeasuredDropNetwork(Device& device, const RefineOptions& options, int rows, int columns);
     ~MeasuredDropNetwork();
 
-    void step();   ///< Runs one training step on options.batch images and blocks until it is finished.
-    void infer();  ///< inference of one image; blocks
-    /// Returns the number of multiplications and additions of one inference. A training
-    /// step needs three times as many per image.
+    void step();   ///< Runs one training step on options.batch images and waits until it is finished.
+    void infer();  ///< runs inference on one image and waits until it is finished
+    /// Returns the number of multiplications and additions of inference on one image.
+    /// Training needs three times as many operations per image.
     double operations() const;
-    /// Returns the milliseconds of each kernel of step(). Empty if the device has no
-    /// timestamps.
+    /// Returns the duration of each kernel in step(), in milliseconds. Empty if the
+    /// device has no timestamps.
     const KernelTimes& times() const;
 
 private:

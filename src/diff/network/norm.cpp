@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of batch normalisation: submits the forward pass, the inference pass and the
-// derivatives.
+// Submits the kernels of batch normalisation: the forward pass for training, the forward
+// pass for inference, and the derivatives.
 #include "diff/network/norm.hpp"
 
 #include <algorithm>
@@ -13,12 +13,12 @@ namespace {
 constexpr std::uint32_t kNormThreads = 64;  // threads per workgroup
 constexpr float kMomentum = 0.1f, kEpsilon = 1e-5f;
 
-/// Returns the number of parts whose sums are computed separately. Each part lies within
-/// one image.
+/// Returns the number of parts into which the pixels of a batch are split for sums. Each
+/// part is within one image.
 std::uint32_t norm_parts(const Grid& grid) {
     return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.pixels() / 4096, 1, 64));
 }
-/// Returns the number of threads that process all pixels of a slice.
+/// Returns the number of threads that the kernels need for all pixels of a slice.
 std::size_t threads_of(const Slice& slice) {
     constexpr std::size_t kStretch = std::size_t(kNormThreads) * RELIDAR_NORM_PIXELS;
     return std::size_t(slice.grid.n) * slice.channels * ((slice.grid.pixels() + kStretch - 1) / kStretch) *

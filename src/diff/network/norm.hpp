@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Batch normalisation, ReLU and dropout as one layer. Also sums over the pixels of
-// channels.
+// Batch normalisation, ReLU and dropout as one layer. Also computes sums over the pixels
+// of each channel.
 #pragma once
 
 #include "diff/network/tensor.hpp"
@@ -11,18 +11,18 @@ namespace relidar::refine {
 /// Parameters of a normalisation layer.
 struct NormWeights {
     Address<glm::vec2, shared::BetaGamma> beta_gamma;  ///< [channels] beta and gamma of each channel
-    /// [channels]: running mean and variance over the batches. Inference uses them.
+    /// Running mean and variance over the batches [channels]. Inference uses them.
     Address<glm::vec2, shared::RunningMoments> running;
 };
 
-/// Array for the derivatives with respect to beta and gamma. They are written as
-/// [channels, 2] from index `first` on.
+/// Array that receives the gradients of beta and gamma. They are written as [channels,
+/// 2], starting at index `first`.
 struct NormGradient {
     const Array<float>& all;
     std::size_t first = 0;
 };
 
-/// Intermediate results of a layer's forward pass that the backward pass needs.
+/// Intermediate results of a layer that the forward pass stores for the backward pass.
 struct NormState {
     Array<glm::vec2, shared::NormMoments> moments;     ///< [channels] mean and 1 / deviation of each channel
     Array<glm::vec2, shared::ScaleShift> scale_shift;  ///< [channels] scale and shift of each channel
@@ -39,21 +39,23 @@ class Norm {
 public:
     explicit Norm(Device& device);
 
-    /// Computes to = dropout(relu(gamma x^ + beta)). x^ is the input, normalised with
-    /// mean and variance of the batch. Updates the running mean and variance.
+    /// Computes to = dropout(relu(gamma x^ + beta)) for training. x^ is the input,
+    /// normalised with mean and variance of the batch. Updates the running mean and
+    /// variance.
     void forward(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state,
                  const Slice& to);
-    /// Computes the layer for inference: with the running mean and variance, and without
+    /// Computes the layer for inference. Uses the running mean and variance, and no
     /// dropout.
     void evaluate(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state,
                   const Slice& to);
-    /// Computes dL/d(from) and dL/d(beta, gamma) from dL/d(to). forward() must have been
-    /// called before.
-    /// @param accumulate  true: adds the result to `d_from` instead of overwriting it
+    /// Computes dL/d(from) and dL/d(beta, gamma) from dL/d(to). Requires an earlier
+    /// forward().
+    /// @param accumulate true: adds the result to `d_from` instead of overwriting
+    /// `d_from`
     void vjp(Stream& stream, const Slice& from, const NormState& state, const Slice& d_to,
              const Slice& d_from, const NormGradient& gradient, bool accumulate = false);
-    /// Computes the sum of each channel over all images, [channels]. It is the derivative
-    /// with respect to a bias.
+    /// Computes the sum of each channel over the pixels of all images, [channels]. This
+    /// sum is the gradient of a bias.
     void bias_vjp(Stream& stream, const Slice& d_to, Address<float, shared::ConvBias> d_bias);
     /// Allocates memory for images with this number of channels and pixels.
     void reserve(Device& device, std::uint32_t channels, const Grid& grid);

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of max pooling and bilinear upsampling: submits the kernels and their
-// derivatives.
+// Submits the kernels of max pooling and bilinear upsampling, and their derivatives.
 #include "diff/network/resample.hpp"
 
 #include "base/assert.hpp"

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Pooling and upsampling of images.
+// Reduces images by max pooling and enlarges images by bilinear interpolation.
 #pragma once
 
 #include "diff/network/tensor.hpp"
@@ -7,21 +7,22 @@
 
 namespace relidar::refine {
 
-/// Returns the image size with half the rows and half the columns, rounded down.
+/// Returns the size of the pooled image: half the rows and half the columns, rounded
+/// down.
 Grid pooled(const Grid& grid);
 
 class Resample {
 public:
     explicit Resample(Device& device);
 
-    /// Computes the maximum over each 2 x 2 pixels (max pooling).
-    /// @param to  output images of size pooled(from.grid)
+    /// Computes the maximum of each block of 2 x 2 pixels (max pooling).
+    /// @param to output images of size pooled(from.grid)
     void pool(Stream& stream, const Slice& from, const Slice& to);
-    /// Adds dL/d(from) of pool() to d_from.
+    /// Computes the derivative of pool() and adds it to d_from.
     void pool_vjp(Stream& stream, const Slice& from, const Slice& d_to, const Slice& d_from);
-    /// Interpolates bilinearly to the grid of `to`.
+    /// Enlarges `from` to the image size of `to` by bilinear interpolation.
     void upsample(Stream& stream, const Slice& from, const Slice& to);
-    /// Computes dL/d(from) of upsample().
+    /// Computes dL/d(from) from dL/d(to), the derivative of upsample().
     void upsample_vjp(Stream& stream, const Slice& d_to, const Slice& d_from);
 
 private:

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Images on the device, [n, channels, rows, columns]. Neighbouring columns are adjacent
-// in memory, and columns wrap around.
+// Arrays of images on the device, [n, channels, rows, columns]. Neighbouring columns are
+// adjacent in memory. Columns wrap around.
 #pragma once
 
 #include <cstddef>
@@ -14,7 +14,7 @@
 
 namespace relidar::refine {
 
-/// Number, rows and columns of images.
+/// Number of images, and rows and columns of each image.
 struct Grid {
     std::uint32_t n = 0, rows = 0, columns = 0;
 
@@ -23,10 +23,10 @@ struct Grid {
     friend bool operator==(const Grid&, const Grid&) = default;
 };
 
-/// Returns the number of groups of `size` elements that are needed for n elements.
+/// Returns the number of groups of `size` elements that n elements need.
 inline std::uint32_t tiles(std::uint32_t n, std::uint32_t size) { return (n + size - 1) / size; }
 
-/// Consecutive channels of a tensor.
+/// View of consecutive channels of a tensor.
 struct Slice {
     shared::ImageSlice view;
     std::uint32_t channels = 0;

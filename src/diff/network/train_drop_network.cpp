@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training of the ray-drop network with cross-entropy (Eq. 13) and Adam. Each epoch
-// shuffles the images and rotates them by random columns.
+// Trains the ray-drop network with the cross-entropy loss (Eq. 13) and the Adam
+// optimizer. Each epoch shuffles the images and rotates them by a random number of
+// columns.
 #include <chrono>
 #include <cmath>
 #include <numeric>
@@ -16,14 +17,14 @@
 namespace relidar {
 namespace {
 
-/// Draws the order and the rotations of the images for an epoch. Each epoch has a
-/// separate random generator, so that it does not depend on earlier epochs.
+/// Draws the order and the rotations of the images for one epoch. Each epoch has a
+/// separate random generator, so that its values do not depend on earlier epochs.
 std::vector<refine::DropInputs::Chosen> draw_epoch(std::size_t n, int columns, bool turn, std::uint64_t seed,
                                                    int epoch) {
     std::mt19937_64 random(seed * 1000003u + std::uint64_t(epoch));
     std::vector<refine::DropInputs::Chosen> chosen(n);
     for (std::size_t i = 0; i < n; ++i) {
-        const std::size_t j = random() % (i + 1);  // Fisher-Yates shuffle, inside-out variant
+        const std::size_t j = random() % (i + 1);  // inside-out variant of the Fisher-Yates shuffle
         if (i != j) chosen[i].sample = chosen[j].sample;
         chosen[j].sample = std::uint32_t(i);
     }
@@ -32,12 +33,12 @@ std::vector<refine::DropInputs::Chosen> draw_epoch(std::size_t n, int columns, b
     return chosen;
 }
 
-/// Progress of a training between two steps.
+/// State of a training between two steps.
 struct Course {
     const std::size_t batch, n_steps;  ///< images per step, steps per epoch
     RefineProgress report;
     double entropy, accuracy;  ///< sums over the steps of the epoch
-    const double before_s;     ///< seconds of earlier sessions
+    const double before_s;     ///< duration of earlier sessions of this training, s
     const std::chrono::steady_clock::time_point begin = std::chrono::steady_clock::now();
 
     Course(const refine::DropTraining& training, const RefineOptions& options, const RefineState& start)
@@ -55,8 +56,9 @@ struct Course {
                             report.step, report.n_steps));
     }
 
-    /// Increments the step, and starts the next epoch after the last step of an epoch.
-    /// @return index of the step within its epoch
+    /// Increments the step number. Starts the next epoch if the last step of an epoch is
+    /// complete.
+    /// @return index of the step in its epoch
     std::size_t advance() {
         const std::size_t k = std::size_t(report.step++) % n_steps;
         if (k == 0) entropy = accuracy = 0.0;

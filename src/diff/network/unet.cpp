@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Passes of the U-Net. A block of the encoder writes directly into the part of the larger
-// image that the decoder joins, so nothing is copied. In the backward pass, the gradient
-// of that part stays there until the gradient from the smaller level is added.
+// Forward and backward passes of the U-Net. Each encoder block writes directly into the
+// channels of the tensor that the decoder reads, so that the skip connection needs no
+// copy. In the backward pass, these channels keep their gradient until the gradient from
+// the smaller image size is added.
 #include "diff/network/unet.hpp"
 
 #include <algorithm>
@@ -49,7 +50,7 @@ void Unet::reserve_level(Device& device, std::size_t level, const Grid& grid) {
         for (std::size_t k = 0; k < 2; ++k)
             reserve_block(device, plan_.down[2 * level - 2 + k], grid, down_states_[2 * level - 2 + k]);
     }
-    if (2 * level >= plan_.up.size()) {  // the smallest size
+    if (2 * level >= plan_.up.size()) {  // smallest image size
         tensors(l.up, l.d_up, widths_[level], grid);
         return;
     }
@@ -64,8 +65,8 @@ void Unet::reserve(Device& device, const Grid& grid, bool with_gradients) {
     if (inputs_.grid == grid && (with_gradients_ || !with_gradients)) return;
     with_gradients_ = with_gradients;
     most_active_ = 0;
-    // Frees the old arrays before the allocation, because there may not be enough memory
-    // for both.
+    // Frees the old arrays before it allocates new arrays, because both may not fit into
+    // the memory.
     levels_.clear();
     levels_.resize(widths_.size());
     down_states_.resize(plan_.down.size());

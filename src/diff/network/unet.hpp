@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The ray-drop network: a U-Net (Ronneberger et al.) with two blocks of [normalisation,
-// ReLU, dropout, convolution] per level, attention at the smallest size, and skip
-// connections. Holds its parameters and passes over images of one size.
+// Implements the ray-drop network as a U-Net (Ronneberger et al.). Each level has two
+// blocks of [normalisation, ReLU, dropout, convolution] and a skip connection. The
+// smallest size also has attention. Stores the parameters and runs passes over images of
+// one size.
 #pragma once
 
 #include <optional>
@@ -23,7 +24,7 @@ struct ConvLayer {
     std::optional<std::size_t> bias = {};
 };
 
-/// Offsets of a block: normalisation, ReLU, dropout, convolution.
+/// Offsets of the parameters of a block: normalisation, ReLU, dropout, convolution.
 struct Block {
     std::size_t beta_gamma = 0, running = 0;
     ConvLayer conv;
@@ -31,11 +32,11 @@ struct Block {
 
 /// Offsets of all parameters of a network.
 struct UnetPlan {
-    /// First and last convolution: `head` converts the inputs to full-size channels,
-    /// `tail` converts these channels to a logit.
+    /// First and last convolution. `head` converts the inputs to the channels of the
+    /// first level. `tail` converts these channels to a logit.
     ConvLayer head, tail;
     /// Blocks of the encoder (`down`) and the decoder (`up`), two per level. `up` starts
-    /// at full size.
+    /// with the blocks at full image size.
     std::vector<Block> down, up;
     std::optional<Block> query;  ///< attention: query, key, value
     ConvLayer project;           ///< attention: projection of the result
@@ -44,57 +45,60 @@ struct UnetPlan {
     explicit UnetPlan(const DropNetwork& network);
 };
 
-/// Return the number of channels at a level: the output of the decoder, the input from
-/// the next smaller images, and the sum of that input and the skip connection.
+/// Each function returns a number of channels at one level of the decoder. up_channels()
+/// counts the output. below_channels() counts the input from the smaller images.
+/// count_joined_channels() counts that input and the skip connection together.
 std::uint32_t up_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t below_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t count_joined_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 
-/// Initialises the parameters: Kaiming's uniform distribution, norms with gamma 1 and
-/// beta 0. The last convolution of a residual network is 0, so that the network initially
-/// changes nothing.
+/// Initialises the parameters with Kaiming's uniform distribution. Normalisations start
+/// with gamma 1 and beta 0. The last convolution of a residual network starts with 0, so
+/// that the network initially changes nothing.
 void initialise(DropNetwork& network, const UnetPlan& plan, std::uint64_t seed);
 
-/// A network on a device.
+/// Network on a device, with its parameters and memory.
 class Unet {
 public:
     Unet(Device& device, const DropNetwork& network);
 
     /// Allocates memory for passes over images of one size.
-    /// @param with_gradients  true: also allocates memory for backward()
+    /// @param with_gradients true: also allocates memory for backward()
     void reserve(Device& device, const Grid& grid, bool with_gradients);
-    /// Submits a forward pass in training mode.
-    /// @param dropout_key  random key of this step's dropout masks
+    /// Submits a forward pass for training.
+    /// @param dropout_key random key for the dropout masks of this step
     void forward(Stream& stream, std::uint32_t dropout_key, float dropout);
-    /// Submits a forward pass for inference, with running mean and variance and without
+    /// Submits a forward pass for inference. Uses the running mean and variance, and no
     /// dropout.
     void evaluate(Stream& stream);
-    /// Submits the backward pass of forward(). Computes dL/d(parameters) from dL/d(logit)
-    /// in d_logit().
+    /// Submits the backward pass that belongs to forward(). Computes dL/d(parameters)
+    /// from dL/d(logit), which the caller writes to d_logit().
     void backward(Stream& stream);
 
-    /// Replaces all parameters of the network. The sizes must match. No command on the
-    /// device may still use the old values.
+    /// Replaces all parameters of the network by values of the same number. No pending
+    /// command on the device may use the old values.
     void upload(const std::vector<float>& parameters, const std::vector<float>& running) {
         parameters_.upload(parameters);
         running_.upload(running);
     }
 
-    const Tensor& inputs() const { return inputs_; }  ///< the caller fills it
+    const Tensor& inputs() const { return inputs_; }  ///< Input images, which the caller fills.
     const Tensor& logit() const { return logit_; }
-    const Tensor& d_logit() const { return d_logit_; }  ///< the caller fills it
+    /// Gradient of the logits, which the caller fills.
+    const Tensor& d_logit() const { return d_logit_; }
     const Array<float>& parameters() const { return parameters_; }
     const Array<float>& gradients() const { return gradients_; }
     const Array<float>& running() const { return running_; }
 
 private:
-    /// Activations of a block after the normalisation.
+    /// Values that the forward pass stores for a block: the activations after its
+    /// normalisation, and the normalisation's intermediate results.
     struct BlockState {
         Tensor active;
         NormState norm;
     };
-    /// Arrays of one image size: the joined input [from below, skip], the images between
-    /// two blocks, and their gradients.
+    /// Arrays of one image size. They hold the joined input [from the smaller images,
+    /// skip connection], the images between two blocks, and their gradients.
     struct Level {
         Tensor joined, d_joined, down_between, d_down_between, up_between, d_up_between, up, d_up, pooled,
             d_pooled;
@@ -115,7 +119,7 @@ private:
     BlockState query_state_;
     std::vector<Level> levels_;
     std::vector<BlockState> down_states_, up_states_;
-    std::size_t most_active_ = 0;  ///< activations after a norm in the largest block
+    std::size_t most_active_ = 0;  ///< largest number of activations after a normalisation in any block
     Tensor scratch_;               ///< gradients of these activations
 
     Conv::Weights weights(std::size_t first) const {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes offsets and initial values of a network's parameters. The order of the calls
-// in UnetPlan's constructor determines the offsets. Each group begins at a multiple of
-// four floats, like arrays on the device.
+// Computes the offsets and initial values of a network's parameters. The order of the
+// calls in UnetPlan's constructor determines the offsets. Each group of parameters starts
+// at a multiple of four floats, because arrays on the device need this alignment.
 #include <cmath>
 #include <random>
 
@@ -16,7 +16,7 @@ std::size_t take(std::size_t& n, std::size_t floats) {
     return first;
 }
 
-/// Returns a random number between -1 and 1. The result is the same with every compiler.
+/// Returns a random number between -1 and 1 that is the same with every compiler.
 float draw(std::mt19937_64& random) { return float(random() >> 40) * 0x1p-23f - 1.0f; }
 
 }  // namespace
@@ -80,7 +80,7 @@ void initialise(DropNetwork& network, const UnetPlan& plan, std::uint64_t seed) 
     };
     draw_conv(plan.head);
     for (const Block& block : plan.down) draw_block(block);
-    // `project` stays 0, so that attention initially adds nothing
+    // Does not draw `project`. It stays 0, so that attention initially adds nothing.
     if (plan.query) draw_block(*plan.query);
     for (const Block& block : plan.up) draw_block(block);
     if (!network.residual) draw_conv(plan.tail);

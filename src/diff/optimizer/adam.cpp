@@ -22,8 +22,8 @@ double exponential_schedule(double start, double end, int step, int n_steps) {
 
 namespace {
 
-// Number of threads per workgroup. With only 32 threads a GPU would not be fully
-// occupied.
+// Number of threads per workgroup. A GPU would not be fully occupied with only 32
+// threads.
 constexpr std::uint32_t kStreamingThreads = 128;
 
 std::vector<Constant> adam_constants(bool per_float) {
@@ -38,7 +38,7 @@ struct Adam::Impl {
     SurfelArrays moment1, moment2;
     Array<float, shared::ScaleBounds> max_log_scale;
     Kernel<shared::AdamParams> kernel;
-    std::optional<TouchedList> list;  ///< set if only touched rows are updated
+    std::optional<TouchedList> list;  ///< set if only the rows that have a gradient are updated
 
     Impl(Device& device, std::uint32_t n_surfels, const AdamOptions& o, ParameterSet of)
         : options(o),
@@ -56,7 +56,7 @@ Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, 
     Stream stream(device);
     impl_->moment1.fill_zero(stream);
     impl_->moment2.fill_zero(stream);
-    // Waits until the moments are cleared, because a resumed run uploads its moments
+    // Waits until the moment estimates are zero, because a resumed run uploads new values
     // before the first step.
     stream.finish();
 }
@@ -82,11 +82,11 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g,
     const bool listed = a.list && touched;
     if (listed) a.list->find(stream, touched->address(first), n_rows);
     const std::uint32_t active_harmonics = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));
-    const Concurrent groups(stream);  // the groups are independent
+    const Concurrent groups(stream);  // launches may overlap, because the groups are independent
     for (const ParameterGroup& group : groups_of(p.parameters())) {
         const std::uint32_t stride = group.floats(), block = group.harmonics ? group.row[1] : stride;
         const std::uint32_t n_active = group.harmonics ? active_harmonics : block, n_blocks = stride / block;
-        // Factor on the learning rate of all columns of a block except the first.
+        // Factor on the learning rate of each block's columns, except the first column.
         const double rest_factor = group.harmonics ? rates.sh_rest_factor : 1.0;
         const std::size_t from = std::size_t(first) * stride;
         const bool by_model = group.rate == &LearningRates::mean && !rates.mean_factors.empty();

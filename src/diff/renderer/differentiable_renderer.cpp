@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Extends the renderer by the backward pass and its gradients.
+// Adds the backward pass and its gradients to the renderer.
 #include <relidar/diff/differentiable_renderer.hpp>
 
 #include <algorithm>
@@ -13,7 +13,7 @@ namespace relidar {
 
 namespace {
 
-/// Returns the maximum number of rays of a batch.
+/// Returns the maximum number of rays per batch.
 std::uint32_t room(const Renderer& renderer) {
     return static_cast<std::uint32_t>(renderer.rendered().rendered->size());
 }
@@ -44,8 +44,8 @@ std::vector<shared::RayGradient> ray_gradients(const RenderedGradients& d, std::
     return result;
 }
 
-/// Downloads an array from the device. Returns an empty vector if the array is empty
-/// because its gradient was not requested.
+/// Downloads an array from the device. Returns an empty vector if the gradient was not
+/// requested, because the array is then empty.
 std::vector<float> values_of(const Array<float>& array, std::size_t n) {
     return array.size() ? array.download(n) : std::vector<float>{};
 }
@@ -55,7 +55,7 @@ std::vector<float> values_of(const Array<float>& array, std::size_t n) {
 struct DifferentiableRenderer::Impl {
     GradientOptions options;
     BackwardPass backward;
-    std::optional<Gradients> gradients;  ///< empty while surfels are added or removed
+    std::optional<Gradients> gradients;  ///< no value while surfels are added or removed
     Array<shared::RayGradient> upstream;
 
     void make_gradients(Renderer& renderer) {
@@ -80,7 +80,7 @@ DifferentiableRenderer::~DifferentiableRenderer() = default;
 RenderedBatch DifferentiableRenderer::batch() {
     Device& device = stream().device();
     const std::size_t n_rays = room(*this);
-    if (impl_->upstream.size() < n_rays) {  // the capacity of the renderer has grown
+    if (impl_->upstream.size() < n_rays) {  // the maximum number of rays per batch has grown
         stream().finish();
         impl_->upstream = Array<shared::RayGradient>(device, n_rays, "loss gradients");
         if (impl_->options.wanted.rays) impl_->gradients->rays = {device, 6 * n_rays, "ray gradient"};

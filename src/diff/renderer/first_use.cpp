@@ -19,7 +19,7 @@ namespace {
 
 constexpr int kSurfels = 300, kRays = 256;
 
-/// Returns surfels in a ring around the origin. They overlap along most rays.
+/// Returns surfels in a ring around the origin. Most rays hit several of them.
 Surfels ring_of_surfels() {
     std::mt19937 random(1);
     const auto uniform = [&](float low, float high) {
@@ -49,8 +49,8 @@ WorldRays rays_around() {
     return rays;
 }
 
-/// Renders the ring. If the trees are to be refitted, the surfels move 0.2 m after the
-/// build.
+/// Renders the ring of surfels. If `state` selects a refit, moves the surfels by 0.2 m
+/// after the build.
 Rendering render_ring(Device& device, const AccelOptions& accel, TreeState state) {
     Surfels surfels = ring_of_surfels();
     Renderer renderer(device, make_background_scene(surfels), {}, {.accel = accel});
@@ -64,8 +64,9 @@ Rendering render_ring(Device& device, const AccelOptions& accel, TreeState state
     return renderer.forward(rays_around());
 }
 
-/// Returns the largest subgroup size with right results, except the driver's default.
-/// @param wrong wrong result with the default size
+/// Returns the largest subgroup size that gives correct results. Does not test the
+/// driver's default size.
+/// @param wrong description of the wrong result with the default size
 int right_subgroup_size(const DeviceOptions& options, const Device& device, const std::string& wrong) {
     const std::vector<int> sizes = subgroup_sizes(device);
     for (auto lanes = sizes.rbegin(); lanes != sizes.rend(); ++lanes) {
@@ -83,7 +84,7 @@ int right_subgroup_size(const DeviceOptions& options, const Device& device, cons
 
 int count_wrong_rays(Device& device, TreeState state) {
     AccelOptions accel;
-    // The fault of a test: boxes that are too small for their surfels.
+    // Simulates a fault for a test with boxes that are smaller than their surfels.
     if (gpu::has_fault("ray_query") && device.traversal() == Traversal::ray_query) accel.margin_scale = 0.3f;
     const Rendering found = render_ring(device, accel, state);
     const Forced forced(device, {.brute_force = true});
@@ -101,7 +102,8 @@ DeviceTrust check_first_use(const DeviceOptions& options) {
     DeviceTrust trust;
     if (device.info().float_atomics) trust.float_atomics = sum_error(device, false) == 0.0;
     trust.float_swaps = sum_error(device, true) == 0.0;
-    // Without a known subgroup size, no kernel relies on subgroups.
+    // Checks subgroups only if the subgroup size is known, because kernels do not rely on
+    // subgroups otherwise.
     if (device.info().software)
         if (const std::string wrong = wrong_subgroups(device); !wrong.empty())
             trust.subgroup_size = right_subgroup_size(options, device, wrong);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds all hits of each ray. Tests use the hits to check that all acceleration
-// structures agree.
+// Finds all hits of each ray. Tests check that all acceleration structures give the same
+// hits.
 #pragma once
 
 #include <cstdint>
@@ -12,16 +12,16 @@
 
 namespace relidar {
 
-/// All hits of each ray in order.
+/// All hits of each ray, from near to far.
 struct CollectedHits {
     std::uint32_t max_hits = 0;
-    std::vector<std::uint32_t> counts;    ///< [n_rays] may exceed max_hits
+    std::vector<std::uint32_t> counts;    ///< [n_rays] number of hits, may exceed max_hits
     std::vector<float> t;                 ///< [n_rays, max_hits] distance of each hit in metres
     std::vector<std::uint32_t> instance;  ///< [n_rays, max_hits] instance of each hit
     std::vector<std::uint32_t> surfel;    ///< [n_rays, max_hits] surfel of each hit
 };
 
-/// A scene with the poses of its instances, and the tracing options.
+/// Scene, the poses of its instances, and tracing options.
 struct PlacedScene {
     const Scene* scene = nullptr;
     std::vector<InstancePose> world_from_instance;
@@ -31,8 +31,7 @@ struct PlacedScene {
 };
 
 /// Returns all hits of each ray, from near to far.
-/// @param max_hits  largest number of stored hits per ray. Hits beyond it are only
-/// counted.
+/// @param max_hits maximum number of stored hits per ray. Further hits are only counted
 /// @throws DeviceError if a ray reaches the maximum number of passes
 CollectedHits collect_hits(Device& device, const PlacedScene& placed, const WorldRays& rays,
                            std::uint32_t max_hits);

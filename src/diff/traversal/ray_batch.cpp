@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts rays to the layout of the device, and computes the launch and buffer sizes for
-// them.
+// Converts rays to the memory layout of the device. Computes how many threads and how
+// much memory they need.
 #include <relidar/diff/traversal.hpp>
 
 #include <algorithm>

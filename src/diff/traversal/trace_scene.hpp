@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fills the kernel parameters that all tracing kernels share, and selects kernel
-// variants. The forward and the backward pass use these functions.
+// Fills the parameters that all tracing kernels share, and selects kernel variants. Used
+// by the forward and the backward pass.
 #pragma once
 
 #include <relidar/diff/accel.hpp>
@@ -58,16 +58,17 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& acc
     return traced;
 }
 
-/// Returns the kernel variant for the ray traversal method that a device uses.
+/// Returns the suffix of the kernel variant for the traversal method of the device.
 inline KernelVariant traversal_variant(const Device& device) {
     if (tests_every_surfel(device)) return KernelVariant("@brute_force");
     return KernelVariant(device.traversal() == Traversal::software ? "@software_bvh" : "@ray_query");
 }
 
-/// Returns the constant TOGETHER of the tracing kernels: 0 if each ray walks the software
-/// tree alone, otherwise the joint walk. GPU lanes diverge freely, CPU lanes are those of
-/// one vector. On a CPU (value 2) the lanes also load surfels cooperatively. The joint
-/// walk is faster on lavapipe (docs/performance.md).
+/// Returns the value of the specialisation constant TOGETHER. 0 means that each ray
+/// traverses the software tree separately. This is the default on GPUs, because their
+/// lanes can diverge. 1 means that all rays of a subgroup traverse the tree together. 2
+/// (CPU) also loads surfels cooperatively, because the lanes of a CPU are elements of one
+/// vector. Joint traversal is faster on lavapipe (docs/performance.md).
 inline std::uint32_t walks_together(const Device& device, const TraceOptions& options) {
     const bool is_cpu = device.info().type == "CPU";
     if (options.walk == Walk::automatic ? !is_cpu : options.walk == Walk::lane) return 0;
