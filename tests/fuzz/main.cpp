@@ -23,7 +23,7 @@ namespace fs = std::filesystem;
 
 constexpr std::size_t kLongestMessage = 1000;  // includes paths, which are short in the harnesses
 
-// maximum memory of an input at one time, absolute and per byte of input
+// maximum memory that an input may use at any time, absolute and per byte of input
 constexpr long long kMostBytes = 64ll << 20, kMostBytesPerByte = 10;
 
 std::atomic<long long> bytes_held{0}, most_bytes_held{0};

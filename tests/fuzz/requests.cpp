@@ -106,7 +106,8 @@ void silence_protobuf() {
 #endif
 }
 
-/// Checks that a rejection reports an error of the client in one line.
+/// Throws an error if the request was rejected: a usage error if the status blames the
+/// client, otherwise a bug.
 void check_status(const grpc::Status& status) {
     if (status.ok()) return;
     const grpc::StatusCode code = status.error_code();

@@ -54,7 +54,7 @@ void read_scene(std::string_view input, const fs::path& folder) {
     const SpinningSensor& sensor = read.sequence.lidars[0].sensor;
     if (!sensor.beams.empty() && sensor.beams.size() * std::size_t(sensor.columns) < 10000) make_rays(sensor);
     for (const BoxTrack& box : read.sequence.boxes) (void)box.present(read.sequence.frames[0].time_s);
-    for (const Lidar& lidar : read.sequence.lidars)  // makes the rays if there are few
+    for (const Lidar& lidar : read.sequence.lidars)  // creates the rays only if their number is small
         if (lidar.pattern && std::holds_alternative<RayTable>(*lidar.pattern)) nominal_rays(lidar, 0.0);
     split_frames(read.sequence, 10);
 }
@@ -93,7 +93,7 @@ void read_entities(std::string_view input, const fs::path& folder) {
             box_track(entity, 0.0, {4, 2, 1.5});
 }
 
-/// Makes TOML from tokens, one per byte.
+/// Builds TOML text from tokens. Each byte of the input selects a token.
 std::string toml_of(std::string_view input) {
     static const std::vector<std::string> tokens = [] {
         std::vector<std::string> all{"\n",

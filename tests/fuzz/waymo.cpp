@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Fuzzes a Waymo Open segment. CRCs and zlib streams would prevent inputs from reaching
-// the parsers behind them. Therefore the first byte of an input selects what the
-// remainder is: the file, the data of a record, or an uncompressed matrix of the TOP
+// the parsers behind them. Therefore the first byte of an input selects how the remainder
+// is used: as the file, as the data of a record, or as an uncompressed matrix of the TOP
 // LiDAR.
 #include "harness.hpp"
 

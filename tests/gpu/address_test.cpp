@@ -47,8 +47,8 @@ static_assert(std::same_as<decltype(Array<float>().address()), Address<float>>);
 static_assert(sizeof(Address<float>) == 8 && std::is_trivially_copyable_v<Address<float>> &&
               std::is_standard_layout_v<Address<float>>);
 
-/// Returns true if one of two members of a parameter struct can be assigned to the other,
-/// so that swapping them would compile.
+/// Returns true if either of two members of a parameter struct can be assigned to the
+/// other member. A call with swapped members would then compile.
 template <class Struct, class A, class B>
 consteval bool take_each_other(A Struct::*, B Struct::*) {
     return std::is_assignable_v<A&, B> || std::is_assignable_v<B&, A>;
@@ -83,8 +83,8 @@ static_assert(!take_each_other(&shared::CollectHitsParams::instance, &shared::Co
 static_assert(take_each_other(&shared::ActivateVjpParams::surfels, &shared::ActivateVjpParams::d_surfels),
               "gradients are arranged alike");
 
-// The meaning of an array is declared where it is created. It can only be changed by
-// address_as() or as(), for memory that serves several purposes.
+// The meaning of an array is declared when it is created. Only address_as() and as() can
+// change the meaning, for memory that serves several purposes.
 static_assert(
     std::same_as<decltype(Array<float, shared::LossTerms>().address()), Address<float, shared::LossTerms>>);
 static_assert(!std::is_convertible_v<Address<float>, Address<float, shared::LossTerms>> &&

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the file of compiled pipelines. It is written when a device is closed, and read
-// by the next device. It is ignored if it is damaged or belongs to another driver. If it
-// cannot be written, no error occurs.
+// Tests the file of compiled pipelines. A device writes the file when it is closed, and
+// the next device reads it. A file that is damaged or belongs to a different driver is
+// ignored. If the file cannot be written, no error occurs.
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -146,8 +146,8 @@ TEST_F(PipelineCacheFile, TheEnvironmentSaysWhere) {
     EXPECT_TRUE(open().path.empty());
 }
 
-/// Equal kernels must share one pipeline per device, also if they are created one after
-/// the other. Kernels with any difference must not.
+/// Equal kernels must share a pipeline per device, also if the second kernel is created
+/// later. Kernels with any difference must have separate pipelines.
 TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
     Device opened(from_environment());
     const auto n_made = [&] { return impl_of(opened).pipelines.by_key.size(); };

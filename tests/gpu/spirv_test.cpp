@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the modifications of SPIR-V modules when they are loaded. Nothing else may
-// change, and spirv-val must accept the result if it is installed.
+// Tests how SPIR-V modules are modified when they are loaded. The remaining code must not
+// change. If spirv-val is installed, it must accept the result.
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -129,8 +129,8 @@ std::pair<int, int> parameter_loads(std::span<const std::uint32_t> words) {
     return n;
 }
 
-/// Parameters must be loaded at the begin of the module, except if a value known only to
-/// the device indexes them.
+/// Parameters must be loaded at the start of the module, unless a value that only the
+/// device has indexes them.
 TEST(SpirvParameters, AreReadWhereAModuleBegins) {
     int n_before = 0, n_later = 0;
     for (const EmbeddedKernel& kernel : embedded_kernels()) {

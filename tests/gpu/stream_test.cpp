@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the limits of one submission, readbacks, and the copy kernel that measures memory
+// Tests the limits of a submission, readbacks, and the copy kernel that measures memory
 // speed (gpu/copy).
 #include <filesystem>
 #include <fstream>
@@ -68,8 +68,8 @@ TEST_F(StreamTest, ArraysThatAreLeftOutAreZeros) {
     EXPECT_EQ(to.download(), std::vector<glm::vec4>(n, glm::vec4(0.0f)));
 }
 
-/// gpu/copy, which measures memory speed, must copy the requested values and nothing
-/// beyond.
+/// The kernel gpu/copy, which measures memory speed, must copy exactly the requested
+/// values.
 TEST_F(StreamTest, CopyThatIsMeasured) {
     constexpr std::uint32_t kCopied = 1000, kAll = 1003;
     std::vector<glm::vec4> values(kAll);
@@ -100,7 +100,7 @@ TEST_F(StreamTest, ReadbacksArriveWithTheirSubmission) {
         EXPECT_TRUE(readbacks.back().pending());
         stream.submit();
     }
-    for (std::uint32_t i = 8; i-- > 0;) {  // the last one first
+    for (std::uint32_t i = 8; i-- > 0;) {  // in reverse order
         const auto* values = static_cast<const std::uint32_t*>(readbacks[i].wait(stream));
         EXPECT_EQ(Words(values, values + 99), Words(99, i));
         EXPECT_FALSE(readbacks[i].pending());
@@ -196,7 +196,7 @@ TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
         stream.fill(arrays[0], 1u);
         lanes.choose(1);
         {
-            const Concurrent scope(stream);  // one step
+            const Concurrent scope(stream);  // a single step
             stream.fill(arrays[3], 2u);
             stream.fill(arrays[4], 3u);
         }
@@ -253,8 +253,8 @@ TEST_F(StreamTest, LanesMayBeSubmittedBeforeTheirEnd) {
     EXPECT_THROW(StreamLanes(stream, 0), Error);
 }
 
-/// Launches of a kernel whose workgroups are expected to take a millisecond must be cut
-/// into pieces of at most `piece_s`, and the pieces together must do all the work.
+/// If the workgroups of a kernel are expected to take a millisecond, a launch must be cut
+/// into pieces of at most `piece_s`. Together, the pieces must do all the work.
 TEST_F(StreamTest, LongLaunchesAreCut) {
     constexpr std::uint32_t kGroups = 1000, kThreads = 32, n = kGroups * kThreads - 5;
     std::vector<glm::vec4> values(n);
@@ -285,7 +285,7 @@ TEST_F(StreamTest, LongLaunchesAreCut) {
     EXPECT_EQ(stream.times().totals.at("gpu/copy").launches, 11.0);
 }
 
-/// Slow launches of the past count less and less, so that one slow launch does not cut
+/// The weight of an earlier slow launch must decrease over time, so that it does not cut
 /// all later launches.
 TEST(LaunchLimit, ForgetsOldSpeeds) {
     gpu::LaunchLimit limit;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the check of float sums and subgroups (gpu/check_atomics, gpu/check_subgroups),
-// with forced faults, and the methods that a device uses after a check. Another test of
-// the renderer covers ray queries.
+// Tests the check of float sums and subgroups (gpu/check_atomics, gpu/check_subgroups)
+// with forced faults, and the methods that a device uses after a check. Ray queries are
+// covered by a test of the renderer.
 #include <filesystem>
 #include <fstream>
 

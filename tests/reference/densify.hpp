@@ -31,8 +31,9 @@ struct DensifyRules {
     std::uint32_t key = 0;      ///< key of the random numbers
 };
 
-/// Returns what densification does with a surfel.
-/// @param mean_gradient mean norm over the batches that saw the surfel, 0 if none did
+/// Decides whether densification keeps, removes, clones or splits a surfel.
+/// @param mean_gradient mean norm over the batches in which the surfel was visible, 0 if
+/// there are no such batches
 /// @param item index for random numbers
 Fate fate_of(const DensifiedSurfel& surfel, double mean_gradient, const DensifyRules& rules,
              std::uint32_t item);
@@ -44,7 +45,7 @@ glm::dvec2 random_normal2(std::uint32_t key, std::uint32_t item, std::uint32_t d
 /// Gaussian only.
 glm::dvec3 point_of(const DensifiedSurfel& surfel, const glm::dvec2& z, double z_w);
 
-/// Distributes the copies 0 ... n_new - 1 to surfels; each copy is computed separately.
+/// Distributes the copies 0 ... n_new - 1 to surfels. Each copy is computed separately.
 /// Copy j belongs to the first surfel whose cumulative weight c satisfies c n_new + phase
 /// >= (j + 1) W.
 /// @return number of copies of each surfel

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements traversal with Embree: a two-level scene of proxy triangle pairs (M3). The
-// filter callback sees every triangle along the ray, evaluates the canonical function
-// (M1, M2) and keeps the nearest `chunk` keys. Embree's t is only used to shorten the
-// ray, with a margin of twice the largest proxy. This is safe because both hits lie on
-// one ray inside one proxy. Moving models are not part of the top-level scene. Each has a
-// separate scene that is traced with the ray in the model's frame at the ray's time.
+// Implements traversal with Embree on a two-level scene of proxy triangle pairs (M3). The
+// filter callback is called for every triangle along the ray, evaluates the canonical
+// function (M1, M2) and keeps the nearest `chunk` keys. Embree's t is only used to
+// shorten the ray, with a margin of twice the largest proxy. This is safe because both
+// hits lie on the same ray inside the same proxy. Moving models are not part of the
+// top-level scene. Each moving model has a separate scene that is traced with the ray in
+// the model's frame at the ray's time.
 #if __has_include(<embree4/rtcore.h>)
 #include <embree4/rtcore.h>
 #else
@@ -91,7 +92,8 @@ struct EmbreeFilter::State {
     std::vector<FloatRecord> records;
     std::vector<FloatRows> rows;
     std::vector<Placement> instances;
-    // one per instance, which is simple, because tests have few instances of a model
+    // an Embree scene per instance, which is simple, because tests have few instances of
+    // a model
     std::vector<ModelScene> models;
     double t_margin = 1e-3;
     Device device{rtcNewDevice("threads=1,set_affinity=0")};
@@ -112,7 +114,7 @@ struct Query {
     std::size_t chunk;
     double t_margin;
     std::vector<Hit>* hits;
-    // moving instance whose separate scene is being traced
+    // index of the moving instance whose separate scene is being traced
     std::uint32_t moving = RTC_INVALID_GEOMETRY_ID;
 
     /// Inserts a candidate into the sorted buffer if it is a hit, not yet present, and

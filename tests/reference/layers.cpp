@@ -70,7 +70,7 @@ void for_mixed(int rows, int columns, int small_rows, int small_columns, Visit&&
         }
 }
 
-/// Attention head of one image: the weight of each pixel for each pixel (softmax).
+/// Attention head of an image: the weight of each pixel for each pixel (softmax).
 struct Head {
     int image, query, key, value, to, size;  ///< first channels
 

@@ -61,8 +61,8 @@ struct NormGradient {
     ImageBatch from;
     std::vector<double> beta, gamma;  ///< [channels]
 };
-/// Returns the derivatives of normalise(), including those through the moments, which
-/// depend on `from`.
+/// Returns the derivatives of normalise(), including the derivatives through the mean and
+/// the variance, which depend on `from`.
 NormGradient normalise_vjp(const ImageBatch& from, const NormLayer& layer, const ImageBatch& d_to);
 
 /// Returns the maximum of each 2 x 2 block. Ignores the last row or column of odd sizes.
@@ -80,7 +80,8 @@ ImageBatch attend(const ImageBatch& qkv, int heads);
 ImageBatch attend_vjp(const ImageBatch& qkv, int heads, const ImageBatch& d_to);
 
 struct DropEntropy {
-    double mean = 0.0, accuracy = 0.0;  ///< over known pixels; 0 if there are none
+    /// loss and accuracy over pixels with a target; 0 without such pixels
+    double mean = 0.0, accuracy = 0.0;
     /// drop probability of each pixel, and derivative of the mean
     std::vector<double> probability, d_logit;
 };

@@ -41,8 +41,8 @@ LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Targ
                         const LossWeights& weights, DepthKind kind,
                         std::vector<PixelGradient>* d_pixels = nullptr);
 
-/// Returns the mean of -ln(floor + (1 - floor) S) over returned rays, where S is the
-/// likelihood of the pixel (M12).
+/// Returns the mean of -ln(floor + (1 - floor) S) over the rays with a return, where S is
+/// the likelihood of the pixel (M12).
 /// @param d_pixels [n] if not null, receives the derivatives
 double likelihood_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, double floor,
                        std::vector<PixelGradient>* d_pixels = nullptr);

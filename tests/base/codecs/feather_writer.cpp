@@ -30,7 +30,7 @@ struct Block {
 
 flatbuffers::voffset_t entry(int field) { return flatbuffers::voffset_t(4 + 2 * field); }
 
-/// Writes a table whose fields are added by a function.
+/// Writes a Feather table. The function `Add` adds the fields of the table.
 template <class Add>
 Offset table(Builder& builder, const Add& add) {
     const auto start = builder.StartTable();

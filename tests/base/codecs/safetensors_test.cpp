@@ -130,7 +130,7 @@ TEST_F(Safetensors, RefusesHeadersThatDoNotHold) {
     refused("{\"__metadata__\":3,\"a\":" + entry("F32", "[2]", "[0,8]") + "}");
 }
 
-// Reads many arrays. A JSON object that compares each new name with all earlier ones
+// Reads many arrays. A JSON parser that compares each new name with all earlier names
 // would take quadratic time.
 TEST_F(Safetensors, ReadsManyArraysInTheOrderOfTheFile) {
     std::string header = "{";

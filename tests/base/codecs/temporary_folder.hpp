@@ -27,7 +27,7 @@ protected:
     }
     void TearDown() override { std::filesystem::remove_all(folder); }
 
-    /// Returns the names of all files, including hidden ones.
+    /// Returns the names of all files in the folder, including hidden files.
     std::vector<std::string> files() const {
         std::vector<std::string> names;
         for (const auto& entry : std::filesystem::directory_iterator(folder))
@@ -50,8 +50,9 @@ inline void put(const std::filesystem::path& path, std::string_view bytes) {
     std::ofstream(path, std::ios::binary).write(bytes.data(), std::streamsize(bytes.size()));
 }
 
-/// Returns the message of the error of this type that a call throws. Fails the test if
-/// the call throws nothing or another type.
+/// Calls a function that must throw an error of type `Wanted`, and returns the message of
+/// the error. Fails the test if the function throws nothing or an error of a different
+/// type.
 template <class Wanted, class Call>
 std::string error_message(const Call& call) {
     try {

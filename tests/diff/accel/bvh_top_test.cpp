@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks the tree over the instances (diff/accel/bvh_top) after instances were placed,
-// moved and removed. Every present instance must be in exactly one leaf, absent instances
-// in none, and world boxes must contain their instances. Compares rays through both
-// levels with a test of all instances and surfels.
+// moved and removed. Every present instance must be in exactly one leaf. Absent instances
+// must be in no leaf. World boxes must contain their instances. Compares rays through
+// both levels with a test of all instances and surfels.
 #include <algorithm>
 #include <cstring>
 #include <random>
@@ -40,7 +40,7 @@ std::vector<InstancePose> random_poses(std::size_t n, std::mt19937& random, doub
     return poses;
 }
 
-/// Makes instances of five models, one of them empty.
+/// Makes instances of five models. One of the models is empty.
 Scene scene_of_instances(std::uint32_t n_instances, std::mt19937& random) {
     Scene scene = make_background_scene(some_surfels(500, random));
     scene.models = {{"a", 0, 200}, {"b", 200, 0}, {"c", 200, 1}, {"d", 201, 99}, {"e", 300, 200}};

@@ -20,7 +20,7 @@ double decoded(float origin, std::uint32_t exponent, std::uint32_t q) {
     return x;
 }
 
-/// Checks one tree recursively and stops at the first error.
+/// Checks the BVH of a model recursively and stops at the first error.
 struct TreeCheck {
     const BvhOnHost& bvh;
     const Model& model;

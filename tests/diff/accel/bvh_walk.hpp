@@ -41,10 +41,10 @@ struct Slot {
 };
 std::array<Slot, RELIDAR_BVH_WIDTH> slots_of(const shared::BvhNode& node);
 
-/// Returns the first error in the tree of a model, or an empty string. Every surfel must
-/// be in one leaf, every box in its parent's box, all indices within their arrays, and
-/// every node must be reached once.
-/// @param seen [nodes] counts visits, over all models
+/// Returns the first error in the tree of a model, or an empty string. Each surfel must
+/// be in a single leaf, and each box must be inside the box of its parent. All indices
+/// must be within their arrays, and each node must be reached once.
+/// @param seen [nodes] counts visits to each node, over all models
 std::string fault_of_tree(const BvhOnHost& bvh, std::uint32_t root, const Model& model,
                           std::vector<int>& seen);
 
@@ -55,8 +55,9 @@ struct HostRay {
 /// Returns true if a ray hits a box in front of its origin.
 bool meets(const HostRay& ray, const HostBox& box);
 
-/// Walks from `root` through every node whose decoded box the ray hits.
-/// @param leaf called with each entry of `order` that is reached
+/// Traverses the tree from `root` through every node whose decoded box the ray hits.
+/// @param leaf function that is called with each entry of `order` that the traversal
+/// reaches
 /// @return number of visited nodes
 std::size_t walk(const std::vector<shared::BvhNode>& nodes, std::uint32_t root, const HostRay& ray,
                  const std::function<void(std::uint32_t)>& leaf);

@@ -58,7 +58,7 @@ WorldRays rim_rays(float opacity, double factor, double alpha_min = 1.0 / 255.0)
 /// diff/accel/model_radii: the rim of every ellipse must be within the radius of its
 /// model, and the radius must not be much larger.
 TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
-    constexpr std::uint32_t kFirst = 150, kAll = 230;  // more surfels than one thread processes
+    constexpr std::uint32_t kFirst = 150, kAll = 230;  // more surfels than a single thread processes
     constexpr double kAlphaMin = 1.0 / 255.0;
     Surfels surfels = make_benchmark_street(kAll);
     for (std::uint32_t i = 0; i < kAll; i += 3) surfels.opacity_logit[i] = 2.0f;

@@ -47,8 +47,8 @@ constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f};
 /// Rendering options of a comparison, the outputs with gradients, and the tolerance.
 struct How {
     Proxy proxy = Proxy::boxes;
-    /// tests all methods, not only the first kFewWays; for one scene of each gradient
-    /// layout
+    /// If true, tests all methods instead of the first kFewWays. Used for a single scene
+    /// of each gradient layout.
     bool every_way = false;
     /// tests the first two methods only, because other ways to find hits make no
     /// difference
@@ -160,9 +160,10 @@ TEST_F(DeviceGradient, OpaqueWithClampsBruteForce) {
     test::RandomSceneOptions options;
     options.seed = 34;
     options.opacity_low = 0.5, options.opacity_high = 0.98, options.wide_surfels = 2;
-    // An opacity near 0.99 is rounded to 6e-8, which is 6e-6 of 1 - alpha. Eq. 9 divides
-    // by 1 - alpha, and the transmittance behind such a wall carries the error to rows
-    // that are small themselves. Single precision has no fourth digit there.
+    // Single precision rounds an opacity near 0.99 by up to 6e-8, which is 6e-6 of 1 -
+    // alpha. Eq. 9 divides by 1 - alpha, and the transmittance carries this error to the
+    // surfels behind the wall. Their gradients are small, so that the fourth digit is not
+    // reliable.
     const double tolerance = 10.0 * test::kKernelGradient;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
                      {.brute_force = true, .tolerance = tolerance}, "brute force, opaque");
@@ -203,7 +204,8 @@ TEST_F(DeviceGradient, SingleDropLogit) {
 }
 
 /// Tests the image and the likelihood (M12) together, with short chunks and long lists.
-/// The tolerance is that of the likelihood alone, see DeviceGradient.Likelihood.
+/// The tolerance is the same as in DeviceGradient.Likelihood, which tests the likelihood
+/// without the image.
 TEST_F(DeviceGradient, ImageAndLikelihood) {
     test::RandomSceneOptions options;
     options.rays = 60, options.seed = 72;
@@ -226,9 +228,9 @@ TEST_F(DeviceGradient, ImageAndLikelihood) {
         "image and likelihood, opaque with clamps");
 }
 
-/// Tests the likelihood (M12) alone. In small rows the hits of many rays cancel, so that
-/// rounding errors of exp and division are visible. They are up to 3 and 2.5 units in the
-/// last place on a GPU, and half a unit on a CPU.
+/// Tests only the likelihood (M12). In small rows the hits of many rays cancel, so that
+/// rounding errors of exp and division become visible. These errors are up to 3 and 2.5
+/// units in the last place on a GPU, and half a unit on a CPU.
 TEST_F(DeviceGradient, Likelihood) {
     test::RandomSceneOptions options;
     options.rays = 60, options.seed = 64;
@@ -250,8 +252,9 @@ TEST_F(DeviceGradient, Likelihood) {
                      "likelihood, 3D Gaussians");
 }
 
-/// Central differences of the device. They are less accurate (single precision) but share
-/// nothing with the reference.
+/// Compares the gradients with central differences computed on the device. Central
+/// differences are less accurate (single precision), but they share no code with the
+/// reference.
 class DeviceDifferences : public test::DeviceTest, public testing::WithParamInterface<Primitive> {};
 INSTANTIATE_TEST_SUITE_P(Primitives, DeviceDifferences,
                          testing::Values(Primitive::surfel, Primitive::gaussian));

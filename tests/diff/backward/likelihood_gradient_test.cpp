@@ -36,8 +36,8 @@ glm::dvec4 rotation_facing(std::mt19937_64& random, double tilt) {
     return {q.w, q.x, q.y, q.z};
 }
 
-/// Makes a wall of tilted surfels, faint surfels in front of it, and an instance of a
-/// model with four surfels, seen as an image.
+/// Makes a wall of tilted surfels, faint surfels in front of the wall, and an instance of
+/// a model with four surfels. The sensor renders them as an image.
 test::RandomScene wall(std::uint64_t seed) {
     std::mt19937_64 random(seed);
     std::uniform_real_distribution<double> unit(-1.0, 1.0);
@@ -221,9 +221,9 @@ std::vector<std::vector<double>> actual_rows(const Gradients& g) {
 using Rows = std::vector<std::pair<std::string, std::vector<double>>>;
 
 /// Returns the same problem with the largest errors that Vulkan allows for exp and
-/// division, each with a random sign. Applies them to the exp of scales, to the sigmoid
-/// of opacities and the exp of hits one standard deviation from the mean, and to the
-/// division for distances along a ray.
+/// division, each with a random sign. Applies the errors to the exp of scales, to the
+/// sigmoid of opacities, to the exp of hits one standard deviation from the mean, and to
+/// the division that computes distances along a ray.
 WallProblem rounded(const WallProblem& p, std::uint64_t seed) {
     WallProblem moved = p;
     std::mt19937_64 random(seed);
@@ -315,8 +315,9 @@ LossWeights weights_of(float image, float likelihood) {
 TEST_F(LikelihoodGradient, Alone) { expect_agreement(weights_of(0.0f, 1.0f), "likelihood"); }
 TEST_F(LikelihoodGradient, WithTheImageLosses) { expect_agreement(weights_of(0.1f, 0.3f), "all terms"); }
 
-/// Tests two surfels that are 30 cm apart, on a ray that measured the second one. In
-/// closed form S = w_0 k + w_1 with k = 1 / (1 + (0.3 / s)^2), both at 80 m and at 3 m.
+/// Tests two surfels that are 30 cm apart, on a ray whose measured range is the second
+/// surfel. In closed form S = w_0 k + w_1 with k = 1 / (1 + (0.3 / s)^2). Tests the pair
+/// at 80 m and at 3 m.
 TEST_F(LikelihoodGradient, TwoSurfelsInClosedForm) {
     for (const double start : {3.0, 79.0}) {
         const double t[] = {double(float(start)), double(float(start + 0.3))}, opacity[] = {0.6, 0.5};
@@ -347,7 +348,7 @@ TEST_F(LikelihoodGradient, TwoSurfelsInClosedForm) {
             << "the nearer one is drawn to the range";
         EXPECT_NEAR(device_result.mean[1].x, 0.0, 1e-6 + 2.0 * w1 * resolved / (scale * scale))
             << "the other is there";
-        // S = s_0 k + (1 - s_0) s_1, where s are the opacities
+        // S = s_0 k + (1 - s_0) s_1, where s_0 and s_1 are the opacities
         EXPECT_NEAR(device_result.opacity_logit[0], (k - 0.5) * 0.6 * 0.4, 1e-6 + slope * resolved);
         EXPECT_NEAR(device_result.opacity_logit[1], 0.4 * 0.5 * 0.5, 1e-6);
     }

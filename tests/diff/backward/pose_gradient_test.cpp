@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks gradients of instance poses and of the sensor's pose (diff/backward/pose_blocks,
-// poses and sensor_pose). Compares them with the double reference, which sums per hit
-// instead of per surfel, and with central differences of the double forward pass. Covers
-// overlapping instances, one model placed twice, and instances that are absent or not
-// hit.
+// Checks the gradients of instance poses and of the sensor's pose
+// (diff/backward/pose_blocks, poses and sensor_pose). Compares them with the double
+// reference, which sums per hit instead of per surfel, and with central differences of
+// the double forward pass. Covers overlapping instances, a model that is placed twice,
+// and instances that are absent or not hit.
 #include <glm/gtc/quaternion.hpp>
 
 #include <random>

@@ -34,8 +34,8 @@ struct Problem {
         upstream = test::random_upstream(scene.rays.size(), options.seed + 1, outputs);
     }
 
-    /// Renders with all hits in one chunk, which is faster. Another test shows that the
-    /// chunk size does not matter.
+    /// Renders with all hits in one chunk, which is faster than several chunks. A
+    /// separate test shows that the chunk size does not change the result.
     double term(const BruteForce& brute, std::size_t i) const {
         const Pixel p = render(scene.world, brute, settings, scene.rays[i], 1000);
         return inner_product(upstream[i], p);
@@ -82,7 +82,7 @@ Problem seen_by(Problem p, std::size_t surfel) {
     return p;
 }
 
-/// Returns the rows of all parameters of one surfel.
+/// Returns the gradient rows of all parameters of a surfel.
 std::vector<Row> surfel_rows(const Problem& all, const Gradients& gradients, std::size_t i) {
     Problem p = seen_by(all, i);
     std::vector<Row> rows;
@@ -163,7 +163,7 @@ void expect_differences_agree(ShDirection direction, const test::RandomSceneOpti
     for (const auto& [name, group] : table.groups()) {
         EXPECT_LE(group.worst_error(), test::kReferenceGradient) << name << ", seed " << options.seed;
         EXPECT_EQ(group.missing_rows(), 0u) << name;
-        // the likelihood alone does not depend on the channels
+        // the likelihood does not depend on the channels
         const bool values = outputs == test::Outputs::all;
         const bool constant = (name == "view origin" && !(direction == ShDirection::surfel && values)) ||
                               (name == "sh hit" && single_drop_logit) || (name.starts_with("sh ") && !values);
@@ -183,7 +183,7 @@ TEST(ReferenceGradient, EveryParameterShAlongSurfel) {
                              "SH along sensor -> mean, 3 instances, chunk 4");
 }
 
-/// Tests the likelihood (M12) alone. All other tests include the image.
+/// Tests only the likelihood (M12). All other tests include the image.
 TEST(ReferenceGradient, LikelihoodAlone) {
     test::RandomSceneOptions options;
     options.seed = 6;

@@ -25,7 +25,8 @@ constexpr float kAlphaMin = 1.0f / 255.0f;
 constexpr std::uint64_t kSeed = 42;
 constexpr std::uint32_t kFrames = 40;
 
-/// A scene whose moments and statistics differ for every surfel.
+/// Test scene in which the optimizer's moments (Adam) and the densification statistics
+/// differ for every surfel.
 struct Case {
     Scene scene;
     DeviceScene device_scene;
@@ -194,7 +195,7 @@ void expect_models(const Case& c, const std::vector<Row>& rows) {
     EXPECT_EQ(next, c.device_scene.size());
 }
 
-/// Runs one densification and compares all results with the reference.
+/// Runs one densification step and compares all results with the reference.
 /// @return report of the densification
 DensifyReport expect_reference(Case& c, int step) {
     const std::vector<Fate> fates = expected_fates(c, step);

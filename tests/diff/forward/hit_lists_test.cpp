@@ -115,7 +115,7 @@ std::size_t differences(const std::vector<shared::RenderedRay>& a,
     return n;
 }
 
-/// Counts the rays whose kept hits differ in any bit between two buffers with the same
+/// Counts the rays whose stored hits differ in any bit between two buffers with the same
 /// capacity per ray.
 std::size_t different_hits(const KeptHits& a, const KeptHits& b,
                            const std::vector<shared::RenderedRay>& rays) {
@@ -143,8 +143,8 @@ protected:
                 for (const int room : {1, 7, 64, 512}) {
                     const std::vector<shared::RenderedRay> actual = placed.render(
                         {.chunk = 5, .walk = provider.walk, .order = HitOrder::lists, .list_room = room});
-                    // Rounding in another kernel may decide whether a product is below
-                    // T_min.
+                    // Allows a few differences, because rounding in a different kernel
+                    // can decide whether a product is below T_min.
                     EXPECT_LE(differences(actual, expected), c.rays.size() / 5000)
                         << c.name << ", " << provider.name << ", room " << room << ", T_min " << least;
                 }
@@ -161,8 +161,8 @@ TEST_F(Lists, ConformanceCasesOfGaussians) {
     for (const TraversalCase& c : test::gaussian_cases(43, 500)) expect_what_chunks_render(c);
 }
 
-/// Without diff/forward/trace: lists alone must render every ray whose hits fit into its
-/// list, and must not write other rays.
+/// Renders with hit lists only, without diff/forward/trace. The lists must render every
+/// ray whose hits fit into its list, and must not write the remaining rays.
 TEST_F(Lists, RenderWhatTheyHaveRoomFor) {
     TraversalCase c = test::long_list_case();
     for (const TraversalCase& other :

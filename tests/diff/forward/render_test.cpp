@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the forward pass (Eq. 2-4; M4, M5), with chunks and with lists, with the
-// double reference on random scenes. Compares the benchmark street with the image of
-// another implementation.
+// double reference on random scenes. Also compares the benchmark street with an image
+// that a different implementation rendered.
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
@@ -30,7 +30,7 @@ Rendering render_once(Device& device, const Scene& scene, const ImageModel& mode
     return renderer.forward(rays);
 }
 
-/// Returns the normalised mean squared error of one output over the rays.
+/// Returns the normalised mean squared error of an output over the rays.
 double nmse(const std::vector<float>& actual, const std::vector<double>& expected) {
     double error = 0.0, power = 0.0;
     for (std::size_t i = 0; i < expected.size(); ++i) {
@@ -165,8 +165,8 @@ TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
     }
 }
 
-/// Thin 3D Gaussians must render like surfels; thick ones differ. Normals face the rays
-/// within 50 degrees.
+/// Thin 3D Gaussians must render like surfels, and thick Gaussians must differ. Normals
+/// face the rays within 50 degrees.
 TEST_F(Forward, ThinGaussiansApproachSurfels) {
     test::RandomSceneOptions options;
     options.seed = 23, options.rays = 200;
@@ -296,8 +296,8 @@ const NamedArray& find(const std::vector<NamedArray>& arrays, const std::string&
     throw std::runtime_error("no array " + name);
 }
 
-/// The street of 100k surfels must equal the image of another implementation on at least
-/// 99.9 % of the rays.
+/// At least 99.9 % of the rays must equal the image that a different implementation
+/// rendered of the street of 100k surfels.
 TEST_F(Forward, StreetEqualsImageByOthers) {
     const std::filesystem::path file = shared_folder() / "bench" / "peer_render_A100k_kitti.npz";
     if (!std::filesystem::exists(file)) GTEST_SKIP() << file << " is not there";

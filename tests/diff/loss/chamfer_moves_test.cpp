@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks that training uses the gradient of the Chamfer loss. This loss alone, through
-// the backward pass and Adam, must move a displaced wall of surfels back to its measured
+// Checks that training uses the gradient of the Chamfer loss. With only this loss, the
+// backward pass and Adam must move a displaced wall of surfels back to its measured
 // position. If the gradient is cut off, the wall must not move.
 #include <relidar/diff/differentiable_renderer.hpp>
 #include <relidar/diff/loss.hpp>

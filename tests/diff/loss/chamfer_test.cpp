@@ -98,8 +98,8 @@ FoundChamfer device_chamfer(Device& device, const Clouds& c, const Setting& s = 
     return {loss.nearest(), terms.download()[loss_term::chamfer], test::floats_of(upstream.download())};
 }
 
-/// Returns points as the device computes them, relative to the first ray's origin;
-/// infinite if there is no return.
+/// Returns points as the device computes them, relative to the origin of the first ray. A
+/// ray without a return gives an infinite point.
 std::vector<glm::vec3> points(const Clouds& c, const std::vector<float>& range) {
     std::vector<glm::vec3> result;
     for (std::size_t i = 0; i < range.size(); ++i)

@@ -129,8 +129,8 @@ TEST_F(ConvTest, ForwardAndBackwardAreTransposes) {
     EXPECT_NEAR(test::dot(test::doubles(d_weights), layer.weights), asked, scale);
 }
 
-/// A value in the first column must affect the last column, but nothing beyond the first
-/// and last row.
+/// A value in the first column must affect the last column, because columns form a ring.
+/// Rows do not wrap: values must not affect rows beyond the first and last row.
 TEST_F(ConvTest, ColumnsAreARingAndRowsEnd) {
     for (const std::uint32_t columns : {2u, 3u, 8u, 13u, 64u, 70u}) {
         test::ImageBatch one(1, 1, 3, int(columns));

@@ -138,8 +138,8 @@ inline double worst_error(const ImageBatch& actual, const ImageBatch& expected) 
     return worst_error(actual.values, expected.values);
 }
 
-/// Sets derivatives to 0 where the normalised value is so close to 0 that rounding
-/// decides whether ReLU passes the gradient.
+/// Sets derivatives to 0 if the normalised value is so close to 0 that rounding decides
+/// whether ReLU passes the gradient.
 inline void leave_out_kinks(ImageBatch& upstream, const ImageBatch& from, const std::vector<double>& beta,
                             const std::vector<double>& gamma) {
     reference::NormLayer above{beta, gamma, {}}, below = above;

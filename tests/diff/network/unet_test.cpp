@@ -19,7 +19,8 @@ using refine::Block;
 using refine::ConvLayer;
 using refine::UnetPlan;
 
-/// The network in double. In training mode each batch is normalised by its own moments.
+/// Implements the network in double precision. In training mode, normalises each batch by
+/// the mean and variance of that batch.
 class ReferenceUnet {
 public:
     ReferenceUnet(const DropNetwork& network, std::vector<double> parameters, bool training)

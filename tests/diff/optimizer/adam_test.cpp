@@ -37,7 +37,7 @@ Surfels random_surfels(std::uint32_t n, std::uint64_t seed, ParameterSet of) {
     return s;
 }
 
-/// State of Adam for one number.
+/// State of Adam for a single number.
 struct Scalar {
     double value, m = 0.0, v = 0.0, ceiling = std::numeric_limits<double>::infinity();
     void step(double g, double rate, int t) {
@@ -134,9 +134,9 @@ void for_each_parameter(const Surfels& start, const Surfels& actual, std::uint32
     }
 }
 
-/// Tests one thread per row and one per float. Rows without gradients either do not
-/// exist, decay (in some or all steps), or stay; in the last two cases the first rows are
-/// fixed.
+/// Tests one thread per row and one thread per float. Rows without gradients either do
+/// not exist, decay (in some or all steps), or stay unchanged. In the last two cases the
+/// first rows are fixed.
 TEST_P(AdamThreads, AgreeWithAdamInDouble) {
     const std::uint32_t n = 133;
     const std::vector<float> bounds = some_bounds(n);
@@ -185,8 +185,8 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
     }
 }
 
-/// Vulkan guarantees only 65535 workgroups in one dimension. A larger launch must still
-/// reach the last row.
+/// Vulkan guarantees only 65535 workgroups in a dimension. A larger launch must still
+/// process the last row.
 TEST_F(AdamTest, MoreRowsThanOneDimensionOfWorkgroups) {
     const std::uint32_t n = 2200000;
     const Kernel<shared::AdamParams> kernel(device(), "diff/optimizer/adam");

@@ -61,7 +61,8 @@ TEST_F(Differentiable, HostGradientsAgreeWithTheReference) {
     DifferentiableRenderer renderer(device(), placed.scene, settings.image, {},
                                     {.wanted = {.rays = true, .poses = true}});
     place(renderer);
-    renderer.forward({{rays.origin[0]}, {rays.direction[0]}});  // a small batch before a larger one
+    // renders a small batch before a larger batch
+    renderer.forward({{rays.origin[0]}, {rays.direction[0]}});
     EXPECT_EQ(renderer.forward(rays).size(), rays.size());
     const HostGradients device_result = renderer.backward(to_arrays(d_rendered));
     test::GradientTable table;

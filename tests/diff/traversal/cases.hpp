@@ -28,10 +28,11 @@ struct TraversalCase {
 reference::World to_world(const TraversalCase& c);
 
 TraversalCase empty_case();
-/// One surfel, with rays head on, off centre, in its plane, behind, at the near limit,
-/// and parallel to the plane.
+/// Makes a scene of a single surfel. Rays hit the surfel head on and off centre, lie in
+/// its plane, start behind it, hit it at the near limit, and run parallel to the plane.
 TraversalCase single_case();
-/// Exact copies at one position, within a model and in several instances.
+/// Makes exact copies of surfels at the same position, within a model and in several
+/// instances.
 TraversalCase equal_depth_case();
 /// 100 surfels along each ray, which is more than any chunk.
 TraversalCase long_list_case();
@@ -52,8 +53,8 @@ TraversalCase random_case(std::uint64_t seed, int n_surfels, int n_rays);
 /// `stride`-th ray.
 TraversalCase street_case(const Surfels& street, const RayTable& rays, double radius_m, int stride);
 
-/// The same surfels as 3D Gaussians, 0.03 to 0.5 m thick; one in twenty has an invalid
-/// thickness.
+/// Replaces the surfels by 3D Gaussians that are 0.03 to 0.5 m thick. Every twentieth
+/// Gaussian has an invalid thickness.
 TraversalCase as_gaussians(TraversalCase c, std::uint64_t seed);
 /// 3D Gaussians larger than the distances between them. Rays start inside many of them,
 /// and proxies extend over several chunks. Also contains needles and discs with axis
@@ -62,8 +63,9 @@ TraversalCase crowded_case(std::uint64_t seed, int n_gaussians, int n_rays);
 /// All cases of 3D Gaussians, with sizes that take seconds on a slow device.
 std::vector<TraversalCase> gaussian_cases(std::uint64_t seed, int n_rays);
 
-/// The case with instances that move and turn during a sweep of 0.1 s, some only for a
-/// part of it and one not at all. Rays are fired during the sweep and outside it.
+/// Returns the case with instances that move and turn during a sweep of 0.1 s. Some
+/// instances move only for a part of the sweep, and a single instance does not move. Rays
+/// are fired during the sweep and outside it.
 TraversalCase that_moves(TraversalCase c, std::uint64_t seed);
 /// Cases with moving instances for both primitives, with sizes that take seconds on a
 /// slow device.

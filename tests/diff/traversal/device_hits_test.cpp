@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks the traversal contract on the device (diff/traversal/collect_hits): ray query
-// over triangles and boxes, the software tree with one thread or one subgroup per ray,
-// and brute force. Compares with brute force and Embree on the host.
+// over triangles and boxes, the software tree with a thread or a subgroup per ray, and
+// brute force. Compares with brute force and Embree on the host.
 #include "device_hits.hpp"
 #include "diff/traversal/collect_hits.hpp"
 #include "gpu/forced.hpp"

@@ -24,7 +24,8 @@ struct HitDifferences {
     std::string summary(const std::string& title) const;
 };
 
-/// Compares the hits of one ray and adds the result to `differences`.
+/// Compares the expected and the actual hits of a ray and adds the result to
+/// `differences`.
 /// @param ray_index index of the ray for messages
 void compare_hits(const reference::World& world, const ImageModel& model, const reference::Ray& ray,
                   std::size_t ray_index, const std::vector<reference::Hit>& expected,

@@ -117,8 +117,8 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     EXPECT_THAT(complaint(drive), HasSubstr("each of the 3 scans is broken"));
     for (int frame = 0; frame < 3; ++frame) test::write_text(drive.scan(frame), original);
     const auto early = testing::Contains(HasSubstr("0000000001.bin: its last ring ends at azimuth "));
-    // The cut is in the last ring or in the one before. One point in ten is missing in
-    // any case.
+    // The cut is in the last ring or in the ring before the last. In addition, every
+    // tenth point is missing.
     for (const int kept_deg : {120, 270}) {
         const auto n_missing = std::size_t(0.9 * 701 * (kept_deg == 120 ? 240 : 360 + 90) / 360.0);
         put(original.substr(0, 16 * (n - n_missing)));

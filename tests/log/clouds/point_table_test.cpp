@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Numbers of point files keep the type of the file, and each scan is read only once.
+// Tests the point table: numbers keep the data type of the file, and each scan is read
+// only once.
 #include "log/clouds/point_table.hpp"
 
 #include <atomic>
@@ -40,7 +41,7 @@ PointTable two_points(std::int64_t first_time, std::int64_t second_time) {
 }
 
 TEST(PointTable, KeepsTheTypeOfTheFile) {
-    // a double has 53 bits: it cannot tell these two apart
+    // two integers that are equal as doubles, because a double has 53 bits
     constexpr std::int64_t kFirst = (std::int64_t(1) << 53) + 1, kSecond = std::int64_t(1) << 53;
     const PointTable table = two_points(kFirst, kSecond);
     const FieldValues* time = table.find(PointValue::time);
@@ -79,7 +80,7 @@ TEST(PointTable, NamesOfAValueHaveAnOrder) {
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInfinite = std::numeric_limits<float>::infinity();
 
-/// Returns a table with fields x, y, z and further fields of one value per point.
+/// Returns a table with the fields x, y and z, and further fields with a value per point.
 PointTable table_of(const std::vector<glm::vec3>& points,
                     const std::vector<std::pair<std::string, std::vector<float>>>& fields) {
     PointTable table(points.size());

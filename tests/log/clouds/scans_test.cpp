@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts points to scans. The points come from known rays of a sensor and are shuffled;
-// each point must be assigned to its original ray.
+// Converts points to scans. The test computes points from the rays of a sensor and
+// shuffles them. Each point must be assigned to its original ray.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>
@@ -30,8 +30,8 @@ SpinningSensor sensor() {
     return s;
 }
 
-/// Returns along the sensor's rays: one ray in five has none, and some have a second
-/// return.
+/// Computes returns along the sensor's rays. Every fifth ray has no return, and some rays
+/// have a second return.
 struct Truth {
     Scan scan;
     Points points;  ///< shuffled

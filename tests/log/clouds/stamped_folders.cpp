@@ -178,8 +178,8 @@ OnceFolder::OnceFolder(const std::string& name, bool w_first, int columns) : Sta
     drive.vehicle_from_lidar.rotation = rotation_of(kPi / 2.0, 0.0, 0.0);
     drive.beams = std::get<SpinningSensor>(find_built_in_sensor("Pandar40P")->pattern).beams;
     drive.columns = columns, drive.n_scans = kScans, drive.step_s = 0.5;
-    // Half a step after backward, because a point exactly there may belong to either end
-    // of the turn.
+    // Starts half a step after backward, because a point that is exactly backward can
+    // belong to either end of the turn.
     drive.first_azimuth_rad = kPi / 2.0 - kPi / columns;
     drive.cast();
     const Pose world = drive.lidar_at(0.0);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes small sequences of Boreas, MulRan and ONCE. A vehicle drives a bend through the
-// walled yard. Its LiDAR, in the axes, names, times and poses of each dataset, measures
-// every point from its pose at that time.
+// Writes small sequences of Boreas, MulRan and ONCE. A vehicle drives a bend through a
+// yard with walls. Its LiDAR measures every point from the pose at the time of the point.
+// Axes, names, times and poses follow each dataset.
 #pragma once
 
 #include <cstdint>
@@ -15,7 +15,7 @@
 
 namespace relidar::test {
 
-/// One firing of one laser.
+/// A single firing of a laser.
 struct StampedRay {
     double time_s = 0.0;       ///< relative to the first scan
     glm::dvec3 origin_m{0.0};  ///< in the world, like point_m
@@ -58,9 +58,9 @@ struct StampedFolder {
     StampedFolder& operator=(const StampedFolder&) = delete;
 };
 
-/// 128 beams with unordered laser numbers. The LiDAR is turned 42.6 degrees to the right,
-/// where its frame starts. Poses continue for 40 s after the scans, twice around the
-/// yard.
+/// Boreas sequence with 128 beams whose laser numbers are unordered. The LiDAR is turned
+/// 42.6 degrees to the right, and its frame starts in that direction. Poses continue for
+/// 40 s after the scans, twice around the yard.
 struct BoreasFolder : StampedFolder {
     static constexpr std::int64_t kFirst_us = 1606417097528152;
     static constexpr int kScans = 6;

@@ -34,8 +34,8 @@ TEST(TwoLidars, WorldReturnsAreVehicleTimesMounting) {
     }
 }
 
-/// Returns the mean difference of the road height in cells of half a metre that both
-/// LiDARs have seen.
+/// Returns the mean difference between the road heights of both LiDARs, over the cells of
+/// half a metre in which both have returns.
 double height_difference_m(const Sequence& street) {
     std::map<std::tuple<int, int>, double> sum[2], count[2];
     for (const Frame& frame : street.frames)

@@ -24,8 +24,8 @@ using testing::ThrowsMessage;
 constexpr int kColumns = 36, kScans = 2;
 constexpr double kElevation_deg[] = {5.0, -5.0};
 
-/// A plain folder with two scans of a wall at 20 m around the sensor. Each scan also has
-/// a return at 149.25 m and one at 0.4 m.
+/// Writes a plain folder with two scans of a wall at 20 m around the sensor. Each scan
+/// also has a return at 149.25 m and a return at 0.4 m.
 class RangeLimit : public testing::Test {
 protected:
     const std::filesystem::path folder = std::filesystem::path(testing::TempDir()) / "relidar_range_limit";

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers one scan to a scene: a hall with exactly known walls, a sensor that drives
-// and turns, and wrong poses.
+// Registers a scan to a scene: a hall with exact wall positions, a sensor that drives and
+// turns, and wrong initial poses.
 #include <cmath>
 #include <limits>
 #include <random>
@@ -31,8 +31,8 @@ VisibleSurface wall_of(const glm::dvec3& origin_m, const glm::dvec3& direction) 
     return wall;
 }
 
-/// Makes three sweeps of 24 x 360 rays through the hall, without noise; each ray has its
-/// own firing time.
+/// Makes three sweeps of 24 x 360 rays through the hall, without noise. Each ray has a
+/// separate firing time.
 Sequence drive() {
     Sequence log;
     for (int k = 0; k < 3; ++k) {

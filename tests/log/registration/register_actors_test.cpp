@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers moving boxes on the synthetic street, whose exact tracks are known. The
-// labels have a slow drift along the track, jitter, and errors of the yaw.
+// Registers moving boxes on the synthetic street and compares them with the exact tracks.
+// The labels have a slow drift along the track, jitter, and errors of the yaw.
 #include <cmath>
 #include <random>
 
@@ -85,7 +85,7 @@ TEST(RegisterActors, KeepsExactLabels) {
         EXPECT_LT(error_of_track(street.boxes[i], exact.boxes[i]).along_m, 0.01) << "box " << i;
 }
 
-/// A car that stands gets one pose, although its label drifts by 2.5 m.
+/// A parked car must get a single pose, although its label drifts by 2.5 m.
 TEST(RegisterActors, FindsStandingCarsWithDriftingLabels) {
     SyntheticOptions options;
     options.n_frames = 20, options.rows = 64, options.columns = 1024, options.speed_mps = 0.001;

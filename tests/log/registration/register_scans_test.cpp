@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers scans of the synthetic street, whose exact poses are known: poses with white
-// noise and with drift, held-out scans, an invalid scan, and a correction beyond the
-// limit.
+// Registers scans of the synthetic street and compares them with the exact poses. Covers
+// poses with white noise and with drift, held-out scans, an invalid scan, and a
+// correction beyond the limit.
 #include <algorithm>
 #include <cmath>
 #include <random>
@@ -83,7 +83,8 @@ TEST(RegisterScans, FindsPosesBackAfterNoiseAndDrift) {
         split, "drift of 20 cm");
 }
 
-/// Three sweeps, one held out: the planes of two scans need more points of each scan.
+/// Registers three sweeps with a held-out sweep among them. The planes of only two scans
+/// need more points of each scan.
 TEST(RegisterScans, TwoScansAreEnough) {
     const Sequence street = street_of(3);
     const PoseTrack& exact = street.world_from_vehicle;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers logs of two LiDARs. Sweeps at the same time form one scan of the vehicle. A
-// LiDAR that sweeps at other times uses the interpolated poses.
+// Registers logs of two LiDARs. Sweeps at the same time form a single scan of the
+// vehicle. A LiDAR that sweeps at other times uses the interpolated poses.
 #include <gtest/gtest.h>
 
 #include <relidar/log/clouds.hpp>
@@ -70,7 +70,7 @@ TEST(SeveralLidars, OneFindsWhatTheOtherMissed) {
     EXPECT_LT(test::error_of(registration.world_from_vehicle, exact, all_poses(street)).worst_m, 0.02);
 }
 
-/// The rays of one sweep lie between poses of both LiDARs, in any order.
+/// The rays of a sweep have times between poses of both LiDARs, in any order.
 TEST(SeveralLidars, OneThatSweepsAtOtherTimesRidesAlong) {
     for (const double off_s : {0.05, 0.01, 0.09}) {
         const Sequence street = one_after_the_other(off_s);

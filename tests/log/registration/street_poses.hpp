@@ -19,9 +19,9 @@ PoseTrack perturbed(PoseTrack track, double sigma_m, double sigma_rad, std::uint
 /// Moves the poses along a smooth curve with the given amplitudes.
 PoseTrack drifting(PoseTrack track, double amplitude_m, double amplitude_rad);
 
-/// Simulates the integration of wheel odometry and gyroscopes: 1 % too much distance, 1
-/// degree of heading and 0.3 degrees of pitch per 100 m, and jumps of 0.3 m at one, two,
-/// three and four fifths of the track.
+/// Returns poses with the errors of wheel odometry and gyroscopes: 1 % too much distance,
+/// 1 degree of heading and 0.3 degrees of pitch per 100 m. The poses also jump by 0.3 m
+/// at 1/5, 2/5, 3/5 and 4/5 of the track.
 PoseTrack with_drift_and_jumps(const PoseTrack& exact);
 
 struct PoseError {

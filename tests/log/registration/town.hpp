@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes a drive around a block with exact poses: straights, curves of 90 degrees, a stop,
-// and the start seen again at the end.
+// Makes a drive around a block with exact poses. It has straight roads, curves of 90
+// degrees, a stop, and an end at which the vehicle observes the start again.
 #pragma once
 
 #include <relidar/log/sequence.hpp>

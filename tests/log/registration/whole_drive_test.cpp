@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Registers complete drives with exact poses: around a block with a stop, from poses with
-// drift and jumps, and without poses. 300 sweeps are processed in one segment, 400 in
-// two.
+// drift and jumps, and without poses. 300 sweeps are processed as a single segment, 400
+// sweeps as two segments.
 #include <map>
 
 #include <gtest/gtest.h>

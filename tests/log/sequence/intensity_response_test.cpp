@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates beam responses and compares them with sensors whose responses are known.
+// Estimates beam responses and compares them with the exact responses of simulated
+// sensors.
 #include <cmath>
 
 #include <gtest/gtest.h>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates range offsets of beams and compares them with sensors whose offsets are
-// known.
+// Estimates range offsets of beams and compares them with the exact offsets of simulated
+// sensors.
 #include <cmath>
 #include <numeric>
 

@@ -50,8 +50,8 @@ std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2
             Argoverse2Ray ray;
             ray.time_s = 1e-9 * double(offset_ns);
             ray.elevation_rad = kElevation_deg[k] * kPi / 180.0;
-            // The sensor turns clockwise seen from above, so a LiDAR mounted upside down
-            // turns counter-clockwise.
+            // Viewed from above, the sensor turns clockwise. A LiDAR that is mounted
+            // upside down therefore turns counter-clockwise.
             const double head =
                 (lidar == 0 ? -1.0 : 1.0) * (2.0 * kPi * 10.0 * ray.time_s - 2.5 + 3.0 * lidar);
             const double azimuth = head + kAzimuth_deg[k] * kPi / 180.0;

@@ -29,7 +29,7 @@ struct Argoverse2Options {
     FeatherCodec codec = FeatherCodec::lz4;
 };
 
-/// One firing of one laser.
+/// A single firing of a laser.
 struct Argoverse2Ray {
     double elevation_rad = 0.0;  ///< in the LiDAR's frame
     double time_s = 0.0;         ///< relative to the sweep's time

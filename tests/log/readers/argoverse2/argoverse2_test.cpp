@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads an Argoverse 2 log with known rays, and logs with damage in each file.
+// Reads an Argoverse 2 log whose exact rays the test knows, and logs with damage in each
+// file.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -85,8 +86,8 @@ TEST(Argoverse2, EveryRayIsWhereItWasFired) {
             const float range_m = frame.scan.range_m[i];
             const Argoverse2Ray& ray =
                 truth.at(frame.scan.rays.channel[i], double(frame.scan.rays.time_offset_s[i]));
-            // A ray without a return has the time of its firing sequence, which differs
-            // by up to 35 us from its own time.
+            // A ray without a return has the time of its firing sequence. This time
+            // differs by up to 35 us from the exact firing time.
             ASSERT_NEAR(frame.scan.rays.time_offset_s[i], ray.time_s, range_m > 0.0f ? 1e-8 : 2.9e-5);
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
             ASSERT_EQ(range_m > 0.0f, ray.returned) << i;
@@ -238,8 +239,8 @@ TEST(Argoverse2, ASweepMayLackALidar) {
     EXPECT_THAT(sequence.notes, testing::Contains(testing::HasSubstr("1 frames are skipped")));
 }
 
-/// Loads the log with one file replaced and checks that the one-line error contains
-/// `part`.
+/// Loads the log with a replaced file and checks that the error message has a single line
+/// and contains `part`.
 void expect_refused(const Argoverse2Log& log, const fs::path& file, const std::string& bytes,
                     const std::string& part) {
     const std::string good = test::read_text(file);

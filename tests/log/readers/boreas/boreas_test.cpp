@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a Boreas sequence with known rays, and checks the errors for invalid files.
+// Reads a Boreas sequence whose exact rays the test knows, and checks the errors for
+// invalid files.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -18,7 +19,8 @@ namespace fs = std::filesystem;
 using test::BoreasFolder;
 using test::StampedRay;
 
-/// Checks that every return is where its ray hit the yard, and that no return is lost.
+/// Checks that every return is at the point where its ray hit the yard, and that no
+/// return is lost.
 void expect_boreas_truth(const BoreasFolder& data, const Sequence& sequence) {
     const PoseTrack track = sequence.world_from_sensor(0);
     for (const Frame& frame : sequence.frames) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads EXR range images as scans of a plain folder: a street with known rays, images
-// written by OpenEXR, and damaged images.
+// Reads EXR range images as scans of a plain folder: a simulated street, images written
+// by OpenEXR, and damaged images.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -37,7 +37,7 @@ fs::path fresh_exr_folder(const std::string& name) {
     return folder;
 }
 
-/// Makes a folder of one frame whose image is still missing.
+/// Makes a folder for one frame without its image. The test adds the image.
 fs::path one_frame(const std::string& name, const std::string& head = kHead) {
     const fs::path folder = fresh_exr_folder(name);
     test::write_text(folder / "sequence.json", head);
@@ -59,8 +59,7 @@ Channels channels_of(const Scan& scan) {
     return channels;
 }
 
-/// A street with second returns, saved as a plain folder whose scans are replaced by
-/// images.
+/// A street with second returns, saved as a plain folder. EXR images replace the scans.
 /// @param keep channels that are written
 struct StreetOfImages {
     Sequence truth = make_synthetic_street({.n_frames = 3, .rows = 32, .columns = 500});

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks that every defect of a plain folder causes a one-line error that names file and
-// field.
+// Checks that every defect of a plain folder causes an error whose message is a single
+// line and names the file and the field.
 #include <relidar/log/dataset.hpp>
 
 #include <cstdint>
@@ -42,7 +42,8 @@ protected:
         test::write_text(folder / name, text);
     }
 
-    /// Returns the error message for a folder in which one file is replaced or missing.
+    /// Replaces or removes a file of a plain folder, loads the folder, and returns the
+    /// error message.
     std::string complaint(const std::string& name, const std::string& text,
                           const DatasetOptions& options = {}) const {
         const std::string good = fs::exists(folder / name) ? test::read_text(folder / name) : "";

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads plain folders with known content, written by save_folder() or in the point
-// formats of other programs.
+// Reads plain folders whose exact content the test knows. save_folder() writes them, or
+// the test writes the point formats of other programs.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -373,8 +373,8 @@ TEST(PlainFolder, UndoesMotionCompensation) {
 
 TEST(PlainFolder, InterpolatesPosesThatHaveTimes) {
     const PointLog log("track", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
-    // Columns by position; then columns by TUM's names, whose quaternions have w last,
-    // after a byte-order mark.
+    // The first log has columns by position. The second log has a byte-order mark and the
+    // column names of TUM, whose quaternions have w last.
     const std::string logs[] = {
         "# time x y z qw qx qy qz\n-0.05 0 0 0 1 0 0 0\n0.15 2 0 0 1 0 0 0\n0.25 2 3 0 0.9238795325112867 0 "
         "0 0.3826834323650898\n"

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a log of point files in a format that the test chooses. Compares what is read
-// with the street that the points come from.
+// Writes a log of point files in a format that the test chooses. Compares the log that is
+// read with the street from which the points were made.
 #pragma once
 
 #include <algorithm>

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes a small KITTI-360 folder: sweeps of the virtual HDL-64E as frames 2350 to 2352
-// of drive 0000, which belongs to part kd1 of the paper from frame 2351 on. The car
-// drives a smooth curve with a closed form, so that the pose of the LiDAR is known at any
-// time.
+// of drive 0000. From frame 2351 on, this drive belongs to part kd1 of the paper. The car
+// drives a smooth curve in closed form, so that the exact pose of the LiDAR can be
+// computed at any time.
 #pragma once
 
 #include <filesystem>

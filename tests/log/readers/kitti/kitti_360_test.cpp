@@ -229,7 +229,7 @@ TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
     EXPECT_THAT(read(kitti).notes, Contains("no data_3d_bboxes: nothing in this drive is labelled"));
 }
 
-/// Reads the log with one file changed, expects an error, and restores the file.
+/// Changes a file, reads the log, expects an error, and restores the file.
 void expect_error(const Kitti360Folder& kitti, const fs::path& file, const std::string& text,
                   const std::string& part) {
     const std::string good = read_text(file);

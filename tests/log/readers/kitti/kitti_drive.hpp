@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a small KITTI raw drive: a virtual HDL-64E (two optical centres, azimuth and
-// left offsets, encoder ticks of 0.09 degrees) in a wavy room. Coordinates are rounded to
-// millimetres and stored ring by ring like KITTI's.
+// Writes a small KITTI raw drive. A virtual HDL-64E (two optical centres, azimuth and
+// left offsets, encoder ticks of 0.09 degrees) scans a space with wavy walls. As in
+// KITTI, coordinates are rounded to millimetres and stored ring by ring.
 #pragma once
 
 #include <array>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks that every defect of a KITTI drive causes a one-line error with the path, the
-// value found, and the expected value.
+// Checks that every defect of a KITTI drive causes an error whose message is a single
+// line with the path, the value in the file, and the expected value.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -22,8 +22,8 @@ using test::KittiDrive;
 using test::read_text;
 using test::write_text;
 
-/// Loads the drive and expects an error with the given exit code and a one-line message
-/// that contains all parts.
+/// Loads the drive and expects an error with the exit code. The message must be a single
+/// line that contains all parts.
 void expect_failure(const KittiDrive& drive, const DatasetOptions& options, ExitCode code,
                     const std::vector<std::string>& parts) {
     try {

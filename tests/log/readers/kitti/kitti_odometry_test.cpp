@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a KITTI odometry sequence made from scans of the virtual HDL-64E and compares
-// times, poses and directions with their exact values.
+// Reads a KITTI odometry sequence that the test writes from scans of the virtual HDL-64E.
+// Compares times, poses and directions with their exact values.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>

@@ -320,7 +320,7 @@ std::vector<glm::vec3> file_points(const fs::path& file, float max_range_m, std:
     return points;
 }
 
-/// Counts the points without a point of `others` within 1 mm.
+/// Counts the points that have no point of `others` within 1 mm.
 std::size_t count_missing(const std::vector<glm::vec3>& points, std::vector<glm::vec3> others) {
     constexpr float kSame_m = 1e-3f;
     std::ranges::sort(others, {}, &glm::vec3::x);

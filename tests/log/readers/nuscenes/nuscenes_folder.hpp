@@ -11,7 +11,7 @@
 
 namespace relidar::test {
 
-/// One firing of one laser.
+/// A single firing of a laser.
 struct NuscenesRay {
     double time_s = 0.0;        ///< relative to the scene's first sweep
     glm::dvec3 origin_m{0.0};   ///< map frame

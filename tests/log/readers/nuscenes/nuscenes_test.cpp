@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a nuScenes folder with known rays, and folders with damage in each file.
+// Reads a nuScenes folder whose exact rays the test knows, and folders with damage in
+// each file.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>

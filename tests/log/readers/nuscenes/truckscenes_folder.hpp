@@ -11,7 +11,7 @@
 
 namespace relidar::test {
 
-/// One firing of one laser.
+/// A single firing of a laser.
 struct TruckRay {
     double time_s = 0.0;       ///< relative to the first sweep of LIDAR_LEFT
     glm::dvec3 origin_m{0.0};  ///< in the world, like the other points

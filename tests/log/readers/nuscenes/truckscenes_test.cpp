@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads TruckScenes and Lyft Level 5: nuScenes tables with several LiDARs, whose points
-// are not compensated and have no rings.
+// Reads TruckScenes and Lyft Level 5. Both store nuScenes tables with several LiDARs.
+// Their points are not motion-compensated and have no ring numbers.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>

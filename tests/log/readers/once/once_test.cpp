@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads an ONCE sequence with known rays and quaternions in both orders, and checks the
-// errors for invalid files.
+// Reads an ONCE sequence whose exact rays the test knows, with quaternions in both
+// orders. Also checks the errors for invalid files.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -64,7 +64,7 @@ TEST(Once, EveryReturnIsOnTheYard) {
     for (std::size_t b = 0; b < 40; ++b)
         EXPECT_NEAR(sensor.beams[b].elevation_rad, data.drive.beams[b].elevation_rad, 1e-5);
     expect_once_truth(data, sequence);
-    // x points forward, in a world whose x points left and y backward
+    // x points forward. In this world frame, x points left and y points backward.
     const glm::dvec3 ahead = sequence.world_from_vehicle.pose[0].rotation * glm::dvec3(1, 0, 0);
     EXPECT_LT(glm::distance(ahead, glm::dvec3(0, -1, 0)), 1e-9);
 }

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes a small segment of Waymo Open, message by message: TOP with 16 x 400 pixels and
-// SIDE_LEFT with 12 x 60, cast into a room with a parked vehicle. The recording vehicle
-// accelerates and turns. Every pixel of TOP has a separate firing time and therefore a
-// separate pose.
+// SIDE_LEFT with 12 x 60. The rays are cast into a box-shaped space with a parked
+// vehicle. The recording vehicle accelerates and turns. Every pixel of TOP has a separate
+// firing time and therefore a separate pose.
 #pragma once
 
 #include <cstdint>
@@ -32,8 +32,8 @@ std::string waymo_context(const std::vector<std::string>& calibrations);
 std::string waymo_unpacked_matrix(const std::vector<float>& values, const std::vector<int>& dims);
 std::string waymo_matrix(const std::vector<float>& values, const std::vector<int>& dims);
 std::string deflated(const std::string& bytes);
-/// @param second second returns; empty: none
-/// @param poses poses of the pixels; empty: none
+/// @param second second returns. Empty if the laser has no second returns.
+/// @param poses poses of the pixels. Empty if the laser has no pixel poses.
 std::string waymo_laser(int laser, const std::string& first, const std::string& second,
                         const std::string& poses);
 std::string waymo_label(const std::string& id, int type, const glm::dvec3& centre,

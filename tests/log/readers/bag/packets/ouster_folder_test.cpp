@@ -113,7 +113,8 @@ Found compare(const OusterScans& scans, std::size_t f, const Scan& found, const 
             const double range_m = scans.range(f, row, column);
             if (range_m == 0.0) continue;
             ++counts.all;
-            // The sensor faces backwards, where an image starts, at half of the columns.
+            // The sensor faces backwards at the start of an image and forwards at half of
+            // the columns.
             const std::size_t firing = (column + scans.columns / 2 + first) % scans.columns;
             const std::size_t at =
                 row * scans.columns +
@@ -160,7 +161,8 @@ TEST(OusterFolder, BeamsAreFoundInThePoints) {
     const SpinningSensor& sensor = log.lidars[0].sensor;
     EXPECT_EQ(sensor.columns, int(scans.columns));
     ASSERT_EQ(sensor.beams.size(), scans.rows);
-    // Seen from the centre: n sin(altitude) / range is 0.08 degrees at 4 m.
+    // The angle is measured from the centre: n sin(altitude) / range is 0.08 degrees at 4
+    // m.
     for (std::size_t b = 0; b < scans.rows; ++b)
         EXPECT_NEAR(sensor.beams[b].elevation_rad * 180.0 / kPi, scans.altitude_deg[b], 0.1) << "beam " << b;
     for (std::size_t f = 0; f < scans.frames; ++f) {

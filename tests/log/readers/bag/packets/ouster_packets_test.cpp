@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decodes packets of Ouster sensors. Packets made from real range images, in every
-// supported profile, must give the same scans as a plain folder of the same images
-// (skipped if RELIDAR_SHARED does not contain them). Also checks the errors for invalid
-// captures and metadata.
+// Decodes packets of Ouster sensors. The test makes packets from real range images in
+// every supported profile. They must give the same scans as a plain folder of the same
+// images (skipped if RELIDAR_SHARED does not contain the images). Also checks the errors
+// for invalid captures and metadata.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -84,7 +84,7 @@ std::optional<OusterImages> real_images(const std::string& name, const std::stri
     return images;
 }
 
-/// Makes a few beams in a room; some have no return.
+/// Makes range images of a few beams in a room. Some pixels have no return.
 OusterImages small_images(const std::string& profile) {
     OusterImages images;
     images.profile = profile, images.frames = 4, images.rows = 16, images.columns = 128, images.n_mm = 15.8;
