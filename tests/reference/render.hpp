@@ -22,7 +22,7 @@ struct Settings {
     double likelihood_scale_m = 0.05;  ///< s of M12
 };
 
-/// One number for each blended value of a ray.
+/// A number for each blended value of a ray.
 struct BlendedValues {
 #define RELIDAR_FIELD(name, built, value, input, slope, meaning) double name = 0.0;
     RELIDAR_BLENDED_VALUES(RELIDAR_FIELD)
@@ -33,7 +33,8 @@ struct BlendedValues {
 /// drop_logit.
 struct Pixel : BlendedValues {
     double transmittance = 1.0;  ///< T_N, after the last blended surfel
-    /// t of the surfel that reduces T from above 0.5 to 0.5 or less; 0 if there is none
+    /// t of the surfel that reduces T from above 0.5 to 0.5 or less; 0 without such a
+    /// surfel
     double median_depth = 0.0;
     std::uint32_t hits = 0;  ///< number of blended surfels
     /// instance of the surfel of median_depth, otherwise of the nearest blended surfel;
@@ -89,19 +90,18 @@ struct Surface {
     double weight = 0.0;  ///< sum w
     double mean = 0.0;    ///< sum w t / sum w, metres
 };
-/// Groups hits into surfaces (M13). A hit more than `gap_m` behind the previous one
-/// begins a new surface.
+/// Groups hits into surfaces (M13). A hit that is more than `gap_m` behind the previous
+/// hit starts a new surface.
 /// @return surfaces, nearest first
 std::vector<Surface> surfaces(const std::vector<ShadedHit>& blended, double gap_m);
 
-/// Gradient with respect to an instance's pose. world_from_model becomes
-///   (exp([rotation]x) R, translation' = translation + d_translation)
-/// The rotation vector is expressed in the world frame and turns the model about its own
-/// origin; the translation is not turned. For a model that moves during a sweep, the
-/// gradient is expressed in the axes of world_from_model. The pose at the time of a ray
-/// changes by
-///   R(t) R^-1 (translation, rotation)
-/// so that the change is the same for all rays in the axes of the model.
+/// Gradient with respect to an instance's pose.
+///   world_from_model becomes (exp([rotation]x) R, translation' = translation + d_translation)
+/// The rotation vector is expressed in the world frame and turns the model about the
+/// model's origin. The translation is not turned. For a model that moves during a sweep,
+/// the gradient is expressed in the axes of world_from_model. The pose at the time of a
+/// ray changes by R(t) R^-1 (translation, rotation), so that the change is the same for
+/// all rays in the axes of the model.
 struct PoseGradient {
     glm::dvec3 translation{0.0};
     glm::dvec3 rotation{0.0};
@@ -116,8 +116,8 @@ struct Gradients {
     explicit Gradients(const World& world);  ///< initialises all gradients with zero
 };
 
-/// Gradient with respect to one ray. The direction is a free 3-vector that is not
-/// renormalised; the SH polynomials use it unchanged.
+/// Gradient with respect to a ray. The direction is a free 3-vector that is not
+/// renormalised. The SH polynomials use it unchanged.
 struct RayGradient {
     glm::dvec3 origin{0.0};
     glm::dvec3 direction{0.0};

@@ -8,7 +8,7 @@
 namespace relidar::reference {
 namespace {
 
-/// Derivatives of the loss with respect to one hit.
+/// Derivatives of the loss with respect to a hit.
 struct HitGradient {
     double alpha = 0.0;
     double t = 0.0;  // direct derivative; the part through u and v is added with the geometry

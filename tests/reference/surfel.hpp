@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements one surfel in double precision from docs/method.md: activations (section 2),
+// Implements a surfel in double precision from docs/method.md: activations (section 2),
 // real spherical harmonics of degree 3, the ray-surfel intersection (M1) and its opacity
-// (M2), or those of a 3D Gaussian (M9). As a part of the reference, it must not include
-// shaders/ or src/. `float_hit` is the same formula in single precision, in the form of
-// the shader, so that hit ids of any traversal can be compared exactly.
+// (M2), or the intersection and opacity of a 3D Gaussian (M9). As a part of the
+// reference, it must not include shaders/ or src/. `float_hit` is the same formula in
+// single precision, in the form of the shader, so that hit ids of any traversal can be
+// compared exactly.
 #pragma once
 
 #include <algorithm>
@@ -18,7 +19,7 @@
 
 namespace relidar::reference {
 
-/// Parameters of one surfel in the model's frame: the same 58 numbers as one row of
+/// Parameters of a surfel in the model's frame: the same 58 numbers as a row of
 /// relidar::Surfels. Also used for their gradient.
 struct Surfel {
     glm::dvec3 mean{0.0};  ///< position of the centre in metres
@@ -95,7 +96,7 @@ struct LocalRay {
 struct Ray {
     glm::dvec3 origin{0.0};
     glm::dvec3 direction{1.0, 0.0, 0.0};
-    double measured_m = 0.0;  ///< measured range; 0 = none
+    double measured_m = 0.0;  ///< measured range; 0 without a return
     double time_s = 0.0;      ///< firing time, relative to the reference time of the sweep
 };
 LocalRay<double> to_model(const Pose& world_from_model, const Ray& ray);
@@ -173,10 +174,10 @@ PlaneHit<Real> meet(const Record<Real>& s, const LocalRay<Real>& ray) {
     return s.primitive == Primitive::gaussian ? meet_gaussian(s, ray) : meet_surfel(s, ray);
 }
 
-/// Intersects a ray with a surfel (M1 and M2, or M9). Returns nothing if there is no hit.
-/// This is the only formula of all providers. It is a hit if t is finite (the ray is not
-/// parallel to the plane), t > near, sigma * exp(-r2 / 2) >= alpha_min, the record is
-/// finite, and sigma > alpha_min.
+/// Intersects a ray with a surfel (M1 and M2, or M9). Returns std::nullopt if the ray
+/// misses the surfel. All traversals use this formula. The ray hits if t is finite (the
+/// ray is not parallel to the plane), t > near, sigma * exp(-r2 / 2) >= alpha_min, the
+/// record is finite, and sigma > alpha_min.
 template <typename Real>
 std::optional<PlaneHit<Real>> surfel_hit(const Record<Real>& s, const LocalRay<Real>& ray,
                                          const ImageModel& model) {

@@ -62,7 +62,7 @@ class HitProvider {
 public:
     virtual ~HitProvider() = default;
     /// Replaces `hits` by at most `chunk` (>= 1) hits strictly after `after`, in
-    /// ascending order. If there are fewer than `chunk`, no further hits exist.
+    /// ascending order. If it returns fewer than `chunk` hits, no further hits exist.
     virtual void next_hits(const Ray& ray, const HitKey& after, int chunk, std::vector<Hit>& hits) const = 0;
 };
 
@@ -97,7 +97,7 @@ struct ProxyMargin {
     double pad_m = 1e-4;
 };
 
-/// Finds hits with Embree: two triangles per surfel, one scene per model, one instance
+/// Computes hits with Embree: two triangles per surfel, a scene per model, an instance
 /// geometry per placement, and the canonical function in float. Surfels that are not
 /// finite or too transparent have no proxy. Half sizes are limited to 1e5 m.
 class EmbreeFilter : public HitProvider {

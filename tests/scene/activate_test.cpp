@@ -276,8 +276,9 @@ TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
     }
 }
 
-/// Compares the derivatives over a list of touched surfels with those over all surfels.
-/// More surfels are marked than have a gradient. Unmarked surfels must not be read.
+/// Compares the derivatives over a list of touched surfels with the derivatives over all
+/// surfels. More surfels are marked than have a gradient. Unmarked surfels must not be
+/// read.
 TEST_P(Activate, VjpOverAListIsThatOverAll) {
     const std::vector<reference::Surfel> surfels = some_surfels();
     const auto n = static_cast<std::uint32_t>(surfels.size());
@@ -319,8 +320,8 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
 
 class TouchedRows : public test::DeviceTest {};
 
-/// Checks that the list contains each row with a gradient exactly once and no other row,
-/// for several numbers of rows.
+/// Checks that the list contains exactly the rows with a gradient, each row once. Tests
+/// several numbers of rows.
 TEST_F(TouchedRows, AreListed) {
     const Kernel<shared::ListTouchedParams> kernel(device(), "scene/list_touched");
     std::mt19937 random(3);

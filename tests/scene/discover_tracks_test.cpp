@@ -28,8 +28,8 @@ Street street_without_labels() {
     return street;
 }
 
-/// Returns the discovered track that lies inside a true box in the middle of their common
-/// time.
+/// Returns the discovered track whose centre lies inside a true box in the middle of
+/// their common time.
 const BoxTrack* fingerprint_of(const std::vector<BoxTrack>& found, const BoxTrack& truth) {
     for (const BoxTrack& track : found) {
         const double from =
@@ -126,7 +126,7 @@ TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
     }
 }
 
-/// An object that is not visible for 0.8 s must become one track.
+/// An object that is hidden for 0.8 s must be discovered as a single track.
 TEST(DiscoverTracks, JoinsPartsAroundAGap) {
     Street street = street_without_labels();
     const BoxTrack& truth = street.truth[0];
@@ -165,7 +165,8 @@ TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     }
 }
 
-/// Uses a second LiDAR that sees little, and one that sees the same.
+/// Adds a second LiDAR to the log: in the first case with few returns on the objects, in
+/// the second case with the same returns as the first LiDAR.
 TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
     for (const bool first_frame_is_complete : {false, true}) {
         Street street = street_without_labels();
@@ -196,7 +197,7 @@ TEST(DiscoverTracks, LeavesLabelledAndRestingThingsAlone) {
     EXPECT_TRUE(discover_tracks(street.log, street.split.train).empty());
 }
 
-/// Objects that stand still while they are labelled must not be discovered as moving,
+/// Objects that are static while they have labels must not be discovered as moving,
 /// although their labels end early.
 TEST(DiscoverTracks, NothingMovesThatAStillLabelCovers) {
     Street street = street_without_labels();

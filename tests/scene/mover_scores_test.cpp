@@ -19,12 +19,12 @@
 namespace relidar {
 namespace {
 
-// minimum number of returns for an object to count as seen in a frame
+// minimum number of returns in a frame for an object to count as visible
 constexpr std::size_t kSeenReturns = 12;
 // minimum number of frames with enough returns for an object that should be discovered
 constexpr std::size_t kSeenFrames = 10;
 constexpr double kFarthest_m = 40.0;  // discover_tracks() ignores objects farther away
-// margin around a true box, in which the centre of a discovered box must lie
+// margin around a true box; the centre of a discovered box must lie within it
 constexpr double kInside_m = 0.3;
 constexpr double kLarger_m = 0.8;  // maximum excess of a discovered box over the size of the true box
 constexpr double kWalk_m = 0.03, kWalkedOff_m = 1.0;  // drift of inaccurate poses
@@ -110,8 +110,8 @@ struct Score {
     }
 };
 
-/// Adds the moving objects of one street. A second detection of the same object counts as
-/// wrong.
+/// Adds the moving objects of a street to the score. A second detection of the same
+/// object counts as wrong.
 void add_street(const SyntheticOptions& options, Score& score) {
     Sequence log = make_synthetic_street(options);
     const std::vector<BoxTrack> truth = std::exchange(log.boxes, {});
@@ -176,8 +176,9 @@ TEST(MoverScores, PrecisionAndRecallOnStreetsWithPeopleAndParkedCars) {
     EXPECT_LT(quantile(score.wobble_deg, 0.9), 0.3);
 }
 
-/// Uses a short log whose poses drift by 3 cm per frame, so that parked cars are seen
-/// from changing sides at changing positions. No parked car may be discovered as moving.
+/// Uses a short log whose poses drift by 3 cm per frame. Parked cars are therefore
+/// observed from changing sides at changing positions. No parked car may be discovered as
+/// moving.
 TEST(MoverScores, NoParkedCarMovesWhereSidesAndPosesChange) {
     for (std::uint64_t seed = 1; seed <= 4; ++seed) {
         Sequence log = make_synthetic_street({.seed = seed,

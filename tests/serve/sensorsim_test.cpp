@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests SensorsimService with the wall and the plate of small_service.hpp. The expected
-// positions of their points follow from the poses alone.
+// positions of their points follow from the poses only.
 #include <functional>
 
 #include <gmock/gmock.h>
@@ -72,8 +72,8 @@ protected:
         wire::LidarRenderReturn answer;
         return calls->render_lidar(&context, request, &answer);
     }
-    /// Returns x of each point in the world of the protocol, for a sensor that stands at
-    /// `end`.
+    /// Returns x of each point in the world of the protocol, for a sensor that has the
+    /// pose `end`.
     static std::vector<double> world_x(const wire::LidarRenderReturn& scan, const Pose& end) {
         std::vector<double> x_m;
         for (const glm::vec3& point : values<glm::vec3>(scan.xyz_buffer()))

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests joining the runs of blocks into one run: its content, its rendering against the
-// same surfels in a single model, and errors in its files.
+// Joins the runs of blocks into a single run. Tests the content of the joined run,
+// compares its rendering with the same surfels in a single model, and checks the errors
+// for invalid files.
 #include <algorithm>
 #include <set>
 
@@ -60,8 +61,8 @@ protected:
         DeviceTest::TearDown();
     }
 
-    /// Saves a block as training does. Blocks 0 and 1 contain the car; the first one saw
-    /// it near in more frames.
+    /// Saves block `k` in the same way as training. Blocks 0 and 1 contain the car. In
+    /// block 0, the car is near the sensor in more frames.
     void save_block(std::size_t k) {
         const BlockLog part = block_log(log, run.split, blocks[k], run.config);
         folders.push_back(run.folder / "blocks" / ("00" + std::to_string(k)));

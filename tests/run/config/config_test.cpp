@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests settings: every key must be preserved in TOML, wrong keys and values must cause a
-// one-line error, and presets must equal docs/method.md.
+// Tests settings. Every key must be preserved in TOML. Wrong keys and values must cause
+// an error with a single line. Presets must equal docs/method.md.
 #include <relidar/run/stage_options.hpp>
 
 #include <map>
@@ -101,8 +101,8 @@ TEST_F(ConfigFile, ValuesReadBackBitByBit) {
     EXPECT_EQ(read.train.seed, config.train.seed);
 }
 
-/// A saved file with missing or additional settings comes from another version and must
-/// be rejected.
+/// A saved file with missing or additional settings was written by a different version
+/// and must be rejected.
 TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
     const std::string whole = to_toml(make_preset("quick"));
     const auto error = [&](const std::string& text) {

@@ -86,8 +86,8 @@ TEST(Edit, RemovedActorsLeaveWithTheirSurfelsAndBoxes) {
 }
 
 /// The van has labels from 0 to 0.9 s. If it is delayed by 0.4 s, it is absent from
-/// frames 0 to 3 (a track extends half a step before its first pose). With another path
-/// from 0.2 to 0.5 s, it is absent from frames 0, 1, 6, 7, 8 and 9.
+/// frames 0 to 3, because a track extends half a step before its first pose. With a
+/// different path from 0.2 to 0.5 s, it is absent from frames 0, 1, 6, 7, 8 and 9.
 TEST(Edit, SaysHowManyFramesLoseAnActor) {
     const DrivingScene before = example();
     const BoxTrack van = box(before, "van");

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests placing actors on the ground: on a known slope, below a roof, next to a wall, and
-// on the synthetic street with its known ground height.
+// Tests placing actors on the ground: on an exact slope, below a roof, next to a wall,
+// and on the synthetic street, whose ground height has a closed form.
 #include <cmath>
 
 #include <gmock/gmock.h>

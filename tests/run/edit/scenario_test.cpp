@@ -103,8 +103,8 @@ TEST_F(Scenario, EntitiesFollowTheirPolylinesAtTheirTimes) {
 }
 
 /// The reference point of an entity is below the middle of the rear axle. The box of the
-/// actor must stand where the box of the entity stands, although the actor is half a
-/// metre lower.
+/// actor must have the same position as the box of the entity, although the actor is half
+/// a metre lower.
 TEST_F(Scenario, ActorsStandWhereTheBoxOfTheEntityDoes) {
     const ScenarioEntity van = read(kScenario)[0];
     const PoseTrack track = box_track(van, 100.0, {4.0, 1.8, 1.5});

@@ -351,8 +351,8 @@ TEST_F(RunFolder, TruncatedSceneIsRefused) {
 
 TEST_F(RunFolder, EveryFieldIsNeeded) {
     const Json whole = Json::parse(scene);
-    // for people only; members of a sensor have usual values; edits: a run as trained has
-    // none
+    // Keys that the reader may ignore. Some keys are only for human readers. Members of a
+    // sensor have default values. A run without edits has no key for edits.
     const std::vector<std::string> told = {"/relidar", "/units", "/conventions", "/lidars/0/sensor/spinning/",
                                            "/edits"};
     int n_tried = 0;

@@ -19,7 +19,7 @@ Pose turned(double yaw_rad, glm::dvec3 translation) {
     return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), translation};
 }
 
-/// Returns a frame whose returns are the given points, all with one time offset.
+/// Returns a frame from a list of returns. All returns have the same time offset.
 Frame frame_of(int index, double time_s, const std::vector<glm::vec3>& points, float offset_s) {
     Frame frame{index, time_s, {}};
     for (const glm::vec3& p : points) {
@@ -36,7 +36,7 @@ Frame frame_of(int index, double time_s, const std::vector<glm::vec3>& points, f
 }
 
 /// Returns five sweeps at intervals of 0.1 s from a sensor that drives and turns. Each
-/// sweep sees one point. The tests evaluate sweep 2.
+/// sweep has a single return. The tests evaluate sweep 2.
 Sequence drive(bool rolling_shutter) {
     Sequence s;
     s.rolling_shutter = rolling_shutter;

@@ -39,8 +39,8 @@ Report some_report() {
     return report;
 }
 
-/// Returns the report with three points: one at (1.5, -2, 0.25) m, one beyond the
-/// displayed range, and one that is NaN.
+/// Returns the report with three points: a point at (1.5, -2, 0.25) m, a point beyond the
+/// displayed range, and a NaN point.
 Report report_with_view() {
     Report report = some_report();
     const float nan = std::nanf("");
