@@ -64,7 +64,7 @@ protected:
     std::filesystem::path folder;         ///< folder of the runs
     std::vector<std::string> assets;      ///< folders of the assets
     std::optional<std::string> channels;  ///< channels of all scans
-    Weather weather;                      ///< weather of scans whose request specifies none
+    Weather weather;                      ///< weather of scans whose request has no weather
     /// order of poses in SensorsimService, if that service is offered too
     std::optional<PoseOrder> sensorsim;
     std::optional<ScanServer> server;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests actors that clients insert into scenes: scans against those of the library's
-// edits, the list of actors, rejected requests, and removal.
+// Tests actors that clients insert into scenes. Compares scans with the edits of the
+// library. Also tests the list of actors, rejected requests, and removal.
 #include <cmath>
 
 #include <fmt/format.h>
@@ -23,8 +23,8 @@ using testing::ElementsAre;
 using testing::HasSubstr;
 using Code = grpc::StatusCode;
 
-/// Returns an asset: a plate perpendicular to its x axis, wider and with another
-/// brightness than the small run's car.
+/// Returns an asset: a plate perpendicular to its x axis. It is wider than the car of the
+/// small run and has a different brightness.
 Asset plate_asset(const std::string& name, std::size_t n_surfels = 1,
                   Primitive primitive = Primitive::surfel) {
     relidar::Run run = small_run("");

@@ -16,7 +16,7 @@ constexpr std::size_t kCommentColumns = 90;
 
 const std::set<std::string> kCompositionRoots = {"src/train/train.cpp", "tools/relidar/main.cpp"};
 
-/// Returns the maximum number of lines of a file, or 0 if there is no limit.
+/// Returns the maximum number of lines of a file, or 0 if the file has no limit.
 int line_limit(const std::string& path) {
     if (kCompositionRoots.contains(path)) return 180;
     if (path.starts_with("include/relidar/")) return 420;

@@ -21,10 +21,9 @@ using Names = std::set<std::string>;
 
 /// Names that are placeholders, or that are created elsewhere.
 const Names kPlaceholders = {
-    "relidar/room/name.hpp",
-    "src/room",
-    "RELIDAR_UPPER",  // any header, any room, any macro
-    "kernel_params.hpp",
+    "relidar/room/name.hpp", "src/room",
+    // placeholder for any macro; the two names above stand for any header and any module
+    "RELIDAR_UPPER", "kernel_params.hpp",
     "relidarTargets.cmake",  // created by the build
     "scores.md",             // written by `relidar eval --table`
 };
@@ -41,7 +40,7 @@ const Names kFileEndings = {"json", "toml", "csv", "npz", "safetensors", "jsonl"
 struct Code {
     std::string text;
     std::size_t line = 0;    ///< counted from 1
-    bool is_command = true;  ///< false in blocks whose language is not the shell
+    bool is_command = true;  ///< false in blocks whose language is not a shell language
 };
 
 /// Code, prose and anchors of a document.
@@ -63,8 +62,8 @@ std::string anchor_of(const std::string& heading) {
     return anchor;
 }
 
-/// Reads the block whose opening fence is line `i`. Returns the line of its closing
-/// fence.
+/// Reads the fenced block whose opening fence is line `i`. Returns the line of its
+/// closing fence.
 std::size_t read_block(const std::vector<std::string>& lines, std::size_t i, Document& document) {
     const std::string language = lines[i].substr(3);
     const bool shell = language.empty() || language == "sh" || language == "bash";
@@ -124,7 +123,7 @@ Document read_document(const SourceFile& file) {
     return document;
 }
 
-/// Commands and options of one program.
+/// Commands and options of a program.
 struct Program {
     Names commands, options;
 };
@@ -136,8 +135,8 @@ struct Known {
     std::map<std::string, Program> programs;  ///< by name
 };
 
-/// Returns the first groups of all matches in the sources of a folder. If there are two
-/// groups, joins them with a dot.
+/// Searches the sources of a folder for a pattern and returns the first group of each
+/// match. If the pattern has two groups, joins the groups with a dot.
 Names matches_in(const SourceTree& tree, const std::string& prefix, const std::regex& pattern) {
     Names found;
     for (auto it = tree.lower_bound(prefix); it != tree.end() && it->first.starts_with(prefix); ++it) {
@@ -275,8 +274,8 @@ void check_settings(const Known& known, const Code& code, const std::function<vo
     }
 }
 
-/// Returns the words of one command, without variable assignments before it and without a
-/// comment.
+/// Returns the words of a command, without variable assignments before the command and
+/// without a comment.
 std::vector<std::string> words_of(const std::string& command) {
     std::vector<std::string> words;
     std::istringstream in(command);
@@ -288,7 +287,7 @@ std::vector<std::string> words_of(const std::string& command) {
     return words;
 }
 
-/// Returns the `--name` part of a word, or nothing.
+/// Returns the `--name` part of a word, or an empty string.
 std::string option_of(const std::string& word) {
     std::smatch match;
     return std::regex_search(word, match, std::regex("^--[a-z][a-z0-9-]*")) ? match.str() : "";
@@ -318,7 +317,8 @@ std::string script_of(const std::string& word) {
     return "";
 }
 
-/// Checks one command of relidar or of a relidar script. Other programs are ignored.
+/// Checks a command of relidar or of a relidar script. Ignores commands of other
+/// programs.
 void check_command(const Known& known, const std::vector<std::string>& words,
                    const std::function<void(std::string)>& wrong) {
     if (words.empty()) return;

@@ -11,13 +11,13 @@ namespace {
 
 using Names = std::set<std::string>;
 
-/// Rooms of src/, include/relidar/ and shaders/. A room includes only itself and the
-/// rooms before it.
+/// Modules ("rooms") of src/, include/relidar/ and shaders/. A module includes only its
+/// files and the modules before it in the list.
 const std::vector<std::string> kRooms = {"base", "gpu",      "log",   "scene", "diff",
                                          "run",  "simulate", "score", "train"};
 
-/// Folders whose private headers other rooms include directly. All other headers must be
-/// public.
+/// Folders whose private headers may be included by all modules. All other headers that
+/// modules share must be public.
 const std::vector<std::string> kOpenFolders = {"src/base/", "src/gpu/", "src/diff/traversal/"};
 
 /// Headers of other libraries and the folders that may include them. Headers that are not
@@ -46,7 +46,7 @@ const std::vector<std::pair<std::string, std::vector<std::string>>> kLibraries =
 const std::string kPublic = "include/relidar/", kUmbrella = kPublic + "relidar.hpp",
                   kReaders = "src/log/readers/";
 
-/// Public headers for users who write their own trainer. <relidar/relidar.hpp> does not
+/// Public headers for users who write a custom trainer. <relidar/relidar.hpp> does not
 /// include them.
 const Names kTrainerHeaders = {"gpu/stream.hpp", "log/sensor_pattern.hpp", "scene/device_scene.hpp",
                                "run/stage_options.hpp", "run/checkpoint.hpp"};
@@ -58,8 +58,8 @@ bool is_library(const std::string& path) {
     return path.starts_with("src/") || path.starts_with("shaders/") || path.starts_with(kPublic);
 }
 
-/// Returns the index of a file's room in kRooms, or the number of rooms if the file is in
-/// none.
+/// Returns the index of a file's module in kRooms, or the number of modules if the file
+/// belongs to no module.
 std::size_t room_of(const std::string& path) {
     const std::string name = folder(path, path.starts_with(kPublic) ? 2 : 1);
     return std::size_t(std::ranges::find(kRooms, name) - kRooms.begin());
@@ -129,7 +129,8 @@ std::string judge(const std::string& from, const std::string& to) {
         const bool is_test = stem(from).ends_with("_test");
         if (to_part == "tests/reference" || (is_test && (to_part == "tests/support" || is_benchmark_street)))
             return "";
-        const bool is_table = to == "include/relidar/diff/blended_values.h";  // names of values alone
+        // header that only contains the names of values
+        const bool is_table = to == "include/relidar/diff/blended_values.h";
         return is_public && (is_table || !to.ends_with(".h"))
                    ? ""
                    : "the reference includes nothing of src/, shaders/ or other tests";

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Declares the rules of the source tree, one function per rule. Each returns its
-// violations, one line each, as "file:line: what".
+// Declares the rules of the source tree, a function per rule. Each function returns the
+// violations of its rule, each as a line "file:line: message".
 #pragma once
 
 #include <string>
@@ -12,9 +12,9 @@ namespace relidar::structure {
 
 using Violations = std::vector<std::string>;
 
-/// Checks that a file includes only its room and the rooms before it, other rooms only
-/// through public headers, and that a reader includes no other reader. The list of rooms
-/// is in include_rules.cpp.
+/// Checks the includes of each file. A file may include only files of its module ("room")
+/// and of the modules before it in the list in include_rules.cpp. It must include other
+/// modules through public headers. A reader must not include a different reader.
 Violations check_include_edges(const SourceTree& tree);
 /// Checks that headers of other libraries are included only in folders that may use the
 /// library.
@@ -31,7 +31,8 @@ Violations check_umbrella(const SourceTree& tree);
 Violations check_kernels(const SourceTree& tree);
 
 /// Checks that no struct shared by C++ and shaders has two pointers of the same
-/// unspecific type (Floats, Uints, ...). RELIDAR_OF declares what each pointer holds.
+/// unspecific type (Floats, Uints, ...). RELIDAR_OF declares the contents of each
+/// pointer.
 Violations check_bare_pointers(const SourceTree& tree);
 
 /// Checks that no source of the library or its tools tests the type of a primitive.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that each rule of rules.hpp finds its violations, with small trees that contain
-// one violation each.
+// Tests that each rule of rules.hpp detects its violations. Uses small source trees with
+// a single violation each.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 

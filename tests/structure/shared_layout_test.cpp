@@ -55,7 +55,7 @@ TEST(Kernels, HaveNo64BitIntegers) {
 /// Uses of addresses in a module.
 struct Addresses {
     int n_compared = 0;   ///< comparisons with a constant
-    int n_in_arrays = 0;  ///< array types whose elements contain addresses
+    int n_in_arrays = 0;  ///< number of array types whose elements contain addresses
 };
 
 class AddressReader {
@@ -123,8 +123,8 @@ TEST(Kernels, GetNoAddressZero) {
     }
 }
 
-/// Compares the offsets of addresses with those of the host's struct, for the parameters
-/// of one kernel by hand.
+/// Compares the offsets of addresses with the offsets in the host's struct, written by
+/// hand for the parameters of a kernel.
 TEST(Kernels, AddressesOfParametersAreFound) {
     const auto addresses = [](std::string_view name) {
         for (const EmbeddedKernel& kernel : embedded_kernels())

@@ -32,7 +32,7 @@ std::string read_text(const fs::path& path) {
 }
 
 /// Returns the position after a raw string literal whose R is at `begin`, or `begin` if
-/// no raw string starts there.
+/// no raw string starts at this position.
 std::size_t end_of_raw_string(const std::string& text, std::size_t begin) {
     if (text.compare(begin, 2, "R\"") != 0) return begin;
     if (begin > 0 && (std::isalnum(static_cast<unsigned char>(text[begin - 1])) || text[begin - 1] == '_'))
@@ -57,8 +57,8 @@ bool is_digit_separator(const std::string& text, std::size_t i) {
            i + 1 < text.size() && std::isxdigit(static_cast<unsigned char>(text[i + 1]));
 }
 
-/// Returns the position after the comment or literal that starts at i, or i if none
-/// starts there.
+/// Returns the position after the comment or literal that starts at i, or i if no comment
+/// or literal starts at i.
 std::size_t end_of_blank(const std::string& text, std::size_t i) {
     if (text.compare(i, 2, "//") == 0) return std::min(text.find('\n', i), text.size());
     if (text.compare(i, 2, "/*") == 0) {

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds arrays through which the threads of one launch exchange values. On some GPUs,
-// each compute unit has a separate cache. There, a value that one subgroup stores is
-// visible to another only if both accesses are coherent, even with barriers. The
-// functions read a compiled kernel and return the parameter members that it loads and
-// stores, with a barrier in the kernel but without coherent accesses.
+// Reports arrays through which the threads of a launch exchange values. On some GPUs,
+// each compute unit has a separate cache. On such a GPU, a value that a subgroup stores
+// is visible to a different subgroup only if both accesses are coherent, even with
+// barriers. The functions read a compiled kernel and return the parameter members that it
+// loads and stores, with a barrier in the kernel but without coherent accesses.
 #pragma once
 
 #include <cstdint>
@@ -22,7 +22,7 @@ namespace spirv_detail {
 /// Origin of an instruction's result: the parameter member, and whether the access is
 /// coherent.
 struct Origin {
-    std::string member;     ///< "keys", "wide.order"; empty if there is none
+    std::string member;     ///< name of the member, such as "keys" or "wide.order"; empty without a member
     bool in_array = false;  ///< true for the array itself, false for the pointer to it
     bool coherent = false;
     /// true for the pointer to the parameter block, or its place in the push constants
@@ -145,7 +145,7 @@ private:
                 origins_[o[1]].in_array = false;
                 origins_[o[1]].coherent = points_to_coherent(o[0]);
                 break;
-            case Bitcast:  // conversion of a pointer to another type, through uvec2
+            case Bitcast:  // converts a pointer to a different type, through uvec2
                 origins_[o[1]] = origins_[o[2]];
                 origins_[o[1]].coherent = points_to_coherent(o[0]);
                 break;

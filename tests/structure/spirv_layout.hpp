@@ -58,7 +58,7 @@ inline std::string read_string(std::span<const std::uint32_t> words) {
     throw std::runtime_error("reading SPIR-V: a name has no end");
 }
 
-/// Declaration of one struct type in a module.
+/// Declaration of a struct type in a module.
 struct Struct {
     std::string name;
     std::size_t n_members = 0;
@@ -92,10 +92,10 @@ inline void read_instruction(std::uint32_t opcode, std::span<const std::uint32_t
 
 /// Returns the layouts of the structs with offsets in a module, by their names in the
 /// source. glslang emits a second, undecorated copy of a struct that is used as a local
-/// variable; these copies are omitted.
+/// variable. These copies are omitted.
 /// @param words [n] the module, host byte order
 /// @throws std::runtime_error if the module is not SPIR-V, is truncated, or contains two
-/// layouts of one struct
+/// layouts of the same struct
 inline std::map<std::string, StructLayout> read_spirv_layouts(std::span<const std::uint32_t> words) {
     using namespace spirv_detail;
     std::map<std::uint32_t, Struct> structs;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Opens the device of the test process once.
+// Opens the device of the test process when it is used for the first time.
 #include "device.hpp"
 
 #include <cstdlib>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes ray-drop networks with known weights that need no training.
+// Makes ray-drop networks with fixed weights that need no training.
 #pragma once
 
 #include <algorithm>

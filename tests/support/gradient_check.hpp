@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares gradients with central differences, row by row. A row is one parameter of one
+// Compares gradients with central differences, row by row. A row is a parameter of a
 // surfel (mean [3], rotation [4], ...). The error of a row is |difference - analytic|
 // divided by the row's norm. The table reports the worst row of each group and the number
-// of nonzero rows. Both links of the gradient chain in docs/architecture.md section 9 use
+// of nonzero rows. Both parts of the gradient chain in docs/architecture.md section 9 use
 // it.
 #pragma once
 
@@ -18,7 +18,7 @@
 
 namespace relidar::test {
 
-/// Expected and actual gradients of one parameter group.
+/// Expected and actual gradients of a parameter group.
 struct GradientGroup {
     std::vector<std::vector<double>> expected;  ///< [rows][components]
     std::vector<std::vector<double>> actual;
@@ -38,8 +38,8 @@ struct GradientGroup {
         return std::size_t(
             std::count_if(expected.begin(), expected.end(), [](const auto& row) { return norm(row) > 0.0; }));
     }
-    /// Counts the rows whose expected gradient is above the small-row bound, but whose
-    /// actual gradient is zero.
+    /// Counts the rows whose expected gradient exceeds the bound for small rows, but
+    /// whose actual gradient is zero.
     std::size_t missing_rows() const {
         const double bound = kSmallRow * largest_row();
         std::size_t missing = 0;

@@ -21,8 +21,8 @@ struct Box {
 
 using Indices = std::vector<std::uint32_t>;
 
-/// Builds one tree. Appends nodes, and primitives in the order of the leaves. The
-/// children of a node are contiguous.
+/// Builds a single tree. Appends its nodes, and its primitives in the order of the
+/// leaves. The children of a node are contiguous.
 class Builder {
 public:
     Builder(const std::vector<Box>& boxes, std::vector<shared::BvhNode>& nodes, Indices& order)
@@ -104,7 +104,7 @@ private:
             if (part.size() > RELIDAR_BVH_LEAF_SIZE) fill(child++, part);
     }
 
-    /// Quantises the boxes of the children along one axis, rounded outward in exact
+    /// Quantises the boxes of the children along an axis, rounded outward in exact
     /// arithmetic.
     void set_axis(shared::BvhNode& node, int axis, const std::vector<Indices>& parts,
                   const Box& whole) const {

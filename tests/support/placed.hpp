@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts the worlds of the reference renderer to scenes of the library, with one model
+// Converts the worlds of the reference renderer to scenes of the library, with a model
 // per surfel range.
 #pragma once
 
@@ -22,8 +22,8 @@ SceneAndPoses to_scene(const Surfels& surfels, const std::vector<reference::Plac
 
 WorldRays to_world_rays(const std::vector<reference::Ray>& rays);
 
-/// Returns the measured targets of rays. Rays without a range become unknown targets,
-/// targets with another range, and dropped targets, in turn.
+/// Converts rays to measured targets. Rays without a range become, in turn, unknown
+/// targets, targets with a different range, and dropped targets.
 std::vector<shared::DeviceTarget> to_targets(const std::vector<reference::Ray>& rays);
 
 }  // namespace relidar::test

@@ -24,7 +24,7 @@ glm::dvec3 unit_vector(Random& random) {
     return glm::normalize(glm::dvec3(normal(random), normal(random), normal(random)));
 }
 
-/// Returns a random quaternion (w, x, y, z) whose third axis lies within `cone_rad` of -x
+/// Returns a random quaternion (w, x, y, z). Its third axis lies within `cone_rad` of -x
 /// or +x. The in-plane angle and the length are random.
 glm::dvec4 facing_rotation(Random& random, double cone_rad) {
     const double angle = uniform(random, 0.0, 2.0 * kPi), tilt = uniform(random, 0.0, cone_rad),
@@ -91,8 +91,8 @@ bool hits_are_smooth(const reference::World& world, const reference::Settings& s
     return true;
 }
 
-/// Returns random surfels, placements and a view origin, rounded to float where the
-/// library stores floats.
+/// Returns random surfels, placements and a view origin. Values are rounded to float if
+/// the library stores them as float.
 RandomScene random_surfels(Random& random, const RandomSceneOptions& options) {
     RandomScene scene;
     std::vector<reference::Surfel> surfels;
@@ -123,8 +123,8 @@ RandomScene random_surfels(Random& random, const RandomSceneOptions& options) {
     return scene;
 }
 
-/// Adds random rays that keep the margins, until there are enough rays or the number of
-/// attempts is exhausted.
+/// Adds random rays that satisfy the margins of the options, until enough rays exist or
+/// the number of attempts is exhausted.
 void add_rays(Random& random, const RandomSceneOptions& options, const reference::Settings& settings,
               const Margins& margins, RandomScene& scene) {
     for (int attempt = 0; attempt < 200 * options.rays && int(scene.rays.size()) < options.rays; ++attempt) {
@@ -167,8 +167,8 @@ bool keeps_margins(const reference::World& world, const reference::Settings& set
 RandomScene make_random_scene(const RandomSceneOptions& options, const reference::Settings& settings,
                               const Margins& margins) {
     Random random(options.seed);
-    // several attempts, because one surfel (say, with an intensity near 0) can reject
-    // every ray
+    // makes several attempts, because a single surfel (say, with an intensity near 0) can
+    // reject every ray
     for (int attempt = 0; attempt < 50; ++attempt) {
         RandomScene scene = random_surfels(random, options);
         reference::Settings viewed = settings;

@@ -51,8 +51,8 @@ struct RandomScene {
 
 /// Makes a random scene, rounded to float, so that a kernel can receive exactly the same
 /// scene. A quarter of the surfels have a scale ratio of 4. Measured ranges differ from
-/// the rendered ones by about 0.3 m; every seventh ray has none.
-/// @throws std::runtime_error if too few rays keep the margins
+/// the rendered ranges by about 0.3 m. Every seventh ray has no measured range.
+/// @throws std::runtime_error if too few rays satisfy the margins of the options
 RandomScene make_random_scene(const RandomSceneOptions& options, const reference::Settings& settings,
                               const Margins& margins = {});
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Converts between the arrays of the library (float, structure of arrays) and the surfels
-// and records of the reference (double, one struct each). A test can thus pass the same
-// numbers to a kernel and to the reference.
+// and records of the reference (double, array of structures). A test can thus pass the
+// same numbers to a kernel and to the reference.
 #pragma once
 
 #include <vector>

@@ -155,7 +155,8 @@ TEST_F(Batch, EveryNthRayOfAListIsNoImageAndTheWholeFrameIs) {
     }
 }
 
-/// The measured ranges must be stored with the rays, where the forward pass reads them.
+/// The measured ranges must be stored with the rays, because the forward pass reads them
+/// from the rays.
 TEST_F(Batch, RaysBringTheirTargets) {
     const std::vector<FrameData> image = numbered_frame(device(), 4, 50, true),
                                  cloud = numbered_frame(device(), 1, 50, false);

@@ -16,8 +16,8 @@ class DensifyTrain : public test::DeviceTest {};
 
 Sequence growing_street() { return make_synthetic_street({.n_frames = 11, .rows = 16, .columns = 256}); }
 
-/// Returns settings with one surfel where the `small` configuration of other tests has
-/// about eight, using every second ray.
+/// Returns settings with about an eighth of the surfels of the `small` configuration in
+/// other tests, using every second ray.
 Config sparse_config() {
     Config config = make_preset("quick");
     config.init.voxel_m = 1.2;
@@ -114,7 +114,7 @@ TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {
     std::uint64_t needed = 0;
     {
         Device unlimited;
-        // one step
+        // trains for a single step
         train(unlimited, sequence, split, config, [](const TrainProgress& p) { return p.iteration < 1; });
         needed = unlimited.peak_bytes();
     }

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the learned scatter of intensities on a street whose sensor measures noisy values
-// in steps of 1/64. Scatter learned from training frames must match the scatter of those
-// frames. Held-out frames differ more, because the untrained scene consists of the
-// training frames' noisy points.
+// in steps of 1/64. Scatter that was learned from training frames must match the scatter
+// of these frames. Held-out frames differ more, because the untrained scene consists of
+// the noisy points of the training frames.
 #include <cmath>
 
 #include <gtest/gtest.h>

@@ -163,7 +163,7 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
     }
 }
 
-/// Minimises a quadratic function around known corrections, evaluated by interpolation at
+/// Minimises a quadratic function around exact corrections, evaluated by interpolation at
 /// two times per frame.
 TEST(TrackCorrectionOf, AQuadraticBowl) {
     PoseTrack track;
@@ -207,7 +207,7 @@ Config refining(const std::string& what, int iterations) {
     return config;
 }
 
-/// Returns the pose errors before and after one training.
+/// Trains once and returns the pose errors before and after the training.
 std::pair<PoseError, PoseError> errors_of_training(Device& device, const Config& config, const char* what) {
     Sequence street = street_of(11, 32, 256);
     const PoseTrack exact = street.world_from_vehicle;

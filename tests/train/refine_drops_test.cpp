@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the ray-drop network, the last stage of training, on a street whose sensor is
-// weak downwards. Surfels cannot represent this effect while the vehicle drives past. The
-// network must predict it on held-out frames.
+// Tests the ray-drop network, the last stage of training. The street is recorded by a
+// sensor that is weak downwards. Surfels cannot represent this effect while the vehicle
+// drives past. The network must predict the effect on held-out frames.
 #include <cmath>
 #include <filesystem>
 #include <string>
@@ -53,7 +53,8 @@ Run trained(Device& device, Sequence street) {
     run.config.train.iterations = 80;
     run.config.train.rays_per_iteration = 8192;
     run.config.train.refine_poses = "none";
-    // Discs that face the sensor would reduce what the network learns in so few steps.
+    // Avoids discs that face the sensor, because they would reduce the effect that the
+    // network can learn in so few steps.
     run.config.init.flatness = 1.0;
     // Without the sensor-drop table and higher harmonics, only the network can learn the
     // effect.
@@ -124,8 +125,8 @@ TEST_F(RefineDrops, NetworkKnowsWhatTheSensorDoesOnHeldOutFrames) {
     EXPECT_EQ(accuracies(device(), run).first, weak_before) << "not asked for";
 }
 
-/// Returns the share of a sensor's rays whose predicted drop equals that of the exact
-/// street.
+/// Returns the share of a sensor's rays for which the predicted drop equals the drop in
+/// the exact street.
 double exact_accuracy(ScanRenderer& renderer, const SyntheticOptions& options, const Run& run,
                       const SensorChoice& sensor) {
     double n = 0.0, right = 0.0;
@@ -195,8 +196,9 @@ Checkpoint newest(const std::filesystem::path& folder) {
     return std::move(*found);
 }
 
-/// Compares a training that was interrupted twice with an uninterrupted one of four
-/// epochs, bit by bit. A network that was saved and read again must continue too.
+/// Compares a training that was interrupted twice with an uninterrupted training of four
+/// epochs, bit by bit. Training must also continue with a network that was saved and read
+/// again.
 TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
     relidar::Run run = weak_run(device());
     run.config.refine.epochs = 4;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that a training that was stopped and resumed equals an uninterrupted one: same
-// frames in the same order, same log, same scene. If something fails, the last good
+// Tests that a training that was stopped and resumed equals an uninterrupted training:
+// same frames in the same order, same log, same scene. If an error occurs, the last valid
 // checkpoint must remain.
 #include <algorithm>
 #include <cmath>
@@ -266,7 +266,8 @@ TEST_F(Resume, RestoresEveryArrayBitByBit) {
     }
 }
 
-/// Refinement of actor poses alone must also resume, from a checkpoint on disk.
+/// Training that refines only the poses of actors must also resume, from a checkpoint on
+/// disk.
 TEST_F(Resume, ActorsAloneAreRefinedAsIfNeverStopped) {
     Config config = resumed_config();
     config.train.deterministic = true;

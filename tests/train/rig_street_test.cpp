@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the training of one scene from the four LiDARs of a rig. Compares held-out sweeps
+// Tests the training of a scene from the four LiDARs of a rig. Compares held-out sweeps
 // of each LiDAR with the exact street along the same rays.
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/simulate/render.hpp>
@@ -136,7 +136,7 @@ TEST_F(RigStreet, ADenserSensorSeesNoHolesBetweenTheRingsOfTheLog) {
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";
     const SyntheticOptions options{.n_frames = 11, .rig = rig.string()};
     Sequence log = make_synthetic_street(options);
-    // holds out the middle frame and the last one
+    // holds out the middle frame and the last frame
     const Split split = split_frames(log, int(log.frames.size()) / 2);
     prepare_log(log, split, rig_config(0), {});
     const double with = missed_ground(device(), log, split, options, 2.0),

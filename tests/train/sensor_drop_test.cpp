@@ -85,7 +85,7 @@ TEST(SensorDrop, OnlyABlindSectorIsBlindInOneSweep) {
     struct Log {
         int n_frames, step;
     };
-    // the last case is a coarse LiDAR next to a fine one
+    // the last case combines a coarse LiDAR with a fine LiDAR
     for (const auto& [n_frames, step] : {Log{1, 1}, Log{2, 1}, Log{40, 1}, Log{3, 4}}) {
         const Sequence log = log_of(n_frames, step);
         std::vector<int> positions(std::size_t(n_frames), 0);
@@ -106,8 +106,8 @@ TEST(SensorDrop, OnlyABlindSectorIsBlindInOneSweep) {
     }
 }
 
-/// Returns a log of two LiDARs. The first one does not fire in a sector, and gets no
-/// return in another sector. The highest of its beams never returns.
+/// Returns a log of two LiDARs. The first LiDAR does not fire in a sector, and gets no
+/// return in a different sector. Its highest beam never returns.
 Sequence log_with_sectors() {
     Sequence log = log_of(0);
     log.lidars.push_back(log.lidars[0]);

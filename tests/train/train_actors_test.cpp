@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the training of actors in front of a background with which they were not trained.
-// The actors must become opaque, and nothing else may change.
+// Tests the training of actors in front of a background that was trained separately. The
+// actors must become opaque, and all other parts of the scene must not change.
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
@@ -22,8 +22,8 @@ namespace {
 
 class TrainActors : public test::DeviceTest {
 protected:
-    /// Makes a street in two blocks, one with x < 0 and one with x >= 0. Its cars are
-    /// thin, so that rays pass through.
+    /// Makes a street in two blocks, with x < 0 and with x >= 0. Its cars are thin, so
+    /// that rays pass through.
     void SetUp() override {
         DeviceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
@@ -40,7 +40,7 @@ protected:
         run.config = make_preset("quick");
         run.config.init.voxel_m = 0.3;
         run.config.init.actor_min_points = 10;
-        // large enough that there are no holes between the points of a car
+        // large enough to close the holes between the points of a car
         run.config.init.scale_factor = 0.8;
         run.config.train.deterministic = true;
         run.config.blocks.actor_epochs = 4;

@@ -94,7 +94,7 @@ TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
             for (int axis = 0; axis < 3; ++axis)
                 farthest_m = std::max(farthest_m, std::abs(double(after.surfels.mean[i][axis]) -
                                                            double(before.surfels.mean[i][axis])));
-        // rate of the last step, which is the only one
+        // learning rate of the only step, which is also the last step
         const double rate_m = config.train.mean_rate_final * extent_m;
         EXPECT_NEAR(farthest_m, rate_m, 0.02 * rate_m + 4e-6) << model.name;
     }
@@ -298,8 +298,8 @@ TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
     EXPECT_EQ(masked_share(n_labels + 1, false), 0.0) << "nobody knows where it is";
 }
 
-/// Returns true for rays to the left and below, which a vehicle body hides. The ground
-/// there is visible from other positions.
+/// Returns true for rays to the left and below. A vehicle body hides the ground in this
+/// direction, but the ground is visible from later or earlier positions.
 bool is_hidden(const RayTable& rays, std::size_t i) {
     const glm::vec3& d = rays.direction[i];
     return d.z < -0.1f && std::abs(std::atan2(d.y, d.x) - 1.5f) < 0.3f;

@@ -86,7 +86,7 @@ protected:
     }
 };
 
-/// Compares frames with the same arrays made on the host. Uses a random order with
+/// Compares frames with the same arrays computed on the host. Uses a random order with
 /// repetitions, and correct, wrong and missing predictions of the next frame.
 TEST_F(FramesInTurn, AreThoseOfTheLog) {
     Sequence log = street(5);
@@ -202,7 +202,7 @@ TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
 }
 
 /// Uses the cells of a grid instead of the fired rays. Settings that need fired rays must
-/// be rejected with a one-line error.
+/// be rejected with an error of a single line.
 TEST_F(FramesInTurn, AreCellsOfAGrid) {
     const Sequence log = street(2);
     TrainingFrames frames(device(), log, positions(log), {.unknown = {}, .grid = kitti360_grid()});

@@ -22,7 +22,7 @@ public:
     /// @return false if the server has closed the connection
     bool send(std::string_view bytes);
     /// Receives bytes until the server closes the connection, `n_bytes` were received, or
-    /// nothing arrives for `patience`.
+    /// no byte arrives within `patience`.
     std::string receive(std::size_t n_bytes = SIZE_MAX,
                         std::chrono::milliseconds patience = std::chrono::seconds(3));
     /// Closes the connection immediately, so that no port stays in use.
@@ -32,10 +32,10 @@ private:
     int socket_ = -1;
 };
 
-/// Sends one request on a new connection and returns the answer.
+/// Sends a request on a new connection and returns the response.
 std::string ask(int port, std::string_view request);
-/// Returns the status code of an answer such as "HTTP/1.1 404 Not Found"; 0 if there is
-/// none.
+/// Returns the status code of a response such as "HTTP/1.1 404 Not Found"; 0 without a
+/// status line.
 int status_of(std::string_view answer);
 
 /// Encodes a WebSocket frame as a client sends it.

@@ -11,7 +11,7 @@ namespace relidar {
 
 inline const glm::dvec3 kCarSize_m(4.0, 2.0, 1.6);
 
-/// Returns random surfels whose means lie in a box, with random rotation, size and
+/// Returns random surfels with means inside a box, and with random rotation, size and
 /// direction-dependent brightness.
 inline Surfels random_surfels(std::size_t n, const glm::vec3& low_m, const glm::vec3& high_m, unsigned seed) {
     std::mt19937 random(seed);

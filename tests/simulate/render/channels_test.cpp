@@ -29,8 +29,8 @@ const std::vector<glm::vec3>& ways_of(const RenderedScan& scan) {
     return *find_values<glm::vec3>(scan.channels, kWay);
 }
 
-/// Returns rays whose values encode the channel and the ray: 14 ray + channel. All rays
-/// return, from almost the same origin.
+/// Returns a scan whose values encode the channel and the ray: 14 ray + channel. All rays
+/// have a return and almost the same origin.
 RenderedScan marked_scan(int n, int first = 0) {
     RenderedScan scan;
     scan.image.rows = 1, scan.image.columns = n;
@@ -115,7 +115,7 @@ TEST(Channels, ACellHasThemOfItsRay) {
     }
 }
 
-/// Five sub-rays hit one surface at 10 m with equal intensities.
+/// Five sub-rays hit the same surface at 10 m with equal intensities.
 TEST(Channels, ABeamHasThemOfTheSubRayNearestToItsMiddle) {
     RenderedScan parts = marked_scan(5);
     parts.median_range_m.assign(5, 10.0f), parts.image.intensity.assign(5, 0.5f);

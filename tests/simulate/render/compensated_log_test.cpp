@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests scans of a run whose log is motion-compensated. A sensor drives towards a wall.
 // The position of the wall in each output follows from the path and the time of each
-// point. Covers the log's sensor and another sensor.
+// point. Covers the sensor of the log and a different sensor.
 #include <cmath>
 #include <cstring>
 #include <sstream>
@@ -28,8 +28,8 @@ constexpr double kWall_m = 10.0, kSpeed_mps = 30.0, kFirst_s = 5.0, kPeriod_s = 
 constexpr double kTolerance_m = 2e-3;  // errors of a surfel's plane and of floats
 constexpr int kScans = 3;
 
-/// Returns a wall across x in the dataset's world, and a compensated log whose sensor
-/// drives along x and passes the origin at kFirst_s.
+/// Returns a run with a wall across x in the dataset's world and a compensated log. The
+/// sensor of the log drives along x and passes the origin at kFirst_s.
 Run towards_wall() {
     Run run;
     Surfels& wall = run.scene.surfels;

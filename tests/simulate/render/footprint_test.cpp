@@ -165,8 +165,8 @@ TEST(Footprint, AnEdgeGivesTwoReturnsTheStrongestFirst) {
     EXPECT_NEAR(scan.second_returns[0].intensity[0], 2 * 0.2f / 5, kNear);
 }
 
-/// A road at a grazing angle has ranges that differ by metres within one footprint. Also
-/// tests a road with a wall in front of its upper part.
+/// A road at a grazing angle has ranges that differ by metres within a single footprint.
+/// Also tests a road with a wall in front of its upper part.
 TEST(Footprint, ASlopeIsOneReturnHoweverSteep) {
     const RayTable ray = one_ray({std::cos(0.04f), 0.0f, -std::sin(0.04f)}), parts = split_rays(ray, 9, 4e-3);
     const auto cast = [&](float wall_m) {

@@ -17,7 +17,7 @@ namespace {
 
 constexpr double kTurn_s = 0.1;
 
-/// Adds a wall that consists of one surfel.
+/// Adds a wall that consists of a single surfel.
 /// @param half_m visible extent of the wall from its middle in each direction
 void add_wall(Surfels& surfels, const glm::vec3& middle_m, const glm::quat& from_x_axis,
               const glm::vec2& half_m) {
@@ -34,7 +34,7 @@ void add_wall(Surfels& surfels, const glm::vec3& middle_m, const glm::quat& from
     surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;  // hit logit
 }
 
-/// Returns a scene with one actor and no background.
+/// Returns a scene with a single actor and no background.
 /// @param surfels surfels of the actor in the frame of its box
 Scene one_actor(const Surfels& surfels, const glm::dvec3& size_m) {
     Scene scene;
@@ -45,8 +45,8 @@ Scene one_actor(const Surfels& surfels, const glm::dvec3& size_m) {
     return scene;
 }
 
-/// Returns a log of 1 s with poses of sensor and actor at 40 Hz, and a sensor with one
-/// horizontal beam.
+/// Returns a log of 1 s with poses of sensor and actor at 40 Hz, and a sensor with a
+/// single horizontal beam.
 template <class PoseAt>
 Sequence drive(int columns, const PoseAt& sensor_at, const PoseAt& actor_at, const glm::dvec3& size_m) {
     Sequence log;
@@ -122,12 +122,12 @@ TEST_F(MovingActors, AVanThatFollowsRoundABendIsNotTorn) {
                  van = [&](double t_s) { return at(t_s, 10.0); };
     const auto [first_m, last_m] =
         halves_behind(render(one_actor(front, size_m), drive(720, sensor, van, size_m), 0.5));
-    EXPECT_NEAR(first_m, 8.0, 1e-3);  // interpolated poses lie on chords of 0.015 rad
+    EXPECT_NEAR(first_m, 8.0, 1e-3);  // tolerance: interpolated poses lie on chords of 0.015 rad
     EXPECT_NEAR(last_m, 8.0, 1e-3);
 }
 
-/// A car passes a static sensor on its left. Two posts on its side, 4 m apart, must be
-/// seen at different times.
+/// A car passes a static sensor on its left. Two posts on the side of the car, 4 m apart,
+/// must be measured at different times.
 TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
     constexpr double kCarSpeed_mps = 20.0, kLength_m = 4.0;
     const glm::dvec3 size_m(kLength_m, 2.0, 2.0);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests points that are made on the device and requested ahead
+// Tests points that are computed on the device and requested ahead
 // (simulate/render/mark_returns, simulate/render/gather_points). They must equal, bit by
-// bit, the result of place_points() for scans that are rendered one after the other. Also
+// bit, the result of place_points() for scans that are rendered in sequence. Also
 // compares place_points() with double precision.
 #include <cmath>
 #include <cstring>
@@ -110,7 +110,7 @@ void expect_equal(const RenderedPoints& found, const RenderedPoints& expected, c
 }
 
 /// Tests rays whose columns share a firing time, rays whose rows have different times,
-/// and rays in any order, for a moving and for a standing sensor.
+/// and rays in any order, for a moving and for a static sensor.
 TEST(FiringPoses, AreThoseOfEachRay) {
     RenderedScan scan;
     scan.time_s = 5.0;
@@ -227,8 +227,8 @@ TEST_F(PointsOfScans, ManyInFlightDoNotMix) {
 }
 
 /// Requests more scans than are rendered together, exactly as many, and fewer. Two rigs
-/// are pending, and one further batch is read before it was submitted. Launches of
-/// different lanes alternate, so that data that lanes share by mistake is detected.
+/// are pending, and a further batch is read before it was submitted. Launches of
+/// different lanes alternate, so that the test detects data that lanes share by mistake.
 TEST_F(PointsOfScans, OfScansSideBySideAreThoseOfEachAlone) {
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
         config.image.sh_direction = direction;
@@ -250,8 +250,8 @@ TEST_F(PointsOfScans, OfScansSideBySideAreThoseOfEachAlone) {
     }
 }
 
-/// Work that needs the device alone submits the scans before it. A rejected scan must not
-/// affect other scans.
+/// Work that uses the device exclusively must first submit the pending scans. A rejected
+/// scan must not affect other scans.
 TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
     make_renderer();
     renderer->side_by_side(3);
@@ -298,13 +298,14 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     ask(wishes[0]), ask(wishes[1]);
     for (const RenderedPoints& scan_expected : expected)
         expect_equal(renderer->wait_for_points(), scan_expected, "refined");
-    // Images of one shape share as much memory as possible.
+    // Images of the same shape share as much memory as possible.
     std::vector<PointRequest> beside = {wishes[0], wishes[0], wishes[0], wishes[1]};
     for (std::size_t k = 0; k < 3; ++k) beside[k].request.time_s += 0.1 * double(k);
     std::vector<RenderedPoints> expected_points;
     for (const PointRequest& wish : beside) expected_points.push_back(alone(wish));
     renderer->side_by_side(3);
-    // In the first round each scan allocates its memory and waits for the others.
+    // In the first round each scan allocates its memory and waits for the remaining
+    // scans.
     for (int round = 0; round < 2; ++round) {
         ask_together(beside);
         for (const RenderedPoints& scan_expected : expected_points)
@@ -312,7 +313,8 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     }
     renderer->side_by_side(1);
     std::vector<std::uint64_t> buffers;
-    for (int round = 0; round < 3; ++round) {  // one network processes images of two shapes alternately
+    // the same network processes images of two shapes alternately
+    for (int round = 0; round < 3; ++round) {
         expect_equal(alone(beside[2]), expected_points[2], "by turns");
         expect_equal(alone(beside[3]), expected_points[3], "by turns");
         buffers.push_back(impl_of(device()).n_buffers);
@@ -320,8 +322,8 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     EXPECT_EQ(buffers[2], buffers[0]) << "memory is found once";
 }
 
-/// Tests beams and sub-rays with a network that has learnt that all rays except one
-/// return.
+/// Tests beams and sub-rays with a network that was trained to predict a return for all
+/// rays except a single ray.
 TEST_F(PointsOfScans, NetworksBringNothingBackFromBeyondTheLimits) {
     config.sensor.divergence_mrad = 3.0;
     make_renderer();
@@ -330,7 +332,7 @@ TEST_F(PointsOfScans, NetworksBringNothingBackFromBeyondTheLimits) {
     DropImage image = drop_image(renderer->render(wish.sensor, wish.request), drop_channel_names(options),
                                  first_origin(log));
     image.dropped.assign(std::size_t(image.rows) * std::size_t(image.columns), 0.0f);
-    image.dropped[0] = 1.0f;  // without a drop the network would have nothing to learn
+    image.dropped[0] = 1.0f;  // without a dropped ray, the loss of the network would have no gradient
     renderer->refine_drops(
         train_drop_network(device(), {image}, options, 3,
                            [](const RefineProgress&, const std::function<RefineState()>&) { return true; }));

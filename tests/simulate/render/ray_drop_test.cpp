@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that the drop of a ray does not depend on other rays or on the sensor's yaw. A
-// ray that hits nothing must be dropped for any output of the network.
+// Tests that the drop of a ray depends neither on other rays nor on the yaw of the
+// sensor. A ray that hits nothing must be dropped for any output of the network.
 #include <algorithm>
 #include <numeric>
 #include <random>
@@ -24,7 +24,7 @@ protected:
         if (IsSkipped() || HasFatalFailure()) return;
         log = make_synthetic_street({.n_frames = 6, .speed_mps = 5.0});
         InitialiseOptions options;
-        options.max_scale_m = 0.5;  // small enough that some rays hit nothing
+        options.max_scale_m = 0.5;  // limits the size of surfels, so that some rays miss all surfels
         scene = initialise_scene(log, {0, 1, 2, 3, 4, 5}, options);
     }
     /// Returns a scan of the street without its cars, along the path of the log.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests scans from poses given by the caller: walls and plates at known positions, seen
-// by a sensor on a given path.
+// Tests scans whose poses the caller specifies: walls and plates at exact positions,
+// scanned by a sensor on an exact path.
 #include <cmath>
 #include <limits>
 
@@ -33,7 +33,7 @@ Scene wall_and_car() {
     return scene;
 }
 
-/// Returns a log in which sensor and car stand still for a second.
+/// Returns a log in which sensor and car are static for a second.
 Sequence standing_log() {
     Sequence sequence;
     sequence.lidars[0].sensor.beams = {{0.0}};

@@ -76,7 +76,8 @@ TEST_F(SensorRaysTest, OnlyPosesOfTheSweepGoUp) {
     EXPECT_LE(poses.size(), 6u);
 }
 
-/// Returns random rendered rays that hit something, little or nothing, near and far.
+/// Returns random rendered rays: near and far rays with strong hits, weak hits, and no
+/// hit.
 std::vector<shared::RenderedRay> random_rendering(std::size_t n) {
     std::mt19937 random(5);
     std::uniform_real_distribution<float> uniform(0.0f, 1.0f);
@@ -167,8 +168,8 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
     }
 }
 
-/// Rays must be uploaded again if another sensor uses the same rays, or if other rays
-/// have the same size.
+/// Rays must be uploaded again if a different sensor uses the same rays, or if different
+/// rays have the same size.
 TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
     RayTable rays = spinning_rays(16);
     shared::RenderedRay wall{};

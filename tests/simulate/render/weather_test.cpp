@@ -82,8 +82,8 @@ TEST(WeatherOnScans, ClearAirChangesNoBit) {
     for (std::size_t i = 0; i < kRays; ++i) ASSERT_EQ(sources_of(scan)[i], i % 10 == 0 ? kNothing : kSurface);
 }
 
-/// Also tests a sensor that reports half the brightness of the same surface at this
-/// range. The tolerance is one hundredth.
+/// Also tests a sensor that reports half the brightness for the same surface at this
+/// range. The tolerance is 0.01.
 TEST(WeatherOnScans, AWallIsDarkerByTheFormula) {
     for (const double fall : {1.0, 0.5}) {
         RenderedScan scan = wall_at(8.0f, 0.8f);

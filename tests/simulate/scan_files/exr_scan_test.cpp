@@ -16,7 +16,8 @@ namespace {
 
 using ExrScans = TemporaryFolder;
 
-/// Returns four rays of two beams. One is dropped, another has a second return.
+/// Returns four rays of two beams. A ray is dropped, and a different ray has a second
+/// return.
 RenderedScan four_rays() {
     RenderedScan scan;
     scan.image.rows = 1, scan.image.columns = 4;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the points in files of a scan by a moving sensor. The pose in the file must
-// transform deskewed points to the world; points in the world need no transform. The scan
-// is made from world positions that each ray must hit.
+// transform deskewed points to the world. Points in the world need no transform. The test
+// computes the scan from world positions that each ray must hit.
 #include <cstring>
 #include <sstream>
 
@@ -60,8 +60,8 @@ glm::dvec3 point(const std::vector<float>& numbers, std::size_t i) {
     return {numbers[i], numbers[i + 1], numbers[i + 2]};
 }
 
-/// Returns the points of a file whose header ends with a text; the records begin with x y
-/// z.
+/// Returns the points that follow the header of a file. The header ends with a text, and
+/// each record starts with x y z.
 std::vector<glm::dvec3> points_behind(const std::filesystem::path& path, const std::string& end_of_header) {
     const std::string bytes = contents(path);
     const std::size_t begin = end_of_header.empty() ? 0 : bytes.find(end_of_header) + end_of_header.size();

@@ -26,7 +26,8 @@ Points some_cloud() {
     return cloud;
 }
 
-/// Header lines up to and including the last one, and what follows.
+/// Header lines of a point file, including the last header line, and the bytes that
+/// follow.
 struct Parsed {
     std::vector<std::string> header;
     std::string body;

@@ -22,8 +22,8 @@ using testing::UnorderedElementsAre;
 
 constexpr const char* kMagic = "\x89MCAP0\r\n";
 
-/// Returns a scan of two rays ahead with returns, one of them with a second return. They
-/// are fired before and after the scan's time.
+/// Returns a scan of two rays that point ahead. Both rays have a return, and one ray has
+/// a second return. They are fired before and after the time of the scan.
 RenderedScan two_rays(double time_s) {
     RenderedScan scan;
     scan.image = {1,

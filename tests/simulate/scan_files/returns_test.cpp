@@ -116,8 +116,8 @@ std::size_t points_of_foxglove(const std::string& message) {
     return stride == 0 ? 0 : n_bytes / stride;
 }
 
-/// Counts the pixels of the first image (the ranges) whose colour differs from the first
-/// pixel, which shows the sky.
+/// Counts the pixels of the first image (the ranges) whose colour differs from the colour
+/// of the first pixel, which is sky.
 std::size_t shown_pixels(const std::filesystem::path& path) {
     png_image description{};
     description.version = PNG_IMAGE_VERSION;

@@ -173,9 +173,9 @@ TEST(Weather, AWallIsDarkerByTheFormula) {
     }
 }
 
-/// A target of 10 % is visible up to the range where 0.1 exp(-2 alpha R) / R^2 equals the
-/// weakest power: R = W(alpha sqrt(0.1 / weakest)) / alpha. The last return is one of
-/// two.
+/// A target of 10 % is visible up to the range R at which 0.1 exp(-2 alpha R) / R^2
+/// equals the weakest power: R = W(alpha sqrt(0.1 / weakest)) / alpha. The ray has two
+/// returns, and the target is the last return.
 TEST(Weather, ATenthVanishesWhereItsPowerDoes) {
     for (const double visibility_m : {30.0, 50.0, 150.0, 400.0}) {
         const WeatherSensor sensor = sensor_to(100.0);
@@ -218,9 +218,9 @@ public:
             for (std::size_t k = 0; k < ranges_m_.size(); ++k)
                 from_[k] += (n[i][k] - n[i + 1][k]) * 0.5 * (none_stronger_[i] + none_stronger_[i + 1]);
     }
-    /// Computes the distribution for one return per section of the ray, at a random
-    /// position. Its power is log-normal with mean 1, times mean(r). Sections end at
-    /// cells.
+    /// Computes the distribution if each section of the ray has a return at a random
+    /// position. The power of the return is log-normal with mean 1, times mean(r).
+    /// Sections end at cells.
     void of_stretches(std::size_t cells, const std::function<double(double)>& mean) {
         const std::size_t n = ranges_m_.size() / cells;
         // P(power < level)
@@ -272,7 +272,7 @@ double deviation(const std::vector<double>& counts, const std::vector<double>& p
     return (std::cbrt(chi2 / f) - (1.0 - spread)) / std::sqrt(spread);
 }
 
-constexpr double kMostDeviation = 3.5;  // exceeded by chance once in 4000 times
+constexpr double kMostDeviation = 3.5;  // exceeded by chance in 1 of 4000 cases
 
 void FreeAir::expect_as(const Air& air, PointSource source) const {
     std::vector<double> ranges(from_.size() + 1), powers(levels_.size()), from = from_,

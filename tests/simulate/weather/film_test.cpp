@@ -64,7 +64,7 @@ TEST(WetGround, IsDarkerByTheSumOfItsBounces) {
 /// The weakest return has a reflectivity of 0.005 at 80 m.
 TEST(WetGround, WhatIsTooDarkLeavesToWhatItMirrors) {
     const Echo ground = ground_at(40.0, 0.1), mirrored{60.0, 0.5, PointSource::mirror};
-    // 0.001 at 40 m, which is less than the weakest return there, 0.00125
+    // the power is 0.001 at 40 m, which is less than the weakest detectable power 0.00125
     const RayEchoes seen = air_with(sensor_to_80_m(), mirrored, 0.5, 0.01).look(ray_to(ground, 40.0), 1);
     EXPECT_EQ(seen.strongest.source, PointSource::mirror);
     EXPECT_EQ(seen.strongest.range_m, 60.0);

@@ -18,8 +18,8 @@ namespace {
 constexpr int kPulses = 100'000;
 constexpr double kDegree = kPi / 180.0, kLight_m_s = 299792458.0;
 
-/// Returns a sensor whose weakest return has a reflectivity of 0.005 at 60 m. Its pulse
-/// is 6 m long.
+/// Returns a sensor with pulses of 6 m length that detects a reflectivity of at least
+/// 0.005 at 60 m.
 WeatherSensor sensor_to_60_m() {
     WeatherSensor sensor;
     sensor.max_range_m = 60.0, sensor.darkest = 0.005, sensor.pulse_s = 6.0 / kLight_m_s;
@@ -35,7 +35,7 @@ Air air_beside_sun(double off_deg, double klux, const WeatherSensor& sensor, flo
 Echo surface_at(double range_m, double reflectivity) { return {range_m, reflectivity, PointSource::surface}; }
 
 /// Returns chi^2 of counts against expected counts, as a standard normal deviate (Wilson
-/// and Hilferty 1931). It exceeds -4 to 4 once in 16,000 times by chance.
+/// and Hilferty 1931). By chance, it is outside -4 to 4 in 1 of 16,000 cases.
 double chi2_deviate(const std::vector<double>& counts, const std::vector<double>& expected) {
     double chi2 = 0.0;
     for (std::size_t k = 0; k < counts.size(); ++k)
@@ -95,9 +95,9 @@ TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
     }
 }
 
-/// Noise hides a target of power S if it is stronger, in 1 - exp(-N exp(-S^2 / 2
-/// sigma^2)) of the scans, where N is the number of noise crests. Half of the targets are
-/// hidden at R = sqrt(rho / S), S = sigma sqrt(2 ln(N / ln 2)).
+/// Noise of sunlight hides a target of power S if the noise is stronger. This happens in
+/// 1 - exp(-N exp(-S^2 / 2 sigma^2)) of the scans, where N is the number of noise crests.
+/// Half of the targets are hidden at R = sqrt(rho / S), S = sigma sqrt(2 ln(N / ln 2)).
 TEST(Sunlight, HidesWeakTargets) {
     WeatherSensor sensor = sensor_to_60_m();
     sensor.darkest = 0.0005;

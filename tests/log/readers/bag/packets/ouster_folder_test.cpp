@@ -113,8 +113,8 @@ Found compare(const OusterScans& scans, std::size_t f, const Scan& found, const 
             const double range_m = scans.range(f, row, column);
             if (range_m == 0.0) continue;
             ++counts.all;
-            // The sensor faces backwards at the start of an image and forwards at half of
-            // the columns.
+            // A sweep starts in the backward direction, which is at half of the columns
+            // of an image.
             const std::size_t firing = (column + scans.columns / 2 + first) % scans.columns;
             const std::size_t at =
                 row * scans.columns +
