@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fuzzes text files: settings, scenes, streets, beam tables and trajectories. "toml"
-// makes its text from tokens, so that most inputs are valid TOML.
+// Fuzzes text files: settings, scenes, streets, beam tables and trajectories. The harness
+// "toml" builds its text from tokens, so that most inputs are valid TOML.
 #include "harness.hpp"
 
 #include <fmt/format.h>
@@ -35,8 +35,8 @@ void read_street(std::string_view input, const fs::path& folder) {
     load_sequence("synthetic:" + folder.string(), one);
 }
 
-/// Returns a run without sweep azimuths, because their file belongs to the sensor that an
-/// input changes. "sweeps" reads that file.
+/// Returns a run without the file of sweep azimuths, because this file depends on the
+/// sensor that an input changes. The harness "sweeps" reads the file.
 Run run_without_sweeps(const fs::path& folder) {
     Run run = example_run(folder);
     for (Frame& frame : run.sequence.frames) frame.azimuth_shift_rad.clear();
@@ -165,7 +165,8 @@ void read_tokens(std::string_view input, const fs::path& folder) {
     read_street(text, folder);
 }
 
-/// A scenario in which a vehicle follows a trajectory that a start trigger delays.
+/// Scenario in which a vehicle follows a trajectory that starts after a delay (start
+/// trigger).
 constexpr const char* kScenario =
     R"(<OpenSCENARIO><ParameterDeclarations><ParameterDeclaration name="p" value="3"/>
 </ParameterDeclarations><Entities><ScenarioObject name="v"><Vehicle><BoundingBox>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Provides a temporary folder that is removed with the test, and functions that return
-// file contents and error messages as strings.
+// Provides a temporary folder that is deleted at the end of the test, and functions that
+// return file contents and error messages as strings.
 #pragma once
 
 #include <filesystem>
@@ -44,7 +44,7 @@ inline std::string contents(const std::filesystem::path& path) {
 }
 
 inline void put(const std::filesystem::path& path, std::string_view bytes) {
-    // Removes the file first, because ext4 flushes a file that is truncated and
+    // Deletes the file first, because ext4 flushes a file to disk if it is truncated and
     // rewritten, which is slow.
     std::filesystem::remove(path);
     std::ofstream(path, std::ios::binary).write(bytes.data(), std::streamsize(bytes.size()));

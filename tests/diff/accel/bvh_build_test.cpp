@@ -22,7 +22,7 @@ namespace {
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInf = std::numeric_limits<float>::infinity();
 
-/// Returns surfels of 2 cm to 1 m in a box of 40 x 20 x 5 m.
+/// Returns surfels with sizes of 2 cm to 1 m in a box of 40 x 20 x 5 m.
 Surfels random_surfels(std::uint32_t n, std::uint32_t seed = 1) {
     std::mt19937 random(seed);
     std::uniform_real_distribution<float> unit(0.0f, 1.0f);

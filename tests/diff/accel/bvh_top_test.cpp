@@ -77,7 +77,8 @@ protected:
         }
     };
 
-    /// Computes the exact box of everything below a node and counts every instance.
+    /// Computes the exact bounding box of all instances below a node, and counts how
+    /// often each instance occurs.
     static void check_node(const Built& built, const BvhOnHost& host, std::uint32_t index,
                            std::vector<int>& seen, test::HostBox& real) {
         ASSERT_LT(index, host.top_nodes.size());
@@ -98,8 +99,8 @@ protected:
         }
     }
 
-    /// Computes in double the box around the corners of the model's surfel boxes at the
-    /// pose of the instance.
+    /// Computes the world box of an instance in double: the box around the corners of all
+    /// surfel boxes of the model at the pose of the instance.
     static test::HostBox world_box(const Built& built, const BvhOnHost& host, std::uint32_t instance) {
         const Scene& layout = built.scene.layout();
         const Model& model = layout.models[layout.instances[instance].model];

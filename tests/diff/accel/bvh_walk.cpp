@@ -33,7 +33,7 @@ struct TreeCheck {
         return false;
     }
 
-    /// Computes the exact box of everything in a leaf slot.
+    /// Computes the exact bounding box of all surfels in a leaf slot.
     bool leaf(const Slot& slot, HostBox& real) {
         if (slot.count > RELIDAR_BVH_LEAF_SIZE) return fail(fmt::format("a leaf of {} surfels", slot.count));
         if (std::size_t(slot.first) + slot.count > bvh.order.size())

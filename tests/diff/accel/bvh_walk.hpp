@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the software acceleration structure on the host: decodes boxes, checks properties
-// that every tree must have, and walks along rays.
+// Reads the software acceleration structure on the host. Decodes its boxes, checks
+// properties that every tree must have, and traverses the tree along rays.
 #pragma once
 
 #include <array>
@@ -29,14 +29,16 @@ struct HostBox {
     }
 };
 
-/// Decodes the child box of a node like the traversal, in float arithmetic.
+/// Decodes the box of a child of a node with the same float arithmetic as the traversal
+/// on the device.
 HostBox decoded_box(const shared::BvhNode& node, int slot);
 HostBox surfel_box(const BvhOnHost& bvh, std::size_t surfel);
 
 struct Slot {
     bool inner = false;
     std::uint32_t child = 0;  ///< child node of an inner slot
-    /// Range of `order` in a leaf slot; count 0 and not inner: empty slot.
+    /// Range of `order` that a leaf slot refers to. The slot is empty if the count is 0
+    /// and the slot is not an inner node.
     std::uint32_t first = 0, count = 0;
 };
 std::array<Slot, RELIDAR_BVH_WIDTH> slots_of(const shared::BvhNode& node);

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Link (ii) of the gradient chain: compares diff/backward/trace and scene/activate_vjp
-// with the double reference backward pass (Eq. 9; M7, M8), for every parameter of every
-// surfel and the rays, in both SH direction modes. A few direct differences of the device
-// test the chain as a whole.
+// Compares the gradients of the device (diff/backward/trace and scene/activate_vjp) with
+// the backward pass of the double reference (Eq. 9; M7, M8). Covers every parameter of
+// every surfel and the rays, in both SH direction modes. Additional central differences
+// on the device test the complete chain. The reference itself is tested in
+// reference_gradient_test.cpp.
 #include <cmath>
 #include <span>
 
@@ -20,7 +21,7 @@ using test::Outputs;
 using test::Passes;
 using test::random_upstream;
 
-/// A method to find hits and to sum their gradients.
+/// Combination of a method that finds hits and a method that sums their gradients.
 struct Way {
     const char* name;
     BackwardOptions options;
@@ -40,7 +41,8 @@ constexpr Way kWays[] = {
     {"lists", {.reduction = Reduction::gather}, 64, HitOrder::lists},
     {"gather without room for all",
      {.reduction = Reduction::gather, .coalesced_atomics = true, .hits_per_ray = 2}}};
-constexpr std::size_t kFewWays = 3;  ///< the first methods: both sums and all ways to find hits
+/// number of methods in the short test: both sums and all methods that find hits
+constexpr std::size_t kFewWays = 3;
 
 constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f};
 
@@ -50,8 +52,8 @@ struct How {
     /// If true, tests all methods instead of the first kFewWays. Used for a single scene
     /// of each gradient layout.
     bool every_way = false;
-    /// tests the first two methods only, because other ways to find hits make no
-    /// difference
+    /// If true, tests only the first two methods, because the method that finds hits
+    /// makes no difference here.
     bool brute_force = false;
     double tolerance = test::kKernelGradient;
     Outputs outputs = Outputs::image;
@@ -129,8 +131,8 @@ TEST_F(DeviceGradient, ShAlongRayWithInstances) {
 
 TEST_F(DeviceGradient, ModelsThatMoveWhileRaysAreFired) {
     const test::RandomSceneOptions options{.seed = 38, .rays = 60, .moving = true};
-    // A kernel rotates the ray's origin, 8 m away, in float, which adds a rounding error
-    // of 1e-6 m.
+    // A kernel rotates the origin of the ray, which is 8 m away, in float. This adds a
+    // rounding error of 1e-6 m.
     const double tolerance = 3.0 * test::kKernelGradient;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
                      {.proxy = Proxy::triangles, .tolerance = tolerance}, "models that move");
@@ -177,8 +179,8 @@ TEST_F(DeviceGradient, Gaussians) {
     options.primitive = Primitive::gaussian;
     // more rays hit a 3D Gaussian than a surfel
     options.seed = 36, options.rays = 30, options.background_surfels = 24, options.actor_surfels = 8;
-    // Points 10 m away are rounded to 1e-6 m. This is 3e-5 standard deviations of the
-    // thinnest Gaussian (0.03 m) in every gradient of alpha.
+    // Single precision rounds points 10 m away to 1e-6 m. This is 3e-5 standard
+    // deviations of the thinnest Gaussian (0.03 m) and affects every gradient of alpha.
     const double tolerance = 3.0 * test::kKernelGradient;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
                      {.proxy = Proxy::triangles, .tolerance = tolerance},
@@ -189,8 +191,8 @@ TEST_F(DeviceGradient, Gaussians) {
                      "3D Gaussians, boxes, SH along sensor -> mean, 2 instances");
 }
 
-/// The ablation of the paper with a single drop logit: hit logits count as 0 and have no
-/// gradient. Uses the first two scenes again.
+/// Tests the ablation of the paper with a single drop logit: the hit logits count as 0
+/// and have no gradient. Uses the first two scenes again.
 TEST_F(DeviceGradient, SingleDropLogit) {
     test::RandomSceneOptions options;
     options.seed = 31;

@@ -16,7 +16,7 @@ namespace {
 using test::Passes;
 
 constexpr int kAcross = 10;  // actors along each axis of a lattice
-// spacing of the lattice; small, so that single precision loses few digits
+// distance between the actors; small, so that single precision loses few digits
 constexpr double kApart_m = 1.5;
 
 /// Places copies of an actor in front of a sensor at the origin. Every third copy is
@@ -43,7 +43,8 @@ test::RandomScene many_actors(bool own, int n_actors) {
     return scene;
 }
 
-/// Adds rays towards actors: rays that keep the margins of a comparison, or any rays.
+/// Adds rays towards actors. Optionally adds only rays that satisfy the margins of a
+/// comparison with the reference.
 void add_rays(test::RandomScene& scene, std::size_t n, const reference::Settings* margins) {
     std::mt19937_64 random(73);
     std::uniform_real_distribution<double> aside(-0.4, 0.4);
@@ -120,7 +121,7 @@ std::vector<DeviceTarget> targets_near(const std::vector<shared::RenderedRay>& r
     return targets;
 }
 
-/// Returns the losses of twenty training steps; the scene moves slightly before each
+/// Trains for twenty steps and returns the losses. The scene moves slightly before each
 /// step.
 std::vector<float> train(Passes& passes) {
     DifferentiableRenderer& renderer = passes.renderer;
@@ -171,7 +172,7 @@ TEST_F(ManyActors, Train) {
     }
 }
 
-/// The launches of an iteration must not depend on the number of models.
+/// The number of launches in an iteration must not depend on the number of models.
 TEST_F(ManyActors, AreLaunchedTogether) {
     if (!device().info().timestamps) GTEST_SKIP() << "no timestamps: launches are not counted";
     SurfelLoss surfel_loss(device(), {.box = 0.1f});

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Link (i) of the gradient chain: compares the backward pass of the reference (M7, M8)
-// with central differences of its forward pass (M1-M5). Covers every parameter group, the
-// ray, the view origin and instance poses, in both SH direction modes, with more hits
-// than a chunk. Also checks the radial part of the rotation, chunking and clamps.
+// Compares the backward pass of the double reference (M7, M8) with central differences of
+// its forward pass (M1-M5). Covers every parameter group, the ray, the view origin and
+// instance poses, in both SH direction modes, with more hits than a chunk. Also checks
+// the radial part of the rotation, chunking and clamps.
 #include <gtest/gtest.h>
 
 #include "base/parallel.hpp"
@@ -65,8 +65,8 @@ struct Row {
     std::vector<double> expected, actual;
 };
 
-/// Returns the problem with only the rays that hit a surfel. Other rays keep their
-/// margins to the surfel (random_scene.hpp), so small changes do not affect them.
+/// Returns the problem with only the rays that hit a surfel. All other rays have a margin
+/// to the surfel (random_scene.hpp), so small changes of the surfel do not affect them.
 Problem seen_by(Problem p, std::size_t surfel) {
     const BruteForce provider = p.brute();
     std::size_t kept = 0;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares a complete densification (diff/densify/classify, allot, move, spawn) with the
-// reference in double. Checks which surfels survive, are cloned or split, and their
-// order. Also checks values, moments, statistics, models, and the limits of the parameter
-// range.
+// reference in double. Checks which surfels survive, which are cloned or split, and their
+// order. Also checks parameters, Adam moments, statistics, models, and the limits of the
+// parameter range.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -105,7 +105,7 @@ bool survives(Fate fate) { return fate >= Fate::keep; }
 /// Origin of a row after densification.
 struct Row {
     std::uint32_t source;
-    Fate fate;     // fate of the source surfel; `keep` if it was not copied
+    Fate fate;     // decision for the source surfel; `keep` if the surfel was not copied
     bool is_copy;  // not the first row of its source
 };
 
@@ -241,7 +241,8 @@ TEST_F(Densify, AdaptiveAgreesWithTheReference) {
     }
 }
 
-/// The third scale is the largest for some Gaussians and is part of every decision.
+/// Tests Gaussians. The third scale is the largest scale for some of them, and every
+/// decision must use it.
 TEST_F(Densify, GaussiansAgreeWithTheReference) {
     Scene scene = test::random_model_scene({500, 300}, 21);
     make_primitive(scene.surfels, Primitive::gaussian, 1.5);
@@ -301,7 +302,7 @@ TEST_F(Densify, ModelsAndScenesMayEndEmpty) {
     EXPECT_EQ(all.device_scene.parameters().download().size(), 0u);
 }
 
-/// The steps after a densification must accept empty models and empty scenes.
+/// After a densification, training must accept empty models and empty scenes.
 TEST_F(Densify, EmptyModelsCanBeTraced) {
     for (const std::vector<std::uint32_t>& counts :
          {std::vector<std::uint32_t>{50, 0, 20}, std::vector<std::uint32_t>{0, 0}}) {

@@ -22,7 +22,7 @@ void poison(Surfels& surfels);
 /// Converts surfel i to the type of the reference.
 reference::DensifiedSurfel densified(const Surfels& surfels, std::size_t i);
 
-/// Returns the index that random_model_scene() assigned to surfel i.
+/// Returns the index that random_model_scene() stored in the SH coefficients of surfel i.
 std::uint32_t tag_of(const Surfels& surfels, std::size_t i);
 
 }  // namespace relidar::test

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares optional outputs of the forward pass with the double reference: blended
-// normals, the likelihood (M12) and the heaviest surface (M13). Uses random scenes with
-// instances, several chunk sizes, lists, and rays with many hits. The optional outputs
-// must not change any bit of the image.
+// normals, the likelihood (M12) and the surface with the largest weight (M13). Uses
+// random scenes with instances, several chunk sizes, lists, and rays with many hits. The
+// optional outputs must not change any bit of the image.
 #include <algorithm>
 #include <utility>
 

@@ -113,7 +113,8 @@ TEST_F(ImageLossTest, MaskedRaysAreIgnoredAndStrideSelects) {
     EXPECT_GT(sums.download()[loss_term::drop], 0.0f);
 }
 
-/// Returns the names of the losses, derived from their types.
+/// Returns the names of the losses that are created for the weights, derived from their
+/// types.
 std::vector<std::string> made(Device& device, const LossWeights& weights) {
     std::vector<std::string> names;
     for (const std::unique_ptr<Loss>& loss : make_losses(device, weights, 64))

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Uploads images of the double reference as a slice of a larger tensor. The other
+// Uploads images of the double reference as a slice of a larger tensor. The remaining
 // channels of the tensor must not change.
 #pragma once
 
@@ -123,7 +123,7 @@ private:
 };
 
 /// Returns the largest error divided by the largest expected value, so that a single
-/// wrong element is noticed. Returns infinity if a value is NaN.
+/// wrong element is detected. Returns infinity if a value is NaN.
 inline double worst_error(const std::vector<double>& actual, const std::vector<double>& expected) {
     if (actual.size() != expected.size()) return HUGE_VAL;
     double worst = 0.0, largest = 0.0;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fixture for the traversal conformance tests of the device. Compares collected hits with
-// a host provider. Both use the same float intersection, so the ordered ids must be
-// equal. Differences within rounding (a hit on its outline, two almost equal t) are
-// counted and limited.
+// Provides the fixture for the traversal conformance tests of the device. Compares
+// collected hits with a host provider. Both use the same float intersection, so the
+// ordered ids must be equal. Differences within rounding (a hit on its outline, two
+// almost equal t) are counted and limited.
 #pragma once
 
 #include <algorithm>

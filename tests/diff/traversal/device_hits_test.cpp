@@ -35,7 +35,8 @@ struct Setting {
     bool brute_force = false;
 };
 
-/// Returns the traversal settings that the test device supports, brute force last.
+/// Returns the traversal settings that the test device supports. Brute force is the last
+/// setting.
 std::vector<Setting> providers(const Device& device, int chunk) {
     const Setting brute{"brute force", {}, {.chunk = chunk}, true};
     if (device.traversal() == Traversal::software)
