@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that arrays of different types cannot be exchanged in kernel parameters, and
-// kernels with different parameters cannot be exchanged either. Most checks are at
-// compile time.
+// Tests that the compiler rejects arrays of the wrong type in kernel parameters, and
+// parameters of the wrong kernel. Most checks are at compile time.
 #include <concepts>
 #include <type_traits>
 
@@ -54,8 +53,9 @@ consteval bool take_each_other(A Struct::*, B Struct::*) {
     return std::is_assignable_v<A&, B> || std::is_assignable_v<B&, A>;
 }
 
-// Two pointers to the same type of number from each header of parameters. tests/structure
-// checks that no struct has two pointers that can be exchanged.
+// Tests two pointers to the same type of number from each parameter header. They must not
+// be assignable to each other. tests/structure checks that no struct has two pointers
+// that can be exchanged.
 static_assert(!take_each_other(&shared::ProxyParams::vertices, &shared::ProxyParams::boxes));
 static_assert(!take_each_other(&shared::GatherParams::parts, &shared::GatherParams::d_records));
 static_assert(!take_each_other(&shared::GatherParams::d_sh, &shared::GatherParams::d_records));

@@ -28,8 +28,8 @@ using Words = std::vector<std::uint32_t>;
 
 class StreamTest : public test::DeviceTest {};
 
-/// Each launch must get its parameters: launch i copies word i, computed as the sum of
-/// this single word (gpu/scan_write).
+/// Each launch must receive its parameters. Launch i copies word i, computed as the sum
+/// of this single word (gpu/scan_write).
 TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
     // more submissions than slots, so that memory is reused
     constexpr std::uint32_t kWords = 1 << 18, kLaunches = 5000, kSubmissions = 5;
@@ -56,7 +56,8 @@ TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
     EXPECT_EQ(words.download().back(), 1000u * (kSubmissions - 1) + kWords - 1);
 }
 
-/// An omitted array must read as zeros and not as address 0.
+/// If an array parameter is not set, the kernel must read zeros instead of reading from
+/// address 0.
 TEST_F(StreamTest, ArraysThatAreLeftOutAreZeros) {
     constexpr std::uint32_t n = 64;
     const std::vector<glm::vec4> ones(n, glm::vec4(1.0f));
@@ -298,7 +299,8 @@ TEST(LaunchLimit, ForgetsOldSpeeds) {
     EXPECT_DOUBLE_EQ(limit.expected_s("kernel", 200), 2.0);
 }
 
-/// Kernels that read the number of all workgroups must not be cut.
+/// Launches of kernels that read the total number of workgroups must not be cut, because
+/// each piece would see a smaller number.
 TEST(LaunchLimit, CutsNoKernelThatCountsItsThreads) {
     namespace fs = std::filesystem;
     const fs::path shaders = fs::path(RELIDAR_SOURCE_DIR) / "shaders";
@@ -339,7 +341,7 @@ TEST_F(StreamTest, ObjectsAndLaunchesHaveNames) {
     {
         const Array<glm::vec4, shared::CopySource> from(device(), 64, "vectors to copy");
         const Array<glm::vec4, shared::CopyTarget> to(device(), 64, "copied vectors");
-        // No other test uses this workgroup size, so the pipeline is new.
+        // no other test uses this workgroup size, so the pipeline is not cached yet
         const Kernel<shared::CopyParams> copy(device(), "gpu/copy", {{ConstantId::WORKGROUP_SIZE, 64u}});
         Stream stream(device());
         stream.fill(from);
@@ -362,8 +364,8 @@ VKAPI_ATTR VkResult VKAPI_CALL allocate_nothing(VkDevice, const VkMemoryAllocate
     return VK_ERROR_OUT_OF_DEVICE_MEMORY;
 }
 
-/// An allocation of 100 MiB needs memory of the driver, because shared blocks are
-/// smaller.
+/// An allocation of 100 MiB is larger than the shared memory blocks, so the driver must
+/// allocate new memory.
 TEST_F(StreamTest, FailedAllocationNamesNeedAndBudget) {
     const auto allocate = std::exchange(vkAllocateMemory, allocate_nothing);
     std::string message;

@@ -36,8 +36,8 @@ int least_waves(const PipelineStatistics& p) {
     return (gcn ? 2 : 4) - (sums_harmonics ? 1 : 0);
 }
 
-/// Waves of 64 lanes that a SIMD holds at a time. On RDNA the driver counts halves of 32
-/// lanes.
+/// Returns the number of waves of 64 lanes that a SIMD holds at the same time. On RDNA
+/// the driver counts waves of 32 lanes.
 double waves_of_64(const PipelineStatistics& p) {
     const double waves = p.values.at("Subgroups per SIMD");
     return family().starts_with("vega") ? waves : waves / 2.0;
@@ -124,8 +124,8 @@ TEST_F(GpuCompilers, WavesHideLatency) {
 
 TEST_F(GpuCompilers, SharedMemoryFitsTheSmallestDevices) {
     for (const PipelineStatistics& p : pipelines_) {
-        // Mesa keeps the stack of a ray query in shared memory: 64 B a lane that are not
-        // the kernel's.
+        // Subtracts the stack of the ray query (64 B per lane), which Mesa stores in
+        // shared memory in addition to the kernel's arrays.
         const double of_query =
             p.kernel.find("@ray_query") != std::string::npos ? 64.0 * p.workgroup_size : 0.0;
         EXPECT_LE(p.values.at("LDS size") - of_query, 32768.0) << name(p);

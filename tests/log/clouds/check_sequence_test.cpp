@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the validation of logs. A valid log is accepted; every error names the frame or
-// box and the field.
+// Checks the validation of logs. A valid log must be accepted. Every error must name the
+// frame or box and the field.
 #include <relidar/log/clouds.hpp>
 
 #include <cmath>

@@ -32,8 +32,8 @@ SpinningSensor true_sensor(bool clockwise = true) {
     return s;
 }
 
-/// Returns points on four of five rays, at 3 to 70 m (3 to 8 m for beams that look down).
-/// Rings are counted from below.
+/// Returns points on four of five rays, at ranges of 3 to 70 m (3 to 8 m for beams that
+/// look down). Rings are counted from the lowest beam.
 Points points_on(const SpinningSensor& s, std::uint64_t seed) {
     Random random(seed);
     const RayTable rays = make_rays(s);

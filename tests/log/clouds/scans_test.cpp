@@ -139,8 +139,8 @@ TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
     EXPECT_NEAR(nearest, 9.0f, 1e-3f) << "the nearer is kept";
 }
 
-/// In a sweep of more than a turn, two firings have the azimuth 3. Both must keep their
-/// points and times.
+/// In a sweep of more than a turn, two firings have azimuth 3. Both firings must keep
+/// their points and times.
 TEST(SpinningScan, ToldFiringsOfOneAzimuthStayApart) {
     SpinningSensor one = sensor();
     one.beams = {{.elevation_rad = 0.0}};

@@ -30,7 +30,9 @@ TEST(TwoLidars, WorldReturnsAreVehicleTimesMounting) {
                              to_matrix(rear.vehicle_from_sensor) *
                              glm::dvec4(glm::dvec3(frame.scan.point(i)), 1.0);
         EXPECT_LT(glm::distance(world_return(street, frame, i).point_m, glm::dvec3(p)),
-                  1e-3);  // between poses the mounting moves on an arc, but its track on a chord
+                  // tolerance: between poses, the LiDAR moves on an arc, but its
+                  // interpolated position moves on the chord
+                  1e-3);
     }
 }
 

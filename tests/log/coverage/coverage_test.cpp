@@ -22,8 +22,8 @@ struct Segment {
     glm::dvec3 from_m, to_m;
 };
 
-/// Returns the length of a segment within a cell, by clipping it to the six planes of the
-/// cell.
+/// Computes the length of a segment within a cell by clipping the segment to the six
+/// planes of the cell.
 double length_within(const Segment& segment, const Cell& cell) {
     const glm::dvec3 low(std::get<0>(cell), std::get<1>(cell), std::get<2>(cell)),
         d = segment.to_m - segment.from_m;

@@ -14,7 +14,7 @@ namespace relidar::test {
 namespace fs = std::filesystem;
 namespace {
 
-// Elevations by Argoverse's laser number, modulo 32
+// Elevations of the beams by Argoverse's laser number, modulo 32
 // (../shared/data/sensors/VLP-32C_Argoverse2.csv; pairs as measured in a published
 // sweep).
 constexpr double kElevation_deg[32] = {7,      -1.667,  1.667,  -0.667, 15,     -0.333, 3.333,  0.667,
@@ -37,8 +37,8 @@ struct SweepColumns {
     std::vector<std::int32_t> offset_ns;
 };
 
-/// Fires the rays of a LiDAR in a sweep and adds the stored points.
-/// @param lidar 0 up, 1 down
+/// Fires the rays of a LiDAR in a sweep and appends the points that the dataset stores.
+/// @param lidar 0 is the upper LiDAR, 1 is the lower LiDAR
 std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2Options& options,
                                 double sweep_s, SweepColumns& points) {
     const int half = lidar ^ int(options.lower_half_up);

@@ -35,7 +35,7 @@ void expect_boreas_truth(const BoreasFolder& data, const Sequence& sequence) {
             ASSERT_TRUE(ray.returned) << frame.index << " " << i;
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
             // Poses are interpolated linearly between scans. At 8 m/s and 0.3 rad/s the
-            // error is 9 mm, half a scan before the first pose.
+            // error is 9 mm at half a scan before the first pose.
             ASSERT_LT(glm::distance(placed.origin_m + sequence.world_offset_m, ray.origin_m), 0.01);
             ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
                                         sequence.world_offset_m,

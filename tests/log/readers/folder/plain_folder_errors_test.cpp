@@ -19,7 +19,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Two scans of 16 beams x 90 columns on a cylinder, as PCD.
+/// Folder with two scans of a cylinder (16 beams x 90 columns) as PCD, which the tests
+/// damage.
 class FolderDamage : public testing::Test {
 protected:
     void SetUp() override {
@@ -220,7 +221,8 @@ TEST_F(FolderDamage, OfPointFiles) {
     expect("scans/a.npz", "x", "a.npz");
 }
 
-/// Point clouds written by relidar state the frame of their points.
+/// Point clouds written by relidar state whether their points are deskewed. The reader
+/// must check this statement.
 TEST_F(FolderDamage, OfDeskewedPoints) {
     for (const char* frame :
          {"points_in world: the dataset's own", "points_in sensor at time_s: x forward, y left, z up"}) {

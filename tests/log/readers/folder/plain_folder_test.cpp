@@ -63,7 +63,7 @@ void expect_same_log(const Sequence& sequence, const Sequence& truth) {
     EXPECT_EQ(sequence.notes, truth.notes);
     EXPECT_EQ(sequence.rolling_shutter, truth.rolling_shutter);
     EXPECT_EQ(sequence.world_offset_m, truth.world_offset_m);
-    // Five million metres from the origin, the tolerance is the last digit.
+    // The positions are 5000 km from the origin, so the tolerance is the last digit.
     expect_same_poses(sequence.world_from_vehicle, truth.world_from_vehicle, 2e-9);
     ASSERT_EQ(sequence.lidars.size(), truth.lidars.size());
     for (std::size_t l = 0; l < truth.lidars.size(); ++l) {
@@ -350,7 +350,7 @@ TEST(PlainFolder, KeepsPointsWithoutOrderOfALidarThatDoesNotSpin) {
 }
 
 TEST(PlainFolder, UndoesMotionCompensation) {
-    // The sensor drives at 8 m/s, so half a sweep is 0.4 m.
+    // The sensor drives at 8 m/s, so that it moves 0.4 m in half a sweep.
     const Sequence street = make_synthetic_street(
         {.n_frames = 4, .rows = 16, .columns = 360, .range_noise_m = 0.0, .moving_cars = false});
     const PoseTrack track = street.world_from_sensor(0);

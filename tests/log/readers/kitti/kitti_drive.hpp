@@ -15,7 +15,8 @@
 
 namespace relidar::test {
 
-/// Encoder positions of the firings: on ticks, at even steps, or random near even steps.
+/// Encoder positions of the firings: at ticks, at even steps, or at random positions near
+/// even steps.
 enum class Heads { ticks, even, jittered };
 
 struct KittiDrive {
@@ -23,7 +24,7 @@ struct KittiDrive {
 
     std::filesystem::path folder;     ///< folder of the drive
     std::vector<Beam> beams;          ///< the 64 exact beams
-    std::vector<glm::dvec3> dropped;  ///< exact direction of every ray of frame 0 without a return
+    std::vector<glm::dvec3> dropped;  ///< exact direction of each ray without a return in frame 0
     std::size_t n_points = 0;         ///< in frame 0
 
     /// Writes a drive of three frames to a new temporary folder.

@@ -34,8 +34,8 @@ void expect_mulran_truth(const MulranFolder& data, const Sequence& sequence) {
             const StampedRay& ray = truth.at(column * 64 + frame.scan.rays.channel[i]);
             ASSERT_TRUE(ray.returned) << frame.index << " " << i;
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
-            // Poses are interpolated linearly over 10 ms; corrections of rays are in
-            // single precision.
+            // Tolerance: poses are interpolated linearly over 10 ms, and corrections of
+            // rays have single precision.
             ASSERT_LT(glm::distance(placed.origin_m + sequence.world_offset_m, ray.origin_m), 0.002);
             ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
                                         sequence.world_offset_m,

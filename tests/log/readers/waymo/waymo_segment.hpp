@@ -39,14 +39,15 @@ std::string waymo_laser(int laser, const std::string& first, const std::string& 
 std::string waymo_label(const std::string& id, int type, const glm::dvec3& centre,
                         const glm::dvec3& length_width_height, double heading);
 
-/// Returns a TFRecord: length, data and their masked CRC-32C.
+/// Returns a TFRecord: the length, the data, and the masked CRC-32C of both.
 std::string tfrecord(const std::string& data);
 /// Computes CRC-32C bit by bit.
 std::uint32_t plain_crc32c(const std::string& bytes);
 
 /// Exact content of a pixel.
 struct WaymoPixel {
-    glm::dvec3 point_m{0.0};  ///< in the world; for a dropped pixel, on its ray at 10 m
+    /// point in the world frame; for a dropped pixel, the point at 10 m on its ray
+    glm::dvec3 point_m{0.0};
     double time_us = 0.0;
     float range_m = 0.0f;  ///< 0: no return
     float second_m = 0.0f;
@@ -72,8 +73,9 @@ struct WaymoSegment {
     static glm::dmat4 top_extrinsic();
     static std::vector<double> top_inclinations();  ///< ascending
     static glm::dmat4 world_from_vehicle(double time_us);
-    static double label_time_us(int frame);  ///< time of Frame.pose: not exactly the middle of the sweep
-    static glm::dmat4 world_from_parked();   ///< the vehicle "parked", 4.6 x 2 x 1.6 m
+    /// Returns the time of Frame.pose, which is not exactly the middle of the sweep.
+    static double label_time_us(int frame);
+    static glm::dmat4 world_from_parked();  ///< the vehicle "parked", 4.6 x 2 x 1.6 m
 };
 
 }  // namespace relidar::test

@@ -64,7 +64,7 @@ std::unique_ptr<packets::Decoder> make_decoder(const std::string& packet, const 
     return found && found->make ? found->make(found->name, calibration) : nullptr;
 }
 
-/// Returns all returns of the packets as points, for a head that does not turn while the
+/// Decodes all returns of the packets as points, for a head that does not turn while the
 /// lasers fire.
 std::vector<glm::dvec3> decode_points(const packets::Decoder& decoder,
                                       const std::vector<std::string>& all_packets) {
@@ -126,8 +126,8 @@ TEST(BlockPackets, GiveThePointsOfNebula) {
         EXPECT_EQ(decoder->decode(recorded.packets[0]).n_slots, test.n_slots);
         EXPECT_EQ(decoder->timing().offset_us.size(), std::size_t(test.n_rings));
         EXPECT_EQ(recorded.points_m.size(), test.n_points);
-        // nebula turns the head for the last 32 lasers of a VLS-128, by up to 17 of the
-        // 20 parts of a step of 0.2 degrees
+        // nebula rotates the head for the last 32 lasers of a VLS-128, by up to 17/20 of
+        // an azimuth step of 0.2 degrees
         expect_all(recorded.points_m, decode_points(*decoder, recorded.packets),
                    std::string_view(test.file) == "vls128" ? 0.2 : 0.0);
     }
@@ -183,7 +183,8 @@ TEST(BlockPackets, UseTheAnglesOfTheirFile) {
         EXPECT_NEAR(beams[std::size_t(laser)].elevation_rad / kDegree, 10.0 - laser, 1e-9);
         EXPECT_NEAR(beams[std::size_t(laser)].azimuth_offset_rad / kDegree, -0.25 * laser, 1e-9);
     }
-    // two files that fit, and a file with the name of the recording that does not fit
+    // Two of the files fit the packets. A further file has the name of the recording but
+    // does not fit.
     const auto unsure = make_decoder(recorded.packets[0], "XT16", {{angles, angles}});
     ASSERT_TRUE(unsure);
     EXPECT_NE(unsure->about().find("nominal"), std::string::npos) << unsure->about();
@@ -297,7 +298,7 @@ TEST(BlockPackets, TheTwoBrightestOfThreeReturns) {
 }
 
 /// Returns a packet of an RS-LiDAR-16, written byte by byte from the manual. The azimuth
-/// is 90 degrees in the first block and rises by 0.4 degrees per block.
+/// is 90 degrees in the first block and increases by 0.4 degrees per block.
 std::string rs16_packet() {
     std::string bytes("\x55\xaa\x05\x0a\x5a\xa5\x50\xa0", 8);
     bytes.resize(26);
