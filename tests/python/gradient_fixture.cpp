@@ -19,7 +19,7 @@ constexpr int kChunk = 16;
 /// Arrays of an npz file, filled row by row.
 class Table {
 public:
-    /// Adds a row of doubles to an array of rows of this shape.
+    /// Appends a row of doubles to an array whose rows have this shape.
     template <class Vector>
     void add(const std::string& name, const Vector& row, std::size_t n) {
         Column& column = columns_[name];
@@ -74,7 +74,8 @@ void add_upstream(Table& table, const reference::PixelGradient& g) {
     table.add("upstream/drop_logit", g.drop_logit);
 }
 
-/// The scene as Python is to make it, its surfels in the order of `placed`.
+/// Adds the scene in the form in which Python must create it. The surfels are in the
+/// order of `placed`.
 void add_scene(Table& table, const test::RandomScene& scene, const test::SceneAndPoses& placed) {
     for (const std::uint32_t i : placed.original) add_surfel(table, "scene/", scene.world.surfels[i]);
     for (const Model& model : placed.scene.models) {

@@ -41,8 +41,8 @@ Fate fate_of(const DensifiedSurfel& surfel, double mean_gradient, const DensifyR
 /// Returns two normal random numbers from PCG4D and Box-Muller.
 glm::dvec2 random_normal2(std::uint32_t key, std::uint32_t item, std::uint32_t draw);
 
-/// Returns a point of a surfel, given in units of its scales. `z_w` is used for a 3D
-/// Gaussian only.
+/// Returns a point of a surfel from coordinates in units of the surfel's scales. `z_w` is
+/// used only for a 3D Gaussian.
 glm::dvec3 point_of(const DensifiedSurfel& surfel, const glm::dvec2& z, double z_w);
 
 /// Distributes the copies 0 ... n_new - 1 to surfels. Each copy is computed separately.

@@ -30,7 +30,9 @@ using Context = RTCRayQueryContext;
 using Context = RTCIntersectContext;
 #endif
 
-constexpr double kMaxHalfSize = 1e5;  // metres: keeps Embree's vertices far below its limit of 1.8e18
+// Maximum half size in metres. It keeps Embree's vertices far below Embree's limit of
+// 1.8e18.
+constexpr double kMaxHalfSize = 1e5;
 
 template <typename Handle, void (*release)(Handle)>
 struct Released {
@@ -102,8 +104,8 @@ struct EmbreeFilter::State {
 
 namespace {
 
-/// Data of the filter callback. Embree passes a pointer to the context, which is
-/// therefore the first member.
+/// Data that the filter callback uses. Embree passes a pointer to the context, which must
+/// therefore be the first member.
 struct Query {
     Context context;
     const FloatRecord* records;
@@ -117,8 +119,8 @@ struct Query {
     // index of the moving instance whose separate scene is being traced
     std::uint32_t moving = RTC_INVALID_GEOMETRY_ID;
 
-    /// Inserts a candidate into the sorted buffer if it is a hit, not yet present, and
-    /// among the nearest.
+    /// Inserts a candidate into the sorted buffer if it is a hit, not yet in the buffer,
+    /// and among the nearest hits.
     void offer(std::uint32_t instance, std::uint32_t triangle) {
         const std::uint32_t surfel = (*ids[instance])[triangle / 2];
         const auto hit = float_hit(records[surfel], local[instance], *model);
@@ -215,7 +217,7 @@ EmbreeFilter::~EmbreeFilter() = default;
 
 namespace {
 
-/// Traces a ray through a scene and passes its candidates to a query.
+/// Traces a ray through a scene. Embree passes the candidate triangles to the query.
 void search(RTCScene scene, const LocalRay<float>& ray, float near, Query& query) {
     RTCRayHit target{};
     target.ray.org_x = ray.origin.x, target.ray.org_y = ray.origin.y, target.ray.org_z = ray.origin.z;
@@ -245,7 +247,7 @@ void EmbreeFilter::next_hits(const Ray& ray, const HitKey& after, int chunk, std
     std::vector<LocalRay<float>> local;
     std::vector<const std::vector<std::uint32_t>*> ids;
     const glm::vec3 origin(ray.origin), direction(ray.direction);
-    // converts to t, which is in units of the direction's length
+    // converts the margin from metres to t, whose unit is the length of the direction
     const double t_margin = state_->t_margin / glm::length(ray.direction);
     for (std::size_t i = 0; i < state_->rows.size(); ++i) {
         const Placement& p = state_->instances[i];

@@ -67,8 +67,8 @@ TEST(LayersReference, ConvolutionTurnsAroundAndEndsInZeros) {
 TEST(LayersReference, UpsamplingByHand) {
     ImageBatch from(1, 1, 1, 2);
     from.values = {0.0, 4.0};
-    // Centres at -1/4, 1/4, 3/4, 5/4: each value is a mixture of 3/4 and 1/4 of the
-    // nearest columns, which wrap around.
+    // The source positions are -1/4, 1/4, 3/4 and 5/4. Each value mixes the two nearest
+    // columns with weights 3/4 and 1/4. Columns wrap around.
     const ImageBatch to = upsample(from, 2, 4);
     const std::vector<double> expected{1.0, 1.0, 3.0, 3.0, 1.0, 1.0, 3.0, 3.0};
     for (std::size_t i = 0; i < 8; ++i) EXPECT_DOUBLE_EQ(to.values[i], expected[i]) << i;

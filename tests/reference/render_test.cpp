@@ -112,7 +112,9 @@ TEST(ReferenceRender, StopsBeforeTheSurfelThatGoesUnderTheMinimum) {
     Case c{world_of(surfels)};
     c.settings.image.transmittance_min = 0.5e-3f;
     const Pixel p = c.image();
-    EXPECT_EQ(p.hits, 3u);  // the fourth surfel would reduce T from 1e-3 to 1e-4
+    // The fourth surfel is not blended, because it would reduce T from 1e-3 to 1e-4,
+    // which is below T_min.
+    EXPECT_EQ(p.hits, 3u);
     EXPECT_NEAR(p.transmittance, 1e-3, 1e-12);
     for (const int chunk : {1, 2, 3, 4}) EXPECT_EQ(c.image(chunk).hits, 3u);
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes S from the raw moments E[x], E[xx], E[xy] of the window, directly from the
-// equation. Double precision suffices for this form.
+// Computes the structural similarity S of a window directly from its equation, with the
+// raw moments E[x], E[xx], E[xy]. Double precision suffices for this form.
 #include "ssim.hpp"
 
 #include <cmath>

@@ -22,13 +22,13 @@ struct Placement {
     std::uint32_t count = 0;
     Pose world_from_model;
     Motion motion = {};
-    /// Additional change of the model in its frame at all times, for finite differences.
-    /// The float record ignores it.
+    /// Additional transform of the model in its frame at all times, for finite
+    /// differences. The float record ignores this transform.
     Pose change = {};
 
     /// Returns the pose at the firing time of a ray.
     Pose at(double time_s) const { return pose_at(world_from_model, motion, time_s) * change; }
-    /// Returns the rotation that undoes the turn of the model at a time.
+    /// Returns the rotation that reverses the rotation of the model at a time.
     glm::dquat unturned(double time_s) const {
         return world_from_model.rotation * glm::conjugate(pose_at(world_from_model, motion, time_s).rotation);
     }
@@ -55,7 +55,7 @@ struct HitKey {
     }
 };
 
-/// A hit, with t from the canonical function in the chosen precision.
+/// Hit of a ray. Its t is computed by the canonical function in the selected precision.
 using Hit = HitKey;
 
 class HitProvider {
@@ -90,7 +90,7 @@ private:
     std::vector<DoubleRecord> double_records_;
 };
 
-/// Half sizes of the proxy rectangles: k s * scale + pad_m, k = sqrt(2 ln(sigma /
+/// Half sizes of the proxy rectangles: k s * scale + pad_m, where k = sqrt(2 ln(sigma /
 /// alpha_min)) (M3).
 struct ProxyMargin {
     double scale = 1.002;

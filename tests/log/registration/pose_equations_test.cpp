@@ -63,8 +63,8 @@ Problem random_problem(unsigned seed) {
     return p;
 }
 
-/// The pose part of min sum w (r + row of poses . x - row of plane . y)^2 + prior over x
-/// and y: H x = -g, after dense elimination of the planes.
+/// Solves min sum w (r + row of poses . x - row of plane . y)^2 + prior over x and y by
+/// dense elimination of the planes. The remaining equations for the poses are H x = -g.
 struct DenseEquations {
     Eigen::MatrixXd h;
     Eigen::VectorXd g;
@@ -98,8 +98,8 @@ DenseEquations dense_equations(const Problem& p, double prior) {
             g.head(n) - coupling * planes.solve(g.tail(m - n))};
 }
 
-/// Compares the remaining cost, because points hardly determine some directions of the
-/// step.
+/// Compares the cost after the step instead of the step, because points hardly determine
+/// some directions of the step.
 TEST(PoseEquations, StepIsThatOfTheWholeProblem) {
     for (const unsigned seed : {1u, 2u, 3u, 4u, 5u}) {
         const Problem p = random_problem(seed);

@@ -14,7 +14,7 @@ namespace {
 
 constexpr double kDegree = 0.017453292519943295;
 
-/// Adds typical errors of labels to all poses of a box: a drift of 10 cm along the track,
+/// Adds typical label errors to all poses of a box: a drift of 10 cm along the track,
 /// jitter with a standard deviation of 5 cm, and a yaw that drifts by 2 degrees.
 BoxTrack with_label_errors(BoxTrack box, std::uint64_t seed) {
     std::mt19937_64 random(seed);
@@ -29,8 +29,8 @@ BoxTrack with_label_errors(BoxTrack box, std::uint64_t seed) {
     return box;
 }
 
-/// Largest errors of a track after its mean error in the frame of the box is removed. No
-/// point can show a constant offset of a box.
+/// Largest errors of a track. The mean error in the frame of the box is removed first,
+/// because points cannot determine a constant offset of a box.
 struct TrackError {
     double along_m = 0.0, across_m = 0.0, yaw_rad = 0.0;
 };
@@ -52,8 +52,9 @@ TrackError error_of_track(const BoxTrack& box, const BoxTrack& exact) {
     return result;
 }
 
-/// The car drives ahead of the sensor, so that only its rear is visible. The rear defines
-/// the position along the track and the yaw. Across the track, the labels decide.
+/// The car drives ahead of the sensor, so that only its rear is visible. The rear
+/// determines the position along the track and the yaw. Only the labels determine the
+/// position across the track.
 TEST(RegisterActors, CorrectsDriftingLabels) {
     SyntheticOptions options;
     options.n_frames = 30, options.rows = 64, options.columns = 1024;

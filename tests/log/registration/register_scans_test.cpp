@@ -37,8 +37,8 @@ Registration registered(const Sequence& street, int test_every = 0) {
     return register_scans(street, split_frames(street, test_every), leaving_out(street.boxes));
 }
 
-/// Checks the required accuracy of poses, 1 cm and 0.05 degrees, for training and test
-/// scans.
+/// Checks that the poses of training and test scans have the required accuracy: 1 cm and
+/// 0.05 degrees.
 void expect_registered(const Registration& registration, const PoseTrack& exact, const Split& split,
                        const char* what) {
     const PoseError train = error_of(registration.world_from_vehicle, exact, split.train);
@@ -58,7 +58,8 @@ void expect_registered(const Registration& registration, const PoseTrack& exact,
     }
 }
 
-/// Each sweep sees a fifth of the street, so only the equations connect its two ends.
+/// Each sweep covers a fifth of the street, so only the equations of all poses connect
+/// the two ends of the street.
 TEST(RegisterScans, LongStreetStaysWhereItIs) {
     SyntheticOptions options;
     options.seed = 7, options.n_frames = 400, options.rows = 32, options.columns = 256;

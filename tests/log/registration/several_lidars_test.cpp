@@ -16,7 +16,8 @@ SyntheticOptions two_lidar_options() {
     return {.n_frames = 12, .rows = 32, .columns = 256, .moving_cars = false};
 }
 
-/// Doubles the poses: at each sweep, and off_s later when the second LiDAR sweeps.
+/// Doubles the poses: a pose at each sweep of the first LiDAR, and a pose off_s later,
+/// when the second LiDAR sweeps.
 Sequence one_after_the_other(double off_s) {
     const Sequence together = test::two_lidar_street(two_lidar_options());
     Sequence street = together;

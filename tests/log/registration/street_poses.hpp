@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes wrong poses of the synthetic street and measures the error of poses.
+// Makes wrong poses of the synthetic street, and computes the errors of poses.
 #pragma once
 
 #include <cstdint>
@@ -14,9 +14,9 @@ inline constexpr double kDegree = kPi / 180.0;
 
 Sequence with_poses(Sequence street, PoseTrack track);
 
-/// Moves every pose by white noise with the given total standard deviations.
+/// Adds white noise with these total standard deviations to every pose.
 PoseTrack perturbed(PoseTrack track, double sigma_m, double sigma_rad, std::uint64_t seed);
-/// Moves the poses along a smooth curve with the given amplitudes.
+/// Adds a smooth curve with these amplitudes to the poses.
 PoseTrack drifting(PoseTrack track, double amplitude_m, double amplitude_rad);
 
 /// Returns poses with the errors of wheel odometry and gyroscopes: 1 % too much distance,

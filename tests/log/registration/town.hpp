@@ -7,9 +7,9 @@
 
 namespace relidar::test {
 
-/// Makes a drive of 283 m around a block in n_frames sweeps at 10 Hz, with a stop of 2 s,
-/// which ends slightly beyond its start. It has 32 x 256 rays, a rolling shutter, range
-/// noise of 1 cm, and no labels.
+/// Makes a drive of 283 m around a block in n_frames sweeps at 10 Hz. The car stops for 2
+/// s, and the drive ends slightly beyond its start. A sweep has 32 x 256 rays, a rolling
+/// shutter, range noise of 1 cm, and no labels.
 Sequence drive_around_block(int n_frames);
 
 }  // namespace relidar::test

@@ -111,8 +111,9 @@ TEST(Scatter, DrawsTheDistributionOfEachBrightness) {
     }
 }
 
-/// Autoregressive noise e(i) = 0.8 e(i-1) + 0.03 n: variance 0.0025, correlation 0.8^k
-/// between rays k columns apart.
+/// Returns the rendered value with autoregressive noise e(i) = 0.8 e(i-1) + 0.03 n. The
+/// noise has a variance of 0.0025, and a correlation of 0.8^k between rays k columns
+/// apart.
 double grain(double rendered, double before, Random& random) {
     return rendered + 0.8 * before + 0.03 * random.normal();
 }

@@ -24,8 +24,8 @@ using testing::SizeIs;
 
 constexpr int kFrames = 80;
 
-/// Makes 790 m of road in four blocks, walls at 7 m intervals, and a car that two blocks
-/// were trained with.
+/// Makes 790 m of road in four blocks, walls at intervals of 7 m, and a car that is part
+/// of the training of two blocks.
 class JoinedBlocks : public test::DeviceTest {
 protected:
     void SetUp() override {
@@ -151,7 +151,7 @@ TEST_F(JoinedBlocks, RendersAsOnePieceWithFewBlocksOnTheDevice) {
     std::uint64_t most = 0;
     {
         ScanRenderer in_blocks(device(), run.scene, config, log);
-        // drives along the road and back to its beginning, so that blocks are loaded and
+        // drives along the road and back to its start, so that blocks are loaded and
         // released
         for (const int frame : {0, 20, 21, 40, 60, 79, 3}) {
             const RenderedScan scan = in_blocks.render(sensor, log.frames[std::size_t(frame)].time_s);

@@ -22,8 +22,8 @@ inline Sequence log_along(int n, const std::function<glm::dvec3(int)>& way) {
     return log;
 }
 
-/// Returns surfels with a standard deviation of 1 m that face along x, at intervals of 10
-/// m along y for each x.
+/// Returns surfels with a standard deviation of 1 m that face along x. For each x, the
+/// surfels are at intervals of 10 m along y.
 inline Surfels walls_at(const std::vector<float>& xs) {
     Surfels surfels;
     surfels.resize(3 * xs.size());

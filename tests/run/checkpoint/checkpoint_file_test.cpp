@@ -39,7 +39,7 @@ void expect_equal(const Checkpoint& a, const Checkpoint& b) {
     }
 }
 
-/// Newest valid checkpoint of a folder, and the notes reported while loading.
+/// Newest valid checkpoint of a folder, and the notes that loading reported.
 struct Loaded {
     std::optional<Checkpoint> checkpoint;
     std::vector<std::string> notes;

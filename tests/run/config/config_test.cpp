@@ -132,8 +132,8 @@ TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
               file + "sensor.rolling_shutter: found \"true\", expected one of auto, true, false in quotes");
 }
 
-/// The short form omits default values of minor settings. Reading it must give the same
-/// settings.
+/// The short form omits default values of minor settings. Reading the short form must
+/// give the same settings.
 TEST_F(ConfigFile, ShortFormReadsBackToTheSame) {
     for (const char* name : {"paper", "quick"}) {
         Config config = make_preset(name);
@@ -274,8 +274,8 @@ TEST(Config, EnumFieldsReachTheirStages) {
     EXPECT_EQ(trace_options(config).chunk, 8);
 }
 
-/// Training must trace rays with the values that the losses need. Rendering must omit
-/// them, except for the normals of surfels.
+/// Training must render the values that the losses need. Rendering must omit these
+/// values, except for the normals of surfels.
 TEST(Config, LossesReachTheTraceOfTraining) {
     Config config;
     EXPECT_FALSE(training_trace_options(config).likelihood);

@@ -14,7 +14,7 @@
 namespace relidar {
 namespace {
 
-/// Simulates a full disk while the object exists: no file of this process can grow.
+/// Simulates a full disk while the object exists: files of this process cannot grow.
 class FullDisk {
 public:
     explicit FullDisk(rlim_t n_bytes) : handler_(std::signal(SIGXFSZ, SIG_IGN)) {
