@@ -26,7 +26,8 @@ std::vector<Sample> points_of_door() {
 
 TEST(ChangingSurfels, ADoorIsOpenOnlyWhenItWasOpen) {
     const ChangingSurfels actor = changing_surfels(points_of_door(), {}, 0.0, 8000);
-    // highest visibility (M14) of the surfels at a distance y, at the time of a frame
+    // Returns the highest visibility (M14) of the surfels at a distance y, at the time of
+    // a frame.
     const auto visible = [&](double frame, float y) {
         double most = 0.0;
         for (std::size_t i = 0; i < actor.surfels.size(); ++i) {

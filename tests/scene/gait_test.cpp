@@ -138,8 +138,8 @@ TEST_F(Walkers, LieWhereTheyAreAtMomentsThatWereHeldOut) {
     EXPECT_LT(share_within(stiff, 0.3), share_within(bent, 0.3)) << "rays that miss or meet the other leg";
 }
 
-/// A person who walks at half the speed makes the same steps at the same positions,
-/// because the phase depends on distance. The exact street does the same.
+/// A person who walks at half the speed must make the same steps at the same positions,
+/// because the phase depends on distance. The exact street has the same property.
 TEST_F(Walkers, StepByDistance) {
     const std::string walker = "0";
     Sequence slow = log;

@@ -128,7 +128,7 @@ std::size_t count_in_moving_boxes(const Sequence& street, const Surfels& surfels
     return n;
 }
 
-/// In a static street, no surfel may be removed as moved, neither for a spinning LiDAR
+/// In a static street, no surfel may be removed as moving, neither for a spinning LiDAR
 /// nor for LiDARs without beams.
 TEST(Initialise, AStreetThatStandsStillStays) {
     const std::string rig =
@@ -167,7 +167,7 @@ TEST(Initialise, UnevenBeamsDoNotSeeThroughTheGround) {
 
 TEST(Initialise, MovingBoxesAreLeftOutAndUnlabelledMoversRemoved) {
     SyntheticOptions longer = small_street();
-    longer.n_frames = 20;  // long enough to see the places that a car hid
+    longer.n_frames = 20;  // long enough to observe the surfaces that a car hid
     const Sequence street = make_synthetic_street(longer);
     const std::vector<int> train = split_frames(street, 10).train;
     InitialiseOptions options;

@@ -45,8 +45,8 @@ std::vector<double> places(int n, double apart) {
     return x;
 }
 
-/// Surfel nearest to a position: standard deviations along x and y in units of the point
-/// spacing, and the normal.
+/// Shape of the surfel nearest to a position: standard deviations along x and y in units
+/// of the point spacing, and the normal.
 struct Disc {
     double along_x = 0.0, along_y = 0.0;
     glm::dvec3 normal;

@@ -98,7 +98,7 @@ TEST_F(SurfelPly, ComesBackBitEqual) {
     EXPECT_EQ(files().size(), 2u);
 }
 
-/// 3D Gaussians must be stored with three scales, like in 3D Gaussian Splatting.
+/// 3D Gaussians must be stored with three scales, as in 3D Gaussian Splatting.
 TEST_F(SurfelPly, GaussiansHaveTheirThirdScale) {
     Scene scene = some_scene();
     scene.surfels.primitive = Primitive::gaussian;

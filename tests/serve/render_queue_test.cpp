@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the queue of the render thread: order, slots, and requests that are cancelled.
+// Tests the queue of the render thread: the order of requests, its slots, and cancelled
+// requests.
 #include <atomic>
 #include <cctype>
 #include <functional>
@@ -114,8 +115,8 @@ std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std:
                 queue.reserve()->run(request);
             } catch (const std::runtime_error&) {}
         });
-        // the queue has polled whether the request is cancelled, so the request is
-        // pending
+        // When the queue has polled whether the request is cancelled, the request is
+        // pending.
         while (n_in_line == before) std::this_thread::yield();
     }
     blocker.reset();

@@ -80,7 +80,8 @@ TEST_F(Scenes, ThatWereLoadedAnewInBetweenAreTold) {
     EXPECT_NO_THROW(scenes.reuse_scene(0, second, nothing));
 }
 
-/// Copies of a scene for parallel scans must count towards its memory.
+/// A scene is copied for parallel scans. The memory of the copies must count towards the
+/// memory of the scene.
 TEST_F(Scenes, OneThatFillsTheMemoryIsNotCopied) {
     const Forced forced(device(), {.side_by_side = 4});
     const std::uint64_t around = device().allocated_bytes();

@@ -86,7 +86,7 @@ std::vector<float> ply_positions(const std::filesystem::path& path) {
     return values<float>(positions);
 }
 
-/// Returns the positions of the rays that return.
+/// Returns the positions of the points whose rays have a return.
 /// @param ends [n, 3] end points of all rays
 std::vector<float> returned_positions(const std::vector<float>& ends, const RenderedScan& scan) {
     std::vector<float> positions;
@@ -96,9 +96,10 @@ std::vector<float> returned_positions(const std::vector<float>& ends, const Rend
     return positions;
 }
 
-/// The sensor moves and turns. At the time of the scan its frame is the world of the
-/// scene, so that the viewer uses the same frame. Run.render() of Python returns
-/// scan_arrays().
+/// Compares the points of the service with the points in files, of the viewer, and of
+/// Python's Run.render(), which returns scan_arrays(). The sensor moves and turns. At the
+/// time of the scan its frame is the world frame of the scene, so that the viewer uses
+/// the same frame.
 TEST_F(Service, PointsAreThoseOfFilesViewerAndPython) {
     start();
     const Pose turned{glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), at_x(1.3).translation};

@@ -85,7 +85,8 @@ TEST_F(ActorScoresOf, RangesThatAreTooLongHaveThisBias) {
     EXPECT_GE(n_seen, 3u);
 }
 
-/// Moves a point of the last frame to the centre of a car in the first frame.
+/// Moves a point of the last frame to the position that the centre of a car had in the
+/// first frame.
 TEST_F(ActorScoresOf, APointWhereACarWasIsInItsTail) {
     const Frame& last = street.frames.back();
     const BoxTrack* fastest = nullptr;

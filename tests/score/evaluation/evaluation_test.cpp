@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the evaluation of many frames against the evaluation of each single frame. The
-// images of a frame must exist while the caller sees them and be released afterwards.
+// Compares the evaluation of many frames with the evaluation of each single frame. The
+// images of a frame must exist while the caller reads them and be released afterwards.
 #include <relidar/score/evaluation.hpp>
 
 #include <algorithm>
@@ -111,7 +111,8 @@ TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
     EXPECT_EQ(evaluation.title, "baseline nearest");
 }
 
-/// Compares the errors by range with the images, ray by ray.
+/// Computes the errors by range from the images, ray by ray, and compares them with the
+/// evaluation.
 TEST_F(EvaluationOf, CountsErrorsByRange) {
     ScanRenderer renderer(device(), run);
     std::vector<ScoredFrame> seen;

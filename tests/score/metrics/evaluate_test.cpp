@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests both metric protocols on small images with values by hand, and cases in which a
-// metric is undefined.
+// Tests both metric protocols on small images whose metrics are computed by hand, and
+// cases in which a metric is undefined.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -123,8 +123,8 @@ TEST(Evaluate, DropsByHand) {
     EXPECT_NEAR(row.at("strict/drop_precision"), 2.0 / 3.0, 1e-12);
     EXPECT_NEAR(row.at("strict/drop_recall"), 2.0 / 3.0, 1e-12);
     EXPECT_NEAR(row.at("strict/drop_f1"), 2.0 / 3.0, 1e-12);
-    // Differences of the probabilities: 0.2 - 0, 0.9 - 1, 0.3 - 1, 0.5 - 0, 0.1 - 1.
-    // Pixels without a range are included.
+    // Uses the differences between predicted and real drop: 0.2 - 0, 0.9 - 1, 0.3 - 1,
+    // 0.5 - 0, 0.1 - 1. Pixels without a range are included.
     EXPECT_NEAR(row.at("strict/drop_rmse"), std::sqrt((0.04 + 0.01 + 0.49 + 0.25 + 0.81) / 5.0), 1e-7);
 }
 

@@ -35,7 +35,8 @@ protected:
         log.world_offset_m = {455000.0, 5428000.0, 113.0};
         scene = initialise_scene(log, split_frames(log, 5).train, {});
     }
-    /// Returns a drive through the street in a bend, in the dataset's world frame.
+    /// Returns the path of a drive through a bend of the street, in the dataset's world
+    /// frame.
     PoseTrack bend() const {
         PoseTrack track = shifted_track(log.world_from_sensor(0), log.world_offset_m);
         for (std::size_t k = 0; k < track.pose.size(); ++k)
@@ -70,8 +71,8 @@ protected:
         for (const PointRequest& wish : wishes)
             ask(wish, &wish == &wishes.back() ? ScanRenderer::Send::now : ScanRenderer::Send::with_next);
     }
-    /// Returns scans of a rig with several sensors, some of them equal, at two times,
-    /// with two sets of actors.
+    /// Returns requests for the scans of a rig with several sensors, some of them equal,
+    /// at two times and with two sets of actors.
     std::vector<PointRequest> rig() const {
         std::vector<PointRequest> wishes;
         for (const char* name :
@@ -138,9 +139,9 @@ TEST(FiringPoses, AreThoseOfEachRay) {
         }
 }
 
-/// Compares rays of a sensor that drives and turns by 6 rad/s with double precision. The
-/// rounding error at 80 m is up to 4e-6 m, and place_point() makes about seven roundings.
-/// At 5428 km the rounding error is 0.25 m.
+/// Compares the points of a sensor that drives and turns by 6 rad/s with double
+/// precision. The rounding error at 80 m is up to 4e-6 m, and place_point() makes about
+/// seven roundings. At 5428 km the rounding error is 0.25 m.
 TEST(PlacePoints, LieWhereDoublePrecisionPutsThem) {
     RenderedScan scan;
     scan.time_s = 5.0;
@@ -207,8 +208,8 @@ TEST_F(PointsOfScans, OfASensorThatStandsAndAmongActorsOfTheCaller) {
     expect_equal(renderer->wait_for_points(), empty, "no actor");
 }
 
-/// Keeps two scans pending at any time, from different sensors and positions, and renders
-/// other scans between them.
+/// Always has two pending scans of different sensors and positions, and renders other
+/// scans between them.
 TEST_F(PointsOfScans, ManyInFlightDoNotMix) {
     make_renderer();
     const std::vector<SensorChoice> sensors = {sensor("native"), sensor("VLP-16:300x10"),
@@ -278,7 +279,7 @@ TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
     expect_equal(alone(wishes[0]), expected[0], "of the next renderer");
 }
 
-/// Tests scans that a network corrects, with images of two shapes.
+/// Tests scans that a ray-drop network corrects, with images of two shapes.
 TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     make_renderer();
     const std::vector<PointRequest> wishes = {
@@ -369,7 +370,8 @@ TEST_F(PointsOfScans, HaveTheStepsOfTheLog) {
         EXPECT_NEAR(double(intensity) / step, std::round(double(intensity) / step), 1e-5);
 }
 
-/// Requests that the device cannot complete are completed on the host.
+/// Uses requests that the device cannot complete. They must be completed on the host with
+/// the same result.
 TEST_F(PointsOfScans, OfGridsSubRaysSamplesAndWeatherAreTheSame) {
     config.sensor.divergence_mrad = 3.0;
     make_renderer();
@@ -395,7 +397,7 @@ TEST_F(PointsOfScans, MayBeLeftBehind) {
     make_renderer();
     const RenderedPoints expected = on_host(wish);
     ask(wish), ask(wish);
-    make_renderer();  // the validation layer reports memory that is still in use
+    make_renderer();  // if memory is still in use, the validation layer reports it
     ask(wish);
     expect_equal(renderer->wait_for_points(), expected, "of the next renderer");
 }

@@ -35,8 +35,8 @@ RenderedScan scan_of(const std::vector<glm::vec3>& points, const std::vector<flo
 TEST(ProjectScan, NearestReturnedPointWinsAndOneReturnIsEnough) {
     const RangeGrid grid = kitti360_grid();
     const glm::vec3 a(10.0f, 0.0f, -0.5f);
-    // a cell with a returned far point, a nearer returned point, and the nearest point,
-    // which is dropped
+    // The cell contains a far point with a return, a nearer point with a return, and the
+    // nearest point, which is dropped.
     const RenderedScan near = project_scan(scan_of({a, 0.9f * a, 0.5f * a}, {0.1f, 0.2f, 0.9f}), grid);
     const std::size_t cell = std::size_t(*project(grid, glm::dvec3(a)));
     EXPECT_NEAR(near.image.range_m[cell], 0.9f * glm::length(a), 1e-4f);

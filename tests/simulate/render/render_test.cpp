@@ -27,7 +27,7 @@ Surfels wall_ahead() {
     return wall;
 }
 
-/// Returns a log with four rays from the origin, a quarter turn apart.
+/// Returns a log with four horizontal rays from the origin, a quarter turn apart.
 Sequence cross_sequence() {
     Sequence sequence;
     sequence.lidars[0].sensor.beams = {{0.0}};
@@ -53,7 +53,7 @@ Surfels post_before_wall() {
     return scene;
 }
 
-/// Returns the share of a disc that a strip through its middle covers.
+/// Returns the share of a disc that is covered by a strip through its middle.
 /// @param x half of the strip's width divided by the disc's radius
 double strip_share(double x) { return 2.0 / kPi * (std::asin(x) + x * std::sqrt(1.0 - x * x)); }
 
@@ -300,7 +300,7 @@ TEST_F(Render, LimitsAreTheSensorsAndTheSettings) {
     EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 80.0) << "of the grid's convention";
 }
 
-/// Returns a plate 4 m ahead that blocks 0.3 of the light, and the wall.
+/// Returns a plate 4 m ahead that blocks 30 % of the light, and the wall behind it.
 Surfels faint_plate_before_a_wall() {
     Surfels surfels = wall_ahead();
     surfels.append(wall_ahead());
@@ -347,8 +347,8 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     const RenderedScan plane =
         ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.0);
     EXPECT_NEAR(range_spread(plane)[ahead], 0.0f, 1e-4f);
-    // Shares of the light: 0.3 for the plate, and the remainder times the maximum opacity
-    // of a surfel for the wall.
+    // The share of the light is 0.3 for the plate. For the wall, it is the remainder
+    // times the maximum opacity of a surfel.
     const double wall = 0.7 * double(config.image.alpha_max), weight = 0.3 + wall;
     std::vector<std::string> channels = drop_channel_names(config.refine);
     std::vector<DropImage> seen;
@@ -368,8 +368,8 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     }
 }
 
-/// A sensor moves while it turns. The pose of each ray must put its point on the static
-/// wall.
+/// A sensor moves while its head turns. The pose at the firing time of each ray must put
+/// the point of the ray on the static wall.
 TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
     Sequence sequence = cross_sequence();
     sequence.lidars[0].sensor.columns = 64;
@@ -445,9 +445,9 @@ TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
     EXPECT_THROW(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence), UsageError);
 }
 
-/// Returns a wall behind the sensor on its right, and a plate that is placed twice:
-/// ahead, and behind, turned to face the sensor. The plate's brightness depends on the
-/// direction.
+/// Returns a wall behind the sensor on its right, and a plate that is placed twice. The
+/// first plate is ahead of the sensor. The second plate is behind the sensor and turned
+/// to face it. The brightness of the plate depends on the direction.
 Scene two_placements(Sequence& sequence) {
     Surfels surfels;
     surfels.resize(2);

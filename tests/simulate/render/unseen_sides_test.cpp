@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the count of rays that enter a box through an unseen side. The expected counts
-// are numbers of points on a grid.
+// Tests the count of rays that enter a box through a side that the log has not observed.
+// The expected counts are numbers of points on a grid.
 #include <gtest/gtest.h>
 
 #include <relidar/simulate/render.hpp>

@@ -16,7 +16,7 @@ namespace {
 
 class WetGroundOnScans : public test::DeviceTest {};
 
-/// Returns a level disc that returns, of intensity 0.5 + 0.28 times the coefficient.
+/// Returns a level disc with returns of intensity 0.5 + 0.28 times the coefficient.
 Surfels disc_of(float scale_m, float coefficient) {
     Surfels disc;
     disc.resize(1);
@@ -45,7 +45,7 @@ Surfels ground_before_wall() {
     return scene;
 }
 
-/// Returns a log with eight beams that look down by 3.6 to 5.7 degrees.
+/// Returns a log of a sensor with eight beams that point down by 3.6 to 5.7 degrees.
 Sequence sequence_looking_down() {
     Sequence sequence;
     sequence.lidars[0].sensor.columns = 360;
@@ -90,7 +90,8 @@ TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
             ASSERT_EQ(wet.median_range_m[i], dry.median_range_m[i]);
             ASSERT_NEAR(wet.image.intensity[i] / dry.image.intensity[i],
                         wet_over_dry(-double(d.z), double(dry.image.intensity[i])),
-                        // near the foot of the wall, the estimated ground is tilted
+                        // close to the foot of the wall, the tolerance is larger, because
+                        // the estimated ground is tilted
                         ground_m * double(d.x) < 6.0 ? 1e-3 : 0.05)
                 << i;
         }
