@@ -219,7 +219,7 @@ TEST(Rules, ReadmeCallingNothingIsFound) {
     EXPECT_THAT(check_readme({}), ElementsAre(HasSubstr("missing")));
 }
 
-/// Returns the violations in a document of a small checkout.
+/// Returns the violations that the rules report for a document in a small checkout.
 Violations wrong_in(const std::string& document) {
     return check_documents(
         make_tree({{"docs/a.md", document},

@@ -18,8 +18,8 @@ const std::set<std::string> kSkippedFolders = {".git",    "build", "demo", "runs
 
 bool is_skipped(const fs::path& root, const fs::directory_entry& entry) {
     const std::string name = entry.path().filename().string();
-    // tools/demo is a script, and demo/ is the folder that it writes. Folders like
-    // tests/data contain no sources.
+    // The file tools/demo is a script, and the folder demo/ is its output, so only
+    // folders are skipped. Folders like tests/data contain no sources.
     return entry.is_directory() && (kSkippedFolders.contains(name) ||
                                     (entry.path().parent_path() == root && name.starts_with("cmake-build")));
 }
@@ -81,7 +81,8 @@ std::string collapse_spaces(const std::string& text) {
     return out;
 }
 
-/// Returns the number of parameters in the parenthesised list that opens at `open`.
+/// Counts the parameters in a parenthesised list.
+/// @param open position of the opening parenthesis
 int count_arguments(const std::string& header, std::size_t open) {
     int depth = 0, commas = 0;
     bool any = false;
@@ -96,7 +97,8 @@ int count_arguments(const std::string& header, std::size_t open) {
     return any ? commas + 1 : 0;
 }
 
-/// Finds scopes and functions in code without comments and literals.
+/// Searches for scopes and functions in code from which comments and literals were
+/// removed.
 class Reader {
 public:
     explicit Reader(const std::string& code) : code_(code) {}

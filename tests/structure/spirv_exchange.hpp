@@ -19,13 +19,15 @@ namespace relidar::structure {
 
 namespace spirv_detail {
 
-/// Origin of an instruction's result: the parameter member, and whether the access is
-/// coherent.
+/// Parameter member from which an instruction's result was loaded, and whether the access
+/// is coherent.
 struct Origin {
-    std::string member;     ///< name of the member, such as "keys" or "wide.order"; empty without a member
-    bool in_array = false;  ///< true for the array itself, false for the pointer to it
+    std::string member;  ///< name of the member, such as "keys" or "wide.order"; empty without a member
+    /// true if the result is in the array, false if it is the pointer to the array
+    bool in_array = false;
     bool coherent = false;
-    /// true for the pointer to the parameter block, or its place in the push constants
+    /// true if the result is the pointer to the parameter block, or the location of this
+    /// pointer in the push constants
     bool parameters = false;
 };
 
@@ -37,8 +39,9 @@ struct Accesses {
 
 class ExchangeReader {
 public:
-    /// @return members that are loaded and stored in a kernel with a barrier, and not
-    /// always coherently
+    /// Reads a compiled kernel.
+    /// @return members that a kernel with a barrier loads and stores, with at least one
+    /// access that is not coherent
     std::vector<std::string> read(std::span<const std::uint32_t> words) {
         for (std::size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16) {
             if (words[at] >> 16 == 0) throw std::runtime_error("reading SPIR-V: an instruction of no words");

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the member offsets of structs in a compiled shader, for comparison with offsetof
-// on the host, and the required capabilities. Uses only OpCapability, OpName,
-// OpMemberName, OpMemberDecorate Offset and OpTypeStruct of a SPIR-V module.
+// Reads the member offsets of structs in a compiled shader, so that tests can compare
+// them with offsetof on the host. Also reads the required capabilities. Uses only
+// OpCapability, OpName, OpMemberName, OpMemberDecorate Offset and OpTypeStruct of a
+// SPIR-V module.
 #pragma once
 
 #include <cstddef>
@@ -45,7 +46,8 @@ void for_each_instruction(std::span<const std::uint32_t> words, Read read) {
     }
 }
 
-/// Returns a literal string: little-endian bytes in words, terminated by a zero byte.
+/// Reads a literal string, which is stored as little-endian bytes in words and ends with
+/// a zero byte.
 inline std::string read_string(std::span<const std::uint32_t> words) {
     std::string text;
     for (const std::uint32_t word : words) {
@@ -119,7 +121,7 @@ inline std::map<std::string, StructLayout> read_spirv_layouts(std::span<const st
 
 constexpr std::uint32_t kCapabilityInt64 = 11;
 
-/// Returns the capabilities that a module declares, as numbers of the SPIR-V
+/// Returns the capabilities that a module declares, with the numbers of the SPIR-V
 /// specification.
 inline std::set<std::uint32_t> read_spirv_capabilities(std::span<const std::uint32_t> words) {
     std::set<std::uint32_t> capabilities;

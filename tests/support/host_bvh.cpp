@@ -28,8 +28,8 @@ public:
     Builder(const std::vector<Box>& boxes, std::vector<shared::BvhNode>& nodes, Indices& order)
         : boxes_(boxes), nodes_(nodes), order_(order) {}
 
-    /// Builds the tree of some primitives.
-    /// @return index of the root
+    /// Builds the subtree of some primitives.
+    /// @return index of the root of the subtree
     std::uint32_t build(Indices primitives) {
         const auto root = static_cast<std::uint32_t>(nodes_.size());
         nodes_.emplace_back();

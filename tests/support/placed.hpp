@@ -9,13 +9,13 @@
 
 namespace relidar::test {
 
-/// Scene and poses of a world. Each distinct range of surfels becomes a model. The models
-/// of a scene are contiguous, so overlapping ranges become copies. Surfels outside all
-/// ranges are omitted.
+/// Scene and poses that correspond to a world. Each distinct range of surfels becomes a
+/// model. The models of a scene are contiguous, so overlapping ranges become copies.
+/// Surfels outside all ranges are omitted.
 struct SceneAndPoses {
     Scene scene;
     std::vector<InstancePose> world_from_instance;
-    /// [n] index in the world of each surfel of the scene, ascending within a model
+    /// [n] index in the world of each surfel of the scene; ascending within a model
     std::vector<std::uint32_t> original;
 };
 SceneAndPoses to_scene(const Surfels& surfels, const std::vector<reference::Placement>& placements);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the estimation of rays that a sensor never sees, from few and many sweeps: a
-// sector hidden by the recording vehicle, and rays that are dropped occasionally.
+// Tests the estimation of rays for which a sensor never has a return, from few and many
+// sweeps. Covers a sector that the recording vehicle hides, and rays that are dropped
+// occasionally.
 #include "train/drops/sensor_drop.hpp"
 
 #include <algorithm>
@@ -14,9 +15,9 @@ namespace {
 
 constexpr int kColumns = 360, kBlindFrom = 99, kBlindTo = 189;  // columns of beam 1
 
-/// Returns sweeps of four beams with every `step`-th column. The second beam is blind in
-/// a sector. The third drops every seventh ray. The fourth drops six of 24 rays, like
-/// rays that hit windows.
+/// Returns sweeps of four beams with every `step`-th column. The second beam has no
+/// returns in a sector. The third beam drops every seventh ray. The fourth beam drops six
+/// of 24 rays, like rays that hit windows.
 Sequence log_of(int n_frames, int step = 1) {
     Sequence log;
     log.lidars[0].sensor.columns = kColumns;

@@ -71,8 +71,8 @@ protected:
         return block;
     }
 
-    /// Returns the median error of the mean range for the rays of the held-out frame that
-    /// return from a car.
+    /// Returns the median error of the mean range over the rays of the held-out frame
+    /// whose return is from a car.
     double error_on_cars() {
         const Frame& frame = run.sequence.frames[std::size_t(run.split.test[0])];
         ScanRenderer renderer(device(), run.scene, run.config, run.sequence);
@@ -133,8 +133,8 @@ TEST_F(TrainActors, LeaveABackgroundInMemoryAsItIs) {
         same(&Surfels::sh);
 }
 
-/// Only background near the rays may affect training. Surfels high above the street must
-/// not change a bit.
+/// Only background near the rays may affect the training of actors. Surfels high above
+/// the street must not change any bit of the result.
 TEST_F(TrainActors, WhatNoRayNearThemMeetsMakesNoDifference) {
     relidar::Run other = run;
     Surfels far = read_block(run.scene.blocks[0]).slice(0, 100);
@@ -143,7 +143,7 @@ TEST_F(TrainActors, WhatNoRayNearThemMeetsMakesNoDifference) {
     SceneBlock block{folder / "above.safetensors", 100, {-100, -100, -100}, {100, 100, 100}};
     save_model(block.file, above);
     other.scene.blocks.push_back(block);
-    // excludes the rate of means, because it depends on the extent of all blocks
+    // excludes the learning rate of means, because it depends on the extent of all blocks
     for (relidar::Run* each : {&run, &other})
         each->config.train.mean_rate = each->config.train.mean_rate_final = 0.0;
     EXPECT_TRUE(train_actors(device(), run));

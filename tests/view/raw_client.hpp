@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sends arbitrary bytes, valid or invalid, to a server and returns the answer.
+// Sends arbitrary bytes, valid or invalid, to a server and returns the response.
 #pragma once
 
 #include <chrono>
@@ -38,9 +38,9 @@ std::string ask(int port, std::string_view request);
 /// status line.
 int status_of(std::string_view answer);
 
-/// Encodes a WebSocket frame as a client sends it.
+/// Encodes a WebSocket frame in the form in which a client sends it.
 /// @param first FIN, reserved bits and opcode
-/// @param length length in the header, which may differ from the payload's
+/// @param length length in the header, which may differ from the length of the payload
 std::string frame(std::uint8_t first, std::string_view payload, bool masked, std::uint64_t length);
 std::string text_frame(std::string_view text);
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that a rendering written as EXR can be read as a scan of a plain folder.
+// Tests that a rendering that was written as EXR can be read as a scan of a plain folder.
 #include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>

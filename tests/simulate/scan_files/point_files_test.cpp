@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// PLY, PCD and KITTI .bin files, read back by a reader of ten lines: header lines as
-// documented, then packed records.
+// Tests PLY, PCD and KITTI .bin files. A small reader of ten lines reads them back:
+// header lines as documented, then packed records.
 #include <relidar/simulate/point_files.hpp>
 
 #include <cstring>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests that recordings written by relidar can be read as logs with the same points,
-// rings, times, poses and actors. The sensor is mounted on a vehicle that drives a curve
-// and has second returns.
+// rings, times, poses and actors. The sensor has second returns and is mounted on a
+// vehicle that drives a curve.
 #include <algorithm>
 #include <cmath>
 
@@ -95,8 +95,8 @@ std::vector<SeenPoint> truth() {
     return points;
 }
 
-/// Returns the points of a log that was read.
-/// @param zero_s time zero of the log in the recording
+/// Returns the points of a log that was read from a recording.
+/// @param zero_s time in the recording at which the time of the log is zero
 std::vector<SeenPoint> read_again(const Sequence& log, double zero_s) {
     std::vector<SeenPoint> points;
     const PoseTrack track = shifted_track(log.world_from_sensor(0), log.world_offset_m);
@@ -119,8 +119,8 @@ std::vector<SeenPoint> read_again(const Sequence& log, double zero_s) {
     return points;
 }
 
-/// Returns a car that drives a curve and exists from the second scan on, and a static
-/// object.
+/// Returns two actors: a car that drives a curve and exists from the second scan on, and
+/// a static object.
 std::vector<BoxTrack> actors() {
     BoxTrack car{"car 7", "Car", {4.2, 1.8, 1.5}, {}}, bin{"bin", "Bin", {0.7, 0.6, 1.1}, {}};
     for (int i = 0; i <= 40; ++i) {
@@ -227,8 +227,8 @@ BoxTrack car_behind() {
     return car;
 }
 
-/// Returns the distance at which a ray enters a box around the origin, or 0 if it misses
-/// the box.
+/// Returns the distance from the ray's origin to the point where the ray enters a box
+/// around the origin of the frame. Returns 0 if the ray misses the box.
 double entry_m(const glm::dvec3& origin_m, const glm::dvec3& direction, const glm::dvec3& size_m) {
     double enters_m = 0.0, leaves_m = 1e9;
     for (int axis = 0; axis < 3; ++axis) {
