@@ -74,7 +74,8 @@ TEST(ParallelFor, ThrowsTheFirstFailureAndBeginsNothingElse) {
 }
 
 TEST(ParallelFor, WorksInAFork) {
-    parallel_for(4, [](int) {});  // the parent process has threads; a forked child has none of them
+    // starts threads in the parent process; a forked child does not inherit threads
+    parallel_for(4, [](int) {});
     const pid_t child = ::fork();
     if (child == 0) {
         std::atomic<int> n{0};

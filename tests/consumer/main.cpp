@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The smallest user of the installed library: a table of rays, and the devices that could
-// trace them.
+// Smallest program that uses the installed library. It creates a table of rays and lists
+// the devices that could trace them.
 #include <cstdio>
 
 #include <relidar/base/error.hpp>

@@ -67,7 +67,7 @@ list(LENGTH scans n_scans)
 if(NOT n_scans EQUAL 6 OR NOT EXISTS ${WORK_DIR}/scans/scans.json)
     message(FATAL_ERROR "consumer test: expected 6 scans of new_sensor and scans.json, found ${n_scans}:\n${output}")
 endif()
-run(${build}_examples/closed_loop ${WORK_DIR}/run)   # fails unless it stops behind the actor
+run(${build}_examples/closed_loop ${WORK_DIR}/run)   # fails unless the program stops behind the actor
 message(STATUS "closed_loop: ${output}")
-run(${build}_examples/own_loss ${WORK_DIR}/street)   # fails unless the loss falls
+run(${build}_examples/own_loss ${WORK_DIR}/street)   # fails unless the loss decreases
 message(STATUS "own_loss: ${output}")

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fuzzes Feather files, and a small Argoverse 2 log in which the input replaces one file.
+// Fuzzes Feather files, and a small Argoverse 2 log in which the input replaces a file.
 #include "harness.hpp"
 
 #include <cstdlib>

@@ -27,7 +27,7 @@ std::vector<NamedArray> some_arrays() {
 
 Scene small_scene() { return make_background_scene(example_surfels(3)); }
 
-/// Returns the file that a writer of the program creates at a path.
+/// Calls a function that writes a file, and returns the bytes of the file.
 template <class Write>
 std::vector<std::string> written(const fs::path& folder, const Write& write) {
     write(folder / "seed");

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fuzzes ROS recordings: full files of each kind, and single messages. The seeds are
-// written here according to the specifications.
+// Fuzzes ROS recordings: full files of each format, and single messages. The seeds are
+// built in this file from the specifications.
 #include "harness.hpp"
 
 #include <algorithm>
@@ -36,7 +36,7 @@ std::string sized(std::string_view bytes) {
     return all.append(bytes);
 }
 
-/// Builds a message in the format of ROS 1 or in CDR.
+/// Builds a message in the serialization of ROS 1 or in CDR (ROS 2).
 class Draft {
 public:
     explicit Draft(bool is_ros1) : is_ros1_(is_ros1) {}
@@ -105,7 +105,7 @@ std::string transform(bool is_ros1, std::uint64_t stamp_ns, double x) {
     return draft.take();
 }
 
-/// Returns a packet of a VLP-16 that makes half a turn per packet.
+/// Returns a packet of a VLP-16. Each packet covers half a turn.
 std::string packet(int number) {
     std::string bytes;
     for (int b = 0; b < 12; ++b) {
@@ -259,7 +259,7 @@ void read_mcap(std::string_view input, const fs::path& folder) { read_bag(input,
 void read_ros1(std::string_view input, const fs::path& folder) { read_bag(input, folder, "input.bag"); }
 void read_db3(std::string_view input, const fs::path& folder) { read_bag(input, folder, "input.db3"); }
 
-/// Returns messages. The first byte is the type and a flag for ROS 1.
+/// Returns seed messages. The first byte is the message type and a flag for ROS 1.
 std::vector<std::string> message_seeds(const fs::path&) {
     std::string livox = Draft(false)
                             .add_header(kStart_ns, "l")
@@ -305,7 +305,7 @@ std::vector<std::string> message_seeds(const fs::path&) {
             '\x1c' + Draft(false).add_text("{}").take()};
 }
 
-/// Reads the turns of messages that all contain the same packets.
+/// Reads the turns of the sensor from messages that all contain the same packets.
 void read_turns(packets::PacketLog& log, const std::vector<packets::PacketView>& views) {
     if (log.empty()) return;
     log.finish();
@@ -358,8 +358,9 @@ void read_message(std::string_view input, const fs::path&) {
     }
 }
 
-/// Returns the metadata of an Ouster sensor after its length, followed by the contents of
-/// its packets. Two beams, four columns per turn, two per packet.
+/// Returns seeds for an Ouster sensor: the length of the metadata, the metadata, and the
+/// contents of packets. The sensor has two beams, four columns per turn and two columns
+/// per packet.
 std::vector<std::string> ouster_seeds(const fs::path&) {
     struct Profile {
         const char* name;
@@ -411,14 +412,14 @@ void read_ousters(std::string_view input, const fs::path&) {
     read_turns(log, views);
 }
 
-/// First bytes and size of a packet of a product that consists of blocks.
+/// First bytes and size of a packet of a sensor product whose packets consist of blocks.
 struct BlockPacket {
     std::string_view head;
     std::size_t bytes;
 };
 
-/// Returns inputs of eight packets of a product: the size of a packet (16 bits), then the
-/// packets.
+/// Returns inputs with eight packets of a sensor product: the size of a packet (16 bits),
+/// then the packets.
 std::vector<std::string> block_seeds(const fs::path&) {
     using namespace std::string_view_literals;
     constexpr BlockPacket kPackets[] = {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Replaces some files of a log by an input, so that each reader is reached even if
-// another one would fail first. Format of an input: options, then sections of file
-// number, length (2 bytes, little-endian) and bytes. The last section may be truncated.
+// Replaces some files of a log by an input, so that each reader runs even if an earlier
+// reader would fail. Format of an input: options, then sections of file number, length (2
+// bytes, little-endian) and bytes. The last section may be truncated.
 #pragma once
 
 #include <filesystem>
@@ -19,13 +19,13 @@ public:
 
     /// Writes the files of an input, reads the log, and restores the original files.
     void read(std::string_view input, const std::function<void(unsigned options)>& read) const;
-    /// Returns inputs with options only, and with each file alone: the begin of a scan,
-    /// or the full text.
+    /// Returns seed inputs: an input with options only, and an input for each single
+    /// file. The input holds the start of a scan, or the complete text.
     std::vector<std::string> seeds(const std::vector<unsigned>& alone,
                                    const std::vector<unsigned>& with_a_file) const;
 
     /// Reads an input in a simpler format. The first byte selects the file that the
-    /// remainder replaces. An empty input changes and reads nothing.
+    /// remainder replaces. For an empty input, changes and reads no file.
     void read_one(std::string_view input, const std::function<void()>& read) const;
     /// Returns inputs in the simpler format: each file with its original contents.
     std::vector<std::string> seeds_of_one() const;

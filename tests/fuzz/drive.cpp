@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Fuzzes a small KITTI drive, an odometry sequence of its scans, and a KITTI-360 log of
-// them. An input replaces the contents of some files.
+// the same scans. An input replaces the contents of some files.
 #include "harness.hpp"
 
 #include <cstdlib>
@@ -25,7 +25,7 @@ namespace fs = std::filesystem;
 
 constexpr unsigned kPosesFile = 1, kNone = 2, kAllScans = 4, kAllFrames = 8;  // options
 
-/// Keeps a seventh of the points of a scan, so that reading a sweep takes milliseconds.
+/// Removes six of seven points of a scan, so that reading a sweep takes milliseconds.
 void thin(const fs::path& scan) {
     const std::string whole = contents(scan);
     std::string some;
@@ -72,8 +72,8 @@ const Drive& drive_in(const fs::path& folder) {
     return drive;
 }
 
-/// Runs all readers, even if some fail. Reports the last failure; a crash is reported
-/// immediately.
+/// Runs all readers, even if some of them fail. Reports the last error. A crash is
+/// reported immediately.
 void attempt_all(const std::vector<std::function<void()>>& readers) {
     std::exception_ptr failure;
     for (const auto& read : readers) {
@@ -179,7 +179,8 @@ std::vector<std::string> kitti_360_seeds(const fs::path& folder) {
 /// its texts.
 std::vector<Harness> drive_harnesses() {
     return {
-        // seeds are not valid logs, because a part of a scan is not a scan
+        // The seeds are not valid logs, because a part of a scan cannot be read as a
+        // scan.
         {"drive_texts", drive_seeds,
          [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_texts); },
          false},

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fuzzes plain folders. "points" reads one scan of points in a format given by the first
-// byte. "folder" reads the text files of a folder (sequence.json, poses.txt, boxes.json),
-// separated by lines of "=====". "exr" reads a scan as a range image, with its rays or
-// those of the log's sensor.
+// Fuzzes plain folders. "points" reads a scan of points, and the first byte selects the
+// format. "folder" reads the text files of a folder (sequence.json, poses.txt,
+// boxes.json), separated by lines of "=====". "exr" reads a scan as a range image, with
+// the rays of the image or of the log's sensor.
 #include "harness.hpp"
 
 #include <cmath>
@@ -107,7 +107,7 @@ void read_folder(std::string_view input, const fs::path& folder) {
     load_sequence("folder:" + log.string(), {});
 }
 
-/// Returns the folder of a log with one range image of 4 beams x 16 columns.
+/// Writes a log with a range image of 4 beams x 16 columns and returns its folder.
 fs::path image_log_in(const fs::path& folder) {
     static const fs::path log = [&] {
         fs::create_directories(folder / "images/scans");

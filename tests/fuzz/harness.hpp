@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Declares a libFuzzer harness of a parser: the seeds that the program makes, and the
-// function that reads an input.
+// Declares a libFuzzer harness of a parser: a function that returns the initial inputs,
+// and a function that reads an input.
 #pragma once
 
 #include <filesystem>
@@ -13,16 +13,16 @@ namespace relidar::fuzz {
 struct Harness {
     const char* name;
     /// Returns the initial inputs.
-    /// @param folder folder for files that a writer of the program creates
+    /// @param folder folder in which the writers of the program create files
     std::vector<std::string> (*seeds)(const std::filesystem::path& folder);
     /// Reads an input. It may only throw a relidar::Error of usage or data, with a
     /// message short enough for a terminal.
-    /// @param folder kept from input to input
+    /// @param folder folder that is reused for all inputs
     void (*read)(std::string_view input, const std::filesystem::path& folder);
     bool seeds_are_good = true;  ///< true if all seeds can be read without an error
 };
 
-/// Returns the harnesses of each file. main.cpp combines them.
+/// Returns the harnesses that a file defines. main.cpp combines them.
 std::vector<Harness> array_harnesses();
 std::vector<Harness> text_harnesses();
 std::vector<Harness> drive_harnesses();

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Contains the entry points of libFuzzer. Usage: relidar_fuzz --harness=NAME
-// [--seeds=FOLDER] CORPUS... With --seeds, it writes the seeds and exits. --list prints
-// all names.
+// [--seeds=FOLDER] CORPUS... With --seeds, the program writes the seeds and exits. With
+// --list, it prints all names.
 #include "harness.hpp"
 
 #include <atomic>
@@ -23,7 +23,7 @@ namespace fs = std::filesystem;
 
 constexpr std::size_t kLongestMessage = 1000;  // includes paths, which are short in the harnesses
 
-// maximum memory of an input at one time, absolute and per byte of input
+// maximum memory that an input may use at any time, absolute and per byte of input
 constexpr long long kMostBytes = 64ll << 20, kMostBytesPerByte = 10;
 
 std::atomic<long long> bytes_held{0}, most_bytes_held{0};
@@ -63,7 +63,7 @@ Harness chosen;
     fs::create_directories(folder);
     std::size_t n = 0;
     for (const std::string& seed : chosen.seeds(scratch_folder())) {
-        // exceptions are not caught, because a rejected seed is of little use
+        // does not catch exceptions, because a rejected seed is of little use
         if (chosen.seeds_are_good) chosen.read(seed, scratch_folder());
         put(folder / ("seed_" + std::to_string(n++)), seed);
     }
@@ -102,7 +102,8 @@ void check_memory(std::size_t n_input) {
 void read(std::string_view input) {
     try {
         chosen.read(input, scratch_folder());
-    } catch (const Error& error) {  // any other exception ends the process, and libFuzzer saves the input
+        // any other type of exception ends the process, and libFuzzer saves the input
+    } catch (const Error& error) {
         const std::string message = error.what();
         const bool expected = error.code() == ExitCode::data || error.code() == ExitCode::usage;
         if (expected && message.size() <= kLongestMessage) return;

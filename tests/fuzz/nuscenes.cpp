@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fuzzes a small nuScenes folder in which the input replaces one file.
+// Fuzzes a small nuScenes folder in which the input replaces a file.
 #include "harness.hpp"
 
 #include <cstdlib>

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fuzzes data from the network: protobuf messages of `relidar serve`, requests of the
-// viewer's page, and headers of its HTTP requests. Covers decoding and all checks before
-// rendering, without device or socket. tools/dev/fuzz_view tests the sockets.
+// Fuzzes data that arrives over the network: protobuf messages of `relidar serve`,
+// requests of the viewer's page, and headers of its HTTP requests. Covers decoding and
+// all checks before rendering, without device or socket. tools/dev/fuzz_view tests the
+// sockets.
 #include "harness.hpp"
 
 #include <algorithm>
@@ -65,7 +66,7 @@ void read_head(std::string_view input, const fs::path&) {
         view::shows_token({lines[0], lines[1], lines[2], lines[3]}, "0123456789abcdef", "relidar_8080");
     const bool there =
         (std::string(lines[2]) + std::string(lines[3])).find("0123456789abcdef") != std::string::npos;
-    // access is granted although the request does not contain the token
+    // aborts if access is granted although the request does not contain the token
     if (shown && !there) std::abort();
 }
 
@@ -100,13 +101,14 @@ Message message_of(std::string_view bytes) {
 
 void silence_protobuf() {
 #if GOOGLE_PROTOBUF_VERSION < 4022000
-    // otherwise protobuf prints a line for each text that is not UTF-8
+    // silences protobuf, which prints a line for each text that is not UTF-8
     static const auto silenced = google::protobuf::SetLogHandler(nullptr);
     (void)silenced;
 #endif
 }
 
-/// Checks that a rejection reports an error of the client in one line.
+/// Throws an error if the request was rejected: a usage error if the status blames the
+/// client, otherwise a bug.
 void check_status(const grpc::Status& status) {
     if (status.ok()) return;
     const grpc::StatusCode code = status.error_code();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Fuzzes the files of a run except its scene: the coverage of the log, the azimuths of
-// its heads, the ray-drop network, and the intensity scatter.
+// each sweep, the ray-drop network, and the intensity scatter.
 #include "harness.hpp"
 
 #include <cstdlib>
@@ -24,7 +24,7 @@ std::vector<std::string> coverage_seeds(const fs::path& folder) {
     return {contents(folder / "seed")};
 }
 
-/// Reads a coverage file. For any blocks, the observed share of a line must be between 0
+/// Reads a coverage file. For any content, the observed share of a line must be between 0
 /// and 1.
 void read_coverage(std::string_view input, const fs::path& folder) {
     put(folder / "input", input);

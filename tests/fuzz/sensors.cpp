@@ -14,9 +14,9 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr const char* kEndings[] = {"csv", "json", "npz"};
-constexpr std::size_t kMostMade = 20000;  // maximum number of rays that are also made
+constexpr std::size_t kMostMade = 20000;  // maximum number of rays that the test also creates
 
-/// Makes the rays of a sensor if there are few.
+/// Creates the rays of a sensor if their number is small.
 void make(const SensorModel& sensor) {
     const std::size_t n = describe_pattern(sensor.pattern).n_rays;
     if (n <= kMostMade) make_rays(sensor, 0.3);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fuzzes small sequences of Boreas, MulRan and ONCE in which the input replaces one file.
+// Fuzzes small sequences of Boreas, MulRan and ONCE in which the input replaces a file.
 #include "harness.hpp"
 
 #include <cstdlib>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fuzzes text files: settings, scenes, streets, beam tables and trajectories. "toml"
-// makes its text from tokens, so that most inputs are valid TOML.
+// Fuzzes text files: settings, scenes, streets, beam tables and trajectories. The harness
+// "toml" builds its text from tokens, so that most inputs are valid TOML.
 #include "harness.hpp"
 
 #include <fmt/format.h>
@@ -35,8 +35,8 @@ void read_street(std::string_view input, const fs::path& folder) {
     load_sequence("synthetic:" + folder.string(), one);
 }
 
-/// Returns a run without sweep azimuths, because their file belongs to the sensor that an
-/// input changes. "sweeps" reads that file.
+/// Returns a run without the file of sweep azimuths, because this file depends on the
+/// sensor that an input changes. The harness "sweeps" reads the file.
 Run run_without_sweeps(const fs::path& folder) {
     Run run = example_run(folder);
     for (Frame& frame : run.sequence.frames) frame.azimuth_shift_rad.clear();
@@ -54,7 +54,7 @@ void read_scene(std::string_view input, const fs::path& folder) {
     const SpinningSensor& sensor = read.sequence.lidars[0].sensor;
     if (!sensor.beams.empty() && sensor.beams.size() * std::size_t(sensor.columns) < 10000) make_rays(sensor);
     for (const BoxTrack& box : read.sequence.boxes) (void)box.present(read.sequence.frames[0].time_s);
-    for (const Lidar& lidar : read.sequence.lidars)  // makes the rays if there are few
+    for (const Lidar& lidar : read.sequence.lidars)  // creates the rays only if their number is small
         if (lidar.pattern && std::holds_alternative<RayTable>(*lidar.pattern)) nominal_rays(lidar, 0.0);
     split_frames(read.sequence, 10);
 }
@@ -93,7 +93,7 @@ void read_entities(std::string_view input, const fs::path& folder) {
             box_track(entity, 0.0, {4, 2, 1.5});
 }
 
-/// Makes TOML from tokens, one per byte.
+/// Builds TOML text from tokens. Each byte of the input selects a token.
 std::string toml_of(std::string_view input) {
     static const std::vector<std::string> tokens = [] {
         std::vector<std::string> all{"\n",
@@ -165,7 +165,8 @@ void read_tokens(std::string_view input, const fs::path& folder) {
     read_street(text, folder);
 }
 
-/// A scenario in which a vehicle follows a trajectory that a start trigger delays.
+/// Scenario in which a vehicle follows a trajectory that starts after a delay (start
+/// trigger).
 constexpr const char* kScenario =
     R"(<OpenSCENARIO><ParameterDeclarations><ParameterDeclaration name="p" value="3"/>
 </ParameterDeclarations><Entities><ScenarioObject name="v"><Vehicle><BoundingBox>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Fuzzes a Waymo Open segment. CRCs and zlib streams would prevent inputs from reaching
-// the parsers behind them. Therefore the first byte of an input selects what the
-// remainder is: the file, the data of a record, or an uncompressed matrix of the TOP
+// the parsers behind them. Therefore the first byte of an input selects how the remainder
+// is used: as the file, as the data of a record, or as an uncompressed matrix of the TOP
 // LiDAR.
 #include "harness.hpp"
 
@@ -23,14 +23,14 @@ const test::WaymoSegment& segment_in(const fs::path& folder) {
     return segment;
 }
 
-/// Returns a matrix of eight columns, because libFuzzer inputs are short.
+/// Returns a matrix with only eight columns, because libFuzzer inputs are short.
 std::string small_matrix(int channels) {
     const int rows = test::WaymoSegment::kTopRows, columns = 8;
     return test::waymo_unpacked_matrix(std::vector<float>(std::size_t(rows * columns * channels), 5.0f),
                                        {rows, columns, channels});
 }
 
-/// Returns a record with the TOP LiDAR only.
+/// Returns a record that contains only the TOP LiDAR.
 /// @param image, poses uncompressed matrices
 std::string record_with(const test::WaymoSegment& segment, const std::string& image,
                         const std::string& poses) {
@@ -40,7 +40,8 @@ std::string record_with(const test::WaymoSegment& segment, const std::string& im
     return frame.encoded();
 }
 
-/// Returns the bytes of a file that contains the input.
+/// Returns the bytes of a segment file. The first byte of the input selects the part of
+/// the file that the remainder of the input replaces.
 std::string file_of(std::string_view input, const test::WaymoSegment& segment) {
     const unsigned part = input.empty() ? 0u : static_cast<unsigned char>(input[0]) % kParts;
     const std::string bytes(input.substr(std::min<std::size_t>(1, input.size())));

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that arrays of different types cannot be exchanged in kernel parameters, and
-// kernels with different parameters cannot be exchanged either. Most checks are at
-// compile time.
+// Tests that the compiler rejects arrays of the wrong type in kernel parameters, and
+// parameters of the wrong kernel. Most checks are at compile time.
 #include <concepts>
 #include <type_traits>
 
@@ -47,15 +46,16 @@ static_assert(std::same_as<decltype(Array<float>().address()), Address<float>>);
 static_assert(sizeof(Address<float>) == 8 && std::is_trivially_copyable_v<Address<float>> &&
               std::is_standard_layout_v<Address<float>>);
 
-/// Returns true if one of two members of a parameter struct can be assigned to the other,
-/// so that swapping them would compile.
+/// Returns true if either of two members of a parameter struct can be assigned to the
+/// other member. A call with swapped members would then compile.
 template <class Struct, class A, class B>
 consteval bool take_each_other(A Struct::*, B Struct::*) {
     return std::is_assignable_v<A&, B> || std::is_assignable_v<B&, A>;
 }
 
-// Two pointers to the same type of number from each header of parameters. tests/structure
-// checks that no struct has two pointers that can be exchanged.
+// Tests two pointers to the same type of number from each parameter header. They must not
+// be assignable to each other. tests/structure checks that no struct has two pointers
+// that can be exchanged.
 static_assert(!take_each_other(&shared::ProxyParams::vertices, &shared::ProxyParams::boxes));
 static_assert(!take_each_other(&shared::GatherParams::parts, &shared::GatherParams::d_records));
 static_assert(!take_each_other(&shared::GatherParams::d_sh, &shared::GatherParams::d_records));
@@ -83,8 +83,8 @@ static_assert(!take_each_other(&shared::CollectHitsParams::instance, &shared::Co
 static_assert(take_each_other(&shared::ActivateVjpParams::surfels, &shared::ActivateVjpParams::d_surfels),
               "gradients are arranged alike");
 
-// The meaning of an array is declared where it is created. It can only be changed by
-// address_as() or as(), for memory that serves several purposes.
+// The meaning of an array is declared when it is created. Only address_as() and as() can
+// change the meaning, for memory that serves several purposes.
 static_assert(
     std::same_as<decltype(Array<float, shared::LossTerms>().address()), Address<float, shared::LossTerms>>);
 static_assert(!std::is_convertible_v<Address<float>, Address<float, shared::LossTerms>> &&

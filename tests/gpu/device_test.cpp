@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests devices, memory and submission: device list, copies of all sizes, fills, memory
-// accounting, and impossible requests.
+// Tests devices, memory and submission: the list of devices, copies of all sizes, fills,
+// memory accounting, and requests that cannot be satisfied.
 #include <algorithm>
 #include <numeric>
 
@@ -61,7 +61,7 @@ TEST_F(Gpu, GrowingKeepsWhatThereWas) {
 }
 
 TEST_F(Gpu, MemoryLimitIsKept) {
-    // without the validation layer that the other device may use
+    // this device is created without the validation layer, which the first device may use
     Device limited({.memory_limit_bytes = 8u << 20});
     Array<float> first(limited, 1 << 20, "the first half");
     try {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests memory blocks that many arrays share: ranges of a block against a map of its
-// bytes, more arrays than the driver allows allocations, and impossible arrays.
+// Tests memory blocks that many arrays share. Compares the ranges of a block with a map
+// of its bytes. Also tests more arrays than the driver allows allocations, and arrays
+// that are too large.
 #include <algorithm>
 #include <map>
 #include <random>

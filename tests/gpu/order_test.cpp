@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests prefix sums (gpu/scan_sums, scan_write) and the stable sort (gpu/radix_count,
 // radix_scan, radix_scatter) against the standard library. Covers sizes near the limits
-// of tiles and levels, counts known to the device only, fewer keys than the capacity, and
+// of tiles and levels, counts that only the device has, fewer keys than the capacity, and
 // strided counts. No value may be written beyond the arrays.
 #include <algorithm>
 #include <numeric>
@@ -33,7 +33,7 @@ protected:
 TEST_F(PrefixSums, OfEverySize) {
     Stream stream(device());
     PrefixSum prefix_sum(device());
-    // one to three levels
+    // sizes that need one to three levels
     for (const std::uint32_t n :
          {1u, 2u, 255u, 256u, 257u, 4095u, 4096u, 4097u, 200'000u, 4096u * 4096u + 1u}) {
         const std::uint32_t stride = n < 1'000'000 ? 3 : 1;
@@ -78,9 +78,9 @@ protected:
         return result;
     }
 
-    /// Sorts on the device by the low bits.
-    /// @param n_keys number of keys, known to the device only; keys beyond it must not
-    /// move
+    /// Sorts the keys by their low bits on the device.
+    /// @param n_keys number of keys, which only the device has. Keys beyond `n_keys` must
+    /// not move.
     void compare(const std::vector<std::uint64_t>& keys, std::uint32_t key_words, std::uint32_t key_bits,
                  std::optional<std::uint32_t> n_keys = {}) {
         const auto capacity = static_cast<std::uint32_t>(keys.size()),

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the file of compiled pipelines. It is written when a device is closed, and read
-// by the next device. It is ignored if it is damaged or belongs to another driver. If it
-// cannot be written, no error occurs.
+// Tests the file of compiled pipelines. A device writes the file when it is closed, and
+// the next device reads it. A file that is damaged or belongs to a different driver is
+// ignored. If the file cannot be written, no error occurs.
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -27,7 +27,8 @@ std::string contents(const fs::path& path) {
     return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
 }
 
-/// Recomputes the hash of the driver's bytes (FNV-1a, stored after magic and size).
+/// Recomputes the hash of the driver's bytes (FNV-1a). The file stores the hash after the
+/// magic number and the size.
 std::string rehashed(std::string bytes) {
     std::uint64_t hash = 0xcbf29ce484222325u;
     for (std::size_t i = 24; i < bytes.size(); ++i)
@@ -69,7 +70,8 @@ protected:
         const PrefixSum prefix_sum(opened);
         return {impl_of(opened).pipeline_cache->path(), impl_of(opened).pipeline_cache->read_bytes()};
     }
-    /// Returns true if the driver's cache is long enough for the Vulkan header.
+    /// Returns true if the driver stores pipelines, which means that its cache is longer
+    /// than the Vulkan header.
     static bool driver_keeps_pipelines() {
         Device opened(from_environment());
         std::size_t n_bytes = 0;
@@ -146,8 +148,8 @@ TEST_F(PipelineCacheFile, TheEnvironmentSaysWhere) {
     EXPECT_TRUE(open().path.empty());
 }
 
-/// Equal kernels must share one pipeline per device, also if they are created one after
-/// the other. Kernels with any difference must not.
+/// Equal kernels must share a pipeline per device, also if the second kernel is created
+/// later. Kernels with any difference must have separate pipelines.
 TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
     Device opened(from_environment());
     const auto n_made = [&] { return impl_of(opened).pipelines.by_key.size(); };
@@ -175,8 +177,8 @@ TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
     EXPECT_EQ(n_made(), 4u);
 }
 
-/// Compiles pipelines in other threads when kernels are created, like on a GPU. Kernels
-/// may be destroyed before their pipelines are ready, or never run.
+/// Creating a kernel must start the compilation of its pipeline in a different thread, as
+/// on a GPU. A kernel may be destroyed before its pipeline is ready, or may never run.
 TEST_F(PipelinesOfADevice, AreBegunWithTheirKernels) {
     Device opened(from_environment());
     impl_of(opened).compiles_ahead = true;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the modifications of SPIR-V modules when they are loaded. Nothing else may
-// change, and spirv-val must accept the result if it is installed.
+// Tests how SPIR-V modules are modified when they are loaded. The remaining code must not
+// change. If spirv-val is installed, it must accept the result.
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -98,7 +98,7 @@ TEST(SpirvModes, AreAllThatIsAddedToAModule) {
 }
 
 /// Counts loads from the parameter block before and after the first branch of the entry
-/// point. Loads in other functions count as after.
+/// point. Loads in other functions count as loads after the branch.
 std::pair<int, int> parameter_loads(std::span<const std::uint32_t> words) {
     enum : std::uint32_t {
         name = 5,
@@ -129,8 +129,8 @@ std::pair<int, int> parameter_loads(std::span<const std::uint32_t> words) {
     return n;
 }
 
-/// Parameters must be loaded at the begin of the module, except if a value known only to
-/// the device indexes them.
+/// Parameters must be loaded at the start of the module, unless a value that only the
+/// device has indexes them.
 TEST(SpirvParameters, AreReadWhereAModuleBegins) {
     int n_before = 0, n_later = 0;
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
@@ -186,7 +186,8 @@ TEST(SpirvLanes, AreAcceptedBySpirvVal) {
     });
 }
 
-/// Every index into an array must be a sum. Indices of parameters must be constants.
+/// After the modification, every index into an array must be a sum. Indices of parameters
+/// must be constants.
 TEST(SpirvLanes, AreInEveryIndex) {
     enum : std::uint32_t { name = 5, type_pointer = 32, load = 61, chain = 65, add = 128, storage = 5349 };
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
@@ -209,8 +210,8 @@ TEST(SpirvLanes, AreInEveryIndex) {
     }
 }
 
-/// Returns values that differ from the defaults for all constants except the workgroup
-/// size.
+/// Returns a value for each constant that differs from its default, except for the
+/// workgroup size.
 std::map<std::uint32_t, std::uint32_t> other_constants(std::span<const std::uint32_t> words) {
     const auto id_of = [](ConstantId id) { return static_cast<std::uint32_t>(id); };
     std::map<std::uint32_t, std::uint32_t> constants;
@@ -227,7 +228,8 @@ TEST(SpirvBranches, AreAcceptedBySpirvVal) {
     });
 }
 
-/// Returns the module after spirv-opt has set the constants and removed unreachable code.
+/// Returns the module after spirv-opt has replaced the specialization constants by values
+/// and removed unreachable code.
 std::string optimised(std::span<const std::uint32_t> words,
                       const std::map<std::uint32_t, std::uint32_t>& constants) {
     const fs::path file =
@@ -248,8 +250,9 @@ std::string optimised(std::span<const std::uint32_t> words,
     return result;
 }
 
-/// spirv-opt resolves the remaining branches and removes unreachable code. Its result
-/// must be the same with and without our removal of branches.
+/// The program removes branches that cannot be taken. spirv-opt resolves the remaining
+/// branches and removes unreachable code. Its result must be the same with and without
+/// the removal by the program.
 TEST(SpirvBranches, LeaveWhatSpirvOptLeaves) {
     if (std::system("command -v spirv-opt > /dev/null") != 0) GTEST_SKIP() << "no spirv-opt";
     std::size_t n_shorter = 0;

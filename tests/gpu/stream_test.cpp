@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the limits of one submission, readbacks, and the copy kernel that measures memory
+// Tests the limits of a submission, readbacks, and the copy kernel that measures memory
 // speed (gpu/copy).
 #include <filesystem>
 #include <fstream>
@@ -28,8 +28,8 @@ using Words = std::vector<std::uint32_t>;
 
 class StreamTest : public test::DeviceTest {};
 
-/// Each launch must get its parameters: launch i copies word i, computed as the sum of
-/// this single word (gpu/scan_write).
+/// Each launch must receive its parameters. Launch i copies word i, computed as the sum
+/// of this single word (gpu/scan_write).
 TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
     // more submissions than slots, so that memory is reused
     constexpr std::uint32_t kWords = 1 << 18, kLaunches = 5000, kSubmissions = 5;
@@ -56,7 +56,8 @@ TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
     EXPECT_EQ(words.download().back(), 1000u * (kSubmissions - 1) + kWords - 1);
 }
 
-/// An omitted array must read as zeros and not as address 0.
+/// If an array parameter is not set, the kernel must read zeros instead of reading from
+/// address 0.
 TEST_F(StreamTest, ArraysThatAreLeftOutAreZeros) {
     constexpr std::uint32_t n = 64;
     const std::vector<glm::vec4> ones(n, glm::vec4(1.0f));
@@ -68,8 +69,8 @@ TEST_F(StreamTest, ArraysThatAreLeftOutAreZeros) {
     EXPECT_EQ(to.download(), std::vector<glm::vec4>(n, glm::vec4(0.0f)));
 }
 
-/// gpu/copy, which measures memory speed, must copy the requested values and nothing
-/// beyond.
+/// The kernel gpu/copy, which measures memory speed, must copy exactly the requested
+/// values.
 TEST_F(StreamTest, CopyThatIsMeasured) {
     constexpr std::uint32_t kCopied = 1000, kAll = 1003;
     std::vector<glm::vec4> values(kAll);
@@ -100,7 +101,7 @@ TEST_F(StreamTest, ReadbacksArriveWithTheirSubmission) {
         EXPECT_TRUE(readbacks.back().pending());
         stream.submit();
     }
-    for (std::uint32_t i = 8; i-- > 0;) {  // the last one first
+    for (std::uint32_t i = 8; i-- > 0;) {  // in reverse order
         const auto* values = static_cast<const std::uint32_t*>(readbacks[i].wait(stream));
         EXPECT_EQ(Words(values, values + 99), Words(99, i));
         EXPECT_FALSE(readbacks[i].pending());
@@ -196,7 +197,7 @@ TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
         stream.fill(arrays[0], 1u);
         lanes.choose(1);
         {
-            const Concurrent scope(stream);  // one step
+            const Concurrent scope(stream);  // a single step
             stream.fill(arrays[3], 2u);
             stream.fill(arrays[4], 3u);
         }
@@ -253,8 +254,8 @@ TEST_F(StreamTest, LanesMayBeSubmittedBeforeTheirEnd) {
     EXPECT_THROW(StreamLanes(stream, 0), Error);
 }
 
-/// Launches of a kernel whose workgroups are expected to take a millisecond must be cut
-/// into pieces of at most `piece_s`, and the pieces together must do all the work.
+/// If the workgroups of a kernel are expected to take a millisecond, a launch must be cut
+/// into pieces of at most `piece_s`. Together, the pieces must do all the work.
 TEST_F(StreamTest, LongLaunchesAreCut) {
     constexpr std::uint32_t kGroups = 1000, kThreads = 32, n = kGroups * kThreads - 5;
     std::vector<glm::vec4> values(n);
@@ -285,7 +286,7 @@ TEST_F(StreamTest, LongLaunchesAreCut) {
     EXPECT_EQ(stream.times().totals.at("gpu/copy").launches, 11.0);
 }
 
-/// Slow launches of the past count less and less, so that one slow launch does not cut
+/// The weight of an earlier slow launch must decrease over time, so that it does not cut
 /// all later launches.
 TEST(LaunchLimit, ForgetsOldSpeeds) {
     gpu::LaunchLimit limit;
@@ -298,7 +299,8 @@ TEST(LaunchLimit, ForgetsOldSpeeds) {
     EXPECT_DOUBLE_EQ(limit.expected_s("kernel", 200), 2.0);
 }
 
-/// Kernels that read the number of all workgroups must not be cut.
+/// Launches of kernels that read the total number of workgroups must not be cut, because
+/// each piece would see a smaller number.
 TEST(LaunchLimit, CutsNoKernelThatCountsItsThreads) {
     namespace fs = std::filesystem;
     const fs::path shaders = fs::path(RELIDAR_SOURCE_DIR) / "shaders";
@@ -339,7 +341,7 @@ TEST_F(StreamTest, ObjectsAndLaunchesHaveNames) {
     {
         const Array<glm::vec4, shared::CopySource> from(device(), 64, "vectors to copy");
         const Array<glm::vec4, shared::CopyTarget> to(device(), 64, "copied vectors");
-        // No other test uses this workgroup size, so the pipeline is new.
+        // no other test uses this workgroup size, so the pipeline is not cached yet
         const Kernel<shared::CopyParams> copy(device(), "gpu/copy", {{ConstantId::WORKGROUP_SIZE, 64u}});
         Stream stream(device());
         stream.fill(from);
@@ -362,8 +364,8 @@ VKAPI_ATTR VkResult VKAPI_CALL allocate_nothing(VkDevice, const VkMemoryAllocate
     return VK_ERROR_OUT_OF_DEVICE_MEMORY;
 }
 
-/// An allocation of 100 MiB needs memory of the driver, because shared blocks are
-/// smaller.
+/// An allocation of 100 MiB is larger than the shared memory blocks, so the driver must
+/// allocate new memory.
 TEST_F(StreamTest, FailedAllocationNamesNeedAndBudget) {
     const auto allocate = std::exchange(vkAllocateMemory, allocate_nothing);
     std::string message;

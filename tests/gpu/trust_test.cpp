@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the check of float sums and subgroups (gpu/check_atomics, gpu/check_subgroups),
-// with forced faults, and the methods that a device uses after a check. Another test of
-// the renderer covers ray queries.
+// Tests the check of float sums and subgroups (gpu/check_atomics, gpu/check_subgroups)
+// with forced faults, and the methods that a device uses after a check. Ray queries are
+// covered by a test of the renderer.
 #include <filesystem>
 #include <fstream>
 
@@ -35,7 +35,7 @@ protected:
         std::filesystem::remove_all(folder);
         test::DeviceTest::TearDown();
     }
-    /// Sets a check that returns `result` and counts its calls.
+    /// Installs a check that returns `result` and counts how often it is called.
     void check_gives(const DeviceTrust& result) {
         set_first_use({[this, result](const DeviceOptions&) {
                            ++n_checks;
@@ -64,7 +64,8 @@ TEST_F(TrustTest, SumsAndSubgroupsOfThisDeviceAreRight) {
     EXPECT_THAT(subgroup_sizes(device()), testing::Contains(device().info().subgroup_size));
 }
 
-/// Additions without atomics must lose some of the 256 additions to each sum.
+/// Simulates additions without atomics, which must lose some of the 256 additions to each
+/// sum. The check must detect this.
 TEST_F(TrustTest, ForcedFaultsAreFound) {
     gpu::set_faults("float_atomics");
     if (device().info().float_atomics) {

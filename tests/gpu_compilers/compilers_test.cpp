@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the compilers of real cards make of the program's kernels, without a card: Mesa's
-// AMD driver compiles for the family that RADV_FORCE_FAMILY names and runs nothing
-// (docs/debugging.md). One ctest entry a family. Skipped if that driver is missing.
+// Compiles the kernels of the program for real GPUs without a GPU. Mesa's AMD driver
+// compiles for the GPU family in RADV_FORCE_FAMILY and runs nothing (docs/debugging.md).
+// ctest has an entry per family. The tests are skipped if the driver is missing.
 #include <cstdlib>
 #include <set>
 #include <string>
@@ -24,10 +24,11 @@ std::string family() {
     return text ? text : "";
 }
 
-/// Waves that a kernel must leave room for. Exceptions: GCN (vega) has 64 registers a
-/// lane at four waves, RDNA2 128 and RDNA3 192, and what traces needs 84 to 128; the sums
-/// of hits with harmonics along the ray hold 64 of them in registers, or they would be
-/// read and written a hit.
+/// Returns the minimum number of waves that a SIMD must hold when it runs the kernel. On
+/// GCN (vega) the minimum is 2, because four waves leave 64 registers per lane and
+/// tracing kernels need 84 to 128. On RDNA2 (128 registers) and RDNA3 (192) it is 4. The
+/// kernel that sums hits with harmonics along the ray may have a wave less, because it
+/// holds 64 harmonics in registers.
 int least_waves(const PipelineStatistics& p) {
     const bool gcn = family().starts_with("vega");
     const bool sums_harmonics = p.kernel.starts_with("diff/backward/gather@") &&
@@ -35,8 +36,8 @@ int least_waves(const PipelineStatistics& p) {
     return (gcn ? 2 : 4) - (sums_harmonics ? 1 : 0);
 }
 
-/// Waves of 64 lanes that a SIMD holds at a time. On RDNA the driver counts halves of 32
-/// lanes.
+/// Returns the number of waves of 64 lanes that a SIMD holds at the same time. On RDNA
+/// the driver counts waves of 32 lanes.
 double waves_of_64(const PipelineStatistics& p) {
     const double waves = p.values.at("Subgroups per SIMD");
     return family().starts_with("vega") ? waves : waves / 2.0;
@@ -93,7 +94,7 @@ TEST_F(GpuCompilers, EveryKernelOfTheBuildIsCompiled) {
             continue;
         // of `relidar-dev bench` and `relidar check`
         if (text == "gpu/copy" || text.starts_with("gpu/check_")) continue;
-        // of ray query alone
+        // kernels that only ray query uses
         if (text == "diff/accel/model_radii" && !suffixes_.count("@ray_query")) continue;
         const bool other =
             (text.find("@software_bvh") != std::string::npos && !suffixes_.count("@software_bvh")) ||
@@ -123,8 +124,8 @@ TEST_F(GpuCompilers, WavesHideLatency) {
 
 TEST_F(GpuCompilers, SharedMemoryFitsTheSmallestDevices) {
     for (const PipelineStatistics& p : pipelines_) {
-        // Mesa keeps the stack of a ray query in shared memory: 64 B a lane that are not
-        // the kernel's.
+        // Subtracts the stack of the ray query (64 B per lane), which Mesa stores in
+        // shared memory in addition to the kernel's arrays.
         const double of_query =
             p.kernel.find("@ray_query") != std::string::npos ? 64.0 * p.workgroup_size : 0.0;
         EXPECT_LE(p.values.at("LDS size") - of_query, 32768.0) << name(p);

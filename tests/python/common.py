@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A small street and a run trained on it, made once for all tests of a process, and the way relidar itself fails."""
+"""Makes a small street and a trained run once for all tests of a process. Provides checks of the
+errors that relidar raises."""
 import functools
 import os
 import pathlib
@@ -17,7 +18,7 @@ try:
 except relidar.DeviceError as error:
     if os.environ.get("RELIDAR_REQUIRE_GPU") != "1":
         print(f"skipped: {error}")
-        sys.exit(77)   # ctest's word for skipped
+        sys.exit(77)   # exit code with which ctest marks a test as skipped
     raise
 
 SETTINGS = {"train.iterations": 60, "train.log_every": 10, "init.voxel_m": 0.3, "dataset.test_every": 4}
@@ -27,7 +28,7 @@ FOLDER = pathlib.Path(WORK.name)
 
 @functools.cache
 def street():
-    """Folder of a log of 8 frames with 16 x 256 rays and two moving cars."""
+    """Returns the folder of a log of 8 frames with 16 x 256 rays and two moving cars."""
     folder = FOLDER / "street"
     relidar.save_street(folder, n_frames=8, rows=16, columns=256)
     return folder
@@ -45,20 +46,21 @@ def log():
 
 @functools.cache
 def run():
-    """Trained, saved, and read back."""
+    """Returns a run that was trained, saved, and read back."""
     folder = FOLDER / "run"
     relidar.train(log(), config()).save(folder)
     return relidar.Run.load(folder)
 
 
 def tool(*arguments):
-    """Runs the command line tool, another way to the same library."""
+    """Runs the command line tool, which uses the same library."""
     subprocess.run([os.environ["RELIDAR_TOOL"], *map(str, arguments), "--quiet"], check=True)
 
 
 class TestCase(unittest.TestCase):
     def assert_fails(self, error, text, call, *arguments, **named):
-        """The call raises exactly this error, with one line that holds the text."""
+        """Checks that the call raises exactly this error, with a message of a single line that
+        contains the text."""
         with self.assertRaises(error) as caught:
             call(*arguments, **named)
         self.assertIs(type(caught.exception), error)
@@ -67,6 +69,6 @@ class TestCase(unittest.TestCase):
         self.assertIn(text, message)
 
     def assert_same(self, actual, expected):
-        """Equal arrays of equal dtype and shape."""
+        """Checks that two arrays have equal values, dtype and shape."""
         self.assertEqual((actual.dtype, actual.shape), (expected.dtype, expected.shape))
         np.testing.assert_array_equal(actual, expected)

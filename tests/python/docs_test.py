@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the guide and the example show runs as it stands. PyTorch is no dependency: a few lines of its interface stand in for it."""
+"""Runs the code of the guide and of the example without changes. PyTorch is not a dependency, so a
+few lines of this test replace its interface."""
 import contextlib
 import io
 import os
@@ -20,7 +21,7 @@ SOURCE = pathlib.Path(os.environ["RELIDAR_SOURCE_DIR"])
 
 
 class Tensor:
-    """A numpy array with the methods that the guide calls."""
+    """A numpy array with the tensor methods that the guide calls."""
 
     def __init__(self, array):
         self.array = array
@@ -35,7 +36,8 @@ class Tensor:
 
 
 class Function:
-    """torch.autograd.Function: apply() calls forward() with a context, which is kept for backward()."""
+    """Replaces torch.autograd.Function. apply() calls forward() with a context, which is stored for
+    backward()."""
 
     @classmethod
     def apply(cls, *arguments):
@@ -77,7 +79,8 @@ class Docs(TestCase):
         self.check_torch_function(names)
 
     def check_torch_function(self, names):
-        """Autograd's backward is the renderer's, one gradient for each argument of forward."""
+        """Autograd's backward must return the gradients of the renderer, a gradient for each
+        argument of forward."""
         outputs = names["Render"].OUTPUTS
         ones = np.ones(len(names["origins"]), np.float32)
         gradients = names["Render"].backward(names["Render"].context, *(Tensor(ones) for _ in outputs))
@@ -88,7 +91,8 @@ class Docs(TestCase):
             np.testing.assert_allclose(gradient.numpy(), expected[name], rtol=1e-3, atol=1e-3 * np.abs(expected[name]).max())
 
     def test_folder_of_ones_own(self):
-        """Three sweeps of 16 beams in a round room, 1 m apart: info finds their sensor and their path."""
+        """Three sweeps of 16 beams in a round hall, 1 m apart. `relidar info` must estimate the
+        sensor and its path."""
         text = (SOURCE / "docs/datasets.md").read_text()
         blocks = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
         self.assertEqual(len(blocks), 1)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Logs, runs, settings and edits as files and as objects, and what is said of bad ones."""
+"""Tests logs, runs, settings and edits as files and as objects, and the error messages for invalid
+files and objects."""
 import json
 import pathlib
 import shutil
@@ -32,7 +33,8 @@ class Logs(TestCase):
         self.assertEqual(len(log()), 8)
         times, poses = log().trajectory
         self.assert_same(times, log().times)
-        np.testing.assert_allclose(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1), 0.8, rtol=0.05)   # 8 m/s at 10 Hz
+        # the vehicle drives at 8 m/s with 10 frames per second
+        np.testing.assert_allclose(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1), 0.8, rtol=0.05)
         self.assertGreaterEqual(set(log().boxes), set(run().actors))
         self.assertEqual(log().frame_lidars, [""] * 8)
         np.testing.assert_array_equal(log().mountings[""], np.eye(4))
@@ -77,7 +79,7 @@ class Runs(TestCase):
         self.assertEqual(again.held_out, run().held_out)
         self.assert_fails(relidar.UsageError, "already contains a run", run().save, FOLDER / "again")
         run().save(FOLDER / "again", overwrite=True)
-        run().save(FOLDER / "run", overwrite=True)   # where it belongs
+        run().save(FOLDER / "run", overwrite=True)   # saves the run into its current folder
 
     def test_with_surfels(self):
         surfels = run().surfels
@@ -130,7 +132,7 @@ class Edits(TestCase):
         way = (poses[-1] - poses[0])[:3, 3]
         np.testing.assert_allclose(way / (times[-1] - times[0]), 2.0 * start[:3, 0], atol=1e-6)   # straight ahead at 2 m/s
         self.assertEqual(len(relidar.Run.load(FOLDER / "edited").edits), 3)
-        self.assertEqual(list(run().actors), tracks)   # the run itself is as it was
+        self.assertEqual(list(run().actors), tracks)   # the original run must not change
 
     def test_move_and_follow(self):
         track = list(run().actors)[0]

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a random scene, its rays, dL/d(rendered), and what the double reference makes of
-// them: image and gradients. The Python test renders and differentiates the same scene
-// through numpy and compares.
-//   gradient_fixture OUT.npz ray|surfel
+// Writes a random scene, its rays, dL/d(rendered), and the image and gradients of the
+// double reference. The Python test renders and differentiates the same scene through
+// numpy and compares the results. Usage: gradient_fixture OUT.npz ray|surfel
 #include <cstdio>
 #include <string>
 
@@ -17,10 +16,10 @@ namespace {
 
 constexpr int kChunk = 16;
 
-/// Arrays of one npz, filled row by row.
+/// Arrays of an npz file, filled row by row.
 class Table {
 public:
-    /// Adds a row of doubles to an array of rows of this shape.
+    /// Appends a row of doubles to an array whose rows have this shape.
     template <class Vector>
     void add(const std::string& name, const Vector& row, std::size_t n) {
         Column& column = columns_[name];
@@ -41,7 +40,8 @@ public:
 private:
     struct Column {
         std::vector<double> values;
-        std::size_t width = 0;  ///< 0: one number a row, no second axis
+        /// Numbers per row. 0 stands for a single number per row and no second axis.
+        std::size_t width = 0;
     };
     std::map<std::string, Column> columns_;
 };
@@ -74,7 +74,8 @@ void add_upstream(Table& table, const reference::PixelGradient& g) {
     table.add("upstream/drop_logit", g.drop_logit);
 }
 
-/// The scene as Python is to make it, its surfels in the order of `placed`.
+/// Adds the scene in the form in which Python must create it. The surfels are in the
+/// order of `placed`.
 void add_scene(Table& table, const test::RandomScene& scene, const test::SceneAndPoses& placed) {
     for (const std::uint32_t i : placed.original) add_surfel(table, "scene/", scene.world.surfels[i]);
     for (const Model& model : placed.scene.models) {
@@ -93,7 +94,7 @@ void add_scene(Table& table, const test::RandomScene& scene, const test::SceneAn
 void write_fixture(const std::string& path, ShDirection direction) {
     reference::Settings settings;
     settings.image.sh_direction = direction;
-    const test::RandomSceneOptions options{// those of DeviceGradient
+    const test::RandomSceneOptions options{// the same options as in DeviceGradient
                                            .seed = 31,
                                            .actor_instances = direction == ShDirection::ray ? 2 : 1,
                                            .rays = 60};

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""forward() and backward() against the double reference, by the measure and the tolerances of the C++ test (tests/diff/backward, tests/support):
-a row is one parameter of one surfel; its error is |actual - expected| over the row's norm, small rows over a share of the largest."""
+"""Compares forward() and backward() with the double reference. Uses the error measure and the
+tolerances of the C++ test (tests/diff/backward, tests/support). A row is a parameter of a surfel.
+Its error is |actual - expected| divided by the row's norm. For small rows, it is divided by a share
+of the largest norm."""
 import os
 import re
 import subprocess
@@ -17,13 +19,14 @@ UPSTREAM = ("depth", "weight", "intensity", "hit_logit", "drop_logit")
 
 
 def tolerance(name):
-    """A constant of tests/support/tolerances.hpp."""
+    """Returns a constant of tests/support/tolerances.hpp."""
     with open(os.path.join(os.environ["RELIDAR_SOURCE_DIR"], "tests/support/tolerances.hpp")) as file:
         return float(re.search(rf"\b{name} = ([0-9.e-]+);", file.read()).group(1))
 
 
 def worst_error(expected, actual):
-    """GradientGroup::worst_error, and its check that no row with a gradient came out as zero."""
+    """Returns the error of GradientGroup::worst_error. Checks that no row with an expected gradient
+    is zero."""
     expected, actual = (np.asarray(x, np.float64).reshape(len(x), -1) for x in (expected, actual))
     norms = np.linalg.norm(expected, axis=1)
     bound = tolerance("kSmallRow") * norms.max()
@@ -32,7 +35,7 @@ def worst_error(expected, actual):
 
 
 class Case:
-    """A fixture's scene, ready to be rendered."""
+    """Scene of a fixture that is ready for rendering."""
 
     def __init__(self, direction):
         path = FOLDER / f"gradient_{direction}.npz"
@@ -73,7 +76,7 @@ class Gradient(TestCase):
         for name in PARAMETERS:
             reference = expected["gradient/" + name].reshape(gradients[name].shape)
             self.assertTrue(np.any(reference))
-            # Harmonics channel by channel, as the C++ test has them.
+            # Separates harmonics by channel, as the C++ test does.
             groups = [reference[:, c] for c in range(3)] if name == "sh" else [reference]
             found = [gradients[name][:, c] for c in range(3)] if name == "sh" else [gradients[name]]
             for r, f in zip(groups, found):
@@ -88,7 +91,7 @@ class Gradient(TestCase):
         limit = tolerance("kKernelGradient")
         self.assertLessEqual(worst_error(a["gradient/pose_translation"], gradients["poses"][:, :3]), limit)
         self.assertLessEqual(worst_error(a["gradient/pose_rotation"], gradients["poses"][:, 3:]), limit)
-        # All rays move as one body about the view origin.
+        # Moves all rays together as a rigid body about the view origin.
         turn = np.cross(a["ray/origin"] - case.view, a["gradient/ray_origin"]) + np.cross(a["ray/direction"], a["gradient/ray_direction"])
         self.assertLessEqual(worst_error(a["gradient/ray_origin"].sum(0)[None], gradients["sensor"][None, :3]), limit)
         self.assertLessEqual(worst_error(turn.sum(0)[None], gradients["sensor"][None, 3:]), limit)
@@ -97,7 +100,8 @@ class Gradient(TestCase):
         self.check("surfel")
 
     def test_uploaded_parameters_are_rendered(self):
-        """A difference of the loss over a step along the gradient: nothing of the reference in it."""
+        """Compares the gradient with the difference of the loss over a step along the gradient.
+        This check does not use the reference."""
         case = Case("ray")
         case.renderer.forward(*case.rays)
         gradients = case.renderer.backward(case.upstream)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The module without its compiled part says what is missing and what to do."""
+"""If the compiled part of the module is missing, importing the module must report what is missing
+and what to do."""
 import os
 import pathlib
 import subprocess

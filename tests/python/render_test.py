@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scans of a run: the same as the command line tool writes; poses, actors and sensors of the caller's own; lifetimes of arrays."""
+"""Tests scans of a run. They must equal the scans that the command line tool writes. Also tests
+poses, actors and sensors of the caller, and the lifetime of arrays."""
 import gc
 import json
 import shutil
@@ -12,7 +13,7 @@ from common import FOLDER, TestCase, log, run, tool
 
 
 def present(loaded, time):
-    """Tracks of the actors that are there at a time."""
+    """Returns the tracks of the actors that are present at a time."""
     return {name: track for name, track in loaded.actors.items() if track[0][0] <= time <= track[0][-1]}
 
 
@@ -35,7 +36,8 @@ class Render(TestCase):
                 np.testing.assert_allclose(scan[name], written[name], rtol=1e-4, atol=1e-4, err_msg=name)
 
     def test_points_have_the_bits_of_the_files(self):
-        """The same poses by arrays and by a file: points of Python and of a PLY file are equal."""
+        """Passes the same poses as arrays and as a file. The points from Python and from a PLY file
+        must be equal."""
         time = run().times[3]
         times, way = np.array([time - 0.1, time + 0.1]), FOLDER / "way.csv"
         places = np.array([[3.25, 0.5, 1.73], [5.5, 0.25, 1.73]])
@@ -53,14 +55,15 @@ class Render(TestCase):
             self.assert_same(scan["points"][returned][:, axis], np.ascontiguousarray(vertices[name]))
 
     def test_a_ray_that_meets_nothing_gives_no_point(self):
-        """README's recipe, with a network that says of every ray that it returns: its last bias is far below 0."""
+        """Follows the recipe of the README. The last bias of the network is far below 0, so that it
+        predicts a return for every ray."""
         folder = FOLDER / "never_drops"
         shutil.copytree(run().folder, folder)
         data = bytearray((folder / "drop_network.safetensors").read_bytes())
         begin = 8 + int.from_bytes(data[:8], "little")
         first, last = json.loads(data[8:begin])["parameters"]["data_offsets"]
         parameters = np.frombuffer(data, "<f4", (last - first) // 4, begin + first)
-        parameters[-4] = -80.0   # groups begin at multiples of four
+        parameters[-4] = -80.0   # parameter groups start at multiples of four
         (folder / "drop_network.safetensors").write_bytes(data)
         position = run().held_out[0]
         never_drops, time = relidar.Run.load(folder), run().times[position]
@@ -83,7 +86,8 @@ class Render(TestCase):
         self.assertTrue(np.any(given["instance"] > 0))
 
     def test_follows_the_sweeps_of_the_log(self):
-        """The log's own sensor points where its head did, as in the tool: here each firing is turned by a known angle."""
+        """The log's sensor must follow the azimuths of its head in each sweep, as in the command
+        line tool. The test turns each firing by a fixed angle."""
         folder = FOLDER / "turned"
         relidar.Run.load(run().folder).save(folder)
         _, columns = run().rays()["time"].shape
@@ -102,10 +106,12 @@ class Render(TestCase):
             np.testing.assert_allclose(scan["range"], written["range"], rtol=1e-4, atol=1e-4)
         self.assert_same(turned.render(time=time, actors=present(turned, time))["directions"], scan["directions"])
         driven = turned.render(time=time, pose=turned.trajectory)
-        self.assert_same(driven["directions"], nominal["directions"])   # on a path of the caller's there are no sweeps
+        # a path of the caller has no recorded sweeps
+        self.assert_same(driven["directions"], nominal["directions"])
 
     def test_compensated_log(self):
-        """A log without a rolling shutter: its own sensor has none and says so, another one fires each ray at its own time."""
+        """In a log without a rolling shutter, the log's sensor has no rolling shutter either and
+        reports this. A different sensor fires each ray at its firing time."""
         time, speed = run().times[3], 13.0
         folder = FOLDER / "compensated"
         relidar.Run.load(run().folder).save(folder)
@@ -140,7 +146,7 @@ class Render(TestCase):
         name = next(iter(run().actors))
         self.assert_fails(relidar.UsageError, f'time relative to the poses of actors["{name}"]: found', render, time=times[3],
                           actors={name: (np.array([times[3] + 5.0, times[3] + 6.0]), poses)})
-        render(time=1000.0, pose=np.eye(4))   # it stands there at any time
+        render(time=1000.0, pose=np.eye(4))   # the sensor is static, so any time is allowed
 
     def test_pose_moves_the_sensor(self):
         time = run().times[3]
@@ -150,7 +156,7 @@ class Render(TestCase):
         np.testing.assert_allclose(high["pose"], up, atol=1e-9)
 
         def height(scan):
-            """Of the road below the sensor, from rays that look down and ahead."""
+            """Returns the height of the road below the sensor, from rays that point down and ahead."""
             returned = (scan["drop_prob"] < 0.5) & (scan["directions"][..., 2] < -0.25) & (scan["instance"] == 0)
             return -np.median((scan["median_range"] * scan["directions"][..., 2])[returned])
 
@@ -189,7 +195,8 @@ class Render(TestCase):
         self.assertEqual(rays["directions"].shape[0], 16)
         np.testing.assert_allclose(np.linalg.norm(rays["directions"], axis=-1), 1.0, atol=1e-6)
         elevation = np.degrees(np.arcsin(rays["directions"][:, 0, 2]))
-        np.testing.assert_allclose(elevation, np.arange(15, -16, -2), atol=1e-4)   # the maker's manual
+        # elevations from the manufacturer's manual
+        np.testing.assert_allclose(elevation, np.arange(15, -16, -2), atol=1e-4)
         self.assertEqual(run().render("VLP-16", time=run().times[0])["range"].shape, rays["time"].shape)
 
     def test_sample_is_a_draw(self):
@@ -211,7 +218,7 @@ class Render(TestCase):
         self.assertGreater(seen.sum(), 100)
         self.assert_same(fog["range"][seen], clear["range"][seen])
         kept = np.exp(-2.0 * np.log(20.0) / 60.0 * clear["median_range"][seen])
-        step = 0.01   # if the log's intensities come in steps, so do these
+        step = 0.01   # the rendered intensities have the same steps as the intensities of the log
         self.assertLess(np.abs(fog["intensity"][seen] - clear["intensity"][seen] * kept).max(), step)
         in_air = fog["source"] == 1
         self.assertTrue((fog["instance"][in_air] == -1).all())
@@ -238,7 +245,7 @@ class Render(TestCase):
         gc.collect()
         self.assert_same(scan["range"], ranges)
         self.assert_same(mean, copy)
-        scan["range"][...] = 0   # the caller's own
+        scan["range"][...] = 0   # the array belongs to the caller
 
     def test_bad_input(self):
         time = run().times[0]

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stubs name what the module has, with the same arguments and defaults in the same order, and every public thing has a docstring."""
+"""The stubs must contain the names of the module, with the same arguments and defaults in the same
+order. Every public name must have a docstring."""
 import ast
 import pathlib
 import re
@@ -12,7 +13,7 @@ UNDOCUMENTED = {"__init__", "__getitem__", "__setitem__", "__len__", "__repr__"}
 
 
 def stub_arguments(function):
-    """Arguments as pybind11 would write them: ["self", "track", "*", "overwrite=False"]."""
+    """Returns arguments in the notation of pybind11: ["self", "track", "*", "overwrite=False"]."""
     def plain(argument, default):
         return argument.arg + ("" if default is None else "=" + ast.unparse(default))
 
@@ -23,7 +24,7 @@ def stub_arguments(function):
 
 
 def split_arguments(text):
-    """Parts of an argument list at the commas outside brackets."""
+    """Splits an argument list at the commas outside of brackets."""
     parts, depth, part = [], 0, ""
     for c in text:
         depth += (c in "[({<") - (c in "])}>")
@@ -36,7 +37,8 @@ def split_arguments(text):
 
 
 def module_arguments(function):
-    """The same of a bound function: pybind11 writes its signature into the first line of the docstring."""
+    """Returns the arguments of a bound function. pybind11 writes its signature into the first line
+    of the docstring."""
     line = function.__doc__.splitlines()[0]
     text = line[line.index("(") + 1 : line.rindex(") ->")]
     arguments = []
@@ -48,7 +50,7 @@ def module_arguments(function):
 
 
 def stub_members(node):
-    """Functions and properties of a class or of the module in the stubs."""
+    """Returns functions and properties of a class or of the module in the stubs."""
     return {item.name: item for item in node.body if isinstance(item, ast.FunctionDef)}
 
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Training and evaluation: callbacks, ways to stop, going on, other threads, and the same scores as the command line tool's."""
+"""Tests training and evaluation: callbacks, ways to stop and to resume, calls from several threads,
+and scores that equal the scores of the command line tool."""
 import json
 import os
 import signal
@@ -17,7 +18,7 @@ class Train(TestCase):
         lines, notes = [], []
         trained = relidar.train(log(), config(), callback=lambda p: lines.append((p.iteration, p.loss, p.terms)), note=notes.append)
         self.assertEqual([line[0] for line in lines], [1, 10, 20, 30, 40, 50, 60])
-        self.assertLess(lines[-1][1], 0.8 * lines[0][1])   # it learns
+        self.assertLess(lines[-1][1], 0.8 * lines[0][1])   # the loss must decrease
         for _, loss, terms in lines:
             self.assertAlmostEqual(sum(terms.values()), loss, places=6)
         self.assertTrue(notes)
@@ -154,7 +155,7 @@ class Evaluate(TestCase):
 
         with self.assertRaisesRegex(RuntimeError, "enough"):
             relidar.evaluate(run(), log(), progress=refuse)
-        self.assertTrue(relidar.evaluate(run(), log())["mean"])   # the device is free again
+        self.assertTrue(relidar.evaluate(run(), log())["mean"])   # the device must be free again
 
     def test_bad_input(self):
         self.assert_fails(relidar.UsageError, "expected nearest or nearest-actors", relidar.evaluate, run(), log(), baseline="nerest")

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The wheel of tools/python, made from this build and installed into an empty folder, as `pip install tools/python` does."""
+"""Builds the wheel of tools/python from this build and installs it into an empty folder, as `pip
+install tools/python` does."""
 import importlib.util
 import os
 import pathlib
@@ -37,7 +38,8 @@ class Wheel(unittest.TestCase):
     def test_runs_where_it_is_installed(self):
         made = self.build(BUILD)
         self.assertEqual(made.returncode, 0, made.stderr)
-        wheels = list(self.path.glob("relidar-*-linux_*.whl"))   # of this system: it has a compiled part
+        # the wheel is specific to this system, because it has a compiled part
+        wheels = list(self.path.glob("relidar-*-linux_*.whl"))
         self.assertEqual(len(wheels), 1, list(self.path.iterdir()))
         site = self.path / "site"
         subprocess.run([*PIP, "install", "--no-index", "--no-deps", "--target", str(site), str(wheels[0])], check=True)

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements exhaustive traversal, the reference for all other providers
+// Implements exhaustive traversal, the reference for all hit providers
 // (docs/architecture.md section 6). Intersects each surfel of each instance with the
 // canonical function (M1, M2) and sorts the hits by key.
 #include <algorithm>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the Chamfer distance of a simulated and a measured scan (Eq. 11;
-// docs/method.md section 5) in double, by comparing all pairs.
+// Computes the Chamfer distance between a simulated and a measured scan (Eq. 11;
+// docs/method.md section 5) in double, by comparing all pairs of points.
 #pragma once
 
 #include <vector>
@@ -18,7 +18,8 @@ struct ChamferRay {
 };
 
 /// Returns (sum over simulated of min |a - b|^2 + sum over measured of min |a - b|^2) /
-/// min(number of simulated, of measured). Returns 0 if a cloud is empty.
+/// min(number of simulated points, number of measured points). Returns 0 if a cloud is
+/// empty.
 /// @param d_simulated if not null, receives the derivative with respect to the simulated
 /// ranges [n], with the nearest pairs fixed
 double chamfer_loss(const std::vector<ChamferRay>& rays, std::vector<double>* d_simulated = nullptr);

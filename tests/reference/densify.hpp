@@ -31,8 +31,9 @@ struct DensifyRules {
     std::uint32_t key = 0;      ///< key of the random numbers
 };
 
-/// Returns what densification does with a surfel.
-/// @param mean_gradient mean norm over the batches that saw the surfel, 0 if none did
+/// Decides whether densification keeps, removes, clones or splits a surfel.
+/// @param mean_gradient mean norm over the batches in which the surfel was visible, 0 if
+/// there are no such batches
 /// @param item index for random numbers
 Fate fate_of(const DensifiedSurfel& surfel, double mean_gradient, const DensifyRules& rules,
              std::uint32_t item);
@@ -40,11 +41,11 @@ Fate fate_of(const DensifiedSurfel& surfel, double mean_gradient, const DensifyR
 /// Returns two normal random numbers from PCG4D and Box-Muller.
 glm::dvec2 random_normal2(std::uint32_t key, std::uint32_t item, std::uint32_t draw);
 
-/// Returns a point of a surfel, given in units of its scales. `z_w` is used for a 3D
-/// Gaussian only.
+/// Returns a point of a surfel from coordinates in units of the surfel's scales. `z_w` is
+/// used only for a 3D Gaussian.
 glm::dvec3 point_of(const DensifiedSurfel& surfel, const glm::dvec2& z, double z_w);
 
-/// Distributes the copies 0 ... n_new - 1 to surfels; each copy is computed separately.
+/// Distributes the copies 0 ... n_new - 1 to surfels. Each copy is computed separately.
 /// Copy j belongs to the first surfel whose cumulative weight c satisfies c n_new + phase
 /// >= (j + 1) W.
 /// @return number of copies of each surfel

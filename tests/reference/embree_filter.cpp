@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements traversal with Embree: a two-level scene of proxy triangle pairs (M3). The
-// filter callback sees every triangle along the ray, evaluates the canonical function
-// (M1, M2) and keeps the nearest `chunk` keys. Embree's t is only used to shorten the
-// ray, with a margin of twice the largest proxy. This is safe because both hits lie on
-// one ray inside one proxy. Moving models are not part of the top-level scene. Each has a
-// separate scene that is traced with the ray in the model's frame at the ray's time.
+// Implements traversal with Embree on a two-level scene of proxy triangle pairs (M3). The
+// filter callback is called for every triangle along the ray, evaluates the canonical
+// function (M1, M2) and keeps the nearest `chunk` keys. Embree's t is only used to
+// shorten the ray, with a margin of twice the largest proxy. This is safe because both
+// hits lie on the same ray inside the same proxy. Moving models are not part of the
+// top-level scene. Each moving model has a separate scene that is traced with the ray in
+// the model's frame at the ray's time.
 #if __has_include(<embree4/rtcore.h>)
 #include <embree4/rtcore.h>
 #else
@@ -29,7 +30,9 @@ using Context = RTCRayQueryContext;
 using Context = RTCIntersectContext;
 #endif
 
-constexpr double kMaxHalfSize = 1e5;  // metres: keeps Embree's vertices far below its limit of 1.8e18
+// Maximum half size in metres. It keeps Embree's vertices far below Embree's limit of
+// 1.8e18.
+constexpr double kMaxHalfSize = 1e5;
 
 template <typename Handle, void (*release)(Handle)>
 struct Released {
@@ -91,7 +94,8 @@ struct EmbreeFilter::State {
     std::vector<FloatRecord> records;
     std::vector<FloatRows> rows;
     std::vector<Placement> instances;
-    // one per instance, which is simple, because tests have few instances of a model
+    // an Embree scene per instance, which is simple, because tests have few instances of
+    // a model
     std::vector<ModelScene> models;
     double t_margin = 1e-3;
     Device device{rtcNewDevice("threads=1,set_affinity=0")};
@@ -100,8 +104,8 @@ struct EmbreeFilter::State {
 
 namespace {
 
-/// Data of the filter callback. Embree passes a pointer to the context, which is
-/// therefore the first member.
+/// Data that the filter callback uses. Embree passes a pointer to the context, which must
+/// therefore be the first member.
 struct Query {
     Context context;
     const FloatRecord* records;
@@ -112,11 +116,11 @@ struct Query {
     std::size_t chunk;
     double t_margin;
     std::vector<Hit>* hits;
-    // moving instance whose separate scene is being traced
+    // index of the moving instance whose separate scene is being traced
     std::uint32_t moving = RTC_INVALID_GEOMETRY_ID;
 
-    /// Inserts a candidate into the sorted buffer if it is a hit, not yet present, and
-    /// among the nearest.
+    /// Inserts a candidate into the sorted buffer if it is a hit, not yet in the buffer,
+    /// and among the nearest hits.
     void offer(std::uint32_t instance, std::uint32_t triangle) {
         const std::uint32_t surfel = (*ids[instance])[triangle / 2];
         const auto hit = float_hit(records[surfel], local[instance], *model);
@@ -213,7 +217,7 @@ EmbreeFilter::~EmbreeFilter() = default;
 
 namespace {
 
-/// Traces a ray through a scene and passes its candidates to a query.
+/// Traces a ray through a scene. Embree passes the candidate triangles to the query.
 void search(RTCScene scene, const LocalRay<float>& ray, float near, Query& query) {
     RTCRayHit target{};
     target.ray.org_x = ray.origin.x, target.ray.org_y = ray.origin.y, target.ray.org_z = ray.origin.z;
@@ -243,7 +247,7 @@ void EmbreeFilter::next_hits(const Ray& ray, const HitKey& after, int chunk, std
     std::vector<LocalRay<float>> local;
     std::vector<const std::vector<std::uint32_t>*> ids;
     const glm::vec3 origin(ray.origin), direction(ray.direction);
-    // converts to t, which is in units of the direction's length
+    // converts the margin from metres to t, whose unit is the length of the direction
     const double t_margin = state_->t_margin / glm::length(ray.direction);
     for (std::size_t i = 0; i < state_->rows.size(); ++i) {
         const Placement& p = state_->instances[i];

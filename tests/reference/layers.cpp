@@ -10,7 +10,7 @@ namespace {
 int ring(int x, int n) { return ((x % n) + n) % n; }
 
 /// Calls visit(image, out, in, row, column, tap, source row, source column) for each
-/// product of a convolution.
+/// product of a convolution. A tap is an element of the kernel.
 template <class Visit>
 void for_products(const ImageBatch& to, int n_in, int taps, Visit&& visit) {
     const int reach = taps == 1 ? 0 : 1, side = 2 * reach + 1;
@@ -38,8 +38,8 @@ void for_values(const ImageBatch& images, Visit&& visit) {
             for (std::size_t i = 0; i < images.pixels(); ++i) visit(c, images.index(image, c, 0, 0) + i);
 }
 
-/// Returns the interpolation weights of n_small entries for entry `at` of n_large
-/// entries.
+/// Returns the interpolation weights of the n_small source entries for entry `at` of
+/// n_large entries.
 std::vector<double> mixing(int at, int n_large, int n_small, bool circular) {
     const double place = (at + 0.5) * n_small / n_large - 0.5, left = std::floor(place), share = place - left;
     const auto entry = [&](int k) {
@@ -70,7 +70,7 @@ void for_mixed(int rows, int columns, int small_rows, int small_columns, Visit&&
         }
 }
 
-/// Attention head of one image: the weight of each pixel for each pixel (softmax).
+/// Attention head of an image: the weight of each pixel for each pixel (softmax).
 struct Head {
     int image, query, key, value, to, size;  ///< first channels
 

@@ -32,7 +32,8 @@ struct ImageBatch {
 };
 
 /// Returns the convolution of a batch.
-/// @param weights [n_out, from.channels, taps], taps 1 or 9
+/// @param weights [n_out, from.channels, taps], where the number of kernel elements
+/// (taps) is 1 or 9
 /// @param bias [n_out], or empty
 ImageBatch convolve(const ImageBatch& from, const std::vector<double>& weights,
                     const std::vector<double>& bias, int n_out, int taps);
@@ -45,14 +46,16 @@ std::vector<double> convolve_weights_vjp(const ImageBatch& from, const ImageBatc
 std::vector<double> channel_sums(const ImageBatch& d_to);
 
 struct Moments {
-    /// [channels] moments over the full batch; the variance is divided by the batch size
+    /// [channels] mean and variance over the full batch. The variance is the sum of
+    /// squares divided by the batch size.
     std::vector<double> mean, variance;
 };
 Moments moments_of(const ImageBatch& from);
 
 struct NormLayer {
     std::vector<double> beta, gamma;  ///< [channels]
-    std::vector<double> gate;         ///< [n,channels,rows,columns] factor after ReLU (dropout), or empty
+    /// [n,channels,rows,columns] dropout factor that is applied after ReLU, or empty
+    std::vector<double> gate;
     double epsilon = 1e-5;
 };
 /// Returns gate * relu(gamma (from - mean) / sqrt(variance + epsilon) + beta).
@@ -61,31 +64,33 @@ struct NormGradient {
     ImageBatch from;
     std::vector<double> beta, gamma;  ///< [channels]
 };
-/// Returns the derivatives of normalise(), including those through the moments, which
-/// depend on `from`.
+/// Returns the derivatives of normalise(), including the derivatives through the mean and
+/// the variance, which depend on `from`.
 NormGradient normalise_vjp(const ImageBatch& from, const NormLayer& layer, const ImageBatch& d_to);
 
 /// Returns the maximum of each 2 x 2 block. Ignores the last row or column of odd sizes.
 ImageBatch pool(const ImageBatch& from);
-/// Passes each derivative to the first maximum of the block, row by row.
+/// Adds the derivative of each block to the first pixel that has the maximum, in row
+/// order.
 ImageBatch pool_vjp(const ImageBatch& from, const ImageBatch& d_to);
-/// Resizes images bilinearly, with pixel centres at half steps. Rows are clamped, columns
-/// wrap around.
+/// Resizes images bilinearly, with pixel centres at half steps. Rows are clamped at the
+/// border. Columns wrap around.
 ImageBatch upsample(const ImageBatch& from, int rows, int columns);
 ImageBatch upsample_vjp(const ImageBatch& d_to, int rows, int columns);
 
-/// Applies attention. The channels of a pixel are query, key and value; the heads are
-/// contiguous within each.
+/// Applies attention. The channels of a pixel are the query, the key and the value.
+/// Within each of these, the channels of a head are contiguous.
 ImageBatch attend(const ImageBatch& qkv, int heads);
 ImageBatch attend_vjp(const ImageBatch& qkv, int heads, const ImageBatch& d_to);
 
 struct DropEntropy {
-    double mean = 0.0, accuracy = 0.0;  ///< over known pixels; 0 if there are none
+    /// loss and accuracy over pixels with a target; 0 without such pixels
+    double mean = 0.0, accuracy = 0.0;
     /// drop probability of each pixel, and derivative of the mean
     std::vector<double> probability, d_logit;
 };
 /// Computes the cross-entropy of ray drops.
-/// @param target 1 dropped, 0 returned, negative: unknown
+/// @param target 1 means dropped, 0 means returned. A negative value means unknown.
 DropEntropy drop_entropy(const std::vector<double>& logit, const std::vector<double>& target);
 
 }  // namespace relidar::reference

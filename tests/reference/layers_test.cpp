@@ -33,7 +33,7 @@ double dot(const std::vector<double>& a, const std::vector<double>& b) {
     return sum;
 }
 
-/// Checks `actual` against central differences of the inner product <asked, value()> with
+/// Compares `actual` with central differences of the inner product <asked, value()> with
 /// respect to each element of `x`. The function value() reads `x`.
 void expect_derivative(std::vector<double>& x, const std::vector<double>& actual,
                        const std::vector<double>& asked, const std::function<std::vector<double>()>& value) {
@@ -57,8 +57,9 @@ TEST(LayersReference, ConvolutionTurnsAroundAndEndsInZeros) {
     from.at(0, 0, 0, 0) = 1.0;
     const std::vector<double> weights{1, 2, 3, 4, 5, 6, 7, 8, 9};
     const ImageBatch to = convolve(from, weights, {0.5}, 1, 9);
-    // An impulse is seen by the next column through its left tap, and by the previous
-    // column, which is the last one. Rows outside the image are zero.
+    // The kernel weight to the left passes an impulse to the next column. The weight to
+    // the right passes it to the previous column, which is the last column of the ring.
+    // Rows outside the image are zero.
     const std::vector<double> expected{5.5, 4.5, 0.5, 6.5, 2.5, 1.5, 0.5, 3.5, 0.5, 0.5, 0.5, 0.5};
     EXPECT_EQ(to.values, expected);
 }
@@ -66,8 +67,8 @@ TEST(LayersReference, ConvolutionTurnsAroundAndEndsInZeros) {
 TEST(LayersReference, UpsamplingByHand) {
     ImageBatch from(1, 1, 1, 2);
     from.values = {0.0, 4.0};
-    // Centres at -1/4, 1/4, 3/4, 5/4: each value is a mixture of 3/4 and 1/4 of the
-    // nearest columns, which wrap around.
+    // The source positions are -1/4, 1/4, 3/4 and 5/4. Each value mixes the two nearest
+    // columns with weights 3/4 and 1/4. Columns wrap around.
     const ImageBatch to = upsample(from, 2, 4);
     const std::vector<double> expected{1.0, 1.0, 3.0, 3.0, 1.0, 1.0, 3.0, 3.0};
     for (std::size_t i = 0; i < 8; ++i) EXPECT_DOUBLE_EQ(to.values[i], expected[i]) << i;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes the loss terms of each ray (docs/method.md section 5) in double, and their
-// derivatives with respect to the rendered values. Terms: L1 of depth, L1 or Huber of
-// intensity on returned rays, and cross-entropy of the ray-drop probability beta =
-// softmax(hit, drop) (M6).
+// derivatives with respect to the rendered values. The terms are L1 of depth, L1 or Huber
+// loss of intensity (both only for rays with a return), and cross-entropy of the ray-drop
+// probability beta = softmax(hit, drop) (M6).
 #pragma once
 
 #include <vector>
@@ -28,9 +28,11 @@ struct Target {
 };
 
 struct LossTerms {
-    double depth = 0.0;      ///< mean |depth - range| over returned rays, metres
-    double intensity = 0.0;  ///< mean |intensity - measured| over returned rays, or their Huber loss
-    /// mean -[y ln beta + (1 - y) ln(1 - beta)] over all rays, y = 1 for dropped rays
+    double depth = 0.0;  ///< mean |depth - range| over returned rays, metres
+    /// mean of |intensity - measured|, or of the Huber loss, over rays with a return
+    double intensity = 0.0;
+    /// mean of -[y ln beta + (1 - y) ln(1 - beta)] over all rays, where y = 1 for dropped
+    /// rays
     double drop = 0.0;
     double total = 0.0;  ///< weighted sum
 };
@@ -41,8 +43,8 @@ LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Targ
                         const LossWeights& weights, DepthKind kind,
                         std::vector<PixelGradient>* d_pixels = nullptr);
 
-/// Returns the mean of -ln(floor + (1 - floor) S) over returned rays, where S is the
-/// likelihood of the pixel (M12).
+/// Returns the mean of -ln(floor + (1 - floor) S) over the rays with a return, where S is
+/// the likelihood of the pixel (M12).
 /// @param d_pixels [n] if not null, receives the derivatives
 double likelihood_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, double floor,
                        std::vector<PixelGradient>* d_pixels = nullptr);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the reference against an image rendered by the official implementation on a GPU
+// Compares the reference with an image that the official implementation rendered on a GPU
 // (../shared/bench, street(100000) with rays("kitti")): M1-M5 with SH along the ray. Two
-// kinds of outliers are known. The official implementation loses a hit at a chunk
+// kinds of outliers are expected. The official implementation loses a hit at a chunk
 // boundary on 36 of its 67,980 rays (here ray 4505, 16 hits). If two t agree to 1e-6 m,
 // single precision may swap the hits, which changes the channels but not the depth (here
 // rays 48280, 48705, 64090). The tests are skipped if RELIDAR_SHARED (default: ../shared
@@ -99,7 +99,7 @@ protected:
 
 TEST_F(PeerImageTest, DoubleBruteForceOn200Rays) {
     const Differences d = compare(BruteForce(world, {}, Precision::double_record), PeerImage(path), 339);
-    EXPECT_LE(d.outliers, 1);  // no outlier is known among these rays
+    EXPECT_LE(d.outliers, 1);  // these rays have no expected outlier
     EXPECT_GT(d.depth_m, 0.0) << "nothing was compared";
 }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Implements the forward pass of the reference: shading of a hit (M1, M2, SH) and
 // blending from near to far (M4, M5). Blends in chunks like a GPU, or over the complete
-// list. The two differ only in how hits are fetched.
+// list of hits. Both versions differ only in how hits are fetched.
 #include "render.hpp"
 
 #include <algorithm>
@@ -15,8 +15,8 @@ public:
     Blend(const Settings& settings, const Ray& ray)
         : settings_(settings), ray_(ray), transmittance_min_(double(settings.image.transmittance_min)) {}
 
-    /// Adds a surfel. If the surfel would reduce T below T_min, returns false and does
-    /// not add it.
+    /// Adds a surfel to the pixel. If the surfel would reduce the transmittance T below
+    /// T_min, returns false and does not add it.
     bool add(const ShadedHit& s) {
         const double next = pixel_.transmittance * (1.0 - s.alpha);
         if (next < transmittance_min_) return false;

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements the reference's image formation in double precision: blending along a ray
-// (M4), outputs (M5), and gradients (M7, M8) with respect to surfel parameters, the ray,
-// the view origin and instance poses. Hits come from any HitProvider, which determines
-// their order and which surfels are skipped. This file evaluates t, u, v and alpha again
-// in double.
+// Implements image formation of the reference in double precision. It blends along a ray
+// (M4), computes outputs (M5), and computes gradients (M7, M8) with respect to surfel
+// parameters, the ray, the view origin and instance poses. Hits are read from any
+// HitProvider, which determines their order and which surfels are skipped. This file
+// evaluates t, u, v and alpha again in double.
 #pragma once
 
 #include <cstdint>
@@ -22,35 +22,37 @@ struct Settings {
     double likelihood_scale_m = 0.05;  ///< s of M12
 };
 
-/// One number for each blended value of a ray.
+/// A number for each blended value of a ray.
 struct BlendedValues {
 #define RELIDAR_FIELD(name, built, value, input, slope, meaning) double name = 0.0;
     RELIDAR_BLENDED_VALUES(RELIDAR_FIELD)
 #undef RELIDAR_FIELD
 };
 
-/// Rendered values of a ray (M5): the sum of w c for each blended value c, plus T_N in
-/// drop_logit.
+/// Rendered values of a ray (M5): the sum of w c for each blended value c. drop_logit
+/// also contains the final transmittance T_N.
 struct Pixel : BlendedValues {
     double transmittance = 1.0;  ///< T_N, after the last blended surfel
-    /// t of the surfel that reduces T from above 0.5 to 0.5 or less; 0 if there is none
+    /// t of the surfel that reduces T from above 0.5 to 0.5 or less; 0 without such a
+    /// surfel
     double median_depth = 0.0;
     std::uint32_t hits = 0;  ///< number of blended surfels
-    /// instance of the surfel of median_depth, otherwise of the nearest blended surfel;
-    /// -1 if no surfel was blended
+    /// Instance of the surfel of median_depth. Without median_depth, instance of the
+    /// nearest blended surfel. -1 if no surfel was blended.
     std::int64_t instance = -1;
-    /// sum w n, n the surfel's unit normal in the world on the side that faces the sensor
+    /// Sum of w n, where n is the unit normal of the surfel in the world frame, on the
+    /// side that faces the sensor.
     glm::dvec3 normal{0.0};
 };
 
 /// Gradient of the loss with respect to the blended values of a pixel.
 using PixelGradient = BlendedValues;
-/// Returns the sum of gradient times output over all outputs. As a loss, it has this
-/// gradient.
+/// Returns the sum of gradient times output over all outputs. The gradient of this sum
+/// with respect to the outputs is `g`.
 double inner_product(const PixelGradient& g, const Pixel& p);
 
-/// Kernel of M12 around the measured range z of a ray: s^2 / (s^2 + (t - z)^2). It is 0
-/// if the ray has no measured range.
+/// Weight of a range t around the measured range z of a ray (M12): s^2 / (s^2 + (t -
+/// z)^2). It is 0 if the ray has no measured range.
 struct RangeKernel {
     double value = 0.0;
     double slope = 0.0;  ///< dk/dt
@@ -60,23 +62,25 @@ RangeKernel range_kernel(const Settings& settings, const Ray& ray, double t);
 /// A hit with all values needed for blending.
 struct ShadedHit {
     Hit hit;
-    double t, u, v, w;       ///< w is 0 except for a 3D Gaussian
-    double gauss;            ///< Gaussian weight G
-    double alpha;            ///< min(alpha_max, sigma G)
-    bool alpha_clamped;      ///< true if sigma G > alpha_max; then alpha has no gradient
-    glm::dvec3 value;        ///< channels; the intensity is clamped to >= 0
-    double raw_intensity;    ///< intensity before the clamp
-    bool intensity_clamped;  ///< true if the raw intensity is < 0; then the intensity has no gradient
-    double side;             ///< -1 if the surfel's normal points along the ray, else 1
-    glm::dvec3 normal;       ///< unit normal that faces the sensor, world frame
+    double t, u, v, w;     ///< w is 0 except for a 3D Gaussian
+    double gauss;          ///< Gaussian weight G
+    double alpha;          ///< min(alpha_max, sigma G)
+    bool alpha_clamped;    ///< true if sigma G > alpha_max, so that alpha has no gradient
+    glm::dvec3 value;      ///< channels; the intensity is clamped to >= 0
+    double raw_intensity;  ///< intensity before the clamp
+    /// true if the unclamped intensity is negative, so that the intensity has no gradient
+    bool intensity_clamped;
+    double side;        ///< -1 if the surfel's normal points along the ray, else 1
+    glm::dvec3 normal;  ///< unit normal that faces the sensor, world frame
 };
 /// Returns c of each blended value of a hit.
 BlendedValues values_of(const Settings& settings, const Ray& ray, const ShadedHit& hit);
-/// Returns dc/dt of each, with the channels of the hit held fixed.
+/// Returns the derivative dc/dt of each blended value c, with the channels of the hit
+/// held fixed.
 BlendedValues slopes_of(const Settings& settings, const Ray& ray, const ShadedHit& hit);
 ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, const Hit& hit);
 
-/// Renders a ray, `chunk` hits at a time.
+/// Renders a ray and fetches `chunk` hits at a time.
 /// @param blended if not null, receives the blended hits in order
 Pixel render(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray,
              int chunk, std::vector<ShadedHit>* blended = nullptr);
@@ -89,19 +93,18 @@ struct Surface {
     double weight = 0.0;  ///< sum w
     double mean = 0.0;    ///< sum w t / sum w, metres
 };
-/// Groups hits into surfaces (M13). A hit more than `gap_m` behind the previous one
-/// begins a new surface.
+/// Groups hits into surfaces (M13). A hit that is more than `gap_m` behind the previous
+/// hit starts a new surface.
 /// @return surfaces, nearest first
 std::vector<Surface> surfaces(const std::vector<ShadedHit>& blended, double gap_m);
 
-/// Gradient with respect to an instance's pose. world_from_model becomes
-///   (exp([rotation]x) R, translation' = translation + d_translation)
-/// The rotation vector is expressed in the world frame and turns the model about its own
-/// origin; the translation is not turned. For a model that moves during a sweep, the
-/// gradient is expressed in the axes of world_from_model. The pose at the time of a ray
-/// changes by
-///   R(t) R^-1 (translation, rotation)
-/// so that the change is the same for all rays in the axes of the model.
+/// Gradient with respect to an instance's pose.
+///   world_from_model becomes (exp([rotation]x) R, translation' = translation + d_translation)
+/// The rotation vector is expressed in the world frame and turns the model about the
+/// model's origin. The translation is not turned. For a model that moves during a sweep,
+/// the gradient is expressed in the axes of world_from_model. The pose at the time of a
+/// ray changes by R(t) R^-1 (translation, rotation), so that the change is the same for
+/// all rays in the axes of the model.
 struct PoseGradient {
     glm::dvec3 translation{0.0};
     glm::dvec3 rotation{0.0};
@@ -116,15 +119,15 @@ struct Gradients {
     explicit Gradients(const World& world);  ///< initialises all gradients with zero
 };
 
-/// Gradient with respect to one ray. The direction is a free 3-vector that is not
-/// renormalised; the SH polynomials use it unchanged.
+/// Gradient with respect to a ray. The direction is a free 3-vector that is not
+/// renormalised. The SH polynomials use it unchanged.
 struct RayGradient {
     glm::dvec3 origin{0.0};
     glm::dvec3 direction{0.0};
 };
 
-/// Casts the ray again, front to back, and adds to `gradients` (M7, M8). Returns the
-/// gradient of the ray.
+/// Traces the ray again, front to back, and adds the gradients of surfels and poses to
+/// `gradients` (M7, M8). Returns the gradient of the ray.
 RayGradient backward(const World& world, const HitProvider& provider, const Settings& settings,
                      const Ray& ray, int chunk, const PixelGradient& d_pixel, Gradients& gradients);
 

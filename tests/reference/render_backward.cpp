@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 // Implements the backward pass of the reference. M7 converts dL/d(pixel) to dL/d(alpha),
-// dL/d(t) and dL/d(channels) of each blended hit. M8 propagates these through the
-// ray-plane intersection to the surfel's parameters, the ray, the view origin and the
+// dL/d(t) and dL/d(channels) of each blended hit. M8 propagates these derivatives through
+// the ray-plane intersection to the surfel's parameters, the ray, the view origin and the
 // instance's pose.
 #include "render.hpp"
 
 namespace relidar::reference {
 namespace {
 
-/// Derivatives of the loss with respect to one hit.
+/// Derivatives of the loss with respect to a hit.
 struct HitGradient {
     double alpha = 0.0;
-    double t = 0.0;  // direct derivative; the part through u and v is added with the geometry
+    double t = 0.0;  // direct derivative with respect to t; the derivative through u and v is added later
     glm::dvec3 value{0.0};
 };
 
@@ -20,7 +20,7 @@ struct LocalGradient {
     glm::dvec3 origin{0.0}, direction{0.0}, view{0.0};
 };
 
-/// Computes the gradients of all hits front to back (M7) from the final pixel, the
+/// Computes the gradients of all hits front to back (M7). Uses the final pixel, the
 /// running sums, and T before each hit.
 std::vector<HitGradient> hit_gradients(const std::vector<ShadedHit>& hits, const Settings& settings,
                                        const Ray& ray, const Pixel& pixel, const PixelGradient& g) {
@@ -122,9 +122,9 @@ void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const 
     d_surfel.rotation += rotation_matrix_vjp(surfel.rotation, d_rotation);
 }
 
-/// Transforms gradients from the model's frame to the world: x_m = R^T (x_w -
-/// translation), and R -> exp([w]x) R turns x_m by -R^T (w cross ...). PoseGradient
-/// describes the convention for models that move.
+/// Transforms gradients from the model's frame to the world frame. The point is x_m = R^T
+/// (x_w - translation), and R -> exp([w]x) R changes x_m by -R^T (w cross ...).
+/// PoseGradient describes the convention for moving models.
 void pose_backward(const Placement& placed, const Ray& ray, const glm::dvec3& view_origin,
                    const LocalGradient& d_local, PoseGradient& d_pose, RayGradient& d_ray,
                    glm::dvec3& d_view) {
@@ -144,7 +144,8 @@ void pose_backward(const Placement& placed, const Ray& ray, const glm::dvec3& vi
 
 Gradients::Gradients(const World& world) : surfels(world.surfels.size()), instances(world.instances.size()) {
     for (std::size_t i = 0; i < surfels.size(); ++i) {
-        // the default rotation of Surfel is the identity, not zero
+        // The default rotation of a Surfel is the identity. A gradient must start at
+        // zero.
         surfels[i].rotation = glm::dvec4(0.0);
         if (world.surfels[i].log_scale_w) surfels[i].log_scale_w = 0.0;
     }

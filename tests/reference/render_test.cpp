@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests image formation and its gradient against closed forms: one surfel head-on, two
+// Tests image formation and its gradient against closed forms: a surfel head-on, two
 // surfels at equal depth, a background that counts once (see the note to M7), clamps
 // without gradient, the stop rule, the median range, and chunks against a single list.
 #include <gtest/gtest.h>
@@ -91,7 +91,8 @@ TEST(ReferenceRender, EqualDepthIsOrderedByInstanceThenSurfel) {
     const auto ids = [&](const World& world) {
         blended.clear();
         const Case c{world};
-        // with chunks of one hit, the search continues after the key and not after t
+        // With chunks of a single hit, the search must continue after the key (t,
+        // instance, surfel) and not only after t.
         render(c.world, c.provider(), c.settings, c.ray, 1, &blended);
         std::vector<std::pair<std::uint32_t, std::uint32_t>> result;
         for (const ShadedHit& s : blended) result.emplace_back(s.hit.instance, s.hit.surfel);
@@ -111,7 +112,9 @@ TEST(ReferenceRender, StopsBeforeTheSurfelThatGoesUnderTheMinimum) {
     Case c{world_of(surfels)};
     c.settings.image.transmittance_min = 0.5e-3f;
     const Pixel p = c.image();
-    EXPECT_EQ(p.hits, 3u);  // the fourth surfel would reduce T from 1e-3 to 1e-4
+    // The fourth surfel is not blended, because it would reduce T from 1e-3 to 1e-4,
+    // which is below T_min.
+    EXPECT_EQ(p.hits, 3u);
     EXPECT_NEAR(p.transmittance, 1e-3, 1e-12);
     for (const int chunk : {1, 2, 3, 4}) EXPECT_EQ(c.image(chunk).hits, 3u);
 }
@@ -150,7 +153,8 @@ TEST(ReferenceRender, ShDirectionInTheModelsFrame) {
     Case c{{{s}, {{0, 1, turned}}}, {}, {{0, 0, 0}, {0, 1, 0}}};
     EXPECT_NEAR(c.image().hit_logit, 0.8 * (0.5 - 0.4886025119029199), 1e-12);
     c.settings.image.sh_direction = ShDirection::surfel;
-    c.settings.view_origin = {5, 5, 0};  // the mean is seen along the world's -x, which is the model's y
+    // The ray views the mean along -x of the world, which is y of the model.
+    c.settings.view_origin = {5, 5, 0};
     EXPECT_NEAR(c.image().hit_logit, 0.8 * 0.5, 1e-12);
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes S from the raw moments E[x], E[xx], E[xy] of the window, directly from the
-// equation. Double precision suffices for this form.
+// Computes the structural similarity S of a window directly from its equation, with the
+// raw moments E[x], E[xx], E[xy]. Double precision suffices for this form.
 #include "ssim.hpp"
 
 #include <cmath>
@@ -14,7 +14,8 @@ struct Neighbour {
     double weight;
 };
 
-/// Returns the known pixels of the window around a pixel; the weights sum to 1.
+/// Returns the pixels with a known value in the window around a pixel. The weights sum to
+/// 1.
 std::vector<Neighbour> window(const Image& image, int row, int column) {
     std::vector<Neighbour> result;
     double sum = 0.0;
@@ -34,7 +35,7 @@ std::vector<Neighbour> window(const Image& image, int row, int column) {
     return result;
 }
 
-/// Returns S of one window and adds scale * dS/dx to `d_x`.
+/// Returns the structural similarity S of a window and adds scale * dS/dx to `d_x`.
 double similarity(const Image& image, const std::vector<Neighbour>& neighbours, double scale,
                   std::vector<double>& d_x) {
     double ex = 0, ey = 0, exx = 0, eyy = 0, exy = 0;

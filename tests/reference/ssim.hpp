@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes the structural similarity of two intensity images (Wang et al. 2004) in
 // double, with its derivative. The window has 11 x 11 pixels and a Gaussian of 1.5
-// pixels, normalised over the known pixels (docs/method.md section 5).
+// pixels, normalised over the pixels with a known value (docs/method.md section 5).
 #pragma once
 
 #include <vector>
@@ -11,7 +11,7 @@ namespace relidar::reference {
 struct Image {
     int rows = 0;
     int columns = 0;
-    bool circular = false;    ///< the first column is next to the last one
+    bool circular = false;    ///< the first column is adjacent to the last column
     std::vector<double> x;    ///< [rows,columns] rendered
     std::vector<double> y;    ///< [rows,columns] measured
     std::vector<bool> known;  ///< [rows,columns] unknown pixels are ignored
@@ -19,7 +19,7 @@ struct Image {
 
 /// Computes the structural similarity loss.
 /// @param d_x if not null, receives the derivative with respect to x [rows,columns]
-/// @return mean of 1 - S over the known pixels; 0 if there are none
+/// @return mean of 1 - S over the pixels with a known value; 0 without such pixels
 double ssim_loss(const Image& image, std::vector<double>* d_x = nullptr);
 
 }  // namespace relidar::reference

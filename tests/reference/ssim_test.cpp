@@ -22,9 +22,9 @@ Image waves(bool circular) {
     return image;
 }
 
-/// Expected values: mean of 1 - S over known pixels with scipy.ndimage.correlate1d over
-/// columns ("wrap" or "constant") and rows ("constant"). The moments are divided by the
-/// same filter of the mask.
+/// Compares with scipy. The expected values are the mean of 1 - S over pixels with a
+/// known value, with scipy.ndimage.correlate1d over columns ("wrap" or "constant") and
+/// rows ("constant"). The moments are divided by the mask after the same filter.
 TEST(ReferenceSsim, AgreesWithScipy) {
     EXPECT_NEAR(ssim_loss(waves(true)), 0.0632199605965267, 1e-12);
     EXPECT_NEAR(ssim_loss(waves(false)), 0.06353378196252815, 1e-12);

@@ -159,7 +159,7 @@ Pose pose_at(const Pose& world_from_model, const Motion& motion, double time_s) 
 
 namespace {
 
-/// Rotates p by the angle 2 atan |g| about g: p + 2 / (1 + g.g) (g x p + g x (g x p)).
+/// Rotates p about g by the angle 2 atan |g|: p + 2 / (1 + g.g) (g x p + g x (g x p)).
 glm::vec3 turned(const glm::vec3& g, const glm::vec3& p) {
     const glm::vec3 q = glm::cross(g, p), r = glm::cross(g, q);
     return p + 2.0f / (1.0f + glm::dot(g, g)) * (q + r);

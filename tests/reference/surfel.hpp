@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements one surfel in double precision from docs/method.md: activations (section 2),
+// Implements a surfel in double precision from docs/method.md: activations (section 2),
 // real spherical harmonics of degree 3, the ray-surfel intersection (M1) and its opacity
-// (M2), or those of a 3D Gaussian (M9). As a part of the reference, it must not include
-// shaders/ or src/. `float_hit` is the same formula in single precision, in the form of
-// the shader, so that hit ids of any traversal can be compared exactly.
+// (M2), or the intersection and opacity of a 3D Gaussian (M9). As a part of the
+// reference, it must not include shaders/ or src/. `float_hit` is the same formula in
+// single precision, in the form of the shader, so that hit ids of any traversal can be
+// compared exactly.
 #pragma once
 
 #include <algorithm>
@@ -18,14 +19,14 @@
 
 namespace relidar::reference {
 
-/// Parameters of one surfel in the model's frame: the same 58 numbers as one row of
+/// Parameters of a surfel in the model's frame: the same 58 numbers as a row of
 /// relidar::Surfels. Also used for their gradient.
 struct Surfel {
     glm::dvec3 mean{0.0};  ///< position of the centre in metres
     /// quaternion w, x, y, z, unnormalised
     glm::dvec4 rotation{1.0, 0.0, 0.0, 0.0};
     glm::dvec2 log_scale{0.0};  ///< logarithm of the scales in metres
-    /// logarithm of the scale along the normal in metres; only for a 3D Gaussian
+    /// logarithm of the scale in metres along the normal; only for a 3D Gaussian
     std::optional<double> log_scale_w;
     double opacity_logit = 0.0;
     double gait_phase = 0.0;  ///< phase of the gait, in turns
@@ -34,8 +35,8 @@ struct Surfel {
     std::array<double, kShFloats> sh{};  ///< [3,16] channel-major: intensity, hit logit, drop logit
 };
 
-/// Activated values: mean, R (columns a_u, a_v, normal), (s_u, s_v) in metres, sigma, and
-/// s_w for a 3D Gaussian.
+/// Parameters after activation: mean, R (columns a_u, a_v, normal), scales (s_u, s_v) in
+/// metres, opacity sigma, and s_w for a 3D Gaussian.
 struct Activated {
     glm::dvec3 mean;
     glm::dmat3 rotation;
@@ -63,7 +64,7 @@ std::array<glm::dvec3, kShCoefficients> sh_basis_gradient(const glm::dvec3& dire
 /// clamped.
 glm::dvec3 sh_values(const Surfel& surfel, const glm::dvec3& direction, int degree);
 
-/// Data for an intersection in the model's frame: 13 numbers per surfel.
+/// Precomputed data of a surfel for intersections in the model's frame: 13 numbers.
 template <typename Real>
 struct Record {
     glm::vec<3, Real> mean;
@@ -76,34 +77,35 @@ struct Record {
 using FloatRecord = Record<float>;
 using DoubleRecord = Record<double>;
 
-/// Computes a record in double. The float record is rounded from it.
+/// Computes the intersection record of a surfel in double. The float record is rounded
+/// from this record.
 DoubleRecord make_record(const Surfel& surfel);
 /// Returns the surfel at a phase of its gait (M14), with the moved mean and the reduced
 /// opacity.
 Surfel at_phase(const Surfel& surfel, double turns);
 FloatRecord make_float_record(const Surfel& surfel);
 
-/// Ray in a model's frame. The direction keeps its length from the world, so t is the
-/// same in both frames.
+/// Ray in a model's frame. Its direction has the same length as in the world frame, so
+/// that t is the same in both frames.
 template <typename Real>
 struct LocalRay {
     glm::vec<3, Real> origin;
     glm::vec<3, Real> direction;
 };
 
-/// Ray in the world. The direction is a free vector that is never renormalised.
+/// Ray in the world frame. The direction is a free vector that is never renormalised.
 struct Ray {
     glm::dvec3 origin{0.0};
     glm::dvec3 direction{1.0, 0.0, 0.0};
-    double measured_m = 0.0;  ///< measured range; 0 = none
+    double measured_m = 0.0;  ///< measured range; 0 without a return
     double time_s = 0.0;      ///< firing time, relative to the reference time of the sweep
 };
 LocalRay<double> to_model(const Pose& world_from_model, const Ray& ray);
 
-/// Motion of a model during a sweep. At time t, the model is at world_from_model, moved
-/// by `velocity` and turned by `turn_rate` for clamp(t - middle_s, -half_span_s,
-/// half_span_s) seconds. The turn is a rotation vector in the world's axes about the
-/// model's origin.
+/// Motion of a model during a sweep. At time t, the pose is world_from_model, translated
+/// by `velocity` and rotated by `turn_rate` for clamp(t - middle_s, -half_span_s,
+/// half_span_s) seconds. The rotation vector is expressed in the world's axes and turns
+/// the model about its origin.
 struct Motion {
     glm::dvec3 velocity{0.0};   ///< m/s, world
     glm::dvec3 turn_rate{0.0};  ///< rad/s
@@ -117,11 +119,12 @@ struct Motion {
 };
 /// Returns the pose of a moving model at a time.
 Pose pose_at(const Pose& world_from_model, const Motion& motion, double time_s);
-/// Applies the motion of a model to a ray in the model's frame, in float like a kernel.
+/// Transforms a ray in the model's frame according to the motion of the model, in float
+/// like a kernel.
 LocalRay<float> follow(LocalRay<float> local, const Pose& world_from_model, const Motion& motion,
                        double time_s);
 
-/// Rows of the 3x4 matrix model_from_world, computed in double and rounded.
+/// Rows of the 3x4 matrix model_from_world, computed in double and rounded to float.
 struct FloatRows {
     float row[3][4];
 };
@@ -132,8 +135,8 @@ LocalRay<float> to_model(const FloatRows& model_from_world, const glm::vec3& ori
 template <typename Real>
 struct PlaneHit {
     Real t;
-    /// distance from the mean along a_u, a_v, and a_w for a 3D Gaussian, in standard
-    /// deviations
+    /// Distance from the mean in standard deviations, along a_u and a_v. For a 3D
+    /// Gaussian, also along a_w.
     Real u, v, w;
     Real alpha;  ///< sigma * G, before the clamp to alpha_max
 };
@@ -167,16 +170,16 @@ PlaneHit<Real> meet_gaussian(const Record<Real>& s, const LocalRay<Real>& ray) {
 }
 
 /// Returns position and strength of the intersection of a ray with a primitive, before
-/// any cuts.
+/// the opacity and range limits are applied.
 template <typename Real>
 PlaneHit<Real> meet(const Record<Real>& s, const LocalRay<Real>& ray) {
     return s.primitive == Primitive::gaussian ? meet_gaussian(s, ray) : meet_surfel(s, ray);
 }
 
-/// Intersects a ray with a surfel (M1 and M2, or M9). Returns nothing if there is no hit.
-/// This is the only formula of all providers. It is a hit if t is finite (the ray is not
-/// parallel to the plane), t > near, sigma * exp(-r2 / 2) >= alpha_min, the record is
-/// finite, and sigma > alpha_min.
+/// Intersects a ray with a surfel (M1 and M2, or M9). Returns std::nullopt if the ray
+/// misses the surfel. All traversals use this formula. The ray hits if t is finite (the
+/// ray is not parallel to the plane), t > near, sigma * exp(-r2 / 2) >= alpha_min, the
+/// record is finite, and sigma > alpha_min.
 template <typename Real>
 std::optional<PlaneHit<Real>> surfel_hit(const Record<Real>& s, const LocalRay<Real>& ray,
                                          const ImageModel& model) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the reference's parameter terms against values computed by hand and central
-// differences.
+// Tests the loss terms of surfel parameters in the reference against values computed by
+// hand and central differences.
 #include <gtest/gtest.h>
 
 #include <random>

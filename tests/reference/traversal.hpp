@@ -22,13 +22,13 @@ struct Placement {
     std::uint32_t count = 0;
     Pose world_from_model;
     Motion motion = {};
-    /// Additional change of the model in its frame at all times, for finite differences.
-    /// The float record ignores it.
+    /// Additional transform of the model in its frame at all times, for finite
+    /// differences. The float record ignores this transform.
     Pose change = {};
 
     /// Returns the pose at the firing time of a ray.
     Pose at(double time_s) const { return pose_at(world_from_model, motion, time_s) * change; }
-    /// Returns the rotation that undoes the turn of the model at a time.
+    /// Returns the rotation that reverses the rotation of the model at a time.
     glm::dquat unturned(double time_s) const {
         return world_from_model.rotation * glm::conjugate(pose_at(world_from_model, motion, time_s).rotation);
     }
@@ -55,14 +55,14 @@ struct HitKey {
     }
 };
 
-/// A hit, with t from the canonical function in the chosen precision.
+/// Hit of a ray. Its t is computed by the canonical function in the selected precision.
 using Hit = HitKey;
 
 class HitProvider {
 public:
     virtual ~HitProvider() = default;
     /// Replaces `hits` by at most `chunk` (>= 1) hits strictly after `after`, in
-    /// ascending order. If there are fewer than `chunk`, no further hits exist.
+    /// ascending order. If it returns fewer than `chunk` hits, no further hits exist.
     virtual void next_hits(const Ray& ray, const HitKey& after, int chunk, std::vector<Hit>& hits) const = 0;
 };
 
@@ -90,14 +90,14 @@ private:
     std::vector<DoubleRecord> double_records_;
 };
 
-/// Half sizes of the proxy rectangles: k s * scale + pad_m, k = sqrt(2 ln(sigma /
+/// Half sizes of the proxy rectangles: k s * scale + pad_m, where k = sqrt(2 ln(sigma /
 /// alpha_min)) (M3).
 struct ProxyMargin {
     double scale = 1.002;
     double pad_m = 1e-4;
 };
 
-/// Finds hits with Embree: two triangles per surfel, one scene per model, one instance
+/// Computes hits with Embree: two triangles per surfel, a scene per model, an instance
 /// geometry per placement, and the canonical function in float. Surfels that are not
 /// finite or too transparent have no proxy. Half sizes are limited to 1e5 m.
 class EmbreeFilter : public HitProvider {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests scene/activate and scene/activate_vjp against the reference activations and their
-// differences, for each element of a record. Covers harmonics read by each thread or
+// Tests scene/activate and scene/activate_vjp, which compute the intersection records of
+// surfels and their derivatives. Compares each element of a record with the reference
+// activations and their central differences. Covers harmonics read by each thread or
 // through shared memory, rigid and walking actors, and the kd order.
 #include <algorithm>
 #include <cmath>
@@ -24,11 +25,12 @@
 namespace relidar {
 namespace {
 
-constexpr std::uint32_t kOfBackground = 70;  // number of surfels, not a multiple of the workgroup size
-constexpr double kPhase = 0.3;               // phase of the actor's gait, turns
+// number of background surfels, not a multiple of the workgroup size
+constexpr std::uint32_t kOfBackground = 70;
+constexpr double kPhase = 0.3;  // phase of the actor's gait, turns
 
-/// Runs each test for both primitives, for the harmonics access of a CPU and of a GPU,
-/// and for a rigid and a walking actor.
+/// Runs each test for both primitives, for the way in which a CPU and a GPU read
+/// harmonics, and for a rigid and a walking actor.
 class Activate : public test::DeviceTest,
                  public testing::WithParamInterface<std::tuple<Primitive, bool, bool>> {
 protected:
@@ -37,7 +39,7 @@ protected:
     ParameterSet parameters() const { return {primitive(), bends()}; }
     bool bends() const { return std::get<2>(GetParam()); }
 
-    /// Returns surfels for more than two workgroups of 64. If the actor walks, the
+    /// Returns enough surfels for more than two workgroups of 64. If the actor walks, the
     /// background surfels have a gait too, which must be ignored.
     std::vector<reference::Surfel> some_surfels() const {
         test::RandomSceneOptions options;
@@ -54,7 +56,8 @@ protected:
         }
         return surfels;
     }
-    /// Returns a surfel in the state that it has in the scene of on_device().
+    /// Returns a surfel as it is in the scene of on_device(), for example at its phase of
+    /// the gait.
     reference::Surfel in_scene(const reference::Surfel& s, std::size_t i) const {
         return bends() && i >= kOfBackground ? reference::at_phase(s, kPhase) : s;
     }
@@ -85,7 +88,7 @@ INSTANTIATE_TEST_SUITE_P(PrimitivesAndAccess, Activate,
                          testing::Combine(testing::Values(Primitive::surfel, Primitive::gaussian),
                                           testing::Bool(), testing::Bool()));
 
-/// Returns the 16 floats of a record in double, in the order of
+/// Returns the 16 floats of a record, computed in double, in the order of
 /// shaders/scene/shared/scene.h.
 std::vector<double> record_of(const reference::Surfel& s, const glm::dvec3& view_origin, int sh_degree) {
     const reference::DoubleRecord r = reference::make_record(s);
@@ -95,12 +98,12 @@ std::vector<double> record_of(const reference::Surfel& s, const glm::dvec3& view
             r.normal.x, r.normal.y,         r.normal.z, c.z};
 }
 
-/// Returns the tolerance of each element of a record: Vulkan's error bounds of exp and
-/// division, the rounding of a rotation matrix, and 2e-6 of summed values.
+/// Returns the tolerance of each element of a record. It contains Vulkan's error bounds
+/// of exp and division, the rounding of a rotation matrix, and 2e-6 of summed values.
 std::vector<double> record_tolerance(const reference::Surfel& s, const std::vector<double>& expected) {
-    // An element of the matrix uses q / |q|, an inverse square root of 2 units and 6
-    // roundings, twice in each of two products. The sum of the products is at most 1;
-    // twice the sum and 1 are added.
+    // An element of the matrix uses q / |q| twice in each of two products. q / |q| has
+    // the error of an inverse square root (2 units) and of 6 roundings. The sum of the
+    // products is at most 1. Twice the sum and 1 are added.
     constexpr double kElement =
         2.0 * 2.0 * (2.0 * test::kUnit + 6.0 * test::kRounding) + 4.0 * test::kRounding;
     const double log_scale[] = {s.log_scale.x, s.log_scale.y, s.log_scale_w.value_or(0.0)};
@@ -111,7 +114,8 @@ std::vector<double> record_tolerance(const reference::Surfel& s, const std::vect
             tolerance[k] = kElement * std::exp(-log_scale[axis]) +
                            std::abs(expected[k]) * (test::exp_error(log_scale[axis]) + test::kUnit);
     tolerance[3] = test::sigmoid_error(expected[3], s.opacity_logit) + test::kUnit;
-    // Vulkan allows errors of 2^-11 in sine and cosine within half a turn.
+    // Vulkan allows errors of 2^-11 in sine and cosine within half a turn, so the
+    // tolerance of walking surfels is larger.
     for (std::size_t k = 0; k < 3; ++k) tolerance[k] += std::abs(s.gait_swing[int(k)]) / 2048.0;
     tolerance[3] += s.gait_sharpness * s.gait_sharpness / 2048.0;
     return tolerance;
@@ -136,8 +140,8 @@ TEST_P(Activate, RecordsAgreeWithReference) {
     }
 }
 
-/// Kernels find the model of a surfel by search, so the ranges of models must be
-/// consecutive.
+/// Kernels search for the model of a surfel, so models must have consecutive ranges of
+/// surfels. All other ranges must be rejected.
 TEST_P(Activate, ModelsThatAreNoConsecutiveRangesAreRefused) {
     Scene scene = make_background_scene(test::to_surfels(some_surfels()));
     const auto n = static_cast<std::uint32_t>(scene.surfels.size());
@@ -176,8 +180,8 @@ std::vector<float> some_record_gradients(std::size_t n) {
     return d_records;
 }
 
-/// Adds a row for each parameter of surfel `i`: central differences of `terms` with
-/// respect to that parameter, and the gradient of the kernel.
+/// Adds two rows for each parameter of surfel `i`: central differences of `terms` with
+/// respect to the parameter, and the gradient of the kernel.
 template <class Terms>
 void add_surfel_rows(test::GradientTable& table, reference::Surfel& surfel, const Surfels& actual,
                      std::size_t i, int degree, bool bends, Terms&& terms) {
@@ -276,8 +280,9 @@ TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
     }
 }
 
-/// Compares the derivatives over a list of touched surfels with those over all surfels.
-/// More surfels are marked than have a gradient. Unmarked surfels must not be read.
+/// Compares the derivatives over a list of touched surfels with the derivatives over all
+/// surfels. More surfels are marked than have a gradient. Unmarked surfels must not be
+/// read.
 TEST_P(Activate, VjpOverAListIsThatOverAll) {
     const std::vector<reference::Surfel> surfels = some_surfels();
     const auto n = static_cast<std::uint32_t>(surfels.size());
@@ -319,8 +324,8 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
 
 class TouchedRows : public test::DeviceTest {};
 
-/// Checks that the list contains each row with a gradient exactly once and no other row,
-/// for several numbers of rows.
+/// Checks that the list contains exactly the rows with a gradient, each row once. Tests
+/// several numbers of rows.
 TEST_F(TouchedRows, AreListed) {
     const Kernel<shared::ListTouchedParams> kernel(device(), "scene/list_touched");
     std::mt19937 random(3);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests actors (paper section 3.2, Eq. 4-5). Points of a moving box are expressed in the
-// frame of the box. Each box gets one model and one instance, which is placed by the
-// box's pose and absent outside of its labels. Also renders actors, and checks that
-// moving a box needs no new bottom-level structure.
+// frame of the box. Each box gets a model and an instance. The instance has the pose of
+// the box and is absent outside the time range of the labels. Also renders actors, and
+// checks that moving a box needs no new bottom-level structure.
 #include <algorithm>
 #include <cmath>
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the visible share of a box's surface against areas computed by hand.
+// Tests the visible share of a box's surface. Compares it with areas computed by hand.
 #include <limits>
 #include <random>
 
@@ -10,11 +10,12 @@
 namespace relidar {
 namespace {
 
-const glm::dvec3 kSize_m(4.2, 2.4, 3.0);  // ten rows of patches per side, of which the ground hides two
+// Each side has ten rows of patches, and the ground hides two of these rows.
+const glm::dvec3 kSize_m(4.2, 2.4, 3.0);
 constexpr double kSide_m2 = 4.2 * 2.4, kEnd_m2 = 2.4 * 2.4, kTop_m2 = 4.2 * 2.4,
                  kAll_m2 = 2 * kSide_m2 + 2 * kEnd_m2 + kTop_m2;
 
-/// Marks all patches that the points of a plane see.
+/// Marks all patches that the points of a plane make visible.
 void add_plane(BoxSurface& surface, int axis, double at_m) {
     for (double a = -0.99; a < 1.0; a += 0.01) {
         for (double b = -0.99; b < 1.0; b += 0.01) {
@@ -64,7 +65,7 @@ TEST(BoxSurface, DepthDoesNotMatterButDirectionDoes) {
 
 TEST(BoxSurface, ASideIsSeenFromOutside) {
     BoxSurface surface(kSize_m);
-    // a ray through the right window to the inside of the left door
+    // a ray through the window on the right to the inside of the door on the left
     surface.add({0.3, 1.1, 0.15}, {0.1, 0.9, 0.0});
     EXPECT_EQ(surface.seen(), 0.0);
     surface.add({0.3, 1.1, 0.15}, {0.99, -0.1, 0.0});  // a ray parallel to the side

@@ -12,8 +12,8 @@
 namespace relidar {
 namespace {
 
-/// Makes points of a wall that stands and of a door that opens at once, in 20 frames. The
-/// actor moves by 10 cm in a frame.
+/// Makes points of a static wall and of a door that opens suddenly, in 20 frames. The
+/// actor moves by 10 cm per frame.
 std::vector<Sample> points_of_door() {
     std::vector<Sample> samples;
     for (int frame = 0; frame < 20; ++frame)
@@ -26,7 +26,8 @@ std::vector<Sample> points_of_door() {
 
 TEST(ChangingSurfels, ADoorIsOpenOnlyWhenItWasOpen) {
     const ChangingSurfels actor = changing_surfels(points_of_door(), {}, 0.0, 8000);
-    // highest visibility (M14) of the surfels at a distance y, at the time of a frame
+    // Returns the highest visibility (M14) of the surfels at a distance y, at the time of
+    // a frame.
     const auto visible = [&](double frame, float y) {
         double most = 0.0;
         for (std::size_t i = 0; i < actor.surfels.size(); ++i) {
@@ -47,7 +48,8 @@ TEST(ChangingSurfels, ADoorIsOpenOnlyWhenItWasOpen) {
         << "a single frame does not show a change";
 }
 
-/// An actor that stands in all frames is rigid, because its walked distance is no clock.
+/// An actor that stops in all frames must be rigid, because its walked distance is
+/// constant and cannot drive the motion of its limbs.
 TEST(ChangingSurfels, AnActorThatStandsIsRigid) {
     std::vector<Sample> samples = points_of_door();
     for (Sample& sample : samples) sample.walked_m = 0.0f;

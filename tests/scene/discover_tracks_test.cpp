@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the discovery of moving objects without labels. The cars of a synthetic street
-// are the ground truth; their labels are removed from the log.
+// are the ground truth. Their labels are removed from the log.
 #include <algorithm>
 
 #include <gtest/gtest.h>
@@ -28,8 +28,8 @@ Street street_without_labels() {
     return street;
 }
 
-/// Returns the discovered track that lies inside a true box in the middle of their common
-/// time.
+/// Returns the discovered track whose centre lies inside a true box in the middle of
+/// their common time.
 const BoxTrack* fingerprint_of(const std::vector<BoxTrack>& found, const BoxTrack& truth) {
     for (const BoxTrack& track : found) {
         const double from =
@@ -52,8 +52,8 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
         ASSERT_NE(track, nullptr) << "box " << truth.id;
         EXPECT_EQ(track->category, kDiscoveredCategory);
         EXPECT_GE(track->world_from_box.time_s.size(), 6u);
-        // A rigid body: the true box must have a constant position in the frame of the
-        // discovered box.
+        // Box and car move as a rigid body, so the true box must have a constant position
+        // in the frame of the discovered box.
         std::vector<glm::dvec3> place;
         for (std::size_t i = 0; i < track->world_from_box.time_s.size(); ++i) {
             const double t_s = track->world_from_box.time_s[i];
@@ -75,7 +75,7 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
     }
 }
 
-/// Keeps the labels of a box in some frames only.
+/// Removes the labels of a box except in some frames.
 /// @return times of the removed labels
 std::vector<double> cut_labels(BoxTrack& box, const std::vector<Frame>& frames, std::size_t first,
                                std::size_t end) {
@@ -94,13 +94,13 @@ std::vector<double> cut_labels(BoxTrack& box, const std::vector<Frame>& frames, 
     return cut_s;
 }
 
-/// Camera labels begin and end at the border of the image. The discovery must continue a
-/// labelled box before and after its labels.
+/// Labels from camera images start and end at the border of the image. The discovery must
+/// extend the track of a labelled box before and after its labels.
 TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
     for (const auto& [first, end] : {std::pair<std::size_t, std::size_t>{0, 10}, {14, 24}, {8, 16}}) {
         Street street = street_without_labels();
         street.log.boxes = street.truth;
-        // the oncoming car, because only the rear of the other car is visible
+        // uses the oncoming car, because only the rear of the leading car is visible
         const BoxTrack& truth = street.truth[1];
         const std::vector<double> cut_s = cut_labels(street.log.boxes[1], street.log.frames, first, end);
         const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
@@ -126,7 +126,7 @@ TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
     }
 }
 
-/// An object that is not visible for 0.8 s must become one track.
+/// An object that is hidden for 0.8 s must be discovered as a single track.
 TEST(DiscoverTracks, JoinsPartsAroundAGap) {
     Street street = street_without_labels();
     const BoxTrack& truth = street.truth[0];
@@ -146,7 +146,8 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
     EXPECT_GT(track->world_from_box.time_s.back(), street.log.frames[18].time_s);
 }
 
-/// Only the rear of the car ahead is visible. Its length must be guessed from its kind.
+/// Only the rear of the leading car is visible. Its length must be estimated from its
+/// class.
 TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     const Street street = street_without_labels();
     const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
@@ -165,7 +166,8 @@ TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     }
 }
 
-/// Uses a second LiDAR that sees little, and one that sees the same.
+/// Adds a second LiDAR to the log: in the first case with few returns on the objects, in
+/// the second case with the same returns as the first LiDAR.
 TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
     for (const bool first_frame_is_complete : {false, true}) {
         Street street = street_without_labels();
@@ -196,7 +198,7 @@ TEST(DiscoverTracks, LeavesLabelledAndRestingThingsAlone) {
     EXPECT_TRUE(discover_tracks(street.log, street.split.train).empty());
 }
 
-/// Objects that stand still while they are labelled must not be discovered as moving,
+/// Objects that are static while they have labels must not be discovered as moving,
 /// although their labels end early.
 TEST(DiscoverTracks, NothingMovesThatAStillLabelCovers) {
     Street street = street_without_labels();
@@ -211,7 +213,7 @@ TEST(DiscoverTracks, NothingMovesThatAStillLabelCovers) {
 }
 
 /// Simulates a roof rack: returns at the same position relative to the sensor in every
-/// scan.
+/// scan. They must not be discovered as an object.
 TEST(DiscoverTracks, LeavesItsOwnVehicleAlone) {
     Street street = street_without_labels();
     for (Frame& frame : street.log.frames)

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests walking actors (docs/method.md M14): walked distance, strides of exact walkers,
-// and no stride for rigid objects. Compares rendered walkers with the exact street at
-// held-out times, also at another walking speed.
+// Tests walking actors (docs/method.md M14): the walked distance, the stride of simulated
+// walkers, and that rigid objects have no stride. Compares rendered walkers with the
+// exact street at held-out times, also at a different walking speed.
 #include <algorithm>
 #include <cmath>
 #include <set>
@@ -37,8 +37,8 @@ TEST(WalkedDistance, IsTheWayAndNotTheJitterOfLabels) {
     EXPECT_EQ(WalkedDistance(PoseTrack{{0.0}, {Pose{}}}).at(3.0), 0.0);
 }
 
-/// Makes three walkers whose legs and arms swing once in 1.2527 m (legs of 0.72 m, 0.45
-/// rad), and a rigid cyclist.
+/// Makes three walkers and a rigid cyclist. Legs and arms of a walker swing once per
+/// 1.2527 m (legs of 0.72 m, 0.45 rad).
 class Walkers : public test::DeviceTest {
 protected:
     static SyntheticOptions options() {
@@ -84,7 +84,7 @@ protected:
             truth.push_back(double(exact.range_m[i]));
         }
         Renderer renderer(device(), scene, {}, {.n_rays = static_cast<std::uint32_t>(rays.size())});
-        // moves the scene to another phase first
+        // moves the scene to a different phase of the stride first
         renderer.move(place_instances(scene, log, moment_of(log.frames[0])), glm::vec3(0.0f));
         renderer.move(place_instances(scene, at, moment_of(frame)),
                       glm::vec3(world_from_sensor.at(frame.time_s).translation));
@@ -138,8 +138,8 @@ TEST_F(Walkers, LieWhereTheyAreAtMomentsThatWereHeldOut) {
     EXPECT_LT(share_within(stiff, 0.3), share_within(bent, 0.3)) << "rays that miss or meet the other leg";
 }
 
-/// A person who walks at half the speed makes the same steps at the same positions,
-/// because the phase depends on distance. The exact street does the same.
+/// A person who walks at half the speed must make the same steps at the same positions,
+/// because the phase depends on distance. The exact street has the same property.
 TEST_F(Walkers, StepByDistance) {
     const std::string walker = "0";
     Sequence slow = log;

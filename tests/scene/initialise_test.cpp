@@ -50,8 +50,8 @@ TEST(Initialise, GroundSurfelsLieOnTheGroundAndFaceUp) {
     }
 }
 
-/// Flat ground of one albedo, seen from a height of 2 m. The intensity is 0.4 (0.3 + 0.7
-/// cos), which SH degree 1 represents exactly.
+/// Renders flat ground of a single albedo, from a height of 2 m. The intensity is 0.4
+/// (0.3 + 0.7 cos), which SH degree 1 represents exactly.
 TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
     Sequence ground;
     for (int b = 0; b < 64; ++b) ground.lidars[0].sensor.beams.push_back({.elevation_rad = -0.5 - 0.01 * b});
@@ -80,8 +80,8 @@ TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
     EXPECT_LT(worst[worst.size() * 95 / 100], 0.02f) << "normals of a few rays are not quite upright";
 }
 
-/// Returns the mean of |n . d| over the surfels of a scan with given ranges, where d is
-/// the direction from the sensor to the surfel.
+/// Returns the mean of |n . d| over the surfels of a scan whose ranges a function
+/// defines. Here d is the direction from the sensor to the surfel.
 double mean_facing(const std::function<float(const glm::vec3& direction)>& range_m, double flatness) {
     Sequence sequence;
     for (int b = 0; b < 48; ++b)
@@ -128,14 +128,15 @@ std::size_t count_in_moving_boxes(const Sequence& street, const Surfels& surfels
     return n;
 }
 
-/// In a static street, no surfel may be removed as moved, neither for a spinning LiDAR
+/// In a static street, no surfel may be removed as moving, neither for a spinning LiDAR
 /// nor for LiDARs without beams.
 TEST(Initialise, AStreetThatStandsStillStays) {
     const std::string rig =
         test::write_rig(std::filesystem::path(testing::TempDir()) / "relidar_initialise_rig");
     const Sequence street = make_synthetic_street({.n_frames = 6, .moving_cars = false, .rig = rig});
     const std::size_t n_lidars = street.lidars.size();
-    for (std::size_t lidar = 0; lidar <= n_lidars; ++lidar) {  // each LiDAR alone, then all together
+    // tests each LiDAR separately, then all LiDARs together
+    for (std::size_t lidar = 0; lidar <= n_lidars; ++lidar) {
         std::vector<int> train;
         for (std::size_t i = 0; i < street.frames.size(); ++i)
             if (lidar == n_lidars || street.frames[i].lidar == int(lidar)) train.push_back(int(i));
@@ -147,8 +148,9 @@ TEST(Initialise, AStreetThatStandsStillStays) {
     }
 }
 
-/// The lower beams of a VLP-32C are up to 9 degrees apart. The ground between two of them
-/// is nearer than the return of the upper beam, and must not count as seen through.
+/// The lower beams of a VLP-32C are up to 9 degrees apart. The ground between two of
+/// these beams is nearer than the return of the upper beam. Nevertheless, the upper ray
+/// is no proof that this ground does not exist.
 TEST(Initialise, UnevenBeamsDoNotSeeThroughTheGround) {
     const std::filesystem::path rig = std::filesystem::path(testing::TempDir()) / "relidar_uneven_beams.json";
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";
@@ -165,7 +167,7 @@ TEST(Initialise, UnevenBeamsDoNotSeeThroughTheGround) {
 
 TEST(Initialise, MovingBoxesAreLeftOutAndUnlabelledMoversRemoved) {
     SyntheticOptions longer = small_street();
-    longer.n_frames = 20;  // long enough to see the places that a car hid
+    longer.n_frames = 20;  // long enough to observe the surfaces that a car hid
     const Sequence street = make_synthetic_street(longer);
     const std::vector<int> train = split_frames(street, 10).train;
     InitialiseOptions options;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the smoothed paths and headings of moving objects against known motion.
+// Tests the smoothed paths and headings of moving objects against their exact motion.
 #include <algorithm>
 #include <cmath>
 
@@ -60,8 +60,8 @@ TEST(MoverPath, TakesNoiseOutAndLeavesOutliersAside) {
         EXPECT_LT(std::abs(std::remainder(yaw[k] - 0.5 * times[k], 2.0 * kPi)), 3.0 * kPi / 180.0) << k;
 }
 
-/// An object brakes, stands for three seconds with position noise of 3 cm, and drives on.
-/// Its heading must stay constant.
+/// An object brakes, stops for three seconds with position noise of 3 cm, and drives on.
+/// Its heading must stay constant during the stop.
 TEST(MoverPath, StandsWithTheHeadingItCameWith) {
     std::vector<double> times;
     std::vector<glm::dvec3> places, smooth;

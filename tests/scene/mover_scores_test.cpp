@@ -19,14 +19,16 @@
 namespace relidar {
 namespace {
 
-// minimum number of returns for an object to count as seen in a frame
+// minimum number of returns in a frame for an object to count as visible
 constexpr std::size_t kSeenReturns = 12;
-// minimum number of frames with enough returns for an object that should be discovered
+// An object should be discovered if it has enough returns in at least this number of
+// frames.
 constexpr std::size_t kSeenFrames = 10;
 constexpr double kFarthest_m = 40.0;  // discover_tracks() ignores objects farther away
-// margin around a true box, in which the centre of a discovered box must lie
+// margin around a true box; the centre of a discovered box must lie within it
 constexpr double kInside_m = 0.3;
-constexpr double kLarger_m = 0.8;  // maximum excess of a discovered box over the size of the true box
+// a discovered box may exceed the size of the true box by at most this length
+constexpr double kLarger_m = 0.8;
 constexpr double kWalk_m = 0.03, kWalkedOff_m = 1.0;  // drift of inaccurate poses
 
 /// Returns [things] the number of training frames in which each object has enough
@@ -48,8 +50,8 @@ std::vector<std::size_t> frames_that_see(const Sequence& log, const std::vector<
     return n_frames;
 }
 
-/// Returns true if a discovered track matches an object: its centre is in the true box
-/// most of the time, and it is not larger.
+/// Returns true if a discovered track matches an object: its centre is inside the true
+/// box most of the time, and its box is not too large.
 bool is_of(const BoxTrack& found, const BoxTrack& truth) {
     std::size_t inside = 0;
     for (std::size_t i = 0; i < found.world_from_box.time_s.size(); ++i) {
@@ -60,8 +62,8 @@ bool is_of(const BoxTrack& found, const BoxTrack& truth) {
            found.size_m.x < truth.size_m.x + kLarger_m && found.size_m.y < truth.size_m.y + kLarger_m;
 }
 
-/// Returns how far an object deviates from its mean position in the frame of its
-/// discovered box. The result is 0 if both move alike.
+/// Returns the largest deviation of an object from its mean position in the frame of its
+/// discovered box. The result is 0 if object and box move in the same way.
 double strays_m(const BoxTrack& found, const BoxTrack& thing) {
     std::vector<glm::dvec3> places;
     for (std::size_t i = 0; i < found.world_from_box.time_s.size(); ++i)
@@ -75,8 +77,8 @@ double strays_m(const BoxTrack& found, const BoxTrack& thing) {
     return farthest;
 }
 
-/// Adds the differences between the turn of an object and the turn of its discovered box
-/// from frame to frame, in degrees per tenth of a second.
+/// Compares the rotation of an object with the rotation of its discovered box from frame
+/// to frame. Appends the differences, in degrees per tenth of a second.
 void add_wobble(const BoxTrack& found, const BoxTrack& thing, std::vector<double>& wobble_deg) {
     const PoseTrack& track = found.world_from_box;
     const auto turned = [&](std::size_t i) {
@@ -110,8 +112,8 @@ struct Score {
     }
 };
 
-/// Adds the moving objects of one street. A second detection of the same object counts as
-/// wrong.
+/// Adds the moving objects of a street to the score. A second detection of the same
+/// object counts as wrong.
 void add_street(const SyntheticOptions& options, Score& score) {
     Sequence log = make_synthetic_street(options);
     const std::vector<BoxTrack> truth = std::exchange(log.boxes, {});
@@ -176,8 +178,9 @@ TEST(MoverScores, PrecisionAndRecallOnStreetsWithPeopleAndParkedCars) {
     EXPECT_LT(quantile(score.wobble_deg, 0.9), 0.3);
 }
 
-/// Uses a short log whose poses drift by 3 cm per frame, so that parked cars are seen
-/// from changing sides at changing positions. No parked car may be discovered as moving.
+/// Uses a short log whose poses drift by 3 cm per frame. Parked cars are therefore
+/// observed from changing sides at changing positions. No parked car may be discovered as
+/// moving.
 TEST(MoverScores, NoParkedCarMovesWhereSidesAndPosesChange) {
     for (std::uint64_t seed = 1; seed <= 4; ++seed) {
         Sequence log = make_synthetic_street({.seed = seed,
@@ -212,8 +215,8 @@ TEST(MoverScores, NoParkedCarMovesWhereSidesAndPosesChange) {
     }
 }
 
-/// The lower beams of this LiDAR are up to 9 degrees apart. The upper beam only seems to
-/// see through the ground between two of them.
+/// The lower beams of this LiDAR are up to 9 degrees apart. The upper of two such beams
+/// seems to pass through the ground between them, which must not be discovered as moving.
 TEST(MoverScores, UnevenBeams) {
     const std::filesystem::path rig = std::filesystem::path(testing::TempDir()) / "relidar_mover_scores.json";
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the kinds of objects for the class names of several datasets.
+// Tests the classification of objects from the class names of several datasets.
 #include <relidar/scene/scene.hpp>
 
 #include <gtest/gtest.h>

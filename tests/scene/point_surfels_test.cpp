@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests surfels made from the points of scan lines. Discs must reach across the gaps
-// between lines and lie in the surface, although a single line does not determine it.
-// Discs must stay round if points are evenly spaced, or if lines belong to different
-// surfaces or are too far apart.
+// Tests surfels that are computed from the points of scan lines. Discs must reach across
+// the gaps between lines and lie in the surface, although a single line does not
+// determine the surface. Discs must stay round if points are evenly spaced, or if lines
+// belong to different surfaces or are too far apart.
 #include "scene/point_surfels.hpp"
 
 #include <cmath>
@@ -25,8 +25,8 @@ InitialiseOptions standard_options() {
     return options;
 }
 
-/// Returns the points of lines along y at some x, with 41 points each, heights from
-/// `height`, and noise of 1 mm. The lines are seen from the side and above.
+/// Returns the points of lines along y at several x, with 41 points each, heights from
+/// `height`, and noise of 1 mm. The sensor views the lines from the side and from above.
 std::vector<Sample> lines_at(const std::vector<double>& places, const std::function<double(double)>& height) {
     Random random(1);
     std::vector<Sample> samples;
@@ -45,8 +45,8 @@ std::vector<double> places(int n, double apart) {
     return x;
 }
 
-/// Surfel nearest to a position: standard deviations along x and y in units of the point
-/// spacing, and the normal.
+/// Shape of the surfel nearest to a position: standard deviations along x and y in units
+/// of the point spacing, and the normal.
 struct Disc {
     double along_x = 0.0, along_y = 0.0;
     glm::dvec3 normal;
@@ -85,8 +85,8 @@ TEST(PointSurfels, AreRoundByThemselves) {
     for (const glm::vec2& scale : surfels.log_scale) EXPECT_EQ(scale.x, scale.y);
 }
 
-/// Uses one random point in the inner half of each cell, like points averaged over
-/// voxels.
+/// Uses a random point in the inner half of each cell, which has the same distribution as
+/// points averaged over voxels.
 TEST(PointSurfels, AreRoundWherePointsAreEven) {
     Random random(2);
     std::vector<Sample> samples;
@@ -102,8 +102,8 @@ TEST(PointSurfels, AreRoundWherePointsAreEven) {
     EXPECT_LT(stretched / double(samples.size()), 0.02);
 }
 
-/// Lines 1.5 m apart: the 24 nearest neighbours belong to one line. Only a wider search
-/// shows that the ground is level.
+/// Lines are 1.5 m apart, so that the 24 nearest neighbours of a point belong to a single
+/// line. Only a wider search shows that the ground is level.
 TEST(PointSurfels, OneLineAsksFartherForItsSurface) {
     InitialiseOptions options = standard_options();
     options.max_gap_m = 2.0;
@@ -124,8 +124,8 @@ TEST(PointSurfels, DoNotReachToAnotherSurface) {
     EXPECT_LT(disc.along_x, 1.6);
 }
 
-/// No ray observed the space above the uppermost line, so nothing would correct a disc
-/// that extends into it.
+/// No ray observed the space above the uppermost line. Training could therefore not
+/// correct a disc that extends into this space.
 TEST(PointSurfels, DoNotReachBeyondTheLastLine) {
     const std::vector<Sample> samples = lines_at({-1.5, -1.0, -0.5, 0.0}, [](double) { return 0.0; });
     const Surfels surfels = surfels_from_points(samples, standard_options(), 0.0);

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the benchmark street and its rays against numbers printed by
-// ../shared/bench/scene_gen.py with numpy 1.24.2: street(n, refine=...) and rays(kind).
-// The float32 values have 9 digits, the sums are in float64. Means, rotations and SH are
-// equal bit for bit. Scale and opacity use a logarithm here, which causes errors of about
-// 2e-7.
+// Tests the benchmark street and its rays. Compares them with numbers that
+// ../shared/bench/scene_gen.py printed with numpy 1.24.2: street(n, refine=...) and
+// rays(kind). The float32 values have 9 digits, the sums are in float64. Means, rotations
+// and SH are equal bit for bit. Scale and opacity use a logarithm here, which causes
+// errors of about 2e-7.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -27,7 +27,7 @@ struct StreetSurfel {
 /// Sums over the full scene.
 struct Sums {
     double mean_abs, rotation_abs, scale, opacity, sh_abs;
-    double sh_weighted;  // sum of (entry + 1) * value over the [3,16] entries of each surfel
+    double sh_weighted;  // sum of (index + 1) * value over the [3,16] entries of each surfel
 };
 
 Sums sums_of(const Surfels& s) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests surfels as PLY: written values are read back unchanged, the layout is that of 3D
-// Gaussian Splatting, files edited by other tools can be read, and invalid files are
-// rejected with a one-line error.
+// Tests surfels as PLY. Written values must be read back unchanged, and the layout must
+// be the layout of 3D Gaussian Splatting. Files edited by external tools must be
+// readable. Invalid files must be rejected with an error of a single line.
 #include <relidar/scene/surfel_ply.hpp>
 
 #include <cmath>
@@ -23,7 +23,7 @@ using SurfelPly = TemporaryFolder;
 // 3 + 3 + 3 + 45 + 1 + 3 + 4 properties of the splatting layout, then 16 + 16 + 1
 constexpr std::size_t kProperties = 95;
 
-/// Returns three models, one of them empty, with values of all magnitudes and both zeros.
+/// Returns three models with values of all magnitudes and both zeros. A model is empty.
 Scene some_scene() {
     std::mt19937 random(11);
     std::normal_distribution<float> normal;
@@ -98,7 +98,7 @@ TEST_F(SurfelPly, ComesBackBitEqual) {
     EXPECT_EQ(files().size(), 2u);
 }
 
-/// 3D Gaussians must be stored with three scales, like in 3D Gaussian Splatting.
+/// 3D Gaussians must be stored with three scales, as in 3D Gaussian Splatting.
 TEST_F(SurfelPly, GaussiansHaveTheirThirdScale) {
     Scene scene = some_scene();
     scene.surfels.primitive = Primitive::gaussian;
@@ -153,8 +153,8 @@ TEST_F(SurfelPly, HasTheLayoutOfGaussianSplatting) {
     }
 }
 
-/// Simulates another tool that cropped the scene, changed the order, removed the normals
-/// and added a property.
+/// Simulates an external tool that cropped the scene, changed the order, removed the
+/// normals and added a property.
 TEST_F(SurfelPly, ReadsWhatAnotherToolEdited) {
     const Scene scene = some_scene();
     write_surfel_ply(folder / "a.ply", scene);

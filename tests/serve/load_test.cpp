@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the service under load: many simultaneous clients, clients that disconnect,
-// deadlines, a full queue, and more scenes than fit into memory. No request may be lost,
-// and no memory may leak.
+// deadlines, a full queue, and more scenes than fit into memory. Every request must be
+// answered, and no memory may leak.
 #include <atomic>
 #include <chrono>
 #include <fstream>
@@ -28,7 +28,7 @@ double resident_mib() {
 class Load : public ServiceTest {
 protected:
     /// Sends calls from 8 clients, each with a separate connection.
-    /// @return number of calls that were answered with this image
+    /// @return number of calls whose response contains this image
     int answered(int calls, const v1::RenderLidarRequest& request, const std::string& range_m) {
         std::atomic<int> next = 0, good = 0;
         std::vector<std::jthread> clients;
@@ -62,8 +62,8 @@ TEST_F(Load, ThousandCallsOfEightClientsAreAllAnsweredAndMemoryStays) {
         << " MiB a call";
 }
 
-/// Client that renders a rig of many large sensors and occupies a slot of the queue until
-/// it leaves.
+/// Client that renders a rig of many large sensors. It occupies a slot of the queue until
+/// it disconnects.
 class Occupant {
 public:
     explicit Occupant(v1::RenderService::Stub& stub) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests invalid requests: each must be rejected with a one-line status, and the server
-// must answer the next request.
+// Tests invalid requests. Each request must be rejected with a status whose message is a
+// single line, and the server must answer the next request.
 #include <functional>
 #include <limits>
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the queue of the render thread: order, slots, and requests that are cancelled.
+// Tests the queue of the render thread: the order of requests, its slots, and cancelled
+// requests.
 #include <atomic>
 #include <cctype>
 #include <functional>
@@ -82,9 +83,10 @@ TEST(RenderQueue, RunsAllRequestsOnOneThread) {
     EXPECT_EQ(elsewhere, 0);
 }
 
-/// Returns what a queue does with pending requests, in order. A lower-case letter marks a
-/// submission, a comma follows if another request is submitted together with it, and a
-/// capital letter marks the end of the request.
+/// Runs a render queue with pending requests and returns its actions in order. A
+/// lower-case letter marks the submission of a request. A comma follows if the next
+/// request is submitted together with this request. A capital letter marks the end of the
+/// request.
 /// @param line names and scenes; scene 0 stands for a request without a scene
 /// @param fails name of the request whose submission fails
 std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std::size_t together,
@@ -113,8 +115,8 @@ std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std:
                 queue.reserve()->run(request);
             } catch (const std::runtime_error&) {}
         });
-        // the queue has polled whether the request is cancelled, so the request is
-        // pending
+        // When the queue has polled whether the request is cancelled, the request is
+        // pending.
         while (n_in_line == before) std::this_thread::yield();
     }
     blocker.reset();
@@ -122,8 +124,9 @@ std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std:
     return parts;
 }
 
-/// The second request for a scene must be submitted before the first one ends, and the
-/// order must be kept. Requests for another scene, or without a scene, must wait.
+/// The second request for a scene must be submitted before the first request ends, and
+/// the order must be preserved. Requests for a different scene, or without a scene, must
+/// wait.
 TEST(RenderQueue, RequestsOfASceneOverlap) {
     EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 2}, {'-', 0}, {'e', 2}}, 1), "abAcBCdD-eE");
 }
@@ -167,7 +170,9 @@ TEST(RenderQueue, ACancelledRequestIsNeverSubmitted) {
         Blocker blocker(queue);
         std::jthread client([&] { outcome = queue.reserve()->run(request); });
         cancelled = true;
-        client.join();  // joins while the thread is busy: a cancelled request must not wait for others
+        // joins the client while the queue is busy, because a cancelled request must not
+        // wait for other requests
+        client.join();
         EXPECT_EQ(outcome, Outcome::cancelled);
     }
     queue.reserve()->run([] {});  // afterwards, all earlier work has been processed

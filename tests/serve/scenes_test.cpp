@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests several runs within a memory budget: which ones are released, that they are
-// identical when they are loaded again, and the error for a run that never fits.
+// Tests several runs within a memory budget: which runs are released, whether a run is
+// identical after it is loaded again, and the error for a run that never fits.
 #include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>
@@ -38,7 +38,7 @@ protected:
         });
         return range_m;
     }
-    /// Returns the device memory of one run after a scan.
+    /// Returns the device memory of a run after a scan.
     std::uint64_t size_of_one() {
         const std::uint64_t before = device().allocated_bytes();
         SceneSet one(device(), {sources[0]}, std::uint64_t(1) << 40, no_assets);
@@ -66,7 +66,7 @@ TEST_F(Scenes, ThoseUsedLongestAgoMakeRoomAndComeBackTheSame) {
 }
 
 /// A scan that was submitted to an earlier renderer must not be collected from a later
-/// one.
+/// renderer.
 TEST_F(Scenes, ThatWereLoadedAnewInBetweenAreTold) {
     SceneSet scenes(device(), sources, std::uint64_t(1) << 40, no_assets);
     const auto nothing = [](ScanRenderer&) {};
@@ -80,7 +80,8 @@ TEST_F(Scenes, ThatWereLoadedAnewInBetweenAreTold) {
     EXPECT_NO_THROW(scenes.reuse_scene(0, second, nothing));
 }
 
-/// Copies of a scene for parallel scans must count towards its memory.
+/// A scene is copied for parallel scans. The memory of the copies must count towards the
+/// memory of the scene.
 TEST_F(Scenes, OneThatFillsTheMemoryIsNotCopied) {
     const Forced forced(device(), {.side_by_side = 4});
     const std::uint64_t around = device().allocated_bytes();

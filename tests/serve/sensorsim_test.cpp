@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests SensorsimService with the wall and the plate of small_service.hpp. The expected
-// positions of their points follow from the poses alone.
+// positions of their points follow from the poses only.
 #include <functional>
 
 #include <gmock/gmock.h>
@@ -32,8 +32,8 @@ void set_pair(wire::PosePair& message, const Pose& start, const Pose& end) {
     set_pose(*message.mutable_end(), end);
 }
 
-/// Poses in the world of the protocol: the sensor first looks along x, then moves 1.5 m
-/// ahead and turns a quarter radian to the left in 0.1 s.
+/// Poses in the world of the protocol. The sensor first looks along x. In 0.1 s, it moves
+/// 1.5 m ahead and turns by 0.25 rad to the left.
 const Pose kStart{{1, 0, 0, 0}, {-1.5, 0.0, 0.0}};
 const Pose kEnd{rotation_of(0.25, 0.0, 0.0), {0.0, 0.5, 0.0}};
 
@@ -72,8 +72,8 @@ protected:
         wire::LidarRenderReturn answer;
         return calls->render_lidar(&context, request, &answer);
     }
-    /// Returns x of each point in the world of the protocol, for a sensor that stands at
-    /// `end`.
+    /// Returns x of each point in the world of the protocol, for a sensor that has the
+    /// pose `end`.
     static std::vector<double> world_x(const wire::LidarRenderReturn& scan, const Pose& end) {
         std::vector<double> x_m;
         for (const glm::vec3& point : values<glm::vec3>(scan.xyz_buffer()))
@@ -99,8 +99,9 @@ TEST_F(Sensorsim, PointsLieOnTheWallSeenFromTheEndOfTheSpin) {
 }
 
 /// Returns the angle in radians between a beam and a point on the wall, assuming that the
-/// beam fired it. The head turns at constant speed and looks back at the start and at the
-/// end of the frame. The position of the sensor follows from the azimuth.
+/// beam measured the point. The head turns at constant speed and faces backward at the
+/// start and at the end of the frame. The position of the sensor follows from the
+/// azimuth.
 double off_beam(const Beam& beam, const glm::dvec3& on_wall, double driven_length_m) {
     double at_x_m = 0.5 * driven_length_m, elevation = 0.0;
     for (int round = 0; round < 8; ++round) {
@@ -144,7 +145,7 @@ TEST_F(Sensorsim, ObjectsMoveFromTheirFirstPoseToTheirLast) {
     for (const glm::vec3& point : points)
         if (point.x < 9.0f) plate.push_back(point);
     ASSERT_GT(plate.size(), 100u);
-    // a ray to azimuth a is fired (pi - a) / (2 pi) of the frame after its start
+    // A ray to azimuth a is fired when (pi - a) / (2 pi) of the frame has passed.
     for (const glm::vec3& point : plate) {
         const double azimuth = std::atan2(double(point.y), double(point.x));
         const double share = (kPi - azimuth) / (2.0 * kPi);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the answers that a client receives: scans must equal those of ScanRenderer bit by
-// bit, and points must lie on surfaces. Also tests tracks of the log and sensors of the
-// client.
+// Tests the responses that a client receives. Scans must equal the scans of ScanRenderer
+// bit by bit, and points must lie on surfaces. Also tests tracks of the log and sensors
+// of the client.
 #include <fstream>
 #include <iterator>
 
@@ -86,7 +86,7 @@ std::vector<float> ply_positions(const std::filesystem::path& path) {
     return values<float>(positions);
 }
 
-/// Returns the positions of the rays that return.
+/// Returns the positions of the points whose rays have a return.
 /// @param ends [n, 3] end points of all rays
 std::vector<float> returned_positions(const std::vector<float>& ends, const RenderedScan& scan) {
     std::vector<float> positions;
@@ -96,9 +96,10 @@ std::vector<float> returned_positions(const std::vector<float>& ends, const Rend
     return positions;
 }
 
-/// The sensor moves and turns. At the time of the scan its frame is the world of the
-/// scene, so that the viewer uses the same frame. Run.render() of Python returns
-/// scan_arrays().
+/// Compares the points of the service with the points in files, of the viewer, and of
+/// Python's Run.render(), which returns scan_arrays(). The sensor moves and turns. At the
+/// time of the scan its frame is the world frame of the scene, so that the viewer uses
+/// the same frame.
 TEST_F(Service, PointsAreThoseOfFilesViewerAndPython) {
     start();
     const Pose turned{glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), at_x(1.3).translation};
@@ -130,8 +131,8 @@ TEST_F(Service, PointsAreThoseOfFilesViewerAndPython) {
     EXPECT_EQ(returned_positions(of_python->as_float(), scan), beside_image) << "Python";
 }
 
-/// Each request is rendered in its own weather, or in the server's weather if it has
-/// none. A request must not affect the next one.
+/// Each request is rendered with the weather in the request. A request without weather
+/// uses the server's weather. A request must not change the weather of the next request.
 TEST_F(Service, WeatherIsThatOfTheRequest) {
     weather = parse_weather("snow=4");
     start();
@@ -198,8 +199,8 @@ TEST_F(Service, PointsLieOnThingsSeenFromTheEndOfTheSweep) {
 }
 
 /// The wall faces the sensor, so its normal is -x of the world, in the frame of the
-/// points. Points without an image are made on the device, points with an image on the
-/// host. Both must be equal.
+/// points. Points without an image are computed on the device. Points with an image are
+/// computed on the host. Both must be equal.
 TEST_F(Service, PointsAloneAreThoseBesideAnImage) {
     start();
     v1::RenderLidarRequest request = standing();
@@ -248,7 +249,8 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
     request.mutable_actors();
     for (const bool is_own : {true, false}) {
         request.mutable_sensor()->set_name(is_own ? "native" : "VLP-16:360x10");
-        for (const bool beside_image : {true, false}) {  // points without an image are made on the device
+        // points without an image are computed on the device
+        for (const bool beside_image : {true, false}) {
             request.mutable_wanted()->set_range_image(beside_image),
                 request.mutable_wanted()->set_drop_probability(beside_image);
             const v1::LidarScan scan = scan_of(request);
@@ -278,7 +280,7 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
     }
 }
 
-/// Uses a network that predicts a return for every ray, and a sensor most of whose rays
+/// Uses a network that predicts a return for every ray, and a sensor for which most rays
 /// hit nothing.
 TEST_F(Service, ImageAndPointsHaveAsManyReturns) {
     relidar::Run run = small_run(folder / "small");
@@ -415,8 +417,8 @@ TEST_F(Service, RigIsAScanForEachOfItsSensors) {
     EXPECT_THAT(seen, testing::ElementsAre("front 8.00", "rear 13.00"));
 }
 
-/// Uses more sensors than are submitted to the device together. The scan of one of them
-/// must be made on the host.
+/// Uses more sensors than are submitted to the device together. The scan of a remaining
+/// sensor must be computed on the host.
 TEST_F(Service, PointsOfARigAreThoseOfEachSensorAlone) {
     start();
     v1::RenderRigRequest request;

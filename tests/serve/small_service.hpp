@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Starts a service in the test process with a small run that renders in milliseconds. The
-// run has a wall 10 m ahead of the log's sensor and an actor "car", a plate 4 m ahead.
+// run has a wall 10 m ahead of the log's sensor, and an actor "car", which is a plate 4 m
+// ahead.
 #pragma once
 
 #include <cmath>
@@ -51,7 +52,7 @@ inline Run small_run(const std::filesystem::path& folder) {
     log.world_offset_m = kDatasetOrigin_m;
     log.boxes = {{"car", "Car", {1, 1, 1}, {{0.0, 1.0}, {car, car}}}};
     run.split = {{0, 1, 2}, {}};
-    // a quarter turn ahead, to the wall and around it
+    // rays over a quarter turn ahead, to the wall and past its edges
     for (double y_m = -20.0; y_m <= 20.0; y_m += 0.5)
         for (double z_m = -2.0; z_m <= 2.0; z_m += 0.5)
             run.coverage.add(glm::dvec3(0.0), glm::dvec3(20.0, y_m, z_m));
@@ -64,8 +65,8 @@ protected:
     std::filesystem::path folder;         ///< folder of the runs
     std::vector<std::string> assets;      ///< folders of the assets
     std::optional<std::string> channels;  ///< channels of all scans
-    Weather weather;                      ///< weather of scans whose request specifies none
-    /// order of poses in SensorsimService, if that service is offered too
+    Weather weather;                      ///< weather of scans whose request has no weather
+    /// order of pose components in SensorsimService. Empty if the service is not offered.
     std::optional<PoseOrder> sensorsim;
     std::optional<ScanServer> server;
 
@@ -114,7 +115,7 @@ inline void add_pose(google::protobuf::RepeatedPtrField<v1::TimedPose>& poses, d
     q.set_w(pose.rotation.w), q.set_x(pose.rotation.x), q.set_y(pose.rotation.y), q.set_z(pose.rotation.z);
 }
 
-/// Returns a request for all outputs of a scan by the log's sensor, standing still.
+/// Returns a request for all outputs of a scan by the log's sensor, which does not move.
 inline v1::RenderLidarRequest standing() {
     v1::RenderLidarRequest request;
     add_pose(*request.mutable_path(), 0.5, at_x(0.0));
@@ -124,7 +125,8 @@ inline v1::RenderLidarRequest standing() {
     return request;
 }
 
-/// Returns a sensor with n rays straight ahead. A large n makes a slow sensor.
+/// Returns a sensor with n rays that point straight ahead. With a large n, rendering the
+/// sensor is slow.
 inline v1::SensorSpec rays_ahead(std::size_t n) {
     v1::SensorSpec spec;
     const glm::vec3 ahead(1.0f, 0.0f, 0.0f);

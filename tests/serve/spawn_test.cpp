@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests actors that clients insert into scenes: scans against those of the library's
-// edits, the list of actors, rejected requests, and removal.
+// Tests actors that clients insert into scenes. Compares scans with the edits of the
+// library. Also tests the list of actors, rejected requests, and removal.
 #include <cmath>
 
 #include <fmt/format.h>
@@ -23,8 +23,8 @@ using testing::ElementsAre;
 using testing::HasSubstr;
 using Code = grpc::StatusCode;
 
-/// Returns an asset: a plate perpendicular to its x axis, wider and with another
-/// brightness than the small run's car.
+/// Returns an asset: a plate perpendicular to its x axis. It is wider than the car of the
+/// small run and has a different brightness.
 Asset plate_asset(const std::string& name, std::size_t n_surfels = 1,
                   Primitive primitive = Primitive::surfel) {
     relidar::Run run = small_run("");
@@ -137,8 +137,8 @@ TEST_F(Spawn, CopiesRenderAsThoseOfEdits) {
     EXPECT_EQ(values<float>(scan.image().intensity()), truth.image.intensity);
     EXPECT_EQ(values<float>(scan.image().drop_probability()), truth.image.drop_prob);
 
-    // Instances of the edited run are 1, 2, 3. The small run has two instances, so
-    // spawned instances begin at 2.
+    // The instances of the edited run are 1, 2 and 3. The small run has two instances, so
+    // spawned instances start at 2.
     std::vector<std::int32_t> expected;
     for (std::size_t i = 0; i < truth.image.range_m.size(); ++i)
         if (truth.image.drop_prob[i] < 0.5f && truth.image.range_m[i] > 0.0f)
@@ -319,7 +319,7 @@ TEST(SpawnedPlaces, AreMadeInGrowingNumbersAndUsedAgain) {
 TEST_F(Spawn, ADamagedAssetIsToldToWhoPlacesIt) {
     const std::filesystem::path model = folder / "assets" / "van-1" / "model.safetensors";
     std::filesystem::resize_file(model, std::filesystem::file_size(model) / 2);
-    start();  // at the start, the server reads only the descriptions of assets
+    start();  // The server must start although it has read only the descriptions of assets.
     expect_refused(spawn_request({{"x", "asset van-1"}}), Code::FAILED_PRECONDITION, "van-1");
     EXPECT_EQ(spawned({{"y", "car"}}).actors_size(), 1) << "the scene is as it was";
 }

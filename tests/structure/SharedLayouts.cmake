@@ -3,7 +3,7 @@
 # all structs that C++ and GLSL share, with their offsets on the host. It reads the text
 # of the headers, so that new members are included automatically.
 function(relidar_write_shared_layouts out)
-    # Blended values are members of structs through a macro.
+    # A macro defines blended values as members of several structs.
     set(table ${PROJECT_SOURCE_DIR}/include/relidar/diff/blended_values.h)
     file(READ ${table} text)
     string(REGEX MATCHALL "VALUE\\([a-z_]+, " blended "${text}")

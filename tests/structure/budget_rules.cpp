@@ -16,7 +16,7 @@ constexpr std::size_t kCommentColumns = 90;
 
 const std::set<std::string> kCompositionRoots = {"src/train/train.cpp", "tools/relidar/main.cpp"};
 
-/// Returns the maximum number of lines of a file, or 0 if there is no limit.
+/// Returns the maximum number of lines of a file, or 0 if the file has no limit.
 int line_limit(const std::string& path) {
     if (kCompositionRoots.contains(path)) return 180;
     if (path.starts_with("include/relidar/")) return 420;
@@ -32,9 +32,9 @@ std::size_t columns_of(const std::string& line) {
         line.begin(), line.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xc0) != 0x80; }));
 }
 
-/// Returns the limit that a line exceeds, or 0. Literals may be longer than code. Comment
-/// lines that are indented by two or more spaces (tables, equations) may be as long as
-/// code.
+/// Returns the limit of columns that a line exceeds, or 0. Literals may be longer than
+/// code. Comment lines that are indented by two or more spaces (tables, equations) may be
+/// as long as code.
 std::size_t exceeded_columns(const std::string& text, const std::string& code) {
     const std::size_t columns = columns_of(text), first = text.find_first_not_of(' ');
     if (first != std::string::npos && text.compare(first, 2, "//") == 0) {

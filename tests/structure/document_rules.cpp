@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks that everything named in documents exists: links and anchors, files and folders,
+// Checks that every name in documents exists: links and anchors, files and folders,
 // headers, kernels, settings, commands and their options. Only code is checked (`spans`
 // and fenced blocks), except for links and names of documents. A name in capitals (RUN,
-// FILE.csv) or with <...> is a placeholder; other placeholders are listed in
-// kPlaceholders.
+// FILE.csv) or with <...> is a placeholder. kPlaceholders lists further placeholders.
 #include <algorithm>
 #include <functional>
 #include <regex>
@@ -21,10 +20,9 @@ using Names = std::set<std::string>;
 
 /// Names that are placeholders, or that are created elsewhere.
 const Names kPlaceholders = {
-    "relidar/room/name.hpp",
-    "src/room",
-    "RELIDAR_UPPER",  // any header, any room, any macro
-    "kernel_params.hpp",
+    "relidar/room/name.hpp", "src/room",
+    // placeholder for any macro; the two names above stand for any header and any module
+    "RELIDAR_UPPER", "kernel_params.hpp",
     "relidarTargets.cmake",  // created by the build
     "scores.md",             // written by `relidar eval --table`
 };
@@ -32,16 +30,17 @@ const Names kPlaceholders = {
 const Names kSourceExtensions = {".cpp",   ".hpp", ".h",  ".glsl", ".comp", ".rgen", ".md",
                                  ".cmake", ".sh",  ".py", ".js",   ".css",  ".proto"};
 
-/// Extensions of files that the program reads or writes. `word.extension` is such a file
-/// even if `word` is a section of the settings.
+/// Extensions of files that the program reads or writes. `word.extension` counts as such
+/// a file even if `word` is a section of the settings.
 const Names kFileEndings = {"json", "toml", "csv", "npz", "safetensors", "jsonl", "html",
                             "png",  "exr",  "ply", "pcd", "log",         "txt",   "svg"};
 
-/// A `span` or a line of a fenced block. Lines that end with a backslash are joined.
+/// Code `span` or line of a fenced block. Lines that end with a backslash are joined with
+/// the next line.
 struct Code {
     std::string text;
     std::size_t line = 0;    ///< counted from 1
-    bool is_command = true;  ///< false in blocks whose language is not the shell
+    bool is_command = true;  ///< false in blocks whose language is not a shell language
 };
 
 /// Code, prose and anchors of a document.
@@ -63,8 +62,8 @@ std::string anchor_of(const std::string& heading) {
     return anchor;
 }
 
-/// Reads the block whose opening fence is line `i`. Returns the line of its closing
-/// fence.
+/// Reads the fenced block whose opening fence is line `i`. Returns the line of its
+/// closing fence.
 std::size_t read_block(const std::vector<std::string>& lines, std::size_t i, Document& document) {
     const std::string language = lines[i].substr(3);
     const bool shell = language.empty() || language == "sh" || language == "bash";
@@ -79,7 +78,8 @@ std::size_t read_block(const std::vector<std::string>& lines, std::size_t i, Doc
     return i;
 }
 
-/// Reads a paragraph, lines [begin, end). A span can continue in the next line.
+/// Reads the paragraph in the lines [begin, end). A code span can continue in the next
+/// line.
 void read_paragraph(const std::vector<std::string>& lines, std::size_t begin, std::size_t end,
                     Document& document) {
     Code span;
@@ -113,7 +113,7 @@ Document read_document(const SourceFile& file) {
         }
         if (lines[i].starts_with("#"))
             document.anchors.insert(anchor_of(lines[i].substr(lines[i].find_first_not_of("# "))));
-        // spans end with a heading, a table row or a list item
+        // a code span cannot extend beyond a heading, a table row or a list item
         std::size_t end = i + 1;
         while (end < lines.size() && !lines[end].empty() && !lines[end].starts_with("```") &&
                !lines[end].starts_with("#"))
@@ -124,7 +124,7 @@ Document read_document(const SourceFile& file) {
     return document;
 }
 
-/// Commands and options of one program.
+/// Commands and options of a program.
 struct Program {
     Names commands, options;
 };
@@ -136,8 +136,8 @@ struct Known {
     std::map<std::string, Program> programs;  ///< by name
 };
 
-/// Returns the first groups of all matches in the sources of a folder. If there are two
-/// groups, joins them with a dot.
+/// Searches the sources of a folder for a pattern and returns the first group of each
+/// match. If the pattern has two groups, joins the groups with a dot.
 Names matches_in(const SourceTree& tree, const std::string& prefix, const std::regex& pattern) {
     Names found;
     for (auto it = tree.lower_bound(prefix); it != tree.end() && it->first.starts_with(prefix); ++it) {
@@ -195,7 +195,8 @@ std::vector<std::string> without_braces(const std::string& name) {
     return names;
 }
 
-/// Converts a name with * to a regular expression for the end of a path.
+/// Converts a name that contains * to a regular expression that matches the end of a
+/// path.
 std::regex pattern_of(const std::string& name) {
     std::string pattern = "(^|.*/)";
     for (const char c : name) {
@@ -205,8 +206,8 @@ std::regex pattern_of(const std::string& name) {
     return std::regex(pattern + "$");
 }
 
-/// Returns true if a file or folder has this path. If `anywhere` is set, the name can
-/// also be the end of a path.
+/// Returns true if a file or folder with this path exists. If `anywhere` is true, the
+/// name can also be the end of a path.
 bool has_path(const Known& known, const std::string& name, bool anywhere) {
     if (known.tree.contains(name) || known.folders.contains(name)) return true;
     if (name.find('*') == std::string::npos && !anywhere) return false;
@@ -227,8 +228,8 @@ bool occurs(const Known& known, const std::string& prefix, const std::string& wo
     return false;
 }
 
-/// Returns true if a name is a kernel, a part of a stage, or a name under which times are
-/// reported (`accel/build`).
+/// Returns true if a name is a kernel, a part of a stage, or a label of reported times
+/// (`accel/build`).
 bool is_kernel(const Known& known, const std::string& name) {
     return has_path(known, "shaders/" + name + ".comp", false) || has_path(known, "src/" + name, false) ||
            occurs(known, "src/", name) || occurs(known, "tools/", name);
@@ -275,8 +276,8 @@ void check_settings(const Known& known, const Code& code, const std::function<vo
     }
 }
 
-/// Returns the words of one command, without variable assignments before it and without a
-/// comment.
+/// Returns the words of a command, without variable assignments before the command and
+/// without a comment.
 std::vector<std::string> words_of(const std::string& command) {
     std::vector<std::string> words;
     std::istringstream in(command);
@@ -288,13 +289,14 @@ std::vector<std::string> words_of(const std::string& command) {
     return words;
 }
 
-/// Returns the `--name` part of a word, or nothing.
+/// Returns the `--name` part of a word, or an empty string.
 std::string option_of(const std::string& word) {
     std::smatch match;
     return std::regex_search(word, match, std::regex("^--[a-z][a-z0-9-]*")) ? match.str() : "";
 }
 
-/// Reports options that the program does not have and `has_option` does not accept.
+/// Reports the options of a command that the program does not have and that `has_option`
+/// does not accept.
 void check_options(const Program& program, const std::vector<std::string>& words,
                    const std::function<bool(const std::string&)>& has_option,
                    const std::function<void(std::string)>& wrong) {
@@ -318,7 +320,8 @@ std::string script_of(const std::string& word) {
     return "";
 }
 
-/// Checks one command of relidar or of a relidar script. Other programs are ignored.
+/// Checks a command of relidar or of a relidar script. Ignores commands of other
+/// programs.
 void check_command(const Known& known, const std::vector<std::string>& words,
                    const std::function<void(std::string)>& wrong) {
     if (words.empty()) return;
@@ -332,7 +335,7 @@ void check_command(const Known& known, const std::vector<std::string>& words,
             relidar, words,
             [&](const std::string& option) { return contains_word(file->second.text, option); }, wrong);
     }
-    if (words[0].starts_with("--"))  // an option without a command can belong to any relidar program
+    if (words[0].starts_with("--"))  // an option without a command can belong to any program of relidar
         return check_options(
             relidar, words, [&](const std::string& option) { return occurs(known, "tools/", option); },
             wrong);

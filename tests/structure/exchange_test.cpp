@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that no kernel exchanges values between its threads through accesses that a GPU
-// may answer from the cache of a subgroup.
+// Tests that kernels exchange values between threads only through coherent accesses. A
+// GPU may answer other accesses from the cache of a subgroup.
 #include "spirv_exchange.hpp"
 
 #include <gmock/gmock.h>
@@ -21,8 +21,9 @@ TEST(Exchange, AccessesThatACacheMayAnswerAreFound) {
 }
 TEST(Exchange, CoherentOnesAreRight) { EXPECT_THAT(incoherent_exchanges(exchange_coherent), IsEmpty()); }
 
-/// Kernels that have barriers for other reasons. Each thread updates only its elements.
-/// forward/sort_hits loads everything before its barriers and stores after them.
+/// Kernels that have barriers but exchange no values. Each thread updates only its
+/// elements. forward/sort_hits loads all values before its barriers and stores them after
+/// its barriers.
 struct OwnElements {
     const char* kernel;
     std::vector<std::string> members;

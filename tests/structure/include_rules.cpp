@@ -11,17 +11,17 @@ namespace {
 
 using Names = std::set<std::string>;
 
-/// Rooms of src/, include/relidar/ and shaders/. A room includes only itself and the
-/// rooms before it.
+/// Modules ("rooms") of src/, include/relidar/ and shaders/. A module includes only its
+/// files and the modules before it in the list.
 const std::vector<std::string> kRooms = {"base", "gpu",      "log",   "scene", "diff",
                                          "run",  "simulate", "score", "train"};
 
-/// Folders whose private headers other rooms include directly. All other headers must be
-/// public.
+/// Folders whose private headers may be included by all modules. All other headers that
+/// modules share must be public.
 const std::vector<std::string> kOpenFolders = {"src/base/", "src/gpu/", "src/diff/traversal/"};
 
-/// Headers of other libraries and the folders that may include them. Headers that are not
-/// listed can be included everywhere.
+/// Headers of external libraries, each with the folders that may include it. All folders
+/// may include headers that are not in this list.
 const std::vector<std::pair<std::string, std::vector<std::string>>> kLibraries = {
     {"volk", {"src/gpu/"}},
     {"vulkan/", {"src/gpu/"}},
@@ -46,11 +46,11 @@ const std::vector<std::pair<std::string, std::vector<std::string>>> kLibraries =
 const std::string kPublic = "include/relidar/", kUmbrella = kPublic + "relidar.hpp",
                   kReaders = "src/log/readers/";
 
-/// Public headers for users who write their own trainer. <relidar/relidar.hpp> does not
+/// Public headers for users who write a custom trainer. <relidar/relidar.hpp> does not
 /// include them.
 const Names kTrainerHeaders = {"gpu/stream.hpp", "log/sensor_pattern.hpp", "scene/device_scene.hpp",
                                "run/stage_options.hpp", "run/checkpoint.hpp"};
-/// Headers of diff/ that contain options and are a part of <relidar/relidar.hpp>.
+/// Headers of diff/ that contain options. They are a part of <relidar/relidar.hpp>.
 const Names kOptionHeaders = {"diff/densify_options.hpp", "diff/loss_options.hpp", "diff/loss_terms.h",
                               "diff/network.hpp"};
 
@@ -58,15 +58,15 @@ bool is_library(const std::string& path) {
     return path.starts_with("src/") || path.starts_with("shaders/") || path.starts_with(kPublic);
 }
 
-/// Returns the index of a file's room in kRooms, or the number of rooms if the file is in
-/// none.
+/// Returns the index of a file's module in kRooms, or the number of modules if the file
+/// belongs to no module.
 std::size_t room_of(const std::string& path) {
     const std::string name = folder(path, path.starts_with(kPublic) ? 2 : 1);
     return std::size_t(std::ranges::find(kRooms, name) - kRooms.begin());
 }
 
-/// Returns the reader of a file below src/log/readers/, or an empty string for the
-/// registry, which includes all readers.
+/// Returns the dataset reader to which a file below src/log/readers/ belongs. Returns an
+/// empty string for the registry, which includes all readers.
 std::string reader_of(const std::string& path) {
     return path.starts_with(kReaders) && path.find('/', kReaders.size()) != std::string::npos
                ? folder(path, 3)
@@ -77,8 +77,8 @@ bool starts_with_any(const std::string& text, const std::vector<std::string>& pr
     return std::ranges::any_of(prefixes, [&](const std::string& prefix) { return text.starts_with(prefix); });
 }
 
-/// Returns the reason why an include between two files of the library is not allowed, or
-/// an empty string.
+/// Returns the reason why a file of the library must not include a different file of the
+/// library, or an empty string if the include is allowed.
 std::string judge_library(const std::string& from, const std::string& to) {
     const std::size_t from_room = room_of(from), to_room = room_of(to);
     if (from == kUmbrella) return "";
@@ -101,7 +101,7 @@ std::string judge_library(const std::string& from, const std::string& to) {
     return "";
 }
 
-/// Returns the reason why an include is not allowed, or an empty string.
+/// Returns the reason why an include is not allowed, or an empty string if it is allowed.
 std::string judge(const std::string& from, const std::string& to) {
     const bool is_public = to.starts_with(kPublic);
     if (is_library(from))
@@ -116,7 +116,8 @@ std::string judge(const std::string& from, const std::string& to) {
         const bool is_measurement =
             (part == "relidar_dev" && (to_part == "tools/relidar" || to_part == "tools/serve")) ||
             ((part == "relidar_dev" || part == "bench") && folder(to, 0) == "src");
-        // `relidar check` compares private kernels with the reference of the tests.
+        // `relidar check` may include the reference of the tests, because it compares
+        // private kernels with the reference.
         const bool is_check =
             from.starts_with("tools/relidar/check/") &&
             (folder(to, 0) == "src" || to_part == "tests/reference" || to_part == "tests/support");
@@ -129,7 +130,8 @@ std::string judge(const std::string& from, const std::string& to) {
         const bool is_test = stem(from).ends_with("_test");
         if (to_part == "tests/reference" || (is_test && (to_part == "tests/support" || is_benchmark_street)))
             return "";
-        const bool is_table = to == "include/relidar/diff/blended_values.h";  // names of values alone
+        // header that only contains the names of values
+        const bool is_table = to == "include/relidar/diff/blended_values.h";
         return is_public && (is_table || !to.ends_with(".h"))
                    ? ""
                    : "the reference includes nothing of src/, shaders/ or other tests";
@@ -137,13 +139,13 @@ std::string judge(const std::string& from, const std::string& to) {
     return "";
 }
 
-/// Longest include path from a file, found by depth-first search.
+/// Searches for the longest include path from a file by depth-first search.
 class Chains {
 public:
     explicit Chains(const SourceTree& tree) : tree_(tree) {}
 
-    /// Returns the files on the longest path that starts at a file, this file first.
-    /// Records cycles.
+    /// Returns the files on the longest include path that starts at a file. The first
+    /// entry is the file itself. Cycles are stored as errors.
     const std::vector<std::string>& longest_from(const std::string& path) {
         if (const auto known = longest_.find(path); known != longest_.end()) return known->second;
         open_.push_back(path);
@@ -236,8 +238,8 @@ Violations check_umbrella(const SourceTree& tree) {
 }
 
 Violations check_include_chains(const SourceTree& tree) {
-    // Tests may have longer chains, because they also include the reference and the scene
-    // generator.
+    // Tests may have longer include paths, because they also include the reference and
+    // the scene generator.
     constexpr std::size_t kLongest = 8, kLongestOfTests = 10;
     Violations violations;
     Chains chains(tree);

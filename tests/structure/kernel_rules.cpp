@@ -52,7 +52,7 @@ Violations check_bare_pointers(const SourceTree& tree) {
         if (!has_extension(path, {".h"}) ||
             !(path.starts_with("shaders/") || path.starts_with("include/relidar/")))
             continue;
-        // type of pointer -> first pointer of this type in the struct
+        // maps each pointer type to the first pointer of this type in the struct
         std::map<std::string, std::string> first_of;
         std::string owner;
         for (std::size_t i = 0; i < file.lines.size(); ++i) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that each rule of rules.hpp finds its violations, with small trees that contain
-// one violation each.
+// Tests that each rule of rules.hpp detects its violations. Uses small source trees with
+// a single violation each.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -219,7 +219,7 @@ TEST(Rules, ReadmeCallingNothingIsFound) {
     EXPECT_THAT(check_readme({}), ElementsAre(HasSubstr("missing")));
 }
 
-/// Returns the violations in a document of a small checkout.
+/// Returns the violations that the rules report for a document in a small checkout.
 Violations wrong_in(const std::string& document) {
     return check_documents(
         make_tree({{"docs/a.md", document},

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests that host and shaders use the same layout for every shared struct, in every
-// kernel that uses it. Also tests that no kernel needs features that not every device
-// has.
+// kernel that uses the struct. Also tests that kernels use only features that every
+// device has.
 #include <algorithm>
 #include <cstddef>
 #include <map>
@@ -55,7 +55,7 @@ TEST(Kernels, HaveNo64BitIntegers) {
 /// Uses of addresses in a module.
 struct Addresses {
     int n_compared = 0;   ///< comparisons with a constant
-    int n_in_arrays = 0;  ///< array types whose elements contain addresses
+    int n_in_arrays = 0;  ///< number of array types whose elements contain addresses
 };
 
 class AddressReader {
@@ -84,7 +84,7 @@ private:
     };
     std::set<std::uint32_t> addresses_, entries_;  ///< types of addresses and of array elements
     std::map<std::uint32_t, std::vector<std::uint32_t>> members_;
-    /// values_ are addresses; bits_ are the same addresses as vectors
+    /// values_ are addresses; bits_ are the same addresses in the form of vectors
     std::set<std::uint32_t> constants_, values_, bits_;
     Addresses found_;
 
@@ -109,9 +109,9 @@ private:
     }
 };
 
-/// Newer versions of lavapipe read through an address even in a branch that no lane
-/// takes. Therefore no address that a kernel reads through may be 0. The stream replaces
-/// null addresses in the parameters, arrays contain no addresses, and kernels do not
+/// Tests that kernels never get address 0. Newer versions of lavapipe read through an
+/// address even in a branch that no lane executes. The stream therefore replaces null
+/// addresses in the parameters. Arrays must contain no addresses, and kernels must not
 /// compare addresses with 0.
 TEST(Kernels, GetNoAddressZero) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
@@ -123,8 +123,8 @@ TEST(Kernels, GetNoAddressZero) {
     }
 }
 
-/// Compares the offsets of addresses with those of the host's struct, for the parameters
-/// of one kernel by hand.
+/// Compares the offsets of addresses with the offsets in the host's struct, written by
+/// hand for the parameters of a kernel.
 TEST(Kernels, AddressesOfParametersAreFound) {
     const auto addresses = [](std::string_view name) {
         for (const EmbeddedKernel& kernel : embedded_kernels())

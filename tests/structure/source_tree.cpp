@@ -18,8 +18,8 @@ const std::set<std::string> kSkippedFolders = {".git",    "build", "demo", "runs
 
 bool is_skipped(const fs::path& root, const fs::directory_entry& entry) {
     const std::string name = entry.path().filename().string();
-    // tools/demo is a script, and demo/ is the folder that it writes. Folders like
-    // tests/data contain no sources.
+    // The file tools/demo is a script, and the folder demo/ is its output, so only
+    // folders are skipped. Folders like tests/data contain no sources.
     return entry.is_directory() && (kSkippedFolders.contains(name) ||
                                     (entry.path().parent_path() == root && name.starts_with("cmake-build")));
 }
@@ -32,7 +32,7 @@ std::string read_text(const fs::path& path) {
 }
 
 /// Returns the position after a raw string literal whose R is at `begin`, or `begin` if
-/// no raw string starts there.
+/// no raw string starts at this position.
 std::size_t end_of_raw_string(const std::string& text, std::size_t begin) {
     if (text.compare(begin, 2, "R\"") != 0) return begin;
     if (begin > 0 && (std::isalnum(static_cast<unsigned char>(text[begin - 1])) || text[begin - 1] == '_'))
@@ -57,8 +57,8 @@ bool is_digit_separator(const std::string& text, std::size_t i) {
            i + 1 < text.size() && std::isxdigit(static_cast<unsigned char>(text[i + 1]));
 }
 
-/// Returns the position after the comment or literal that starts at i, or i if none
-/// starts there.
+/// Returns the position after the comment or literal that starts at i, or i if no comment
+/// or literal starts at i.
 std::size_t end_of_blank(const std::string& text, std::size_t i) {
     if (text.compare(i, 2, "//") == 0) return std::min(text.find('\n', i), text.size());
     if (text.compare(i, 2, "/*") == 0) {
@@ -81,7 +81,8 @@ std::string collapse_spaces(const std::string& text) {
     return out;
 }
 
-/// Returns the number of parameters in the parenthesised list that opens at `open`.
+/// Counts the parameters in a parenthesised list.
+/// @param open position of the opening parenthesis
 int count_arguments(const std::string& header, std::size_t open) {
     int depth = 0, commas = 0;
     bool any = false;
@@ -96,7 +97,8 @@ int count_arguments(const std::string& header, std::size_t open) {
     return any ? commas + 1 : 0;
 }
 
-/// Finds scopes and functions in code without comments and literals.
+/// Searches for scopes and functions in code from which comments and literals were
+/// removed.
 class Reader {
 public:
     explicit Reader(const std::string& code) : code_(code) {}

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds arrays through which the threads of one launch exchange values. On some GPUs,
-// each compute unit has a separate cache. There, a value that one subgroup stores is
-// visible to another only if both accesses are coherent, even with barriers. The
-// functions read a compiled kernel and return the parameter members that it loads and
-// stores, with a barrier in the kernel but without coherent accesses.
+// Reports arrays through which the threads of a launch exchange values. On some GPUs,
+// each compute unit has a separate cache. On such a GPU, a value that a subgroup stores
+// is visible to a different subgroup only if both accesses are coherent, even with
+// barriers. The functions read a compiled kernel and return the parameter members that it
+// loads and stores, with a barrier in the kernel but without coherent accesses.
 #pragma once
 
 #include <cstdint>
@@ -19,13 +19,15 @@ namespace relidar::structure {
 
 namespace spirv_detail {
 
-/// Origin of an instruction's result: the parameter member, and whether the access is
-/// coherent.
+/// Parameter member from which an instruction's result was loaded, and whether the access
+/// is coherent.
 struct Origin {
-    std::string member;     ///< "keys", "wide.order"; empty if there is none
-    bool in_array = false;  ///< true for the array itself, false for the pointer to it
+    std::string member;  ///< name of the member, such as "keys" or "wide.order"; empty without a member
+    /// true if the result is in the array, false if it is the pointer to the array
+    bool in_array = false;
     bool coherent = false;
-    /// true for the pointer to the parameter block, or its place in the push constants
+    /// true if the result is the pointer to the parameter block, or the location of this
+    /// pointer in the push constants
     bool parameters = false;
 };
 
@@ -37,8 +39,9 @@ struct Accesses {
 
 class ExchangeReader {
 public:
-    /// @return members that are loaded and stored in a kernel with a barrier, and not
-    /// always coherently
+    /// Reads a compiled kernel.
+    /// @return members that a kernel with a barrier loads and stores, with at least one
+    /// access that is not coherent
     std::vector<std::string> read(std::span<const std::uint32_t> words) {
         for (std::size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16) {
             if (words[at] >> 16 == 0) throw std::runtime_error("reading SPIR-V: an instruction of no words");
@@ -145,7 +148,7 @@ private:
                 origins_[o[1]].in_array = false;
                 origins_[o[1]].coherent = points_to_coherent(o[0]);
                 break;
-            case Bitcast:  // conversion of a pointer to another type, through uvec2
+            case Bitcast:  // converts a pointer to a different type, through uvec2
                 origins_[o[1]] = origins_[o[2]];
                 origins_[o[1]].coherent = points_to_coherent(o[0]);
                 break;

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the member offsets of structs in a compiled shader, for comparison with offsetof
-// on the host, and the required capabilities. Uses only OpCapability, OpName,
-// OpMemberName, OpMemberDecorate Offset and OpTypeStruct of a SPIR-V module.
+// Reads the member offsets of structs in a compiled shader, so that tests can compare
+// them with offsetof on the host. Also reads the required capabilities. Uses only
+// OpCapability, OpName, OpMemberName, OpMemberDecorate Offset and OpTypeStruct of a
+// SPIR-V module.
 #pragma once
 
 #include <cstddef>
@@ -45,7 +46,8 @@ void for_each_instruction(std::span<const std::uint32_t> words, Read read) {
     }
 }
 
-/// Returns a literal string: little-endian bytes in words, terminated by a zero byte.
+/// Reads a literal string, which is stored as little-endian bytes in words and ends with
+/// a zero byte.
 inline std::string read_string(std::span<const std::uint32_t> words) {
     std::string text;
     for (const std::uint32_t word : words) {
@@ -58,7 +60,7 @@ inline std::string read_string(std::span<const std::uint32_t> words) {
     throw std::runtime_error("reading SPIR-V: a name has no end");
 }
 
-/// Declaration of one struct type in a module.
+/// Declaration of a struct type in a module.
 struct Struct {
     std::string name;
     std::size_t n_members = 0;
@@ -92,10 +94,10 @@ inline void read_instruction(std::uint32_t opcode, std::span<const std::uint32_t
 
 /// Returns the layouts of the structs with offsets in a module, by their names in the
 /// source. glslang emits a second, undecorated copy of a struct that is used as a local
-/// variable; these copies are omitted.
+/// variable. These copies are omitted.
 /// @param words [n] the module, host byte order
 /// @throws std::runtime_error if the module is not SPIR-V, is truncated, or contains two
-/// layouts of one struct
+/// layouts of the same struct
 inline std::map<std::string, StructLayout> read_spirv_layouts(std::span<const std::uint32_t> words) {
     using namespace spirv_detail;
     std::map<std::uint32_t, Struct> structs;
@@ -119,7 +121,7 @@ inline std::map<std::string, StructLayout> read_spirv_layouts(std::span<const st
 
 constexpr std::uint32_t kCapabilityInt64 = 11;
 
-/// Returns the capabilities that a module declares, as numbers of the SPIR-V
+/// Returns the capabilities that a module declares, with the numbers of the SPIR-V
 /// specification.
 inline std::set<std::uint32_t> read_spirv_capabilities(std::span<const std::uint32_t> words) {
     std::set<std::uint32_t> capabilities;

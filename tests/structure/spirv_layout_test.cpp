@@ -33,7 +33,7 @@ void main() {
     p.samples.at[0].range_m = s.range_m * p.gain + p.origin.x + float(p.address);
 })";
 
-/// Compiles GLSL. Returns an empty vector if there is no compiler.
+/// Compiles GLSL. Returns an empty vector if no compiler is installed.
 std::vector<std::uint32_t> compile(const std::string& source) {
     if (std::system("glslangValidator --version >/dev/null 2>&1") != 0) return {};
     std::string folder = (fs::temp_directory_path() / "relidar-spirv-XXXXXX").string();

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that this checkout satisfies the rules of rules.hpp.
+// Tests that the source tree of this checkout satisfies the rules of rules.hpp.
 #include <gtest/gtest.h>
 
 #include "rules.hpp"

@@ -24,7 +24,7 @@ bool is_comment(const std::string& line) {
 }
 
 /// Returns true if a function needs no comment: operators, constructors, accessors
-/// without arguments, members defined in one line, and deleted functions.
+/// without arguments, members defined in a single line, and deleted functions.
 bool has_comment(const Function& function) {
     if (function.name.starts_with("operator") || function.name.starts_with("~") ||
         function.header.ends_with("= delete") || function.header.ends_with("= default")) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sets a locale that writes 1234.5 as "1.234,5" while the object exists. It applies to
-// C++ streams, and to printf and strtod if such a locale is installed. Files that relidar
-// reads and writes must not depend on the locale.
+// Sets a locale that writes 1234.5 as "1.234,5" while the object exists. The locale
+// applies to C++ streams. If the system has such a locale, it also applies to printf and
+// strtod. Files that relidar reads and writes must not depend on the locale.
 #pragma once
 
 #include <clocale>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Opens the device of the test process once.
+// Opens the device of the test process when it is used for the first time.
 #include "device.hpp"
 
 #include <cstdlib>
@@ -23,9 +23,9 @@ Traversal traversal_from_environment() {
     return Traversal::automatic;
 }
 
-/// Holds the device of the process. The first test that needs the device opens it. It is
-/// closed after the last test while main() still runs. Otherwise the static objects of
-/// the validation layer could be destroyed before the device.
+/// Owns the device of the process. The first test that needs the device opens it. The
+/// device is closed after the last test while main() still runs, because the static
+/// objects of the validation layer could otherwise be destroyed before the device.
 class ProcessDevice : public testing::Environment {
 public:
     Device* find() {

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Provides one device per test process. RELIDAR_TEST_TRAVERSAL selects the traversal
-// (ray_query or software); ctest runs the suites that trace rays once with each. Without
-// the variable, the default traversal is used. If there is no device, tests are skipped,
-// or fail if RELIDAR_REQUIRE_GPU=1 (CI). A validation message fails the test in which it
-// appears.
+// Provides a device per test process. RELIDAR_TEST_TRAVERSAL selects the traversal
+// (ray_query or software). ctest runs the suites that trace rays once with each
+// traversal. Without the variable, the default traversal is used. If the machine has no
+// device, tests are skipped, or fail if RELIDAR_REQUIRE_GPU=1 (CI). A validation message
+// fails the test in which it appears.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -12,7 +12,7 @@
 
 namespace relidar::test {
 
-/// Returns the device of this process, or null if there is none.
+/// Returns the device of this process, or null if the machine has no device.
 Device* find_device();
 
 /// Fixture of all tests that run kernels.

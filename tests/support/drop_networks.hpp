@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes ray-drop networks with known weights that need no training.
+// Makes ray-drop networks with fixed weights that need no training.
 #pragma once
 
 #include <algorithm>
@@ -12,8 +12,8 @@
 
 namespace relidar::test {
 
-/// Returns a network of single pixels with random weights, so that its output depends on
-/// all of its inputs.
+/// Returns a network with random weights that processes each pixel separately. Its output
+/// depends on all of its inputs.
 inline DropNetwork network_of_rays(std::uint64_t seed = 1) {
     RefineOptions options;
     options.network = "pixel";
@@ -31,7 +31,8 @@ inline DropNetwork network_of_rays(std::uint64_t seed = 1) {
 inline DropNetwork network_that_never_drops() {
     DropNetwork network = network_of_rays();
     std::fill(network.normalisation.begin(), network.normalisation.end(), 0.0f);
-    // a bias of -40 dominates, because rendered logits are within 9.3 of 0
+    // a bias of -40 dominates the output, because rendered logits are between -9.3 and
+    // 9.3
     network.parameters[*refine::UnetPlan(network).tail.bias] = -40.0f;
     return network;
 }

@@ -8,8 +8,8 @@
 
 namespace relidar::test {
 
-/// Limits the size of files while the object exists. Writes beyond the limit fail like on
-/// a full disk.
+/// Limits the size of files while the object exists. Writes beyond the limit fail as on a
+/// full disk.
 class FileSizeLimit {
 public:
     explicit FileSizeLimit(rlim_t n_bytes) : handler_(std::signal(SIGXFSZ, SIG_IGN)) {

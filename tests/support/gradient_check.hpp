@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares gradients with central differences, row by row. A row is one parameter of one
+// Compares gradients with central differences, row by row. A row is a parameter of a
 // surfel (mean [3], rotation [4], ...). The error of a row is |difference - analytic|
 // divided by the row's norm. The table reports the worst row of each group and the number
-// of nonzero rows. Both links of the gradient chain in docs/architecture.md section 9 use
+// of nonzero rows. Both parts of the gradient chain in docs/architecture.md section 9 use
 // it.
 #pragma once
 
@@ -18,7 +18,7 @@
 
 namespace relidar::test {
 
-/// Expected and actual gradients of one parameter group.
+/// Expected and actual gradients of a parameter group.
 struct GradientGroup {
     std::vector<std::vector<double>> expected;  ///< [rows][components]
     std::vector<std::vector<double>> actual;
@@ -38,8 +38,8 @@ struct GradientGroup {
         return std::size_t(
             std::count_if(expected.begin(), expected.end(), [](const auto& row) { return norm(row) > 0.0; }));
     }
-    /// Counts the rows whose expected gradient is above the small-row bound, but whose
-    /// actual gradient is zero.
+    /// Counts the rows whose expected gradient exceeds the bound for small rows, but
+    /// whose actual gradient is zero.
     std::size_t missing_rows() const {
         const double bound = kSmallRow * largest_row();
         std::size_t missing = 0;
@@ -47,8 +47,8 @@ struct GradientGroup {
             missing += norm(expected[i]) > bound && norm(actual[i]) == 0.0;
         return missing;
     }
-    /// Returns the largest |actual - expected| / max(|expected|, small-row bound), or
-    /// infinity if a value is not finite.
+    /// Returns the largest |actual - expected| / max(|expected|, bound for small rows),
+    /// or infinity if a value is not finite.
     double worst_error() const {
         const double bound = kSmallRow * largest_row();
         double worst = 0.0;
@@ -63,7 +63,7 @@ struct GradientGroup {
     }
 };
 
-/// Groups of rows by name, printed as a table at the end.
+/// Collects gradient rows in groups by name, and prints a table of the groups at the end.
 class GradientTable {
 public:
     void add_row(const std::string& group, std::vector<double> expected, std::vector<double> actual) {
@@ -90,9 +90,9 @@ private:
 };
 
 /// Computes d(sum of terms)/d(component) by central differences. Each term is differenced
-/// before the sum, so that the cancellation error is that of a single term.
-/// @param set set(k, offset) adds the offset to the original value of component k; called
-/// with h, -h, 0
+/// before the sum, so that the cancellation error is the error of a single term.
+/// @param set set(k, offset) adds the offset to the original value of component k. It is
+/// called with h, -h and 0.
 /// @param terms computes the loss as a list of terms at the current parameters
 inline std::vector<double> central_differences(int components, const std::function<void(int, double)>& set,
                                                const std::function<std::vector<double>()>& terms,
@@ -111,7 +111,8 @@ inline std::vector<double> central_differences(int components, const std::functi
     return result;
 }
 
-/// Computes central differences for a parameter that is stored as consecutive doubles.
+/// Computes central differences with respect to a parameter that is stored as consecutive
+/// doubles.
 inline std::vector<double> central_differences(double* parameter, int components,
                                                const std::function<std::vector<double>()>& terms,
                                                double h = kDifferenceStep) {

@@ -21,15 +21,15 @@ struct Box {
 
 using Indices = std::vector<std::uint32_t>;
 
-/// Builds one tree. Appends nodes, and primitives in the order of the leaves. The
-/// children of a node are contiguous.
+/// Builds a single tree. Appends its nodes, and its primitives in the order of the
+/// leaves. The children of a node are contiguous.
 class Builder {
 public:
     Builder(const std::vector<Box>& boxes, std::vector<shared::BvhNode>& nodes, Indices& order)
         : boxes_(boxes), nodes_(nodes), order_(order) {}
 
-    /// Builds the tree of some primitives.
-    /// @return index of the root
+    /// Builds the subtree of some primitives.
+    /// @return index of the root of the subtree
     std::uint32_t build(Indices primitives) {
         const auto root = static_cast<std::uint32_t>(nodes_.size());
         nodes_.emplace_back();
@@ -104,7 +104,7 @@ private:
             if (part.size() > RELIDAR_BVH_LEAF_SIZE) fill(child++, part);
     }
 
-    /// Quantises the boxes of the children along one axis, rounded outward in exact
+    /// Quantises the boxes of the children along an axis, rounded outward in exact
     /// arithmetic.
     void set_axis(shared::BvhNode& node, int axis, const std::vector<Indices>& parts,
                   const Box& whole) const {

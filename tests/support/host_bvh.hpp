@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Builds a two-level tree in the layout of shared/bvh.h on the host, by recursive object
-// median. It lets tests check the traversal without the device's tree builder. The boxes
-// come from the device (diff/accel/proxies).
+// Builds a two-level tree in the layout of shared/bvh.h on the host. Splits recursively
+// at the median object. Tests can thus check the traversal without the device's tree
+// builder. The boxes are computed on the device (diff/accel/proxies).
 #pragma once
 
 #include <memory>
@@ -13,7 +13,8 @@ namespace relidar::test {
 
 class HostBvh {
 public:
-    /// Builds the tree of an activated scene. Waits for the device.
+    /// Builds the tree of a scene after activation of its parameters. Waits for the
+    /// device.
     HostBvh(Device& device, const DeviceScene& scene);
     shared::BvhPointers pointers() const;
 

@@ -13,7 +13,8 @@ namespace relidar::test {
 /// Which outputs of a ray have a gradient.
 enum class Outputs { image, likelihood, all };
 
-/// Returns gradients rounded to float, so that a kernel can be given exactly the same.
+/// Returns random gradients that are rounded to float, so that a kernel can receive
+/// exactly the same gradients.
 inline std::vector<reference::PixelGradient> random_upstream(std::size_t n, std::uint64_t seed,
                                                              Outputs outputs = Outputs::image) {
     std::mt19937_64 random(seed);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts the worlds of the reference renderer to scenes of the library, with one model
+// Converts the worlds of the reference renderer to scenes of the library, with a model
 // per surfel range.
 #pragma once
 
@@ -9,21 +9,21 @@
 
 namespace relidar::test {
 
-/// Scene and poses of a world. Each distinct range of surfels becomes a model. The models
-/// of a scene are contiguous, so overlapping ranges become copies. Surfels outside all
-/// ranges are omitted.
+/// Scene and poses that correspond to a world. Each distinct range of surfels becomes a
+/// model. The models of a scene are contiguous, so overlapping ranges become copies.
+/// Surfels outside all ranges are omitted.
 struct SceneAndPoses {
     Scene scene;
     std::vector<InstancePose> world_from_instance;
-    /// [n] index in the world of each surfel of the scene, ascending within a model
+    /// [n] index in the world of each surfel of the scene; ascending within a model
     std::vector<std::uint32_t> original;
 };
 SceneAndPoses to_scene(const Surfels& surfels, const std::vector<reference::Placement>& placements);
 
 WorldRays to_world_rays(const std::vector<reference::Ray>& rays);
 
-/// Returns the measured targets of rays. Rays without a range become unknown targets,
-/// targets with another range, and dropped targets, in turn.
+/// Converts rays to measured targets. Rays without a range become, in turn, unknown
+/// targets, targets with a different range, and dropped targets.
 std::vector<shared::DeviceTarget> to_targets(const std::vector<reference::Ray>& rays);
 
 }  // namespace relidar::test

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes random scenes with margins. Surfels are placed in a corridor in front of the
-// sensor and face it within 50 degrees. Random rays into the corridor are kept if all
-// margins hold at the discontinuities of M1, M2, M4 and of the intensity clamp.
+// Makes random scenes without rays close to discontinuities. Surfels are placed in a
+// corridor in front of the sensor and face it within 50 degrees. A random ray into the
+// corridor is used only if it has a minimum distance (margin) to the discontinuities of
+// M1, M2, M4 and of the intensity clamp.
 #include "random_scene.hpp"
 
 #include <cmath>
@@ -24,7 +25,7 @@ glm::dvec3 unit_vector(Random& random) {
     return glm::normalize(glm::dvec3(normal(random), normal(random), normal(random)));
 }
 
-/// Returns a random quaternion (w, x, y, z) whose third axis lies within `cone_rad` of -x
+/// Returns a random quaternion (w, x, y, z). Its third axis lies within `cone_rad` of -x
 /// or +x. The in-plane angle and the length are random.
 glm::dvec4 facing_rotation(Random& random, double cone_rad) {
     const double angle = uniform(random, 0.0, 2.0 * kPi), tilt = uniform(random, 0.0, cone_rad),
@@ -53,8 +54,8 @@ reference::Surfel random_surfel(Random& random, const glm::dvec3& low, const glm
     return s;
 }
 
-/// Returns true if a surfel keeps all margins for a ray: not close to the alpha cut or
-/// clamp, not grazing, not at the near plane.
+/// Returns true if a surfel satisfies all margins for a ray: alpha is not close to its
+/// limits, the surfel is not grazing, and the hit is not at the near plane.
 bool surfel_is_smooth(const reference::Surfel& surfel, const reference::Ray& ray,
                       const reference::LocalRay<double>& local, const reference::Settings& settings,
                       const Margins& m) {
@@ -66,13 +67,13 @@ bool surfel_is_smooth(const reference::Surfel& surfel, const reference::Ray& ray
                  log_alpha = std::log(r.sigma) - 0.5 * (met.u * met.u + met.v * met.v + met.w * met.w);
     if (std::abs(log_alpha - std::log(double(settings.image.alpha_min))) < m.log_alpha) return false;
     if (std::abs(log_alpha - std::log(double(settings.image.alpha_max))) < m.log_clamp) return false;
-    // the ray skips this surfel, so its other margins do not matter
+    // the ray does not hit this surfel, so the remaining margins do not matter
     if (log_alpha < std::log(double(settings.image.alpha_min))) return true;
     return std::abs(facing) >= m.facing && std::abs(t - double(settings.image.near_m)) >= m.near_m;
 }
 
-/// Returns true if the margins of order, stop and intensity clamp hold along the sorted
-/// hits.
+/// Returns true if the sorted hits satisfy the margins of their order, of the stop and of
+/// the intensity clamp.
 bool hits_are_smooth(const reference::World& world, const reference::Settings& settings,
                      const reference::Ray& ray, const Margins& m) {
     const reference::BruteForce brute(world, settings.image, reference::Precision::double_record);
@@ -91,8 +92,8 @@ bool hits_are_smooth(const reference::World& world, const reference::Settings& s
     return true;
 }
 
-/// Returns random surfels, placements and a view origin, rounded to float where the
-/// library stores floats.
+/// Returns random surfels, placements and a view origin. Values are rounded to float if
+/// the library stores them as float.
 RandomScene random_surfels(Random& random, const RandomSceneOptions& options) {
     RandomScene scene;
     std::vector<reference::Surfel> surfels;
@@ -123,8 +124,8 @@ RandomScene random_surfels(Random& random, const RandomSceneOptions& options) {
     return scene;
 }
 
-/// Adds random rays that keep the margins, until there are enough rays or the number of
-/// attempts is exhausted.
+/// Adds random rays that satisfy the margins of the options, until enough rays exist or
+/// the number of attempts is exhausted.
 void add_rays(Random& random, const RandomSceneOptions& options, const reference::Settings& settings,
               const Margins& margins, RandomScene& scene) {
     for (int attempt = 0; attempt < 200 * options.rays && int(scene.rays.size()) < options.rays; ++attempt) {
@@ -138,7 +139,7 @@ void add_rays(Random& random, const RandomSceneOptions& options, const reference
     }
 }
 
-/// Adds measured ranges near the rendered ranges of the rays.
+/// Adds measured ranges that are close to the rendered ranges of the rays.
 void add_measured_ranges(const RandomSceneOptions& options, const reference::Settings& settings,
                          RandomScene& scene) {
     Random random(options.seed + 1000);
@@ -167,8 +168,8 @@ bool keeps_margins(const reference::World& world, const reference::Settings& set
 RandomScene make_random_scene(const RandomSceneOptions& options, const reference::Settings& settings,
                               const Margins& margins) {
     Random random(options.seed);
-    // several attempts, because one surfel (say, with an intensity near 0) can reject
-    // every ray
+    // makes several attempts, because a single surfel (say, with an intensity near 0) can
+    // reject every ray
     for (int attempt = 0; attempt < 50; ++attempt) {
         RandomScene scene = random_surfels(random, options);
         reference::Settings viewed = settings;

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes seeded random scenes for tests of values and gradients. A margin keeps every ray
-// away from each discontinuity of the image: alpha cut and clamp, near plane, order of
-// equal t, T_min stop, intensity clamp, and grazing surfels. Therefore central
-// differences and single precision see the same smooth function as the double reference
-// (docs/architecture.md section 9).
+// Makes random scenes with a fixed seed for tests of values and gradients. A margin is
+// the minimum distance of every ray to each discontinuity of the image: alpha cut and
+// clamp, near plane, order of equal t, T_min stop, intensity clamp, and grazing surfels.
+// Therefore central differences and single precision evaluate the same smooth function as
+// the double reference (docs/architecture.md section 9).
 #pragma once
 
 #include <cstdint>
@@ -17,11 +17,11 @@ struct RandomSceneOptions {
     std::uint64_t seed = 1;
     int background_surfels = 40;
     int actor_surfels = 12;  ///< surfels of the actor's model
-    /// number of instances of the actor, each with a different pose, overlapping the
-    /// background
+    /// number of instances of the actor; each instance has a different pose and overlaps
+    /// the background
     int actor_instances = 2;
-    /// Background surfels at 3, 5, ... m, 4 m wide, with opacity 0.997, so that alpha is
-    /// clamped.
+    /// Number of background surfels at 3, 5, ... m that are 4 m wide. Their opacity is
+    /// 0.997, so that alpha is clamped.
     int wide_surfels = 0;
     int rays = 24;
     double opacity_low = 0.05, opacity_high = 0.6;
@@ -31,12 +31,15 @@ struct RandomSceneOptions {
     double turn_rate = 3.0;  ///< rad/s, of moving actors
 };
 
-/// Minimum distances to the discontinuities for each ray and surfel.
+/// Minimum distances of each ray and surfel to the discontinuities of the image.
 struct Margins {
     double log_alpha = 0.02;  ///< minimum |ln(sigma G / alpha_min)|
-    /// minimum |ln(sigma G / alpha_max)|; at most ln(1 / 0.99) = 0.01 if clamped
+    /// Minimum |ln(sigma G / alpha_max)|. It can be at most ln(1 / 0.99) = 0.01 if alpha
+    /// is clamped.
     double log_clamp = 1e-3;
-    double facing = 0.2;  ///< minimum |n . d| of planes that a ray crosses within the reach of the surfel
+    /// Minimum |n . d| of the surfel planes that a ray crosses within the extent of the
+    /// surfel.
+    double facing = 0.2;
     double separation_m = 2e-3;  ///< minimum difference between the t of consecutive hits
     double log_stop = 0.02;      ///< minimum |ln(T / T_min)| after each hit
     double intensity = 5e-3;     ///< minimum |intensity| before the clamp
@@ -51,12 +54,12 @@ struct RandomScene {
 
 /// Makes a random scene, rounded to float, so that a kernel can receive exactly the same
 /// scene. A quarter of the surfels have a scale ratio of 4. Measured ranges differ from
-/// the rendered ones by about 0.3 m; every seventh ray has none.
-/// @throws std::runtime_error if too few rays keep the margins
+/// the rendered ranges by about 0.3 m. Every seventh ray has no measured range.
+/// @throws std::runtime_error if too few rays satisfy the margins of the options
 RandomScene make_random_scene(const RandomSceneOptions& options, const reference::Settings& settings,
                               const Margins& margins = {});
 
-/// Returns true if a ray keeps all margins in a world.
+/// Returns true if a ray satisfies all margins in a world.
 bool keeps_margins(const reference::World& world, const reference::Settings& settings,
                    const reference::Ray& ray, const Margins& margins);
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Simulates a drive through the synthetic street with four different LiDARs: a spinning
-// one, a window scanned by mirrors, a rosette, and one with wide beams and two returns.
+// LiDAR, a LiDAR that scans a window with mirrors, a LiDAR that scans a rosette, and a
+// LiDAR with wide beams and two returns.
 #pragma once
 
 #include <filesystem>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts between the surfels of the library and those of the reference (docs/method.md
-// section 2 lists the 58 numbers).
+// Converts between the surfels of the library and the surfels of the reference
+// (docs/method.md section 2 lists the 58 numbers).
 #include "surfels.hpp"
 
 namespace relidar::test {

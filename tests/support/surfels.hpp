@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Converts between the arrays of the library (float, structure of arrays) and the surfels
-// and records of the reference (double, one struct each). A test can thus pass the same
-// numbers to a kernel and to the reference.
+// and records of the reference (double, array of structures). A test can thus pass the
+// same numbers to a kernel and to the reference.
 #pragma once
 
 #include <vector>
@@ -17,15 +17,15 @@ namespace relidar::test {
 std::vector<reference::Surfel> to_reference(const Surfels& surfels);
 /// Rounds reference surfels to the arrays of the library.
 Surfels to_surfels(const std::vector<reference::Surfel>& surfels);
-/// Returns the records of section 2 in the model's frame, computed in double and then
-/// rounded.
+/// Returns the intersection records (section 2) in the model's frame, computed in double
+/// and then rounded to float.
 std::vector<reference::FloatRecord> to_records(const Surfels& surfels);
 /// Returns the same rays in double.
 std::vector<reference::Ray> to_reference(const WorldRays& rays);
 /// Returns the rays of a table unchanged, with the sensor frame as the world frame.
 WorldRays to_world_rays(const RayTable& table);
 
-/// Returns the surfels `order[i]` of a set, without using the library.
+/// Returns the surfels with the indices `order`, without using the library.
 Surfels take(const Surfels& surfels, const std::vector<std::uint32_t>& order);
 
 }  // namespace relidar::test

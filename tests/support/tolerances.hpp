@@ -13,18 +13,18 @@ namespace relidar::test {
 inline constexpr double kDifferenceStep = 1e-5;
 inline constexpr double kAngleStep = 1e-6;
 inline constexpr double kLogitStep = 1e-4;
-/// Tolerance of the reference's backward pass against these differences, relative to the
-/// row's norm.
+/// Tolerance between the reference's backward pass and central differences, relative to
+/// the row's norm.
 inline constexpr double kReferenceGradient = 1e-6;
-/// Rows smaller than this share of the largest row in their group are compared relative
-/// to that share. Smaller differences have no significant digits, because the
-/// cancellation error is absolute (about 1e-10).
+/// Rows below this share of the largest row in their group are compared relative to the
+/// share. Their differences have no significant digits, because the cancellation error is
+/// absolute (about 1e-10).
 inline constexpr double kSmallRow = 3e-3;
 /// Tolerance of a kernel against the reference's backward pass, relative to the row's
 /// norm. A ray has some tens of hits in single precision.
 inline constexpr double kKernelGradient = 1e-4;
-/// Errors that Vulkan allows in single precision, relative to the result: one rounding,
-/// exp (3 + 2 |x| units in the last place), and a division (2.5 units).
+/// Errors that Vulkan allows in single precision, relative to the result: a rounding, exp
+/// (3 + 2 |x| units in the last place), and a division (2.5 units).
 inline constexpr double kRounding = 0x1p-24, kUnit = 0x1p-23, kDivision = 2.5 * kUnit;
 inline double exp_error(double x) { return (3.0 + 2.0 * (x < 0.0 ? -x : x)) * kUnit; }
 /// Returns the absolute error bound of 1 / (1 + exp(-x)).

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Simulates a drive through the synthetic street with two LiDARs that sweep
-// simultaneously: the default one, and one that is mounted 1.2 m behind and to the left,
-// turned and tilted.
+// simultaneously: the default LiDAR, and a LiDAR that is mounted 1.2 m behind and to the
+// left, turned and tilted.
 #pragma once
 
 #include <relidar/log/clouds.hpp>

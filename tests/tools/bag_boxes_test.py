@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boxes in ROS bags, written by bag_writer.py by the definitions of vision_msgs and of Autoware: a car that drives in a bend measures a round
-hall, in which one thing drives and one is parked. Boxes are given in the map, the vehicle or a camera; relidar has to have them in the map.
+"""Tests boxes in ROS bags. bag_writer.py writes the bags from the definitions of vision_msgs and of
+Autoware. A car drives a bend through a round hall with a moving and a parked object. Boxes are
+stored in the frame of the map, of the vehicle or of a camera. relidar must convert them to the map.
 
    bag_boxes_test.py RELIDAR WORK        77: numpy is missing
 """
@@ -23,7 +24,7 @@ RELIDAR, WORK = sys.argv[1], pathlib.Path(sys.argv[2])
 T0, STEP, N, ROWS, COLUMNS = 1_700_000_000_250_000_000, 100_000_000, 5, 8, 180
 IDS = [uuid.UUID(int=0x1234_5678_0000_4000_8000_0000_0000_0001), uuid.UUID(int=0x1234_5678_0000_4000_8000_0000_0000_0002)]
 SIZES = [(4.5, 1.9, 1.6), (0.6, 0.7, 1.8)]
-CAMERA = (np.array([1.5, 0.2, 1.4]), 0.7)   # in base_link: place and yaw
+CAMERA = (np.array([1.5, 0.2, 1.4]), 0.7)   # pose in base_link: position and yaw
 
 EMPTY_CLOUD = {"height": 0, "width": 0, "fields": [], "is_bigendian": 0, "point_step": 0, "row_step": 0, "data": b"", "is_dense": 1}
 COVARIED = [("pose", bags.POSE), bags.COVARIANCE]
@@ -48,7 +49,7 @@ NESTED = [("hypothesis", [("class_id", "string"), ("score", "d")]), ("pose", COV
 NAMED, NUMBERED = ([("id", kind), ("score", "d"), ("pose", COVARIED)] for kind in ("string", "q"))
 TRACKED, KNOWN, STANDS = ("tracking_id", "string"), ("orientation_availability", "B"), ("is_stationary", "B")
 POSED, MOVING, PUSHED = ("pose_with_covariance", COVARIED), ("twist_with_covariance", SPEED), ("acceleration_with_covariance", SPEED)
-VERSIONS = {   # type, definition, form, whether things have an identity
+VERSIONS = {   # message type, definition, format, whether objects have an id
     "vision_msgs 4": ("vision_msgs/Detection3DArray", detections(NESTED, ("id", "string")), "cdr", True),
     "vision_msgs 2": ("vision_msgs/Detection3DArray", detections(NAMED, CLOUD, ("is_tracking", "B"), TRACKED), "cdr_be", True),
     "vision_msgs 1": ("vision_msgs/Detection3DArray", detections(NAMED, CLOUD), "cdr", False),
@@ -70,7 +71,7 @@ def turned(v, yaw):
 
 
 def car(t):
-    """base_link in map, seconds after T0."""
+    """Returns the pose of base_link in the map at a time in seconds after T0."""
     return np.array([3 + 8 * t, 2 + t, 0]), 0.2 + 0.3 * t
 
 
@@ -96,7 +97,7 @@ def header(stamp, frame):
 
 
 def box_list(type_name, frame, ns, number_of=lambda k: k, named=True):
-    """Both things at a time; the classes of the first are not certain."""
+    """Returns the boxes of both objects at a time. The class of the first object is not certain."""
     t, stamp = 1e-9 * ns, T0 + ns
     values = []
     for k in (0, 1):
@@ -113,7 +114,7 @@ def box_list(type_name, frame, ns, number_of=lambda k: k, named=True):
         else:
             classes = [(2, 0.2), (1, 0.8)] if k == 0 else [(7, 1.0)]
             outline = [dict(x=x * SIZES[k][0] - 0.1, y=y * SIZES[k][1], z=0.0) for x, y in ((-.5, -.5), (.5, -.5), (.5, .5), (-.5, .5))]
-            polygon = k == 1   # its pose is 0.1 m before its middle
+            polygon = k == 1   # the pose of the polygon is 0.1 m before its middle
             if polygon:
                 middle, yaw = seen_from(frame, t, thing(k, t))
                 placed = pose(middle + turned([0.1, 0, 0], yaw), yaw)
@@ -224,7 +225,7 @@ def test_places():
     expect(boxes == [] and "where the frame 'radar' is" in notes, f"a frame that nobody knows: {notes}")
     bags.write_mcap(bag, log(boxes_in("/things", "vision_msgs 4", "camera"), with_poses=False))
     boxes, notes = converted(bag)
-    for box in boxes:   # the world of a log without poses is the LiDAR's frame
+    for box in boxes:   # if a log has no poses, its world is the frame of the LiDAR
         k = [str(i) for i in IDS].index(box["track"])
         place, yaw = seen_from("base_link", box["time_s"], thing(k, box["time_s"]))
         place = turned(place - np.array([0.8, 0, 1.7]), -np.pi / 2)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS bags whose clouds are halves or slices of a turn, or no scans of one LiDAR at all, written by bag_writer.py. A LiDAR of 8 beams stands
-in an uneven hall; whole turns have to come out with every point at its time, or what the clouds are has to be said.
+"""Tests ROS bags whose clouds are halves or slices of a turn, or not scans of a single LiDAR.
+bag_writer.py writes the bags. A LiDAR of 8 beams measures an uneven hall. relidar must join the
+parts to full turns with every point at its time, or report the contents of the clouds.
 
    bag_parts_test.py RELIDAR WORK        77: numpy is missing
 """
@@ -29,7 +30,8 @@ def expect(condition, text):
 
 
 def firings(first, last, clockwise=True, offset=(0, 0, 0)):
-    """Points of columns counted from the first turn's start, at the back: x y z and time in ns from T0."""
+    """Returns the points of columns as x y z and time in ns from T0. Columns are counted from the
+    start of the first turn, which is backward."""
     column = np.arange(first, last)
     azimuth = np.pi - 2 * np.pi * ((column + 0.5) % COLUMNS) / COLUMNS
     if not clockwise:
@@ -80,7 +82,7 @@ def zero_ns(head):
 
 
 def check(name, columns, clockwise=True, lost=(), turns=range(N)):
-    """columns: the first of each part, and the end of the last."""
+    """@param columns first column of each part, and end of the last part"""
     parts = [message(*firings(a, b, clockwise)) for k, (a, b) in enumerate(zip(columns, columns[1:])) if k not in lost]
     head, notes, scans = converted(parts)
     expect("part of a turn" in notes, f"{name}: {notes}")
@@ -94,7 +96,7 @@ def check(name, columns, clockwise=True, lost=(), turns=range(N)):
         order = np.lexsort((wanted.reshape(-1, 3)[:, 2], t))
         expect(len(times) == truth.size, f"{name}, turn {turn}: {len(times)} points, expected {truth.size}")
         expect(np.abs(np.sort(times) + 1e-9 * zero_ns(head) - t[order]).max() < 2e-6, f"{name}, turn {turn}: times")
-        # of one firing by height: the same points
+        # sorts the points of a firing by height, so that equal points are compared
         same = np.lexsort((points[:, 2], np.rint((times + 1e-9 * zero_ns(head)) * 1e9 / (TURN // COLUMNS))))
         expect(np.abs(points[same] - wanted.reshape(-1, 3)[order]).max() < 1e-4, f"{name}, turn {turn}: points")
     expect(abs(head["lidars"][0]["sensor"]["spinning"]["period_s"] - 0.1) < 1e-3, f"{name}: a turn of {head['lidars'][0]['sensor']['spinning']['period_s']} s")
@@ -131,7 +133,8 @@ def test_said():
 
 
 def test_left_alone():
-    """Windows of a LiDAR without a head, swept to and fro: a scan each."""
+    """Tests a LiDAR without a rotating head that sweeps a window to and fro. Each window must be a
+    scan."""
     window = lambda k: firings(COLUMNS // 3, 2 * COLUMNS // 3)[0]
     times = lambda k: k * TURN + np.arange(COLUMNS // 3) * (TURN // (COLUMNS // 3))
     _, notes, scans = converted([message(window(k), times(k)) for k in range(N)])

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS bags of every kind, written by bag_writer.py: what a LiDAR of 16 beams measures of a round hall from a car in a bend, as the drivers of
-several makers lay it out. relidar reads each and writes it as npz and text, which have to hold the same points, times, rings and poses.
+"""Tests ROS bags of every type, written by bag_writer.py. A LiDAR of 16 beams measures a round hall
+from a car in a bend. The points have the layouts of the drivers of several manufacturers. relidar
+reads each bag and writes it as npz and text. Both must contain the same points, times, rings and
+poses.
 
    bag_test.py RELIDAR WORK        77: numpy, lz4 or zstd are missing
 """
@@ -25,7 +27,8 @@ import bag_writer as bags
 RELIDAR, WORK = sys.argv[1], pathlib.Path(sys.argv[2])
 T0, STEP, N, COLUMNS = 1_700_000_000_250_000_000, 100_000_000, 5, 360
 ELEVATIONS = np.radians(np.linspace(15, -15, 16))
-MOUNT = np.array([0.8, 0.0, 1.7])   # in base_link, and turned by 90 degrees to the left
+# position in base_link; the LiDAR is also turned by 90 degrees to the left
+MOUNT = np.array([0.8, 0.0, 1.7])
 RADIUS, HEIGHT = 22.0, 7.0
 
 
@@ -40,7 +43,7 @@ def turned(v, yaw):
 
 
 def car(t_s):
-    """base_link in map, seconds after T0."""
+    """Returns the pose of base_link in the map at a time in seconds after T0."""
     t = np.asarray(t_s, float)
     return np.stack([3 + 8 * t, 2 + 1 * t, 0 * t], -1), 0.2 + 0.3 * t
 
@@ -51,7 +54,8 @@ def lidar(t_s, mount=MOUNT, yaw=np.pi / 2):
 
 
 def sweep(k, offset_ns=0, mount=MOUNT, yaw=np.pi / 2):
-    """Points [rings, columns, 3] in the sensor's frame at their times, ns from T0; clockwise from the back. NaN: no return."""
+    """Returns points [rings, columns, 3] in the sensor's frame at their times, and the times in ns
+    from T0. The sweep is clockwise and starts backward. NaN means no return."""
     start = k * STEP + offset_ns
     t_ns = start + np.arange(COLUMNS) * (STEP // COLUMNS)
     azimuth = np.pi - 2 * np.pi * np.arange(COLUMNS) / COLUMNS
@@ -65,7 +69,7 @@ def sweep(k, offset_ns=0, mount=MOUNT, yaw=np.pi / 2):
     with np.errstate(divide="ignore"):
         flat = np.where(w[..., 2] > 0, (HEIGHT - place[:, 2]) / w[..., 2], place[:, 2] / -w[..., 2])
     points = (d * np.minimum(wall, flat)[..., None]).astype("f4")
-    points[5, 40:60] = np.nan   # a window
+    points[5, 40:60] = np.nan   # rays through a window have no return
     intensity = (10 + 5 * np.arange(16)[:, None] + np.arange(COLUMNS) % 90).astype("f4")
     return points, np.broadcast_to(t_ns, (16, COLUMNS)), intensity
 
@@ -74,7 +78,8 @@ TYPE_CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8
 
 
 def cloud(stamp_ns, frame, columns, step, organised=False, big=False, row_pad=0):
-    """columns: name, type, offset, values [rings, columns]. Organised: dropped points stay, as zeros."""
+    """Writes a cloud. Organised clouds keep dropped points as zeros.
+    @param columns name, type, offset and values [rings, columns] of each field"""
     x = columns[0][3]
     keep = np.isfinite(x)
     shape = x.shape if organised else (1, int(keep.sum()))
@@ -96,7 +101,8 @@ def xyz(p, order=(0, 4, 8), code="f4"):
     return [("xyz"[i], code, order[i], p[..., i]) for i in range(3)]
 
 
-def velodyne(k, frame="lidar", **sensor):   # stamped with the last point: times fall to 0
+# the stamp is the time of the last point, so point times increase to 0
+def velodyne(k, frame="lidar", **sensor):
     p, t, i = sweep(k, **sensor)
     stamp = t[0, -1]
     return T0 + int(stamp), cloud(T0 + int(stamp), frame, xyz(p) + [("intensity", "f4", 12, i), ("ring", "u2", 16, 15 - RINGS),
@@ -118,7 +124,9 @@ def hesai(k, frame="lidar", big=False):
         ("intensity", "u1", 12, i), ("timestamp", "f8", 16, (T0 + t) * 1e-9), ("ring", "u2", 24, RINGS)], 26, big=big)
 
 
-def autoware(k, frame="lidar"):   # every seventh ray has a second return, 1.5 m behind the strongest, listed before it
+# every seventh ray has a second return 1.5 m behind the strongest return, stored before
+# it
+def autoware(k, frame="lidar"):
     p, t, i = sweep(k)
     both = lambda v, w: np.concatenate([np.asarray(w)[:, ::7], v], 1)
     r = np.linalg.norm(p, axis=-1, keepdims=True)
@@ -140,14 +148,16 @@ def transform(stamp, parent, child, place, yaw):
 
 
 def poses(kind, frame="lidar", slash=""):
-    """Every 20 ms from 0.1 s before the first to 0.2 s behind the last sweep."""
+    """Returns poses every 20 ms from 0.1 s before the first sweep to 0.2 s after the last sweep."""
     tf = "tf/tfMessage" if slash else "tf2_msgs/TFMessage"
     static = [transform(0, "base_link", frame, MOUNT, np.pi / 2), transform(0, "base_link", "camera", MOUNT, 0.3)]
     out = [("/tf_static", tf, T0 - STEP, {"transforms": static})]
     for ns in range(-STEP, (N + 2) * STEP, 20_000_000):
         place, yaw = car(ns * 1e-9)
         stamp = T0 + ns
-        if kind == "tf":   # map -> odom stays behind by a turn and a shift that base_link makes up for
+        # map -> odom has a constant rotation and shift, which odom -> base_link
+        # compensates
+        if kind == "tf":
             local = turned(place - np.array([1.0, 2.0, 0.0]), -0.1)
             value = [transform(stamp, slash + "odom", slash + "base_link", local, yaw - 0.1)]
             out.append(("/tf", tf, stamp, {"transforms": value}))
@@ -263,7 +273,7 @@ def test_ros1():
 
 
 def test_ends():
-    """What a crash leaves: the whole chunks before are the log."""
+    """Reads a bag after a simulated crash. The complete chunks before the crash must form the log."""
     for name, writer in (("cut.mcap", lambda path, m: bags.write_mcap(path, m, compression="zstd", chunk=10)),
                          ("cut.bag", lambda path, m: bags.write_ros1(path, m, "bz2", chunk=10))):
         bag = WORK / name
@@ -284,7 +294,8 @@ def test_ends():
 
 
 def test_two():
-    """Two LiDARs, the second 30 ms later and mounted elsewhere: one sweep has both."""
+    """Uses two LiDARs. The second LiDAR is 30 ms later and has a different mounting. A sweep must
+    contain both."""
     second = {"offset_ns": 30_000_000, "mount": np.array([-1.0, 0.2, 2.0]), "yaw": -0.5}
     messages = poses("tf") + [("/tf_static", "tf2_msgs/TFMessage", T0, {"transforms": [transform(0, "base_link", "rear", second["mount"], -0.5)]})]
     for k in range(N):
@@ -322,7 +333,7 @@ def test_poses():
     check("poses of a topic", bag, more=("--set", "dataset.poses_from=/odometry"))
     expect("/odometry" in run("info", bag, "--set", "dataset.poses_from=/gps", code=2), "poses of a topic that is not there")
     shifted = [(m[0], m[1], m[2], dict(m[3])) for m in log(hesai)]
-    for m in shifted:   # the sensor's clock is an hour behind
+    for m in shifted:   # simulates a sensor clock that is an hour late
         if m[0] == "/points":
             m[3]["header"] = {"stamp": m[3]["header"]["stamp"] - 3600 * 10**9, "frame_id": "lidar"}
     bags.write_mcap(WORK / "clocks.mcap", shifted)
@@ -330,7 +341,7 @@ def test_poses():
 
 
 def test_livox():
-    """Petals of a Livox have lines, but none of one elevation."""
+    """A Livox has line numbers, but the points of a line do not share an elevation."""
     rng, messages = np.random.default_rng(1), poses("tf")
     kept = []
     for k in range(N):
@@ -358,7 +369,9 @@ def test_livox():
 
 
 def packets_of(dual, product=0x22, n=170, lost=()):
-    """A VLP-16 that turns in 0.1 s from straight ahead on, by its manual. Truth: firing time, azimuth, laser, range, reflectivity, second."""
+    """Returns packets of a VLP-16 that turns in 0.1 s and starts straight ahead, written by its
+    manual. The truth has firing time, azimuth, laser, range, reflectivity, and whether it is a
+    second return."""
     order = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15]
     out, truth = [], []
     firing = 0
@@ -415,8 +428,8 @@ def test_packets():
             rows.append(np.column_stack([scan["time"][hit] + zero_s, np.degrees(np.arctan2(d[:, 1], d[:, 0])), np.degrees(np.arcsin(d[:, 2])),
                                          scan["range" + k][hit], 255 * scan["intensity" + k][hit], np.full(hit.sum(), k != "")]))
         found = np.concatenate(rows)
-        tick = lambda t: np.rint(t / 2.304e-6).astype(int)   # a firing is 24 of them
-        # a turn of fewer firings than columns repeats some of them
+        tick = lambda t: np.rint(t / 2.304e-6).astype(int)   # a firing takes 24 ticks
+        # a turn with fewer firings than columns repeats some firings
         found = found[np.unique(np.column_stack([tick(found[:, 0]), found[:, 5]]), axis=0, return_index=True)[1]]
         firing_s = np.floor(truth[:, 1] / 55.296e-6 + 1e-6) * 55.296e-6
         turn = truth[(firing_s * 3600 >= 180 - 1e-3) & (firing_s * 3600 < 540 - 1e-3)]

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of ROS by their specifications (mcap.dev/spec, rosbag2's tables, wiki.ros.org/Bags/Format/2.0, CDR of the OMG), for tests: nothing
-of relidar is in them. A message is (topic, type, time in ns, value); values are nested dicts as the definitions have them."""
+"""Writes ROS recordings from their specifications (mcap.dev/spec, rosbag2's tables,
+wiki.ros.org/Bags/Format/2.0, CDR of the OMG), for tests. It uses no code of relidar. A message is
+(topic, type, time in ns, value). Values are nested dicts with the fields of the message
+definitions."""
 import bz2
 import sqlite3
 import struct
@@ -30,7 +32,7 @@ TYPES["tf/tfMessage"] = TYPES["tf2_msgs/TFMessage"]
 
 
 class Serial:
-    """CDR in either order of bytes, or what ROS 1 packs."""
+    """Serializes values as CDR in either byte order, or in the format of ROS 1."""
 
     def __init__(self, form):
         self.form, self.out = form, bytearray()
@@ -80,7 +82,7 @@ def message_bytes(type_name, value, form):
 
 
 def packed(compression, data):
-    """By the programs of their makers, or bz2 of Python."""
+    """Compresses bytes with the programs lz4 or zstd, or with bz2 of Python."""
     if compression in ("", "none"):
         return data
     if compression == "bz2":
@@ -98,11 +100,13 @@ def long_name(type_name):
 
 
 def write_mcap(path, messages, form="cdr", compression="", chunk=None, crc=True, end=True):
-    """chunk: messages in one; None: no chunks. end: a data end and a footer, neither index nor summary."""
+    """Writes an MCAP file.
+    @param chunk number of messages in a chunk; None: no chunks
+    @param end the file ends with a data end and a footer, without index and summary"""
     import zlib
     encoding = "ros1" if form == "ros1" else "cdr"
     record = lambda code, body: struct.pack("<BQ", code, len(body)) + body
-    out = open(path, "wb")   # as messages come: a bag may be larger than memory
+    out = open(path, "wb")   # writes messages immediately, because a bag may be larger than memory
     out.write(b"\x89MCAP0\r\n" + record(1, text("ros2") + text("test")))
     channels, pending = {}, bytearray()
     held = 0
@@ -113,7 +117,7 @@ def write_mcap(path, messages, form="cdr", compression="", chunk=None, crc=True,
         body = packed(compression, data)
         out.write(record(6, struct.pack("<QQQI", 0, 0, len(data), zlib.crc32(data) if crc else 0) + text(compression) +
                           struct.pack("<Q", len(body)) + body))
-        out.write(record(7, struct.pack("<HI", 1, 0)))   # an index of nothing: to be passed over
+        out.write(record(7, struct.pack("<HI", 1, 0)))   # an empty index, which readers must skip
         pending, held = bytearray(), 0
 
     for topic, type_name, time_ns, value in messages:
@@ -164,7 +168,7 @@ def write_metadata(folder, files, mode=""):
 
 
 def write_ros1(path, messages, compression="none", chunk=5):
-    """Neither index nor counts: as `rosbag record` leaves a bag that was interrupted."""
+    """Writes a bag without index and counts, as `rosbag record` leaves it after an interruption."""
     def fields(**values):
         out = bytearray()
         for name, value in values.items():

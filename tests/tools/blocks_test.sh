@@ -22,7 +22,7 @@ mpirun=${4:-}
 rm -rf "$work" && mkdir -p "$work" && work=$(realpath "$work") && cd "$work" || exit 1
 source "$tests/checks.sh"
 
-# Settings that train on this street within seconds, the same way each time.
+# Settings with which training on this street takes seconds and is deterministic.
 settings=(--preset quick --set train.iterations=6 --set train.log_every=1 --set train.deterministic=true
     --set refine.enabled=false --set dataset.test_every=6 --set train.checkpoint_minutes=1e-9 --set init.voxel_m=0.3)
 
@@ -35,7 +35,7 @@ same() {
     done
 }
 
-# wait_for FILE: until it is there; a minute at most.
+# wait_for FILE: waits until the file exists, for at most a minute.
 wait_for() {
     for _ in $(seq 600); do
         [[ ! -e $1 ]] || return 0
@@ -59,7 +59,7 @@ whole() {
     check "log.jsonl does not have each iteration once" diff <(seq 1 6) <(grep -o '"iteration":[0-9]*' one/log.jsonl | cut -d: -f2)
     good info one
     says "^blocks .* 3 blocks"
-    good info one/blocks/001   # a run by itself
+    good info one/blocks/001   # a block can be used as a run
     good render one --out scans --frames 28:31
     good edit one --out edited --remove 0
     good render edited --out edited_scans --frames 30:31
@@ -73,7 +73,8 @@ whole() {
     bad 2 "already contains a run" train street --out one --blocks 30m
 }
 
-# Interrupted in the second block, killed in the third: each time it goes on where it was.
+# Training is interrupted in the second block and killed in the third block. Each time it
+# must continue at this step.
 stopped() {
     "$relidar" train street --out stopped --blocks 30m "${settings[@]}" --set train.iterations=100000 --quiet 2>err &
     local pid=$!
@@ -93,7 +94,7 @@ stopped() {
     local first
     first=$(stat -c %Y stopped/blocks/000/model.safetensors)
     bad 3 "blocks/000 was trained with loss.depth = .* is 0.3" train --resume stopped --set loss.depth=0.3
-    flock --no-fork stopped/.lock sleep 1 &   # a process of the job before that has not ended yet
+    flock --no-fork stopped/.lock sleep 1 &   # simulates a process of the previous job that has not ended yet
     while flock --nonblock stopped/.lock true; do sleep 0.05; done
     good train --resume stopped
     check "the block that was complete was trained again" test "$first" = "$(stat -c %Y stopped/blocks/000/model.safetensors)"
@@ -102,7 +103,8 @@ stopped() {
     rm -rf stopped
     "$relidar" train street --out stopped --blocks 30m "${settings[@]}" --quiet 2>err &
     pid=$!
-    while kill -0 $pid 2>/dev/null && [[ ! -e stopped/scene.json ]]; do :; done   # held-out scans are placed on it, within half a second
+    # within half a second after this, held-out scans are aligned with the scene
+    while kill -0 $pid 2>/dev/null && [[ ! -e stopped/scene.json ]]; do :; done
     kill -INT $pid
     wait $pid
     check "interrupted behind its training it ended with $?, expected 130" test $? = 130
@@ -110,14 +112,15 @@ stopped() {
     absent stopped/report.html
     good train --resume stopped
     same stopped
-    good train street --out stopped --force "${settings[@]}" --no-eval   # in one piece: blocks of the run before are gone
+    # trains without blocks, so the blocks of the previous run must be removed
+    good train street --out stopped --force "${settings[@]}" --no-eval
     absent stopped/blocks
 }
 
 losing=(env VK_INSTANCE_LAYERS=VK_LAYER_RELIDAR_device_loss "VK_ADD_LAYER_PATH=$layers")
 
-# Tests a device that is lost when a block begins, and between two iterations. One line
-# must report the error, and finished blocks must stay.
+# Tests a device that is lost when a block starts, and between two iterations. The error
+# message must have a single line, and finished blocks must remain.
 lost_device() {
     local after
     for after in 10 220; do
@@ -132,7 +135,7 @@ lost_device() {
     same gone
 }
 
-# trainers FOLDER: the processes that train into it, a line each.
+# trainers FOLDER: prints the processes that train into the folder, a process per line.
 trainers() {
     local process
     for process in /proc/[0-9]*; do
@@ -141,7 +144,7 @@ trainers() {
     done
 }
 
-# kill_one FOLDER: the last of them.
+# kill_one FOLDER: kills the last process that trains into the folder.
 kill_one() {
     local last
     last=$(trainers "$1" | tail -n 1)
@@ -165,7 +168,7 @@ mpi_pair() {
     mpi 2 ./pair
 }
 
-# Two processes share the blocks; one is killed, and the next start goes on.
+# Two processes share the blocks. A process is killed, and the next start must continue.
 ranks() {
     mpi 2 "$relidar" train street --out two --blocks 30m "${settings[@]}" >out 2>err
     check "mpirun: exit code $?, expected 0" test $? = 0
@@ -205,14 +208,15 @@ ranks() {
 }
 
 # Tests processes that cannot work together, and a process that fails. mpirun must end
-# with its exit code, and the other processes must leave a state from which training can
-# resume.
+# with the exit code of the failed process. The remaining processes must leave a state
+# from which training can resume.
 misfits() {
     cp "$relidar" other && printf x >>other
     mpi_pair "$relidar" train street --out misfit --blocks 30m "${settings[@]}" -- ./other train street --out misfit --blocks 30m "${settings[@]}" >out 2>err
     check "two builds: exit code $?, expected 2" test $? = 2
     check "the message lacks the build" grep -Eq "process 1 runs a different build" err
-    [[ ! -d misfit ]] || flock -w 20 misfit/.lock true   # mpirun may end before a process that it has told to end
+    # mpirun may end before a process that it has terminated
+    [[ ! -d misfit ]] || flock -w 20 misfit/.lock true
     mpi_pair "$relidar" train street --out misfit --force --blocks 30m "${settings[@]}" -- "$relidar" train street --out misfit --force --blocks 30m "${settings[@]}" --device 99 >out 2>err
     check "a device that one process lacks: exit code $?, expected 4" test $? = 4
     check "the message lacks the device" grep -Eq "^relidar: cannot open device 99: " err
@@ -221,14 +225,16 @@ misfits() {
     check "resumed after a device failed: exit code $?, expected 0" test $? = 0
     same misfit
 
-    mkdir -p full && mount -t tmpfs -o size=2500k tmpfs full 2>/dev/null || return 0   # not everybody may
+    # returns if this user may not mount
+    mkdir -p full && mount -t tmpfs -o size=2500k tmpfs full 2>/dev/null || return 0
     # Disables checkpoints, because a partial checkpoint would use the space of the first
     # model.
     mpi 2 "$relidar" train street --out full/run --blocks 30m "${settings[@]}" --set train.checkpoint_minutes=10 --quiet >out 2>err
     check "a full folder: exit code $?, expected 3" test $? = 3
     check "the message lacks the block" grep -Eq "^relidar: block . of 3: writing .*: No space left on device; .* continue with: relidar train --resume full/run" err
     absent full/run/scene.json
-    check "nothing is kept in the full folder" compgen -G "full/run/blocks/*/scene.json" >/dev/null   # of the block that was first
+    # no files of the first block may remain
+    check "nothing is kept in the full folder" compgen -G "full/run/blocks/*/scene.json" >/dev/null
     mount -o remount,size=64m full
     mpi 2 "$relidar" train --resume full/run >out 2>err
     check "resumed with room again: exit code $?, expected 0" test $? = 0
@@ -236,10 +242,11 @@ misfits() {
     umount -l full
 }
 
-# What metrics.json says of frames, without times.
+# Prints the scores of frames in metrics.json without times.
 scores() { sed '/"timings"/,$d' "$1" | grep -v '"trace_ms"'; }
 
-# Processes that share frames write the files that one writes, and find the same scores.
+# Processes that share frames must write the same files and compute the same scores as a
+# single process.
 frames() {
     printf '{"sensors": [{"name": "left", "sensor": "VLP-16", "translation_m": [0, 1, 0]}, {"name": "right", "sensor": "VLP-16", "translation_m": [0, -1, 0]}]}' >rig.json
     local how

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Captures of a network, for tests, by the formats' own descriptions: pcap with nanoseconds, pcapng (draft-ietf-opsawg-pcapng), frames of
-Ethernet with 802.1Q tags, IPv4 with fragments (RFC 791), UDP."""
+"""Writes captures of a network for tests, from the descriptions of the formats: pcap with
+nanoseconds, pcapng (draft-ietf-opsawg-pcapng), Ethernet frames with 802.1Q tags, IPv4 with
+fragments (RFC 791), UDP."""
 import struct
 
 SENDER, RECEIVER = bytes([192, 168, 1, 201]), bytes([255, 255, 255, 255])
@@ -9,7 +10,8 @@ _identification = 0
 
 def ethernet(packet, vlan=False, kind=0x0800):
     tag = struct.pack(">HH", 0x8100, 7) if vlan else b""
-    return (bytes(6) + bytes(6) + tag + struct.pack(">H", kind) + packet).ljust(60, b"\0")   # short frames are padded
+    # Ethernet pads short frames
+    return (bytes(6) + bytes(6) + tag + struct.pack(">H", kind) + packet).ljust(60, b"\0")
 
 
 def ip(payload, protocol=17, identification=0, offset=0, more=False):
@@ -18,7 +20,7 @@ def ip(payload, protocol=17, identification=0, offset=0, more=False):
 
 
 def frames(data, port=2368, vlan=False, mtu=9000):
-    """A datagram as frames of at most `mtu` bytes of IP."""
+    """Returns the frames of a datagram. Each frame has at most `mtu` bytes of IP."""
     global _identification
     _identification = (_identification + 1) % 65536
     datagram = struct.pack(">HHHH", 2368, port, 8 + len(data), 0) + data
@@ -32,7 +34,8 @@ def frame(data, port=2368):
 
 
 def frames6(data, mtu):
-    """A datagram as frames with IPv6 (RFC 8200) and, if it is longer than `mtu`, its fragment header."""
+    """Returns the frames of a datagram in IPv6 (RFC 8200). A datagram longer than `mtu` is sent in
+    fragments."""
     global _identification
     _identification += 1
     datagram = struct.pack(">HHHH", 2368, 2368, 8 + len(data), 0) + data
@@ -46,17 +49,20 @@ def frames6(data, mtu):
 
 
 def cooked(frame):
-    """A frame as Linux captures it on the interface "any" (LINKTYPE_LINUX_SLL)."""
+    """Converts a frame to the form in which Linux captures it on the interface "any"
+    (LINKTYPE_LINUX_SLL)."""
     return struct.pack(">HHH8s", 0, 1, 6, b"") + frame[12:]
 
 
 def stranger():
-    """An ARP request."""
+    """Returns an ARP request, which readers must ignore."""
     return ethernet(bytes(28), kind=0x0806)
 
 
 def write(path, stamped, cut={}, link=1):
-    """@param stamped (ns, frame) in order; `.pcapng` names decide the format @param cut bytes that are kept of frames, by number
+    """Writes a capture. Files named `.pcapng` have this format, and all others are pcap.
+    @param stamped (ns, frame) in order
+    @param cut number of captured bytes, for each frame number
     @param link link type of a pcap"""
     with open(path, "wb") as out:
         if path.suffix == ".pcapng":

@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""tools/examples/carla_lidar.py in front of a stub of CARLA and a server of a street with assets. What it writes is looked at by CARLA's
-left-handed frames alone: cars are where the stub has them and not on the other side; without cars a scan is that of relidar's own service
-from the pose that is worked out here by hand.
+"""Runs tools/examples/carla_lidar.py with a stub of CARLA and a server of a street with assets.
+Checks its output in CARLA's left-handed frames. Cars must be where the stub has them, and not
+mirrored. Without cars, a scan must equal the scan of relidar's service from a pose that this test
+computes by hand.
 
   carla_test.py SOURCE_ROOT HOST:PORT WORK
 
-Prints what is wrong; exit code 1 where anything is.
+Prints errors and exits with code 1 if a check fails.
 """
 import pathlib
 import subprocess
@@ -18,10 +19,10 @@ import numpy as np
 root, address, work = pathlib.Path(sys.argv[1]), sys.argv[2], pathlib.Path(sys.argv[3])
 sys.path[:0] = [str(root / "tests/tools/carla_stub"), str(root / "tools/examples")]
 import carla   # noqa: E402  the stub
-from closed_loop_client import v1, v1_grpc   # noqa: E402  makes the stubs of the service
+from closed_loop_client import v1, v1_grpc   # generates the stubs of the service
 
-MAP = (2.0, -0.5, 0.0, -4.0)    # of CARLA's origin in the dataset's world: right-handed, yaw to the left
-MOUNT = (0.8, 0.2, 1.73, 6.0)   # of the sensor on the ego: right-handed too
+MAP = (2.0, -0.5, 0.0, -4.0)   # pose of CARLA's origin in the dataset's world: right-handed, yaw to the left
+MOUNT = (0.8, 0.2, 1.73, 6.0)   # pose of the sensor on the ego vehicle, also right-handed
 failures = []
 
 
@@ -47,12 +48,14 @@ mount = left_handed(carla.Transform(carla.Location(MOUNT[0], -MOUNT[1], MOUNT[2]
 
 
 def inside(frame, points, mirrored=False):
-    """Points in each car's box, the lowest 0.3 m left out: there is the road. CARLA's world is left-handed all through. A car has some
-    thousand, what a street that was hardly trained leaves in the air some hundred."""
+    """Counts the points in each car's box, without the lowest 0.3 m, which contain road. CARLA's
+    world is left-handed. A car has some thousand points. Because the street is hardly trained, some
+    hundred points lie in the air."""
     counts = {}
     for id in (carla.CAR, carla.PASSING):
         at = frame * carla.TICK_S
-        car = carla.transform_of(id, at) or carla.transform_of(id, 0.3)   # where it would be
+        # if the car is absent, uses its later position
+        car = carla.transform_of(id, at) or carla.transform_of(id, 0.3)
         if mirrored:
             car = carla.Transform(carla.Location(car.location.x, -car.location.y, 0.0), carla.Rotation(yaw=-car.rotation.yaw))
         box = carla.Actor(id).bounding_box

@@ -9,14 +9,15 @@ exists() { check "$1 is missing or empty" test -s "$1"; }
 absent() { check "$1 was left behind" test ! -e "$1"; }
 says() { check "stdout of the last command lacks: $1" grep -Eq -- "$1" out; }
 
-# good ARGS...: succeeds.
+# good ARGS...: runs the command, which must succeed.
 good() {
     "$relidar" "$@" >out 2>err
     local code=$?
     check "relidar $*: exit code $code, expected 0" test "$code" = 0
 }
 
-# bad CODE PATTERN ARGS...: fails with this code and one line on stderr that matches.
+# bad CODE PATTERN ARGS...: runs the command. It must fail with this code and print a
+# single matching line on stderr.
 bad() {
     local code=$1 pattern=$2
     shift 2
@@ -27,7 +28,7 @@ bad() {
     check "relidar $*: the message lacks '$pattern'" grep -Eq -- "^relidar(-dev)?: .*$pattern" err
 }
 
-# Ends the test: with 77 where $skipped is set.
+# Ends the test. Exits with 77 if $skipped is set.
 finish_checks() {
     printf '%d checks, %d failed%s\n' "$n_checks" "$n_failed" "${skipped:+; no Vulkan device: the rest was skipped}"
     [[ $n_failed == 0 ]] || exit 1

@@ -20,7 +20,8 @@ help_tells() {
     for command in $commands; do says "^  $command "; done
     check "relidar --help is longer than a screen of 24 lines" test "$(wc -l <out)" -lt 24
     check "relidar --help is wider than 80 columns" test "$(wc -L <out)" -le 80
-    check "relidar --help lists other commands" test "$(grep -Ec '^  [a-z]+ +[a-z]' out)" = $(($(wc -w <<<"$commands") + 2))   # two examples
+    # the two additional lines are examples
+    check "relidar --help lists other commands" test "$(grep -Ec '^  [a-z]+ +[a-z]' out)" = $(($(wc -w <<<"$commands") + 2))
     for command in $commands "list devices" "list sensors" "list settings"; do
         # shellcheck disable=SC2086
         good $command --help
@@ -250,7 +251,7 @@ rendering() {
     done
     check "render wrote other than 12 files and scans.json" test "$(ls scans | wc -l)" = 13
     foreign_readers
-    flock --no-fork scans/.lock sleep 60 &   # another process writes it
+    flock --no-fork scans/.lock sleep 60 &   # simulates a process that is writing the folder
     local writer=$!
     while flock --nonblock scans/.lock true; do sleep 0.05; done
     bad 3 "scans: another relidar process is writing" render run --out scans --force
@@ -367,10 +368,11 @@ rendering() {
     absent x
 }
 
-# Highest range of the points in a KITTI .bin file, metres.
+# Prints the largest range of the points in a KITTI .bin file, in metres.
 farthest() { od -An -v -t f4 -w16 "$1" | awk '{ r = $1 * $1 + $2 * $2 + $3 * $3; if (r > most) most = r } END { print sqrt(most) }'; }
 
-# dataset.max_range_m and min_range_m: of the sensor that renders, and of what is read.
+# Tests dataset.max_range_m and min_range_m, both for the rendered sensor and for the log
+# that is read.
 range_limits() {
     good render run --out far --frames 5:6 --format bin
     check "the street has nothing beyond 20 m" awk "BEGIN { exit !($(farthest far/frame_000005.bin) > 20) }"
@@ -456,7 +458,7 @@ own_paths() {
     absent x
 }
 
-# Prints x, y, z and yaw of the start of a track, in the form of --copy.
+# Prints x, y, z and yaw at the start of a track, in the format of the option --copy.
 start_of() { "$relidar" info "$1" | awk -v track="$2" '$1 == track { for (i = 1; i <= NF; i++) if ($i ~ /^[-0-9.]+,[-0-9.]+,[-0-9.]+,[-0-9.]+$/) print $i }'; }
 
 editing() {
@@ -483,7 +485,7 @@ editing() {
     check "edits are not told in the order given" test "$(grep -c '"edit": "--' out)" = 6
     check "the first edit is not the first told" test "$(grep '"edit": "--' out | head -1)" = '      "edit": "--move 0:0,3.5,0"'
     check "a model placed twice is held twice" grep -q '"instances": 4' out
-    mv edited moved && mv run away   # an edited run needs no other
+    mv edited moved && mv run away   # an edited run must not depend on the original run
     good render moved --out moved_scans --frames 5:6 --format npz,ply
     mv away run
     check "ply lacks instances" grep -aq "^property int instance" moved_scans/frame_000005.ply
@@ -525,12 +527,12 @@ XOSC
     good eval moved --out edited.json
     says "street was rendered again with the run's edits"
     says "^edited +[0-9.]+ +[0-9.]+ +[0-9.]+"
-    good eval path --out path.json   # of a name that no car of the street has
+    good eval path --out path.json   # no car of the street has this name
     good render run --out cars --frames 5:6 --only actors
     good render run --out car --frames 5:6 --only 0 --only background --format ply
 }
 
-# Two cars of the street, of which the log has seen different sides.
+# Uses two cars of the street. The log has observed different sides of them.
 keeping_assets() {
     good assets run --out assets --least 0.1
     says "^asset +class +score +front +rear +left +right +top +completed"
@@ -603,7 +605,7 @@ evaluation() {
     bad 3 "has no frame 10" eval run --set dataset.path=short
 }
 
-# Eight rows of 48 rays are too few to place a scan by.
+# Eight rows of 48 rays are not enough to register a scan.
 lost_scans() {
     mkdir sparse && sed 's/^columns.*/columns = 48/' street/street.toml >sparse/street.toml
     bad 3 "[0-9]+ of 12 scans could not be registered.*expected at most 5 %.*train.allow_lost_scans" train sparse --out adrift --quiet --preset quick --set train.iterations=1
@@ -612,7 +614,8 @@ lost_scans() {
     rm -r adrift sparse
 }
 
-# Weights of LPIPS are read before anything is made or trained; --no-eval needs none.
+# The weights of LPIPS must be read before files are created and before training. With
+# --no-eval, training needs no weights.
 wrong_weights() {
     RELIDAR_LPIPS_WEIGHTS=missing.safetensors bad 3 "missing.safetensors" train street --out unweighted
     absent unweighted
@@ -638,7 +641,7 @@ baseline() {
     for set in train.iterations=3 sensor.grid_method=cast dataset.path=elsewhere; do
         bad 2 "setting ${set%=*} has no effect in .relidar eval LOG --baseline." eval street --baseline nearest --set $set
     done
-    # a log without intensities: points of x y z alone
+    # a log without intensities, whose points only have x, y and z
     mkdir -p dark/scans
     for scan in 0 1 2; do awk 'BEGIN { print "ply\nformat ascii 1.0\nelement vertex 72\nproperty float x\nproperty float y\nproperty float z\nproperty ushort ring\nend_header"
         for (ring = 0; ring < 2; ++ring) for (k = 0; k < 36; ++k) print 20 * cos(k * 0.1745329), 20 * sin(k * 0.1745329), 1 - 2 * ring, ring }' >dark/scans/$scan.ply; done
@@ -736,8 +739,8 @@ viewing() {
     check "a viewer that Ctrl-C has ended: exit code $code, expected 0" test "$code" = 0
 }
 
-# whole_or_none: if an edit is killed or the disk is full, there must be a complete run of
-# this name, or none.
+# whole_or_none: kills an edit, and runs an edit on a full disk. Afterwards, a complete
+# run of this name must exist, or no run.
 whole_or_none() {
     local begin=${EPOCHREALTIME/./} share pid
     good edit run --out killed --remove 0 --quiet
@@ -755,7 +758,7 @@ whole_or_none() {
     check "a killed edit leaves files" test -z "$(find . -maxdepth 1 -name '.killed.tmp-*')"
     good info killed
     mv out before
-    local full_disk='ulimit -f 8; trap "" XFSZ; exec "$@"'   # no file of more than 8 KiB
+    local full_disk='ulimit -f 8; trap "" XFSZ; exec "$@"'   # limits files to 8 KiB
     check "an edit on a full disk succeeds" eval '! bash -c "$full_disk" - "$relidar" edit run --out full_disk --remove 0 >out 2>err'
     check "an edit on a full disk does not name the file" grep -q "full_disk/" err
     absent full_disk
@@ -783,7 +786,8 @@ early_interruption() {
     exists early/scene.json
 }
 
-# Ctrl-C while training: the scene so far is saved, exit code 130.
+# After Ctrl-C during training, the current scene must be saved and the exit code must be
+# 130.
 interruption() {
     "$relidar" train street --out stopped --preset quick --set train.refine_poses=none --set train.iterations=1000000 --set train.log_every=1 >out 2>err &
     local pid=$!
@@ -807,7 +811,9 @@ interruption() {
     stopped_at=$(sed -n 's/.*interrupted after iteration \([0-9]*\) .*/\1/p' err)
     good info stopped
     absent stopped/.lock
-    flock --no-fork stopped/.lock sleep 600 &   # another process, killed: nothing of it stays
+    # simulates a process that holds the lock and is killed; the lock must disappear with
+    # the process
+    flock --no-fork stopped/.lock sleep 600 &
     pid=$!
     while flock --nonblock stopped/.lock true; do sleep 0.05; done
     bad 3 "stopped: another relidar process is writing this run" eval stopped
@@ -820,7 +826,7 @@ interruption() {
 # The interrupted run must resume with its log, from the newest checkpoint that can be
 # read.
 resuming() {
-    [[ -n $stopped_at ]] || return 0   # said above
+    [[ -n $stopped_at ]] || return 0   # a previous check has already reported this failure
     local total=$((stopped_at + 3))
     bad 2 "resume from iteration $stopped_at: setting loss.depth: found 0.3, expected 0.1" train --resume stopped --set loss.depth=0.3
     good train --resume stopped --set train.iterations=$total --set train.checkpoint_minutes=1e-9 --no-eval
@@ -831,11 +837,13 @@ resuming() {
     good train --resume stopped
     says "has already finished all $total iterations"
     head -c 2000 stopped/checkpoints/*$total.safetensors >cut && mv cut stopped/checkpoints/*$total.safetensors
-    good train --resume street --out stopped --set train.iterations=$((total + 2)) --no-eval   # the flag in front of the log
+    # tests the flag in front of the log
+    good train --resume street --out stopped --set train.iterations=$((total + 2)) --no-eval
     says "^resume  from iteration $((total - 1))$"
     check "the damaged checkpoint is not named" grep -Eq "^relidar: note: .*cannot read safetensors .*$total.safetensors.*the previous checkpoint" err
     exists stopped/checkpoints/iteration_*$((total + 2)).safetensors
-    mkdir anew && touch anew/.lock anew/.config.toml.tmp-1-0   # as a process leaves it that is killed while it writes its first file
+    # simulates a process that was killed while it wrote its first file
+    mkdir anew && touch anew/.lock anew/.config.toml.tmp-1-0
     good train street --out anew --preset quick --set train.refine_poses=none --set train.iterations=2 --no-eval --resume
     absent anew/.config.toml.tmp-1-0
     check "a run without checkpoint starts anew without a word" grep -q "^relidar: note: anew has no checkpoint" err
@@ -892,14 +900,14 @@ stop_in_network() {
     check "interrupted $1 leaves no checkpoint of its network" compgen -G "$checkpoints/iteration_*.safetensors" >/dev/null
 }
 
-# Each forced fault must be found by its check and by no other one. The same faults at the
-# first use of the device must select other methods.
+# Each forced fault must be detected by its check and by no different check. With the same
+# faults, the first use of the device must select different methods.
 checking() {
     local faults wrong="compare-and-swap sums"
     "$relidar" list devices --json >devices.json
     faults=float_swaps,ray_query
     if grep -q '"ray_query": true' devices.json; then wrong+=", tree of ray query"; fi
-    # A limit on memory, because writing 2 GiB takes long.
+    # Uses a memory limit, because writing 2 GiB takes a long time.
     RELIDAR_MEMORY_LIMIT_MIB=512 RELIDAR_FAULTS=$faults bad 4 "checks of .* are wrong: $wrong\$" check --json check.json
     for row in "subgroups +right" "sort +right" "tree of software +right" "gradients, software +right" "Adam +right" "points on the device +right"; do
         says "^$row"

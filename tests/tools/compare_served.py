@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Compares a scan of a running `relidar serve` with the npz that `relidar render --trajectory --deskew` wrote of the same poses: every bit
-of the images and of the points, with and without an image beside them.
+"""Compares a scan of a running `relidar serve` with an npz file that `relidar render --trajectory
+--deskew` wrote for the same poses. Images and points must be equal bit by bit, with and without an
+image in the request.
 
   compare_served.py SOURCE_ROOT HOST:PORT WAY.csv TIME_S SCAN.npz SENSOR [CERT.pem]
 
-Poses of WAY.csv have no rotation. Prints what is wrong; exit code 1 where anything is.
+The poses of WAY.csv have no rotation. Prints errors and exits with code 1 if a check fails.
 """
 import csv
 import sys
@@ -15,7 +16,7 @@ import numpy as np
 
 root, address, way, time_s, npz, sensor = sys.argv[1:7]
 sys.path.insert(0, f"{root}/tools/examples")
-from closed_loop_client import v1, v1_grpc   # noqa: E402  makes the stubs
+from closed_loop_client import v1, v1_grpc   # generates the stubs
 
 failures = []
 
@@ -38,7 +39,7 @@ else:
 service = v1_grpc.RenderServiceStub(channel)
 scan = service.RenderLidar(request, timeout=60)
 request.wanted.CopyFrom(v1.Wanted(points=True))
-alone = service.RenderLidar(request, timeout=60)   # a device makes these points itself
+alone = service.RenderLidar(request, timeout=60)   # without an image, the points are computed on the device
 truth = np.load(npz)
 
 shape = (scan.image.rows, scan.image.columns)

@@ -15,11 +15,12 @@ fleet=$(realpath "$tests/../../tools/examples/fleet")
 work=${2:-$(mktemp -d)}
 rm -rf "$work" && mkdir -p "$work" && work=$(realpath "$work") && cd "$work" || exit 1
 source "$tests/checks.sh"
-unset SLURM_ARRAY_TASK_ID JOB_COMPLETION_INDEX MAKEFLAGS   # of the program that may run this
+# removes variables of the program that may run this test
+unset SLURM_ARRAY_TASK_ID JOB_COMPLETION_INDEX MAKEFLAGS
 
 has() { check "$1 lacks: $2" grep -Fq -- "$2" "$1"; }
 
-# run NAME FRAMES GRID METRICS: a folder that looks like a run with these scores.
+# run NAME FRAMES GRID METRICS: makes a folder that looks like a run with these scores.
 run() {
     mkdir -p "scored/$1"
     touch "scored/$1/scene.json"
@@ -27,7 +28,8 @@ run() {
     printf '{"iteration": 2, "seconds": 12.5}\n' >"scored/$1/log.jsonl"
 }
 
-# Scores that were written by hand, so that means are known. Needs no device.
+# Uses scores that are written by hand, so that the means can be computed by hand. Needs
+# no device.
 score_tables() {
     run a '[{}, {}]' native '"strict/depth_medae_m": 0.25, "strict/drop_accuracy": 0.5, "own/metric": 7'
     run 'b|c' '[{}]' native '"strict/depth_medae_m": 0.75, "strict/drop_accuracy": null'
@@ -57,7 +59,8 @@ score_tables() {
     has t.md '| scored/damaged | no scores | - | 0 | - | - |'
 }
 
-# Stand-ins for srun, scontrol and relidar note their arguments; the exit code is $CODE.
+# Replaces srun, scontrol and relidar by programs that record their arguments and exit
+# with $CODE.
 stand_ins() {
     mkdir bin
     printf '#!/bin/sh\nexec "$@"\n' >bin/srun

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks tools/examples/fleet/kubernetes.yaml against Kubernetes' API of batch/v1 and the exit codes of relidar, and prints
-the shell script of its container.
+"""Checks tools/examples/fleet/kubernetes.yaml against the API batch/v1 of Kubernetes and the exit
+codes of relidar. Prints the shell script of its container.
 
    kubernetes_job.py KUBERNETES.YAML
 """
@@ -41,7 +41,7 @@ for rule in spec["podFailurePolicy"]["rules"]:
         actions.update({code: rule["action"] for code in rule["onExitCodes"]["values"]})
     else:
         expect(rule["action"] == "Ignore" and [c["type"] for c in rule["onPodConditions"]] == ["DisruptionTarget"], f"{rule}")
-# Errors of usage and data would occur again. An interruption is no failure. All other
-# codes (1 bug, 4 device, 137 killed) count as a try.
+# Errors of usage and data would occur again, so they end the job. An interruption is not
+# a failure. All remaining codes (1 bug, 4 device, 137 killed) count as a try.
 expect(actions == {2: "FailIndex", 3: "FailIndex", 130: "Ignore"}, f"exit codes {actions}")
 print(container["args"][0])

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""tools/lpips_weights on files of both formats of torch.save, written here by their description: pickles that name torch's functions, and
-storages beside them. What relidar reads is what was put in.
+"""Tests tools/lpips_weights on files of both formats of torch.save. The test writes the files from
+the description of the formats: pickles that refer to torch's functions, and separate storages.
+relidar must read the values that were written.
 
     lpips_weights_test.py SOURCE_DIR RELIDAR WORK_FOLDER
 """
@@ -41,7 +42,8 @@ class Storage:
 
 
 class Tensor:
-    """Pickled as torch pickles one: a call that rebuilds it from a storage of another place."""
+    """Tensor that is pickled like a tensor of torch: a call that rebuilds the tensor from a
+    separate storage."""
 
     def __init__(self, storage, offset, shape):
         self.storage, self.offset, self.shape = storage, offset, shape
@@ -96,7 +98,7 @@ def main():
     backbone, heads, truth = collections.OrderedDict(), collections.OrderedDict(), {}
 
     def add(tensors, name, ours, shape):
-        n, before = 1, 3 * (len(tensors) == 0)   # one starts within its storage
+        n, before = 1, 3 * (len(tensors) == 0)   # the first tensor starts within its storage
         for extent in shape:
             n *= extent
         data = floats(before + n, ours)

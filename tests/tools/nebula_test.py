@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The VLP-16 recording among the tests of tier4/nebula (Apache-2.0), a rosbag2 of packets in the mode of two returns, and what nebula itself
-decoded of it: five PCD files. Every point of theirs has to be one of relidar's, with its ring, range, intensity and time, and its azimuth; and
-the other way round, but for the packet in which they part two clouds, of which they lose points.
+"""Decodes the VLP-16 recording of the tests of tier4/nebula (Apache-2.0), and compares it with the
+points that nebula decoded. The recording is a rosbag2 of packets with two returns. nebula's points
+are five PCD files. Every point of nebula must be a point of relidar, with its ring, range,
+intensity, time and azimuth. Every point of relidar must be a point of nebula, except in the packet
+at which nebula separates two clouds, because nebula loses some of its points.
 
-Two things of theirs are not taken over. They put the blocks of a packet 110.592 us apart, where in this mode two are of the same firings: their
-times run ahead of the sensor's by as much for each pair before, and for the second of a pair. And of the last pair of a packet, and of the
-second block of each, they do not interpolate the azimuth between firings: those points lie up to 0.41 degrees beside.
+Two differences are allowed. nebula places the blocks of a packet 110.592 us apart, although two
+blocks belong to the same firings in this mode. Its times are therefore too large by this interval
+for each earlier pair, and for the second block of a pair. nebula does not interpolate the azimuth
+between firings for the last pair of a packet and for the second block of each pair. The azimuths of
+these points deviate by up to 0.41 degrees.
 
    nebula_test.py RELIDAR WORK        77: numpy is missing, or RELIDAR_TEST_NEBULA names no folder with vlp16/
 """
@@ -36,7 +40,7 @@ POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")
 
 
 def stamps_of(bag):
-    """Of the packets, seconds after BASE."""
+    """Returns the stamps of the packets in seconds after BASE."""
     stamps = []
     for data, in sqlite3.connect(f"file:{bag}?mode=ro&immutable=1", uri=True).execute("SELECT data FROM messages"):
         at = 16 + struct.unpack_from("<I", data, 12)[0]
@@ -48,7 +52,7 @@ def stamps_of(bag):
 
 
 def points_of(log):
-    """x y z intensity ring (from below) time."""
+    """Returns the columns x y z intensity ring (from below) time."""
     head, rows = json.loads((log / "sequence.json").read_text()), []
     zero = head["conventions"].split("0 s is ")[1].split()[0]
     zero = int(zero.split(".")[0]) - BASE + float("0." + zero.split(".")[1])
@@ -63,7 +67,8 @@ def points_of(log):
 
 
 def as_theirs(ours, stamps):
-    """Ours at the times that they may give each: of the packet before, too (stamps jitter), and as the first or the second of a pair."""
+    """Returns our points with each time that nebula may assign. A point may belong to the packet
+    before, because stamps jitter, and to the first or second block of a pair."""
     rows = []
     at = np.searchsorted(stamps, ours[:, 5] + 1e-6) - 1
     for back in (0, 1):
@@ -85,7 +90,7 @@ def main():
     all_of_ours = points_of(WORK / "log")
     ours = as_theirs(all_of_ours, stamps)
     ours = ours[np.argsort(ours[:, 6])]
-    ends = all_of_ours[:, 5].max()   # of the last whole turn
+    ends = all_of_ours[:, 5].max()   # end of the last complete turn
     failed, seen = 0, set()
     for pcd in sorted(DATA.glob("*.pcd")):
         points = np.frombuffer(pcd.read_bytes().split(b"DATA binary\n", 1)[1], POINT)
@@ -111,7 +116,8 @@ def main():
         failed += lost
     begins = np.array(sorted(np.frombuffer(pcd.read_bytes().split(b"DATA binary\n", 1)[1], POINT)["time"].min() for pcd in DATA.glob("*.pcd")))
     begins -= BASE
-    inside = (all_of_ours[:, 5] > begins[0] + PACKET_S) & (all_of_ours[:, 5] < ends - PACKET_S)   # their times run ahead
+    # excludes the ends, because the times of nebula are too large
+    inside = (all_of_ours[:, 5] > begins[0] + PACKET_S) & (all_of_ours[:, 5] < ends - PACKET_S)
     more = [i for i in np.flatnonzero(inside) if int(i) not in seen]
     seam_s = max((np.abs(begins - all_of_ours[i, 5]).min() for i in more), default=0.0)
     print(f"{len(more)} of {inside.sum()} points of relidar are none of theirs, up to {1e3 * seam_s:.2f} ms from where one of their clouds begins")

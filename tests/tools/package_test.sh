@@ -6,7 +6,7 @@
 #
 #   package_test.sh BUILD_FOLDER WORK_FOLDER [CMAKE_OPTIONS of tests/consumer...]
 #
-# Exits 77 (skipped) where the programs that make a Debian package are missing.
+# Exits 77 (skipped) if the programs that build a Debian package are missing.
 set -euo pipefail
 build=$(realpath "${1:?usage: package_test.sh BUILD_FOLDER WORK_FOLDER}")
 work=${2:?usage: package_test.sh BUILD_FOLDER WORK_FOLDER}
@@ -46,11 +46,12 @@ done
 [[ $(ls root/usr/bin) == relidar ]] || fail "other programs than relidar are installed: $(ls root/usr/bin)"
 relidar=$PWD/root/usr/bin/relidar
 ! readelf -S "$relidar" | grep '\.symtab' >/dev/null || fail "the program is not stripped"
-for library in volk eigen3 nanoflann nlohmann-json3 glm cli11; do   # compiled in: their licences want to be told
+# libraries that are compiled in, so the package must contain their licences
+for library in volk eigen3 nanoflann nlohmann-json3 glm cli11; do
     grep -q "^=* .*$library-dev =*$" root/usr/share/doc/relidar/copyright || fail "the copyright file lacks $library"
 done
 
-# What it says of itself.
+# Checks the description of the package.
 field() { dpkg-deb -f "$deb" "$1"; }
 version=$("$relidar" --version)
 [[ "relidar $(field Version)" == "$version" ]] || fail "Version is $(field Version), the program says $version"
@@ -59,12 +60,13 @@ readelf -d "$relidar" | sed -n 's/.*(NEEDED).*\[\(.*\)\]/\1/p' >needed
 [[ -s needed ]] || fail "the program needs no shared library"
 sed 's|^|*/|' needed | tr '\n' '\0' | xargs -0 dpkg -S >owners
 while read -r library; do
-    owners=$(sed -n "s|:.*/$library\$||p" owners | sort -u)   # more than one where other architectures are installed too
+    # several packages, if libraries of more than one architecture are installed
+    owners=$(sed -n "s|:.*/$library\$||p" owners | sort -u)
     field Depends | tr ',' '\n' | sed 's/(.*//; s/ //g' | grep -xF "$owners" >/dev/null || fail "Depends has none of $owners for $library: $(field Depends)"
 done <needed
 [[ " $(field Depends)," == *" libvulkan1,"* ]] || fail "Depends lacks libvulkan1: $(field Depends)"
 
-# What it does.
+# Checks the program and the library of the package.
 "$relidar" list devices >devices.log || fail "devices failed: $(cat devices.log)"
 cmake -DBUILD_DIR="$build" -DPREFIX="$PWD/root/usr" -DWORK_DIR="$PWD/consumer" "$@" -P "$tests/consumer/run.cmake" || fail "nothing can be built with the library of the package"
 printf 'package: %s, %d bytes, %d files\n' "$(basename "$deb")" "$(stat -c %s "$deb")" "$(find root -type f | wc -l)"

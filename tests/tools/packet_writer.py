@@ -1,20 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packets of spinning LiDARs in a box of walls, by their makers' manuals, for tests: nothing of relidar is in them but the lasers' angles. The
-head turns clockwise at 10 Hz, at azimuth 0 of the maker at time 0. Velodyne: VLP-16 63-9243, VLP-32C 63-9325, HDL-32E 63-9113; Hesai:
-Pandar40P, Pandar64, PandarXT-32 user manuals; Ouster: firmware user manual, "Lidar Data"."""
+"""Writes packets of spinning LiDARs inside a box of walls, from the manuals of the manufacturers,
+for tests. The only data from relidar are the angles of the lasers. The head turns clockwise at 10
+Hz and is at the manufacturer's azimuth 0 at time 0. Velodyne: VLP-16 63-9243, VLP-32C 63-9325,
+HDL-32E 63-9113. Hesai: user manuals of Pandar40P, Pandar64 and PandarXT-32. Ouster: firmware user
+manual, "Lidar Data"."""
 import csv
 import pathlib
 import struct
 
 import numpy as np
 
-WALLS = np.array([22.0, 14.0, 6.0])   # metres from the sensor, x, y and z
+WALLS = np.array([22.0, 14.0, 6.0])   # distance of the walls from the sensor in metres along x, y and z
 TABLES = pathlib.Path(__file__).parents[2] / "src" / "log" / "sensor" / "tables"
 TURN_S = 0.1
 
 
 class Blocks:
-    """One of Velodyne's or Hesai's products."""
+    """A product of Velodyne or Hesai whose packets consist of blocks."""
 
     def __init__(self, name, lasers, unit_mm, cycle_us, hesai=False, first=0):
         self.name, self.lasers, self.unit_mm, self.cycle_us, self.hesai, self.first = name, lasers, unit_mm, cycle_us, hesai, first
@@ -24,7 +26,7 @@ class Blocks:
         for row in rows:
             k = int(row["channel"]) - first
             self.elevation[k] = float(row["elevation_deg"])
-            self.azimuth[k] = -float(row.get("azimuth_offset_deg") or 0)   # as makers count: clockwise
+            self.azimuth[k] = -float(row.get("azimuth_offset_deg") or 0)   # manufacturers count clockwise
             self.offset_us[k] = float(row.get("firing_offset_us") or 0)
 
 
@@ -33,7 +35,8 @@ PRODUCTS = [Blocks("VLP-16", 16, 2, 55.296), Blocks("VLP-32C", 32, 4, 55.296), B
 
 
 def directions(product, laser, azimuth_deg):
-    """In the frame of the driver. @param azimuth_deg of the head, clockwise"""
+    """Returns the directions of the lasers in the frame of the driver.
+    @param azimuth_deg azimuth of the head, clockwise"""
     a, e = np.radians(azimuth_deg + product.azimuth[laser]), np.radians(product.elevation[laser])
     x, y = (np.sin(a), np.cos(a)) if product.hesai else (np.cos(a), -np.sin(a))
     return np.stack([np.cos(e) * x, np.cos(e) * y, np.sin(e)], -1)
@@ -45,8 +48,10 @@ def to_walls(d):
 
 
 def firing(product, number, dual):
-    """(range mm, reflectivity) of each laser and return as the packet has them, and truth: (time, azimuth of the head, laser, mm, reflectivity,
-    number of the return). Every third ray is dropped; of two returns the later in the packet is the weaker one, 1.5 m nearer."""
+    """Returns (range mm, reflectivity) of each laser and return as the packet stores them. Also
+    returns the truth: (time, azimuth of the head, laser, mm, reflectivity, number of the return).
+    Every third ray is dropped. Of two returns, the later return in the packet is weaker and 1.5 m
+    nearer."""
     lasers = np.arange(product.lasers)
     t = number * product.cycle_us * 1e-6 + product.offset_us * 1e-6
     r = to_walls(directions(product, lasers, t / TURN_S * 360)) * 1000
@@ -65,7 +70,8 @@ def firing(product, number, dual):
 
 
 class Ouster:
-    """16 beams in no order of their elevations, 128 columns a turn, in the profile of one return."""
+    """An Ouster sensor with 16 beams, which are not sorted by elevation, 128 columns per turn, and
+    the profile with a single return."""
     lasers, columns, per_packet, start_m = 16, 128, 16, 0.0158
     elevation = np.array([15.0 - 2 * (row ^ 1) for row in range(16)])
     azimuth = np.where(np.arange(16) % 2 == 0, 2.8125, -2.8125)
@@ -77,7 +83,8 @@ class Ouster:
                                 "udp_profile_lidar": "RNG19_RFL8_SIG16_NIR16"}}
 
     def column(self, number):
-        """(mm, reflectivity) of each row; the head looks backward at number 0, relidar's frame has x forward. Every third ray is dropped."""
+        """Returns (mm, reflectivity) of each row of a column. The head faces backward in column 0,
+        and x is forward in relidar's frame. Every third ray is dropped."""
         head = np.pi - 2 * np.pi * number / self.columns
         a, e = head - np.radians(self.azimuth), np.radians(self.elevation)
         d = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1)
@@ -89,7 +96,7 @@ class Ouster:
         return mm, 90 + np.arange(self.lasers)
 
     def packets(self, turns):
-        """(ns of the last column, bytes)."""
+        """Returns (time of the last column in ns, bytes) of each packet."""
         out = []
         for k in range(turns * self.columns // self.per_packet):
             body = struct.pack("<HHI", 1, k // 8, 0).ljust(32, b"\0")
@@ -105,7 +112,8 @@ class Ouster:
 
 
 def packets(product, n, dual=False, lost=(), zero_us=3_599_950_000):
-    """(ns after time 0 of the first firing's clock, bytes) of n packets, and the truth of those that are not lost."""
+    """Returns (ns after time 0 of the first firing's clock, bytes) of n packets, and the truth of
+    the packets that are not lost."""
     per_block = 2 if product.name == "VLP-16" else 1
     blocks = {"Pandar40P": 10, "Pandar64": 6, "XT32": 8}.get(product.name, 12)
     flag = {"Pandar64": b"", "XT32": b""}.get(product.name, b"\xff\xee")
@@ -149,8 +157,9 @@ def packets(product, n, dual=False, lost=(), zero_us=3_599_950_000):
 
 
 class Alternating:
-    """A product whose lasers fire in two sequences that alternate, QT128 or OT128 in high resolution. The firing times are read from the tables of
-    relidar; the positions of the fields are those of Hesai's manuals."""
+    """A product whose lasers fire in two alternating sequences: QT128, or OT128 in high resolution.
+    The firing times are read from the tables of relidar. The positions of the fields are taken from
+    Hesai's manuals."""
     lasers = 128
 
     def __init__(self, name, arrays, cycle_us, start_us):
@@ -167,8 +176,8 @@ class Alternating:
     hesai = True
 
     def block(self, number):
-        """(range values, truth) of a block: truth has a row (seconds, azimuth of the beam in degrees, laser, metres) for each return. Every third
-        ray that fires is dropped."""
+        """Returns (range values, truth) of a block. The truth has a row (seconds, azimuth of the
+        beam in degrees, laser, metres) for each return. Every third firing laser has no return."""
         offset_us = self.offset_us[number % 2]
         lasers = np.arange(self.lasers)
         t = (number * self.cycle_us + offset_us) * 1e-6
@@ -207,8 +216,9 @@ ALTERNATING = [Alternating("QT128", ("kQt128Loop1", "kQt128Loop2"), 1000 / 9, 9.
 
 
 def livox_packet(number, kind):
-    """A packet of 32 points in 1 ms by the protocol of Livox SDK2, and its points: x, y, z in metres and seconds. Every eighth ray has no return.
-    @param kind  1: mm, 2: cm, 3: range and angles"""
+    """Returns a packet of 32 points in 1 ms in the protocol of Livox SDK2, and its points: x, y, z
+    in metres and seconds. Every eighth ray has no return.
+    @param kind 1: mm, 2: cm, 3: range and angles"""
     body, points = b"", []
     for i in range(32):
         k = 32 * number + i

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packets of every product that relidar decodes, written by packet_writer.py: walls of a box at known ranges. Each return has to lie on them, at
-its time, in its ring, with its reflectivity; dropped rays are dropped.
+"""Tests packets of every product that relidar decodes, written by packet_writer.py for the walls of
+a box. Each return must lie on a wall and have its time, ring and reflectivity. Dropped rays must
+have no return.
 
    packets_test.py RELIDAR WORK [pcap]       77: numpy is missing
 """
@@ -58,7 +59,8 @@ def messages(packets, type_name, size=30):
 
 
 def returns_of(folder, head, dual):
-    """(seconds after T0, direction [3], origin [3], range, intensity, ring, number of the return) of the first turn, and its image."""
+    """Returns (seconds after T0, direction [3], origin [3], range, intensity, ring, number of the
+    return) of the first turn, and the image of this turn."""
     text = head["conventions"].split("0 s is ")[1].split()[0]
     zero_s = int(text.split(".")[0]) - T0 // 10**9 + float("0." + text.split(".")[1]) - 1e-9 * (T0 % 10**9)
     scan = np.load(folder / head["frames"][0]["scan"])
@@ -81,7 +83,7 @@ def check(name, product, folder, head, truth, dual, forward_deg):
     laser = np.argsort(ring)[found[:, 9].astype(int)]
     cycle = np.rint((found[:, 0] - product.offset_us[laser] * 1e-6) / cycle_s).astype(int)
     expect(np.abs(cycle * cycle_s + product.offset_us[laser] * 1e-6 - found[:, 0]).max() < 1.1e-6, f"{name}: times")
-    # a turn of fewer firings than columns repeats some of them
+    # a turn with fewer firings than columns repeats some firings
     key = np.column_stack([cycle, laser, found[:, 10]]).astype(int)
     key, first = np.unique(key, axis=0, return_index=True)
     found = found[first]
@@ -91,7 +93,8 @@ def check(name, product, folder, head, truth, dual, forward_deg):
     true_key = np.column_stack([true_cycle, truth[:, 2], truth[:, 5]]).astype(int)[inside]
     order = np.lexsort(true_key.T[::-1])
     true_key, truth = true_key[order], truth[inside][order]
-    edge = {int(begin), int(begin) + 1, int(begin + columns), int(begin + columns) - 1}   # a firing at the very end of the turn
+    # includes a firing at the very end of the turn
+    edge = {int(begin), int(begin) + 1, int(begin + columns), int(begin + columns) - 1}
     inner, true_inner = [~np.isin(k[:, 0], list(edge)) for k in (key, true_key)]
     expect(key[inner].tolist() == true_key[true_inner].tolist(), f"{name}: {inner.sum()} returns, expected {true_inner.sum()}")
     found, truth = found[inner], truth[true_inner]
@@ -129,7 +132,8 @@ def test_bags():
 
 
 def test_alternating():
-    """Sensors of which some lasers fire only in every second block: each firing is a ray of its own, and no ray is added for a laser that is silent."""
+    """Tests sensors with lasers that fire only in every second block. Each firing must become a
+    separate ray, and a silent laser must not add a ray."""
     for product in lidars.ALTERNATING:
         for dual in (False, True) if product.name == "QT128" else (False,):
             name = f"{product.name}, {1 + dual} returns"
@@ -151,7 +155,7 @@ def test_alternating():
             inside = (truth[:, 0] > zero_s - 0.05 + cycle_s) & (truth[:, 0] < zero_s + 0.05 - cycle_s)
             truth = truth[inside]
             elevation = np.degrees(np.arcsin(found[:, 3]))
-            # a turn of fewer firings than columns repeats some of them
+            # a turn with fewer firings than columns repeats some firings
             times = np.round(found[:, 0] * 1e7)
             inner = (found[:, 0] > zero_s - 0.05 + cycle_s - 1e-8) & (found[:, 0] < zero_s + 0.05 - cycle_s + 1e-8)
             _, first = np.unique(np.column_stack([times, np.round(elevation, 2)])[inner], axis=0, return_index=True)
@@ -175,7 +179,8 @@ def test_strangers():
 
 
 def test_ousters():
-    """Topics of both of Ouster's drivers: a packet a message, the metadata as a text before or behind the first of them, or beside the bag."""
+    """Tests the topics of both drivers of Ouster. Each message contains a packet. The metadata is a
+    text message before or after the first packet, or a file next to the bag."""
     ouster, tf = lidars.Ouster(), "tf2_msgs/TFMessage"
     packets, metadata = ouster.packets(4), json.dumps(ouster.metadata())
     first = packets[0][0]
@@ -188,7 +193,9 @@ def test_ousters():
                for k, (ns, data) in enumerate(packets)]
         out += [("/ouster/imu_packets", package + "/PacketMsg", t + 1000, {"buf": bytes(48)}) for _, _, t, _ in out[::4]]
         out += [("/camera/metadata", "std_msgs/String", T0, {"data": "{}"})]
-        if moves:   # along x, the sensor's base 0.3 m behind the vehicle's; and a cloud that the driver made
+        # moves along x, with the sensor's base 0.3 m behind the base of the vehicle; adds
+        # a cloud from the driver
+        if moves:
             out += [("/tf_static", tf, T0, {"transforms": [link("base_link", "os_sensor", -0.3, 1.0), link("os_sensor", "os_lidar", 0.0, 0.0)]})]
             out += [("/tf", tf, t, {"transforms": [link("map", "base_link", (t - T0) * 5e-9, 1.0, t)]})
                     for t in range(T0 - 50_000_000, T0 + 600_000_000, 10_000_000)]
@@ -222,7 +229,7 @@ def test_ousters():
             expect(np.abs(255 * scan["intensity"][hit] - (90 + np.argsort(ring)[scan["ring"][hit]])).max() < 1e-3, f"{name}: reflectivities")
         step = [b["time_s"] - a["time_s"] for a, b in zip(log[1]["frames"], log[1]["frames"][1:])]
         expect(np.abs(np.array(step) - 0.1).max() < 1e-6, f"{name}: frames {step} s apart")
-        if moves:   # x of a mounting turned by 180 degrees twice is not turned
+        if moves:   # two rotations by 180 degrees leave x unchanged
             poses = np.loadtxt(log[0] / "poses.txt")
             expect("poses of 'base_link' in 'map'" in notes and "/ouster/points" in notes, f"{name}: {notes}")
             expect(np.abs(np.diff(poses[:, 1]) - 0.5).max() < 1e-3 and np.abs(np.abs(poses[:, 4]) - 1).max() < 1e-6, f"{name}: {poses}")
@@ -240,10 +247,11 @@ def same_scans(name, one, other):
 
 
 def test_livox():
-    """Packets of a Mid-360, one in each of the three forms of points, become clouds of 0.1 s with the points as written."""
+    """Packets of a Mid-360, one in each of the three point formats, must become clouds of 0.1 s
+    with the original points."""
     for kind in (1, 2, 3):
         stamped, truth = [], []
-        for k in range(300):   # 1 ms each
+        for k in range(300):   # each packet takes 1 ms
             data, points = lidars.livox_packet(k, kind)
             truth.append(points)
             stamped += [(T0 + k * 1_000_000 + 40_000 * (k % 3), f) for f in captures.frames(data, port=56301)]
@@ -267,7 +275,8 @@ def test_livox():
 
 
 def test_captures():
-    """What a network card saw of the packets of a bag is the same log, whatever else was on the wire."""
+    """A network capture of the packets of a bag must give the same log, also with additional
+    traffic."""
     for product, how in zip((lidars.PRODUCTS[0], lidars.PRODUCTS[3], lidars.PRODUCTS[5]), ("pcap", "vlan", "fragments")):
         packets, _ = lidars.packets(product, 800)
         bag, capture = WORK / f"{product.name}.mcap", WORK / f"{product.name}_{how}.{'pcapng' if how == 'vlan' else 'pcap'}"
@@ -296,7 +305,7 @@ def test_captures():
 
 
 def firings_of(product, packets, dual):
-    """(first azimuth of the packet, bytes of the lasers) of each firing."""
+    """Returns (first azimuth of the packet, bytes of the lasers) of each firing."""
     blocks = {"Pandar40P": 10, "Pandar64": 6, "XT32": 8}.get(product.name, 12)
     start = {"Pandar64": 8, "XT32": 12}.get(product.name, 0)
     head = 2 if product.name in ("Pandar64", "XT32") else 4
@@ -316,7 +325,7 @@ def firings_of(product, packets, dual):
 
 
 def test_written_again():
-    """`convert --out FILE.pcap` writes the firings of a capture again, byte by byte."""
+    """`convert --out FILE.pcap` must write the firings of a capture again, byte by byte."""
     for product in lidars.PRODUCTS:
         dual = product.name in ("VLP-32C", "Pandar64", "XT32")
         blocks = {"Pandar40P": 10, "Pandar64": 6, "XT32": 8, "VLP-16": 24}.get(product.name, 12)
@@ -336,7 +345,7 @@ def test_written_again():
         lit = [k for k, f in enumerate(new) if any(f[1])]
         new = new[lit[0]:lit[-1] + 1]
         expect(len(new) > 0.99 * lidars.TURN_S / (product.cycle_us * 1e-6), f"{product.name}: {len(new)} firings")
-        # opposite walls are equal, so a single firing does not define its place
+        # opposite walls are equal, so a single firing does not define its position
         begin = next(k for k in range(len(old)) if [f[1:] for f in old[k:k + 200]] == [f[1:] for f in new[:200]])
         for k, firing in enumerate(new):
             expect(firing[1:] == old[begin + k][1:], f"{product.name}: firing {k} has other bytes")
@@ -345,7 +354,7 @@ def test_written_again():
         print(f"{product.name}, {1 + dual} returns: {len(new)} firings as they were")
 
 def near_scans(name, one, other):
-    """The same rays as in the other log, with times that differ by less than 2 us."""
+    """The rays must be the same as in the second log, with times that differ by less than 2 us."""
     expect(len(one[1]["frames"]) == len(other[1]["frames"]) > 1, f"{name}: {len(other[1]['frames'])} scans, expected {len(one[1]['frames'])}")
     for frame, twin in zip(one[1]["frames"], other[1]["frames"]):
         left, right = np.load(one[0] / frame["scan"]), np.load(other[0] / twin["scan"])
@@ -356,7 +365,8 @@ def near_scans(name, one, other):
 
 
 def test_network():
-    """A network delivers packets late, twice, in fragments, and on several interfaces. The log is that of the packets in order."""
+    """A network delivers packets late, twice, in fragments, and on several interfaces. The log must
+    be the same as the log of the packets in order."""
     product = lidars.PRODUCTS[5]
     packets, _ = lidars.packets(product, 900)
     spaced = [(T0 + ns, data) for ns, data in packets]
@@ -371,7 +381,8 @@ def test_network():
     swapped = list(spaced)
     for k in (300, 301, 430):
         swapped[k], swapped[k + 1] = swapped[k + 1], (swapped[k + 1][0] + 1000, swapped[k][1])
-    swapped[500], swapped[501] = (swapped[500][0], swapped[501][1]), (swapped[501][0], swapped[500][1])   # their stamps were not
+    # swaps the packets but not their stamps
+    swapped[500], swapped[501] = (swapped[500][0], swapped[501][1]), (swapped[501][0], swapped[500][1])
     late = [p for p in spaced if p != spaced[400]]
     late.insert(405, (spaced[405][0] + 1000, spaced[400][1]))
     doubled = [p for k, p in enumerate(spaced) for _ in range(2 if k == 250 else 1)]
@@ -382,7 +393,8 @@ def test_network():
         near_scans(name, plain, log)
         expect(note in "\n".join(log[1]["notes"]), f"{name}: {log[1]['notes']}")
         print(f"{name}: as in order")
-    # Fragments: each first fragment comes twice, and those of two datagrams alternate.
+    # Uses fragments. Each first fragment arrives twice, and the fragments of two
+    # datagrams alternate.
     frames = []
     for a, b in zip(spaced[::2], spaced[1::2]):
         first, second = captures.frames(a[1], mtu=600), captures.frames(b[1], mtu=600)
@@ -396,7 +408,8 @@ def test_network():
     for frame, twin in zip(plain[1]["frames"], near[1]["frames"]):
         left, right = np.load(plain[0] / frame["scan"]), np.load(near[0] / twin["scan"])
         expect(np.array_equal(left["range"], right["range"]), "fragments: ranges")
-    # Interface "any" of Linux: a packet is captured on each interface that it passes.
+    # Uses the interface "any" of Linux: a packet is captured on each interface that it
+    # passes.
     cooked = WORK / "network_any.pcap"
     captures.write(cooked, [(ns + 5000 * again, captures.cooked(f)) for ns, data in spaced for again in (0, 1) for f in captures.frames(data)], link=113)
     near_scans("any", plain, converted(cooked))
@@ -404,7 +417,7 @@ def test_network():
     captures.write(six, [(ns, f) for ns, data in spaced for f in captures.frames6(data, 700)])
     near_scans("IPv6", plain, converted(six))
     expect("[fe80::1]:2368" in run("info", six), "address of an IPv6 capture")
-    # Two sensors that look alike: their packets must not become one.
+    # The packets of two identical sensors must not be combined into a single sensor.
     mixed = sorted(spaced + [(T0 + ns + 130_000, d) for ns, d in lidars.packets(product, 900, zero_us=3_599_950_130)[0]])
     text = run("info", capture("two sensors", mixed), code=3)
     expect("packets of two sensors are mixed" in text, f"two sensors: {text}")
@@ -416,11 +429,13 @@ def test_network():
 
 
 def test_sectors():
-    """Sectors that the sensor does not see: firings without any return, and firings that the sensor leaves out."""
+    """Tests sectors in which the sensor has no returns: firings without any return, and firings
+    that the sensor omits."""
     product = lidars.PRODUCTS[5]
     packets, _ = lidars.packets(product, 900)
     blanked, shares = [], []
-    for ns, data in packets:   # XT32: blocks of 130 bytes behind 12; the x axis is at 90 degrees
+    # XT32: 12 bytes of header, then blocks of 130 bytes; the x axis is at 90 degrees
+    for ns, data in packets:
         data = bytearray(data)
         for at in range(12, 12 + 8 * 130, 130):
             if 225 <= data[at] / 100 + data[at + 1] * 2.56 < 315:
@@ -445,7 +460,7 @@ def test_sectors():
     expect(product.name == "VLP-32C", product.name)
     packets, _ = lidars.packets(product, 700)
     full, full_head = converted_bag("full_turns", packets)
-    fired = []   # a sensor that is set to 270 to 90 degrees fills its packets with the firings that are left
+    fired = []   # a sensor that is limited to 270 to 90 degrees fills its packets with the remaining firings
     for k, (ns, data) in enumerate(packets):
         for b in range(12):
             block = data[100 * b:100 * b + 100]
@@ -484,13 +499,14 @@ def converted_bag(name, packets):
 
 
 def zero_of(head):
-    """Seconds from T0 to time 0 of a log."""
+    """Returns the seconds from T0 to time 0 of a log."""
     text = head["conventions"].split("0 s is ")[1].split()[0]
     return int(text.split(".")[0]) - T0 // 10**9 + float("0." + text.split(".")[1]) - 1e-9 * (T0 % 10**9)
 
 
 def test_others():
-    """Recordings of other programs. The numbers are those of the packets, or of the maker's SDK."""
+    """Reads recordings of other programs. The expected numbers are taken from the packets, or from
+    the manufacturer's SDK."""
     shared = os.environ.get("RELIDAR_SHARED")
     data = (pathlib.Path(shared) if shared else pathlib.Path(__file__).resolve().parents[2].parent / "shared") / "data" / "others"
     if not data.is_dir():

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""tools/pandaset_to_folder on a tiny sequence of PandaSet's form: what a Pandar64 of known rays measures of a ground and a round wall from a
-car that drives a bend, put into the world by the pose of each sweep or of each point.
+"""Tests tools/pandaset_to_folder on a tiny sequence in the format of PandaSet. A Pandar64 with
+exact rays measures a ground and a round wall from a car that drives a bend. The points are
+transformed to the world by the pose of each sweep or of each point.
 
    pandaset_test.py SOURCE RELIDAR WORK        77: numpy or pandas are missing
 """
@@ -28,7 +29,8 @@ def expect(condition, text):
 
 
 def pose(t):
-    """Position and heading angle of the sensor, world: a bend at 15 m/s and 0.3 rad/s. The quaternion's path is as even as slerp's."""
+    """Returns the position and heading angle of the sensor in the world: a bend at 15 m/s and 0.3
+    rad/s. The quaternion changes at a constant rate, as in slerp."""
     yaw = 0.4 + 0.3 * t
     return np.stack([100 + 50 * np.sin(0.3 * t), -40 - 50 * np.cos(0.3 * t), np.full_like(t, 1.9)], -1), yaw
 
@@ -39,7 +41,8 @@ def turned(v, yaw):
 
 
 def straight(t, times):
-    """Poses between those of the sweeps as a reader of the files has them: lines between positions and, for small turns, angles."""
+    """Returns poses between the poses of the sweeps, interpolated as a reader of the files does.
+    Positions and, for small turns, angles are linear."""
     p, yaw = pose(times)
     k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
     s = (t - times[k]) / (times[k + 1] - times[k])
@@ -47,13 +50,14 @@ def straight(t, times):
 
 
 def sweep(number):
-    """Sensor points (x right, y forward) and their times: a clockwise head, times from -0.05 s to 0.05 s about the sweep's."""
+    """Returns points in the sensor's frame (x right, y forward) and their times. The head turns
+    clockwise, and times range from -0.05 s to 0.05 s relative to the sweep."""
     with open(SOURCE / "src/log/sensor/tables/Pandar64.csv") as file:
         beams = list(csv.DictReader(line for line in file if not line.startswith("#")))
     elevation = np.radians([float(b["elevation_deg"]) for b in beams])[:, None]
     offset = np.radians([float(b["azimuth_offset_deg"]) for b in beams])[:, None]
     step = np.arange(COLUMNS)[None, :] + 0.5
-    forward = np.pi - 2 * np.pi * step / COLUMNS + offset   # left of y
+    forward = np.pi - 2 * np.pi * step / COLUMNS + offset   # angle to the left of y
     t = np.broadcast_to(0.1 * number + 0.1 * (step / COLUMNS - 0.5), forward.shape)
     direction = np.stack([-np.sin(forward) * np.cos(elevation), np.cos(forward) * np.cos(elevation), np.sin(elevation) + 0 * forward], -1)
     ground = np.where(direction[..., 2] < 0, 1.9 / np.maximum(-direction[..., 2], 1e-9), np.inf)
@@ -108,7 +112,7 @@ def check(compensated):
     lines = np.loadtxt(out / "poses.txt")
     position, yaw = pose(0.1 * np.arange(N_FRAMES))
     expect(np.abs(lines[:, 1:4] - position).max() < 1e-8, "positions are off")
-    ahead = 2 * np.arctan2(lines[:, 7], lines[:, 4]) - yaw   # forward is PandaSet's y
+    ahead = 2 * np.arctan2(lines[:, 7], lines[:, 4]) - yaw   # y is forward in PandaSet
     expect(np.abs(np.remainder(ahead, 2 * np.pi) - np.pi / 2).max() < 1e-8, "headings are off")
     boxes = json.loads((out / "boxes.json").read_text())["boxes"]
     expect([b["track"] for b in boxes] == ["car-a"] * N_FRAMES, "the twin of a box is one box")

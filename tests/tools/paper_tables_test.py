@@ -58,12 +58,13 @@ class PaperTables(unittest.TestCase):
             "stand_in train kitti360:K --sequence kd1 --out out/kd1-paper --preset paper --set sensor.grid=kitti360 "
             "--set train.grid=kitti360 --set sensor.grid_method=cast --set train.iterations=9 --resume",
             "stand_in train waymo:W --sequence ws1 --out out/ws1-paper --preset paper --set train.iterations=9 --resume"])
-        self.assertEqual(len(call("--kitti360", "K", "--waymo", "W", "--dry-run").stdout.splitlines()), 18)   # all parts
+        # all parts of both datasets
+        self.assertEqual(len(call("--kitti360", "K", "--waymo", "W", "--dry-run").stdout.splitlines()), 18)
         self.assertFalse(Path("out").exists() or Path("calls.txt").exists())
 
     def test_tables_have_the_scores(self):
         done = call("--kitti360", "K", "--parts", "kd1,kd2,kd3", "--preset", "quick")
-        self.assertEqual(done.returncode, 3)   # kd2 has no labels, kd3 no scans
+        self.assertEqual(done.returncode, 3)   # kd2 has no labels, and kd3 has no scans
         columns = "40 | 2 | {} | – | – | – | – | – | – | – | – | – | – | – |"
         for expected in ["| LiDAR-RT, as printed | 10 | 42.7 | 0.41 | 3.4671 | 0.0512 | 0.1016 | 0.8406 | 27.6755 | 0.1115 |",
                          "| relidar, `quick` | 2 of 10 | " + columns.format("3.5000"),
@@ -93,7 +94,7 @@ class PaperTables(unittest.TestCase):
         (evaluate,) = [command for command in others if " eval " in command]
         for command in (train, evaluate):
             done = subprocess.run([RELIDAR, *command.split()[1:]], capture_output=True, text=True)
-            self.assertIn(done.returncode, (3, 4), done.stderr)   # 3: no such folder; 4: no device
+            self.assertIn(done.returncode, (3, 4), done.stderr)   # 3: the folder does not exist; 4: no device
         settings = [word for command in [train, *others] for word in command.split() if "=" in word]
         self.assertIn("refine.rays=none", settings)
         done = subprocess.run([RELIDAR, "list", "settings", *(word for s in settings for word in ("--set", s))], capture_output=True, text=True)

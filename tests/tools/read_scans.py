@@ -1,11 +1,14 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Reads renderings as a user does who has numpy and the formats' descriptions, and nothing of relidar.
+"""Reads renderings with numpy and the descriptions of the file formats only. It uses no code of
+relidar.
 
   read_scans.py FOLDER [FOLDER_WORLD FOLDER_DESKEWED]
 
-FOLDER has npz, ply, pcd and bin files of the same scans: all must hold the points that the images of the npz tell. The other two hold npz
-and ply of the same frames in the world and deskewed: the pose must take one to the other. Prints what is wrong; exit code 1 where anything is.
+FOLDER has npz, ply, pcd and bin files of the same scans. All files must contain the points that the
+images of the npz define. FOLDER_WORLD and FOLDER_DESKEWED contain npz and ply of the same frames,
+in the world and deskewed. The pose must transform the deskewed points to the world. Prints errors
+and exits with code 1 if a check fails.
 """
 import json
 import sys
@@ -58,7 +61,7 @@ def xyz(cloud):
 
 
 def check_normals(stem, npz):
-    """Unit vectors towards the sensor where a surface was met."""
+    """Checks that rays with a hit have unit normals that face the sensor."""
     lengths = np.linalg.norm(npz["normal"], axis=-1)
     check(f"{stem}: lengths of normals", np.allclose(lengths, npz["instance"] >= 0, atol=1e-5))
     check(f"{stem}: normals look away", (npz["normal"] * npz["directions"]).sum(axis=-1).max() <= 1e-5)
@@ -95,7 +98,7 @@ def check_scan(folder, summary, scan):
             check(f"{stem}.{name}: {field}", np.array_equal(cloud[field], npz[field][kept]))
     if "normal" in npz:
         check_normals(stem, npz)
-    if "spread" in npz:   # with render.range=normalised, the image has the mean
+    if "spread" in npz:   # with render.range=normalised, the image contains the mean range
         check(f"{stem}: spread", np.allclose(npz["spread"], np.abs(npz["median_range"] - npz["range"]), atol=1e-6) and npz["spread"].max() > 0)
     check(f"{stem}.pcd: VIEWPOINT", np.allclose(matrix_of(viewpoint), npz["pose"], atol=1e-12))
     check(f"{stem}.ply: comments", float(notes["time_s"]) == npz["time_s"] and notes["sensor"] == summary["sensor"]["name"])
@@ -104,7 +107,8 @@ def check_scan(folder, summary, scan):
 
 
 def check_frames(plain, world, deskewed, scan):
-    """World points are the deskewed ones at the scan's pose; what is deskewed is not what was measured."""
+    """Checks that world points are the deskewed points transformed by the scan's pose, and that
+    deskewed points differ from the measured points."""
     name = f"frame_{scan['frame_number']:06}"
     pose = np.load(f"{plain}/{name}.npz")["pose"]
     clouds = [xyz(read_ply(f"{folder}/{name}.ply")[0]) for folder in (plain, world, deskewed)]

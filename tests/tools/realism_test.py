@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""tools/bench/realism on images of noise: it cannot tell real scans from other real ones, and tells scans
-whose intensities are shifted. A missing scikit-learn, a wrong shape and a wrong time end with one line.
+"""Tests tools/bench/realism on images of noise. It must not distinguish two sets of real scans, and
+it must detect scans with shifted intensities. A missing scikit-learn, a wrong shape and a wrong
+time must end with a message of a single line.
 
    realism_test.py SOURCE WORK        77: numpy is missing
 """
@@ -28,7 +29,7 @@ def expect(condition, text):
 
 
 def image(shift=0.0, columns=COLUMNS):
-    """Ranges and intensities of noise; a fifth of the rays do not return."""
+    """Returns images of noise with ranges and intensities. A fifth of the rays has no return."""
     shape = (ROWS, columns)
     ranges = np.where(random.random(shape) < 0.2, 0.0, random.uniform(5.0, 6.0, shape)).astype(np.float32)
     return ranges, (random.uniform(0.2, 0.3, shape) + shift).astype(np.float32)

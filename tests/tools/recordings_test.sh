@@ -50,7 +50,7 @@ check() {
     done
 }
 
-# train STREET RUN: of a street.toml
+# train STREET RUN: trains a run on a street.toml.
 train() {
     "$relidar" train "$1" --out "$2" --preset quick --set train.refine_poses=none --set init.actor_min_points=10 \
         --set train.iterations=6 --no-eval --quiet || { fail "no run"; exit 1; }
@@ -70,7 +70,7 @@ printf '%s\n' '{"sensors": [{"name": "front", "sensor": "VLP-16:300x10", "transl
 alone=".=/lidar/points=lidar"
 rig="front=/lidar/front/points=front 2nd-rear=/lidar/_2nd_rear/points=2nd-rear"
 
-check own "$alone" --frames 0:4 --channels normal,spread   # frame 0 begins before second 0
+check own "$alone" --frames 0:4 --channels normal,spread   # frame 0 starts before second 0
 check beside "$alone" --frames 2:5 --offset -1,2.5,1,90 --sensor VLP-16:300x10
 check lane "$alone" --trajectory lane.csv --times 0.2:0.5:0.1 --sensor VLP-16:450x10
 check named ".=/sensing/front/pointcloud=front_lidar" --trajectory lane.csv --times 0.2:0.3:0.1 --sensor VLP-16:300x10 \
@@ -92,14 +92,15 @@ run=run_of_two
 check first .=/lidar/front/points=front --frames 1:4
 check second .=/lidar/_2nd_rear/points=2nd-rear --frames 1:4 --lidar 2nd-rear --sensor VLP-16:300x10
 
-# A rig's recordings are one for all its sensors, and a new rendering replaces them.
+# A rig has a single recording for all its sensors, and a new rendering must replace the
+# recording.
 [[ "$(ls rig/sensor | tr '\n' ' ')" == "2nd-rear front rosbag.mcap scans.mcap " ]] || fail "a rig's folder holds $(ls rig/sensor | tr '\n' ' ')"
 "$relidar" render run --frames 3:4 --sensor rig.json --out rig/sensor --quiet 2>err && fail "a rig's recordings were overwritten unasked"
 grep -q "rig/sensor: the folder already contains rendered scans" err || fail "another message than that of a folder that is taken: $(cat err)"
 "$relidar" render run --frames 3:4 --sensor rig.json --out rig/sensor --quiet --force || fail "a rig rendered over another"
 [[ "$(ls rig/sensor | tr '\n' ' ')" == "2nd-rear front " ]] || fail "a new rendering left the old one's recordings"
 
-# The readers notice damage: a flipped bit in a chunk.
+# The readers must detect damage: a flipped bit in a chunk.
 cp -r own/sensor damaged
 size=$(stat -c %s damaged/scans.mcap)
 printf '\x5a' | dd of=damaged/scans.mcap bs=1 seek=$((size / 2)) conv=notrunc status=none

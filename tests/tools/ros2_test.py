@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""tools/examples/ros2_lidar.py in front of a stub of rclpy and a running server. What it publishes is written into an MCAP by
-bag_writer.py, which knows nothing of relidar, and read back by `relidar convert`: the clouds are those of the service, where /tf has them.
+"""Runs tools/examples/ros2_lidar.py with a stub of rclpy and a running server. bag_writer.py, which
+uses no code of relidar, writes the published messages into an MCAP. `relidar convert` reads the
+MCAP. The clouds must equal the clouds of the service, at the positions in /tf.
 
   ros2_test.py SOURCE_ROOT RELIDAR HOST:PORT WORK
 
-Prints what is wrong; exit code 1 where anything is.
+Prints errors and exits with code 1 if a check fails.
 """
 import json
 import pathlib
@@ -30,7 +31,7 @@ def check(what, condition):
 
 
 def message_type(**constants):
-    """A message is what was said of it."""
+    """Returns a class for messages. A message has the attributes that its constructor receives."""
     return type("Message", (), {"__init__": lambda self, **fields: self.__dict__.update(fields), **constants})
 
 
@@ -57,7 +58,8 @@ for package, names in (("builtin_interfaces", ["Time"]), ("std_msgs", ["Header"]
                        ("sensor_msgs", ["PointCloud2"]), ("geometry_msgs", ["Quaternion", "Transform", "TransformStamped", "Vector3"])):
     module(package)
     module(package + ".msg", **{name: message_type() for name in names})
-sys.modules["sensor_msgs.msg"].PointField = message_type(UINT16=4, FLOAT32=7)   # numbers of the message's definition
+# values from the definition of the message
+sys.modules["sensor_msgs.msg"].PointField = message_type(UINT16=4, FLOAT32=7)
 module("rclpy", init=lambda: None, ok=lambda: True, shutdown=lambda: None, create_node=lambda name: Node())
 
 import ros2_lidar   # noqa: E402
@@ -67,7 +69,8 @@ ros2_lidar.main([address, "--sensor", "VLP-16", "--topic", "/front/points", "--f
 
 
 def plain(message):
-    """As bag_writer has them: stamps are ns, what is called by position or translation in a pose is so."""
+    """Converts a message to the nested dicts of bag_writer: stamps become ns, and translation and
+    rotation become position and orientation."""
     if isinstance(message, list):
         return [plain(item) for item in message]
     if not hasattr(message, "__dict__"):
@@ -111,7 +114,7 @@ for k, (cloud, frame, entry) in enumerate(zip(clouds, frames, read)):
     truth = service.RenderLidar(v1.RenderLidarRequest(sensor=v1.Sensor(name="VLP-16"), path=way, time_s=end_s - 0.05, points_at_s=end_s))
     points = np.frombuffer(truth.points.xyz_m, "<f4").reshape(-1, 3)
     rows = np.frombuffer(cloud["data"], "u1").reshape(cloud["width"], cloud["point_step"])
-    for field in cloud["fields"]:   # by the definition of the message
+    for field in cloud["fields"]:   # names from the definition of the message
         size, code = {7: (4, "<f4"), 4: (2, "<u2")}[field["datatype"]]
         values = np.ascontiguousarray(rows[:, field["offset"]:field["offset"] + size]).view(code)[:, 0]
         expected = {"x": points[:, 0], "y": points[:, 1], "z": points[:, 2], "intensity": np.frombuffer(truth.points.intensity, "<f4"),

@@ -1,14 +1,17 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""A client of SensorsimService that knows its wire alone: field numbers and types, encoded here byte by byte, no stubs. It drives past the
-traffic of a served street and looks at what comes back:
+"""Tests SensorsimService with a client that implements only the wire format. It encodes field
+numbers and types byte by byte, without stubs. The client drives past the traffic of a served street
+and checks the scans that it receives:
 
-  - against relidar's own service, asked for the same scan in the frame of its *first* pose and taken to the last one here;
-  - against the log's boxes: points on the actor that is named, where its poses put it; none where it is not named.
+  - against the same scan of relidar's service, which is requested in the frame of its *first* pose and transformed
+    to the last pose here;
+  - against the log's boxes: an actor in the request must have points at its poses, and an actor that is not in the
+    request must have no points.
 
   sensorsim_client.py SOURCE_ROOT HOST:PORT SCENE [PICTURE.png]
 
-Prints what is wrong; exit code 1 where anything is.
+Prints errors and exits with code 1 if a check fails.
 """
 import struct
 import sys
@@ -57,7 +60,7 @@ def encode(message):
 
 
 def decode(data):
-    """{field number: [raw values]}; packed arrays stay bytes."""
+    """Decodes a message to {field number: [raw values]}. Packed arrays stay bytes."""
     fields, at = {}, 0
 
     def read_varint():
@@ -94,7 +97,7 @@ def status(name, message=()):
     return grpc.StatusCode.OK, ""
 
 
-# Poses: (rotation matrix, translation), p' = R p + t.
+# A pose is (rotation matrix, translation), with p' = R p + t.
 
 def pose_of(q, t):
     w, x, y, z = q
@@ -118,11 +121,12 @@ def undo(pose, points):
 def read_pose(message):
     f = decode(message)
     t, q = decode(f[1][0]), decode(f[2][0])
-    number = lambda fields, i: struct.unpack("<f", fields[i][0])[0] if i in fields else 0.0   # 0 does not travel
+    # the wire format omits zeros
+    number = lambda fields, i: struct.unpack("<f", fields[i][0])[0] if i in fields else 0.0
     return [number(q, i) for i in (1, 2, 3, 4)], [number(t, i) for i in (1, 2, 3)]
 
 
-# What is served.
+# Checks the list of scenes and sensors that the server offers.
 
 check("version", b"relidar" in call("get_version")[1][0])
 check("scenes", scene.encode() in call("get_available_scenes")[1])
@@ -131,7 +135,7 @@ check("ego masks", call("get_available_ego_masks") == {})
 code, line = status("render_rgb", [(1, scene)])
 check(f"render_rgb: {code} {line}", code == grpc.StatusCode.UNIMPLEMENTED and "relidar renders no cameras" in line)
 ways = [decode(decode(way)[2][0]) for way in call("get_available_trajectories", [(1, scene)])[1]]
-log = []   # of the LiDAR, after the vehicle's; time 0 does not travel
+log = []   # track of the LiDAR, which follows the track of the vehicle; the wire format omits time 0
 for entry in map(decode, ways[1][1]):
     log.append((struct.unpack("<Q", entry.get(2, [bytes(8)])[0])[0], read_pose(entry[1][0])))
 check("times rise", all(a[0] < b[0] for a, b in zip(log, log[1:])))
@@ -140,14 +144,15 @@ check("times rise", all(a[0] < b[0] for a, b in zip(log, log[1:])))
 # relidar's own service provides the expected positions.
 
 sys.path.insert(0, f"{root}/tools/examples")
-from closed_loop_client import v1, v1_grpc   # noqa: E402  makes the stubs
+from closed_loop_client import v1, v1_grpc   # generates the stubs
 own = v1_grpc.RenderServiceStub(channel)
 middle = len(log) // 2
 time_us, (q0, t0) = log[middle]
 tracks = own.GetTracks(v1.GetTracksRequest(scene=scene))
 dataset = tracks.dataset_from_sensor[middle].pose.translation
-offset = np.array([dataset.x, dataset.y, dataset.z]) - t0     # from the wire's world to the dataset's
-half = np.radians(5.0)   # ten degrees to the left in the frame
+# from the world of the protocol to the dataset's world
+offset = np.array([dataset.x, dataset.y, dataset.z]) - t0
+half = np.radians(5.0)   # turns ten degrees to the left during the frame
 turn = [np.cos(half), 0.0, 0.0, np.sin(half)]
 q1 = [turn[0] * q0[0] - turn[3] * q0[3], turn[0] * q0[1] - turn[3] * q0[2],
       turn[0] * q0[2] + turn[3] * q0[1], turn[0] * q0[3] + turn[3] * q0[0]]
@@ -156,13 +161,14 @@ start, end = pose_of(q0, t0), pose_of(q1, t1)
 
 
 def actor_at(track, time_s):
-    """Pose of the log's, nearest in time; the wire's world."""
+    """Returns the pose of an actor in the log that is nearest in time, in the world of the
+    protocol."""
     near = min(track.poses, key=lambda p: abs(p.time_s - time_s)).pose
     r, t = near.rotation, near.translation
     return [r.w, r.x, r.y, r.z], list(np.array([t.x, t.y, t.z]) - offset)
 
 
-actors = {}   # name: (size, pose)
+actors = {}   # maps each name to (size, pose)
 for track in tracks.actors:
     box = next(a for a in own.ListScenes(v1.ListScenesRequest()).scenes[0].actors if a.name == track.name)
     actors[track.name] = (np.array([box.size_m.x, box.size_m.y, box.size_m.z]), actor_at(track, time_us * 1e-6))
@@ -190,10 +196,11 @@ def points_of(answer):
 
 
 def own_points(sensor, objects, duration_s=0.1):
-    """By relidar's own service, in the frame of the first pose."""
+    """Returns the points of relidar's service, in the frame of the first pose."""
     t = time_us * 1e-6
     pose = lambda q, p: v1.Pose(translation=v1.Vector(x=p[0], y=p[1], z=p[2]), rotation=v1.Quaternion(w=q[0], x=q[1], y=q[2], z=q[3]))
-    wide = lambda q, p: pose(np.float32(q).astype(float), np.float32(p).astype(float) + offset)   # what has travelled, to the bit
+    # the transmitted value, bit by bit
+    wide = lambda q, p: pose(np.float32(q).astype(float), np.float32(p).astype(float) + offset)
     path = lambda first, last: [v1.TimedPose(time_s=t, pose=wide(*first)), v1.TimedPose(time_s=t + duration_s, pose=wide(*last))]
     asked = v1.RenderLidarRequest(scene=scene, path=path((q0, t0), (q1, t1)), time_s=t + 0.5 * duration_s, points_at_s=t,
                                   sensor=v1.Sensor(name=sensor), wanted=v1.Wanted(points=True))
@@ -204,13 +211,15 @@ def own_points(sensor, objects, duration_s=0.1):
 
 
 def inside(points, size, pose):
-    """How many points of the wire's world lie in a box, the lowest 0.3 m left out: there is the road."""
+    """Counts the points in a box, in the world of the protocol. Excludes the lowest 0.3 m, which
+    contain road."""
     local = undo(pose_of(*pose), points)
     return int((np.all(abs(local) < 0.5 * size + 0.1, axis=1) & (local[:, 2] > 0.3 - 0.5 * size[2])).sum())
 
 
 size, there = actors[nearest]
-elsewhere = (there[0], list(np.array(t1) + end[0] @ [9.0, 0.0, 0.5 * size[2] - 1.7]))   # 9 m ahead of where the sensor ends
+# 9 m ahead of the last pose of the sensor
+elsewhere = (there[0], list(np.array(t1) + end[0] @ [9.0, 0.0, 0.5 * size[2] - 1.7]))
 cases = [("PANDAR128", 0, "Pandar128", {nearest: (there, there)}, 0.1), ("AT128", 1, "AT128", {nearest: (elsewhere, elsewhere)}, 0.1),
          ("nobody", 0, "Pandar128", {}, 0.1), ("20 Hz", 0, "Pandar128:1800x20", {nearest: (there, elsewhere)}, 0.05)]
 clouds = {}
@@ -220,7 +229,8 @@ for what, lidar, sensor, objects, duration_s in cases:
     check(f"{what}: {len(points)} points, {len(first)} of relidar's own service", len(points) == len(first) > 1000)
     if len(points) == len(first):
         off = np.linalg.norm(points - undo(end, apply(start, first)), axis=1)
-        # single precision of numbers in the dataset's world, and few rays that graze
+        # tolerance for single precision in the dataset's world, and for a few rays that
+        # graze
         check(f"{what}: points are {off.max():.4f} m off", off.max() < 2e-3)
         wrong = np.median(np.linalg.norm(points - first, axis=1))
         check(f"{what}: the two frames differ by {wrong} m only: nothing is tested", wrong > 0.5)
@@ -232,7 +242,7 @@ check(f"actor {nearest} where the log has it: {counts['PANDAR128'][0]} points, w
 check(f"actor {nearest} 9 m ahead: {counts['AT128'][1]} points, without it {counts['nobody'][1]}",
       counts["AT128"][1] > 100 and counts["nobody"][1] == 0)
 
-# Several at once, and what makes no sense.
+# Sends several requests simultaneously, and invalid requests.
 
 both = call("render_aggregated", [(2, request(0, {})), (2, request(1, {}))])
 check("render_aggregated", len(both.get(2, [])) == 2 and 1 not in both and

@@ -33,7 +33,7 @@ for candidate in python3 /usr/bin/python3; do
 done
 [[ -n $python ]] || { echo "no Python with grpcio, protobuf and numpy"; exit 77; }
 
-before=()   # words before the command of a server
+before=()   # words that precede the command of a server
 # serve ARGS...: starts a server at a free port. Sets $server to its process and $address
 # to its address.
 serve() {
@@ -49,7 +49,7 @@ serve() {
     exit 1
 }
 
-# stop: Ctrl-C; the server ends with 0.
+# stop: sends Ctrl-C; the server must end with 0.
 stop() {
     kill -INT "$server"
     wait "$server"
@@ -58,7 +58,8 @@ stop() {
     server=""
 }
 
-# bad CODE PATTERN ARGS...: fails with this code and one line on stderr that matches.
+# bad CODE PATTERN ARGS...: runs the command. It must fail with this code and print a
+# single matching line on stderr.
 bad() {
     local code=$1 pattern=$2
     shift 2
@@ -71,7 +72,7 @@ bad() {
 
 mkdir street
 printf 'seed = 5\nn_frames = 12\nrows = 8\ncolumns = 96\n' >street/street.toml
-# Eight beams leave gaps that a scene of six steps fills with the rims of its discs alone.
+# Eight beams leave gaps. After six training steps, only the rims of discs fill the gaps.
 "$relidar" train street --out run --preset quick --set train.refine_poses=none --set init.actor_min_points=10 \
     --set image.alpha_min=0.004 --set train.iterations=6 --no-eval --quiet || { fail "no run to serve"; exit 1; }
 
@@ -107,12 +108,13 @@ ours = b"relidar.v1.RenderService"
 health = channel.unary_unary("/grpc.health.v1.Health/Check")(b"\x0a" + bytes([len(ours)]) + ours, timeout=10)
 listed = channel.stream_stream("/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo")(iter([b"\x3a\x00"]), timeout=10)
 answer = next(listed)
-listed.cancel()   # else Python may wait for the stream for ever as it ends
+listed.cancel()   # otherwise Python may wait for the stream forever when it ends
 channel.close()
 sys.exit(0 if health == b"\x08\x01" and ours in answer else 1)
 PYTHON
 
-# Poses by a client and by a file: the same scans, bit by bit.
+# Sends poses from a client and reads the same poses from a file. Both scans must be equal
+# bit by bit.
 printf 'time_s,x,y,z,yaw_deg\n0.4,3.25,0.5,1.73,0\n0.6,5.5,0.25,1.73,0\n' >way.csv
 for sensor in "" VLP-16:90x10; do
     rm -rf scans
@@ -127,8 +129,8 @@ grep -q "stopped .* m behind the actor" loop.out || fail "closed_loop_client.py:
 stop
 ! "$relidar_dev" bench --serve "$address" --calls 1 >/dev/null 2>&1 || fail "it answers after Ctrl-C"
 
-# Adds the other car of the street as an asset with a name chosen by the client. After its
-# removal the name must be free.
+# Adds the second car of the street as an asset with a name chosen by the client. After
+# the asset is removed, the name must be free.
 bad 3 "nowhere: no such folder" serve run --assets nowhere
 bad 3 "street contains no asset" serve run --assets street
 "$relidar" assets run --out assets --least 0 --quiet || fail "no assets to serve"
@@ -143,7 +145,8 @@ grep -q 'actors\[0\].asset: found "car-7", expected an existing name such as "ca
 "$python" -B "$root/tests/tools/ros2_test.py" "$root" "$relidar" "$address" ros2 >ros2.out 2>&1 || fail "ros2_lidar.py: $(cat ros2.out)"
 stop
 
-# The interface of another renderer beside ours, by a client that knows its wire alone.
+# Tests the interface of a different renderer, with a client that implements only its wire
+# format.
 bad 2 "api: found 'alpasim', expected sensorsim" serve run --api alpasim
 bad 2 "sensorsim-poses can only be used together with --api sensorsim" serve run --sensorsim-poses rotation-first
 bad 2 "sensorsim-poses: found 'xyz', expected rotation-first or translation-first" serve run --api sensorsim --sensorsim-poses xyz
@@ -152,7 +155,7 @@ serve town=run --api sensorsim
     || fail "a client of SensorsimService: $(cat sensorsim.out)"
 stop
 
-# A certificate of our own, which the client is told to trust.
+# Uses a self-signed certificate, which the client trusts explicitly.
 if command -v openssl >/dev/null; then
     openssl req -x509 -newkey rsa:2048 -nodes -keyout key.pem -out cert.pem -days 2 -subj /CN=localhost -addext subjectAltName=IP:127.0.0.1 2>/dev/null
     serve run --tls-cert cert.pem --tls-key key.pem
@@ -162,7 +165,8 @@ if command -v openssl >/dev/null; then
     stop
 fi
 
-# More silent connections than descriptors: it serves again when they have gone.
+# Opens more silent connections than descriptors. When the connections are closed, the
+# server must serve again.
 before=(bash -c 'ulimit -n 128; exec "$@"' -)
 serve run
 before=()

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests batches (train/gather_columns): groups of columns, or a window of full columns,
-// with their rays and targets, wrapping around; every n-th ray if the rays have no image
-// order. Structural similarity without an image must be rejected.
+// Tests batches of rays (train/gather_columns). A batch contains groups of columns or a
+// window of full columns, with their rays and targets, and wraps around. If the rays have
+// no image order, it contains every n-th ray. Structural similarity without an image must
+// be rejected.
 #include "train/frames/batch.hpp"
 
 #include <set>
@@ -72,8 +73,8 @@ TEST_F(Batch, WindowsOfColumnsAreImages) {
     EXPECT_GT(*firsts.rbegin(), 39) << "some windows wrap around";
 }
 
-/// Batches of a width without divisors (53 columns) must still be images, and each column
-/// must be drawn equally often.
+/// If the width has no divisors (53 columns), batches must still be images, and each
+/// column must be drawn equally often.
 TEST_F(Batch, GroupsOfColumnsAreAnImageAndNoColumnIsPreferred) {
     constexpr std::uint32_t kRows = 3, kColumns = 53, kStride = 5, kTaken = kColumns / kStride;
     constexpr int kTrials = 2000;
@@ -155,7 +156,8 @@ TEST_F(Batch, EveryNthRayOfAListIsNoImageAndTheWholeFrameIs) {
     }
 }
 
-/// The measured ranges must be stored with the rays, where the forward pass reads them.
+/// The measured ranges must be stored with the rays, because the forward pass reads them
+/// from the rays.
 TEST_F(Batch, RaysBringTheirTargets) {
     const std::vector<FrameData> image = numbered_frame(device(), 4, 50, true),
                                  cloud = numbered_frame(device(), 1, 50, false);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests densification in training. Starting from an eighth of the points, the final loss
-// must be lower with densification than without, also with actors. Pruning surfels that
-// no frame sees must not change the image.
+// Tests densification in training. Training starts from an eighth of the points. The
+// final loss must be lower with densification than without, also with actors. If surfels
+// that are visible in no frame are removed, the image must not change.
 #include <map>
 
 #include <relidar/log/dataset.hpp>
@@ -16,8 +16,8 @@ class DensifyTrain : public test::DeviceTest {};
 
 Sequence growing_street() { return make_synthetic_street({.n_frames = 11, .rows = 16, .columns = 256}); }
 
-/// Returns settings with one surfel where the `small` configuration of other tests has
-/// about eight, using every second ray.
+/// Returns settings with about an eighth of the surfels of the `small` configuration in
+/// other tests, using every second ray.
 Config sparse_config() {
     Config config = make_preset("quick");
     config.init.voxel_m = 1.2;
@@ -44,7 +44,7 @@ Config sparse_config() {
 }
 
 /// Returns the mean loss over the last thirty steps. Frames and rays are the same in
-/// every run.
+/// every training.
 double final_loss(const TrainResult& result) {
     double sum = 0.0;
     for (std::size_t i = result.log.size() - 3; i < result.log.size(); ++i) sum += result.log[i].loss / 3.0;
@@ -70,7 +70,7 @@ TEST_F(DensifyTrain, GrowthLowersTheLoss) {
         EXPECT_GE(n, strategy == DensifyStrategy::none ? 1u : result.log.front().n_surfels * 11 / 10);
         std::printf("strategy %d: %u surfels, loss %.5f\n", int(strategy), n, loss[strategy]);
     }
-    // Ratios of 0.90 and 0.97 were measured; they depend on rates, length and seed.
+    // The measured ratios are 0.90 and 0.97. They depend on rates, length and seed.
     EXPECT_LT(loss[DensifyStrategy::adaptive], loss[DensifyStrategy::none]);
 }
 
@@ -101,8 +101,8 @@ TEST_F(DensifyTrain, ActorsStayInTheirModels) {
                 << "in the frame of its car";
 }
 
-/// Uses a device with little more memory than training without growth needs. Growth must
-/// end early, but training must continue.
+/// Uses a device with little more memory than training without growth needs. The growth
+/// must end early, but training must continue.
 TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {
     const Sequence sequence = growing_street();
     const Split split = split_frames(sequence, 10);
@@ -114,7 +114,7 @@ TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {
     std::uint64_t needed = 0;
     {
         Device unlimited;
-        // one step
+        // trains for a single step
         train(unlimited, sequence, split, config, [](const TrainProgress& p) { return p.iteration < 1; });
         needed = unlimited.peak_bytes();
     }

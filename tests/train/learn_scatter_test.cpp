@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the learned scatter of intensities on a street whose sensor measures noisy values
-// in steps of 1/64. Scatter learned from training frames must match the scatter of those
-// frames. Held-out frames differ more, because the untrained scene consists of the
-// training frames' noisy points.
+// in steps of 1/64. Scatter that was learned from training frames must match the scatter
+// of these frames. Held-out frames differ more, because the untrained scene consists of
+// the noisy points of the training frames.
 #include <cmath>
 
 #include <gtest/gtest.h>
@@ -22,8 +22,8 @@ class LearnScatter : public test::DeviceTest {};
 
 constexpr float kStep = 1.0f / 64.0f;
 
-/// Returns a run with intensity noise of standard deviation 0.05 and an untrained scene
-/// of its points.
+/// Returns a run whose intensities have noise with a standard deviation of 0.05. Its
+/// untrained scene consists of the points of the log.
 Run grainy_run() {
     Run run;
     run.sequence =
@@ -61,7 +61,8 @@ TEST_F(LearnScatter, TrainingFramesScatterAlike) {
                 << "the likeliest scan has the log's steps";
             if (sample.image.drop_prob[i] > 0.5f) continue;
             ASSERT_EQ(value, std::round(value / kStep) * kStep);
-            // the same rays for both, so that the surfaces are the same
+            // uses the same rays for both distributions, so that the surfaces are the
+            // same
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
             real += std::pow(double(frame.scan.intensity[i] - rendered), 2);
             drawn += std::pow(double(value - rendered), 2);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that an iteration only records and submits work. The host must not wait for an
-// idle device or allocate device memory. It must still receive the results of an
-// iteration a bounded number of iterations later.
+// Tests that an iteration of training only records and submits work. The host must not
+// wait until the device is idle, and must not allocate device memory. It must still
+// receive the results of an iteration after a bounded number of iterations.
 #include <algorithm>
 #include <limits>
 
@@ -47,7 +47,7 @@ TEST_F(NoWait, NorAllocationInAnIteration) {
         // sizes
         iterate(1, 12);
         const std::uint64_t buffers = d.n_buffers, waits = d.n_full_waits;
-        iterate(13, 150);  // includes log lines, a full report, and checks of the tree
+        iterate(13, 150);  // these iterations include log lines, a full report, and checks of the tree
         EXPECT_EQ(d.n_full_waits, waits);
         EXPECT_EQ(d.n_buffers, buffers);
         EXPECT_EQ(loop.collect_lines().size(), 10u);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests people as actors. On held-out frames, they must have about as many returns as in
-// the log. Masked objects must be reported.
+// Tests people as actors. On held-out frames, a person must have about as many returns as
+// in the log. Masked objects must be reported.
 #include <cstdio>
 #include <map>
 #include <utility>
@@ -16,7 +16,7 @@ namespace {
 
 class People : public test::DeviceTest {};
 
-/// Counts the points in a box, enlarged by the margin of labels and surfels.
+/// Counts the points in a box that is enlarged by the margin of labels and surfels.
 /// @param range_m, returned [rays] of the frame
 template <class Returned>
 int returns_in(const Sequence& street, const Frame& frame, const BoxTrack& box,
@@ -31,14 +31,14 @@ int returns_in(const Sequence& street, const Frame& frame, const BoxTrack& box,
     return n;
 }
 
-/// Removes the lowest part of a box, which contains pavement.
+/// Returns the box without its lowest part, which contains pavement.
 BoxTrack above_ground(BoxTrack box) {
     for (Pose& pose : box.world_from_box.pose) pose.translation.z += 0.15;
     return box;
 }
 
-/// Uses the median range, because the mean range moves up to a quarter of the points of
-/// such a narrow object behind it.
+/// Uses the median range, because the mean range would move up to a quarter of the points
+/// behind such a narrow object.
 TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
     const Sequence street = make_synthetic_street({.seed = 3,
                                                    .n_frames = 20,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the alignment of held-out scans with a trained street whose exact poses are
-// known.
+// Tests the alignment of held-out scans with a trained street. The test compares with
+// exact poses.
 #include <gtest/gtest.h>
 
 #include <relidar/log/dataset.hpp>
@@ -30,7 +30,8 @@ Run trained_run(Device& device) {
     return run;
 }
 
-/// Returns a run whose held-out frames have wrong poses. All tests share one training.
+/// Returns a trained run whose held-out frames have wrong poses. All tests share the same
+/// training.
 Run off_run(Device& device, const Twist& off) {
     static const Run trained = trained_run(device);
     Run run = trained;

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests pose refinement: moved rays (train/move_rays) against world_ray of the corrected
-// track, gradients of the poses (train/knot_gradients) against central differences, Adam
-// on a track, and the synthetic street with pose errors of 5 cm and 0.3 degrees.
+// Tests pose refinement. Compares moved rays (train/move_rays) with world_ray of the
+// corrected track, and gradients of the poses (train/knot_gradients) with central
+// differences. Tests Adam on a track, and the synthetic street with pose errors of 5 cm
+// and 0.3 degrees.
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -45,7 +46,7 @@ Twist random_twist(std::mt19937_64& random, double sigma_m, double sigma_rad) {
     return twist;
 }
 
-/// Returns a correction of all poses as after some training steps.
+/// Returns a correction of all poses that could result from some training steps.
 TrackCorrection random_correction(const PoseTrack& track, std::mt19937_64& random) {
     TrackCorrection correction(track);
     for (int i = 0; i < 3; ++i) {
@@ -90,7 +91,7 @@ TEST_F(Poses, MovedRaysAreThoseOfTheCorrectedTrack) {
     }
 }
 
-/// Index of each ray of a batch among all rays of its frame.
+/// Returns the index of each ray of a batch among all rays of its frame.
 std::vector<std::size_t> frame_ray_ids(const SampledBatch& batch, const std::vector<DeviceRay>& batch_rays,
                                        const std::vector<DeviceRay>& frame_rays) {
     std::vector<std::size_t> ids;
@@ -104,8 +105,8 @@ std::vector<std::size_t> frame_ray_ids(const SampledBatch& batch, const std::vec
     return ids;
 }
 
-/// L = sum a . origin' + b . direction' over the batch, differentiated through the
-/// corrected track in double.
+/// Uses the loss L = sum a . origin' + b . direction' over the batch. The expected
+/// gradient is differentiated through the corrected track in double.
 TEST_F(Poses, GradientsAreThoseOfDifferences) {
     const Sequence street = street_of(5, 8, 64);
     TrainingFrames frames(device(), street, {1, 2, 4}, {.unknown = {}, .moves_rays = true});
@@ -163,7 +164,7 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
     }
 }
 
-/// Minimises a quadratic function around known corrections, evaluated by interpolation at
+/// Minimises a quadratic function around exact corrections, evaluated by interpolation at
 /// two times per frame.
 TEST(TrackCorrectionOf, AQuadraticBowl) {
     PoseTrack track;
@@ -207,7 +208,7 @@ Config refining(const std::string& what, int iterations) {
     return config;
 }
 
-/// Returns the pose errors before and after one training.
+/// Trains once and returns the pose errors before and after the training.
 std::pair<PoseError, PoseError> errors_of_training(Device& device, const Config& config, const char* what) {
     Sequence street = street_of(11, 32, 256);
     const PoseTrack exact = street.world_from_vehicle;
@@ -233,7 +234,7 @@ TEST_F(Poses, OfTheSensorComeNearerByGradients) {
     EXPECT_LT(after.median_deg, 0.6 * before.median_deg);
 }
 
-/// Noise of 5 cm and 0.3 degrees must be reduced to 1 cm and 0.05 degrees.
+/// Refinement must reduce pose noise of 5 cm and 0.3 degrees to 1 cm and 0.05 degrees.
 TEST_F(Poses, OfTheSensorComeBack) {
     const PoseError after =
         errors_of_training(device(), refining("sensor", 40), "registration and gradients").second;
@@ -241,8 +242,8 @@ TEST_F(Poses, OfTheSensorComeBack) {
     EXPECT_LT(after.median_deg, 0.05);
 }
 
-/// Keeps only the rays that end near a box. Other rays do not affect the box and take
-/// most of the time.
+/// Removes all rays except the rays that end near a box. The removed rays do not affect
+/// the box and would take most of the time.
 void keep_rays_near_boxes(Sequence& street, double margin_m) {
     for (Frame& frame : street.frames) {
         Scan& scan = frame.scan;
@@ -276,7 +277,7 @@ TEST_F(Poses, OfTheActorsComeBack) {
     Config config = refining("actors", 160);
     config.train.pose_rate_m = 1e-3;
     config.init.actor_min_points = 20;
-    config.init.scale_factor = 0.8;  // larger surfels without holes, because a car has few points
+    config.init.scale_factor = 0.8;  // uses larger surfels without holes, because a car has few points
     const TrainResult result =
         train(device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; });
     ASSERT_TRUE(result.poses);
@@ -310,8 +311,9 @@ TEST_F(Poses, AreKeptWhereNoneIsRefined) {
     EXPECT_NE(notes[0].find("no actor"), std::string::npos) << notes[0];
 }
 
-/// The pose of a single sweep cannot be determined. If it followed its scene, it would
-/// move away from the scenes of other sweeps.
+/// The pose of a single sweep cannot be determined, so it must stay unchanged. If it
+/// followed the scene of its sweep, it would move away from the scenes of the remaining
+/// sweeps.
 TEST_F(Poses, OfASingleSweepStays) {
     const Sequence street = street_of(4, 8, 64, true);
     std::vector<std::string> notes;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that several processes (here: threads) prepare a log together with the same
-// result as one process, bit by bit.
+// Tests that several processes (here: threads) that prepare a log together compute the
+// same result as a single process, bit by bit.
 #include <cmath>
 #include <condition_variable>
 #include <map>
@@ -26,8 +26,8 @@ public:
     ProcessGroup of(int rank) {
         return {rank, size_, [this, rank](const std::string& own) { return gather(std::size_t(rank), own); }};
     }
-    /// Returns [size] the number of bytes that each rank contributed to parts with
-    /// contributions of all ranks.
+    /// Returns [size] the number of bytes that each process (rank) contributed to the
+    /// parts to which all processes contribute.
     std::vector<std::size_t> shared_bytes() const {
         std::vector<std::size_t> bytes(std::size_t(size_), 0);
         for (const auto& [turn, part] : parts_)
@@ -153,7 +153,7 @@ TEST(PrepareLog, WarnsOfPosesThatDoNotFitTheScans) {
         return at == std::string::npos ? std::string() : told.substr(at);
     };
     EXPECT_EQ(warning_of(good), "");
-    Sequence bad = good;  // every second pose is one metre too far ahead
+    Sequence bad = good;  // moves every second pose ahead by a metre
     for (std::size_t k = 0; k < bad.world_from_vehicle.pose.size(); k += 2)
         bad.world_from_vehicle.pose[k].translation.x += 1.0;
     const std::string warning = warning_of(bad);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the ray-drop network, the last stage of training, on a street whose sensor is
-// weak downwards. Surfels cannot represent this effect while the vehicle drives past. The
-// network must predict it on held-out frames.
+// Tests the ray-drop network, the last stage of training. The street is recorded by a
+// sensor that is weak downwards. Surfels cannot represent this effect while the vehicle
+// drives past. The network must predict the effect on held-out frames.
 #include <cmath>
 #include <filesystem>
 #include <string>
@@ -29,12 +29,12 @@ namespace {
 constexpr float kReach_m = 9.0f;
 
 bool is_weak(const glm::vec3& direction) { return direction.z < 0.0f; }
-/// Returns true for directions well inside the weak beams. The border stays blurred after
-/// few training steps.
+/// Returns true for directions well inside the weak beams. Directions at the border are
+/// excluded, because they are still blurred after few training steps.
 bool is_well_inside(const glm::vec3& direction) { return direction.z < -0.02f; }
 
 /// Returns a street in which rays that point down have no returns beyond 9 m. The same
-/// surfaces return when they are nearer, so this is a property of the sensor.
+/// surfaces have returns when they are nearer, so the effect is a property of the sensor.
 Sequence weak_street() {
     Sequence street = make_synthetic_street(
         {.seed = 5, .n_frames = 16, .rows = 32, .columns = 512, .range_noise_m = 0.01, .speed_mps = 10.0});
@@ -53,10 +53,11 @@ Run trained(Device& device, Sequence street) {
     run.config.train.iterations = 80;
     run.config.train.rays_per_iteration = 8192;
     run.config.train.refine_poses = "none";
-    // Discs that face the sensor would reduce what the network learns in so few steps.
+    // Avoids discs that face the sensor, because they would reduce the effect that the
+    // network can learn in so few steps.
     run.config.init.flatness = 1.0;
-    // Without the sensor-drop table and higher harmonics, only the network can learn the
-    // effect.
+    // disables the sensor-drop table and higher harmonics, so that only the network can
+    // learn the effect
     run.config.train.sensor_drop = false;
     run.config.image.sh_degree = 0;
     run.scene =
@@ -77,8 +78,9 @@ const Run& weak_run(Device& device) {
     return run;
 }
 
-/// Returns the shares of correctly predicted drops on held-out frames: for weak beams
-/// that hit a surface near or beyond their reach, and for all other pixels.
+/// Returns the shares of correctly predicted drops on held-out frames: first for weak
+/// beams that hit a surface near or beyond their maximum range, then for all remaining
+/// pixels.
 std::pair<double, double> accuracies(Device& device, const Run& run) {
     ScanRenderer renderer(device, run);
     double n[2] = {0.0, 0.0}, right[2] = {0.0, 0.0};
@@ -101,7 +103,7 @@ protected:
     void TearDown() override {
         if (!folder_.empty()) std::filesystem::remove_all(folder_);
     }
-    /// Returns a temporary folder that is removed with the test.
+    /// Returns a temporary folder that is deleted at the end of the test.
     const std::filesystem::path& folder() {
         std::string pattern = (std::filesystem::temp_directory_path() / "relidar-refine-XXXXXX").string();
         if (folder_.empty() && ::mkdtemp(pattern.data())) folder_ = pattern;
@@ -124,8 +126,8 @@ TEST_F(RefineDrops, NetworkKnowsWhatTheSensorDoesOnHeldOutFrames) {
     EXPECT_EQ(accuracies(device(), run).first, weak_before) << "not asked for";
 }
 
-/// Returns the share of a sensor's rays whose predicted drop equals that of the exact
-/// street.
+/// Returns the share of a sensor's rays for which the predicted drop equals the drop in
+/// the exact street.
 double exact_accuracy(ScanRenderer& renderer, const SyntheticOptions& options, const Run& run,
                       const SensorChoice& sensor) {
     double n = 0.0, right = 0.0;
@@ -175,7 +177,7 @@ TEST_F(RefineDrops, ANetworkOfCellsRefinesImagesOfTheirGridAlone) {
     EXPECT_EQ(refined.image.range_m, plain.image.range_m);
 }
 
-/// Trains until `step` steps are done, with checkpoints in a folder.
+/// Trains until `step` steps are finished, and saves checkpoints in a folder.
 void train_until(Device& device, const Run& run, int step, const std::filesystem::path& folder,
                  const Checkpoint* start = nullptr) {
     int done = 0;
@@ -195,8 +197,9 @@ Checkpoint newest(const std::filesystem::path& folder) {
     return std::move(*found);
 }
 
-/// Compares a training that was interrupted twice with an uninterrupted one of four
-/// epochs, bit by bit. A network that was saved and read again must continue too.
+/// Compares a training that was interrupted twice with an uninterrupted training of four
+/// epochs, bit by bit. Training must also continue with a network that was saved and read
+/// again.
 TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
     relidar::Run run = weak_run(device());
     run.config.refine.epochs = 4;
@@ -265,7 +268,7 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
 }
 
 /// A file at the path of the checkpoint folder makes saving fail. Training must continue
-/// without checkpoints and report it.
+/// without checkpoints and report the failure.
 TEST_F(RefineDrops, AFullDiskCostsACheckpointNotTheTraining) {
     relidar::Run run = weak_run(device());
     run.config.refine.epochs = 1;

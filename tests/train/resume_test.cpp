@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that a training that was stopped and resumed equals an uninterrupted one: same
-// frames in the same order, same log, same scene. If something fails, the last good
+// Tests that a training that was stopped and resumed equals an uninterrupted training:
+// same frames in the same order, same log, same scene. If an error occurs, the last valid
 // checkpoint must remain.
 #include <algorithm>
 #include <cmath>
@@ -27,13 +27,14 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr int kIterations = 40;
-constexpr int kStoppedAfter = 17;  // between two lines of the log, and within an epoch of ten frames
+// stops between two lines of the log, and within an epoch of ten frames
+constexpr int kStoppedAfter = 17;
 
 Config resumed_config() {
     Config config = make_preset("quick");
     config.init.voxel_m = 0.4;
     config.train.iterations = kIterations;
-    // a quarter of a frame, so that the choice of rays is random too
+    // uses a quarter of the rays of a frame, so that the choice of rays is random too
     config.train.rays_per_iteration = 1000;
     config.train.sh_degree_interval = 10;
     config.train.log_every = 10;
@@ -41,8 +42,8 @@ Config resumed_config() {
     return config;
 }
 
-/// Maximum difference between two trainings of the same steps, relative to the change by
-/// training. Float atomics add in any order, and the rounding differences grow. With
+/// Maximum difference between two trainings with the same steps, relative to the change
+/// by training. Float atomics add in any order, and the rounding differences grow. With
 /// train.deterministic, all bits must be equal.
 constexpr double kApart = 0.01;
 
@@ -152,8 +153,8 @@ TEST_F(Resume, IsTheTrainingThatWasNotStopped) {
     EXPECT_EQ(resumed.scene.sensor_drop.probability.size(), whole.scene.sensor_drop.probability.size());
 }
 
-/// With a fixed order of sums, all bits must be equal. This includes surfels added and
-/// removed before the stop, between the stop and the next log line, and after.
+/// With a fixed order of sums, all bits must be equal. Surfels are added and removed
+/// before the stop, between the stop and the next log line, and later.
 TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
     using enum DensifyStrategy;
     for (const auto& [strategy, primitive] : {std::pair{none, Primitive::surfel},
@@ -234,7 +235,8 @@ TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     }
 }
 
-/// A loop with other values must restore all saved values, bit by bit.
+/// Restores a saved state into a training loop with different values. All saved values
+/// must be restored, bit by bit.
 TEST_F(Resume, RestoresEveryArrayBitByBit) {
     Config config = resumed_config();
     config.train.refine_poses = "sensor,actors";
@@ -266,7 +268,8 @@ TEST_F(Resume, RestoresEveryArrayBitByBit) {
     }
 }
 
-/// Refinement of actor poses alone must also resume, from a checkpoint on disk.
+/// Training that refines only the poses of actors must also resume, from a checkpoint on
+/// disk.
 TEST_F(Resume, ActorsAloneAreRefinedAsIfNeverStopped) {
     Config config = resumed_config();
     config.train.deterministic = true;
@@ -415,7 +418,7 @@ TEST_F(Resume, ParametersThatAreNoNumbersAreNeverSaved) {
 }
 
 /// Simulates a lost device and exhausted memory. The last checkpoint must be complete,
-/// and training must resume from it.
+/// and training must be able to resume from it.
 TEST_F(Resume, AFailureLeavesTheLastCheckpoint) {
     Config config = resumed_config();
     config.train.checkpoint_every = 5;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the training of one scene from the four LiDARs of a rig. Compares held-out sweeps
+// Tests the training of a scene from the four LiDARs of a rig. Compares held-out sweeps
 // of each LiDAR with the exact street along the same rays.
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/simulate/render.hpp>
@@ -18,7 +18,8 @@ namespace {
 class RigStreet : public test::DeviceTest {};
 
 struct Score {
-    /// errors of rays that return both in the exact street and in the rendering
+    /// range errors of the rays that have a return both in the exact street and in the
+    /// rendering
     std::vector<double> errors_m;
     std::size_t rays = 0, drops_right = 0, seconds = 0, found = 0, reported = 0, invented = 0;
 
@@ -85,8 +86,9 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
         drop_outside(truth, street.lidar_of(frame).sensor.range_limits());
         add(scores[std::size_t(frame.lidar)], scan, truth);
     }
-    // The goal is 90 % found and 5 % invented second returns; docs/results.md describes
-    // the difference to this goal.
+    // The goal is that 90 % of the second returns are rendered, and that at most 5 % of
+    // the rendered second returns are false. docs/results.md describes the difference to
+    // this goal.
     const Score& wide = scores[test::kTwoReturns];
     EXPECT_GT(wide.seconds, 200u);
     EXPECT_GT(double(wide.found), 0.45 * double(wide.seconds));
@@ -102,9 +104,9 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
     }
 }
 
-/// Returns the share of missed ground rays of a sensor: rays that hit the ground 5 to 25
-/// m away in the exact street, but not in an untrained scene. Uses the first held-out
-/// frame.
+/// Returns the share of a sensor's ground rays that the scene misses. These rays hit the
+/// ground 5 to 25 m away in the exact street, but have no such hit in an untrained scene.
+/// Uses the first held-out frame.
 /// @param street a prepared log
 double missed_ground(Device& device, const Sequence& street, const Split& split,
                      const SyntheticOptions& options, double max_gap_m) {
@@ -136,7 +138,7 @@ TEST_F(RigStreet, ADenserSensorSeesNoHolesBetweenTheRingsOfTheLog) {
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";
     const SyntheticOptions options{.n_frames = 11, .rig = rig.string()};
     Sequence log = make_synthetic_street(options);
-    // holds out the middle frame and the last one
+    // holds out the middle frame and the last frame
     const Split split = split_frames(log, int(log.frames.size()) / 2);
     prepare_log(log, split, rig_config(0), {});
     const double with = missed_ground(device(), log, split, options, 2.0),

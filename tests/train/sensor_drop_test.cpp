@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the estimation of rays that a sensor never sees, from few and many sweeps: a
-// sector hidden by the recording vehicle, and rays that are dropped occasionally.
+// Tests the estimation of rays for which a sensor never has a return, from few and many
+// sweeps. Covers a sector that the recording vehicle hides, and rays that are dropped
+// occasionally.
 #include "train/drops/sensor_drop.hpp"
 
 #include <algorithm>
@@ -14,9 +15,9 @@ namespace {
 
 constexpr int kColumns = 360, kBlindFrom = 99, kBlindTo = 189;  // columns of beam 1
 
-/// Returns sweeps of four beams with every `step`-th column. The second beam is blind in
-/// a sector. The third drops every seventh ray. The fourth drops six of 24 rays, like
-/// rays that hit windows.
+/// Returns sweeps of four beams with every `step`-th column. The second beam has no
+/// returns in a sector. The third beam drops every seventh ray. The fourth beam drops six
+/// of 24 rays, like rays that hit windows.
 Sequence log_of(int n_frames, int step = 1) {
     Sequence log;
     log.lidars[0].sensor.columns = kColumns;
@@ -85,7 +86,7 @@ TEST(SensorDrop, OnlyABlindSectorIsBlindInOneSweep) {
     struct Log {
         int n_frames, step;
     };
-    // the last case is a coarse LiDAR next to a fine one
+    // the last case combines a coarse LiDAR with a fine LiDAR
     for (const auto& [n_frames, step] : {Log{1, 1}, Log{2, 1}, Log{40, 1}, Log{3, 4}}) {
         const Sequence log = log_of(n_frames, step);
         std::vector<int> positions(std::size_t(n_frames), 0);
@@ -106,8 +107,8 @@ TEST(SensorDrop, OnlyABlindSectorIsBlindInOneSweep) {
     }
 }
 
-/// Returns a log of two LiDARs. The first one does not fire in a sector, and gets no
-/// return in another sector. The highest of its beams never returns.
+/// Returns a log of two LiDARs. The first LiDAR does not fire in a sector, and gets no
+/// return in a different sector. Its highest beam never returns.
 Sequence log_with_sectors() {
     Sequence log = log_of(0);
     log.lidars.push_back(log.lidars[0]);

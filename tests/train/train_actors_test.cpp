@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the training of actors in front of a background with which they were not trained.
-// The actors must become opaque, and nothing else may change.
+// Tests the training of actors in front of a background that was trained separately. The
+// actors must become opaque, and all other parts of the scene must not change.
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
@@ -22,8 +22,8 @@ namespace {
 
 class TrainActors : public test::DeviceTest {
 protected:
-    /// Makes a street in two blocks, one with x < 0 and one with x >= 0. Its cars are
-    /// thin, so that rays pass through.
+    /// Makes a street in two blocks, with x < 0 and with x >= 0. Its cars are thin, so
+    /// that rays pass through.
     void SetUp() override {
         DeviceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
@@ -40,7 +40,7 @@ protected:
         run.config = make_preset("quick");
         run.config.init.voxel_m = 0.3;
         run.config.init.actor_min_points = 10;
-        // large enough that there are no holes between the points of a car
+        // large enough to close the holes between the points of a car
         run.config.init.scale_factor = 0.8;
         run.config.train.deterministic = true;
         run.config.blocks.actor_epochs = 4;
@@ -71,8 +71,8 @@ protected:
         return block;
     }
 
-    /// Returns the median error of the mean range for the rays of the held-out frame that
-    /// return from a car.
+    /// Returns the median error of the mean range over the rays of the held-out frame
+    /// whose return is from a car.
     double error_on_cars() {
         const Frame& frame = run.sequence.frames[std::size_t(run.split.test[0])];
         ScanRenderer renderer(device(), run.scene, run.config, run.sequence);
@@ -133,8 +133,8 @@ TEST_F(TrainActors, LeaveABackgroundInMemoryAsItIs) {
         same(&Surfels::sh);
 }
 
-/// Only background near the rays may affect training. Surfels high above the street must
-/// not change a bit.
+/// Only background near the rays may affect the training of actors. Surfels high above
+/// the street must not change any bit of the result.
 TEST_F(TrainActors, WhatNoRayNearThemMeetsMakesNoDifference) {
     relidar::Run other = run;
     Surfels far = read_block(run.scene.blocks[0]).slice(0, 100);
@@ -143,7 +143,7 @@ TEST_F(TrainActors, WhatNoRayNearThemMeetsMakesNoDifference) {
     SceneBlock block{folder / "above.safetensors", 100, {-100, -100, -100}, {100, 100, 100}};
     save_model(block.file, above);
     other.scene.blocks.push_back(block);
-    // excludes the rate of means, because it depends on the extent of all blocks
+    // excludes the learning rate of means, because it depends on the extent of all blocks
     for (relidar::Run* each : {&run, &other})
         each->config.train.mean_rate = each->config.train.mean_rate_final = 0.0;
     EXPECT_TRUE(train_actors(device(), run));

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests training on a small synthetic street: the loss decreases, held-out frames improve
-// over the initialisation, an interruption keeps the current scene, moving boxes are
-// masked, and an unsuitable log is rejected.
+// Tests training on a small synthetic street. The loss must decrease, and held-out frames
+// must improve over the initialisation. An interruption must keep the current scene.
+// Moving boxes must be masked, and an unsuitable log must be rejected.
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -72,8 +72,8 @@ TEST_P(TrainEither, LearnsTheStreet) {
               0.9 * held_out_error(device(), untrained.scene, config, street, split));
 }
 
-/// The first step of Adam equals the rate for any gradient. The rate must be scaled with
-/// 4 x the diagonal of a car's box and not with the extent of the street.
+/// The first step of Adam equals the learning rate for any gradient. The rate must be
+/// proportional to 4 x the diagonal of a car's box and not to the extent of the street.
 TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
     const Sequence street = make_synthetic_street(small_street());
     const Split split = split_frames(street, 10);
@@ -94,7 +94,7 @@ TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
             for (int axis = 0; axis < 3; ++axis)
                 farthest_m = std::max(farthest_m, std::abs(double(after.surfels.mean[i][axis]) -
                                                            double(before.surfels.mean[i][axis])));
-        // rate of the last step, which is the only one
+        // learning rate of the only step, which is also the last step
         const double rate_m = config.train.mean_rate_final * extent_m;
         EXPECT_NEAR(farthest_m, rate_m, 0.02 * rate_m + 4e-6) << model.name;
     }
@@ -127,8 +127,9 @@ TEST_P(TrainEither, SurfelsGrowToSoManyTimesTheirFirstSizeAtMost) {
     EXPECT_GT(at_the_bound, last.size() / 100);
 }
 
-/// A single drop logit must start at the same ray-drop probability as two logits, and
-/// learn. Hit logits must stay 0, during training and in the saved scene.
+/// Training with a single drop logit must start at the same ray-drop probability as
+/// training with two logits, and it must learn. Hit logits must stay 0, during training
+/// and in the saved scene.
 TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
     const Sequence street = make_synthetic_street(small_street());
     const Split split = split_frames(street, 10);
@@ -165,8 +166,8 @@ TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
     EXPECT_LT(drop_term(result.log.back()), 0.8 * drop_term(result.log.front()));
 }
 
-/// Two runs with actors must end with the same bits. Without space for the hits, training
-/// must report an error instead of becoming nondeterministic.
+/// Two trainings with actors must end with the same bits. Without memory for the hits,
+/// training must report an error instead of becoming nondeterministic.
 TEST_F(Train, DeterministicTrainingRepeatsItself) {
     SyntheticOptions options = small_street();
     options.n_frames = 5;
@@ -205,8 +206,8 @@ TEST_F(Train, StopsWhenAskedAndKeepsTheScene) {
     for (const glm::vec3& p : result.scene.surfels.mean) ASSERT_TRUE(std::isfinite(p.x + p.y + p.z));
 }
 
-/// Trains with the moving cars as actors and with masked cars. On the pixels of the cars,
-/// actors must be much better.
+/// Trains once with the moving cars as actors and once with masked cars. On the pixels of
+/// the cars, the errors with actors must be much smaller.
 TEST_F(Train, ActorsBeatMasking) {
     SyntheticOptions options = small_street();
     options.rows = 32, options.columns = 512;
@@ -219,7 +220,8 @@ TEST_F(Train, ActorsBeatMasking) {
         config.init.actor_classes = classes;
         config.init.actor_min_points = 20;
         config.train.rays_per_iteration = 8192;
-        // a car has a few hundred points; a factor of 0.4 would leave holes between them
+        // a car has a few hundred points, so a factor of 0.4 would leave holes between
+        // its surfels
         config.init.scale_factor = 0.8;
         const TrainResult result =
             train(device(), street, split, config, [](const TrainProgress&) { return true; });
@@ -265,8 +267,8 @@ TEST(Targets, RaysOfMovingBoxesAreUnknown) {
     EXPECT_LE(double(masked_rest), 0.05 * double(rest));
 }
 
-/// The rays on a moving car have targets if the car is an actor. Otherwise they are
-/// masked while its labels exist.
+/// The rays that hit a moving car have targets if the car is an actor. Otherwise they are
+/// masked as long as the car has labels.
 TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
     Sequence street = make_synthetic_street(small_street());
     const std::vector<BoxTrack> whole = street.boxes;
@@ -298,8 +300,8 @@ TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
     EXPECT_EQ(masked_share(n_labels + 1, false), 0.0) << "nobody knows where it is";
 }
 
-/// Returns true for rays to the left and below, which a vehicle body hides. The ground
-/// there is visible from other positions.
+/// Returns true for rays to the left and below. A vehicle body hides the ground in this
+/// direction, but the ground is visible from later or earlier positions.
 bool is_hidden(const RayTable& rays, std::size_t i) {
     const glm::vec3& d = rays.direction[i];
     return d.z < -0.1f && std::abs(std::atan2(d.y, d.x) - 1.5f) < 0.3f;

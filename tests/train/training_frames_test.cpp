@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests training frames that stay on the device against frames that are uploaded when
-// needed. Rays, targets and the training must be equal bit by bit, and memory must not
-// grow with the log.
+// Compares training frames that stay on the device with frames that are uploaded when
+// they are needed. Rays, targets and the training must be equal bit by bit, and memory
+// must not grow with the length of the log.
 #include "train/frames/training_frames.hpp"
 
 #include <algorithm>
@@ -23,8 +23,9 @@ namespace {
 
 constexpr std::uint64_t kAll = ~0ull;
 
-/// Returns the cell of the KITTI-360 grid from its published definition: 66 rows from
-/// +2.0 to -24.9 degrees, 1030 columns from azimuth +180 downwards, centred.
+/// Returns the cell of the KITTI-360 grid for a point. The published grid has 66 rows
+/// from +2.0 to -24.9 degrees and 1030 columns with decreasing azimuth from +180 degrees.
+/// Rays are in the centres of the cells.
 int cell_of(const glm::vec3& p) {
     const double degrees = 180.0 / kPi,
                  elevation = degrees * std::atan2(double(p.z), std::hypot(double(p.x), double(p.y)));
@@ -48,7 +49,9 @@ TEST(OnGrid, NearestReturnsOfCells) {
     const Frame binned = on_grid(log, log.frames[0], kitti360_grid());
     ASSERT_EQ(binned.scan.range_m.size(), 66u * 1030u);
     EXPECT_EQ(binned.scan.rays.rows, 66);
-    int elsewhere = 0;  // single and double precision may differ on the border of two cells
+    // single and double precision may select different cells for a point at the border of
+    // two cells
+    int elsewhere = 0;
     for (std::size_t cell = 0; cell < binned.scan.range_m.size(); ++cell) {
         const glm::vec3& d = binned.scan.rays.direction[cell];
         EXPECT_EQ(cell_of(10.0f * d), int(cell));
@@ -86,7 +89,7 @@ protected:
     }
 };
 
-/// Compares frames with the same arrays made on the host. Uses a random order with
+/// Compares frames with the same arrays computed on the host. Uses a random order with
 /// repetitions, and correct, wrong and missing predictions of the next frame.
 TEST_F(FramesInTurn, AreThoseOfTheLog) {
     Sequence log = street(5);
@@ -202,7 +205,7 @@ TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
 }
 
 /// Uses the cells of a grid instead of the fired rays. Settings that need fired rays must
-/// be rejected with a one-line error.
+/// be rejected with an error of a single line.
 TEST_F(FramesInTurn, AreCellsOfAGrid) {
     const Sequence log = street(2);
     TrainingFrames frames(device(), log, positions(log), {.unknown = {}, .grid = kitti360_grid()});

@@ -22,7 +22,7 @@ Config two_lidar_config() {
     return config;
 }
 
-/// Returns the mean absolute depth error of one LiDAR's held-out frame on its nominal
+/// Returns the mean absolute depth error of the held-out frame of a LiDAR, on its nominal
 /// rays.
 double held_out_error(Device& device, const Scene& scene, const Config& config, const Sequence& street,
                       const Frame& frame) {

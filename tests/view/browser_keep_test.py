@@ -183,7 +183,7 @@ def goes_on_after_a_restart(page, relidar, work, viewer):
     page.click("#show-boxes")
     viewer.end()
     page.wait("the page to say that the program has ended", lambda: "Trying again" in page.find("#message").text)
-    page.type("#place-y", "-2.5")   # no program renders it now
+    page.type("#place-y", "-2.5")   # changes the field while no program is running
     viewer = Viewer(relidar, work, "run", "--insert", "run", "--port", port)
     try:
         page.wait("the page to go on", lambda: page.find("#message").text == "")

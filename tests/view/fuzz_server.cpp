@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sends randomly modified requests and WebSocket frames to the viewer's server, and
-// regularly checks that the server still answers.
-//   view_fuzz [REQUESTS [SEED]]
+// regularly checks that the server still answers. Usage: view_fuzz [REQUESTS [SEED]]
 #include <cstdio>
 #include <cstdlib>
 #include <exception>
@@ -93,7 +92,7 @@ bool lives(int port) {
                test::ask(port, "GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")) == 200;
 }
 
-/// Opens a connection that sends several requests or frames without waiting for answers.
+/// Opens a connection and sends several requests or frames without waiting for responses.
 void bother(int port, Changer& change) {
     test::RawClient client(port);
     const bool as_socket = change.below(3) == 0;
@@ -102,7 +101,7 @@ void bother(int port, Changer& change) {
             "GET /live HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: "
             "Upgrade\r\nSec-WebSocket-Key: "
             "dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n");
-    // Frames are allowed only after the answer to the handshake.
+    // A client may send frames only after the response to the handshake.
     if (as_socket) client.receive(100, std::chrono::milliseconds(200));
     for (int i = 0; i < kTogether; ++i)
         if (!client.send(as_socket ? change.frame() : change.request())) break;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sends arbitrary bytes, valid or invalid, to a server and returns the answer.
+// Sends arbitrary bytes, valid or invalid, to a server and returns the response.
 #pragma once
 
 #include <chrono>
@@ -22,7 +22,7 @@ public:
     /// @return false if the server has closed the connection
     bool send(std::string_view bytes);
     /// Receives bytes until the server closes the connection, `n_bytes` were received, or
-    /// nothing arrives for `patience`.
+    /// no byte arrives within `patience`.
     std::string receive(std::size_t n_bytes = SIZE_MAX,
                         std::chrono::milliseconds patience = std::chrono::seconds(3));
     /// Closes the connection immediately, so that no port stays in use.
@@ -32,15 +32,15 @@ private:
     int socket_ = -1;
 };
 
-/// Sends one request on a new connection and returns the answer.
+/// Sends a request on a new connection and returns the response.
 std::string ask(int port, std::string_view request);
-/// Returns the status code of an answer such as "HTTP/1.1 404 Not Found"; 0 if there is
-/// none.
+/// Returns the status code of a response such as "HTTP/1.1 404 Not Found"; 0 without a
+/// status line.
 int status_of(std::string_view answer);
 
-/// Encodes a WebSocket frame as a client sends it.
+/// Encodes a WebSocket frame in the form in which a client sends it.
 /// @param first FIN, reserved bits and opcode
-/// @param length length in the header, which may differ from the payload's
+/// @param length length in the header, which may differ from the length of the payload
 std::string frame(std::uint8_t first, std::string_view payload, bool masked, std::uint64_t length);
 std::string text_frame(std::string_view text);
 

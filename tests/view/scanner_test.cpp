@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares live scans with the library's renderer, including edits, and checks that a
-// frame message can be decoded to the original data.
+// Compares live scans of the viewer with the library's renderer, including edits. Checks
+// that a frame message can be decoded to the original data.
 #include "../../tools/view/scanner.hpp"
 
 #include <cstring>
@@ -70,7 +70,7 @@ struct Read {
     }
 };
 
-/// Checks that a scan has the ranges and points of a message.
+/// Checks that a message and a scan have the same ranges and points.
 void expect_same(const Read& live, const RenderedScan& scan, const Run& run) {
     const std::vector<float> range_m = point_ranges(scan, run.config);
     EXPECT_EQ(live.array<float>("range"), range_m);

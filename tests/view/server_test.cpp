@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the viewer's server against arbitrary clients on the network: which files are
-// served, which requests are rejected with which status, and that the server keeps
-// running.
+// Tests the viewer's server against arbitrary clients on the network: which files it
+// serves, and which requests it rejects with which status. The server must keep running.
 #include <filesystem>
 #include <fstream>
 #include <future>
@@ -30,7 +29,7 @@ constexpr const char* kToken = "0123456789abcdef0123456789abcdef";
 const std::vector<Asset> kAssets = {{"/", "text/html", "<p>the page</p>"},
                                     {"/main.js", "text/javascript", "let a = 1;"}};
 
-/// A server that echoes texts, and a record of its clients' events.
+/// Server that echoes texts and stores the events of its clients.
 struct Echo {
     Server server;
 
@@ -72,8 +71,8 @@ struct Socket : RawClient {
     std::string answer;
 };
 
-/// Returns the code of the close frame at the end of a server's bytes; 0 if there is
-/// none.
+/// Returns the code of the close frame at the end of a server's bytes; 0 without a close
+/// frame.
 int close_code(const std::string& bytes) {
     const std::size_t at = bytes.rfind(static_cast<char>(0x88));
     if (at == std::string::npos || at + 4 > bytes.size()) return 0;
@@ -235,7 +234,8 @@ TEST(ViewServer, HangsUpOnSlowClients) {
     half.send("GET / HTTP/1.1\r\nHost: loc");
     EXPECT_EQ(status_of(half.receive()), 408);
 
-    RawClient drop_by_drop(echo.port());  // each byte arrives in time, but the request is too slow
+    // Each byte arrives within the time limit, but the complete request takes too long.
+    RawClient drop_by_drop(echo.port());
     const auto start = std::chrono::steady_clock::now();
     for (const char c : get("/" + std::string(400, 'x'))) {
         if (!drop_by_drop.send(std::string(1, c))) break;
@@ -338,7 +338,8 @@ TEST(ViewServer, SendsTheNewestToWhoReadsSlowly) {
     socket.receive(12);
     constexpr std::size_t kSize = std::size_t(1) << 22;  // larger than the buffers of the system
     for (char c = 'a'; c <= 'z'; ++c) echo.server.send_newest(echo.last, std::string(kSize, c));
-    // answered by the same thread, so the server has processed all earlier messages
+    // The same thread answers this request, so the server has processed all earlier
+    // messages.
     EXPECT_TRUE(echo.lives());
     const std::string all = socket.receive(SIZE_MAX, milliseconds(500));
     EXPECT_EQ(all.size(), 2 * (kSize + 10));  // the message being sent, and the last message

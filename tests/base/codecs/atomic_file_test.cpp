@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that write_atomically() creates the complete file or nothing. On any error, there
-// must be no temporary file and no changed target.
+// Tests that write_atomically() creates the complete file or nothing. After an error, no
+// temporary file may remain and the target must be unchanged.
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>

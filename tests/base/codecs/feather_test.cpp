@@ -69,8 +69,8 @@ TEST(Feather, ValuesOfEveryTypeComeBack) {
 }
 
 TEST(Feather, CompressibleColumnsAreBounded) {
-    // zstd compresses 160 kB to about 20 bytes. A file with only such a column would
-    // exceed the limit of plausible sizes.
+    // zstd compresses 160 kB of zeros to about 20 bytes. A file with only this column
+    // would exceed the limit on plausible sizes, so the valid file has a second column.
     const std::vector<double> zeros(20000, 0.0);
     std::vector<std::int64_t> noise;
     for (std::int64_t i = 0; i < 20000; ++i) noise.push_back(i * 7919 % 20011);

@@ -30,7 +30,7 @@ struct Block {
 
 flatbuffers::voffset_t entry(int field) { return flatbuffers::voffset_t(4 + 2 * field); }
 
-/// Writes a table whose fields are added by a function.
+/// Writes a Feather table. The function `Add` adds the fields of the table.
 template <class Add>
 Offset table(Builder& builder, const Add& add) {
     const auto start = builder.StartTable();
@@ -90,7 +90,7 @@ std::string compressed(const std::string& bytes, FeatherCodec codec) {
     return packed;
 }
 
-/// Body of a record batch while it is being written.
+/// Body of a record batch that is currently being written.
 struct Body {
     FeatherCodec codec;
     std::string bytes;
@@ -165,8 +165,8 @@ Offset batch_of(Builder& builder, const Body& body, std::size_t rows) {
     });
 }
 
-/// Appends a message with its body.
-/// @param header table of the given kind: 1 schema, 2 dictionary, 3 record batch
+/// Appends a message with its body to the file.
+/// @param header type of the message header: 1 schema, 2 dictionary, 3 record batch
 Block append_message(std::string& file, Builder& builder, std::uint8_t kind, Offset header,
                      const std::string& body) {
     builder.Finish(table(builder, [&] {

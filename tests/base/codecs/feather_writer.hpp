@@ -43,8 +43,8 @@ FeatherColumn text_column(const std::string& name, const std::vector<std::string
 
 enum class FeatherCodec { none, lz4, zstd };
 
-/// Returns the bytes of a file.
-/// @param rows_a_batch rows per record batch; 0: all rows in one record batch
+/// Returns the bytes of a Feather file.
+/// @param rows_a_batch rows per record batch. 0 puts all rows into a single record batch.
 std::string feather_bytes(const std::vector<FeatherColumn>& columns, FeatherCodec codec = FeatherCodec::none,
                           std::size_t rows_a_batch = 0);
 

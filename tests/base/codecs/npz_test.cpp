@@ -130,7 +130,7 @@ TEST_F(Npz, SurvivesEveryChangedByte) {
             changed[i] = char(changed[i] ^ change);
             put(folder / "changed.npz", changed);
             try {
-                // a changed field that is ignored, such as a date
+                // the changed byte is in a field that the reader ignores, such as a date
                 EXPECT_EQ(read_npz(folder / "changed.npz").size(), 4u) << i;
             } catch (const DataError&) {
                 ++n_refused;

@@ -43,7 +43,7 @@ std::vector<float> read_channel(const std::filesystem::path& path, const std::st
 }
 
 TEST_F(Picture, ExrKeepsEveryBit) {
-    // not a multiple of the 16 rows that OpenEXR compresses together
+    // 37 is not a multiple of the 16 rows that OpenEXR compresses together
     constexpr int rows = 37, columns = 53;
     std::vector<float> range(rows * columns), intensity(rows * columns);
     for (std::size_t i = 0; i < range.size(); ++i) {

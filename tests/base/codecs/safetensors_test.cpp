@@ -13,7 +13,7 @@ namespace {
 
 using Safetensors = TemporaryFolder;
 
-/// Returns a file with this header and data, including the size of the header.
+/// Returns the bytes of a file: the size of the header, the header, and the data.
 std::string file_of(const std::string& header, const std::string& data) {
     const std::uint64_t size = header.size();
     std::string bytes(sizeof size, '\0');
@@ -46,7 +46,8 @@ TEST_F(Safetensors, RoundTrips) {
         EXPECT_EQ(it->shape, array.shape);
         EXPECT_EQ(it->bytes, array.bytes);
     }
-    EXPECT_EQ(read[0].name, "mask");  // in the order of the data, not in alphabetical order
+    // arrays must be in the order of the data, not in alphabetical order
+    EXPECT_EQ(read[0].name, "mask");
     EXPECT_EQ(read[1].name, "z_first");
 }
 
@@ -130,7 +131,7 @@ TEST_F(Safetensors, RefusesHeadersThatDoNotHold) {
     refused("{\"__metadata__\":3,\"a\":" + entry("F32", "[2]", "[0,8]") + "}");
 }
 
-// Reads many arrays. A JSON object that compares each new name with all earlier ones
+// Reads many arrays. A JSON parser that compares each new name with all earlier names
 // would take quadratic time.
 TEST_F(Safetensors, ReadsManyArraysInTheOrderOfTheFile) {
     std::string header = "{";

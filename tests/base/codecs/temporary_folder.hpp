@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Provides a temporary folder that is removed with the test, and functions that return
-// file contents and error messages as strings.
+// Provides a temporary folder that is deleted at the end of the test, and functions that
+// return file contents and error messages as strings.
 #pragma once
 
 #include <filesystem>
@@ -27,7 +27,7 @@ protected:
     }
     void TearDown() override { std::filesystem::remove_all(folder); }
 
-    /// Returns the names of all files, including hidden ones.
+    /// Returns the names of all files in the folder, including hidden files.
     std::vector<std::string> files() const {
         std::vector<std::string> names;
         for (const auto& entry : std::filesystem::directory_iterator(folder))
@@ -44,14 +44,15 @@ inline std::string contents(const std::filesystem::path& path) {
 }
 
 inline void put(const std::filesystem::path& path, std::string_view bytes) {
-    // Removes the file first, because ext4 flushes a file that is truncated and
+    // Deletes the file first, because ext4 flushes a file to disk if it is truncated and
     // rewritten, which is slow.
     std::filesystem::remove(path);
     std::ofstream(path, std::ios::binary).write(bytes.data(), std::streamsize(bytes.size()));
 }
 
-/// Returns the message of the error of this type that a call throws. Fails the test if
-/// the call throws nothing or another type.
+/// Calls a function that must throw an error of type `Wanted`, and returns the message of
+/// the error. Fails the test if the function throws nothing or an error of a different
+/// type.
 template <class Wanted, class Call>
 std::string error_message(const Call& call) {
     try {

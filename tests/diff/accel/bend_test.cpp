@@ -21,8 +21,8 @@ class Bend : public test::DeviceTest {
 protected:
     static constexpr std::uint32_t kFirstWalker = 1200, kSurfels = 2000;
 
-    /// Makes actors on a background. The second and the last two actors walk; one actor
-    /// has no surfels.
+    /// Makes actors on a background. The second actor and the last two actors walk. A
+    /// further actor has no surfels.
     static Scene some_walkers(Primitive primitive) {
         test::TraversalCase random_case = test::random_case(3, kSurfels, 0);
         if (primitive == Primitive::gaussian) random_case = test::as_gaussians(random_case, 4);
@@ -76,8 +76,8 @@ TEST_F(Bend, FitsTheTreesOfThoseThatWalkAndNoOthers) {
     };
     Placed some(device(), scene), all(device(), scene);
     const BvhOnHost before = some.bvh.download();
-    // Several launches in a row, because no launch may leave data that disturb the next
-    // one.
+    // Runs several launches in a row, because no launch may leave data behind that
+    // changes the next launch.
     for (const double turns : {0.3, 0.7, 0.0, 0.45}) {
         const BvhOnHost a = some.at(turns, walkers), b = all.at(turns, {{0, kSurfels}});
         ASSERT_EQ(a.nodes.size(), b.nodes.size());

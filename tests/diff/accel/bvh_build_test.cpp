@@ -22,7 +22,7 @@ namespace {
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInf = std::numeric_limits<float>::infinity();
 
-/// Returns surfels of 2 cm to 1 m in a box of 40 x 20 x 5 m.
+/// Returns surfels with sizes of 2 cm to 1 m in a box of 40 x 20 x 5 m.
 Surfels random_surfels(std::uint32_t n, std::uint32_t seed = 1) {
     std::mt19937 random(seed);
     std::uniform_real_distribution<float> unit(0.0f, 1.0f);
@@ -39,7 +39,8 @@ Surfels random_surfels(std::uint32_t n, std::uint32_t seed = 1) {
     return s;
 }
 
-/// Makes models of the given sizes in order, one instance each.
+/// Makes a scene of several models with one instance each. The sizes of the models are
+/// passed in order.
 Scene scene_of(const Surfels& surfels, const std::vector<std::uint32_t>& sizes) {
     Scene scene = make_background_scene(surfels);
     scene.models.clear();
@@ -209,8 +210,8 @@ TEST_F(BvhBuild, BuildsAreEqualBitForBit) {
     }
 }
 
-/// Computes the box of a surfel in double. The half size along x is k |(s_u a_u.x, s_v
-/// a_v.x)|, where sigma exp(-k^2 / 2) = 1 / 255.
+/// Computes the bounding box of a surfel in double precision. The half size along x is k
+/// |(s_u a_u.x, s_v a_v.x)|, where sigma exp(-k^2 / 2) = 1 / 255.
 test::HostBox expected_box(const Surfels& s, std::size_t i) {
     const double sigma = 1.0 / (1.0 + std::exp(-double(s.opacity_logit[i]))),
                  k = std::sqrt(2.0 * std::log(255.0 * sigma));

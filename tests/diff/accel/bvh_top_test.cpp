@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks the tree over the instances (diff/accel/bvh_top) after instances were placed,
-// moved and removed. Every present instance must be in exactly one leaf, absent instances
-// in none, and world boxes must contain their instances. Compares rays through both
-// levels with a test of all instances and surfels.
+// moved and removed. Every present instance must be in exactly one leaf. Absent instances
+// must be in no leaf. World boxes must contain their instances. Compares rays through
+// both levels with a test of all instances and surfels.
 #include <algorithm>
 #include <cstring>
 #include <random>
@@ -40,7 +40,7 @@ std::vector<InstancePose> random_poses(std::size_t n, std::mt19937& random, doub
     return poses;
 }
 
-/// Makes instances of five models, one of them empty.
+/// Makes instances of five models. One of the models is empty.
 Scene scene_of_instances(std::uint32_t n_instances, std::mt19937& random) {
     Scene scene = make_background_scene(some_surfels(500, random));
     scene.models = {{"a", 0, 200}, {"b", 200, 0}, {"c", 200, 1}, {"d", 201, 99}, {"e", 300, 200}};
@@ -77,7 +77,8 @@ protected:
         }
     };
 
-    /// Computes the exact box of everything below a node and counts every instance.
+    /// Computes the exact bounding box of all instances below a node, and counts how
+    /// often each instance occurs.
     static void check_node(const Built& built, const BvhOnHost& host, std::uint32_t index,
                            std::vector<int>& seen, test::HostBox& real) {
         ASSERT_LT(index, host.top_nodes.size());
@@ -98,8 +99,8 @@ protected:
         }
     }
 
-    /// Computes in double the box around the corners of the model's surfel boxes at the
-    /// pose of the instance.
+    /// Computes the world box of an instance in double: the box around the corners of all
+    /// surfel boxes of the model at the pose of the instance.
     static test::HostBox world_box(const Built& built, const BvhOnHost& host, std::uint32_t instance) {
         const Scene& layout = built.scene.layout();
         const Model& model = layout.models[layout.instances[instance].model];

@@ -20,7 +20,7 @@ double decoded(float origin, std::uint32_t exponent, std::uint32_t q) {
     return x;
 }
 
-/// Checks one tree recursively and stops at the first error.
+/// Checks the BVH of a model recursively and stops at the first error.
 struct TreeCheck {
     const BvhOnHost& bvh;
     const Model& model;
@@ -33,7 +33,7 @@ struct TreeCheck {
         return false;
     }
 
-    /// Computes the exact box of everything in a leaf slot.
+    /// Computes the exact bounding box of all surfels in a leaf slot.
     bool leaf(const Slot& slot, HostBox& real) {
         if (slot.count > RELIDAR_BVH_LEAF_SIZE) return fail(fmt::format("a leaf of {} surfels", slot.count));
         if (std::size_t(slot.first) + slot.count > bvh.order.size())

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the software acceleration structure on the host: decodes boxes, checks properties
-// that every tree must have, and walks along rays.
+// Reads the software acceleration structure on the host. Decodes its boxes, checks
+// properties that every tree must have, and traverses the tree along rays.
 #pragma once
 
 #include <array>
@@ -29,22 +29,24 @@ struct HostBox {
     }
 };
 
-/// Decodes the child box of a node like the traversal, in float arithmetic.
+/// Decodes the box of a child of a node with the same float arithmetic as the traversal
+/// on the device.
 HostBox decoded_box(const shared::BvhNode& node, int slot);
 HostBox surfel_box(const BvhOnHost& bvh, std::size_t surfel);
 
 struct Slot {
     bool inner = false;
     std::uint32_t child = 0;  ///< child node of an inner slot
-    /// Range of `order` in a leaf slot; count 0 and not inner: empty slot.
+    /// Range of `order` that a leaf slot refers to. The slot is empty if the count is 0
+    /// and the slot is not an inner node.
     std::uint32_t first = 0, count = 0;
 };
 std::array<Slot, RELIDAR_BVH_WIDTH> slots_of(const shared::BvhNode& node);
 
-/// Returns the first error in the tree of a model, or an empty string. Every surfel must
-/// be in one leaf, every box in its parent's box, all indices within their arrays, and
-/// every node must be reached once.
-/// @param seen [nodes] counts visits, over all models
+/// Returns the first error in the tree of a model, or an empty string. Each surfel must
+/// be in a single leaf, and each box must be inside the box of its parent. All indices
+/// must be within their arrays, and each node must be reached once.
+/// @param seen [nodes] counts visits to each node, over all models
 std::string fault_of_tree(const BvhOnHost& bvh, std::uint32_t root, const Model& model,
                           std::vector<int>& seen);
 
@@ -55,8 +57,9 @@ struct HostRay {
 /// Returns true if a ray hits a box in front of its origin.
 bool meets(const HostRay& ray, const HostBox& box);
 
-/// Walks from `root` through every node whose decoded box the ray hits.
-/// @param leaf called with each entry of `order` that is reached
+/// Traverses the tree from `root` through every node whose decoded box the ray hits.
+/// @param leaf function that is called with each entry of `order` that the traversal
+/// reaches
 /// @return number of visited nodes
 std::size_t walk(const std::vector<shared::BvhNode>& nodes, std::uint32_t root, const HostRay& ray,
                  const std::function<void(std::uint32_t)>& leaf);

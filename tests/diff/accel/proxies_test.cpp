@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks diff/accel/proxies and the acceleration structure (M3, Fig. 3). Proxies must
-// contain all points with sigma G >= alpha_min, so that rays at the rim hit. A refit must
-// follow moved surfels. Moving an instance must not build a bottom level.
+// Checks the proxy geometry of surfels (diff/accel/proxies) and the acceleration
+// structure (M3, Fig. 3). Proxies must contain all points with sigma G >= alpha_min, so
+// that rays at the rim hit. A refit must follow moved surfels. Moving an instance must
+// not build a bottom-level structure.
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -18,7 +19,7 @@ namespace {
 
 class Proxies : public test::DeviceTest {};
 
-/// Returns a surfel at x = 10 that faces the sensor, 0.5 m by 0.25 m.
+/// Returns a surfel of 0.5 m by 0.25 m at x = 10 that faces the sensor.
 Surfels one_surfel(float opacity) {
     Surfels s;
     s.resize(1);
@@ -30,8 +31,8 @@ Surfels one_surfel(float opacity) {
     return s;
 }
 
-/// Returns a 3D Gaussian with the same outline along x (second and third scale), 2 m long
-/// along the rays.
+/// Returns a 3D Gaussian with the outline of one_surfel() when it is viewed along x
+/// (second and third scale). It is 2 m long along the rays.
 Surfels one_gaussian(float opacity) {
     Surfels s = one_surfel(opacity);
     s.rotation[0] = {1.0f, 0.0f, 0.0f, 0.0f};
@@ -41,8 +42,8 @@ Surfels one_gaussian(float opacity) {
     return s;
 }
 
-/// Returns parallel rays along x at k (cos, sin) times the half axes of the ellipse sigma
-/// G = alpha_min, times `factor`.
+/// Returns parallel rays along x around the rim of a surfel. The rays pass the points k
+/// (cos, sin) on the ellipse sigma G = alpha_min, scaled by `factor`.
 WorldRays rim_rays(float opacity, double factor, double alpha_min = 1.0 / 255.0) {
     const double k = std::sqrt(2.0 * std::log(opacity / alpha_min)) * factor;
     WorldRays rays;
@@ -55,10 +56,10 @@ WorldRays rim_rays(float opacity, double factor, double alpha_min = 1.0 / 255.0)
     return rays;
 }
 
-/// diff/accel/model_radii: the rim of every ellipse must be within the radius of its
-/// model, and the radius must not be much larger.
+/// Tests the kernel diff/accel/model_radii. The rim of every ellipse must be within the
+/// radius of its model, and the radius must not be much larger than necessary.
 TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
-    constexpr std::uint32_t kFirst = 150, kAll = 230;  // more surfels than one thread processes
+    constexpr std::uint32_t kFirst = 150, kAll = 230;  // more surfels than a single thread processes
     constexpr double kAlphaMin = 1.0 / 255.0;
     Surfels surfels = make_benchmark_street(kAll);
     for (std::uint32_t i = 0; i < kAll; i += 3) surfels.opacity_logit[i] = 2.0f;
@@ -108,7 +109,7 @@ TEST_F(Proxies, HoldEverythingThatCanBeSeen) {
             for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 1.001)).hits)
                 EXPECT_EQ(n, 0u) << "opacity " << opacity;
         }
-    // A surfel with an opacity below the cut has no proxy.
+    // A surfel with an opacity below alpha_min has no proxy.
     Renderer renderer(device(), make_background_scene(one_surfel(1.0f / 256.0f)), {});
     renderer.place(glm::vec3(0.0f));
     for (const std::uint32_t n : renderer.forward(rim_rays(0.5f, 0.1)).hits) EXPECT_EQ(n, 0u);

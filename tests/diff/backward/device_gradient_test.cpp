@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Link (ii) of the gradient chain: compares diff/backward/trace and scene/activate_vjp
-// with the double reference backward pass (Eq. 9; M7, M8), for every parameter of every
-// surfel and the rays, in both SH direction modes. A few direct differences of the device
-// test the chain as a whole.
+// Compares the gradients of the device (diff/backward/trace and scene/activate_vjp) with
+// the backward pass of the double reference (Eq. 9; M7, M8). Covers every parameter of
+// every surfel and the rays, in both SH direction modes. Additional central differences
+// on the device test the complete chain. The reference itself is tested in
+// reference_gradient_test.cpp.
 #include <cmath>
 #include <span>
 
@@ -20,7 +21,7 @@ using test::Outputs;
 using test::Passes;
 using test::random_upstream;
 
-/// A method to find hits and to sum their gradients.
+/// Combination of a method that finds hits and a method that sums their gradients.
 struct Way {
     const char* name;
     BackwardOptions options;
@@ -40,18 +41,19 @@ constexpr Way kWays[] = {
     {"lists", {.reduction = Reduction::gather}, 64, HitOrder::lists},
     {"gather without room for all",
      {.reduction = Reduction::gather, .coalesced_atomics = true, .hits_per_ray = 2}}};
-constexpr std::size_t kFewWays = 3;  ///< the first methods: both sums and all ways to find hits
+/// number of methods in the short test: both sums and all methods that find hits
+constexpr std::size_t kFewWays = 3;
 
 constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f};
 
 /// Rendering options of a comparison, the outputs with gradients, and the tolerance.
 struct How {
     Proxy proxy = Proxy::boxes;
-    /// tests all methods, not only the first kFewWays; for one scene of each gradient
-    /// layout
+    /// If true, tests all methods instead of the first kFewWays. Used for a single scene
+    /// of each gradient layout.
     bool every_way = false;
-    /// tests the first two methods only, because other ways to find hits make no
-    /// difference
+    /// If true, tests only the first two methods, because the method that finds hits
+    /// makes no difference here.
     bool brute_force = false;
     double tolerance = test::kKernelGradient;
     Outputs outputs = Outputs::image;
@@ -129,8 +131,8 @@ TEST_F(DeviceGradient, ShAlongRayWithInstances) {
 
 TEST_F(DeviceGradient, ModelsThatMoveWhileRaysAreFired) {
     const test::RandomSceneOptions options{.seed = 38, .rays = 60, .moving = true};
-    // A kernel rotates the ray's origin, 8 m away, in float, which adds a rounding error
-    // of 1e-6 m.
+    // A kernel rotates the origin of the ray, which is 8 m away, in float. This adds a
+    // rounding error of 1e-6 m.
     const double tolerance = 3.0 * test::kKernelGradient;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
                      {.proxy = Proxy::triangles, .tolerance = tolerance}, "models that move");
@@ -160,9 +162,10 @@ TEST_F(DeviceGradient, OpaqueWithClampsBruteForce) {
     test::RandomSceneOptions options;
     options.seed = 34;
     options.opacity_low = 0.5, options.opacity_high = 0.98, options.wide_surfels = 2;
-    // An opacity near 0.99 is rounded to 6e-8, which is 6e-6 of 1 - alpha. Eq. 9 divides
-    // by 1 - alpha, and the transmittance behind such a wall carries the error to rows
-    // that are small themselves. Single precision has no fourth digit there.
+    // Single precision rounds an opacity near 0.99 by up to 6e-8, which is 6e-6 of 1 -
+    // alpha. Eq. 9 divides by 1 - alpha, and the transmittance carries this error to the
+    // surfels behind the wall. Their gradients are small, so that the fourth digit is not
+    // reliable.
     const double tolerance = 10.0 * test::kKernelGradient;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
                      {.brute_force = true, .tolerance = tolerance}, "brute force, opaque");
@@ -176,8 +179,8 @@ TEST_F(DeviceGradient, Gaussians) {
     options.primitive = Primitive::gaussian;
     // more rays hit a 3D Gaussian than a surfel
     options.seed = 36, options.rays = 30, options.background_surfels = 24, options.actor_surfels = 8;
-    // Points 10 m away are rounded to 1e-6 m. This is 3e-5 standard deviations of the
-    // thinnest Gaussian (0.03 m) in every gradient of alpha.
+    // Single precision rounds points 10 m away to 1e-6 m. This is 3e-5 standard
+    // deviations of the thinnest Gaussian (0.03 m) and affects every gradient of alpha.
     const double tolerance = 3.0 * test::kKernelGradient;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
                      {.proxy = Proxy::triangles, .tolerance = tolerance},
@@ -188,8 +191,8 @@ TEST_F(DeviceGradient, Gaussians) {
                      "3D Gaussians, boxes, SH along sensor -> mean, 2 instances");
 }
 
-/// The ablation of the paper with a single drop logit: hit logits count as 0 and have no
-/// gradient. Uses the first two scenes again.
+/// Tests the ablation of the paper with a single drop logit: the hit logits count as 0
+/// and have no gradient. Uses the first two scenes again.
 TEST_F(DeviceGradient, SingleDropLogit) {
     test::RandomSceneOptions options;
     options.seed = 31;
@@ -203,7 +206,8 @@ TEST_F(DeviceGradient, SingleDropLogit) {
 }
 
 /// Tests the image and the likelihood (M12) together, with short chunks and long lists.
-/// The tolerance is that of the likelihood alone, see DeviceGradient.Likelihood.
+/// The tolerance is the same as in DeviceGradient.Likelihood, which tests the likelihood
+/// without the image.
 TEST_F(DeviceGradient, ImageAndLikelihood) {
     test::RandomSceneOptions options;
     options.rays = 60, options.seed = 72;
@@ -226,9 +230,9 @@ TEST_F(DeviceGradient, ImageAndLikelihood) {
         "image and likelihood, opaque with clamps");
 }
 
-/// Tests the likelihood (M12) alone. In small rows the hits of many rays cancel, so that
-/// rounding errors of exp and division are visible. They are up to 3 and 2.5 units in the
-/// last place on a GPU, and half a unit on a CPU.
+/// Tests only the likelihood (M12). In small rows the hits of many rays cancel, so that
+/// rounding errors of exp and division become visible. These errors are up to 3 and 2.5
+/// units in the last place on a GPU, and half a unit on a CPU.
 TEST_F(DeviceGradient, Likelihood) {
     test::RandomSceneOptions options;
     options.rays = 60, options.seed = 64;
@@ -250,8 +254,9 @@ TEST_F(DeviceGradient, Likelihood) {
                      "likelihood, 3D Gaussians");
 }
 
-/// Central differences of the device. They are less accurate (single precision) but share
-/// nothing with the reference.
+/// Compares the gradients with central differences computed on the device. Central
+/// differences are less accurate (single precision), but they share no code with the
+/// reference.
 class DeviceDifferences : public test::DeviceTest, public testing::WithParamInterface<Primitive> {};
 INSTANTIATE_TEST_SUITE_P(Primitives, DeviceDifferences,
                          testing::Values(Primitive::surfel, Primitive::gaussian));

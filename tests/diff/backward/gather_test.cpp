@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks diff/backward/gather and diff/backward/gather_heads: surfels with thousands of
-// hits, rays without a gradient, and the guarantee that gradients are equal bit for bit
-// in every run, for all ways to find hits and all buffer sizes. device_gradient_test.cpp
-// compares the values with the double reference.
+// Checks the kernels that sum gradients per surfel (diff/backward/gather and
+// gather_heads). Covers surfels with thousands of hits and rays without a gradient.
+// Gradients must be equal bit for bit in every run, for all methods that find hits and
+// all buffer sizes. device_gradient_test.cpp compares the values with the double
+// reference.
 #include <algorithm>
 #include <cmath>
 
@@ -72,9 +73,9 @@ TEST_F(Gather, SameBitsInEveryRunAndTraversal) {
     }
 }
 
-/// If the other rows do not need zeros, a CPU processes only the surfels that hits have
-/// marked. The test compares bits, because gathered sums are equal in every run. Atomics
-/// use the same marks.
+/// If unused rows need no zeros, a CPU processes only the surfels that hits have marked.
+/// The test compares bits, because gathered sums are equal in every run. Atomics use the
+/// same marks.
 TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
         reference::Settings settings;
@@ -105,8 +106,8 @@ TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
     }
 }
 
-/// The same twenty rays a hundred times must give 100 x the gradient of twenty rays,
-/// which atomics sum.
+/// Renders the same twenty rays a hundred times. The gathered gradient must be 100 times
+/// the gradient of the twenty rays, which is summed with atomics.
 TEST_F(Gather, SumsRowsOverManyBlocks) {
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
         reference::Settings settings;
@@ -152,8 +153,8 @@ TEST_F(Gather, SumsRowsOverManyBlocks) {
     }
 }
 
-/// Slots of rays without a gradient stay empty. A small batch must not read data of a
-/// previous larger batch.
+/// The slots of rays without a gradient must remain empty. A small batch must not read
+/// data of an earlier, larger batch.
 TEST_F(Gather, EmptySlotsAndSmallerBatches) {
     reference::Settings settings;
     const test::RandomScene scene = crowded(settings);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the likelihood (M12) from end to end. Compares the forward pass, the losses and
 // the backward pass on the device with central differences of the double forward pass.
-// Covers every parameter that the likelihood depends on, the rays, and the poses of
-// instances and of the sensor, without and with the image losses.
+// Covers all parameters that affect the likelihood, the rays, and the poses of instances
+// and of the sensor, without and with the image losses.
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -36,8 +36,8 @@ glm::dvec4 rotation_facing(std::mt19937_64& random, double tilt) {
     return {q.w, q.x, q.y, q.z};
 }
 
-/// Makes a wall of tilted surfels, faint surfels in front of it, and an instance of a
-/// model with four surfels, seen as an image.
+/// Makes a wall of tilted surfels, faint surfels in front of the wall, and an instance of
+/// a model with four surfels. The sensor renders them as an image.
 test::RandomScene wall(std::uint64_t seed) {
     std::mt19937_64 random(seed);
     std::uniform_real_distribution<double> unit(-1.0, 1.0);
@@ -70,10 +70,11 @@ test::RandomScene wall(std::uint64_t seed) {
     return scene;
 }
 
-/// Returns a wall for which all rays keep the margins.
+/// Returns a wall for which no ray is close to a discontinuity, as defined by the
+/// margins.
 test::RandomScene smooth_wall(const reference::Settings& settings) {
-    // Smaller margins than in other tests, so that a seed for 42 rays exists. They are
-    // still far above the steps of the differences.
+    // These margins are smaller than in other tests, so that a seed with 42 valid rays
+    // exists. They are still much larger than the steps of the differences.
     const test::Margins margins{.log_alpha = 5e-3, .separation_m = 5e-4, .log_stop = 5e-3};
     for (std::uint64_t seed = 1; seed < 5000; ++seed) {
         const test::RandomScene scene = wall(seed);
@@ -87,7 +88,7 @@ test::RandomScene smooth_wall(const reference::Settings& settings) {
     throw std::runtime_error("smooth_wall: no seed keeps the margins");
 }
 
-/// The losses of a wall in double, and the data they depend on.
+/// Computes the losses of a wall in double. Contains the data that the losses depend on.
 struct WallProblem {
     reference::Settings settings;
     test::RandomScene scene = smooth_wall(settings);
@@ -160,8 +161,8 @@ struct DevicePasses : test::Passes {
     }
 };
 
-/// Computes the expected rows by central differences, with the names and order of
-/// `actual_rows`.
+/// Computes the expected gradient rows by central differences, with the names and order
+/// of `actual_rows`.
 std::vector<std::pair<std::string, std::vector<double>>> expected_rows(WallProblem& p) {
     std::vector<std::pair<std::string, std::vector<double>>> rows;
     const auto terms = [&] { return p.terms(); };
@@ -221,9 +222,9 @@ std::vector<std::vector<double>> actual_rows(const Gradients& g) {
 using Rows = std::vector<std::pair<std::string, std::vector<double>>>;
 
 /// Returns the same problem with the largest errors that Vulkan allows for exp and
-/// division, each with a random sign. Applies them to the exp of scales, to the sigmoid
-/// of opacities and the exp of hits one standard deviation from the mean, and to the
-/// division for distances along a ray.
+/// division, each with a random sign. Applies the errors to the exp of scales, to the
+/// sigmoid of opacities, to the exp of hits one standard deviation from the mean, and to
+/// the division that computes distances along a ray.
 WallProblem rounded(const WallProblem& p, std::uint64_t seed) {
     WallProblem moved = p;
     std::mt19937_64 random(seed);
@@ -241,8 +242,8 @@ WallProblem rounded(const WallProblem& p, std::uint64_t seed) {
     return moved;
 }
 
-/// Returns the rows of the problem, and for each row the largest change in several random
-/// draws of rounding errors.
+/// Returns the gradient rows of the problem, and for each row the largest change that
+/// random rounding errors cause.
 std::pair<Rows, std::vector<double>> expected_and_moved(const WallProblem& p) {
     std::vector<Rows> draws(5);  // the first is the problem itself
     parallel_for(int(draws.size()), [&](int i) {
@@ -261,9 +262,9 @@ std::pair<Rows, std::vector<double>> expected_and_moved(const WallProblem& p) {
 
 class LikelihoodGradient : public test::DeviceTest {
 protected:
-    /// Checks that the error of each row is at most 3 kKernelGradient plus twice the
-    /// largest change in the random draws. Small rows are differences of large terms, so
-    /// they change most.
+    /// Checks the error of each gradient row. The limit is 3 kKernelGradient plus twice
+    /// the largest change that random rounding errors caused. Small rows are differences
+    /// of large terms, so they change most.
     void expect_rows(const GradientTable& table, const Rows& expected, const std::vector<double>& moved,
                      const std::vector<std::vector<double>>& actual, const std::string& title) {
         for (std::size_t k = 0; k < actual.size(); ++k) {
@@ -315,8 +316,9 @@ LossWeights weights_of(float image, float likelihood) {
 TEST_F(LikelihoodGradient, Alone) { expect_agreement(weights_of(0.0f, 1.0f), "likelihood"); }
 TEST_F(LikelihoodGradient, WithTheImageLosses) { expect_agreement(weights_of(0.1f, 0.3f), "all terms"); }
 
-/// Tests two surfels that are 30 cm apart, on a ray that measured the second one. In
-/// closed form S = w_0 k + w_1 with k = 1 / (1 + (0.3 / s)^2), both at 80 m and at 3 m.
+/// Tests two surfels that are 30 cm apart, on a ray whose measured range is the second
+/// surfel. In closed form S = w_0 k + w_1 with k = 1 / (1 + (0.3 / s)^2). Tests the pair
+/// at 80 m and at 3 m.
 TEST_F(LikelihoodGradient, TwoSurfelsInClosedForm) {
     for (const double start : {3.0, 79.0}) {
         const double t[] = {double(float(start)), double(float(start + 0.3))}, opacity[] = {0.6, 0.5};
@@ -347,7 +349,7 @@ TEST_F(LikelihoodGradient, TwoSurfelsInClosedForm) {
             << "the nearer one is drawn to the range";
         EXPECT_NEAR(device_result.mean[1].x, 0.0, 1e-6 + 2.0 * w1 * resolved / (scale * scale))
             << "the other is there";
-        // S = s_0 k + (1 - s_0) s_1, where s are the opacities
+        // S = s_0 k + (1 - s_0) s_1, where s_0 and s_1 are the opacities
         EXPECT_NEAR(device_result.opacity_logit[0], (k - 0.5) * 0.6 * 0.4, 1e-6 + slope * resolved);
         EXPECT_NEAR(device_result.opacity_logit[1], 0.4 * 0.5 * 0.5, 1e-6);
     }

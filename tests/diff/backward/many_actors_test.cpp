@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks a thousand copies of an actor in one scene, as a thousand instances of one model
-// and as a thousand models. Compares image and gradients with the double reference,
-// trains for twenty steps, and checks that the number of launches equals that for two
-// copies.
+// Tests a scene with a thousand copies of an actor: a thousand instances of one model,
+// and a thousand models. Compares image and gradients with the double reference and
+// trains for twenty steps. The number of launches must be the same as for two copies.
 #include <numeric>
 #include <random>
 
@@ -17,11 +16,11 @@ namespace {
 using test::Passes;
 
 constexpr int kAcross = 10;  // actors along each axis of a lattice
-// spacing of the lattice; small, so that single precision loses few digits
+// distance between the actors; small, so that single precision loses few digits
 constexpr double kApart_m = 1.5;
 
-/// Places copies of an actor in front of a sensor at the origin, every third copy turned
-/// around. The poses have no rounding errors.
+/// Places copies of an actor in front of a sensor at the origin. Every third copy is
+/// turned around. The poses have no rounding errors.
 /// @param own true if every copy has separate, different surfels
 test::RandomScene many_actors(bool own, int n_actors) {
     constexpr int kSurfels = 12;
@@ -44,7 +43,8 @@ test::RandomScene many_actors(bool own, int n_actors) {
     return scene;
 }
 
-/// Adds rays towards actors: rays that keep the margins of a comparison, or any rays.
+/// Adds rays towards actors. Optionally adds only rays that satisfy the margins of a
+/// comparison with the reference.
 void add_rays(test::RandomScene& scene, std::size_t n, const reference::Settings* margins) {
     std::mt19937_64 random(73);
     std::uniform_real_distribution<double> aside(-0.4, 0.4);
@@ -70,8 +70,8 @@ double nmse(const test::GradientGroup& group) {
 
 class ManyActors : public test::DeviceTest {
 protected:
-    /// A thousand instances of one model use SH along the ray; a thousand models use SH
-    /// along the surfel.
+    /// Evaluates the SH along the ray for a thousand instances of one model, and along
+    /// the surfel for a thousand models.
     static ImageModel image_of(bool own) {
         return {.sh_direction = own ? ShDirection::surfel : ShDirection::ray};
     }
@@ -104,7 +104,7 @@ TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
         test::add_surfel_rows(table, expected.surfels, passes.gradients().surfels.download());
         table.print(own ? "1000 models" : "1000 instances of a model");
         for (const auto& [name, group] : table.groups()) {
-            // The error is computed over all rows, because a single row has one or two
+            // Computes the error over all rows, because a single row has only one or two
             // hits whose terms may cancel.
             EXPECT_LE(nmse(group), test::kKernelNmse) << name;
             EXPECT_EQ(group.missing_rows(), 0u) << name;
@@ -121,7 +121,7 @@ std::vector<DeviceTarget> targets_near(const std::vector<shared::RenderedRay>& r
     return targets;
 }
 
-/// Returns the losses of twenty training steps; the scene moves slightly before each
+/// Trains for twenty steps and returns the losses. The scene moves slightly before each
 /// step.
 std::vector<float> train(Passes& passes) {
     DifferentiableRenderer& renderer = passes.renderer;
@@ -172,7 +172,7 @@ TEST_F(ManyActors, Train) {
     }
 }
 
-/// The launches of an iteration must not depend on the number of models.
+/// The number of launches in an iteration must not depend on the number of models.
 TEST_F(ManyActors, AreLaunchedTogether) {
     if (!device().info().timestamps) GTEST_SKIP() << "no timestamps: launches are not counted";
     SurfelLoss surfel_loss(device(), {.box = 0.1f});

@@ -23,9 +23,9 @@ inline glm::dquat turn_by(const glm::dvec3& w) {
                                 : glm::dquat(1.0, 0.0, 0.0, 0.0);
 }
 
-/// Uses boxes, with chunks of 4 hits for harmonics along the ray and of 16 along the
-/// surfel. All tests share these sizes, because creating kernels takes most of their
-/// time.
+/// Returns options that trace boxes, with chunks of 4 hits for harmonics along the ray
+/// and of 16 along the surfel. All tests use these chunk sizes, because creating kernels
+/// takes most of the test time.
 inline RendererOptions options_of(const ImageModel& model) {
     return {.accel = {.proxy = Proxy::boxes},
             .trace = {.chunk = model.sh_direction == ShDirection::ray ? 4 : 16}};
@@ -44,7 +44,7 @@ struct Passes {
     Array<shared::DeviceTarget> targets;
     glm::vec3 view_origin;
 
-    /// Creates the renderer and the passes.
+    /// Creates the renderer and both passes.
     /// @param g [>= rays] upstream gradients of all rays, until a loss overwrites them
     Passes(Device& device, const ImageModel& model, const RandomScene& s,
            const std::vector<reference::PixelGradient>& g, const RendererOptions& options,
@@ -77,7 +77,8 @@ struct Passes {
         renderer.record_backward();
         renderer.stream().finish();
     }
-    /// Returns the sum over rays of upstream . rendered, in double.
+    /// Returns the inner product of upstream gradients and rendered values over all rays,
+    /// in double.
     double loss() {
         run_forward();
         renderer.stream().finish();
@@ -114,8 +115,8 @@ std::vector<double> lanes(const Vector& v, int n) {
     return row;
 }
 
-/// Adds a row for each parameter group of each surfel; harmonics are separated by
-/// channel.
+/// Adds a row for each parameter group of each surfel. The SH coefficients of each
+/// channel form a separate row.
 inline void add_surfel_rows(GradientTable& table, const std::vector<reference::Surfel>& expected,
                             const Surfels& actual) {
     for (std::size_t i = 0; i < expected.size(); ++i) {

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks gradients of instance poses and of the sensor's pose (diff/backward/pose_blocks,
-// poses and sensor_pose). Compares them with the double reference, which sums per hit
-// instead of per surfel, and with central differences of the double forward pass. Covers
-// overlapping instances, one model placed twice, and instances that are absent or not
-// hit.
+// Checks the gradients of instance poses and of the sensor's pose
+// (diff/backward/pose_blocks, poses and sensor_pose). Compares them with the double
+// reference, which sums per hit instead of per surfel, and with central differences of
+// the double forward pass. Covers overlapping instances, a model that is placed twice,
+// and instances that are absent or not hit.
 #include <glm/gtc/quaternion.hpp>
 
 #include <random>
@@ -21,7 +21,7 @@ using test::GradientTable;
 using test::lanes;
 using test::Passes;
 
-/// A random scene with upstream gradients and its loss in double.
+/// A random scene with upstream gradients. Computes its loss in double.
 struct PoseProblem {
     reference::Settings settings;
     test::RandomScene scene;
@@ -45,8 +45,8 @@ struct PoseProblem {
         return result;
     }
 
-    /// Returns the loss terms after the sensor is moved by v and turned by w about the
-    /// view origin.
+    /// Returns the loss terms after the sensor is translated by v and rotated by w about
+    /// the view origin.
     std::vector<double> terms_of_moved_sensor(const glm::dvec3& v, const glm::dvec3& w) const {
         const glm::dquat turn = test::turn_by(w);
         reference::Settings s = settings;
@@ -109,8 +109,8 @@ protected:
             placed.world_from_model = start, placed.change = {};
             add_twist(table, "differences, pose", differences, lanes(poses.data() + 6 * k, 6));
         }
-        // for moving instances the sensor's gradient is an approximation, see
-        // Gradients::sensor
+        // With moving instances the sensor's gradient is only an approximation (see
+        // Gradients::sensor), so it is not compared.
         if (!options.moving)
             add_twist(table, "differences, sensor",
                       twist_differences([&](const glm::dvec3& v, const glm::dvec3& w) {
@@ -182,8 +182,8 @@ Scene background_and_actor(std::uint32_t n_background, std::uint32_t n_actor) {
     return layout;
 }
 
-/// A street and an actor with several blocks each and random record gradients. Compares
-/// with sums in double and checks that all runs give the same bits.
+/// Uses a street and an actor with several blocks of surfels each, and random gradients
+/// of the hits. Compares with sums in double and checks that all runs give the same bits.
 TEST_F(PoseGradient, ManyBlocksOfSurfels) {
     const Scene layout = background_and_actor(2500, 1100);
     const std::size_t n = layout.surfels.size();

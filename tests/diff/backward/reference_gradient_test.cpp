@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Link (i) of the gradient chain: compares the backward pass of the reference (M7, M8)
-// with central differences of its forward pass (M1-M5). Covers every parameter group, the
-// ray, the view origin and instance poses, in both SH direction modes, with more hits
-// than a chunk. Also checks the radial part of the rotation, chunking and clamps.
+// Compares the backward pass of the double reference (M7, M8) with central differences of
+// its forward pass (M1-M5). Covers every parameter group, the ray, the view origin and
+// instance poses, in both SH direction modes, with more hits than a chunk. Also checks
+// the radial part of the rotation, chunking and clamps.
 #include <gtest/gtest.h>
 
 #include "base/parallel.hpp"
@@ -34,8 +34,8 @@ struct Problem {
         upstream = test::random_upstream(scene.rays.size(), options.seed + 1, outputs);
     }
 
-    /// Renders with all hits in one chunk, which is faster. Another test shows that the
-    /// chunk size does not matter.
+    /// Renders with all hits in one chunk, which is faster than several chunks. A
+    /// separate test shows that the chunk size does not change the result.
     double term(const BruteForce& brute, std::size_t i) const {
         const Pixel p = render(scene.world, brute, settings, scene.rays[i], 1000);
         return inner_product(upstream[i], p);
@@ -65,8 +65,8 @@ struct Row {
     std::vector<double> expected, actual;
 };
 
-/// Returns the problem with only the rays that hit a surfel. Other rays keep their
-/// margins to the surfel (random_scene.hpp), so small changes do not affect them.
+/// Returns the problem with only the rays that hit a surfel. All other rays have a margin
+/// to the surfel (random_scene.hpp), so small changes of the surfel do not affect them.
 Problem seen_by(Problem p, std::size_t surfel) {
     const BruteForce provider = p.brute();
     std::size_t kept = 0;
@@ -82,7 +82,7 @@ Problem seen_by(Problem p, std::size_t surfel) {
     return p;
 }
 
-/// Returns the rows of all parameters of one surfel.
+/// Returns the gradient rows of all parameters of a surfel.
 std::vector<Row> surfel_rows(const Problem& all, const Gradients& gradients, std::size_t i) {
     Problem p = seen_by(all, i);
     std::vector<Row> rows;
@@ -163,7 +163,7 @@ void expect_differences_agree(ShDirection direction, const test::RandomSceneOpti
     for (const auto& [name, group] : table.groups()) {
         EXPECT_LE(group.worst_error(), test::kReferenceGradient) << name << ", seed " << options.seed;
         EXPECT_EQ(group.missing_rows(), 0u) << name;
-        // the likelihood alone does not depend on the channels
+        // the likelihood does not depend on the channels
         const bool values = outputs == test::Outputs::all;
         const bool constant = (name == "view origin" && !(direction == ShDirection::surfel && values)) ||
                               (name == "sh hit" && single_drop_logit) || (name.starts_with("sh ") && !values);
@@ -183,7 +183,7 @@ TEST(ReferenceGradient, EveryParameterShAlongSurfel) {
                              "SH along sensor -> mean, 3 instances, chunk 4");
 }
 
-/// Tests the likelihood (M12) alone. All other tests include the image.
+/// Tests only the likelihood (M12). All other tests include the image.
 TEST(ReferenceGradient, LikelihoodAlone) {
     test::RandomSceneOptions options;
     options.seed = 6;

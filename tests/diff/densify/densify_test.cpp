@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares a complete densification (diff/densify/classify, allot, move, spawn) with the
-// reference in double. Checks which surfels survive, are cloned or split, and their
-// order. Also checks values, moments, statistics, models, and the limits of the parameter
-// range.
+// reference in double. Checks which surfels survive, which are cloned or split, and their
+// order. Also checks parameters, Adam moments, statistics, models, and the limits of the
+// parameter range.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -25,7 +25,8 @@ constexpr float kAlphaMin = 1.0f / 255.0f;
 constexpr std::uint64_t kSeed = 42;
 constexpr std::uint32_t kFrames = 40;
 
-/// A scene whose moments and statistics differ for every surfel.
+/// Test scene in which the optimizer's moments (Adam) and the densification statistics
+/// differ for every surfel.
 struct Case {
     Scene scene;
     DeviceScene device_scene;
@@ -104,7 +105,7 @@ bool survives(Fate fate) { return fate >= Fate::keep; }
 /// Origin of a row after densification.
 struct Row {
     std::uint32_t source;
-    Fate fate;     // fate of the source surfel; `keep` if it was not copied
+    Fate fate;     // decision for the source surfel; `keep` if the surfel was not copied
     bool is_copy;  // not the first row of its source
 };
 
@@ -194,7 +195,7 @@ void expect_models(const Case& c, const std::vector<Row>& rows) {
     EXPECT_EQ(next, c.device_scene.size());
 }
 
-/// Runs one densification and compares all results with the reference.
+/// Runs one densification step and compares all results with the reference.
 /// @return report of the densification
 DensifyReport expect_reference(Case& c, int step) {
     const std::vector<Fate> fates = expected_fates(c, step);
@@ -240,7 +241,8 @@ TEST_F(Densify, AdaptiveAgreesWithTheReference) {
     }
 }
 
-/// The third scale is the largest for some Gaussians and is part of every decision.
+/// Tests Gaussians. The third scale is the largest scale for some of them, and every
+/// decision must use it.
 TEST_F(Densify, GaussiansAgreeWithTheReference) {
     Scene scene = test::random_model_scene({500, 300}, 21);
     make_primitive(scene.surfels, Primitive::gaussian, 1.5);
@@ -300,7 +302,7 @@ TEST_F(Densify, ModelsAndScenesMayEndEmpty) {
     EXPECT_EQ(all.device_scene.parameters().download().size(), 0u);
 }
 
-/// The steps after a densification must accept empty models and empty scenes.
+/// After a densification, training must accept empty models and empty scenes.
 TEST_F(Densify, EmptyModelsCanBeTraced) {
     for (const std::vector<std::uint32_t>& counts :
          {std::vector<std::uint32_t>{50, 0, 20}, std::vector<std::uint32_t>{0, 0}}) {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests single kernels of densification: allot with small arrays, and reset_opacity.
+// Tests two kernels of densification separately: allot with small arrays, and
+// reset_opacity.
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -22,7 +23,8 @@ namespace {
 
 class DensifyKernels : public test::DeviceTest {};
 
-/// Compares the allotted copies with the reference.
+/// Compares the number of copies that the kernel allots to each surfel with the
+/// reference.
 /// @param largest largest weight
 void expect_allotted(Device& device, std::uint32_t largest) {
     std::mt19937 random(4);
@@ -69,11 +71,11 @@ void expect_allotted(Device& device, std::uint32_t largest) {
 
 TEST_F(DensifyKernels, AllotHandsOutAsTheReferenceDoes) {
     expect_allotted(device(), 255);
-    // the sum is close to 2^32, and the product with n_new needs 64 bits
+    // the sum of the weights is close to 2^32, so its product with n_new needs 64 bits
     expect_allotted(device(), 10'000'000);
 }
 
-/// A densifier with its scene and optimiser at chosen steps.
+/// A densifier with a scene and an optimizer that has trained for some steps.
 struct Trained {
     Scene scene;
     DeviceScene device_scene;
@@ -115,7 +117,8 @@ TEST_F(DensifyKernels, ResetOpacityAtItsTimes) {
     EXPECT_EQ(after.log_scale, tags.log_scale);
 }
 
-/// A surfel that is invisible after the reset would never get a gradient again.
+/// Opacities must not be reset below the visibility limit, because an invisible surfel
+/// would never get a gradient again.
 TEST_F(DensifyKernels, WhatIsResetStaysVisible) {
     DensifyOptions options;
     options.strategy = DensifyStrategy::adaptive;

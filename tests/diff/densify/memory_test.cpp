@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the limits of growth: capacity grows in steps, and if the device runs out of
-// memory the scene stops growing without damage.
+// Checks the limits of growth. The capacity must grow in steps. If the device runs out of
+// memory, the scene must stop growing and remain valid.
 #include <relidar/base/error.hpp>
 #include <relidar/diff/densify.hpp>
 #include <relidar/diff/optimizer.hpp>
@@ -51,8 +51,8 @@ struct Growing {
         densifier.statistics().n_seen.upload(std::vector<std::uint32_t>(sum.size(), 1u));
         return densifier.run(stream, device_scene, adam, step, others_bytes);
     }
-    /// Checks that every surfel is a copy of an original, in the original order, with its
-    /// moments or with zero moments.
+    /// Checks that every surfel is a copy of an original surfel, in the original order.
+    /// Its Adam moments must be equal to the original moments or zero.
     void expect_sound() {
         const Surfels now = device_scene.parameters().download(), m = adam.moment1().download();
         ASSERT_EQ(m.size(), now.size());

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes scenes for tests of densification: random surfels in models of given sizes. The
-// first model is unbounded; some surfels of the others lie outside their box. SH
-// coefficients contain the index of each surfel.
+// Makes scenes for tests of densification: random surfels in models of the requested
+// sizes. The first model has no box. In the remaining models, some surfels lie outside
+// the box. SH coefficients contain the index of each surfel.
 #pragma once
 
 #include <vector>
@@ -22,7 +22,7 @@ void poison(Surfels& surfels);
 /// Converts surfel i to the type of the reference.
 reference::DensifiedSurfel densified(const Surfels& surfels, std::size_t i);
 
-/// Returns the index that random_model_scene() assigned to surfel i.
+/// Returns the index that random_model_scene() stored in the SH coefficients of surfel i.
 std::uint32_t tag_of(const Surfels& surfels, std::size_t i);
 
 }  // namespace relidar::test

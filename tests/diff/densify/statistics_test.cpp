@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the sums and counts of diff/densify/observe with sums in double. Checks the
-// normalisation of batches that contain a part of a frame's rays.
+// Compares the sums and counts of the kernel diff/densify/observe with sums in double.
+// Also checks the normalisation of batches that contain only a part of a frame's rays.
 #include <cmath>
 #include <random>
 
@@ -83,9 +83,9 @@ TEST_F(Statistics, SumsAndCountsOverBatches) {
     }
 }
 
-/// Surfel i covers i + 1 rays in each of three frames, all with the same gradient; the
+/// Surfel i covers i + 1 rays in each of three frames, all with the same gradient. The
 /// loss is a mean over the batch. Batches of every s-th ray must give the same statistics
-/// as all rays, also for surfels that most batches miss.
+/// as batches of all rays, also for surfels that most batches miss.
 TEST_F(Statistics, EveryStridethRayCountsAsTheWholeFrame) {
     constexpr std::uint32_t kN = 40, kRays = 1000, kStride = 16;
     const auto mean_of = [&](std::uint32_t stride, int n_batches) {
@@ -112,8 +112,8 @@ TEST_F(Statistics, EveryStridethRayCountsAsTheWholeFrame) {
     const std::vector<double> full = mean_of(1, 3), part = mean_of(kStride, 600);
     for (std::uint32_t i = 0; i < kN; ++i) {
         EXPECT_NEAR(full[i], double(i + 1) / kRays, 1e-6);
-        // A mean over only the batches that touch a surfel would be 16 times too large
-        // for a single ray.
+        // checks the normalisation: a mean over only the batches that hit a surfel would
+        // be 16 times too large for a single ray
         EXPECT_NEAR(part[i] / full[i], 1.0, 0.35) << i + 1 << " rays";
     }
 }

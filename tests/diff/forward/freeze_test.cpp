@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the rendering of a frozen scene with the rendering of the original scene with
-// placed actors: turned, walking or absent.
+// Compares the rendering of a frozen scene with the rendering of the original scene. The
+// actors are turned, walking or absent.
 #include <algorithm>
 #include <cmath>
 #include <random>
@@ -47,8 +47,8 @@ protected:
     }
     void expect_equal(const Rendering& a, const Rendering& b, const std::string& what) {
         ASSERT_EQ(a.size(), b.size());
-        // A few rays differ, because rounding can move a surfel across the visibility
-        // limit.
+        // allows a few different rays, because rounding can make a surfel visible or
+        // invisible
         std::size_t n_hit = 0, n_off = 0;
         for (std::size_t i = 0; i < a.size(); ++i) {
             n_hit += a.hits[i] > 0;

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the forward pass with lists (diff/forward/append, diff/forward/sort_hits,
-// diff/forward/blend) with the forward pass with chunks (diff/forward/trace), for every
-// hit provider. Uses the conformance cases of traversal: empty, long and full lists,
-// equal depths, and hits that are reported twice. render_test.cpp, on_demand_test.cpp and
-// tests/diff/backward compare both methods with the double reference.
+// Compares two methods of the forward pass for every hit provider: hit lists
+// (diff/forward/append, sort_hits, blend) and chunks (diff/forward/trace). Uses the
+// conformance cases of traversal: empty, long and full lists, equal depths, and hits that
+// are reported twice. render_test.cpp, on_demand_test.cpp and tests/diff/backward compare
+// both methods with the double reference.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -40,7 +40,7 @@ std::vector<Provider> providers(const Device& device) {
         {.name = "triangles", .proxy = Proxy::triangles}, {.name = "boxes", .proxy = Proxy::boxes}, brute};
 }
 
-/// A test case on the device that is ready to be traced.
+/// A test case on the device that is ready for tracing.
 struct Placed {
     test::SceneAndPoses placed;
     ImageModel model;
@@ -100,7 +100,8 @@ struct Placed {
 
 bool is_near(float a, float b) { return std::abs(a - b) <= 1e-5f * std::max(1.0f, std::abs(b)); }
 
-/// Returns true if two rays are equal except for the rounding of different kernels.
+/// Returns true if two rendered rays are equal except for rounding differences between
+/// kernels.
 bool is_same(const shared::RenderedRay& a, const shared::RenderedRay& b) {
     return a.n_hits == b.n_hits && a.instance == b.instance && is_near(a.depth, b.depth) &&
            is_near(a.weight, b.weight) && is_near(a.intensity, b.intensity) &&
@@ -115,7 +116,7 @@ std::size_t differences(const std::vector<shared::RenderedRay>& a,
     return n;
 }
 
-/// Counts the rays whose kept hits differ in any bit between two buffers with the same
+/// Counts the rays whose stored hits differ in any bit between two buffers with the same
 /// capacity per ray.
 std::size_t different_hits(const KeptHits& a, const KeptHits& b,
                            const std::vector<shared::RenderedRay>& rays) {
@@ -143,8 +144,8 @@ protected:
                 for (const int room : {1, 7, 64, 512}) {
                     const std::vector<shared::RenderedRay> actual = placed.render(
                         {.chunk = 5, .walk = provider.walk, .order = HitOrder::lists, .list_room = room});
-                    // Rounding in another kernel may decide whether a product is below
-                    // T_min.
+                    // Allows a few differences, because rounding in a different kernel
+                    // can decide whether a product is below T_min.
                     EXPECT_LE(differences(actual, expected), c.rays.size() / 5000)
                         << c.name << ", " << provider.name << ", room " << room << ", T_min " << least;
                 }
@@ -161,8 +162,8 @@ TEST_F(Lists, ConformanceCasesOfGaussians) {
     for (const TraversalCase& c : test::gaussian_cases(43, 500)) expect_what_chunks_render(c);
 }
 
-/// Without diff/forward/trace: lists alone must render every ray whose hits fit into its
-/// list, and must not write other rays.
+/// Renders with hit lists only, without diff/forward/trace. The lists must render every
+/// ray whose hits fit into its list, and must not write the remaining rays.
 TEST_F(Lists, RenderWhatTheyHaveRoomFor) {
     TraversalCase c = test::long_list_case();
     for (const TraversalCase& other :
@@ -181,8 +182,8 @@ TEST_F(Lists, RenderWhatTheyHaveRoomFor) {
         for (std::size_t i = 0; i < actual.size(); ++i) {
             if (expected[i].n_hits > static_cast<std::uint32_t>(room))
                 EXPECT_EQ(actual[i].n_hits, kUntouched) << "ray " << i;
-            // An edge between two triangles may be reported twice, which uses two
-            // entries.
+            // A ray through the edge between two triangles may report the hit twice,
+            // which uses two entries of the list.
             else if (actual[i].n_hits == kUntouched)
                 EXPECT_GE(2 * expected[i].n_hits, static_cast<std::uint32_t>(room)) << "ray " << i;
             else EXPECT_TRUE(is_same(actual[i], expected[i])) << "ray " << i << ", room " << room;
@@ -206,8 +207,9 @@ TEST_F(Lists, PutHitsInOrderWhateverTheirNumber) {
     }
 }
 
-/// Hits for the backward pass are kept in blending order: if lists use the same memory,
-/// if they are longer than the kept hits, and if diff/forward/trace renders the ray.
+/// Hits that are stored for the backward pass must be in blending order. Tests lists in
+/// the same memory, lists that are longer than the stored hits, and rays that
+/// diff/forward/trace renders.
 TEST_F(Lists, KeepTheHitsThatTheyBlend) {
     TraversalCase long_lists = test::long_list_case();
     for (float& opacity : long_lists.surfels.opacity_logit) opacity = -4.5f;
@@ -227,7 +229,7 @@ TEST_F(Lists, KeepTheHitsThatTheyBlend) {
     }
 }
 
-/// An opaque wall ends the search, so hits behind it are not in the list.
+/// An opaque wall must end the search, so that hits behind it are not in the list.
 TEST_F(Lists, EndBehindAWall) {
     TraversalCase c = test::long_list_case();
     for (float& opacity : c.surfels.opacity_logit) opacity = 8.0f;
@@ -240,7 +242,7 @@ TEST_F(Lists, EndBehindAWall) {
     EXPECT_EQ(differences(placed.render_lists(64), expected), 0u) << "100 surfels lie along each ray";
 }
 
-/// The capacity doubles while some list is too short, and then stays constant.
+/// The capacity must double as long as some list is too short, and then stay constant.
 TEST_F(Lists, Grow) {
     TraversalCase c = test::long_list_case();
     for (float& opacity : c.surfels.opacity_logit) opacity = -4.5f;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares optional outputs of the forward pass with the double reference: blended
-// normals, the likelihood (M12) and the heaviest surface (M13). Uses random scenes with
-// instances, several chunk sizes, lists, and rays with many hits. The optional outputs
-// must not change any bit of the image.
+// normals, the likelihood (M12) and the surface with the largest weight (M13). Uses
+// random scenes with instances, several chunk sizes, lists, and rays with many hits. The
+// optional outputs must not change any bit of the image.
 #include <algorithm>
 #include <utility>
 
@@ -31,7 +31,7 @@ protected:
         const test::SceneAndPoses placed =
             test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
         const std::uint32_t n_rays = std::uint32_t(random.rays.size());
-        // one more ray than needed, to detect writes beyond the end
+        // adds an extra ray, to detect writes beyond the end
         Renderer renderer(device(), placed.scene, model, {.trace = options, .n_rays = n_rays + 1});
         renderer.scene().set_poses(placed.world_from_instance);
         const Array<DeviceRay> rays(
@@ -103,8 +103,8 @@ TEST_F(OnDemand, AgreesWithDoubleReference) {
     }
 }
 
-/// Tests the heaviest surface (M13). Uses only rays whose gaps and weights determine this
-/// surface clearly.
+/// Tests the surface with the largest weight (M13). Uses only rays whose gaps and weights
+/// determine this surface clearly.
 TEST_F(OnDemand, ModeAgreesWithDoubleReference) {
     constexpr float kGap = 0.3f;
     test::RandomSceneOptions options;

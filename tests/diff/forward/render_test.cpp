@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the forward pass (Eq. 2-4; M4, M5), with chunks and with lists, with the
-// double reference on random scenes. Compares the benchmark street with the image of
-// another implementation.
+// double reference on random scenes. Also compares the benchmark street with an image
+// that a different implementation rendered.
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
@@ -22,7 +22,7 @@ namespace {
 
 class Forward : public test::DeviceTest {};
 
-/// Renders with all instances and the sensor at the origin.
+/// Renders a scene once, with all instances and the sensor at the origin.
 Rendering render_once(Device& device, const Scene& scene, const ImageModel& model, const WorldRays& rays,
                       const RendererOptions& options = {}) {
     Renderer renderer(device, scene, model, options);
@@ -30,7 +30,7 @@ Rendering render_once(Device& device, const Scene& scene, const ImageModel& mode
     return renderer.forward(rays);
 }
 
-/// Returns the normalised mean squared error of one output over the rays.
+/// Returns the normalised mean squared error of an output over the rays.
 double nmse(const std::vector<float>& actual, const std::vector<double>& expected) {
     double error = 0.0, power = 0.0;
     for (std::size_t i = 0; i < expected.size(); ++i) {
@@ -63,7 +63,8 @@ Expected render_reference(const test::RandomScene& scene, const reference::Setti
     return e;
 }
 
-/// Methods to find and sort hits; lists are large enough for all rays or only for some.
+/// Method to find and sort hits. Lists are long enough for all rays or only for some
+/// rays.
 struct Way {
     Proxy proxy;
     HitOrder order;
@@ -85,7 +86,8 @@ TEST_F(Forward, AgreesWithDoubleReference) {
         test::RandomSceneOptions options;
         options.seed = 21;
         options.primitive = primitive;
-        // With SH along the surfel, the first instance determines the direction.
+        // With SH along the surfel, the first instance of a model determines the
+        // direction, so the actor has a single instance.
         options.actor_instances = direction == ShDirection::ray ? 2 : 1;
         options.background_surfels = 24, options.actor_surfels = 20;
         options.rays = 300;
@@ -136,8 +138,8 @@ TEST_F(Forward, MovedInstanceIsSeenWhereItStands) {
     }
 }
 
-/// With a single drop logit, the stored hit logits have no effect. M6 becomes a sigmoid,
-/// and a ray without hits is dropped.
+/// With a single drop logit, the stored hit logits must have no effect. M6 becomes a
+/// sigmoid, and a ray without hits is dropped.
 TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
         reference::Settings settings;
@@ -165,8 +167,8 @@ TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
     }
 }
 
-/// Thin 3D Gaussians must render like surfels; thick ones differ. Normals face the rays
-/// within 50 degrees.
+/// Thin 3D Gaussians must render like surfels, and thick Gaussians must differ. Normals
+/// face the rays within 50 degrees.
 TEST_F(Forward, ThinGaussiansApproachSurfels) {
     test::RandomSceneOptions options;
     options.seed = 23, options.rays = 200;
@@ -211,8 +213,8 @@ TEST_F(Forward, SceneOfAnotherPrimitiveIsRefused) {
     EXPECT_NO_THROW(render_once(device(), scene, gaussians, ray));
 }
 
-/// A faint surfel in front of a wall must not determine the instance label of the ray; if
-/// it is the only surfel, it does.
+/// A faint surfel in front of a wall must not determine the instance label of the ray. If
+/// the faint surfel is the only surfel, it determines the label.
 TEST_F(Forward, LabelIsThatOfTheSurfaceNotOfAFloater) {
     Surfels surfels;
     surfels.resize(2);
@@ -244,7 +246,8 @@ TEST_F(Forward, EmptySceneIsBackground) {
     EXPECT_EQ(r.depth[0], 0.0f);
 }
 
-/// Returns copies of some surfels, each invalid in a different parameter.
+/// Returns copies of some surfels. Each copy has an invalid value in a different
+/// parameter.
 Surfels poisoned_copies(const Surfels& good, float bad) {
     const bool is_gaussian = good.primitive == Primitive::gaussian;
     Surfels extra = test::take(good, is_gaussian ? std::vector<std::uint32_t>{0, 1, 2, 3, 4, 5}
@@ -296,8 +299,8 @@ const NamedArray& find(const std::vector<NamedArray>& arrays, const std::string&
     throw std::runtime_error("no array " + name);
 }
 
-/// The street of 100k surfels must equal the image of another implementation on at least
-/// 99.9 % of the rays.
+/// At least 99.9 % of the rays must equal the image that a different implementation
+/// rendered of the street of 100k surfels.
 TEST_F(Forward, StreetEqualsImageByOthers) {
     const std::filesystem::path file = shared_folder() / "bench" / "peer_render_A100k_kitti.npz";
     if (!std::filesystem::exists(file)) GTEST_SKIP() << file << " is not there";

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks that training uses the gradient of the Chamfer loss. This loss alone, through
-// the backward pass and Adam, must move a displaced wall of surfels back to its measured
+// Checks that training uses the gradient of the Chamfer loss. With only this loss, the
+// backward pass and Adam must move a displaced wall of surfels back to its measured
 // position. If the gradient is cut off, the wall must not move.
 #include <relidar/diff/differentiable_renderer.hpp>
 #include <relidar/diff/loss.hpp>
@@ -15,8 +15,8 @@ class ChamferMoves : public test::DeviceTest {};
 
 constexpr float kWall_m = 6.0f, kShift_m = 0.4f;
 
-/// Makes a wall at x = kWall_m + shift that faces the sensor, of surfels 0.25 m apart
-/// with a low drop probability.
+/// Makes a wall at x = kWall_m + shift that faces the sensor. Its surfels are 0.25 m
+/// apart and have a low drop probability.
 Scene wall(float shift) {
     Surfels s;
     s.resize(20 * 20);
@@ -30,7 +30,7 @@ Scene wall(float shift) {
     return make_background_scene(s);
 }
 
-/// Makes rays that all measured the wall at kWall_m.
+/// Makes rays whose measured ranges all lie on the wall at kWall_m.
 void measure_wall(std::uint32_t side, std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets) {
     for (std::uint32_t i = 0; i < side * side; ++i) {
         const glm::vec3 d = glm::normalize(glm::vec3(1.0f, 0.6f * (float(i % side) / float(side - 1) - 0.5f),
@@ -40,8 +40,8 @@ void measure_wall(std::uint32_t side, std::vector<DeviceRay>& rays, std::vector<
     }
 }
 
-/// Returns the mean distance of the visible means to the measured wall after some steps
-/// with the Chamfer loss only.
+/// Trains for some steps with only the Chamfer loss. Returns the mean distance between
+/// the means of visible surfels and the measured wall.
 double distance_after(Device& device, float shift, bool cut_gradient, bool image) {
     constexpr std::uint32_t kSide = 24, kRays = kSide * kSide;
     std::vector<DeviceRay> rays;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks diff/loss/chamfer_points, chamfer_boxes, chamfer_nearest, chamfer and
-// chamfer_vjp. Compares nearest neighbours with brute force on various clouds, and values
-// and derivatives with the double reference.
+// Checks the Chamfer loss (diff/loss/chamfer_points, chamfer_boxes, chamfer_nearest,
+// chamfer and chamfer_vjp). Compares nearest neighbours with brute force on various
+// clouds. Compares values and derivatives with the double reference.
 #include <cmath>
 #include <functional>
 #include <limits>
@@ -25,16 +25,16 @@ class Chamfer : public test::DeviceTest {};
 
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
-/// Simulated and measured points of a scan, ray by ray; range 0 = no return.
+/// Simulated and measured points of a scan, ray by ray. A range of 0 means no return.
 struct Clouds {
     ImageShape image;
     std::vector<DeviceRay> rays;
     std::vector<float> simulated, measured;
 };
 
-/// Makes a sweep of a driving, spinning sensor in front of a rough wall. All coordinates
-/// are multiples of 1/1024, so that host and device compute the same points even if the
-/// device contracts operations.
+/// Makes a sweep of a spinning sensor that drives in front of a rough wall. All
+/// coordinates are multiples of 1/1024, so that host and device compute the same points
+/// even if the device fuses multiplications and additions.
 Clouds lattice_scan(std::uint32_t rows, std::uint32_t columns, float missing) {
     std::mt19937_64 random(rows * 977 + columns);
     std::uniform_real_distribution<float> unit(0.0f, 1.0f);
@@ -98,8 +98,8 @@ FoundChamfer device_chamfer(Device& device, const Clouds& c, const Setting& s = 
     return {loss.nearest(), terms.download()[loss_term::chamfer], test::floats_of(upstream.download())};
 }
 
-/// Returns points as the device computes them, relative to the first ray's origin;
-/// infinite if there is no return.
+/// Returns points as the device computes them, relative to the origin of the first ray. A
+/// ray without a return gives an infinite point.
 std::vector<glm::vec3> points(const Clouds& c, const std::vector<float>& range) {
     std::vector<glm::vec3> result;
     for (std::size_t i = 0; i < range.size(); ++i)
@@ -221,8 +221,8 @@ TEST_F(Chamfer, AgreesWithReference) {
         const FoundChamfer device_result =
             device_chamfer(device(), c, {.normalised = normalised, .weight = weight});
         EXPECT_NEAR(device_result.loss, loss, 1e-4 * loss);
-        // Relative to the norm of all rows, because differences of points 10 m away are
-        // accurate to 1e-6 m.
+        // The error is relative to the norm of all rows, because differences of points 10
+        // m away are accurate only to 1e-6 m.
         std::vector<double> expected, actual;
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const float* row = &device_result.upstream[kRayFloats * i];

@@ -80,9 +80,10 @@ TEST_F(ImageLossTest, AgreesWithReference) {
                         1e-4 * weights.intensity * terms.intensity);
             EXPECT_NEAR(s[loss_term::drop], weights.drop * terms.drop, 1e-4 * weights.drop * terms.drop);
             for (std::size_t i = 0; i < n; ++i) {
-                const double row[] = {expected[i].depth,      expected[i].weight,
-                                      expected[i].intensity,  expected[i].hit_logit,
-                                      expected[i].drop_logit, 0.0};  // the likelihood is another loss
+                const double row[] = {expected[i].depth, expected[i].weight, expected[i].intensity,
+                                      expected[i].hit_logit,
+                                      // the likelihood belongs to a separate loss
+                                      expected[i].drop_logit, 0.0};
                 for (std::size_t k = 0; k < kFloats; ++k)
                     EXPECT_NEAR(g[kFloats * i + k], row[k], 1e-6 * (std::abs(row[k]) + 1.0 / double(n)))
                         << "ray " << i << " lane " << k;
@@ -106,13 +107,14 @@ TEST_F(ImageLossTest, MaskedRaysAreIgnoredAndStrideSelects) {
     stream.finish();
     for (const float x : test::floats_of(upstream.download())) EXPECT_EQ(x, 0.0f);
     for (const float x : sums.download()) EXPECT_EQ(x, 0.0f);
-    // targets 1, 5, 9, ... are known
+    // targets 1, 5, 9, ... have a measured value
     loss.compare(stream, {{}, &rendered, &upstream}, {&targets, 1, 4, 16, 16.0, 16.0}, sums);
     stream.finish();
     EXPECT_GT(sums.download()[loss_term::drop], 0.0f);
 }
 
-/// Returns the names of the losses, derived from their types.
+/// Returns the names of the losses that are created for the weights, derived from their
+/// types.
 std::vector<std::string> made(Device& device, const LossWeights& weights) {
     std::vector<std::string> names;
     for (const std::unique_ptr<Loss>& loss : make_losses(device, weights, 64))

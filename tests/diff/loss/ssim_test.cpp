@@ -2,7 +2,7 @@
 // Compares values and derivatives of diff/loss/ssim and diff/loss/ssim_vjp with the
 // double reference. Covers images with unknown and dropped pixels, full sweeps and
 // windows, images smaller than the window, and strided targets. Values at dropped pixels
-// must not matter.
+// must not affect the result.
 #include <random>
 
 #include <relidar/diff/forward.hpp>
@@ -24,7 +24,7 @@ Image random_image(int rows, int columns, bool circular, double known_share) {
     std::uniform_real_distribution<double> unit(0.0, 1.0);
     Image image{rows, columns, circular, {}, {}, {}};
     for (int i = 0; i < rows * columns; ++i) {
-        // One half of the image is nearly flat and has small variances.
+        // Makes half of the image nearly flat, so that its variances are small.
         const double flat = i % columns < columns / 2 ? 0.3 : 0.3 + 0.4 * unit(random);
         image.y.push_back(float(flat));
         image.x.push_back(float(flat + 0.05 * unit(random)));
@@ -38,8 +38,8 @@ struct Result {
     std::vector<double> d_x;
 };
 
-/// Computes the loss on the device. Pixels that are not known are alternately dropped and
-/// unknown and contain invalid values.
+/// Computes the loss on the device. Pixels without a known value are alternately dropped
+/// and unknown, and contain invalid values.
 Result device_ssim(Device& device, const Image& image, float share, std::uint32_t stride = 1) {
     const std::size_t n = image.x.size();
     std::vector<shared::RenderedRay> rendered;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares diff/loss/surfel_loss with the double reference for a background without a box
-// and two actors. Gradients must be added to existing ones in touched rows only. Training
-// must move surfels back into their box.
+// and two actors. Gradients must be added to existing gradients in touched rows only.
+// Training must move surfels back into their box.
 #include <cmath>
 #include <random>
 

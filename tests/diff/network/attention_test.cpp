@@ -70,8 +70,8 @@ TEST_F(AttentionTest, LargeScores) {
     EXPECT_LT(worst_error(to.read(), reference::attend(values, 1)), 1e-3);
 }
 
-/// The key of each pixel matches the query of its neighbour, so attention must shift the
-/// values by one pixel around the ring.
+/// The key of each pixel matches the query of its neighbour. Attention must therefore
+/// shift the values by one pixel around the ring.
 TEST_F(AttentionTest, TakesWhatItAsksFor) {
     const int n = 5;
     test::ImageBatch values(1, 3 * n, 1, n), expected(1, n, 1, n);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares diff/network/conv, diff/network/conv_weights and diff/network/sum_parts with
-// the double reference: values and both derivatives, slices, batches, and images smaller
-// than a subgroup. Covers the ring of columns, and weights in shared memory (as on a GPU)
-// and in registers (as on a CPU).
+// Compares the convolution kernels diff/network/conv, conv_weights and sum_parts with the
+// double reference. Covers values and both derivatives, slices, batches, and images
+// smaller than a subgroup. Columns form a ring. Weights are in shared memory (as on a
+// GPU) or in registers (as on a CPU).
 #include "diff/network/conv.hpp"
 
 #include "../../support/device.hpp"
@@ -106,7 +106,8 @@ TEST_P(ConvSizes, DerivativeByTheWeights) {
     EXPECT_EQ(actual, repeated);  // the order of summation is fixed
 }
 
-/// Checks <d_to, W v> = <W^T d_to, v> on the device.
+/// Checks on the device that the backward pass is the transpose of the forward pass:
+/// <d_to, W v> = <W^T d_to, v>.
 TEST_F(ConvTest, ForwardAndBackwardAreTransposes) {
     const Case c{9, {4, 11, 37}, 9, 17};
     const Layer layer = random_layer(c);
@@ -129,8 +130,8 @@ TEST_F(ConvTest, ForwardAndBackwardAreTransposes) {
     EXPECT_NEAR(test::dot(test::doubles(d_weights), layer.weights), asked, scale);
 }
 
-/// A value in the first column must affect the last column, but nothing beyond the first
-/// and last row.
+/// A value in the first column must affect the last column, because columns form a ring.
+/// Rows do not wrap: values must not affect rows beyond the first and last row.
 TEST_F(ConvTest, ColumnsAreARingAndRowsEnd) {
     for (const std::uint32_t columns : {2u, 3u, 8u, 13u, 64u, 70u}) {
         test::ImageBatch one(1, 1, 3, int(columns));
@@ -146,10 +147,10 @@ TEST_F(ConvTest, ColumnsAreARingAndRowsEnd) {
         stream.finish();
         const test::ImageBatch seen = to.read(), asked = back.read();
         const int last = int(columns) - 1;
-        // with two columns, the left and right neighbour are the same
+        // with two columns, the left and the right neighbour are the same column
         const double both = columns == 2 ? 1.0 : 0.0;
         EXPECT_EQ(seen.at(0, 0, 0, 0), 5.0);
-        // the last column reads the value with its right tap
+        // the last column multiplies the value with the weight of its right neighbour
         EXPECT_EQ(seen.at(0, 0, 0, last), 6.0 + both * 4.0);
         EXPECT_EQ(seen.at(0, 0, 1, last), 3.0 + both * 1.0);
         EXPECT_EQ(asked.at(0, 0, 0, last), 4.0 + both * 6.0);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares diff/network/drop_inputs with plain loops: channels of the scene turn around
-// the sensor, channels of the sensor stay, and the start value is the rendered logit.
+// Compares the inputs of the ray-drop network (diff/network/drop_inputs) with plain
+// loops. Scene channels rotate around the sensor, and sensor channels do not rotate. The
+// start value of the output is the rendered logit.
 #include "../../support/device.hpp"
 #include "diff/shared/refine.h"
 #include "gpu/stream.hpp"

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trains and evaluates the ray-drop network. It must learn a rule that no single pixel
-// reveals, give the same result twice, have no effect before training, accept other image
-// sizes, and reject unsuitable inputs.
+// Trains and evaluates the ray-drop network. It must learn a rule that depends on
+// neighbouring pixels, give the same result twice, have no effect before training, accept
+// different image sizes, and reject unsuitable inputs.
 #include <cmath>
 #include <limits>
 #include <random>
@@ -137,7 +137,7 @@ TEST_F(DropNetworkTest, StopsWhereProgressSaysSo) {
     EXPECT_FALSE(network.empty());
 }
 
-/// Trains until `step` and returns the state after this step.
+/// Trains until `step` and returns the training state after this step.
 RefineState state_after(Device& device, const std::vector<DropImage>& images, const RefineOptions& options,
                         int step, const RefineState* start = nullptr) {
     RefineState kept;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Uploads images of the double reference as a slice of a larger tensor. The other
+// Uploads images of the double reference as a slice of a larger tensor. The remaining
 // channels of the tensor must not change.
 #pragma once
 
@@ -123,7 +123,7 @@ private:
 };
 
 /// Returns the largest error divided by the largest expected value, so that a single
-/// wrong element is noticed. Returns infinity if a value is NaN.
+/// wrong element is detected. Returns infinity if a value is NaN.
 inline double worst_error(const std::vector<double>& actual, const std::vector<double>& expected) {
     if (actual.size() != expected.size()) return HUGE_VAL;
     double worst = 0.0, largest = 0.0;
@@ -138,8 +138,8 @@ inline double worst_error(const ImageBatch& actual, const ImageBatch& expected) 
     return worst_error(actual.values, expected.values);
 }
 
-/// Sets derivatives to 0 where the normalised value is so close to 0 that rounding
-/// decides whether ReLU passes the gradient.
+/// Sets derivatives to 0 if the normalised value is so close to 0 that rounding decides
+/// whether ReLU passes the gradient.
 inline void leave_out_kinks(ImageBatch& upstream, const ImageBatch& from, const std::vector<double>& beta,
                             const std::vector<double>& gamma) {
     reference::NormLayer above{beta, gamma, {}}, below = above;

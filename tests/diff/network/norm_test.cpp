@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares diff/network/channel_sums, diff/network/norm_finish, diff/network/norm and
-// diff/network/norm_vjp with the double reference: values, derivatives, running moments,
-// dropout, and moments of values far from zero.
+// Compares batch normalisation (diff/network/channel_sums, norm_finish, norm and
+// norm_vjp) with the double reference: values, derivatives, running mean and variance,
+// and dropout. Also tests values far from zero.
 #include "diff/network/norm.hpp"
 
 #include "../../support/device.hpp"
@@ -62,8 +62,7 @@ struct OnePass {
     }
 };
 
-/// Returns the dropout factor of each value, computed from the output for positive
-/// inputs.
+/// Computes the dropout factor of each value from the output for positive inputs.
 std::vector<double> gate_of(Device& device, const NormCase& c, float dropout, std::uint32_t key) {
     OnePass pass(device, c);
     const std::size_t n = std::size_t(c.channels);
@@ -81,8 +80,8 @@ double largest(const std::vector<double>& values) {
     return most;
 }
 
-/// Returns a bound of the terms that sum to the derivative of an input. With two pixels
-/// the terms nearly cancel.
+/// Returns an upper bound for the terms whose sum is the derivative of an input. With two
+/// pixels the terms nearly cancel.
 double largest_term(const test::ImageBatch& from, const reference::NormLayer& layer,
                     const test::ImageBatch& upstream) {
     double scale = 0.0;
@@ -136,7 +135,7 @@ TEST_P(NormSizes, Derivatives) {
         const OnDevice from(device(), values), d_to(device(), upstream),
             d_from = OnDevice::unwritten(device(), c.grid, c.channels);
         const std::size_t n = 2 * std::size_t(c.channels);
-        // writes a part of the array, from the fourth element
+        // writes only a part of the array, starting at the fourth element
         const Array<float> d_parameters = test::to_device(device(), std::vector<double>(n + 6, -7.0));
         const test::ImageBatch actual = pass.forward(device(), from, c);
         pass.norm.vjp(pass.stream, from.slice(), pass.state, d_to.slice(), d_from.slice(), {d_parameters, 4});
@@ -172,8 +171,8 @@ TEST_P(NormSizes, DerivativeByABias) {
     EXPECT_LT(worst_error(actual, reference::channel_sums(upstream)), test::kLayer);
 }
 
-/// Mean 1000, deviation 1: the formula E[x^2] - E[x]^2 would lose all digits in single
-/// precision.
+/// Tests values with mean 1000 and deviation 1. The formula E[x^2] - E[x]^2 would lose
+/// all digits in single precision.
 TEST_F(NormTest, MomentsOfValuesFarFromZero) {
     for (const Grid& grid : {Grid{1, 66, 1030}, Grid{4, 7, 9}}) {
         const NormCase c{grid, 3};

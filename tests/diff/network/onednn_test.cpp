@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the layers of the ray-drop network with oneDNN, which does not support a ring
-// of columns. The test therefore pads images with columns of the opposite end on both
-// sides. It crops the results, and adds the gradients of the padding to the original
+// of columns. The test therefore pads both sides of an image with columns of the opposite
+// side. It crops the results, and adds the gradients of the padding to the original
 // columns.
 #include <onednn_primitive.hpp>
 
@@ -50,7 +50,7 @@ protected:
     }
 };
 
-/// Pads images with `by` columns of the opposite end on both sides.
+/// Pads images on both sides with `by` columns of the opposite side.
 ImageBatch ringed(const ImageBatch& images, int by) {
     ImageBatch result(images.n, images.channels, images.rows, images.columns + 2 * by);
     for (int image = 0; image < images.n; ++image)
@@ -62,8 +62,8 @@ ImageBatch ringed(const ImageBatch& images, int by) {
     return result;
 }
 
-/// Computes the transpose of ringed(): adds the gradients of the padding to the columns
-/// that it was copied from.
+/// Computes the transpose of ringed(), which pads images: adds the gradients of the
+/// padding to the columns from which it was copied.
 ImageBatch folded(const ImageBatch& images, int by) {
     ImageBatch result(images.n, images.channels, images.rows, images.columns - 2 * by);
     for (int image = 0; image < images.n; ++image)
@@ -283,7 +283,7 @@ TEST_F(OneDnnResample, PoolingAgrees) {
 }
 
 /// Doubles the number of columns, so that padding does not move the pixel centres. Rows
-/// may have any sizes.
+/// may have any size.
 TEST_F(OneDnnResample, UpsamplingAgrees) {
     struct Sizes {
         Grid small, large;
@@ -308,7 +308,8 @@ TEST_F(OneDnnResample, UpsamplingAgrees) {
         resample.upsample(stream, from.slice(), to.slice());
         resample.upsample_vjp(stream, d_to.slice(), d_from.slice());
         stream.finish();
-        // Single precision positions a pixel of 1030 with an error of about 3e-5.
+        // tolerance: single precision computes a position among 1030 pixels with an error
+        // of about 3e-5
         EXPECT_LT(worst_error(to.read(), cropped(images_of(out, wide_gradient), 2)), 5e-5);
         EXPECT_LT(worst_error(d_from.read(), folded(images_of(d_in, wide), 1)), 5e-5);
     }

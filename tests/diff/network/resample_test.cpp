@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares diff/network/pool, diff/network/pool_vjp, diff/network/upsample and
-// diff/network/upsample_vjp with the double reference. Covers odd sizes, ties, the ring
-// and slices.
+// Compares diff/network/pool, pool_vjp, upsample and upsample_vjp with the double
+// reference. Covers odd sizes, equal pixels, the ring of columns, and slices.
 #include "diff/network/resample.hpp"
 
 #include "../../support/device.hpp"
@@ -70,7 +69,8 @@ TEST_P(PoolSizes, PoolAndItsDerivative) {
     EXPECT_LT(worst_error(d_from.read(), expected), 1e-6);
 }
 
-/// If pixels of a block are equal, the first maximum gets the full gradient.
+/// If several pixels of a block have the maximum, the first of these pixels must get the
+/// full gradient.
 TEST_F(ResampleTest, OfEqualPixelsTheFirstWins) {
     const std::vector<std::vector<double>> quads{
         {1, 1, 1, 1}, {0, 2, 2, 1}, {0, 1, 3, 3}, {-1, -2, -1, -1}, {0, 0, 0, 5}};
@@ -109,8 +109,8 @@ TEST_P(UpsampleSizes, UpsampleAndItsDerivative) {
     const test::ImageBatch actual = to.read(), back = d_from.read();
     EXPECT_LT(worst_error(actual, reference::upsample(values, actual.rows, actual.columns)), 2e-6);
     EXPECT_LT(worst_error(back, reference::upsample_vjp(upstream, back.rows, back.columns)), 2e-6);
-    // Both kernels compute pixel positions in the same way, so they are transposes up to
-    // rounding.
+    // The forward and the backward kernel compute pixel positions in the same way, so
+    // they are transposes up to rounding.
     const double forth = test::dot(upstream.values, actual.values);
     EXPECT_NEAR(test::dot(back.values, values.values), forth,
                 1e-6 * std::sqrt(double(upstream.values.size())) * 4.0);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the complete network with the same network built from the layers of the double
-// reference: logits in training and evaluation, and gradients against central differences
-// of the reference for a few parameters of every group.
+// reference. Compares the logits in training and evaluation. Compares the gradients with
+// central differences of the reference for a few parameters of every group.
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -19,7 +19,8 @@ using refine::Block;
 using refine::ConvLayer;
 using refine::UnetPlan;
 
-/// The network in double. In training mode each batch is normalised by its own moments.
+/// Implements the network in double precision. In training mode, normalises each batch by
+/// the mean and variance of that batch.
 class ReferenceUnet {
 public:
     ReferenceUnet(const DropNetwork& network, std::vector<double> parameters, bool training)
@@ -109,7 +110,8 @@ protected:
         network_.taps = GetParam().taps;
         const UnetPlan plan(network_);
         refine::initialise(network_, plan, 5);
-        // random values instead of the initial zeros, which would hide gradients
+        // uses random values instead of the initial zeros, which would hide errors of
+        // gradients
         parameters_ = test::random_floats(plan.n_parameters, 6, 0.4, 0.1);
         network_.parameters.assign(parameters_.begin(), parameters_.end());
         const std::vector<double> running = test::random_floats(plan.n_running, 7, 0.3);

@@ -37,7 +37,7 @@ Surfels random_surfels(std::uint32_t n, std::uint64_t seed, ParameterSet of) {
     return s;
 }
 
-/// State of Adam for one number.
+/// State of Adam for a single number.
 struct Scalar {
     double value, m = 0.0, v = 0.0, ceiling = std::numeric_limits<double>::infinity();
     void step(double g, double rate, int t) {
@@ -48,8 +48,8 @@ struct Scalar {
     }
 };
 
-/// Three models, the second without surfels. Means have a learning rate per model; other
-/// parameters have common rates.
+/// Uses three models, the second without surfels. Means have a learning rate per model.
+/// All other parameters share their rates.
 TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
     const std::uint32_t n = 90, n_fixed = 11;
     std::vector<shared::ModelEntry> entries(3);
@@ -95,15 +95,15 @@ const LearningRates kRates{.mean = 1e-3,
                            .gait = 7e-4,
                            .intensity_factor = 0.4};
 
-/// Returns upper bounds of scales; a third of the scales start above their bound.
+/// Returns upper bounds of scales. A third of the initial scales exceed their bound.
 std::vector<float> some_bounds(std::uint32_t n) {
     std::vector<float> bounds(n);
     for (std::uint32_t i = 0; i < n; ++i) bounds[i] = 0.4f + 0.2f * float(i) / float(n);
     return bounds;
 }
 
-/// Calls expect(value before, value after, learning rate, gradient of a Surfels) for each
-/// parameter of surfel `i`.
+/// Calls expect(value before, value after, learning rate, gradient) for each parameter of
+/// surfel `i`.
 template <class Expect>
 void for_each_parameter(const Surfels& start, const Surfels& actual, std::uint32_t i, const ParameterSet& set,
                         Expect&& expect) {
@@ -134,9 +134,9 @@ void for_each_parameter(const Surfels& start, const Surfels& actual, std::uint32
     }
 }
 
-/// Tests one thread per row and one per float. Rows without gradients either do not
-/// exist, decay (in some or all steps), or stay; in the last two cases the first rows are
-/// fixed.
+/// Tests one thread per row and one thread per float. Rows without gradients either do
+/// not exist, decay (in some or all steps), or stay unchanged. In the last two cases the
+/// first rows are fixed.
 TEST_P(AdamThreads, AgreeWithAdamInDouble) {
     const std::uint32_t n = 133;
     const std::vector<float> bounds = some_bounds(n);
@@ -185,8 +185,8 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
     }
 }
 
-/// Vulkan guarantees only 65535 workgroups in one dimension. A larger launch must still
-/// reach the last row.
+/// Vulkan guarantees only 65535 workgroups in a dimension. A larger launch must still
+/// process the last row.
 TEST_F(AdamTest, MoreRowsThanOneDimensionOfWorkgroups) {
     const std::uint32_t n = 2200000;
     const Kernel<shared::AdamParams> kernel(device(), "diff/optimizer/adam");

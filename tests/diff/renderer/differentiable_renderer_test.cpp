@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the differentiable renderer through its host arrays: gradients against the double
 // reference, growing batches, moving instances, and rejected inputs. tests/diff/backward
-// tests all ways to find hits and sum gradients.
+// tests all methods that find hits and sum gradients.
 #include <relidar/base/error.hpp>
 #include <relidar/diff/differentiable_renderer.hpp>
 #include <relidar/diff/first_use.hpp>
@@ -61,7 +61,8 @@ TEST_F(Differentiable, HostGradientsAgreeWithTheReference) {
     DifferentiableRenderer renderer(device(), placed.scene, settings.image, {},
                                     {.wanted = {.rays = true, .poses = true}});
     place(renderer);
-    renderer.forward({{rays.origin[0]}, {rays.direction[0]}});  // a small batch before a larger one
+    // renders a small batch before a larger batch
+    renderer.forward({{rays.origin[0]}, {rays.direction[0]}});
     EXPECT_EQ(renderer.forward(rays).size(), rays.size());
     const HostGradients device_result = renderer.backward(to_arrays(d_rendered));
     test::GradientTable table;
@@ -114,7 +115,8 @@ TEST_F(Differentiable, MovedIsAsPlaced) {
     }
 }
 
-/// A user-defined loss on the host: the mean squared intensity error must decrease.
+/// Trains with a user-defined loss on the host, the mean squared intensity error. The
+/// error must decrease.
 TEST_F(Differentiable, ALossOfOnesOwnLearns) {
     DifferentiableRenderer renderer(device(), placed.scene, settings.image);
     Adam adam(device(), renderer.scene().size(), {});
@@ -152,7 +154,8 @@ TEST_F(Differentiable, WhatIsOutOfOrderIsRefused) {
     EXPECT_EQ(renderer.forward(rays).size(), rays.size());
 }
 
-/// The check at the first use must accept this device, and find each forced fault.
+/// Tests the check of the device at the first use. The check must accept this device and
+/// detect each forced fault.
 class FirstUseTest : public test::DeviceTest {
 protected:
     void SetUp() override {
@@ -185,7 +188,8 @@ TEST_F(FirstUseTest, FindsWhatIsWrong) {
     }
 }
 
-/// On a device with several sizes, the largest other size must be chosen.
+/// Simulates a fault of the current subgroup size. If the device supports several sizes,
+/// the largest remaining size must be chosen.
 TEST_F(FirstUseTest, ChoosesAnotherSubgroupSize) {
     if (!device().info().software) GTEST_SKIP() << "no subgroups of a known size";
     const std::vector<int> sizes = subgroup_sizes(device());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Builds the conformance cases of traversal. All random numbers come from a given seed
-// and std::mt19937_64.
+// Builds the conformance cases of traversal. All random numbers are drawn from
+// std::mt19937_64 with a fixed seed.
 #include "cases.hpp"
 
 #include <cmath>
@@ -99,7 +99,8 @@ TraversalCase equal_depth_case() {
     Random random(7);
     for (int i = 0; i < 50; ++i)
         add_ray(c, {0, 0, 0}, glm::dvec3(5, uniform(random, -1, 1), uniform(random, -1, 1)));
-    add_ray(c, {0, 0, 0}, {1, 0, 0});  // through the corner that both triangles of each proxy share
+    // the ray passes the corner that both triangles of each proxy share
+    add_ray(c, {0, 0, 0}, {1, 0, 0});
     return c;
 }
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Conformance cases that every hit provider must pass (docs/architecture.md section 9):
-// scenes and rays in the library's float arrays, so that host and device providers
-// receive the same bits. The expected hits come from brute force with the canonical
-// intersection in float.
+// Declares conformance cases that every hit provider must pass (docs/architecture.md
+// section 9). A case has a scene and rays in the library's float arrays, so that host and
+// device providers receive the same bits. The expected hits are computed by brute force
+// with the canonical intersection in float.
 #pragma once
 
 #include <string>
@@ -20,7 +20,8 @@ struct TraversalCase {
     Surfels surfels;
     std::vector<reference::Placement> instances;
     WorldRays rays;
-    /// |n.d| down to 1e-3: rounding blurs the outline of a hit, so a few hits may differ.
+    /// true if rays are almost parallel to surfels (|n.d| down to 1e-3); rounding then
+    /// blurs the outline, so a few hits may differ
     bool grazing = false;
 };
 
@@ -28,48 +29,52 @@ struct TraversalCase {
 reference::World to_world(const TraversalCase& c);
 
 TraversalCase empty_case();
-/// One surfel, with rays head on, off centre, in its plane, behind, at the near limit,
-/// and parallel to the plane.
+/// Makes a scene of a single surfel. Rays hit the surfel head on and off centre, lie in
+/// its plane, start behind it, hit it at the near limit, and run parallel to the plane.
 TraversalCase single_case();
-/// Exact copies at one position, within a model and in several instances.
+/// Makes exact copies of surfels at the same position, within a model and in several
+/// instances.
 TraversalCase equal_depth_case();
-/// 100 surfels along each ray, which is more than any chunk.
+/// Makes a scene with 100 surfels along each ray, which is more than any chunk.
 TraversalCase long_list_case();
-/// n surfels along each ray, three at each distance; no ray stops early.
+/// Makes a scene with n surfels along each ray, three at each distance. No ray stops
+/// early.
 TraversalCase tied_list_case(int n);
-/// Rays through the diagonals, edges and corners of the proxies, and through the rim
-/// alpha = alpha_min, 1 % inside and outside.
+/// Makes rays through the diagonals, edges and corners of the proxies, and rays 1 %
+/// inside and outside the rim alpha = alpha_min.
 TraversalCase outline_case(std::uint64_t seed, int n_rays);
 /// |n . d| between 1e-3 and 1e-2.
 TraversalCase grazing_case(std::uint64_t seed, int n_rays);
-/// Surfels that must never be hit (not finite, zero or overflowing scale, zero
-/// quaternion, opacity at or below the cut) among valid surfels.
+/// Makes a scene with surfels that must never be hit (not finite, zero or overflowing
+/// scale, zero quaternion, opacity at most alpha_min) among valid surfels.
 TraversalCase degenerate_case();
-/// Random surfels of many sizes and all orientations, and a second model with three
+/// Makes random surfels of many sizes and all orientations, and a second model with three
 /// rotated, overlapping instances.
 TraversalCase random_case(std::uint64_t seed, int n_surfels, int n_rays);
-/// Surfels of the benchmark street within `radius_m` of the sensor, with every
-/// `stride`-th ray.
+/// Returns the surfels of the benchmark street within `radius_m` of the sensor, with
+/// every `stride`-th ray.
 TraversalCase street_case(const Surfels& street, const RayTable& rays, double radius_m, int stride);
 
-/// The same surfels as 3D Gaussians, 0.03 to 0.5 m thick; one in twenty has an invalid
-/// thickness.
+/// Replaces the surfels by 3D Gaussians that are 0.03 to 0.5 m thick. Every twentieth
+/// Gaussian has an invalid thickness.
 TraversalCase as_gaussians(TraversalCase c, std::uint64_t seed);
-/// 3D Gaussians larger than the distances between them. Rays start inside many of them,
-/// and proxies extend over several chunks. Also contains needles and discs with axis
-/// ratios of 1000 and more.
+/// Makes 3D Gaussians that are larger than the distances between them. Rays start inside
+/// many Gaussians, and proxies extend over several chunks. The scene also contains
+/// needles and discs with axis ratios of 1000 and more.
 TraversalCase crowded_case(std::uint64_t seed, int n_gaussians, int n_rays);
-/// All cases of 3D Gaussians, with sizes that take seconds on a slow device.
+/// Returns all cases of 3D Gaussians, with sizes that take seconds on a slow device.
 std::vector<TraversalCase> gaussian_cases(std::uint64_t seed, int n_rays);
 
-/// The case with instances that move and turn during a sweep of 0.1 s, some only for a
-/// part of it and one not at all. Rays are fired during the sweep and outside it.
+/// Returns the case with instances that move and turn during a sweep of 0.1 s. Some
+/// instances move only for a part of the sweep, and a single instance does not move. Rays
+/// are fired during the sweep and outside it.
 TraversalCase that_moves(TraversalCase c, std::uint64_t seed);
-/// Cases with moving instances for both primitives, with sizes that take seconds on a
-/// slow device.
+/// Returns cases with moving instances for both primitives, with sizes that take seconds
+/// on a slow device.
 std::vector<TraversalCase> moving_cases(std::uint64_t seed, int n_rays);
 
-/// All surfel cases except street_case, with sizes that take seconds on a slow device.
+/// Returns all surfel cases except street_case, with sizes that take seconds on a slow
+/// device.
 std::vector<TraversalCase> conformance_cases(std::uint64_t seed, int n_rays);
 
 }  // namespace relidar::test

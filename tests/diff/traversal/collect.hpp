@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs a variant of diff/traversal/collect_hits on a scene that is already on the device.
-// relidar::collect_hits uploads its scene itself, which tests that refit, rebuild or
-// provide a tree cannot use.
+// Runs a variant of the kernel diff/traversal/collect_hits on a scene that is already on
+// the device. The public function relidar::collect_hits uploads the scene, so it cannot
+// test trees that are refitted, rebuilt or supplied by the test.
 #pragma once
 
 #include <relidar/diff/traversal.hpp>

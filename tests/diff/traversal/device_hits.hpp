@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fixture for the traversal conformance tests of the device. Compares collected hits with
-// a host provider. Both use the same float intersection, so the ordered ids must be
-// equal. Differences within rounding (a hit on its outline, two almost equal t) are
-// counted and limited.
+// Provides the fixture for the traversal conformance tests of the device. Compares
+// collected hits with a host provider. Both use the same float intersection, so the
+// ordered ids must be equal. Differences within rounding (a hit on its outline, two
+// almost equal t) are counted and limited.
 #pragma once
 
 #include <algorithm>
@@ -28,7 +28,7 @@ inline std::vector<reference::Hit> hits_of(const CollectedHits& c, std::size_t r
     return hits;
 }
 
-/// Converts hits of a scene made by to_scene() to the surfel ids of the reference world.
+/// Converts hits of a scene from to_scene() to the surfel ids of the reference world.
 inline CollectedHits in_world(CollectedHits hits, const SceneAndPoses& placed) {
     for (std::size_t ray = 0; ray < hits.counts.size(); ++ray)
         for (std::uint32_t i = 0; i < std::min(hits.counts[ray], hits.max_hits); ++i) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks the traversal contract on the device (diff/traversal/collect_hits): ray query
-// over triangles and boxes, the software tree with one thread or one subgroup per ray,
-// and brute force. Compares with brute force and Embree on the host.
+// over triangles and boxes, the software tree with a thread or a subgroup per ray, and
+// brute force. Compares with brute force and Embree on the host.
 #include "device_hits.hpp"
 #include "diff/traversal/collect_hits.hpp"
 #include "gpu/forced.hpp"
@@ -35,7 +35,8 @@ struct Setting {
     bool brute_force = false;
 };
 
-/// Returns the traversal settings that the test device supports, brute force last.
+/// Returns the traversal settings that the test device supports. Brute force is the last
+/// setting.
 std::vector<Setting> providers(const Device& device, int chunk) {
     const Setting brute{"brute force", {}, {.chunk = chunk}, true};
     if (device.traversal() == Traversal::software)

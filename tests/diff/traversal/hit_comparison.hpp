@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the ordered hits of two providers. Ids and order should be equal. Differences
-// are classified as flips (a hit on the cut of M2 or on the near plane, within single
-// precision), swaps (two t that rounding cannot distinguish) and errors. Tests require no
-// errors, and no or few flips and swaps.
+// are classified as flips, swaps and errors. A flip is a hit on the opacity limit (M2) or
+// on the near plane, within single precision. A swap means two t that rounding cannot
+// distinguish. Tests require no errors, and no or few flips and swaps.
 #pragma once
 
 #include <string>
@@ -24,15 +24,17 @@ struct HitDifferences {
     std::string summary(const std::string& title) const;
 };
 
-/// Compares the hits of one ray and adds the result to `differences`.
+/// Compares the expected and the actual hits of a ray and adds the result to
+/// `differences`.
 /// @param ray_index index of the ray for messages
 void compare_hits(const reference::World& world, const ImageModel& model, const reference::Ray& ray,
                   std::size_t ray_index, const std::vector<reference::Hit>& expected,
                   const std::vector<reference::Hit>& actual, HitDifferences& differences);
 
 /// Returns true if single precision can decide either way: |ln(alpha / alpha_min)| or |t
-/// - near| is within the rounding error. For a surfel the error of the intersection grows
-/// as 1 / |n . d|; for a 3D Gaussian it is the error of a point in standard deviations.
+/// - near| is within the rounding error. For a surfel, the error of the intersection
+/// grows as 1 / |n . d|. For a 3D Gaussian, it is the error of a point in standard
+/// deviations.
 bool on_boundary(const reference::World& world, const ImageModel& model, const reference::Ray& ray,
                  const reference::Hit& hit);
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Traversal conformance tests of the host. Embree over proxies (M3) must return the same
+// Tests the hit providers of the host. Embree over proxies (M3) must return the same
 // ordered ids as brute force over the same float records, for chunk sizes 1 to 32. Float
 // and double intersections may differ only on boundaries. next_hits must fulfil its
 // contract (all_hits throws otherwise).

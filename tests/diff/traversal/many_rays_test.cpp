@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Traces many random rays through instances, ties and surfels that must never be hit,
-// after a build, refits and a rebuild. Device providers must return the same hits as
-// brute force on the device and as the host (Embree for surfels). Uses 10^4 rays per
-// state; RELIDAR_MANY_RAYS=1000000 uses more.
+// Traces many random rays through instances, surfels at equal distance, and surfels that
+// must never be hit. Traces them after a build, after refits and after a rebuild. Device
+// providers must return the same hits as brute force on the device and as the host
+// (Embree for surfels). Uses 10^4 rays per state. RELIDAR_MANY_RAYS=1000000 uses more.
 #include <cstdio>
 #include <cstdlib>
 #include <limits>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the tree walk of software_bvh.glsl on trees built on the host, independently of
-// the device's tree builder.
+// Tests the tree traversal of software_bvh.glsl on trees that are built on the host. The
+// test does not depend on the device's tree builder.
 #include "../../support/host_bvh.hpp"
 #include "collect.hpp"
 #include "device_hits.hpp"

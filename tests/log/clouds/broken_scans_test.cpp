@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks unreadable scans: reading the log fails, or, on request, the scan is left out.
+// Checks logs with unreadable scans. Reading the log must fail, or, if the caller
+// requests it, omit the scan.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -43,7 +44,7 @@ std::vector<int> numbers(const Sequence& sequence) {
     return numbers;
 }
 
-/// Truncates a scan in the middle of the log. Reading must fail, or return the other
+/// Truncates a scan in the middle of the log. Reading must fail, or return the remaining
 /// scans with a note.
 /// @param part part of a dataset with several parts
 /// @return log without the scan
@@ -84,7 +85,7 @@ TEST(BrokenScans, OfKittiAreAsMissingOnes) {
     EXPECT_NO_THROW(check_sequence(left));
 }
 
-/// Returns the error message of reading a drive, or "" if reading succeeds.
+/// Reads a drive and returns the error message, or "" if reading succeeds.
 std::string complaint(const test::KittiDrive& drive) {
     try {
         load_sequence(drive.folder.string(), {});
@@ -107,7 +108,8 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     };
     put(original.substr(0, 16 * (n / 3)));
     expect_left(fmt::format("it has {} points, and the neighbouring scans have", n / 3));
-    // about eight of 64 rings, because rings have different numbers of returns
+    // removes about eight of 64 rings; the number is not exact, because rings have
+    // different numbers of returns
     put(original.substr(0, 16 * (n - n / 8)));
     expect_left("its points end in ring 5");
     put(std::string(original.size(), '\0'));
@@ -117,8 +119,8 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     EXPECT_THAT(complaint(drive), HasSubstr("each of the 3 scans is broken"));
     for (int frame = 0; frame < 3; ++frame) test::write_text(drive.scan(frame), original);
     const auto early = testing::Contains(HasSubstr("0000000001.bin: its last ring ends at azimuth "));
-    // The cut is in the last ring or in the one before. One point in ten is missing in
-    // any case.
+    // The cut is in the last ring or in the ring before the last. In addition, every
+    // tenth point is missing.
     for (const int kept_deg : {120, 270}) {
         const auto n_missing = std::size_t(0.9 * 701 * (kept_deg == 120 ? 240 : 360 + 90) / 360.0);
         put(original.substr(0, 16 * (n - n_missing)));
@@ -131,7 +133,7 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
 }
 
 /// Replaces all intensities of a drive.
-/// @param of value instead of 0.25
+/// @param of new value instead of the original value 0.25
 void set_intensities(const test::KittiDrive& drive, float of) {
     for (int frame = 0; frame < 3; ++frame) {
         std::string bytes = test::read_text(drive.scan(frame));
@@ -169,7 +171,7 @@ TEST(BrokenScans, OfNuscenesAndArgoverse) {
     }
 }
 
-/// Five scans of a cylinder as PCD, without sequence.json.
+/// Folder with five scans of a cylinder as PCD, without sequence.json.
 class BareFolder : public testing::Test {
 protected:
     void SetUp() override {

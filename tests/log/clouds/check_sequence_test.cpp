@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the validation of logs. A valid log is accepted; every error names the frame or
-// box and the field.
+// Checks the validation of logs. A valid log must be accepted. Every error must name the
+// frame or box and the field.
 #include <relidar/log/clouds.hpp>
 
 #include <cmath>
@@ -50,8 +50,8 @@ TEST(CheckSequence, GoodLogsPass) {
               "none");
 }
 
-/// Checks that each modification of a sequence causes a one-line error with the expected
-/// text.
+/// Checks that each modification of a sequence causes an error with a single line that
+/// contains the expected text.
 void expect_errors(const std::vector<std::pair<std::function<void(Sequence&)>, std::string>>& cases) {
     for (const auto& [damage, expected] : cases) {
         const std::string message = error_after(damage);
@@ -132,7 +132,7 @@ TEST(CheckSequence, NamesFrameRayAndField) {
     });
 }
 
-/// Makes ten frames, one of which starts some seconds late.
+/// Makes ten frames. One frame starts `gap_s` seconds late.
 Sequence with_gap(double gap_s) {
     Sequence log;
     log.name = "log";

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits sensors to points and compares them with the sensor whose rays made the points.
+// Fits sensors to points and compares each result with the sensor from whose rays the
+// points were computed.
 #include <relidar/log/clouds.hpp>
 
 #include <cmath>
@@ -31,8 +32,8 @@ SpinningSensor true_sensor(bool clockwise = true) {
     return s;
 }
 
-/// Returns points on four of five rays, at 3 to 70 m (3 to 8 m for beams that look down).
-/// Rings are counted from below.
+/// Returns points on four of five rays, at ranges of 3 to 70 m (3 to 8 m for beams that
+/// look down). Rings are counted from the lowest beam.
 Points points_on(const SpinningSensor& s, std::uint64_t seed) {
     Random random(seed);
     const RayTable rays = make_rays(s);
@@ -69,7 +70,7 @@ TEST(FindBeams, NoneWhereElevationsDoNotGather) {
     EXPECT_TRUE(find_beams({points}).empty());
     EXPECT_TRUE(find_beams({}).empty());
     SpinningSensor wide = true_sensor();
-    // Seen from the centre, the elevation range of each beam is wider than the beam
+    // Viewed from the centre, the elevation range of each beam is wider than the beam
     // spacing.
     for (Beam& beam : wide.beams) beam.origin_up_m = 1.0;
     EXPECT_TRUE(find_beams({points_on(wide, 1)}).empty());

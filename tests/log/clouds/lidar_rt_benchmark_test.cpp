@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parts by the names of the paper: frames, and those that its results hold out.
+// Tests the parts of the benchmark by their names in the paper: their frames, and the
+// frames that the results of the paper hold out.
 #include "log/clouds/lidar_rt_benchmark.hpp"
 
 #include <gtest/gtest.h>

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Numbers of point files keep the type of the file, and each scan is read only once.
+// Tests the point table: numbers keep the data type of the file, and each scan is read
+// only once.
 #include "log/clouds/point_table.hpp"
 
 #include <atomic>
@@ -26,7 +27,7 @@ void append(std::string& bytes, T value) {
     bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
 }
 
-/// Two points of 23 bytes: x, y, z, ring, a colour, a time.
+/// Makes a table of two points with 23 bytes each: x, y, z, ring, a colour, a time.
 PointTable two_points(std::int64_t first_time, std::int64_t second_time) {
     std::string bytes;
     for (const auto& [x, ring, time] : {std::tuple(3.5f, std::uint16_t(7), first_time),
@@ -40,7 +41,7 @@ PointTable two_points(std::int64_t first_time, std::int64_t second_time) {
 }
 
 TEST(PointTable, KeepsTheTypeOfTheFile) {
-    // a double has 53 bits: it cannot tell these two apart
+    // two integers that are equal as doubles, because a double has 53 bits
     constexpr std::int64_t kFirst = (std::int64_t(1) << 53) + 1, kSecond = std::int64_t(1) << 53;
     const PointTable table = two_points(kFirst, kSecond);
     const FieldValues* time = table.find(PointValue::time);
@@ -79,7 +80,7 @@ TEST(PointTable, NamesOfAValueHaveAnOrder) {
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInfinite = std::numeric_limits<float>::infinity();
 
-/// Returns a table with fields x, y, z and further fields of one value per point.
+/// Returns a table with the fields x, y and z, and further fields with a value per point.
 PointTable table_of(const std::vector<glm::vec3>& points,
                     const std::vector<std::pair<std::string, std::vector<float>>>& fields) {
     PointTable table(points.size());
@@ -92,7 +93,8 @@ PointTable table_of(const std::vector<glm::vec3>& points,
     return table;
 }
 
-/// Returns points at different directions and ranges, such as a LiDAR measures them.
+/// Returns points in different directions and at different ranges, similar to the points
+/// of a LiDAR.
 std::vector<glm::vec3> measured_points(std::size_t n) {
     std::vector<glm::vec3> points;
     for (std::size_t i = 0; i < n; ++i) {
@@ -132,7 +134,8 @@ TEST(DroppedRays, HaveRangeZeroInARangeField) {
 TEST(DroppedRays, HaveAPositionThatIsRepeated) {
     std::vector<glm::vec3> points = measured_points(2000);
     EXPECT_EQ(find_meaning({table_of(points, {})}).no_return, std::nullopt);
-    // The mounting of a LiDAR, to which a driver has moved all points at the sensor.
+    // Mounting position of a LiDAR. Rays without a return are stored as points at the
+    // sensor. The driver has transformed these points to the mounting position.
     const glm::vec3 mounting(1.2f, 0.0f, 1.7f);
     for (std::size_t i = 0; i < points.size(); i += 20) points[i] = mounting;
     PointUnits units;
@@ -199,7 +202,8 @@ TEST(PointMeaning, FindsTheScaleOfIntensities) {
     EXPECT_FALSE(scale({0.0, 12.0, 70000.0}).is_sure) << "more than 16 bits";
 }
 
-/// Cylinders as 8 beams x 90 columns see them. Counts how often each scan is read.
+/// Scan source that counts how often each scan is read. The scans show a cylinder with 8
+/// beams x 90 columns.
 class CountedScans : public ScanSource {
 public:
     explicit CountedScans(std::size_t n) : n_reads(n) {}

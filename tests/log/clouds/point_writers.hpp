@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes points as files of other programs, byte by byte: PCD (text, packed, compressed),
-// PLY (text, packed), .bin, .npy.
+// Writes points in the file formats of other programs, byte by byte: PCD (text, packed,
+// compressed), PLY (text, packed), .bin, .npy.
 #pragma once
 
 #include <cstdint>
@@ -19,12 +19,13 @@ struct FilePoint {
 };
 using FilePoints = std::vector<FilePoint>;
 
-/// Fields x y z float32, intensity uint8 (of 255), ring uint16, timestamp float64, with a
-/// padding field "_" of 3 bytes.
+/// Returns a PCD file with the fields x y z float32, intensity uint8 (0 to 255), ring
+/// uint16, timestamp float64, and a padding field "_" of 3 bytes.
 std::string pcd_text(const FilePoints& points);
 std::string pcd_binary(const FilePoints& points);
 std::string pcd_compressed(const FilePoints& points);
-/// Properties x y z double, intensity float, channel ushort, t double, red uchar.
+/// Returns a PLY file with the properties x y z double, intensity float, channel ushort,
+/// t double, red uchar.
 std::string ply_text(const FilePoints& points);
 std::string ply_binary(const FilePoints& points);
 /// n x float32: x y z intensity ring.
@@ -32,8 +33,8 @@ std::string bin(const FilePoints& points);
 /// [n, 6] float64: x y z intensity ring timestamp.
 std::string npy(const FilePoints& points);
 
-/// Compresses with LZF: matches of at least 3 bytes at any encodable distance, other
-/// bytes as literals.
+/// Compresses bytes with LZF. Uses matches of at least 3 bytes at any encodable distance,
+/// and literals for the remaining bytes.
 std::string lzf(const std::string& bytes);
 
 }  // namespace relidar::test

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts points to scans. The points come from known rays of a sensor and are shuffled;
-// each point must be assigned to its original ray.
+// Converts points to scans. The test computes points from the rays of a sensor and
+// shuffles them. Each point must be assigned to its original ray.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>
@@ -30,8 +30,8 @@ SpinningSensor sensor() {
     return s;
 }
 
-/// Returns along the sensor's rays: one ray in five has none, and some have a second
-/// return.
+/// Computes returns along the sensor's rays. Every fifth ray has no return, and some rays
+/// have a second return.
 struct Truth {
     Scan scan;
     Points points;  ///< shuffled
@@ -139,8 +139,8 @@ TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
     EXPECT_NEAR(nearest, 9.0f, 1e-3f) << "the nearer is kept";
 }
 
-/// In a sweep of more than a turn, two firings have the azimuth 3. Both must keep their
-/// points and times.
+/// In a sweep of more than a turn, two firings have azimuth 3. Both firings must keep
+/// their points and times.
 TEST(SpinningScan, ToldFiringsOfOneAzimuthStayApart) {
     SpinningSensor one = sensor();
     one.beams = {{.elevation_rad = 0.0}};

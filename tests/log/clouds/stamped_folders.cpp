@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Follows the documentation of the datasets: Boreas' data reference, MulRan's tables and
-// mounting, and ONCE's description of its formats.
+// Implements the formats from the documentation of the datasets: Boreas' data reference,
+// MulRan's tables and mounting, and ONCE's description of its formats.
 #include "log/clouds/stamped_folders.hpp"
 
 #include <algorithm>
@@ -36,15 +36,15 @@ std::string matrix_text(const Pose& pose, const char* between) {
     return text;
 }
 
-/// Returns roll, pitch, yaw of a rotation R_z(yaw) R_y(pitch) R_x(roll).
+/// Returns the angles roll, pitch and yaw of a rotation R_z(yaw) R_y(pitch) R_x(roll).
 glm::dvec3 angles_of(const glm::dquat& rotation) {
     const glm::dmat3 m = glm::mat3_cast(rotation);
     return {std::atan2(m[1][2], m[2][2]), -std::asin(m[0][2]), std::atan2(m[0][1], m[0][0])};
 }
 
-/// Returns the angles for a rotation order by number: R_x(-roll) R_y(-pitch) R_z(-yaw),
-/// R_z(yaw) R_y(pitch) R_x(roll), R_z(-yaw) R_y(-pitch) R_x(-roll), R_x(roll) R_y(pitch)
-/// R_z(yaw).
+/// Returns the angles of a rotation for a rotation order 0 to 3: R_x(-roll) R_y(-pitch)
+/// R_z(-yaw), R_z(yaw) R_y(pitch) R_x(roll), R_z(-yaw) R_y(-pitch) R_x(-roll), R_x(roll)
+/// R_y(pitch) R_z(yaw).
 glm::dvec3 angles_of(const glm::dquat& rotation, int order) {
     const glm::dvec3 angles = angles_of(order == 0 || order == 3 ? glm::conjugate(rotation) : rotation);
     return order == 2 || order == 3 ? -angles : angles;
@@ -178,8 +178,8 @@ OnceFolder::OnceFolder(const std::string& name, bool w_first, int columns) : Sta
     drive.vehicle_from_lidar.rotation = rotation_of(kPi / 2.0, 0.0, 0.0);
     drive.beams = std::get<SpinningSensor>(find_built_in_sensor("Pandar40P")->pattern).beams;
     drive.columns = columns, drive.n_scans = kScans, drive.step_s = 0.5;
-    // Half a step after backward, because a point exactly there may belong to either end
-    // of the turn.
+    // Starts half a step after backward, because a point that is exactly backward can
+    // belong to either end of the turn.
     drive.first_azimuth_rad = kPi / 2.0 - kPi / columns;
     drive.cast();
     const Pose world = drive.lidar_at(0.0);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes small sequences of Boreas, MulRan and ONCE. A vehicle drives a bend through the
-// walled yard. Its LiDAR, in the axes, names, times and poses of each dataset, measures
-// every point from its pose at that time.
+// Writes small sequences of Boreas, MulRan and ONCE. A vehicle drives a bend through a
+// yard with walls. Its LiDAR measures every point from the pose at the time of the point.
+// Axes, names, times and poses follow each dataset.
 #pragma once
 
 #include <cstdint>
@@ -15,7 +15,7 @@
 
 namespace relidar::test {
 
-/// One firing of one laser.
+/// A single firing of a laser.
 struct StampedRay {
     double time_s = 0.0;       ///< relative to the first scan
     glm::dvec3 origin_m{0.0};  ///< in the world, like point_m
@@ -24,7 +24,7 @@ struct StampedRay {
     bool returned = false;
 };
 
-/// A drive on a level road with a tilted vehicle and its LiDAR.
+/// Simulates a drive on a level road with a tilted vehicle and its LiDAR.
 struct StampedDrive {
     double speed_mps = 8.0, rate_rad_s = 0.3, heading_rad = 0.4, pitch_rad = 0.0, roll_rad = 0.0;
     glm::dvec3 start_m{0.0};  ///< start in the yard
@@ -32,8 +32,8 @@ struct StampedDrive {
     Pose vehicle_from_lidar;  ///< with the dataset's axes
     std::vector<Beam> beams;  ///< highest beam first
     int columns = 0, n_scans = 0;
-    double step_s = 0.1;             ///< between scans; a turn takes 0.1 s, with its middle at the time stamp
-    double first_azimuth_rad = kPi;  ///< in the LiDAR's frame
+    double step_s = 0.1;  ///< time between scans; a turn takes 0.1 s, with the time stamp in its middle
+    double first_azimuth_rad = kPi;                  ///< in the LiDAR's frame
     std::vector<std::vector<StampedRay>> rays = {};  ///< [scan] column by column
 
     Pose vehicle_at(double time_s) const;
@@ -45,8 +45,8 @@ struct StampedDrive {
 /// A temporary folder that is deleted with this object.
 struct StampedFolder {
     std::filesystem::path folder;
-    /// Prefix such as "mulran:" that selects the reader even if files are missing; empty:
-    /// automatic detection.
+    /// Prefix such as "mulran:" that selects the reader even if files are missing. If it
+    /// is empty, the reader is detected automatically.
     std::string kind = "";
     StampedDrive drive;
 
@@ -58,15 +58,15 @@ struct StampedFolder {
     StampedFolder& operator=(const StampedFolder&) = delete;
 };
 
-/// 128 beams with unordered laser numbers. The LiDAR is turned 42.6 degrees to the right,
-/// where its frame starts. Poses continue for 40 s after the scans, twice around the
-/// yard.
+/// Boreas sequence with 128 beams whose laser numbers are unordered. The LiDAR is turned
+/// 42.6 degrees to the right, and its frame starts in that direction. Poses continue for
+/// 40 s after the scans, twice around the yard.
 struct BoreasFolder : StampedFolder {
     static constexpr std::int64_t kFirst_us = 1606417097528152;
     static constexpr int kScans = 6;
 
-    /// @param angles rotation order; 0: as Boreas documents it, 1: the common order, 2
-    /// and 3: the same two with roll and yaw in the other order
+    /// @param angles rotation order. 0 is the order in the documentation of Boreas, and 1
+    /// is the common order. 2 and 3 are the orders 0 and 1 with roll and yaw exchanged.
     explicit BoreasFolder(const std::string& name, int angles = 0, int columns = 360);
     static std::int64_t stamp(int scan) { return kFirst_us + scan * 100000; }
     std::filesystem::path scan(int number) const {
@@ -77,12 +77,14 @@ struct BoreasFolder : StampedFolder {
     static int laser_of(std::size_t beam) { return int(beam * 37 + 11) % 128; }
 };
 
-/// 64 x 1024 points, starting backward. The first scan has no surrounding poses.
+/// MulRan sequence with 64 x 1024 points per scan, starting backward. The poses of the
+/// track do not enclose the first scan.
 struct MulranFolder : StampedFolder {
     static constexpr std::int64_t kFirst_ns = 1561000444390857630;
     static constexpr int kScans = 4;
 
-    /// @param by_column true: points in files are ordered by column; false: by ring
+    /// @param by_column if true, the points in files are ordered by column, otherwise by
+    /// ring
     explicit MulranFolder(const std::string& name, bool by_column = true);
     static std::int64_t stamp(int scan) { return kFirst_ns + scan * std::int64_t(100000000); }
     std::filesystem::path scan(int number) const {

@@ -30,12 +30,14 @@ TEST(TwoLidars, WorldReturnsAreVehicleTimesMounting) {
                              to_matrix(rear.vehicle_from_sensor) *
                              glm::dvec4(glm::dvec3(frame.scan.point(i)), 1.0);
         EXPECT_LT(glm::distance(world_return(street, frame, i).point_m, glm::dvec3(p)),
-                  1e-3);  // between poses the mounting moves on an arc, but its track on a chord
+                  // tolerance: between poses, the LiDAR moves on an arc, but its
+                  // interpolated position moves on the chord
+                  1e-3);
     }
 }
 
-/// Returns the mean difference of the road height in cells of half a metre that both
-/// LiDARs have seen.
+/// Returns the mean difference between the road heights of both LiDARs, over the cells of
+/// half a metre in which both have returns.
 double height_difference_m(const Sequence& street) {
     std::map<std::tuple<int, int>, double> sum[2], count[2];
     for (const Frame& frame : street.frames)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the cells that segments cross with a box test of each cell. Checks the space
-// seen by a scan in a room and under the open sky.
+// Compares the cells that segments cross with a box test of each cell. Also checks which
+// space a scan observes indoors and under the open sky.
 #include <relidar/log/coverage.hpp>
 
 #include <algorithm>
@@ -22,8 +22,8 @@ struct Segment {
     glm::dvec3 from_m, to_m;
 };
 
-/// Returns the length of a segment within a cell, by clipping it to the six planes of the
-/// cell.
+/// Computes the length of a segment within a cell by clipping the segment to the six
+/// planes of the cell.
 double length_within(const Segment& segment, const Cell& cell) {
     const glm::dvec3 low(std::get<0>(cell), std::get<1>(cell), std::get<2>(cell)),
         d = segment.to_m - segment.from_m;
@@ -113,7 +113,8 @@ void set_ranges(Sequence& sequence, const std::array<float, 4>& range_m) {
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) scan.range_m[i] = range_m[scan.rays.channel[i]];
 }
 
-/// Returns the seen share of a segment ahead of the sensor at an elevation.
+/// Returns the share of a segment ahead of the sensor, at an elevation, that the scans
+/// have observed.
 double seen(const Coverage& coverage, double elevation_deg, double from_m, double to_m) {
     const double e = elevation_deg * kPi / 180.0;
     const glm::dvec3 sensor(0.0, 0.0, 2.0),

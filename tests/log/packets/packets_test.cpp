@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the packets of scans. Expected bytes come from the manuals of the makers. All
-// products are also read again: every return must have its range, time and reflectivity.
+// Tests the packets that are written for scans. Compares the bytes with the manuals of
+// the manufacturers. Also reads the packets of all products again: every return must have
+// its range, time and reflectivity.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -28,12 +29,12 @@ SpinningSensor sensor_named(const std::string& name) {
     return std::get<SpinningSensor>(find_built_in_sensor(name, columns)->pattern);
 }
 
-/// Returns the range that ray `i` measures. It is a multiple of 8 mm, and every fifth ray
-/// has no return.
+/// Returns the range that ray `i` measures. The range is a multiple of 8 mm. Every fifth
+/// ray has no return.
 float range_of(std::size_t i) { return i % 5 == 0 ? 0.0f : 0.008f * float(500 + i * 7 % 4000); }
 float intensity_of(std::size_t i) { return float(1 + i % 250) / 255.0f; }
 
-/// Returns a scan with the returns of range_of() and intensity_of().
+/// Returns a scan with ranges from range_of() and intensities from intensity_of().
 Scan known_scan(const SpinningSensor& sensor, bool has_second_returns = false) {
     Scan scan;
     scan.rays = make_rays(sensor);
@@ -69,13 +70,14 @@ T number_at(const std::string& bytes, std::size_t at) {
     return value;
 }
 
-/// Manual 63-9243: laser k of a VLP-16 has the elevation -15 + k for even k and k for odd
-/// k, and fires k * 2.304 us after the first laser. A block has two firings.
+/// Compares with manual 63-9243. Laser k of a VLP-16 has the elevation -15 + k for even k
+/// and k for odd k. It fires k * 2.304 us after the first laser. A block has two firings.
 TEST(Packets, OfAVlp16AreThoseOfItsManual) {
     const SpinningSensor sensor = sensor_named("VLP-16");
     const std::vector<SensorPacket> packets = packets_of(sensor, {.start_ns = kStart_ns}, 2);
     const Scan scan = known_scan(sensor);
-    // A firing without returns precedes the scan, and a packet follows the scan.
+    // Expects an additional firing without returns before the scan and an additional
+    // packet after the scan.
     ASSERT_EQ(packets.size(), std::size_t((1 + 2 * sensor.columns + 23) / 24 + 1));
     const double step_deg = 360.0 / sensor.columns;
     for (std::size_t p = 0; p + 2 < packets.size(); ++p) {
@@ -112,8 +114,9 @@ TEST(Packets, OfAVlp16AreThoseOfItsManual) {
     }
 }
 
-/// User manual of the PandarXT: the tail has the return mode, the motor speed, the date
-/// from 1900, the time of the second, a constant and the packet number.
+/// Compares with the user manual of the PandarXT. The tail of a packet has the return
+/// mode, the motor speed, the date from 1900, the time of the second, a constant and the
+/// packet number.
 TEST(Packets, OfAnXt32HaveModeDateAndNumber) {
     const std::vector<SensorPacket> packets =
         packets_of(sensor_named("XT32"), {.start_ns = kStart_ns, .returns = 2}, 1, true);
@@ -249,8 +252,8 @@ TEST(Packets, OfOtherSensorsAreRefused) {
     EXPECT_THROW(encoder.encode(scan, 1.0), UsageError) << "no firing times";
 }
 
-/// If frames follow each other more slowly than the sensor turns, the packets still
-/// follow each other evenly, and the azimuth never decreases.
+/// If the time between frames is longer than a turn of the sensor, the packets must still
+/// have even intervals, and the azimuth must never decrease.
 TEST(Packets, FollowEachOtherEvenlyThroughAGap) {
     const SpinningSensor sensor = sensor_named("HDL-32E");
     PacketEncoder encoder(sensor, {.start_ns = kStart_ns});

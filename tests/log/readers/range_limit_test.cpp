@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the range limit of a log's sensor: its source, and the note about returns beyond
-// it.
+// Checks which source determines the range limit of a log's sensor, and the note about
+// returns beyond the limit.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -24,8 +24,8 @@ using testing::ThrowsMessage;
 constexpr int kColumns = 36, kScans = 2;
 constexpr double kElevation_deg[] = {5.0, -5.0};
 
-/// A plain folder with two scans of a wall at 20 m around the sensor. Each scan also has
-/// a return at 149.25 m and one at 0.4 m.
+/// Writes a plain folder with two scans of a wall at 20 m around the sensor. Each scan
+/// also has a return at 149.25 m and a return at 0.4 m.
 class RangeLimit : public testing::Test {
 protected:
     const std::filesystem::path folder = std::filesystem::path(testing::TempDir()) / "relidar_range_limit";
@@ -53,7 +53,7 @@ protected:
             }
         return points;
     }
-    /// Loads the log of a sensor with additional columns in its beam table.
+    /// Loads the log with a sensor whose beam table has additional columns.
     Sequence load(const std::string& names, const std::string& values,
                   const DatasetOptions& options = {}) const {
         test::write_text(folder / "beams.csv", fmt::format("elevation_deg{0}\n5{1}\n-5{1}\n", names, values));

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Detects roads that are driven again: a drive around a block whose odometry has drifted
-// by metres, a drive that crosses itself only because its poses are wrong, and a street
-// that is driven once.
+// Detects roads that are driven again. Covers a drive around a block whose odometry has
+// drifted by metres, a drive that crosses itself only because its poses are wrong, and a
+// street that is driven once.
 #include <cmath>
 
 #include <gtest/gtest.h>
@@ -24,7 +24,7 @@ std::vector<std::vector<ThinPoint>> thin(const Sequence& log) {
     return thin_scans(log, sweeps_of(log), std::vector<bool>(log.frames.size(), true), movers, 0.5);
 }
 
-/// Simulates the drift of odometry: turns every step slightly sideways and down.
+/// Simulates the drift of odometry by rotating every step slightly sideways and down.
 PoseTrack bent(const PoseTrack& exact, double yaw_rad_per_m, double pitch_rad_per_m) {
     PoseTrack track = exact;
     for (std::size_t k = 1; k < track.pose.size(); ++k) {
@@ -37,7 +37,7 @@ PoseTrack bent(const PoseTrack& exact, double yaw_rad_per_m, double pitch_rad_pe
     return track;
 }
 
-/// Returns the error of the last pose relative to the first.
+/// Returns the position error of the last pose relative to the first pose.
 double gap_m(const PoseTrack& track, const PoseTrack& exact) {
     return glm::distance((inverse(track.pose.front()) * track.pose.back()).translation,
                          (inverse(exact.pose.front()) * exact.pose.back()).translation);
@@ -66,8 +66,8 @@ TEST(CloseLoops, WhereNothingIsSeenAgainAllStays) {
     const auto scans = thin(log);
     const PoseTrack& exact = log.world_from_vehicle;
     EXPECT_EQ(close_loops(exact, scans, loop_options()).places, 0u);
-    // Wrong poses bend the street to a circle: its end is close to its start but looks
-    // different.
+    // Wrong poses turn the straight street into a circle. The end of the circle is close
+    // to its start, but the scans at both positions differ.
     const PoseTrack circle = bent(exact, 2.0 * kPi / 120.0, 0.0);
     const ClosedLoops closed = close_loops(circle, scans, loop_options());
     EXPECT_EQ(closed.places, 0u) << "up to " << closed.largest_m << " m";

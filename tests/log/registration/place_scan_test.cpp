@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers one scan to a scene: a hall with exactly known walls, a sensor that drives
-// and turns, and wrong poses.
+// Registers a scan to a scene: a hall with exact wall positions, a sensor that drives and
+// turns, and wrong initial poses.
 #include <cmath>
 #include <limits>
 #include <random>
@@ -31,8 +31,8 @@ VisibleSurface wall_of(const glm::dvec3& origin_m, const glm::dvec3& direction) 
     return wall;
 }
 
-/// Makes three sweeps of 24 x 360 rays through the hall, without noise; each ray has its
-/// own firing time.
+/// Makes three sweeps of 24 x 360 rays through the hall, without noise. Each ray has a
+/// separate firing time.
 Sequence drive() {
     Sequence log;
     for (int k = 0; k < 3; ++k) {
@@ -88,7 +88,8 @@ TEST(PlaceScan, FindsThePoseOfOneSweepAmongOthersThatStay) {
     const Sequence exact = drive();
     std::mt19937_64 random(3);
     std::normal_distribution<double> metres(0.0, 0.02), radians(0.0, 2e-3);
-    // The first and the last sweep have rays beyond the end of the track.
+    // The first and the last sweep have rays whose times are beyond the ends of the
+    // track.
     for (const std::size_t position : {0u, 1u, 2u}) {
         Sequence log = exact;
         Pose& pose = log.world_from_vehicle.pose[position];
@@ -119,8 +120,8 @@ TEST(PlaceScan, ReturnsThatAreNoWallsHardlyPull) {
     EXPECT_LT(found.on_surfaces, 0.9);
 }
 
-/// Makes the same drive with two LiDARs that see different surfaces: `first` keeps only
-/// returns of the two side walls.
+/// Makes the same drive with two LiDARs that measure different surfaces: `first` keeps
+/// only the returns of the two side walls.
 Sequence drive_of_two() {
     Sequence log = drive();
     const Pose mounted{rotation_of(0.4, 0.1, -0.05), {0.8, -0.3, 0.2}};

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the step of all poses with the same least-squares problem in dense form:
-// unknowns of poses and planes, one row per point.
+// Compares the Gauss-Newton step of all poses with the same least-squares problem in
+// dense form. The dense problem has unknowns for poses and planes, and a row per point.
 #include <cmath>
 #include <numeric>
 #include <random>
@@ -19,7 +19,8 @@ struct Problem {
     PoseTrack track;
     std::vector<ThinPoint> points;
     std::vector<PlacedPoint> placed;
-    std::vector<Plane> planes;  ///< fitted with weights other than those of the equations
+    /// planes that were fitted with different weights than the weights of the equations
+    std::vector<Plane> planes;
     std::vector<std::vector<std::uint32_t>> members;  ///< [planes]
     double scale_m = 0.1;
 };
@@ -29,8 +30,8 @@ Plane plane_through(const glm::dvec3& at_m, const glm::dvec3& normal) {
     return {at_m, n, u, glm::cross(n, u)};
 }
 
-/// Makes planes seen from poses a metre apart. A third of the points deviates by a kernel
-/// width or more.
+/// Makes planes that are observed from poses a metre apart. A third of the points
+/// deviates by a kernel width or more.
 Problem random_problem(unsigned seed) {
     std::mt19937 random(seed);
     std::uniform_real_distribution<double> uniform(-1.0, 1.0);
@@ -62,8 +63,8 @@ Problem random_problem(unsigned seed) {
     return p;
 }
 
-/// The pose part of min sum w (r + row of poses . x - row of plane . y)^2 + prior over x
-/// and y: H x = -g, after dense elimination of the planes.
+/// Solves min sum w (r + row of poses . x - row of plane . y)^2 + prior over x and y by
+/// dense elimination of the planes. The remaining equations for the poses are H x = -g.
 struct DenseEquations {
     Eigen::MatrixXd h;
     Eigen::VectorXd g;
@@ -97,8 +98,8 @@ DenseEquations dense_equations(const Problem& p, double prior) {
             g.head(n) - coupling * planes.solve(g.tail(m - n))};
 }
 
-/// Compares the remaining cost, because points hardly determine some directions of the
-/// step.
+/// Compares the cost after the step instead of the step, because points hardly determine
+/// some directions of the step.
 TEST(PoseEquations, StepIsThatOfTheWholeProblem) {
     for (const unsigned seed : {1u, 2u, 3u, 4u, 5u}) {
         const Problem p = random_problem(seed);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers moving boxes on the synthetic street, whose exact tracks are known. The
-// labels have a slow drift along the track, jitter, and errors of the yaw.
+// Registers moving boxes on the synthetic street and compares them with the exact tracks.
+// The labels have a slow drift along the track, jitter, and errors of the yaw.
 #include <cmath>
 #include <random>
 
@@ -14,7 +14,7 @@ namespace {
 
 constexpr double kDegree = 0.017453292519943295;
 
-/// Adds typical errors of labels to all poses of a box: a drift of 10 cm along the track,
+/// Adds typical label errors to all poses of a box: a drift of 10 cm along the track,
 /// jitter with a standard deviation of 5 cm, and a yaw that drifts by 2 degrees.
 BoxTrack with_label_errors(BoxTrack box, std::uint64_t seed) {
     std::mt19937_64 random(seed);
@@ -29,8 +29,8 @@ BoxTrack with_label_errors(BoxTrack box, std::uint64_t seed) {
     return box;
 }
 
-/// Largest errors of a track after its mean error in the frame of the box is removed. No
-/// point can show a constant offset of a box.
+/// Largest errors of a track. The mean error in the frame of the box is removed first,
+/// because points cannot determine a constant offset of a box.
 struct TrackError {
     double along_m = 0.0, across_m = 0.0, yaw_rad = 0.0;
 };
@@ -52,8 +52,9 @@ TrackError error_of_track(const BoxTrack& box, const BoxTrack& exact) {
     return result;
 }
 
-/// The car drives ahead of the sensor, so that only its rear is visible. The rear defines
-/// the position along the track and the yaw. Across the track, the labels decide.
+/// The car drives ahead of the sensor, so that only its rear is visible. The rear
+/// determines the position along the track and the yaw. Only the labels determine the
+/// position across the track.
 TEST(RegisterActors, CorrectsDriftingLabels) {
     SyntheticOptions options;
     options.n_frames = 30, options.rows = 64, options.columns = 1024;
@@ -85,7 +86,7 @@ TEST(RegisterActors, KeepsExactLabels) {
         EXPECT_LT(error_of_track(street.boxes[i], exact.boxes[i]).along_m, 0.01) << "box " << i;
 }
 
-/// A car that stands gets one pose, although its label drifts by 2.5 m.
+/// A parked car must get a single pose, although its label drifts by 2.5 m.
 TEST(RegisterActors, FindsStandingCarsWithDriftingLabels) {
     SyntheticOptions options;
     options.n_frames = 20, options.rows = 64, options.columns = 1024, options.speed_mps = 0.001;

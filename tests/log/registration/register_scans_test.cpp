@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers scans of the synthetic street, whose exact poses are known: poses with white
-// noise and with drift, held-out scans, an invalid scan, and a correction beyond the
-// limit.
+// Registers scans of the synthetic street and compares them with the exact poses. Covers
+// poses with white noise and with drift, held-out scans, an invalid scan, and a
+// correction beyond the limit.
 #include <algorithm>
 #include <cmath>
 #include <random>
@@ -37,8 +37,8 @@ Registration registered(const Sequence& street, int test_every = 0) {
     return register_scans(street, split_frames(street, test_every), leaving_out(street.boxes));
 }
 
-/// Checks the required accuracy of poses, 1 cm and 0.05 degrees, for training and test
-/// scans.
+/// Checks that the poses of training and test scans have the required accuracy: 1 cm and
+/// 0.05 degrees.
 void expect_registered(const Registration& registration, const PoseTrack& exact, const Split& split,
                        const char* what) {
     const PoseError train = error_of(registration.world_from_vehicle, exact, split.train);
@@ -58,7 +58,8 @@ void expect_registered(const Registration& registration, const PoseTrack& exact,
     }
 }
 
-/// Each sweep sees a fifth of the street, so only the equations connect its two ends.
+/// Each sweep covers a fifth of the street, so only the equations of all poses connect
+/// the two ends of the street.
 TEST(RegisterScans, LongStreetStaysWhereItIs) {
     SyntheticOptions options;
     options.seed = 7, options.n_frames = 400, options.rows = 32, options.columns = 256;
@@ -83,7 +84,8 @@ TEST(RegisterScans, FindsPosesBackAfterNoiseAndDrift) {
         split, "drift of 20 cm");
 }
 
-/// Three sweeps, one held out: the planes of two scans need more points of each scan.
+/// Registers three sweeps with a held-out sweep among them. The planes of only two scans
+/// need more points of each scan.
 TEST(RegisterScans, TwoScansAreEnough) {
     const Sequence street = street_of(3);
     const PoseTrack& exact = street.world_from_vehicle;

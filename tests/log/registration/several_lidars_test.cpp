@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers logs of two LiDARs. Sweeps at the same time form one scan of the vehicle. A
-// LiDAR that sweeps at other times uses the interpolated poses.
+// Registers logs of two LiDARs. Sweeps at the same time form a single scan of the
+// vehicle. A LiDAR that sweeps at other times uses the interpolated poses.
 #include <gtest/gtest.h>
 
 #include <relidar/log/clouds.hpp>
@@ -16,7 +16,8 @@ SyntheticOptions two_lidar_options() {
     return {.n_frames = 12, .rows = 32, .columns = 256, .moving_cars = false};
 }
 
-/// Doubles the poses: at each sweep, and off_s later when the second LiDAR sweeps.
+/// Doubles the poses: a pose at each sweep of the first LiDAR, and a pose off_s later,
+/// when the second LiDAR sweeps.
 Sequence one_after_the_other(double off_s) {
     const Sequence together = test::two_lidar_street(two_lidar_options());
     Sequence street = together;
@@ -70,7 +71,7 @@ TEST(SeveralLidars, OneFindsWhatTheOtherMissed) {
     EXPECT_LT(test::error_of(registration.world_from_vehicle, exact, all_poses(street)).worst_m, 0.02);
 }
 
-/// The rays of one sweep lie between poses of both LiDARs, in any order.
+/// The rays of a sweep have times between poses of both LiDARs, in any order.
 TEST(SeveralLidars, OneThatSweepsAtOtherTimesRidesAlong) {
     for (const double off_s : {0.05, 0.01, 0.09}) {
         const Sequence street = one_after_the_other(off_s);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes wrong poses of the synthetic street and measures the error of poses.
+// Makes wrong poses of the synthetic street, and computes the errors of poses.
 #pragma once
 
 #include <cstdint>
@@ -14,14 +14,14 @@ inline constexpr double kDegree = kPi / 180.0;
 
 Sequence with_poses(Sequence street, PoseTrack track);
 
-/// Moves every pose by white noise with the given total standard deviations.
+/// Adds white noise with these total standard deviations to every pose.
 PoseTrack perturbed(PoseTrack track, double sigma_m, double sigma_rad, std::uint64_t seed);
-/// Moves the poses along a smooth curve with the given amplitudes.
+/// Adds a smooth curve with these amplitudes to the poses.
 PoseTrack drifting(PoseTrack track, double amplitude_m, double amplitude_rad);
 
-/// Simulates the integration of wheel odometry and gyroscopes: 1 % too much distance, 1
-/// degree of heading and 0.3 degrees of pitch per 100 m, and jumps of 0.3 m at one, two,
-/// three and four fifths of the track.
+/// Returns poses with the errors of wheel odometry and gyroscopes: 1 % too much distance,
+/// 1 degree of heading and 0.3 degrees of pitch per 100 m. The poses also jump by 0.3 m
+/// at 1/5, 2/5, 3/5 and 4/5 of the track.
 PoseTrack with_drift_and_jumps(const PoseTrack& exact);
 
 struct PoseError {

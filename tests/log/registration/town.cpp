@@ -26,7 +26,7 @@ struct Place {
     bool in_curve = false;
 };
 
-/// Returns the centre of the lane after a driven distance.
+/// Returns the position of the centre of the lane after a driven distance.
 Place lane(double s_m) {
     s_m = std::fmod(s_m + length_of_loop(), length_of_loop());
     Place p;
@@ -44,7 +44,7 @@ Place lane(double s_m) {
     return p;
 }
 
-/// Places a shape next to the lane, with its x along the lane.
+/// Places a shape next to the lane, with the x axis of the shape along the lane.
 Shape beside(Shape shape, double s_m, double left_m) {
     const Place p = lane(s_m);
     shape.centre = {p.at_m.x - left_m * std::sin(p.yaw_rad), p.at_m.y + left_m * std::cos(p.yaw_rad),
@@ -83,13 +83,13 @@ street::Street make_town() {
     return town;
 }
 
-/// Returns the distance driven at a time: constant speed with a stop half-way, smoothed
-/// to limit the acceleration.
+/// Returns the distance that the car has driven at a time. The speed is constant except
+/// for a stop half-way, which is smoothed to limit the acceleration.
 double driven_m(double t_s, double duration_s) {
     const double speed = (length_of_loop() + kBeyond_m) / (duration_s - kStop_s),
                  middle = 0.5 * (duration_s - kStop_s);
     const double after = std::clamp((t_s - middle) / kStop_s, 0.0, 1.0);
-    // The slope is at most 1.5, so the car rolls back slightly.
+    // The slope of this polynomial is at most 1.5, so the car rolls back slightly.
     const double lost_s = kStop_s * after * after * (3.0 - 2.0 * after);
     return speed * (t_s - std::min(lost_s, std::max(0.0, t_s - middle)));
 }

@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes a drive around a block with exact poses: straights, curves of 90 degrees, a stop,
-// and the start seen again at the end.
+// Makes a drive around a block with exact poses. It has straight roads, curves of 90
+// degrees, a stop, and an end at which the vehicle observes the start again.
 #pragma once
 
 #include <relidar/log/sequence.hpp>
 
 namespace relidar::test {
 
-/// Makes a drive of 283 m around a block in n_frames sweeps at 10 Hz, with a stop of 2 s,
-/// which ends slightly beyond its start. It has 32 x 256 rays, a rolling shutter, range
-/// noise of 1 cm, and no labels.
+/// Makes a drive of 283 m around a block in n_frames sweeps at 10 Hz. The car stops for 2
+/// s, and the drive ends slightly beyond its start. A sweep has 32 x 256 rays, a rolling
+/// shutter, range noise of 1 cm, and no labels.
 Sequence drive_around_block(int n_frames);
 
 }  // namespace relidar::test

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the list of channels: names, errors for user-defined channels, and that the
-// guide documents the same channels.
+// Checks the list of channels: their names, the errors for user-defined channels, and
+// whether the guide documents the same channels.
 #include <relidar/log/channels.hpp>
 
 #include <cstring>
@@ -71,7 +71,7 @@ TEST(ChannelList, WhatACallerAddsIsChecked) {
         EXPECT_THROW(check(name, 3), DataError) << name;
 }
 
-/// Returns a row of a Markdown table: | `name` | unit | meaning |
+/// Returns a row of a Markdown table for a channel: | `name` | unit | meaning |
 std::string row_of(const ChannelInfo& channel) {
     return "\n| `" + channel.name + "` | " + channel.unit + (channel.unit.empty() ? "" : " ") + "| " +
            channel.meaning + " |";

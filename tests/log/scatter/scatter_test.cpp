@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits scatter trees to sensors with known scatter. Values drawn from the tree must have
-// the same distribution, including the correlation with neighbouring rays.
+// Fits scatter trees to sensors whose intensity scatter the test knows exactly. Values
+// drawn from the tree must have the same distribution, including the correlation with
+// neighbouring rays.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -22,7 +23,8 @@ namespace {
 constexpr int kRows = 16, kColumns = 256;
 constexpr std::size_t kRays = std::size_t(kRows) * kColumns;
 
-/// Makes panels of 16 columns each, whose rendered brightness is 0.2, 0.4, 0.6 or 0.8.
+/// Makes panels of 16 columns each. The rendered brightness of a panel is 0.2, 0.4, 0.6
+/// or 0.8.
 RenderedIntensities panels() {
     RenderedIntensities image{kRows,
                               kColumns,
@@ -39,8 +41,8 @@ RenderedIntensities panels() {
     return image;
 }
 
-/// Measures all rays; measure(intensity, residual of the left neighbour, random) returns
-/// one value.
+/// Measures all rays. The function measure(intensity, residual of the left neighbour,
+/// random) returns the measured value of a ray.
 template <class Measure>
 MeasuredIntensities measured(std::uint64_t seed, const Measure& measure) {
     MeasuredIntensities result{panels(), {}};
@@ -64,8 +66,8 @@ std::vector<MeasuredIntensities> scans_of(int n, const Measure& measure) {
 
 const std::vector<std::uint8_t> kAll(kRays, 1);
 
-/// Returns the rendered value, rounded to 0.01, plus (heads - n / 2) / 100, where heads
-/// is the number of heads of n fair coins: 4, or 16 on bright panels.
+/// Returns the rendered value, rounded to 0.01, plus (heads - n / 2) / 100. Here heads is
+/// the number of heads of n fair coins. n is 4, or 16 on bright panels.
 double coins(double rendered, double, Random& random) {
     const int n = rendered > 0.7 ? 16 : 4;
     int heads = 0;
@@ -109,8 +111,9 @@ TEST(Scatter, DrawsTheDistributionOfEachBrightness) {
     }
 }
 
-/// Autoregressive noise e(i) = 0.8 e(i-1) + 0.03 n: variance 0.0025, correlation 0.8^k
-/// between rays k columns apart.
+/// Returns the rendered value with autoregressive noise e(i) = 0.8 e(i-1) + 0.03 n. The
+/// noise has a variance of 0.0025, and a correlation of 0.8^k between rays k columns
+/// apart.
 double grain(double rendered, double before, Random& random) {
     return rendered + 0.8 * before + 0.03 * random.normal();
 }
@@ -154,7 +157,7 @@ TEST(Scatter, ContinuousDrawsFollowTheirDistributionFunction) {
         double farthest = 0.0;
         for (std::size_t k = 0; k < shares.size(); ++k)
             farthest = std::max(farthest, std::abs(shares[k] - (double(k) + 0.5) / double(shares.size())));
-        // exceeded by chance once in 1000 times
+        // exceeded by chance in 1 of 1000 runs
         EXPECT_LT(farthest, 1.95 / std::sqrt(double(shares.size())))
             << "Kolmogorov and Smirnov, panel " << panel;
     }
@@ -191,8 +194,8 @@ RenderedIntensities cut_out(const RenderedIntensities& image, int rows, int colu
             cut(image.elevation_rad)};
 }
 
-/// Tiles are drawn at the same time. The widths have a narrow last tile, one tile, and
-/// less than a tile looks ahead.
+/// Tiles are drawn in parallel. The widths give a narrow last tile, a single tile, and a
+/// tile that is narrower than the columns that a tile looks ahead.
 TEST(Scatter, IsDrawnAsOneRayAfterTheOther) {
     const IntensityScatter scatter = fit_scatter(scans_of(40, grain));
     for (const auto& [rows, columns] :

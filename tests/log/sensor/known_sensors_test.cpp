@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks sensors by name and from CSV tables, and the error messages for wrong names and
-// tables.
+// Checks sensors that are selected by name or read from CSV tables, and the error
+// messages for wrong names and tables.
 #include <relidar/log/sensor_files.hpp>
 
 #include <filesystem>
@@ -53,7 +53,7 @@ TEST(KnownSensors, EveryNameMakesRaysHighestBeamFirst) {
     EXPECT_EQ(make_rays(find_sensor("kitti360")).direction, make_rays(kitti360_grid()).direction);
 }
 
-/// Compares field of view and resolution with the data sheets.
+/// Compares field of view and resolution of the sensor with its data sheet.
 TEST(KnownSensors, Pandar128LooksAsItsDataSheetSays) {
     const SpinningSensor sensor = spinning("Pandar128");
     ASSERT_EQ(sensor.beams.size(), 128u);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the rays of sensors that do not spin with the definition of their patterns.
+// Compares the rays of LiDARs that do not spin with the definition of their scan
+// patterns.
 #include <relidar/log/sensor.hpp>
 
 #include <cmath>
@@ -19,8 +20,8 @@ const Rosette kRosette{.name = "r",
                        .n_rays = 5000,
                        .period_s = 0.1};
 
-/// Two rotating deflections of equal size sum to 2 |cos| of half the angle between them,
-/// in the direction of their mean.
+/// The sum of two rotating deflections of equal size has the length 2 |cos| of half the
+/// angle between them, and the direction of their mean.
 TEST(Patterns, RosetteIsTheSumOfTwoTurningDeflections) {
     const double time_s = 12.34;
     const RayTable rays = make_rays(kRosette, time_s);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the range grid: rays and projection must be inverse to each other (Eq. 6-7), and
-// the nearest point must determine a pixel.
+// Checks the range grid. Rays and projection must be inverse to each other (Eq. 6-7), and
+// the nearest point must determine the value of a pixel.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares ray tables of spinning sensors with closed forms: directions, beam origins,
-// firing times, and shifts of offset beams by full columns.
+// Compares the ray tables of spinning sensors with closed forms: directions, beam
+// origins, firing times, and offset beams that are shifted by full columns.
 #include <relidar/log/sensor.hpp>
 
 #include <cmath>
@@ -41,8 +41,8 @@ TEST(Rays, ColumnsFallFromFirstAzimuthAndTimesFollowTheHead) {
 }
 
 TEST(Rays, OusterOriginsLieAlongTheHeadNotTheBeam) {
-    // theta = 0: origin (n, 0, 0), direction at the azimuth offset (Ouster's xyz formula
-    // with r = n).
+    // At theta = 0 the origin is (n, 0, 0), and the direction is at the azimuth offset
+    // (Ouster's xyz formula with r = n).
     const BeamRay ray =
         beam_ray({.elevation_rad = 0.2, .azimuth_offset_rad = 0.05, .origin_offset_m = 0.015}, 0.0);
     EXPECT_NEAR(glm::length(ray.origin_m - glm::dvec3(0.015, 0, 0)), 0.0, 1e-12);
@@ -63,7 +63,7 @@ TEST(Rays, LiftedBeamsCrossTheAxisAtUpOverCosine) {
         EXPECT_NEAR(glm::length(ray.origin_m), up, 1e-12);
     }
     const BeamRay left = beam_ray({.azimuth_offset_rad = kPi / 2, .origin_left_m = 0.03}, 0.0);
-    EXPECT_NEAR(left.origin_m.x, -0.03, 1e-12);  // the beam looks along +y, so its left is -x
+    EXPECT_NEAR(left.origin_m.x, -0.03, 1e-12);  // the beam points along +y, so its left is -x
 }
 
 TEST(Rays, OffsetBeamsAreMovedByWholeColumns) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks arrays of scans in memory and in a file: data must be read back unchanged, freed
+// Checks arrays of scans in memory and in a file. Data must be read back unchanged, freed
 // space must be reused, and errors must name a folder that is not writable. Each test
 // runs in a separate process, because the file exists as long as its process.
 #include <relidar/log/sensor.hpp>
@@ -26,8 +26,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Runs checks in a separate process, because memory limit and file folder are per
-/// process.
+/// Runs checks in a separate process, because the memory limit and the folder of the file
+/// are settings of the process.
 template <class Checks>
 void run_in_child_process(const Checks& checks) {
     EXPECT_EXIT(
@@ -75,7 +75,7 @@ TEST(ScanMemory, KeepsWhatIsWrittenWhereverItLies) {
         std::mt19937 random(1);
         std::vector<ScanArray<std::uint32_t>> arrays;
         std::vector<std::uint32_t> first;
-        // allocates and frees arrays of all sizes; 40 MB at the end
+        // allocates and frees arrays of all sizes; at the end, 40 MB are allocated
         for (int turn = 0; turn < 2000; ++turn) {
             if (arrays.size() > 20 && random() % 2) {
                 const std::size_t which = random() % arrays.size();
@@ -121,7 +121,7 @@ TEST(ScanMemory, ServesSeveralThreads) {
 }
 
 /// A log larger than the memory limit must not increase the anonymous memory of the
-/// process and must be read back equal.
+/// process, and its data must be read back unchanged.
 TEST(ScanMemory, ALogThatDoesNotFitIsTheSame) {
     run_in_child_process([] {
         const SyntheticOptions street{.n_frames = 40, .rows = 32, .columns = 512};

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads sensors from files: ray tables in three formats against their original rays,
-// Ouster metadata against Ouster's equation for points, and error messages for invalid
-// files.
+// Reads sensors from files. Compares ray tables in three formats with their original
+// rays, and Ouster metadata with Ouster's equation for points. Also checks the error
+// messages for invalid files.
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 
@@ -128,7 +128,7 @@ TEST(SensorFiles, BeamsMayDivergeEachByItself) {
 
 /// Computes a point with the equation of Ouster's manual, in the sensor's frame without
 /// its height.
-/// @param m column of w, range from the axis
+/// @param m column, of w columns; the range is measured from the axis
 glm::dvec3 ouster_point(double range_m, double offset_m, double altitude_deg, double azimuth_deg, int m,
                         int w) {
     const double encoder = 2.0 * kPi * (1.0 - double(m) / w), azimuth = -azimuth_deg * kPi / 180.0,
@@ -191,8 +191,8 @@ TEST(SensorFiles, SpinningSensorsByNameTakeColumnsAndRate) {
                fast = std::get<SpinningSensor>(find_sensor("vlp-16:904x20").pattern);
     EXPECT_EQ(fast.columns, 904);
     EXPECT_DOUBLE_EQ(fast.period_s, 0.05);
-    // The top beam fires 34.56 us after the sensor was at its azimuth, which is twice the
-    // angle at 20 Hz.
+    // The top beam fires 34.56 us after the sensor was at the azimuth of the firing. At
+    // 20 Hz, the sensor turns by twice the angle in this time.
     EXPECT_NEAR(usual.beams[0].azimuth_offset_rad, -2.0 * kPi * 10.0 * 34.56e-6, 1e-9);
     EXPECT_NEAR(fast.beams[0].azimuth_offset_rad, -2.0 * kPi * 20.0 * 34.56e-6, 1e-9);
     EXPECT_THAT(message("rosette:100x10"), HasSubstr("does not spin"));
@@ -297,7 +297,7 @@ TEST(Rigs, SensorsAreMountedAsTheFileSays) {
     EXPECT_LT(glm::length(rig[1].rig_from_sensor * glm::dvec3(0, 0, 1) - glm::dvec3(1, 2, 2)), 1e-12);
 }
 
-/// The JSON object of a sensor must make the same rays in a file, in a rig and as text.
+/// The JSON object of a sensor must define the same rays in a file, in a rig and as text.
 TEST(SensorFiles, EveryKindReadsBackToTheSameBits) {
     RayTable cones = make_rays(*find_built_in_sensor("rosette"), 0.37);
     for (std::size_t i = 0; i < cones.size(); ++i) cones.ray_divergence_rad.push_back(1e-3f / float(i + 1));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates the azimuth of the sensor at each firing of a sweep from the rays of a scan
-// with known uneven rotation, and applies it to nominal rays.
+// Estimates the azimuth of the sensor at each firing of a sweep from a scan whose uneven
+// rotation the test knows, and applies the azimuths to nominal rays.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -15,7 +15,7 @@ namespace {
 constexpr int kColumns = 1024;
 constexpr double kColumn_rad = 2.0 * kPi / kColumns;
 
-/// Makes a sensor with 16 beams with azimuth offsets of up to nine columns, and a second
+/// Makes a sensor with 16 beams, azimuth offsets of up to nine columns, and a second
 /// optical centre.
 SpinningSensor sensor() {
     SpinningSensor result;
@@ -28,8 +28,8 @@ SpinningSensor sensor() {
     return result;
 }
 
-/// Returns the azimuth error: a parabola from 3 mrad at the first firing to -5 mrad at
-/// the last, plus an error within packets of seven firings.
+/// Returns the azimuth error of a firing: a parabola from 3 mrad at the first firing to
+/// -5 mrad at the last firing, plus an error within packets of seven firings.
 double unevenness(int firing) {
     const double x = double(firing) / kColumns;
     return 3e-3 - 4e-3 * x - 4e-3 * x * x + 4e-4 * (firing % 7 - 3);
@@ -45,8 +45,8 @@ int firing_of(const SpinningSensor& sensor, std::size_t ray) {
     return (column + column_shift(sensor.beams[std::size_t(row)], kColumns) + kColumns) % kColumns;
 }
 
-/// Makes a sweep with uneven rotation, in which each ray has an error of up to 0.02 mrad
-/// and a share of the rays returns.
+/// Makes a sweep with uneven rotation. Each ray has an error of up to 0.02 mrad, and only
+/// a share of the rays has a return.
 Scan uneven_scan(double share, unsigned seed) {
     std::mt19937 random(seed);
     std::uniform_real_distribution<double> unit(0.0, 1.0);
@@ -65,7 +65,7 @@ std::vector<float> shift_of(const Scan& scan) {
     return find_azimuth_shift(scan, sensor(), make_rays(sensor()));
 }
 
-/// Returns the largest angle between the rays of two tables.
+/// Returns the largest angle between corresponding rays of two tables.
 double worst_angle(const RayTable& a, const RayTable& b) {
     double worst = 0.0;
     for (std::size_t i = 0; i < a.size(); ++i)
@@ -95,8 +95,8 @@ TEST(AzimuthShift, TurnsOriginsAlong) {
     }
 }
 
-/// A pane of glass removes half of the beams in some columns. The azimuths estimated from
-/// the other beams must not reveal which rays were dropped.
+/// A pane of glass removes the returns of half of the beams in some columns. The azimuths
+/// that are estimated from the remaining beams must not reveal which rays were dropped.
 TEST(AzimuthShift, SaysNothingOfWhichRaysWereDropped) {
     Scan scan = uneven_scan(1.0, 5);
     const std::vector<float> before = shift_of(scan);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates beam responses and compares them with sensors whose responses are known.
+// Estimates beam responses and compares them with the exact responses of simulated
+// sensors.
 #include <cmath>
 
 #include <gtest/gtest.h>
@@ -18,8 +19,8 @@ double brightness(const glm::dvec3& p) {
     return (int(std::floor(p.x * 2.0)) + int(std::floor(p.y * 2.0))) % 2 == 0 ? 0.3 : 0.6;
 }
 
-/// Makes a sensor of n beams 2 m above a plane. It looks down while it drives forward, so
-/// that every beam sees the same tiles.
+/// Makes a log of a sensor with n beams 2 m above a plane. The sensor looks down while it
+/// drives forward, so that every beam measures the same tiles.
 Sequence drive(const std::vector<Beam>& beams, double noise_size) {
     Sequence sequence;
     sequence.lidars[0].sensor.beams = beams;
@@ -71,8 +72,8 @@ TEST(IntensityResponse, ComesBackFromSharedPlaces) {
     const IntensityCalibration calibration = calibrate_intensity(sequence, kAll);
     ASSERT_GT(calibration.returns, 2000u);
     EXPECT_GT(calibration.rms_before, 3.0 * calibration.rms_after);
-    // Compares the values that two beams report for the same surface, because the data do
-    // not determine the common scale and offset.
+    // Compares beams with each other, because the data do not determine a common scale
+    // and offset of all beams.
     for (const double surface : {0.3, 0.6}) {
         const Beam &a = truth[0], &b = sequence.lidars[0].sensor.beams[0];
         const double common =
@@ -101,8 +102,8 @@ TEST(IntensityResponse, EqualLasersStayEqual) {
             EXPECT_NEAR(beam.intensity_gain * surface + beam.intensity_offset, surface, 0.015);
 }
 
-/// The street's intensities are reflectance * (0.3 + 0.7 cos) * (1 - range / 160 m), with
-/// equal beams (src/log/readers/street/synthetic.cpp).
+/// Returns a street whose intensities are reflectance * (0.3 + 0.7 cos) * (1 - range /
+/// 160 m), with equal beams (src/log/readers/street/synthetic.cpp).
 Sequence street() {
     SyntheticOptions options;
     options.n_frames = 40;  // 32 m: near and far views of the same surfaces
@@ -142,7 +143,7 @@ TEST(IntensityResponse, FallAndLasersAreToldApart) {
     double ratio = 0.0;  // the mean beam is weighted by returns
     for (std::size_t b = 0; b < gains.size(); ++b)
         ratio += sequence.lidars[0].sensor.beams[b].intensity_gain / gains[b] / double(gains.size());
-    // the first beams look into the sky and have few returns
+    // skips the first beams, which point into the sky and have few returns
     for (std::size_t b = 4; b < gains.size(); ++b)
         EXPECT_NEAR(sequence.lidars[0].sensor.beams[b].intensity_gain / gains[b] / ratio, 1.0, 0.08) << b;
 }

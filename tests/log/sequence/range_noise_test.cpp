@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates the range noise of the synthetic street and compares it with the added noise.
+// Estimates the range noise of the synthetic street and compares it with the noise that
+// was added.
 #include <gtest/gtest.h>
 
 #include <relidar/log/dataset.hpp>

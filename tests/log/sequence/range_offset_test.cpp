@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates range offsets of beams and compares them with sensors whose offsets are
-// known.
+// Estimates range offsets of beams and compares them with the exact offsets of simulated
+// sensors.
 #include <cmath>
 #include <numeric>
 
@@ -13,8 +13,8 @@ namespace {
 
 const std::vector<double> kOffsets_m{0.05, -0.03, 0.02, -0.06, 0.01, 0.04, -0.05, 0.02};  // the sum is 0
 
-/// Returns the range of a ray in a street: ground, a wall on each side, and square posts,
-/// which act as cross walls.
+/// Returns the range of a ray in a street with a ground plane, a wall on each side, and
+/// square posts. The posts provide surfaces across the street.
 double cast(const glm::dvec3& o, const glm::dvec3& d) {
     double nearest = 1e9;
     const auto plane = [&](int axis, double at, auto&& on) {
@@ -28,8 +28,8 @@ double cast(const glm::dvec3& o, const glm::dvec3& d) {
     return nearest;
 }
 
-/// Makes a drive along the street. Each beam adds its offset and 5 mm of deterministic
-/// noise.
+/// Makes a drive along the street. The ranges of each beam have an offset and 5 mm of
+/// deterministic noise.
 Sequence drive(bool held_out_is_garbage = false) {
     Sequence sequence;
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
@@ -63,7 +63,9 @@ TEST(RangeOffset, ComesBackFromSharedPlanes) {
     const LaserCalibration calibration = calibrate_ranges(sequence, kTrain);
     ASSERT_GT(calibration.returns, 20000u);
     EXPECT_GT(calibration.rms_before, 2.0 * calibration.rms_after);
-    double mean = 0.0;  // compares differences, because a common offset of all beams is hardly observable
+    // removes the mean of all beams, because a common offset of all beams is hardly
+    // observable
+    double mean = 0.0;
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
         mean +=
             (sequence.lidars[0].sensor.beams[b].range_offset_m - kOffsets_m[b]) / double(kOffsets_m.size());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks poses between observations, rays in the world, moving boxes and the split,
-// against numbers computed by hand.
+// Checks interpolated poses, rays in the world frame, moving boxes, and the split into
+// training and test frames against numbers computed by hand.
 #include <relidar/log/sequence.hpp>
 
 #include <algorithm>
@@ -105,7 +105,7 @@ TEST(Scan, PointsAndReturns) {
     EXPECT_EQ(scan.point(0), glm::vec3(3, 0, 1));
 }
 
-/// Makes a car observed n times at intervals of step_s. Its labels vary by 9 cm, as in
+/// Makes a car with n labels at intervals of step_s. The labels vary by 9 cm, as in
 /// KITTI.
 BoxTrack driven(int n, double speed_mps, double step_s = 0.1) {
     BoxTrack box;
@@ -134,8 +134,9 @@ TEST(MovingBox, IsNoneThatDriftsNoFasterThanPosesDo) {
     EXPECT_TRUE(hurried.moves()) << "for half a second";
 }
 
-/// Labels twice a second with errors of up to 10 cm, interpolated to twenty sweeps a
-/// second, as in nuScenes.
+/// A parked car whose labels are interpolated must not count as moving. As in nuScenes,
+/// it is labelled twice a second with errors of up to 10 cm, and interpolated to twenty
+/// sweeps a second.
 TEST(MovingBox, IsNoneThatJittersHoweverOftenItIsLabelled) {
     std::mt19937 random(3);
     std::uniform_real_distribution<double> off(-0.1, 0.1);
@@ -176,8 +177,8 @@ TEST(MovingBox, OnlyMovingBoxesAtTheirTimes) {
     EXPECT_FALSE(in_moving_box({car}, {0.0, 0.0, 0.0}, -0.06, 0.0));
 }
 
-/// Makes rays of a uniformly rotating sensor that start at an azimuth and a time, for
-/// half a turn or more.
+/// Makes rays of a uniformly rotating sensor. The rays start at an azimuth and a time and
+/// cover half a turn or more.
 RayTable turning_rays(const SpinningSensor& sensor, double from_rad, double from_s, int n) {
     RayTable rays;
     rays.rows = 1;
@@ -200,7 +201,8 @@ TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
                 const RayTable rays = turning_rays(sensor, from_rad, from_s, 500);
                 const auto start = find_start(rays, sensor);
                 ASSERT_TRUE(start.has_value());
-                // The first ray is as close to the end of the turn as to its start.
+                // skips the first ray, which is as close to the end of the turn as to its
+                // start
                 for (std::size_t i = 1; i < 500; i += 7) {
                     const double facing_s =
                         facing_time(sequence, 9.0 * glm::dvec3(rays.direction[i]), {100.0, 0, start});
@@ -224,7 +226,7 @@ TEST(SweepStart, AWindowFacesAThingWhenItsColumnIsFired) {
     Sequence sequence;
     sequence.lidars[0].sensor.period_s = 0.0;
     sequence.lidars[0].pattern = window;
-    // The frame's time is in the middle of the scan, at its start, or after its end.
+    // The time of the frame is in the middle of the scan, at its start, or after its end.
     for (const float later_s : {0.0f, 0.04f, -0.1f}) {
         RayTable rays = make_rays(window);
         for (float& t : rays.time_offset_s) t += later_s;
@@ -284,7 +286,8 @@ TEST(Split, APublishedPartHoldsOutWhatIsPublished) {
     EXPECT_EQ(split_frames(sequence, 25).test.size(), 1u) << "another number is another split";
 }
 
-/// Makes frames 100, 103, 106 ... of two LiDARs; the second has no sweep 106.
+/// Makes a log with the frames 100, 103, 106 ... of two LiDARs. The second LiDAR has no
+/// sweep 106.
 Sequence numbered_in_threes() {
     Sequence sequence;
     for (int i = 0; i < 8; ++i) {

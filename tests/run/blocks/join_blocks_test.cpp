@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests joining the runs of blocks into one run: its content, its rendering against the
-// same surfels in a single model, and errors in its files.
+// Joins the runs of blocks into a single run. Tests the content of the joined run,
+// compares its rendering with the same surfels in a single model, and checks the errors
+// for invalid files.
 #include <algorithm>
 #include <set>
 
@@ -23,8 +24,8 @@ using testing::SizeIs;
 
 constexpr int kFrames = 80;
 
-/// Makes 790 m of road in four blocks, walls at 7 m intervals, and a car that two blocks
-/// were trained with.
+/// Makes 790 m of road in four blocks, walls at intervals of 7 m, and a car that is part
+/// of the training of two blocks.
 class JoinedBlocks : public test::DeviceTest {
 protected:
     void SetUp() override {
@@ -60,8 +61,8 @@ protected:
         DeviceTest::TearDown();
     }
 
-    /// Saves a block as training does. Blocks 0 and 1 contain the car; the first one saw
-    /// it near in more frames.
+    /// Saves block `k` in the same way as training. Blocks 0 and 1 contain the car. In
+    /// block 0, the car is near the sensor in more frames.
     void save_block(std::size_t k) {
         const BlockLog part = block_log(log, run.split, blocks[k], run.config);
         folders.push_back(run.folder / "blocks" / ("00" + std::to_string(k)));
@@ -150,7 +151,7 @@ TEST_F(JoinedBlocks, RendersAsOnePieceWithFewBlocksOnTheDevice) {
     std::uint64_t most = 0;
     {
         ScanRenderer in_blocks(device(), run.scene, config, log);
-        // drives along the road and back to its beginning, so that blocks are loaded and
+        // drives along the road and back to its start, so that blocks are loaded and
         // released
         for (const int frame : {0, 20, 21, 40, 60, 79, 3}) {
             const RenderedScan scan = in_blocks.render(sensor, log.frames[std::size_t(frame)].time_s);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the division of known routes into blocks: the sweeps of each block, the frames
+// Tests the division of exact routes into blocks: the sweeps of each block, the frames
 // that train it, and the surfels that it keeps. Compares with brute force.
 #include <algorithm>
 #include <numeric>
@@ -25,8 +25,8 @@ glm::dvec3 place(const Sequence& log, int position) {
     return log.world_from_vehicle.pose[std::size_t(position)].translation;
 }
 
-/// Checks that each frame belongs to one block, in order, and that the training frames of
-/// a block are exactly those within the halo.
+/// Checks that each frame belongs to a single block, in order, and that the training
+/// frames of a block are exactly the frames within the halo.
 void expect_sound(const Sequence& log, const Split& split, const std::vector<Block>& blocks, double halo_m) {
     std::vector<int> own;
     for (const Block& block : blocks) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes logs along known routes without scans, and walls next to the routes.
+// Makes logs along exact routes without scans, and walls next to the routes.
 #pragma once
 
 #include <cmath>
@@ -9,8 +9,8 @@
 
 namespace relidar::test {
 
-/// Returns a log of n frames at intervals of 0.1 s, whose vehicle is at way(i) in frame
-/// i.
+/// Returns a log of n frames at intervals of 0.1 s. In frame i the vehicle is at position
+/// way(i).
 inline Sequence log_along(int n, const std::function<glm::dvec3(int)>& way) {
     Sequence log;
     log.name = "way";
@@ -22,8 +22,8 @@ inline Sequence log_along(int n, const std::function<glm::dvec3(int)>& way) {
     return log;
 }
 
-/// Returns surfels with a standard deviation of 1 m that face along x, at intervals of 10
-/// m along y for each x.
+/// Returns surfels with a standard deviation of 1 m that face along x. For each x, the
+/// surfels are at intervals of 10 m along y.
 inline Surfels walls_at(const std::vector<float>& xs) {
     Surfels surfels;
     surfels.resize(3 * xs.size());

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests checkpoint files. Every damage must be detected and reported in one line, the
-// previous checkpoint must be used instead, and the last good one must never be lost.
-// Python must read the files according to the documented format.
+// Tests checkpoint files. Every damage must be detected and reported in a single line.
+// The previous checkpoint must then be used, and the last valid checkpoint must never be
+// lost. Python must read the files according to the documented format.
 #include <cstdlib>
 #include <limits>
 #include <random>
@@ -39,7 +39,7 @@ void expect_equal(const Checkpoint& a, const Checkpoint& b) {
     }
 }
 
-/// Newest valid checkpoint of a folder, and the notes reported while loading.
+/// Newest valid checkpoint of a folder, and the notes that loading reported.
 struct Loaded {
     std::optional<Checkpoint> checkpoint;
     std::vector<std::string> notes;
@@ -118,7 +118,8 @@ TEST_F(CheckpointFile, EveryFlippedBitIsNoticed) {
         flipped[bit / 8] = static_cast<char>(flipped[bit / 8] ^ (1 << bit % 8));
         put(folder / "a", flipped);
         try {
-            // at most one blank in the padding of the header may differ
+            // The flipped byte may at most be a blank in the padding of the header, which
+            // does not change the content.
             expect_equal(read_checkpoint(folder / "a"), example(400));
         } catch (const DataError&) {}
     }
@@ -163,7 +164,8 @@ TEST_F(CheckpointFile, KeepsTheNewestAndLeavesNoFuture) {
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 40);
     put(list_checkpoints(folder / "c").back(), "damaged");  // training resumes from 30 ...
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 30);
-    // ... and the damaged checkpoint 40 must not be newer than those saved after 30
+    // Damage in checkpoint 40: it must not count as newer than the checkpoints that are
+    // saved after checkpoint 30.
     save_checkpoint(folder / "c", example(35), 2);
     EXPECT_EQ(list_checkpoints(folder / "c").size(), 2u);
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 35);

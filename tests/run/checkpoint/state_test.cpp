@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests StateWriter and StateReader: host and device values must be restored bit by bit,
-// and values that do not fit must be named in the error.
+// Tests StateWriter and StateReader, which save and load training states. Host and device
+// values must be restored bit by bit. If a value does not fit, the error must name it.
 #include <bit>
 
 #include <relidar/run/checkpoint.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests settings: every key must be preserved in TOML, wrong keys and values must cause a
-// one-line error, and presets must equal docs/method.md.
+// Tests settings. Every key must be preserved in TOML. Wrong keys and values must cause
+// an error with a single line. Presets must equal docs/method.md.
 #include <relidar/run/stage_options.hpp>
 
 #include <map>
@@ -101,8 +101,8 @@ TEST_F(ConfigFile, ValuesReadBackBitByBit) {
     EXPECT_EQ(read.train.seed, config.train.seed);
 }
 
-/// A saved file with missing or additional settings comes from another version and must
-/// be rejected.
+/// A saved file with missing or additional settings was written by a different version
+/// and must be rejected.
 TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
     const std::string whole = to_toml(make_preset("quick"));
     const auto error = [&](const std::string& text) {
@@ -132,8 +132,8 @@ TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
               file + "sensor.rolling_shutter: found \"true\", expected one of auto, true, false in quotes");
 }
 
-/// The short form omits default values of minor settings. Reading it must give the same
-/// settings.
+/// The short form omits default values of minor settings. Reading the short form must
+/// give the same settings.
 TEST_F(ConfigFile, ShortFormReadsBackToTheSame) {
     for (const char* name : {"paper", "quick"}) {
         Config config = make_preset(name);
@@ -274,8 +274,8 @@ TEST(Config, EnumFieldsReachTheirStages) {
     EXPECT_EQ(trace_options(config).chunk, 8);
 }
 
-/// Training must trace rays with the values that the losses need. Rendering must omit
-/// them, except for the normals of surfels.
+/// Training must render the values that the losses need. Rendering must omit these
+/// values, except for the normals of surfels.
 TEST(Config, LossesReachTheTraceOfTraining) {
     Config config;
     EXPECT_FALSE(training_trace_options(config).likelihood);

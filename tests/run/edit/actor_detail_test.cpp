@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the number of rays that hit an actor at its nearest position, against the solid
-// angle of its box.
+// Tests the computed number of rays that hit an actor at its nearest position. Compares
+// it with the solid angle of the actor's box.
 #include <relidar/run/edit.hpp>
 
 #include <cmath>
@@ -39,8 +39,8 @@ TEST(ActorDetail, CountsTheRaysThatMeetTheBoxWhereItIsNearest) {
     EXPECT_DOUBLE_EQ(detail.nearest_m, 10.0);
     EXPECT_NEAR(detail.time_s, 0.5, 1e-12);
     EXPECT_EQ(detail.surfels, 500u);
-    // The near face of 2 x 2 m at 9 m hides the other faces. Counts rays by steps of
-    // azimuth and elevation.
+    // The near face of 2 x 2 m at 9 m hides the remaining faces. The expected number of
+    // rays is counted by steps of azimuth and elevation.
     double expected = 0.0;
     for (int column = 0; column < 3600; ++column) {
         const double azimuth = (column + 0.5) * 2.0 * kPi / 3600.0 - kPi;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests trajectory files with and without header, with three and six degrees of freedom,
-// and with all kinds of errors.
+// and with all types of errors.
 #include <relidar/run/edit.hpp>
 
 #include <cmath>
@@ -55,7 +55,8 @@ TEST_F(TrajectoryFile, ColumnsAreReadByName) {
         "yaw_deg,z,y,x,time_s,pitch_deg,roll_deg\n90,6,5,4,0,30,20\n90,6,5,4,1,30,20\n",
         fmt::format("time_s,x,y,z,yaw_rad,pitch_rad,roll_deg\n0,4,5,6,{0},{1},20\n1,4,5,6,{0},{1},20\n",
                     90 * degree, 30 * degree)};
-    // R = Rz(90) Ry(30) Rx(20) by hand: turns forward to the left, then lowers the nose
+    // R = Rz(90) Ry(30) Rx(20), computed by hand, rotates forward to the left and lowers
+    // the nose.
     const glm::dvec3 forward(0.0, std::cos(30 * degree), -std::sin(30 * degree));
     for (const std::string& text : same) {
         const Pose pose = read(text).pose[1];
@@ -80,7 +81,7 @@ TEST_F(TrajectoryFile, ColumnsAreReadByName) {
 TEST_F(TrajectoryFile, IsReadBackAsItWasWritten) {
     PoseTrack track;
     for (int i = 0; i < 50; ++i) {
-        // seconds since 1970, and coordinates of a large world in metres
+        // uses seconds since 1970, and coordinates of a large world in metres
         track.time_s.push_back(1317042272.25 + 0.1 * i);
         track.pose.push_back(
             {glm::normalize(glm::dquat(std::cos(i), std::sin(2.0 * i), std::cos(3.0 * i), std::sin(i))),

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests edits. They must change tracks and instances according to their equations and
-// leave everything else, including surfels, unchanged bit by bit. An edited scene must
-// render the edit.
+// Tests edits of a scene. They must change tracks and instances according to their
+// equations. All other data, including surfels, must not change in any bit. An edited
+// scene must render the edit.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -26,8 +26,8 @@ Pose at(double x, double y, double yaw_rad = 0.0) {
     return {glm::angleAxis(yaw_rad, glm::dvec3(0, 0, 1)), {x, y, 0.5}};
 }
 
-/// Returns ten frames with a background of 3 surfels, a van of 2 surfels that drives a
-/// curve, a car of 4 surfels, and a pedestrian without a model.
+/// Returns a scene with ten frames, a background of 3 surfels, a van of 2 surfels that
+/// drives a curve, a car of 4 surfels, and a pedestrian without a model.
 DrivingScene example() {
     DrivingScene d;
     d.scene.surfels = numbered(3, 0.0f);
@@ -86,8 +86,8 @@ TEST(Edit, RemovedActorsLeaveWithTheirSurfelsAndBoxes) {
 }
 
 /// The van has labels from 0 to 0.9 s. If it is delayed by 0.4 s, it is absent from
-/// frames 0 to 3 (a track extends half a step before its first pose). With another path
-/// from 0.2 to 0.5 s, it is absent from frames 0, 1, 6, 7, 8 and 9.
+/// frames 0 to 3, because a track extends half a step before its first pose. With a
+/// different path from 0.2 to 0.5 s, it is absent from frames 0, 1, 6, 7, 8 and 9.
 TEST(Edit, SaysHowManyFramesLoseAnActor) {
     const DrivingScene before = example();
     const BoxTrack van = box(before, "van");

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests placing actors on the ground: on a known slope, below a roof, next to a wall, and
-// on the synthetic street with its known ground height.
+// Tests placing actors on the ground: on an exact slope, below a roof, next to a wall,
+// and on the synthetic street, whose ground height has a closed form.
 #include <cmath>
 
 #include <gmock/gmock.h>
@@ -35,8 +35,9 @@ void add_surfel(Surfels& surfels, const glm::dvec3& mean, const glm::dvec3& norm
 
 double slope_height(double x, double y) { return kAlong * x + kAcross * y; }
 
-/// Returns a slope of 40 x 20 m around the origin in steps of 0.25 m with noise of 2 cm,
-/// and a van that drives uphill with its box 0.2 m above the slope.
+/// Returns a scene with a slope of 40 x 20 m around the origin and a van. The surfels of
+/// the slope are 0.25 m apart, with noise of 2 cm. The van drives uphill with its box 0.2
+/// m above the slope.
 DrivingScene slope() {
     DrivingScene d;
     int n = 0;
@@ -68,7 +69,7 @@ Start place_on_ground(const DrivingScene& d, const GroundPlace& place, const std
     return start_on_ground({d.scene, d.sequence}, place, {d.scene, d.sequence}, track);
 }
 
-/// Returns the pose of the van at a position, in relidar's world.
+/// Returns the pose of the van in relidar's world after it is placed at a position.
 Pose placed(const DrivingScene& d, double x, double y, std::optional<double> yaw_rad = {}) {
     Start start = place_on_ground(d, {{x + kWorldOffset_m.x, y + kWorldOffset_m.y}, yaw_rad, 3.0}, "van");
     EXPECT_EQ(start.speed_mps, 3.0);
@@ -116,7 +117,8 @@ TEST(Ground, PathFollowsAHill) {
         const Pose pose = copy->world_from_box.at(i);
         const double x = -16.0 + 10.0 * i, climb = 0.008 * x;
         EXPECT_NEAR(pose.translation.x, x, 1e-9);
-        // A plane through 4.5 m of a parabola is 0.7 cm above its middle on average.
+        // A plane that is fitted to 4.5 m of a parabola is 0.7 cm above the middle of the
+        // parabola on average.
         EXPECT_NEAR(pose.translation.z, hill(x) + 0.8 * std::sqrt(1.0 + climb * climb), 0.03) << i;
         const glm::dvec3 ahead = pose.rotation * glm::dvec3(1, 0, 0);
         EXPECT_NEAR(ahead.z / std::hypot(ahead.x, ahead.y), climb, 0.01) << i;
@@ -165,8 +167,8 @@ TEST(Ground, IsNeitherARoofNorAWallNorWhatIsFaint) {
 
 TEST(Ground, IsNotTiltedByAFewSurfelsOfWhatStoodThere) {
     DrivingScene d = slope();
-    // rings of a distant sweep at intervals of 1 m or more, and the side of a car that
-    // passed
+    // surfels of rings of a distant sweep at intervals of 1 m or more, and of the side of
+    // a passing car
     Surfels rings;
     for (const double x : {-2.0, -1.0, 0.6, 1.2})
         for (const double y : {-0.9, -0.6, -0.3, 0.0}) add_surfel(rings, {x, y, 0.0}, {0, 0, 1});

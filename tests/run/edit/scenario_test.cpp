@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests OpenSCENARIO files: entities and their trajectories against values by hand, and
-// errors for unsupported or invalid trajectories.
+// Tests OpenSCENARIO files. Compares entities and their trajectories with values computed
+// by hand. Also tests the errors for unsupported or invalid trajectories.
 #include <relidar/run/edit.hpp>
 
 #include <gmock/gmock.h>
@@ -21,8 +21,8 @@ std::string replaced(std::string text, const std::string& what, const std::strin
     return at == std::string::npos ? text : text.replace(at, what.size(), by);
 }
 
-/// Scenario with a van that turns left at 10 m/s from Init, a car that starts 2 s after
-/// the act, which starts at 1 s, and an entity without actions.
+/// Scenario with three entities. A van turns left at 10 m/s from Init. A car starts 2 s
+/// after the act, which starts at 1 s. A third entity has no actions.
 const std::string kScenario = R"(<?xml version="1.0" encoding="UTF-8"?>
 <OpenSCENARIO>
   <FileHeader revMajor="1" revMinor="2" date="2024-01-01T00:00:00" description="" author=""/>
@@ -103,15 +103,15 @@ TEST_F(Scenario, EntitiesFollowTheirPolylinesAtTheirTimes) {
 }
 
 /// The reference point of an entity is below the middle of the rear axle. The box of the
-/// actor must stand where the box of the entity stands, although the actor is half a
-/// metre lower.
+/// actor must have the same position as the box of the entity, although the actor is half
+/// a metre lower.
 TEST_F(Scenario, ActorsStandWhereTheBoxOfTheEntityDoes) {
     const ScenarioEntity van = read(kScenario)[0];
     const PoseTrack track = box_track(van, 100.0, {4.0, 1.8, 1.5});
     EXPECT_DOUBLE_EQ(track.time_s.front(), 100.25);
     EXPECT_DOUBLE_EQ(track.time_s.back(), 102.25);
     EXPECT_LT(glm::distance(track.pose.front().translation, glm::dvec3(11.5, -3.5, 0.5 + 0.75)), 1e-12);
-    // at 45 degrees, on the path of a point 1.5 m ahead of the rear axle
+    // time at 45 degrees of the turn, for a point 1.5 m ahead of the rear axle
     const double half_way_s = 101.25;
     const Pose axle = van.world_from_reference.at(half_way_s - 100.0);
     EXPECT_LT(glm::distance(track.at(half_way_s).translation, axle * glm::dvec3(1.5, 0.0, 0.75)), 5e-3);

@@ -33,7 +33,8 @@ inline Run example_run(const std::filesystem::path& folder) {
     Run run;
     run.folder = folder;
     run.config = make_preset("quick");
-    run.config.dataset.max_range_m = 80.0;  // not 0, because loading replaces 0 by the limit of the log
+    // must not be 0, because loading replaces 0 by the limit of the log
+    run.config.dataset.max_range_m = 80.0;
     run.config.dataset.path = "/data/log \"one\"";
     Sequence& s = run.sequence;
     s.name = "example \xC3\xA9";

@@ -101,8 +101,8 @@ TEST_F(ModelFile, GaussiansHaveASixthArray) {
               std::string::npos);
 }
 
-/// Each primitive in relidar/scene/primitives.h must be restored from a file without
-/// further code.
+/// Each primitive in relidar/scene/primitives.h must be saved and loaded without code for
+/// the primitive.
 TEST_F(ModelFile, EveryPrimitiveComesBack) {
     for (const PrimitiveKind& kind : kPrimitives) {
         make_primitive(scene.surfels, kind.primitive, 0.3);

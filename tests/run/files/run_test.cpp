@@ -24,7 +24,7 @@ protected:
     std::string load_error() {
         return data_error([&] { load_run(run.folder); });
     }
-    /// Returns the error message after a change of scene.json.
+    /// Changes scene.json, loads the run and returns the error message.
     std::string error_with(const Json& changed) {
         put(run.folder / "scene.json", changed.dump());
         return load_error();
@@ -351,8 +351,8 @@ TEST_F(RunFolder, TruncatedSceneIsRefused) {
 
 TEST_F(RunFolder, EveryFieldIsNeeded) {
     const Json whole = Json::parse(scene);
-    // for people only; members of a sensor have usual values; edits: a run as trained has
-    // none
+    // Keys that the reader may ignore. Some keys are only for human readers. Members of a
+    // sensor have default values. A run without edits has no key for edits.
     const std::vector<std::string> told = {"/relidar", "/units", "/conventions", "/lidars/0/sensor/spinning/",
                                            "/edits"};
     int n_tried = 0;
@@ -486,7 +486,8 @@ TEST_F(RunFolder, WhatCannotBeReadBackIsNotWritten) {
     EXPECT_NE(data_error([&] { save_run(run); }).find("3 poses of the vehicle at 4 times"),
               std::string::npos);
     run = example_run(folder / "second");
-    run.config.train.mean_rate *= 2.0;  // a constant of the preset, which config.toml cannot contain
+    // Changes a constant of the preset. The file config.toml cannot contain this change.
+    run.config.train.mean_rate *= 2.0;
     EXPECT_NE(data_error([&] { save_run(run); }).find("an option that is not a setting"), std::string::npos);
     EXPECT_FALSE(is_run(run.folder));
 }

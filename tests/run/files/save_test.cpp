@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that a run folder is created completely or not at all, and that an earlier run in
-// the folder is kept until the new one is written.
+// Tests that a run folder is created completely or not at all. An earlier run in the same
+// folder must remain until the new run is written.
 #include <relidar/run/run.hpp>
 
 #include <csignal>
@@ -14,7 +14,7 @@
 namespace relidar {
 namespace {
 
-/// Simulates a full disk while the object exists: no file of this process can grow.
+/// Simulates a full disk while the object exists: files of this process cannot grow.
 class FullDisk {
 public:
     explicit FullDisk(rlim_t n_bytes) : handler_(std::signal(SIGXFSZ, SIG_IGN)) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the scores of moving boxes for scans with known errors: an exact copy, ranges
-// that are too long, a scan without points, and a point at an earlier place of a car.
-// Compares the points in a box with those of each ray at its firing time.
+// Tests the scores of moving boxes for scans with exact errors: an exact copy, ranges
+// that are too long, a scan without points, and a point at an earlier position of a car.
+// Compares the points in a box with the points of each ray at its firing time.
 #include "score/evaluation/actor_scores.hpp"
 
 #include <algorithm>
@@ -85,7 +85,8 @@ TEST_F(ActorScoresOf, RangesThatAreTooLongHaveThisBias) {
     EXPECT_GE(n_seen, 3u);
 }
 
-/// Moves a point of the last frame to the centre of a car in the first frame.
+/// Moves a point of the last frame to the position that the centre of a car had in the
+/// first frame.
 TEST_F(ActorScoresOf, APointWhereACarWasIsInItsTail) {
     const Frame& last = street.frames.back();
     const BoxTrack* fastest = nullptr;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the evaluation of many frames against the evaluation of each single frame. The
-// images of a frame must exist while the caller sees them and be released afterwards.
+// Compares the evaluation of many frames with the evaluation of each single frame. The
+// images of a frame must exist while the caller reads them and be released afterwards.
 #include <relidar/score/evaluation.hpp>
 
 #include <algorithm>
@@ -32,8 +32,8 @@ protected:
         std::iota(positions.begin(), positions.end(), 0);
     }
 
-    /// Checks that every frame was seen with its images, and that the evaluation keeps
-    /// only the images of the middle frame.
+    /// Checks that every frame was reported with its images, and that the evaluation
+    /// keeps only the images of the middle frame.
     void expect_forgotten(const Evaluation& evaluation, const std::vector<ScoredFrame>& seen) {
         ASSERT_EQ(evaluation.frames.size(), std::size_t(kFrames));
         ASSERT_EQ(seen.size(), std::size_t(kFrames));
@@ -100,7 +100,7 @@ TEST_F(EvaluationOf, ALogWithoutIntensitiesHasNoScoresOfThem) {
 TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
     run.split = {{}, {}};
     for (int i = 0; i < kFrames; ++i) {
-        // each frame is its own neighbour, because the scores do not matter here
+        // uses each frame as its neighbour too, because the scores do not matter here
         run.split.train.push_back(i);
         run.split.test.push_back(i);
     }
@@ -111,7 +111,8 @@ TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
     EXPECT_EQ(evaluation.title, "baseline nearest");
 }
 
-/// Compares the errors by range with the images, ray by ray.
+/// Computes the errors by range from the images, ray by ray, and compares them with the
+/// evaluation.
 TEST_F(EvaluationOf, CountsErrorsByRange) {
     ScanRenderer renderer(device(), run);
     std::vector<ScoredFrame> seen;

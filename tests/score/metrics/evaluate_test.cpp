@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests both metric protocols on small images with values by hand, and cases in which a
-// metric is undefined.
+// Tests both metric protocols on small images whose metrics are computed by hand, and
+// cases in which a metric is undefined.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -15,8 +15,8 @@
 namespace relidar {
 namespace {
 
-/// Returns an image whose rays start at (0, 0, 1) and point along x, y, z in turn, so
-/// that no two of the pixels 0 to 2 share a ray.
+/// Returns an image whose rays start at (0, 0, 1) and point along x, y and z in turn, so
+/// that the pixels 0 to 2 have different rays.
 RangeImage image_of(int rows, int columns, std::vector<float> range_m, std::vector<float> intensity,
                     std::vector<float> drop_prob) {
     RangeImage image{rows, columns, std::move(range_m), std::move(intensity), std::move(drop_prob), {}, {}};
@@ -53,7 +53,8 @@ TEST(Evaluate, PeerImageErrorsByHand) {
     EXPECT_NEAR(row.at("peer/intensity_mae"), (i0 + i1 + i2) / 3.0, 1e-12);
     EXPECT_NEAR(row.at("peer/intensity_medae"), 0.25, 1e-12);
     EXPECT_NEAR(row.at("peer/intensity_psnr_db"), -10.0 * std::log10(intensity_mse), 1e-12);
-    EXPECT_FALSE(row.contains("peer/depth_ssim"));  // one row is smaller than an SSIM window
+    // the image has a single row, which is smaller than an SSIM window
+    EXPECT_FALSE(row.contains("peer/depth_ssim"));
 }
 
 TEST(Evaluate, PeerCloudByHand) {
@@ -67,7 +68,8 @@ TEST(Evaluate, PeerCloudByHand) {
 }
 
 TEST(Evaluate, StrictByHand) {
-    // Returned in both images: pixels 0 and 1. Rendered drops: none. Real drops: pixel 2.
+    // Returned in both images: pixels 0 and 1. Rendered drops: no pixel. Real drops:
+    // pixel 2.
     const MetricRow row = evaluate(kRendered, kReal);
     const double e0 = double(10.02f) - 10.0, e1 = 10.0;
     EXPECT_NEAR(row.at("strict/depth_rmse_m"), std::sqrt((e0 * e0 + e1 * e1) / 2.0), 1e-12);
@@ -121,8 +123,8 @@ TEST(Evaluate, DropsByHand) {
     EXPECT_NEAR(row.at("strict/drop_precision"), 2.0 / 3.0, 1e-12);
     EXPECT_NEAR(row.at("strict/drop_recall"), 2.0 / 3.0, 1e-12);
     EXPECT_NEAR(row.at("strict/drop_f1"), 2.0 / 3.0, 1e-12);
-    // Differences of the probabilities: 0.2 - 0, 0.9 - 1, 0.3 - 1, 0.5 - 0, 0.1 - 1.
-    // Pixels without a range are included.
+    // Uses the differences between predicted and real drop: 0.2 - 0, 0.9 - 1, 0.3 - 1,
+    // 0.5 - 0, 0.1 - 1. Pixels without a range are included.
     EXPECT_NEAR(row.at("strict/drop_rmse"), std::sqrt((0.04 + 0.01 + 0.49 + 0.25 + 0.81) / 5.0), 1e-7);
 }
 
@@ -168,7 +170,8 @@ TEST(Evaluate, IdenticalImagesArePerfect) {
     // limited, not infinite
     EXPECT_NEAR(row.at("peer/depth_psnr_db"), 10.0 * std::log10(6400.0 / 1e-20), 1e-9);
     EXPECT_NEAR(row.at("peer/intensity_psnr_db"), 200.0, 1e-9);
-    // 12 of the peer protocol, 25 of the strict one; no LPIPS without weights
+    // 12 metrics of the peer protocol and 25 of the strict protocol; no LPIPS, because
+    // its weights are missing
     EXPECT_EQ(row.size(), 37u);
 }
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares all metrics of a seeded pair of images with an independent script,
+// Compares all metrics of a pair of random images with an independent script,
 // ../shared/bench/evaluate.py, which the test runs. Skipped if RELIDAR_SHARED (default:
-// ../shared next to the repository) does not contain it, or if Python lacks numpy or
-// scipy.
+// ../shared next to the repository) does not contain the script, or if Python lacks numpy
+// or scipy.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -32,8 +32,8 @@ struct Pair {
     std::vector<float> moving;
 };
 
-/// Returns correlated images with random directions. Ranges exceed 80 m, intensities
-/// exceed 1.
+/// Returns two correlated images with random directions. Some ranges exceed 80 m, and
+/// some intensities exceed 1.
 Pair random_pair() {
     std::mt19937 random(20261120);
     std::uniform_real_distribution<float> unit(0.0f, 1.0f);

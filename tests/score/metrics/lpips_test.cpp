@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests LPIPS against a network evaluated by direct loops in double precision with random
-// weights. Also tests the published weights against published values
-// (../shared/data/lpips; skipped if RELIDAR_SHARED does not contain them).
+// Tests the image metric LPIPS. Compares it with a network that is evaluated by direct
+// loops in double precision with random weights. Also tests the published weights against
+// published values (../shared/data/lpips; skipped if RELIDAR_SHARED does not contain
+// them).
 #include <relidar/score/metrics.hpp>
 
 #include <algorithm>
@@ -33,7 +34,7 @@ LpipsWeights random_weights() {
     LpipsWeights weights;
     for (unsigned l = 0; l < 5; ++l) {
         const int fan_in = kIn[l] * kEdge[l] * kEdge[l];
-        // keeps the magnitude of the features constant from layer to layer
+        // this bound keeps the magnitude of the features constant from layer to layer
         const float bound = std::sqrt(6.0f / float(fan_in));
         weights.weight[l] = random_values(std::size_t(kOut[l]) * std::size_t(fan_in), -bound, bound, 10 + l);
         weights.bias[l] = random_values(std::size_t(kOut[l]), -0.1f, 0.1f, 20 + l);
@@ -176,9 +177,9 @@ TEST(LpipsNetwork, RefusesWrongSizes) {
 }
 
 /// Compares with expected.json of the shared folder. Image a consists of sin(0.1 x + 0.05
-/// y), cos(0.07 x - 0.03 y), sin(0.11 (x + y)), image b is similar; both have 64 x 96
-/// pixels. The published code uses single-precision weights. Ours are rounded to half
-/// precision, a relative error of 2^-11.
+/// y), cos(0.07 x - 0.03 y) and sin(0.11 (x + y)). Image b is similar. Both images have
+/// 64 x 96 pixels. The published code uses weights in single precision. Our weights are
+/// rounded to half precision, a relative error of 2^-11.
 TEST(LpipsNetwork, AgreesWithPublishedWeightsAndValues) {
     const char* shared = std::getenv("RELIDAR_SHARED");
     const std::filesystem::path folder =

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests nearest neighbours against brute force, for random, clustered and planar clouds
-// and clouds far from the origin.
+// Compares the nearest-neighbour search with brute force, for random, clustered and
+// planar clouds and for clouds far from the origin.
 #include <relidar/score/metrics.hpp>
 
 #include <algorithm>

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the baseline of neighbouring scans: points moved by the poses and by moving
-// boxes, and rays that get their points back. Also tests the regions of the metrics.
+// Tests the baseline that predicts a scan from its neighbouring scans. Poses and moving
+// boxes move the points to the time of the scan, and each point is assigned to a ray.
+// Also tests the regions of the metrics.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -19,7 +20,7 @@ Pose turned(double yaw_rad, glm::dvec3 translation) {
     return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), translation};
 }
 
-/// Returns a frame whose returns are the given points, all with one time offset.
+/// Returns a frame from a list of returns. All returns have the same time offset.
 Frame frame_of(int index, double time_s, const std::vector<glm::vec3>& points, float offset_s) {
     Frame frame{index, time_s, {}};
     for (const glm::vec3& p : points) {
@@ -36,7 +37,7 @@ Frame frame_of(int index, double time_s, const std::vector<glm::vec3>& points, f
 }
 
 /// Returns five sweeps at intervals of 0.1 s from a sensor that drives and turns. Each
-/// sweep sees one point. The tests evaluate sweep 2.
+/// sweep has a single return. The tests evaluate sweep 2.
 Sequence drive(bool rolling_shutter) {
     Sequence s;
     s.rolling_shutter = rolling_shutter;
@@ -66,7 +67,8 @@ TEST(Neighbours, AreTheNearestTrainingFramesMovedByThePoses) {
     EXPECT_THROW((void)neighbour_points(s, 2, {}, BoxMotion::stay), DataError);
 }
 
-/// With a rolling shutter, the sensor positions at the firing times of both scans matter.
+/// With a rolling shutter, the baseline must use the sensor positions at the firing times
+/// of both scans.
 TEST(Neighbours, FollowTheRollingShutter) {
     const Sequence s = drive(true);
     const Scan points = neighbour_points(s, 2, {1, 3}, BoxMotion::stay);
@@ -78,7 +80,7 @@ TEST(Neighbours, FollowTheRollingShutter) {
         // a head that turns clockwise
         const double azimuth = std::atan2(seen.y, seen.x),
                      t_s = 0.2 - azimuth / (2.0 * kPi) * s.lidars[0].sensor.period_s;
-        // the azimuth changes while the head turns towards the point
+        // tolerance: the azimuth of the point changes while the head turns towards it
         EXPECT_LT(glm::distance(s.world_from_vehicle.at(t_s) * seen, world), 2e-3);
         EXPECT_GT(glm::distance(s.world_from_vehicle.at(0.2) * seen, world), 0.01);
     }
@@ -87,7 +89,7 @@ TEST(Neighbours, FollowTheRollingShutter) {
 TEST(Neighbours, MoveWithTheirBoxes) {
     Sequence s = drive(false);
     for (Pose& pose : s.world_from_vehicle.pose) pose = {};
-    // A box that drives 1 m per frame and contains the points of frames 1 and 3.
+    // a box that moves by 1 m per frame and contains the points of frames 1 and 3
     BoxTrack box{"1", "Car", {4.0, 2.0, 2.0}, {}};
     for (int i = 0; i < 5; ++i) {
         box.world_from_box.time_s.push_back(0.1 * i);
@@ -147,7 +149,8 @@ TEST(BinOntoRays, TakesTheNearestAndLeavesOutWhatNoBeamMeets) {
     points.rays.direction = {rays.direction[ray], rays.direction[ray], rays.direction[ray], at(5.4),
                              at(-12.8)};
     const Scan scan = bin_onto_rays(rays, points);
-    // 5.4 and -12.8 degrees are beyond half the distance to the next beam
+    // points at 5.4 and -12.8 degrees are farther from any beam than half the beam
+    // spacing
     EXPECT_EQ(scan.count_returns(), 1u);
     EXPECT_NEAR(scan.range_m[ray], 10.0, 1e-5);
     EXPECT_EQ(scan.intensity[ray], 0.1f);
@@ -209,7 +212,8 @@ TEST(Regions, KnowWhatMoves) {
     EXPECT_EQ(discovered_returns(s, s.frames[4]), std::vector<bool>{false});
     EXPECT_EQ(moving_returns(s, s.frames[2]), std::vector<bool>{false}) << "it is scored on its own";
     s.boxes[0].category = "Car";
-    // The labels end before frame 2. Poses added by the discovery must not change scores.
+    // The labels end before frame 2. The discovery of moving objects has added the later
+    // poses, and such poses must not change scores.
     s.boxes[0].n_after = 3;
     EXPECT_EQ(moving_returns(s, s.frames[2]), std::vector<bool>{false});
 }

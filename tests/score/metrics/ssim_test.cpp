@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests structural similarity against a direct evaluation of its definition with 49
-// pixels per window, and against closed forms.
+// Compares structural similarity with a direct evaluation of its definition (49 pixels
+// per window) and with closed forms.
 #include <relidar/score/metrics.hpp>
 
 #include <cmath>
@@ -15,7 +15,8 @@ namespace {
 
 using Values = std::vector<double>;
 
-/// Evaluates each window in two passes: means, then central moments divided by 48.
+/// Evaluates each window in two passes: first the means, then the central moments divided
+/// by 48.
 double reference_ssim(const Values& a, const Values& b, int rows, int columns, double data_range) {
     const double c1 = 1e-4 * data_range * data_range, c2 = 9e-4 * data_range * data_range;
     double total = 0.0;

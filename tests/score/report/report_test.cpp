@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the HTML report: it must be complete, self-contained and well-formed, and safe
-// for any names.
+// Tests the HTML report. It must be complete, self-contained and well-formed. Special
+// characters in names must be escaped.
 #include <relidar/base/images.hpp>
 #include <relidar/score/report.hpp>
 
@@ -39,8 +39,8 @@ Report some_report() {
     return report;
 }
 
-/// Returns the report with three points: one at (1.5, -2, 0.25) m, one beyond the
-/// displayed range, and one that is NaN.
+/// Returns the report with three points: a point at (1.5, -2, 0.25) m, a point beyond the
+/// displayed range, and a NaN point.
 Report report_with_view() {
     Report report = some_report();
     const float nan = std::nanf("");
@@ -89,7 +89,7 @@ void expect_well_formed(const std::string& html) {
     EXPECT_TRUE(open.empty());
 }
 
-/// Returns the heights of the points of the first path.
+/// Returns the y coordinates of the points of the first path.
 std::vector<double> path_heights(const std::string& html) {
     const std::size_t start = html.find(" d=\"M") + 4, end = html.find('"', start);
     std::istringstream path(html.substr(start, end - start));
@@ -138,9 +138,9 @@ TEST_F(ReportFile, BeginsWithWhatAPersonWantsToSee) {
 
 TEST_F(ReportFile, PacksPointsInEightBytes) {
     const std::string html = written(folder, report_with_view());
-    // Expects 150, -200, 25 cm as int16, intensity 128, and 2 cm in steps of 4 mm. Points
-    // that cannot be shown are omitted. The expected text is from Python:
-    // base64.b64encode(struct.pack("<hhhBB", 150, -200, 25, 128, 5))
+    // Expects a point at 150, -200, 25 cm (int16) with intensity 128, and an error of 2
+    // cm in steps of 4 mm. Points that cannot be shown are omitted. The expected text is
+    // from Python: base64.b64encode(struct.pack("<hhhBB", 150, -200, 25, 128, 5))
     EXPECT_EQ(between(html, "data-points=\"", "\""), "lgA4/xkAgAU=");
 }
 

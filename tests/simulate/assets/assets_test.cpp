@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests assets: the visible surface of an actor, the surfels that an asset keeps, its
-// files, and that it renders in another run like the original actor.
+// Tests assets: the visible surface of an actor, the surfels that an asset keeps, and its
+// files. An asset in a different run must render like the original actor.
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 

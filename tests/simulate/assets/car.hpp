@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes a run with a car of plates ahead of a LiDAR, for the tests of assets.
+// Makes a run for the tests of assets: a car that consists of plates, ahead of a LiDAR.
 #pragma once
 
 #include <cmath>
@@ -11,7 +11,7 @@ namespace relidar {
 
 inline const glm::dvec3 kCarSize_m(4.0, 2.0, 1.6);
 
-/// Returns random surfels whose means lie in a box, with random rotation, size and
+/// Returns random surfels with means inside a box, and with random rotation, size and
 /// direction-dependent brightness.
 inline Surfels random_surfels(std::size_t n, const glm::vec3& low_m, const glm::vec3& high_m, unsigned seed) {
     std::mt19937 random(seed);
@@ -37,8 +37,8 @@ inline ActorObservations from_outside(const std::vector<glm::vec3>& points_m, do
     return sightings;
 }
 
-/// Returns a log of three frames with a LiDAR at the origin of the world and a standing
-/// car at the given pose.
+/// Returns a log of three frames with a LiDAR at the origin of the world and a static car
+/// at `world_from_car`.
 inline Run run_of(Surfels car, const Pose& world_from_car) {
     Run run;
     const auto n = std::uint32_t(car.size());
@@ -60,8 +60,8 @@ inline Run run_of(Surfels car, const Pose& world_from_car) {
     return run;
 }
 
-/// Returns opaque plates on the four sides of the car's box, 5 cm inside. Each plate is a
-/// grid of surfels with returns.
+/// Returns opaque plates on the four sides of the car, 5 cm inside its box. Each plate is
+/// a grid of surfels that reflect light.
 inline Surfels plates() {
     Surfels surfels;
     const auto add = [&](const glm::vec3& at_m, const glm::quat& turn) {

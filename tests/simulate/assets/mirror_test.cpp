@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests mirror images of surfels: covariances and harmonics against their definitions,
-// and full cars by rendering them from both sides.
+// Tests mirror images of surfels. Compares covariances and harmonics with their
+// definitions, and renders complete cars from both sides.
 #include <relidar/simulate/assets.hpp>
 #include <relidar/simulate/render.hpp>
 
@@ -71,8 +71,7 @@ TEST(Mirror, TwiceIsNoChange) {
     EXPECT_EQ(twice.sh, surfels.sh);
 }
 
-/// Returns rays from a point 8 m to the right of the car towards it, or from the left if
-/// y is -1.
+/// Returns rays towards the car from a point 8 m to its right, or to its left if y is -1.
 RayTable rays_from_the_right(double y) {
     RayTable rays;
     rays.rows = 40, rays.columns = 80;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that channels are kept with their rays through beams of several sub-rays, grids
-// and rigs. Includes channels of the caller.
+// Tests that channel values stay with their rays in beams with several sub-rays, in grids
+// and in rigs. Includes user-defined channels.
 #include <algorithm>
 #include <set>
 
@@ -16,7 +16,8 @@
 namespace relidar {
 namespace {
 
-constexpr int kStep = 14;  // code difference between rays, larger than the number of channels
+// difference between the codes of consecutive rays; larger than the number of channels
+constexpr int kStep = 14;
 constexpr const char *kLabel = "my_label", *kShare = "my_share", *kWay = "my_way";
 
 const std::vector<std::int32_t>& labels_of(const RenderedScan& scan) {
@@ -29,8 +30,8 @@ const std::vector<glm::vec3>& ways_of(const RenderedScan& scan) {
     return *find_values<glm::vec3>(scan.channels, kWay);
 }
 
-/// Returns rays whose values encode the channel and the ray: 14 ray + channel. All rays
-/// return, from almost the same origin.
+/// Returns a scan whose values encode the channel and the ray: 14 ray + channel. All rays
+/// have a return and almost the same origin.
 RenderedScan marked_scan(int n, int first = 0) {
     RenderedScan scan;
     scan.image.rows = 1, scan.image.columns = n;
@@ -55,7 +56,7 @@ RenderedScan marked_scan(int n, int first = 0) {
     return scan;
 }
 
-/// Checks that entry `at` of a scan has the values of a ray in marked_scan().
+/// Checks that entry `at` of a scan has the values that marked_scan() assigned to a ray.
 void expect_marks(const RenderedScan& scan, std::size_t at, int ray) {
     const auto code = float(kStep * ray);
     EXPECT_NEAR(scan.image.range_m[at], code + 1.0f, 1e-3f) << at;
@@ -115,7 +116,7 @@ TEST(Channels, ACellHasThemOfItsRay) {
     }
 }
 
-/// Five sub-rays hit one surface at 10 m with equal intensities.
+/// Five sub-rays hit the same surface at 10 m with equal intensities.
 TEST(Channels, ABeamHasThemOfTheSubRayNearestToItsMiddle) {
     RenderedScan parts = marked_scan(5);
     parts.median_range_m.assign(5, 10.0f), parts.image.intensity.assign(5, 0.5f);
@@ -194,8 +195,8 @@ TEST_F(RenderedChannels, AllThatCanBeAskedForAreThere) {
     }
 }
 
-/// The sensor drives along the street, and its head does not tilt. A standing surface
-/// approaches with the speed of the sensor in the direction of the ray.
+/// The sensor drives along the street, and its head does not tilt. A static surface must
+/// have the velocity of the sensor in the direction of the ray.
 TEST_F(RenderedChannels, TheStreetHasTheVelocityOfTheSensor) {
     const RenderedScan found = scan();
     const std::vector<float>& velocity = *find_values<float>(found.channels, "velocity");

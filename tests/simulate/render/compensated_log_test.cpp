@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests scans of a run whose log is motion-compensated. A sensor drives towards a wall.
 // The position of the wall in each output follows from the path and the time of each
-// point. Covers the log's sensor and another sensor.
+// point. Covers the sensor of the log and a different sensor.
 #include <cmath>
 #include <cstring>
 #include <sstream>
@@ -28,8 +28,8 @@ constexpr double kWall_m = 10.0, kSpeed_mps = 30.0, kFirst_s = 5.0, kPeriod_s = 
 constexpr double kTolerance_m = 2e-3;  // errors of a surfel's plane and of floats
 constexpr int kScans = 3;
 
-/// Returns a wall across x in the dataset's world, and a compensated log whose sensor
-/// drives along x and passes the origin at kFirst_s.
+/// Returns a run with a wall across x in the dataset's world and a compensated log. The
+/// sensor of the log drives along x and passes the origin at kFirst_s.
 Run towards_wall() {
     Run run;
     Surfels& wall = run.scene.surfels;
@@ -56,7 +56,7 @@ Run towards_wall() {
     return run;
 }
 
-/// Returns the position of the sensor at a time, computed by hand.
+/// Returns the position of the sensor along x at a time, computed by hand.
 double sensor_x(double time_s) { return kSpeed_mps * (time_s - kFirst_s) - 8.0; }
 
 struct TimedPoint {
@@ -107,8 +107,9 @@ protected:
         }
         return result;
     }
-    /// Returns x, y, z of all points of a ply or pcd file. The header ends with a given
-    /// text, and all rows have the same size.
+    /// Returns x, y, z of all points of a PLY or PCD file. All records have the same
+    /// size.
+    /// @param end_of_header text at which the header ends
     std::vector<glm::dvec3> points_of(const char* name, const std::string& end_of_header,
                                       std::size_t n) const {
         const std::string bytes = text(name);
@@ -122,7 +123,7 @@ protected:
         }
         return result;
     }
-    /// Checks the frame of the points that each output declares.
+    /// Checks which frame each output file states for its points.
     void expect_statements(bool deskewed) const {
         const char* frame = deskewed ? "sensor at time_s" : "sensor at each ray's firing time";
         EXPECT_THAT(text("frame_000000.ply"), HasSubstr(frame));
@@ -136,8 +137,8 @@ protected:
                         HasSubstr(deskewed ? "sensor at the stamp" : "sensor at each ray's firing time"))
                 << recording;
     }
-    /// Reads the recordings as logs. Their transforms and times must put every point on
-    /// the wall.
+    /// Reads the recordings as logs. The transforms and times in the logs must put every
+    /// point on the wall.
     void expect_recordings(bool rolls) const {
         for (const char* recording : {"scans.mcap", "rosbag.mcap"}) {
             const Sequence log = load_sequence((folder / recording).string(), {});
@@ -226,7 +227,7 @@ TEST_F(CompensatedLog, TheSettingGivesItsOwnSensorARollingShutter) {
     for (const auto& [position_m, time_s] : points()) EXPECT_EQ(time_s, kFirst_s);
 }
 
-/// Points computed on the device must have the same times and positions.
+/// Points that are computed on the device must have the same times and positions.
 TEST_F(CompensatedLog, PointsOfTheServiceToo) {
     ScanRenderer renderer(device(), run);
     for (const char* name : {"native", "VLP-16:96x10"}) {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests beams with divergence: the distribution of their sub-rays, sub-rays with results
-// computed by hand, and a scene of two walls with an edge inside a beam.
+// Tests beams with divergence: the distribution of their sub-rays, the combination of
+// sub-rays against results computed by hand, and a scene of two walls with an edge inside
+// a beam.
 #include "simulate/render/footprint.hpp"
 
 #include <algorithm>
@@ -38,8 +39,8 @@ RayTable fan(int n) {
     return rays;
 }
 
-/// Returns the mean squared angle between ray `i` and its sub-rays, relative to a uniform
-/// disc with a full angle of 1.
+/// Returns the mean squared angle between ray `i` and its sub-rays, divided by the mean
+/// squared angle of a uniform disc with a full angle of 1.
 double spread(const RayTable& rays, const RayTable& parts, std::size_t i, std::size_t n) {
     double squares = 0.0;
     for (std::size_t k = 0; k < n; ++k) {
@@ -107,8 +108,8 @@ TEST(Footprint, PartsAreSpreadAsAnEvenlyLitDisc) {
     }
 }
 
-/// Sub-ray of a footprint: range, intensity, drop probability, and distance of the mean
-/// range behind the range.
+/// Result of a sub-ray of a beam: range, intensity, drop probability, and the distance of
+/// the mean range behind the range.
 struct Part {
     float range_m, intensity, drop, spread_m = 0.0f;
 };
@@ -165,8 +166,8 @@ TEST(Footprint, AnEdgeGivesTwoReturnsTheStrongestFirst) {
     EXPECT_NEAR(scan.second_returns[0].intensity[0], 2 * 0.2f / 5, kNear);
 }
 
-/// A road at a grazing angle has ranges that differ by metres within one footprint. Also
-/// tests a road with a wall in front of its upper part.
+/// A road at a grazing angle has ranges that differ by metres within a single footprint.
+/// Also tests a road with a wall in front of its upper part.
 TEST(Footprint, ASlopeIsOneReturnHoweverSteep) {
     const RayTable ray = one_ray({std::cos(0.04f), 0.0f, -std::sin(0.04f)}), parts = split_rays(ray, 9, 4e-3);
     const auto cast = [&](float wall_m) {

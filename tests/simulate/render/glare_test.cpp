@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests effects that blind a sensor, on full scans: stray light against its integral, and
-// the sun in front of and behind a wall.
+// Tests effects that blind a sensor on complete scans. Compares stray light with its
+// integral. Tests the sun in front of a wall and behind a wall.
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -20,8 +20,9 @@ constexpr double kDegree = kPi / 180.0;
 constexpr int kBeams = 128, kSteps = 192;
 constexpr double kStep_deg = 0.25, kRadius_deg = 2.5;
 
-/// Returns rays at intervals of a quarter degree towards a wall at 20 m with round
-/// reflectors, each given as {azimuth_deg, elevation_deg, range_m}.
+/// Returns a scan of a wall at 20 m with round reflectors. Rays are at intervals of 0.25
+/// degrees.
+/// @param reflectors position of each reflector as {azimuth_deg, elevation_deg, range_m}
 RenderedScan wall_with(const std::vector<glm::dvec3>& reflectors) {
     constexpr std::size_t n = std::size_t(kBeams) * kSteps;
     RenderedScan scan;
@@ -49,8 +50,8 @@ RenderedScan wall_with(const std::vector<glm::dvec3>& reflectors) {
 }
 std::size_t ray_at(int row, int column) { return std::size_t(row) * kSteps + std::size_t(column); }
 
-/// Returns the echo of stray light on each ray of a scan. Returns an empty list if no ray
-/// has stray light. The sensor detects any power.
+/// Returns the echo of stray light on each ray of a scan. The sensor detects any power.
+/// Returns an empty list if no ray has stray light.
 std::vector<Echo> stray_light(const RenderedScan& scan, double bloom, std::uint64_t seed) {
     const WeatherSensor sensor{.darkest = 0.0};
     const auto effect = kBlooming.prepare(
@@ -65,8 +66,8 @@ std::vector<Echo> stray_light(const RenderedScan& scan, double bloom, std::uint6
     return stray;
 }
 
-/// Returns the integral of angle^-3 over a round reflector ahead, by small squares, in
-/// degrees.
+/// Computes the integral of angle^-3 over a round reflector ahead, as a sum over small
+/// squares, in degrees.
 double integral_at(double azimuth_deg, double elevation_deg) {
     constexpr double kFine_deg = 0.05;
     double sum = 0.0;
@@ -112,7 +113,8 @@ TEST(StrayLightOnScans, IsItsIntegralOverTheReflector) {
     EXPECT_TRUE(stray_light(wall_with({}), 1e-4, 1).empty());
 }
 
-/// At twice the range, a reflector of the same angular size has a quarter of the power.
+/// A reflector at twice the range with the same angular size must have a quarter of the
+/// power.
 TEST(StrayLightOnScans, IsOfTheReflectorWithTheMostPower) {
     const RenderedScan scan = wall_with({{-8.0, 0.0, 4.0}, {8.0, 0.0, 8.0}});
     const std::vector<Echo> stray = stray_light(scan, 1e-4, 1);
@@ -145,7 +147,8 @@ TEST(StrayLightOnScans, TakesThePlaceOfWeakReturns) {
 
 class GlareInScenes : public test::DeviceTest {};
 
-/// Returns a disc of 2 m at 12 m ahead. Beams range from -1 to 2.5 degrees.
+/// Returns a disc of 2 m at a distance of 12 m ahead. The beams have elevations from -1
+/// to 2.5 degrees.
 Surfels disc_ahead() {
     Surfels disc;
     disc.resize(1);

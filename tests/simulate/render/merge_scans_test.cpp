@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests merging the scans of a rig. Every point must keep its position in the world, for
-// any sensor and firing time.
+// Tests merging the scans of a rig into a single scan. Every point must keep its position
+// in the world, for any sensor and firing time.
 #include <relidar/simulate/render.hpp>
 
 #include <gtest/gtest.h>
@@ -12,8 +12,8 @@
 namespace relidar {
 namespace {
 
-/// Returns two rays with different firing times, from a sensor on a vehicle that drives
-/// and turns.
+/// Returns a scan of two rays with different firing times, from a sensor on a vehicle
+/// that drives and turns.
 RenderedScan scan_of(const Pose& rig_from_sensor, float range_m) {
     const Pose start{{1, 0, 0, 0}, {5.0, 0.0, 0.0}},
         end{glm::angleAxis(0.4, glm::dvec3(0, 0, 1)), {7.0, 1.0, 0.0}};
@@ -48,7 +48,7 @@ glm::dvec3 world_point(const RenderedScan& scan, std::size_t i) {
 }
 
 /// Returns the same rays in two rows. The last ray of the second row is fired later than
-/// the other rays of its column.
+/// the first ray of its column.
 RenderedScan in_two_rows(RenderedScan scan) {
     const auto twice = []<class T>(std::vector<T>& values) {
         const std::vector<T> once = values;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests actors that move during a sweep: each ray must see the actor at the ray's firing
-// time. Expected values are closed forms of straight and circular motion.
+// Tests actors that move during a sweep. Each ray must hit the actor at its position at
+// the firing time of the ray. Expected values are closed forms of straight and circular
+// motion.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -17,7 +18,7 @@ namespace {
 
 constexpr double kTurn_s = 0.1;
 
-/// Adds a wall that consists of one surfel.
+/// Adds a wall that consists of a single surfel.
 /// @param half_m visible extent of the wall from its middle in each direction
 void add_wall(Surfels& surfels, const glm::vec3& middle_m, const glm::quat& from_x_axis,
               const glm::vec2& half_m) {
@@ -34,7 +35,7 @@ void add_wall(Surfels& surfels, const glm::vec3& middle_m, const glm::quat& from
     surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;  // hit logit
 }
 
-/// Returns a scene with one actor and no background.
+/// Returns a scene with a single actor and no background.
 /// @param surfels surfels of the actor in the frame of its box
 Scene one_actor(const Surfels& surfels, const glm::dvec3& size_m) {
     Scene scene;
@@ -45,8 +46,8 @@ Scene one_actor(const Surfels& surfels, const glm::dvec3& size_m) {
     return scene;
 }
 
-/// Returns a log of 1 s with poses of sensor and actor at 40 Hz, and a sensor with one
-/// horizontal beam.
+/// Returns a log of 1 s with poses of sensor and actor at 40 Hz, and a sensor with a
+/// single horizontal beam.
 template <class PoseAt>
 Sequence drive(int columns, const PoseAt& sensor_at, const PoseAt& actor_at, const glm::dvec3& size_m) {
     Sequence log;
@@ -66,14 +67,14 @@ Sequence drive(int columns, const PoseAt& sensor_at, const PoseAt& actor_at, con
 
 using PoseAt = std::function<Pose(double)>;
 
-/// Returns the mean range along x of the rays behind the sensor, separately for rays
-/// fired first and rays fired last.
+/// Returns the mean range along x of the rays behind the sensor, separately for the rays
+/// at the start and at the end of the sweep.
 std::array<double, 2> halves_behind(const RenderedScan& scan) {
     std::array<double, 2> sum{}, n{};
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         const glm::dvec3 d(scan.image.direction[i]);
         if (!(scan.median_range_m[i] > 0.0f) || d.x > 0.0) continue;
-        // a compensated scan has no time offsets, so it is divided by side
+        // a motion-compensated scan has no time offsets, so its rays are divided by side
         const bool has_times = scan.time_offset_s[i] != 0.0f;
         const std::size_t half = (has_times ? double(scan.time_offset_s[i]) : d.y) < 0.0 ? 0 : 1;
         sum[half] += -d.x * double(scan.median_range_m[i]), n[half] += 1.0;
@@ -91,7 +92,8 @@ protected:
     }
 };
 
-/// The van does not move relative to the sensor: its front is 8 m behind for every ray.
+/// The van follows at the speed of the sensor, so its front must be 8 m behind the sensor
+/// for every ray.
 TEST_F(MovingActors, AVanThatFollowsIsNotTornBehindTheSensor) {
     const glm::dvec3 size_m(4.0, 2.0, 2.0);
     Surfels front;
@@ -108,7 +110,7 @@ TEST_F(MovingActors, AVanThatFollowsIsNotTornBehindTheSensor) {
     }
 }
 
-/// Both vehicles drive around a centre 20 m to the left of the sensor, so the van does
+/// Van and sensor drive around a centre 20 m to the left of the sensor, so the van does
 /// not move relative to the sensor.
 TEST_F(MovingActors, AVanThatFollowsRoundABendIsNotTorn) {
     const glm::dvec3 size_m(4.0, 2.0, 2.0);
@@ -122,12 +124,12 @@ TEST_F(MovingActors, AVanThatFollowsRoundABendIsNotTorn) {
                  van = [&](double t_s) { return at(t_s, 10.0); };
     const auto [first_m, last_m] =
         halves_behind(render(one_actor(front, size_m), drive(720, sensor, van, size_m), 0.5));
-    EXPECT_NEAR(first_m, 8.0, 1e-3);  // interpolated poses lie on chords of 0.015 rad
+    EXPECT_NEAR(first_m, 8.0, 1e-3);  // tolerance: interpolated poses lie on chords of 0.015 rad
     EXPECT_NEAR(last_m, 8.0, 1e-3);
 }
 
-/// A car passes a static sensor on its left. Two posts on its side, 4 m apart, must be
-/// seen at different times.
+/// A car passes a static sensor on its left. Two posts on the side of the car, 4 m apart,
+/// must be measured at different times.
 TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
     constexpr double kCarSpeed_mps = 20.0, kLength_m = 4.0;
     const glm::dvec3 size_m(kLength_m, 2.0, 2.0);
@@ -159,7 +161,7 @@ TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
 }
 
 /// All rays of a motion-compensated log have the same time. The actor must be at its
-/// position at that time.
+/// position at this time.
 TEST_F(MovingActors, WithoutRollingShutterActorsStand) {
     const glm::dvec3 size_m(4.0, 2.0, 2.0);
     Surfels front;
@@ -173,9 +175,9 @@ TEST_F(MovingActors, WithoutRollingShutterActorsStand) {
     EXPECT_NEAR(last_m, 8.0, 1e-3);
 }
 
-/// A van drives ahead of the sensor in a bend, next to a standing wall. The radial
-/// velocity of a point is the derivative of its distance, here from differences of exact
-/// positions.
+/// A van drives ahead of the sensor in a bend, next to a static wall. The radial velocity
+/// of a point must be the time derivative of its distance, computed from differences of
+/// exact positions.
 TEST_F(MovingActors, TheVelocityIsTheRateOfTheRange) {
     const glm::dvec3 size_m(4.0, 2.0, 2.0);
     Surfels wall, rear;

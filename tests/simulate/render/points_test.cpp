@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests points that are made on the device and requested ahead
+// Tests points that are computed on the device and requested ahead
 // (simulate/render/mark_returns, simulate/render/gather_points). They must equal, bit by
-// bit, the result of place_points() for scans that are rendered one after the other. Also
+// bit, the result of place_points() for scans that are rendered in sequence. Also
 // compares place_points() with double precision.
 #include <cmath>
 #include <cstring>
@@ -35,7 +35,8 @@ protected:
         log.world_offset_m = {455000.0, 5428000.0, 113.0};
         scene = initialise_scene(log, split_frames(log, 5).train, {});
     }
-    /// Returns a drive through the street in a bend, in the dataset's world frame.
+    /// Returns the path of a drive through a bend of the street, in the dataset's world
+    /// frame.
     PoseTrack bend() const {
         PoseTrack track = shifted_track(log.world_from_sensor(0), log.world_offset_m);
         for (std::size_t k = 0; k < track.pose.size(); ++k)
@@ -70,8 +71,8 @@ protected:
         for (const PointRequest& wish : wishes)
             ask(wish, &wish == &wishes.back() ? ScanRenderer::Send::now : ScanRenderer::Send::with_next);
     }
-    /// Returns scans of a rig with several sensors, some of them equal, at two times,
-    /// with two sets of actors.
+    /// Returns requests for the scans of a rig with several sensors, some of them equal,
+    /// at two times and with two sets of actors.
     std::vector<PointRequest> rig() const {
         std::vector<PointRequest> wishes;
         for (const char* name :
@@ -110,7 +111,7 @@ void expect_equal(const RenderedPoints& found, const RenderedPoints& expected, c
 }
 
 /// Tests rays whose columns share a firing time, rays whose rows have different times,
-/// and rays in any order, for a moving and for a standing sensor.
+/// and rays in any order, for a moving and for a static sensor.
 TEST(FiringPoses, AreThoseOfEachRay) {
     RenderedScan scan;
     scan.time_s = 5.0;
@@ -138,9 +139,9 @@ TEST(FiringPoses, AreThoseOfEachRay) {
         }
 }
 
-/// Compares rays of a sensor that drives and turns by 6 rad/s with double precision. The
-/// rounding error at 80 m is up to 4e-6 m, and place_point() makes about seven roundings.
-/// At 5428 km the rounding error is 0.25 m.
+/// Compares the points of a sensor that drives and turns by 6 rad/s with double
+/// precision. The rounding error at 80 m is up to 4e-6 m, and place_point() makes about
+/// seven roundings. At 5428 km the rounding error is 0.25 m.
 TEST(PlacePoints, LieWhereDoublePrecisionPutsThem) {
     RenderedScan scan;
     scan.time_s = 5.0;
@@ -207,8 +208,8 @@ TEST_F(PointsOfScans, OfASensorThatStandsAndAmongActorsOfTheCaller) {
     expect_equal(renderer->wait_for_points(), empty, "no actor");
 }
 
-/// Keeps two scans pending at any time, from different sensors and positions, and renders
-/// other scans between them.
+/// Always has two pending scans of different sensors and positions, and renders other
+/// scans between them.
 TEST_F(PointsOfScans, ManyInFlightDoNotMix) {
     make_renderer();
     const std::vector<SensorChoice> sensors = {sensor("native"), sensor("VLP-16:300x10"),
@@ -227,8 +228,8 @@ TEST_F(PointsOfScans, ManyInFlightDoNotMix) {
 }
 
 /// Requests more scans than are rendered together, exactly as many, and fewer. Two rigs
-/// are pending, and one further batch is read before it was submitted. Launches of
-/// different lanes alternate, so that data that lanes share by mistake is detected.
+/// are pending, and a further batch is read before it was submitted. Launches of
+/// different lanes alternate, so that the test detects data that lanes share by mistake.
 TEST_F(PointsOfScans, OfScansSideBySideAreThoseOfEachAlone) {
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
         config.image.sh_direction = direction;
@@ -250,8 +251,8 @@ TEST_F(PointsOfScans, OfScansSideBySideAreThoseOfEachAlone) {
     }
 }
 
-/// Work that needs the device alone submits the scans before it. A rejected scan must not
-/// affect other scans.
+/// Work that uses the device exclusively must first submit the pending scans. A rejected
+/// scan must not affect other scans.
 TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
     make_renderer();
     renderer->side_by_side(3);
@@ -278,7 +279,7 @@ TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
     expect_equal(alone(wishes[0]), expected[0], "of the next renderer");
 }
 
-/// Tests scans that a network corrects, with images of two shapes.
+/// Tests scans that a ray-drop network corrects, with images of two shapes.
 TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     make_renderer();
     const std::vector<PointRequest> wishes = {
@@ -298,13 +299,14 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     ask(wishes[0]), ask(wishes[1]);
     for (const RenderedPoints& scan_expected : expected)
         expect_equal(renderer->wait_for_points(), scan_expected, "refined");
-    // Images of one shape share as much memory as possible.
+    // Images of the same shape share as much memory as possible.
     std::vector<PointRequest> beside = {wishes[0], wishes[0], wishes[0], wishes[1]};
     for (std::size_t k = 0; k < 3; ++k) beside[k].request.time_s += 0.1 * double(k);
     std::vector<RenderedPoints> expected_points;
     for (const PointRequest& wish : beside) expected_points.push_back(alone(wish));
     renderer->side_by_side(3);
-    // In the first round each scan allocates its memory and waits for the others.
+    // In the first round each scan allocates its memory and waits for the remaining
+    // scans.
     for (int round = 0; round < 2; ++round) {
         ask_together(beside);
         for (const RenderedPoints& scan_expected : expected_points)
@@ -312,7 +314,8 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     }
     renderer->side_by_side(1);
     std::vector<std::uint64_t> buffers;
-    for (int round = 0; round < 3; ++round) {  // one network processes images of two shapes alternately
+    // the same network processes images of two shapes alternately
+    for (int round = 0; round < 3; ++round) {
         expect_equal(alone(beside[2]), expected_points[2], "by turns");
         expect_equal(alone(beside[3]), expected_points[3], "by turns");
         buffers.push_back(impl_of(device()).n_buffers);
@@ -320,8 +323,8 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     EXPECT_EQ(buffers[2], buffers[0]) << "memory is found once";
 }
 
-/// Tests beams and sub-rays with a network that has learnt that all rays except one
-/// return.
+/// Tests beams and sub-rays with a network that was trained to predict a return for all
+/// rays except a single ray.
 TEST_F(PointsOfScans, NetworksBringNothingBackFromBeyondTheLimits) {
     config.sensor.divergence_mrad = 3.0;
     make_renderer();
@@ -330,7 +333,7 @@ TEST_F(PointsOfScans, NetworksBringNothingBackFromBeyondTheLimits) {
     DropImage image = drop_image(renderer->render(wish.sensor, wish.request), drop_channel_names(options),
                                  first_origin(log));
     image.dropped.assign(std::size_t(image.rows) * std::size_t(image.columns), 0.0f);
-    image.dropped[0] = 1.0f;  // without a drop the network would have nothing to learn
+    image.dropped[0] = 1.0f;  // without a dropped ray, the loss of the network would have no gradient
     renderer->refine_drops(
         train_drop_network(device(), {image}, options, 3,
                            [](const RefineProgress&, const std::function<RefineState()>&) { return true; }));
@@ -367,7 +370,8 @@ TEST_F(PointsOfScans, HaveTheStepsOfTheLog) {
         EXPECT_NEAR(double(intensity) / step, std::round(double(intensity) / step), 1e-5);
 }
 
-/// Requests that the device cannot complete are completed on the host.
+/// Uses requests that the device cannot complete. They must be completed on the host with
+/// the same result.
 TEST_F(PointsOfScans, OfGridsSubRaysSamplesAndWeatherAreTheSame) {
     config.sensor.divergence_mrad = 3.0;
     make_renderer();
@@ -393,7 +397,7 @@ TEST_F(PointsOfScans, MayBeLeftBehind) {
     make_renderer();
     const RenderedPoints expected = on_host(wish);
     ask(wish), ask(wish);
-    make_renderer();  // the validation layer reports memory that is still in use
+    make_renderer();  // if memory is still in use, the validation layer reports it
     ask(wish);
     expect_equal(renderer->wait_for_points(), expected, "of the next renderer");
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests scans in a grid, simulated points that are binned like real ones, and scans
-// sampled from drop probabilities.
+// Tests scans in a grid. Simulated points must be binned like real points. Also tests
+// scans that are sampled from drop probabilities.
 #include <algorithm>
 #include <cmath>
 
@@ -35,8 +35,8 @@ RenderedScan scan_of(const std::vector<glm::vec3>& points, const std::vector<flo
 TEST(ProjectScan, NearestReturnedPointWinsAndOneReturnIsEnough) {
     const RangeGrid grid = kitti360_grid();
     const glm::vec3 a(10.0f, 0.0f, -0.5f);
-    // a cell with a returned far point, a nearer returned point, and the nearest point,
-    // which is dropped
+    // The cell contains a far point with a return, a nearer point with a return, and the
+    // nearest point, which is dropped.
     const RenderedScan near = project_scan(scan_of({a, 0.9f * a, 0.5f * a}, {0.1f, 0.2f, 0.9f}), grid);
     const std::size_t cell = std::size_t(*project(grid, glm::dvec3(a)));
     EXPECT_NEAR(near.image.range_m[cell], 0.9f * glm::length(a), 1e-4f);
@@ -57,7 +57,7 @@ TEST(ProjectScan, WhatHedgesBetweenTwoSurfacesIsBinnedByTheDominantOne) {
     const RangeGrid grid = kitti360_grid();
     const glm::vec3 a(10.0f, 0.0f, -0.5f);
     RenderedScan scan = scan_of({a, 0.8f * a}, {0.1f, 0.2f});
-    scan.image.range_m[0] *= 0.6f;  // mean range of a surface at a and one nearby
+    scan.image.range_m[0] *= 0.6f;  // the mean range lies between the surface at `a` and a nearer surface
     scan.mean_range_m[0] = scan.image.range_m[0];
     scan.mean_range_m[1] -= 2.5f;
     const RenderedScan binned = project_scan(scan, grid);
@@ -69,7 +69,7 @@ TEST(ProjectScan, WhatHedgesBetweenTwoSurfacesIsBinnedByTheDominantOne) {
     EXPECT_NEAR(binned.image.drop_prob[cell], 0.1f, 1e-6f);
 }
 
-/// Returns a wall 10 m ahead, seen at normal incidence at azimuth 0 and obliquely
+/// Returns a scan of a wall 10 m ahead. Incidence is normal at azimuth 0 and oblique
 /// elsewhere. Half of the returns are dropped at random.
 RenderedScan half_dropped_wall() {
     std::vector<glm::vec3> points;
@@ -101,7 +101,7 @@ TEST(SampleReturns, DropsAndNoiseAreAsLikelyAsTold) {
         if (scan.image.drop_prob[i] == 1.0f) continue;
         const double error = double(scan.image.range_m[i]) - double(likely.image.range_m[i]),
                      cosine = double(likely.image.direction[i].x);
-        // skips rays whose bin is uncertain
+        // skips rays whose incidence or column is close to the border of a bin
         if (std::abs(cosine - 0.8) < 0.02 || i % 256 < 4 || i % 256 > 251 || i < 256 || i >= 63 * 256)
             continue;
         const int oblique = cosine < 0.8;

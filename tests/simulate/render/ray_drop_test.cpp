@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that the drop of a ray does not depend on other rays or on the sensor's yaw. A
-// ray that hits nothing must be dropped for any output of the network.
+// Tests that the drop of a ray depends neither on other rays nor on the yaw of the
+// sensor. A ray that hits nothing must be dropped for any output of the network.
 #include <algorithm>
 #include <numeric>
 #include <random>
@@ -24,10 +24,11 @@ protected:
         if (IsSkipped() || HasFatalFailure()) return;
         log = make_synthetic_street({.n_frames = 6, .speed_mps = 5.0});
         InitialiseOptions options;
-        options.max_scale_m = 0.5;  // small enough that some rays hit nothing
+        options.max_scale_m = 0.5;  // limits the size of surfels, so that some rays miss all surfels
         scene = initialise_scene(log, {0, 1, 2, 3, 4, 5}, options);
     }
-    /// Returns a scan of the street without its cars, along the path of the log.
+    /// Returns a scan of the street without its cars, from a sensor on the path of the
+    /// log.
     RenderedScan scan_of(const RayTable& rays, const DropNetwork& network) {
         return scan_of(rays, network, shifted_track(log.world_from_sensor(0), log.world_offset_m));
     }
@@ -50,7 +51,7 @@ std::size_t count_returns(const std::vector<float>& drop_prob) {
     return std::size_t(std::ranges::count_if(drop_prob, [](float p) { return p < 0.5f; }));
 }
 
-/// Checks that entry k of the second scan equals the ray order[k] of the first.
+/// Checks that entry k of the second scan equals ray order[k] of the first scan.
 void expect_same_rays(const RenderedScan& scan, const RenderedScan& other,
                       const std::vector<std::size_t>& order) {
     ASSERT_EQ(other.image.drop_prob.size(), order.size());
@@ -87,8 +88,8 @@ TEST_F(RayDrop, OfOneRayAloneIsThatOfTheRayInAnImage) {
         expect_same_rays(scan, scan_of(some_rays(all, {ray}), test::network_of_rays()), {ray});
 }
 
-/// Rotates a static sensor by 180 degrees. The rays in the world are the same, in a
-/// different order of azimuths.
+/// Rotates a static sensor by 180 degrees. The rays in the world are equal, but the order
+/// of their azimuths is different.
 TEST_F(RayDrop, DoesNotDependOnTheSensorsYaw) {
     RayTable all = rays();
     std::fill(all.time_offset_s.begin(), all.time_offset_s.end(), 0.0f);
@@ -111,8 +112,8 @@ TEST_F(RayDrop, DoesNotDependOnTheSensorsYaw) {
     expect_same_rays(scan, scan_of(turned, test::network_of_rays(), standing({0.0, 0.0, 0.0, 1.0})), order);
 }
 
-/// Tests beams, sub-rays, cells of a grid, a sensor that mostly sees the sky, and points
-/// from the device.
+/// Tests beams, sub-rays, cells of a grid, a sensor whose rays mostly point into the sky,
+/// and points from the device.
 TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
     for (const char* name : {"native", "kitti360", "VLP-16:300x10"})
         for (const int sub_rays : {1, 5})

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the rendering of walls at known positions, and the choice of the sensor.
+// Tests the rendering of walls at exact positions, and the choice of the sensor.
 #include <algorithm>
 #include <cmath>
 
@@ -27,7 +27,7 @@ Surfels wall_ahead() {
     return wall;
 }
 
-/// Returns a log with four rays from the origin, a quarter turn apart.
+/// Returns a log with four horizontal rays from the origin, a quarter turn apart.
 Sequence cross_sequence() {
     Sequence sequence;
     sequence.lidars[0].sensor.beams = {{0.0}};
@@ -53,12 +53,12 @@ Surfels post_before_wall() {
     return scene;
 }
 
-/// Returns the share of a disc that a strip through its middle covers.
+/// Returns the share of a disc that is covered by a strip through its middle.
 /// @param x half of the strip's width divided by the disc's radius
 double strip_share(double x) { return 2.0 / kPi * (std::asin(x) + x * std::sqrt(1.0 - x * x)); }
 
-/// A footprint of 0.2 m diameter hits the post. The post ends where half of the light
-/// passes through its Gaussian.
+/// A footprint of 0.2 m diameter hits the post. The edge of the post is at the radius of
+/// its Gaussian where half of the light passes.
 TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
     Sequence sequence;
     sequence.lidars[0].sensor.beams = {{0.0}};
@@ -86,8 +86,8 @@ TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
     EXPECT_LT(scan.image.drop_prob[0], 0.1f);
 }
 
-/// Beams of one table with different divergence see the same post. Only the wide one sees
-/// past it.
+/// The beams of a table have different divergence and hit the same post. Only the wide
+/// beam also measures the wall behind the post.
 TEST_F(Render, EachBeamOfATableHasItsOwnFootprint) {
     RayTable rays{1,
                   3,
@@ -147,13 +147,14 @@ TEST_F(Render, WallIsWhereItStands) {
     EXPECT_NEAR(renderer.render(sensor, 0.5, back).image.range_m[ahead], 13.0 - 2.0 * fired_at, 1e-4);
 }
 
-/// A post is hit by one column of the head only. If the head is one column behind in a
-/// sweep, the post must appear in another column of the image.
+/// Only a single column of the sensor hits a post. If the head is a column behind in a
+/// sweep, the post must appear in a different column of the image.
 TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     constexpr int kColumns = 64;
     constexpr double kColumn_rad = 2.0 * kPi / kColumns;
     Surfels post = wall_ahead();
-    post.log_scale[0] = {std::log(5.0f), std::log(0.1f)};  // 0.1 m wide, where columns are 1 m apart
+    // the post is 0.1 m wide; columns are 1 m apart at its range
+    post.log_scale[0] = {std::log(5.0f), std::log(0.1f)};
     Sequence sequence = cross_sequence();
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     sensor.beams = {{0.0}}, sensor.columns = kColumns, sensor.max_range_m = 80.0;
@@ -169,7 +170,7 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     };
     const SensorChoice own = configured_sensor(config, sequence);
     EXPECT_TRUE(own.follows_sweeps);
-    const int nominal = kColumns / 2;  // the azimuth decreases from pi by one column each
+    const int nominal = kColumns / 2;  // the azimuth starts at pi and decreases from column to column
     EXPECT_EQ(column_of_post(renderer.render(own, 0.0)), nominal) << "a sweep without a shift";
     EXPECT_EQ(column_of_post(renderer.render(own, 1.0)), nominal + 1)
         << "the head points one column to the left of where it should";
@@ -182,8 +183,8 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
 }
 
 /// Two semi-transparent surfaces are in front of a wall. Half of the light is blocked at
-/// the second one, but most of it returns from the wall. A dropped ray must have no
-/// range.
+/// the second surface, but most of the light returns from the wall. A dropped ray must
+/// have no range.
 TEST_F(Render, ModeIsTheHeaviestSurface) {
     Surfels scene;
     const Surfels wall = wall_ahead();
@@ -224,8 +225,8 @@ std::size_t ray_towards(const RayTable& rays, const glm::vec3& direction) {
     return best;
 }
 
-/// Range offsets and intensity gains of beams belong to the sensor. Scans of this sensor
-/// must have them, scans of another sensor must not.
+/// Range offsets and intensity gains of beams belong to the sensor of the log. They must
+/// be applied to scans of this sensor, and not to scans of a different sensor.
 TEST_F(Render, LasersMeasureInTheirOwnWay) {
     const Surfels wall = wall_ahead();
     Sequence sequence = cross_sequence();
@@ -258,8 +259,8 @@ TEST_F(Render, LasersMeasureInTheirOwnWay) {
     EXPECT_EQ(scan.image.range_m[4 + behind], 0.0f) << "nothing stays nothing";
 }
 
-/// A ray whose surface lies outside the sensor's limits must be dropped. This applies to
-/// both of its ranges.
+/// A ray must be dropped if its surface lies outside the range limits of the sensor. This
+/// applies to both returns of the ray.
 TEST_F(Render, RangesBeyondTheSensorAreDrops) {
     Sequence sequence = cross_sequence();
     const Scene scene = make_background_scene(wall_ahead());
@@ -299,7 +300,7 @@ TEST_F(Render, LimitsAreTheSensorsAndTheSettings) {
     EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 80.0) << "of the grid's convention";
 }
 
-/// Returns a plate 4 m ahead that blocks 0.3 of the light, and the wall.
+/// Returns a plate 4 m ahead that blocks 30 % of the light, and the wall behind it.
 Surfels faint_plate_before_a_wall() {
     Surfels surfels = wall_ahead();
     surfels.append(wall_ahead());
@@ -308,8 +309,8 @@ Surfels faint_plate_before_a_wall() {
     return surfels;
 }
 
-/// A ray sees a faint plate in front of the wall. The mean range lies between them. The
-/// point must lie on the dominant surface, which is the wall.
+/// A ray hits a faint plate in front of the wall. The mean range lies between plate and
+/// wall. The point must lie on the dominant surface, which is the wall.
 TEST_F(Render, PointsLieOnTheDominantSurface) {
     Surfels surfels = faint_plate_before_a_wall();
     const Sequence sequence = cross_sequence();
@@ -333,8 +334,9 @@ TEST_F(Render, PointsLieOnTheDominantSurface) {
     EXPECT_EQ(faint.median_range_m[behind], 0.0f);
 }
 
-/// With two surfaces, the mean lies between them at a known distance from the farther
-/// one, for any choice of the image's range. With one surface, the spread must be zero.
+/// With two surfaces, the mean range lies between them. Its exact distance from the
+/// farther surface must be reported as the spread, for any choice of the image's range.
+/// With a single surface, the spread must be zero.
 TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     const Surfels surfels = faint_plate_before_a_wall();
     const Sequence sequence = cross_sequence();
@@ -345,8 +347,8 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     const RenderedScan plane =
         ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.0);
     EXPECT_NEAR(range_spread(plane)[ahead], 0.0f, 1e-4f);
-    // Shares of the light: 0.3 for the plate, and the remainder times the maximum opacity
-    // of a surfel for the wall.
+    // The share of the light is 0.3 for the plate. For the wall, it is the remainder
+    // times the maximum opacity of a surfel.
     const double wall = 0.7 * double(config.image.alpha_max), weight = 0.3 + wall;
     std::vector<std::string> channels = drop_channel_names(config.refine);
     std::vector<DropImage> seen;
@@ -366,8 +368,8 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     }
 }
 
-/// A sensor moves while it turns. The pose of each ray must put its point on the static
-/// wall.
+/// A sensor moves while its head turns. The pose at the firing time of each ray must put
+/// the point of the ray on the static wall.
 TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
     Sequence sequence = cross_sequence();
     sequence.lidars[0].sensor.columns = 64;
@@ -394,8 +396,9 @@ TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
     }
 }
 
-/// The normal of the wall and its incidence are known. For any orientation, motion and
-/// binning of the sensor, the normal must be in the sensor's frame and face the sensor.
+/// The test computes the normal of the wall and its incidence exactly. For any
+/// orientation, motion and binning of the sensor, the normal must be in the sensor's
+/// frame and face the sensor.
 TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
     Sequence sequence = cross_sequence();
     sequence.lidars[0].sensor.columns = 64;
@@ -442,9 +445,9 @@ TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
     EXPECT_THROW(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence), UsageError);
 }
 
-/// Returns a wall behind the sensor on its right, and a plate that is placed twice:
-/// ahead, and behind, turned to face the sensor. The plate's brightness depends on the
-/// direction.
+/// Returns a wall behind the sensor on its right, and a plate that is placed twice. The
+/// first plate is ahead of the sensor. The second plate is behind the sensor and turned
+/// to face it. The brightness of the plate depends on the direction.
 Scene two_placements(Sequence& sequence) {
     Surfels surfels;
     surfels.resize(2);
@@ -454,7 +457,9 @@ Scene two_placements(Sequence& sequence) {
                         {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f}};
     std::fill(surfels.opacity_logit.begin(), surfels.opacity_logit.end(), 6.0f);
     std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
-    surfels.sh[kShFloats + 3] = -0.5f;  // intensity along x: bright from one side, dark from the other
+    // the intensity depends on x of the ray direction: bright for one sign, dark for the
+    // opposite sign
+    surfels.sh[kShFloats + 3] = -0.5f;
     surfels.sh[kShFloats + kShCoefficients] = 20.0f;  // hit logit
     surfels.sh[kShCoefficients] = 20.0f;
     Scene scene;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests scans from poses given by the caller: walls and plates at known positions, seen
-// by a sensor on a given path.
+// Tests scans whose poses the caller specifies: walls and plates at exact positions,
+// scanned by a sensor on an exact path.
 #include <cmath>
 #include <limits>
 
@@ -16,8 +16,8 @@ constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 // origin of relidar's world in the dataset
 const glm::dvec3 kDatasetOrigin_m(455000.0, 5428000.0, 113.0);
 
-/// Returns a wall 10 m ahead of the world's origin and an actor "car", a plate of 2 m
-/// perpendicular to its x axis. Both return.
+/// Returns a wall 10 m ahead of the world's origin and an actor "car". The car is a plate
+/// of 2 m perpendicular to its x axis. Both objects have returns.
 Scene wall_and_car() {
     Scene scene;
     scene.surfels.resize(2);
@@ -33,7 +33,7 @@ Scene wall_and_car() {
     return scene;
 }
 
-/// Returns a log in which sensor and car stand still for a second.
+/// Returns a log in which sensor and car are static for a second.
 Sequence standing_log() {
     Sequence sequence;
     sequence.lidars[0].sensor.beams = {{0.0}};
@@ -109,7 +109,7 @@ TEST_F(ScanRequests, EachRayIsFiredFromWhereTheSensorIsThen) {
 TEST_F(ScanRequests, ActorsAreWhereTheCallerHasThem) {
     const PoseTrack stands{{0.0}, {at_x(0.0)}};
     EXPECT_NEAR(range_ahead({0.5, stands, ActorPoses{{"car", {{0.0}, {at_x(6.0)}}}}}), 6.0, 1e-4);
-    const double faced_s = 0.5;  // time at which a sweep at 0.5 s faces straight ahead
+    const double faced_s = 0.5;  // time at which a sweep with time stamp 0.5 s faces straight ahead
     EXPECT_NEAR(range_ahead({0.5, stands, ActorPoses{{"car", {{0.0, 1.0}, {at_x(5.0), at_x(8.0)}}}}}),
                 5.0 + 3.0 * faced_s, 1e-4);
     EXPECT_NEAR(range_ahead({70.0, stands, ActorPoses{{"car", {{0.0}, {at_x(6.0)}}}}}), 6.0, 1e-4)

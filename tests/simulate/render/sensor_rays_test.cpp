@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests a sensor's rays on the device. Firing (simulate/render/fire_rays) is compared
-// with world_ray() in double precision, measuring (simulate/render/measure_rays) with
-// Beam, limits and M6, and network channels (simulate/render/drop_channels) with
-// drop_image().
+// Tests the rays of a sensor on the device. Compares fired rays
+// (simulate/render/fire_rays) with world_ray() in double precision, measured rays
+// (simulate/render/measure_rays) with Beam, limits and M6, and network channels
+// (simulate/render/drop_channels) with drop_image().
 #include "simulate/render/sensor_rays.hpp"
 
 #include <cmath>
@@ -27,7 +27,8 @@ RayTable spinning_rays(int columns) {
     return make_rays(sensor);
 }
 
-/// Returns a track far from the origin that turns about all axes, with uneven times.
+/// Returns a track far from the origin that turns about all axes. Its poses have uneven
+/// time intervals.
 PoseTrack bend(double rad_per_s, int n) {
     PoseTrack track;
     for (int k = 0; k < n; ++k) {
@@ -55,8 +56,8 @@ double farthest_off(Device& device, const RayTable& rays, const PoseTrack& track
     return farthest;
 }
 
-/// At 400 m from the origin, neighbouring floats differ by 3e-5 m. An error of 5e-7 in a
-/// direction is 0.04 mm at 80 m.
+/// Tolerances: at 400 m from the origin, neighbouring floats differ by 3e-5 m. An error
+/// of 5e-7 in a direction is 0.04 mm at 80 m.
 TEST_F(SensorRaysTest, AreFiredFromWhereTheSensorIsThen) {
     const RayTable rays = spinning_rays(301);  // fired from -0.05 to 0.05 s
     const double tolerance = 6e-7;
@@ -76,7 +77,8 @@ TEST_F(SensorRaysTest, OnlyPosesOfTheSweepGoUp) {
     EXPECT_LE(poses.size(), 6u);
 }
 
-/// Returns random rendered rays that hit something, little or nothing, near and far.
+/// Returns random rendered rays: near and far rays with strong hits, weak hits, and no
+/// hit.
 std::vector<shared::RenderedRay> random_rendering(std::size_t n) {
     std::mt19937 random(5);
     std::uniform_real_distribution<float> uniform(0.0f, 1.0f);
@@ -167,8 +169,8 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
     }
 }
 
-/// Rays must be uploaded again if another sensor uses the same rays, or if other rays
-/// have the same size.
+/// Rays must be uploaded again if a different sensor uses the same rays, or if different
+/// rays have the same size.
 TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
     RayTable rays = spinning_rays(16);
     shared::RenderedRay wall{};

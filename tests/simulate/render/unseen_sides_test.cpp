@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the count of rays that enter a box through an unseen side. The expected counts
-// are numbers of points on a grid.
+// Tests the count of rays that enter a box through a side that the log has not observed.
+// The expected counts are numbers of points on a grid.
 #include <gtest/gtest.h>
 
 #include <relidar/simulate/render.hpp>
@@ -10,8 +10,9 @@ namespace {
 
 constexpr double kOffset_m = 500.0;
 
-/// Returns a scene with a van of 4 x 2 x 1.6 m, 10 m ahead of the origin. The log has
-/// seen its rear by the given share, and all other sides.
+/// Returns a scene with a van of 4 x 2 x 1.6 m, 10 m ahead of the origin. `rear_share` is
+/// the share of the rear that the log has observed. The log has observed all remaining
+/// sides completely.
 Scene van_scene(float rear_share) {
     Scene scene;
     scene.models = {{"background", 0, 0, {}}, {"van", 0, 0, {2.0f, 1.0f, 0.8f}}};
@@ -31,7 +32,7 @@ Sequence van_sequence() {
 }
 
 /// Returns a scan with rays to a grid of points on the plane of the van's rear, x = 8 m.
-/// The points have distances of 0.1 m. 20 x 16 of them lie on the rear.
+/// The points are 0.1 m apart. 20 x 16 of these points are on the rear.
 /// @param return_m range of all returns; 0 if no ray returns
 RenderedScan grid_scan(float return_m) {
     RenderedScan scan;

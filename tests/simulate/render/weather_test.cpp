@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests weather on full scans. Surfaces must be darker according to the formula, returns
-// from the air must be marked in every channel, and clear air must not change a bit.
+// Tests weather on complete scans. Surfaces must be darker according to the formula,
+// returns from the air must be marked in every channel, and clear air must not change any
+// bit.
 #include <algorithm>
 #include <cmath>
 
@@ -19,8 +20,8 @@ namespace {
 constexpr int kRays = 20'000;
 constexpr std::int32_t kNothing = -1, kSurface = 0, kFog = 1;
 
-/// Returns a wall from which all rays except every tenth return, with actor 3 in all
-/// channels. With two returns, both are from the panes of the wall.
+/// Returns a scan of a wall in which every tenth ray has no return. All channels have the
+/// instance 3. With two returns, both returns are from panes of the wall.
 RenderedScan wall_at(float range_m, float intensity, bool two_returns = false, int n_rays = kRays) {
     const auto n = std::size_t(n_rays);
     RenderedScan scan;
@@ -82,8 +83,8 @@ TEST(WeatherOnScans, ClearAirChangesNoBit) {
     for (std::size_t i = 0; i < kRays; ++i) ASSERT_EQ(sources_of(scan)[i], i % 10 == 0 ? kNothing : kSurface);
 }
 
-/// Also tests a sensor that reports half the brightness of the same surface at this
-/// range. The tolerance is one hundredth.
+/// Also tests a sensor that reports half the brightness for the same surface at this
+/// range. The tolerance is 0.01.
 TEST(WeatherOnScans, AWallIsDarkerByTheFormula) {
     for (const double fall : {1.0, 0.5}) {
         RenderedScan scan = wall_at(8.0f, 0.8f);
@@ -131,8 +132,8 @@ TEST(WeatherOnScans, WhatReturnsFromTheAirSaysSo) {
     EXPECT_GT(fog, kRays / 2);
 }
 
-/// Through 40 m of fog and back, 2e-2 of the light remains. The wall's 3e-3 are below the
-/// weakest return.
+/// After 40 m of fog in both directions, 2e-2 of the light remains. The wall has a power
+/// of 3e-3, which is below the weakest detectable return.
 TEST(WeatherOnScans, WhatIsTooWeakIsDropped) {
     WeatherSensor sensor;
     sensor.min_range_m = 39.9;  // excludes returns of the fog
@@ -173,7 +174,8 @@ TEST(WeatherOnScans, SecondReturnsSayWhyTheyAreThere) {
     }
 }
 
-/// Threads process blocks of 4096 rays, so that fewer rays use a single thread.
+/// Threads process blocks of 4096 rays, so that a scan with fewer rays uses only a single
+/// thread.
 TEST(WeatherOnScans, TheSameSeedIsTheSameOnAnyNumberOfThreads) {
     const Weather weather{.fog_visibility_m = 100.0, .rain_mm_h = 20.0};
     RenderedScan a = wall_at(40.0f, 0.1f), b = a, other = a, by_one = wall_at(40.0f, 0.1f, false, 4096);
@@ -205,8 +207,8 @@ protected:
     Config config;
 };
 
-/// Weather needs the brightness of surfaces. Without intensities, the air would be
-/// brighter than everything and must be rejected.
+/// Weather needs the brightness of surfaces. In a log without intensities, the air would
+/// be brighter than all surfaces, so the request must be rejected.
 TEST_F(RenderedWeather, NeedsALogWithIntensities) {
     ScanRenderer renderer(device(), scene, config, log);
     IntensityScatter scatter{.nodes = {{.first = 0, .count = 2}}, .values = {0.0f, 0.0f}};

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests wet roads: level ground of constant brightness and a wall whose mirror image is
-// known.
+// Tests wet roads: level ground of constant brightness and a wall whose mirror image has
+// an exact position.
 #include <algorithm>
 #include <cmath>
 
@@ -16,7 +16,7 @@ namespace {
 
 class WetGroundOnScans : public test::DeviceTest {};
 
-/// Returns a level disc that returns, of intensity 0.5 + 0.28 times the coefficient.
+/// Returns a level disc with returns of intensity 0.5 + 0.28 times the coefficient.
 Surfels disc_of(float scale_m, float coefficient) {
     Surfels disc;
     disc.resize(1);
@@ -30,8 +30,8 @@ Surfels disc_of(float scale_m, float coefficient) {
     return disc;
 }
 
-/// Returns dark level ground half a metre below the sensor, made of opaque discs at
-/// intervals of 1 m, and a wall of intensity 0.5 on it, 12 m ahead.
+/// Returns dark level ground half a metre below the sensor, built from opaque discs at
+/// intervals of 1 m. A wall of intensity 0.5 stands on the ground, 12 m ahead.
 Surfels ground_before_wall() {
     Surfels scene = disc_of(3.0f, 0.0f), disc = disc_of(0.5f, -1.4f);
     scene.mean[0] = {12.0f, 0.0f, -0.5f};
@@ -45,7 +45,7 @@ Surfels ground_before_wall() {
     return scene;
 }
 
-/// Returns a log with eight beams that look down by 3.6 to 5.7 degrees.
+/// Returns a log of a sensor with eight beams that point down by 3.6 to 5.7 degrees.
 Sequence sequence_looking_down() {
     Sequence sequence;
     sequence.lidars[0].sensor.columns = 360;
@@ -57,8 +57,8 @@ Sequence sequence_looking_down() {
     return sequence;
 }
 
-/// If the ground mirrors a ray onto the wall, the point must lie on the wall's mirror
-/// image, on the straight line below the ground. This happens if the mirrored light of
+/// If the ground mirrors a ray onto the wall, the point must lie on the mirror image of
+/// the wall, on the straight line below the ground. This happens if the mirrored light of
 /// the wall is stronger than the light of the ground, which water darkens.
 TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
     const Config config;
@@ -90,7 +90,8 @@ TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
             ASSERT_EQ(wet.median_range_m[i], dry.median_range_m[i]);
             ASSERT_NEAR(wet.image.intensity[i] / dry.image.intensity[i],
                         wet_over_dry(-double(d.z), double(dry.image.intensity[i])),
-                        // near the foot of the wall, the estimated ground is tilted
+                        // close to the foot of the wall, the tolerance is larger, because
+                        // the estimated ground is tilted
                         ground_m * double(d.x) < 6.0 ? 1e-3 : 0.05)
                 << i;
         }

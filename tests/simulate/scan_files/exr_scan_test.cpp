@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that a rendering written as EXR can be read as a scan of a plain folder.
+// Tests that a rendering that was written as EXR can be read as a scan of a plain folder.
 #include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>
@@ -16,7 +16,8 @@ namespace {
 
 using ExrScans = TemporaryFolder;
 
-/// Returns four rays of two beams. One is dropped, another has a second return.
+/// Returns four rays of two beams. A ray is dropped, and a different ray has a second
+/// return.
 RenderedScan four_rays() {
     RenderedScan scan;
     scan.image.rows = 1, scan.image.columns = 4;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the points in files of a scan by a moving sensor. The pose in the file must
-// transform deskewed points to the world; points in the world need no transform. The scan
-// is made from world positions that each ray must hit.
+// transform deskewed points to the world. Points in the world need no transform. The test
+// computes the scan from world positions that each ray must hit.
 #include <cstring>
 #include <sstream>
 
@@ -25,8 +25,8 @@ const std::vector<glm::dvec3>& places() {
     return points;
 }
 
-/// Returns a scan at 16 m/s and 40 degrees per second: 0.8 m and 2 degrees before and
-/// after the scan's time.
+/// Returns a scan of a sensor that moves at 16 m/s and turns by 40 degrees per second.
+/// The pose changes by 0.8 m and 2 degrees before and after the time of the scan.
 RenderedScan lane_change() {
     RenderedScan scan;
     for (int i = 0; i <= 4; ++i) {
@@ -60,8 +60,8 @@ glm::dvec3 point(const std::vector<float>& numbers, std::size_t i) {
     return {numbers[i], numbers[i + 1], numbers[i + 2]};
 }
 
-/// Returns the points of a file whose header ends with a text; the records begin with x y
-/// z.
+/// Returns the points that follow the header of a file. The header ends with a text, and
+/// each record starts with x y z.
 std::vector<glm::dvec3> points_behind(const std::filesystem::path& path, const std::string& end_of_header) {
     const std::string bytes = contents(path);
     const std::size_t begin = end_of_header.empty() ? 0 : bytes.find(end_of_header) + end_of_header.size();
@@ -75,7 +75,7 @@ std::vector<glm::dvec3> points_behind(const std::filesystem::path& path, const s
     return points;
 }
 
-/// Returns the numbers of a line in a file's header.
+/// Returns the numbers that follow a text in the header of a file.
 std::vector<double> numbers_behind(const std::string& text, const std::string& name) {
     std::istringstream line(text.substr(text.find(name) + name.size()));
     std::vector<double> numbers;
@@ -83,7 +83,7 @@ std::vector<double> numbers_behind(const std::string& text, const std::string& n
     return numbers;
 }
 
-/// Returns the pose of a matrix in row-major order.
+/// Returns the pose for a matrix in row-major order.
 Pose pose_of(const std::vector<double>& m) {
     const glm::dmat3 columns(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]);
     return {glm::quat_cast(columns), {m[3], m[7], m[11]}};
@@ -109,8 +109,9 @@ protected:
             EXPECT_LT(glm::distance(world_from_points * points[i], places()[i]), kTolerance_m)
                 << what << ", point " << i;
     }
-    /// @param world_from_points returns the transform of a file's points, given the pose
-    /// in the file
+    /// Checks the points in all files.
+    /// @param world_from_points function that returns the transform of a file's points,
+    /// computed from the pose in the file
     void expect_all(const std::function<Pose(const Pose&)>& world_from_points) const {
         const auto arrays = read_npz(file("npz"));
         const Pose of_npz = pose_of(find_array(arrays, "pose")->as_double());
@@ -149,8 +150,8 @@ TEST_F(PlacedScans, PointsOfTheWorldAreThere) {
     expect_all([](const Pose&) { return Pose{}; });
 }
 
-/// A channel with values for second returns must be a separate array in npz and exr, and
-/// values of the second points in ply.
+/// If a channel has values for second returns, npz and exr must store them in a separate
+/// array. PLY must store them with the second points.
 TEST_F(PlacedScans, SecondReturnsHaveTheirOwnValues) {
     RenderedScan scan = lane_change();
     scan.second_returns = {{{40.0f, 0.0f, 0.0f, 41.0f}, {0.1f, 0.0f, 0.0f, 0.1f}}};

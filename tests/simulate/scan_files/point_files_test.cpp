@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// PLY, PCD and KITTI .bin files, read back by a reader of ten lines: header lines as
-// documented, then packed records.
+// Tests PLY, PCD and KITTI .bin files. A small reader of ten lines reads them back:
+// header lines as documented, then packed records.
 #include <relidar/simulate/point_files.hpp>
 
 #include <cstring>
@@ -26,7 +26,8 @@ Points some_cloud() {
     return cloud;
 }
 
-/// Header lines up to and including the last one, and what follows.
+/// Header lines of a point file, including the last header line, and the bytes that
+/// follow.
 struct Parsed {
     std::vector<std::string> header;
     std::string body;

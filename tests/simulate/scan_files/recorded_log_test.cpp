@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests that recordings written by relidar can be read as logs with the same points,
-// rings, times, poses and actors. The sensor is mounted on a vehicle that drives a curve
-// and has second returns.
+// rings, times, poses and actors. The sensor has second returns and is mounted on a
+// vehicle that drives a curve.
 #include <algorithm>
 #include <cmath>
 
@@ -32,8 +32,8 @@ PoseTrack way() {
     return track;
 }
 
-/// Returns ranges of an uneven room. Every twelfth ray is dropped, every fifth has a
-/// second return.
+/// Returns a scan of an uneven surface around the sensor. Every twelfth ray is dropped,
+/// and every fifth ray has a second return.
 RenderedScan room(double time_s) {
     RenderedScan scan;
     scan.image.rows = kRows, scan.image.columns = kColumns;
@@ -95,8 +95,8 @@ std::vector<SeenPoint> truth() {
     return points;
 }
 
-/// Returns the points of a log that was read.
-/// @param zero_s time zero of the log in the recording
+/// Returns the points of a log that was read from a recording.
+/// @param zero_s time in the recording at which the time of the log is zero
 std::vector<SeenPoint> read_again(const Sequence& log, double zero_s) {
     std::vector<SeenPoint> points;
     const PoseTrack track = shifted_track(log.world_from_sensor(0), log.world_offset_m);
@@ -119,8 +119,8 @@ std::vector<SeenPoint> read_again(const Sequence& log, double zero_s) {
     return points;
 }
 
-/// Returns a car that drives a curve and exists from the second scan on, and a static
-/// object.
+/// Returns two actors: a car that drives a curve and exists from the second scan on, and
+/// a static object.
 std::vector<BoxTrack> actors() {
     BoxTrack car{"car 7", "Car", {4.2, 1.8, 1.5}, {}}, bin{"bin", "Bin", {0.7, 0.6, 1.1}, {}};
     for (int i = 0; i <= 40; ++i) {
@@ -134,8 +134,8 @@ std::vector<BoxTrack> actors() {
     return {car, bin};
 }
 
-/// Returns the time at which the head of a sweep faces a box. The head turns from behind
-/// over the left to the right once per period, and faces ahead at time_s.
+/// Returns the time at which the head of a sweep faces a box. Once per period, the head
+/// turns from behind over the left to the right. It faces ahead at time_s.
 double faced_at(const BoxTrack& box, double time_s) {
     double faced_s = time_s;
     for (int round = 0; round < 20; ++round) {
@@ -146,7 +146,8 @@ double faced_at(const BoxTrack& box, double time_s) {
     return faced_s;
 }
 
-/// @param moved_m offset of the read positions from the written ones
+/// Compares the boxes of the log with the boxes that were written.
+/// @param moved_m offset of the read positions from the written positions
 void expect_actors(const Sequence& log, const glm::dvec3& moved_m) {
     SCOPED_TRACE(testing::PrintToString(log.notes));
     ASSERT_EQ(log.boxes.size(), 2u);
@@ -191,9 +192,10 @@ void expect_same(const Sequence& log, bool has_second) {
         ASSERT_EQ(found[i].second, wanted[i].second) << i;
         ASSERT_NEAR(found[i].time_s, wanted[i].time_s, 2e-6) << i;
         ASSERT_NEAR(found[i].intensity, wanted[i].intensity, 1e-6) << i;
-        // Poses of frames alone would be too coarse. At 10 m/s in a curve of 0.5 rad/s,
-        // the chord of 0.1 s deviates by 6 mm, and extrapolation after the last frame by
-        // 5 cm. The recording has a pose every 10 ms, whose chords deviate by 0.1 mm.
+        // Poses of frames would be too coarse. At 10 m/s in a curve of 0.5 rad/s, the
+        // chord of 0.1 s deviates by 6 mm, and extrapolation after the last frame by 5
+        // cm. The recording has a pose every 10 ms. The chords of these poses deviate by
+        // only 0.1 mm.
         ASSERT_LT(glm::distance(found[i].world_m, wanted[i].world_m), 3e-4) << i;
     }
 }
@@ -214,8 +216,8 @@ TEST_F(RecordedLog, OfEitherKindIsTheSameLog) {
     }
 }
 
-/// Returns a car that drives at 5 m/s to the right of and behind a static sensor, where
-/// the head turns last.
+/// Returns a car that drives at 5 m/s to the right of and behind a static sensor, where a
+/// sweep of the head ends.
 BoxTrack car_behind() {
     BoxTrack car{"car", "Car", {4.2, 1.8, 1.5}, {}};
     for (int i = 0; i <= 10; ++i) {
@@ -225,8 +227,8 @@ BoxTrack car_behind() {
     return car;
 }
 
-/// Returns the distance at which a ray enters a box around the origin, or 0 if it misses
-/// the box.
+/// Returns the distance from the ray's origin to the point where the ray enters a box
+/// around the origin of the frame. Returns 0 if the ray misses the box.
 double entry_m(const glm::dvec3& origin_m, const glm::dvec3& direction, const glm::dvec3& size_m) {
     double enters_m = 0.0, leaves_m = 1e9;
     for (int axis = 0; axis < 3; ++axis) {
@@ -237,7 +239,8 @@ double entry_m(const glm::dvec3& origin_m, const glm::dvec3& direction, const gl
     return enters_m < leaves_m ? enters_m : 0.0;
 }
 
-/// Returns a scan of the car alone. Each ray sees the car at its firing time.
+/// Returns a scan that contains only the car. Each ray hits the position of the car at
+/// the firing time of the ray.
 RenderedScan scan_of_car(double time_s) {
     RenderedScan scan = room(time_s);
     scan.second_returns.clear();
@@ -256,7 +259,7 @@ RenderedScan scan_of_car(double time_s) {
 }
 
 /// Points of a moving car must lie in its box. The box at the time of each point must
-/// contain it exactly.
+/// contain the point exactly.
 TEST_F(RecordedLog, BoxesHoldThePointsOfMovingActors) {
     ScanFormat format;
     format.formats = {"mcap", "rosbag"};

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests recordings as files: they must be created completely or not at all, their index
-// must be correct, and times that cannot be stored must be handled.
+// Tests recordings as files. They must be created completely or not at all, and their
+// index must be correct. Also tests times that cannot be stored.
 // tests/tools/recordings_test.sh reads the messages with other programs.
 #include <cstring>
 #include <map>
@@ -22,8 +22,8 @@ using testing::UnorderedElementsAre;
 
 constexpr const char* kMagic = "\x89MCAP0\r\n";
 
-/// Returns a scan of two rays ahead with returns, one of them with a second return. They
-/// are fired before and after the scan's time.
+/// Returns a scan of two rays that point ahead. Both rays have a return, and one ray has
+/// a second return. They are fired before and after the time of the scan.
 RenderedScan two_rays(double time_s) {
     RenderedScan scan;
     scan.image = {1,
@@ -54,8 +54,8 @@ struct Record {
     std::size_t begin, body, end;  ///< positions in the file
 };
 
-/// Returns the records of a file or of a chunk, by code.
-/// @param at begin of the first record
+/// Returns the records of a file or of a chunk, by record code.
+/// @param at start of the first record
 std::multimap<int, Record> records(const std::string& bytes, std::size_t at, std::size_t end) {
     std::multimap<int, Record> found;
     while (at < end) {

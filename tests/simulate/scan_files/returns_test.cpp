@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that every format contains the same number of returns of a scan, with a network
-// that predicts a return for every ray.
+// Tests that every file format contains the same number of returns of a scan. Uses a
+// network that predicts a return for every ray.
 #include <cmath>
 #include <cstring>
 #include <map>
@@ -24,7 +24,7 @@ namespace {
 constexpr int kBeams = 16, kSteps = 256;
 constexpr double kHeight_m = 3.0;  // height of the sensor above a plate of 4 m
 
-/// Returns how many rays of a sensor hit a round plate on the ground below it.
+/// Returns the number of rays that hit a round plate on the ground below the sensor.
 std::size_t rays_onto_plate(const RayTable& rays, double radius_m) {
     std::size_t n = 0;
     for (const glm::vec3& d : rays.direction)
@@ -70,7 +70,9 @@ std::string message_on(const std::string& bytes, const std::string& topic) {
                 channel = value_at<std::uint16_t>(bytes, body);
             if (kind == 5 && channel == value_at<std::uint16_t>(bytes, body))
                 return bytes.substr(body + 22, next - body - 22);
-            if (kind == 6) {  // a chunk: times, sizes, the compression's name and the records
+            // A chunk record (code 6) contains times, sizes, the name of the compression
+            // and the records.
+            if (kind == 6) {
                 const std::size_t inside = body + 28 + 4 + value_at<std::uint32_t>(bytes, body + 28) + 8;
                 if (std::string found = self(inside, next, self); !found.empty()) return found;
             }
@@ -116,8 +118,8 @@ std::size_t points_of_foxglove(const std::string& message) {
     return stride == 0 ? 0 : n_bytes / stride;
 }
 
-/// Counts the pixels of the first image (the ranges) whose colour differs from the first
-/// pixel, which shows the sky.
+/// Counts the pixels of the first image (the ranges) whose colour differs from the colour
+/// of the first pixel, which is sky.
 std::size_t shown_pixels(const std::filesystem::path& path) {
     png_image description{};
     description.version = PNG_IMAGE_VERSION;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests weather along single rays against closed forms and the integrals of its models,
-// which are implemented here again from the literature.
+// Tests weather along single rays. Compares it with closed forms and with the integrals
+// of its models, which this file implements separately from the literature.
 #include <algorithm>
 #include <cmath>
 #include <functional>
@@ -64,7 +64,7 @@ TEST(Weather, IsReadAsItIsWritten) {
         EXPECT_EQ(to_text(parse_weather(text)), text);
 }
 
-/// Each example of an effect must be weather with this effect.
+/// Each example of an effect in the table must be weather that has this effect.
 TEST(Weather, EachRowOfTheTableIsComplete) {
     for (const WeatherEffect* effect : kWeatherEffects) {
         EXPECT_NE(weather_help().find(effect->form), std::string::npos) << effect->form;
@@ -128,8 +128,8 @@ TEST(Weather, FogLeavesATwentiethAfterItsVisibility) {
     EXPECT_EQ(extinction({}), 0.0);
 }
 
-/// The extinction must be twice the shadow area of all particles. Integrates over their
-/// diameters by small steps.
+/// The extinction must be twice the total cross-section area of all particles. The test
+/// integrates over the particle diameters in small steps.
 TEST(Weather, ParticlesTakeTwiceTheirShadow) {
     const auto shadows = [](double n0, double slope, double widening) {
         double sum = 0.0;
@@ -148,7 +148,7 @@ TEST(Weather, ParticlesTakeTwiceTheirShadow) {
     }
 }
 
-/// The extinction of rain must agree with measurements of optical links: 1.076 R^0.67
+/// The extinction of rain must agree with measurements on optical links: 1.076 R^0.67
 /// dB/km (Carbonneau; ITU-R P.1814).
 TEST(Weather, RainIsAsThickAsMeasured) {
     for (const double rate : {5.0, 25.0, 80.0}) {
@@ -173,9 +173,9 @@ TEST(Weather, AWallIsDarkerByTheFormula) {
     }
 }
 
-/// A target of 10 % is visible up to the range where 0.1 exp(-2 alpha R) / R^2 equals the
-/// weakest power: R = W(alpha sqrt(0.1 / weakest)) / alpha. The last return is one of
-/// two.
+/// A target of 10 % is visible up to the range R at which 0.1 exp(-2 alpha R) / R^2
+/// equals the weakest power: R = W(alpha sqrt(0.1 / weakest)) / alpha. The ray has two
+/// returns, and the target is the last return.
 TEST(Weather, ATenthVanishesWhereItsPowerDoes) {
     for (const double visibility_m : {30.0, 50.0, 150.0, 400.0}) {
         const WeatherSensor sensor = sensor_to(100.0);
@@ -192,7 +192,8 @@ TEST(Weather, ATenthVanishesWhereItsPowerDoes) {
     }
 }
 
-/// Expected distribution of range and power of the strongest return in free air.
+/// Expected distribution of range and power of the strongest return from the air, without
+/// a surface.
 class FreeAir {
 public:
     FreeAir(const Weather& weather, const WeatherSensor& sensor)
@@ -204,8 +205,9 @@ public:
         from_.resize(ranges_m_.size());
         none_stronger_.resize(levels_.size());
     }
-    /// Computes the distribution for particles. brighter(r, q) is the number of particles
-    /// per metre at range r with a return stronger than q.
+    /// Computes the distribution for particles.
+    /// @param brighter brighter(r, q) is the number of particles per metre at range r
+    /// whose return is stronger than q
     void of_particles(const std::function<double(double, double)>& brighter) {
         std::vector<std::vector<double>> n(levels_.size());
         for (std::size_t i = 0; i < levels_.size(); ++i) {
@@ -218,9 +220,9 @@ public:
             for (std::size_t k = 0; k < ranges_m_.size(); ++k)
                 from_[k] += (n[i][k] - n[i + 1][k]) * 0.5 * (none_stronger_[i] + none_stronger_[i + 1]);
     }
-    /// Computes the distribution for one return per section of the ray, at a random
-    /// position. Its power is log-normal with mean 1, times mean(r). Sections end at
-    /// cells.
+    /// Computes the distribution if each section of the ray has a return at a random
+    /// position. The power of the return is log-normal with mean 1, times mean(r).
+    /// Sections end at cells.
     void of_stretches(std::size_t cells, const std::function<double(double)>& mean) {
         const std::size_t n = ranges_m_.size() / cells;
         // P(power < level)
@@ -272,7 +274,7 @@ double deviation(const std::vector<double>& counts, const std::vector<double>& p
     return (std::cbrt(chi2 / f) - (1.0 - spread)) / std::sqrt(spread);
 }
 
-constexpr double kMostDeviation = 3.5;  // exceeded by chance once in 4000 times
+constexpr double kMostDeviation = 3.5;  // exceeded by chance in 1 of 4000 cases
 
 void FreeAir::expect_as(const Air& air, PointSource source) const {
     std::vector<double> ranges(from_.size() + 1), powers(levels_.size()), from = from_,
@@ -330,8 +332,8 @@ TEST(Weather, SnowReturnsAsItsIntegral) {
     model.expect_as(air_of({.snow_mm_h = rate}, sensor), PointSource::snow);
 }
 
-/// Compares with the integral of fog over the pulse by Simpson's rule. A pulse is 6 m
-/// long, so that a section of 3 m ends at a cell.
+/// Compares with the integral of fog over the pulse, computed by Simpson's rule. A pulse
+/// is 6 m long, so that a section of 3 m ends at the border of a cell.
 TEST(Weather, FogReturnsAsItsIntegral) {
     for (const double visibility_m : {50.0, 200.0}) {
         WeatherSensor sensor = sensor_to(61.0);
@@ -353,19 +355,19 @@ TEST(Weather, FogReturnsAsItsIntegral) {
     }
 }
 
-/// Returns a sensor that reports surfaces as bright as 0.0025 in clear air at any range,
-/// like KITTI's HDL-64E. Its intensities have steps of 0.01 and are 0 down to the
-/// shortest ranges.
+/// Returns a sensor that in clear air detects surfaces with a brightness of at least
+/// 0.0025 at any range, like KITTI's HDL-64E. Its intensities have steps of 0.01 and are
+/// 0 down to the shortest ranges.
 WeatherSensor sensor_with_time_control() {
     WeatherSensor sensor = sensor_to(80.0);
     sensor.weakest_reflectivity = 0.0025;
     return sensor;
 }
 
-/// Returns the probability of a return from free air, by closed forms in double. Fog:
-/// mean power over a pulse that is short relative to the range, in sections of half a
-/// pulse, each log-normal with mean 1. Rain: a Poisson process of the drops that are
-/// bright enough.
+/// Returns the probability of a return from the air without a surface, by closed forms in
+/// double. For fog, the mean power over a pulse that is short relative to the range is
+/// divided into sections of half a pulse. The power of each section is log-normal with
+/// mean 1. For rain, the drops that are bright enough form a Poisson process.
 double false_returns(const Weather& weather, double reflectivity) {
     const double alpha = extinction(weather), slope = 4.1 * std::pow(weather.rain_mm_h, -0.21),
                  half_pulse_m = 0.5 * 299792458.0 * 6e-9;
@@ -415,8 +417,8 @@ TEST(ThinWeather, ReturnsAsTheClosedForm) {
     }
 }
 
-/// Thicker weather must leave fewer surfaces. The total number of returns must not exceed
-/// that in clear air by more than the reported returns of the air.
+/// With thicker weather, fewer surfaces must be detected. The total number of returns may
+/// exceed the number in clear air only by the reported returns from the air.
 TEST(ThinWeather, MoreOfItLeavesFewerSurfaces) {
     const WeatherSensor sensor = sensor_with_time_control();
     const auto count = [&](const Weather& weather) {
@@ -448,8 +450,9 @@ TEST(ThinWeather, MoreOfItLeavesFewerSurfaces) {
     EXPECT_LT(rain_before, clear - 200);
 }
 
-/// A surface with intensity 0 in the log has a brightness that is uniform in 0.0025 to
-/// 0.01. Weather that leaves the share A of its light hides surfaces below 0.0025 / A.
+/// A surface with intensity 0 in the log has a brightness that is uniformly distributed
+/// from 0.0025 to 0.01. If the share A of its light passes the weather, surfaces below
+/// 0.0025 / A are hidden.
 TEST(ThinWeather, HidesAsManyDarkSurfacesAsTheClosedForm) {
     for (const double rain_mm_h : {5.0, 25.0, 100.0})
         for (const double range_m : {20.0, 50.0}) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests water on the ground along single rays: Fresnel's equations, the sum over all
-// bounces in the film, and mirrored echoes.
+// reflections inside the water film, and mirrored echoes.
 #include <cmath>
 #include <functional>
 
@@ -18,7 +18,7 @@ using test::air_with, test::ray_to;
 WeatherSensor sensor_to_80_m() { return {.max_range_m = 80.0, .darkest = 0.005}; }
 Echo ground_at(double range_m, double reflectivity) { return {range_m, reflectivity, PointSource::surface}; }
 
-/// Returns the integral of 2 c f(c) over cosines, which is the mean over a diffuse
+/// Returns the integral of 2 c f(c) over the cosine c, which is the mean over a diffuse
 /// surface.
 double mean_over_dull(const std::function<double(double)>& f) {
     double sum = 0.0;
@@ -30,16 +30,17 @@ TEST(WetGround, WaterMirrorsAsFresnelSays) {
     constexpr double n = 1.33;
     EXPECT_NEAR(mirrored_by_water(1.0), std::pow((n - 1.0) / (n + 1.0), 2), 1e-12);
     EXPECT_NEAR(mirrored_by_water(0.0), 1.0, 1e-12);
-    // at this angle, only light polarised across the plane of incidence is reflected
+    // At Brewster's angle, only light that is polarised perpendicular to the plane of
+    // incidence is reflected.
     const double brewster = std::cos(std::atan(n));
     EXPECT_NEAR(mirrored_by_water(brewster), 0.5 * std::pow((n * n - 1.0) / (n * n + 1.0), 2), 1e-12);
     EXPECT_NEAR(mean_over_dull(mirrored_by_water), 0.066, 0.001)
         << "the diffuse reflectance of water in tables";
 }
 
-/// Compares with the sum over all bounces between the ground and the surface of the water
-/// film. The light kept inside is an integral over directions in water with total
-/// reflection, which the closed form does not use.
+/// Compares with the sum over all reflections between the ground and the surface of the
+/// water film. The light that is reflected back into the water is an integral over
+/// directions with total reflection. The closed form does not use this integral.
 TEST(WetGround, IsDarkerByTheSumOfItsBounces) {
     constexpr double n = 1.33;
     const auto kept_inside = [](double in_water) {
@@ -64,7 +65,7 @@ TEST(WetGround, IsDarkerByTheSumOfItsBounces) {
 /// The weakest return has a reflectivity of 0.005 at 80 m.
 TEST(WetGround, WhatIsTooDarkLeavesToWhatItMirrors) {
     const Echo ground = ground_at(40.0, 0.1), mirrored{60.0, 0.5, PointSource::mirror};
-    // 0.001 at 40 m, which is less than the weakest return there, 0.00125
+    // the power is 0.001 at 40 m, which is less than the weakest detectable power 0.00125
     const RayEchoes seen = air_with(sensor_to_80_m(), mirrored, 0.5, 0.01).look(ray_to(ground, 40.0), 1);
     EXPECT_EQ(seen.strongest.source, PointSource::mirror);
     EXPECT_EQ(seen.strongest.range_m, 60.0);

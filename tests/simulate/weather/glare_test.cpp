@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the sun and stray light along single rays against closed forms and the statistics
-// of their models.
+// Tests sunlight and stray light along single rays. Compares them with closed forms and
+// the statistics of their models.
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -18,8 +18,8 @@ namespace {
 constexpr int kPulses = 100'000;
 constexpr double kDegree = kPi / 180.0, kLight_m_s = 299792458.0;
 
-/// Returns a sensor whose weakest return has a reflectivity of 0.005 at 60 m. Its pulse
-/// is 6 m long.
+/// Returns a sensor with pulses of 6 m length that detects a reflectivity of at least
+/// 0.005 at 60 m.
 WeatherSensor sensor_to_60_m() {
     WeatherSensor sensor;
     sensor.max_range_m = 60.0, sensor.darkest = 0.005, sensor.pulse_s = 6.0 / kLight_m_s;
@@ -28,14 +28,15 @@ WeatherSensor sensor_to_60_m() {
 
 using test::air_with, test::ray_to;
 
-/// Returns the air of a ray that points at an angle to the sun.
+/// Returns the air for a ray whose direction differs from the direction of the sun by an
+/// angle.
 Air air_beside_sun(double off_deg, double klux, const WeatherSensor& sensor, float hides_sun = 0.0f) {
     return test::air_of({.sun = {off_deg, 0.0, klux}}, sensor, hides_sun);
 }
 Echo surface_at(double range_m, double reflectivity) { return {range_m, reflectivity, PointSource::surface}; }
 
 /// Returns chi^2 of counts against expected counts, as a standard normal deviate (Wilson
-/// and Hilferty 1931). It exceeds -4 to 4 once in 16,000 times by chance.
+/// and Hilferty 1931). By chance, it is outside -4 to 4 in 1 of 16,000 cases.
 double chi2_deviate(const std::vector<double>& counts, const std::vector<double>& expected) {
     double chi2 = 0.0;
     for (std::size_t k = 0; k < counts.size(); ++k)
@@ -44,8 +45,9 @@ double chi2_deviate(const std::vector<double>& counts, const std::vector<double>
     return (std::cbrt(chi2 / f) - (1.0 - spread)) / std::sqrt(spread);
 }
 
-/// Compares with photons counted by hand: 0.65 W/m^2/nm through 20 nm, 1e-3 m^2 and
-/// 7.07e-6 sr. About 10 nJ of light make the electrons of a pulse.
+/// Compares with photons counted by hand: 0.65 W/m^2/nm through a filter of 20 nm, an
+/// aperture of 1e-3 m^2 and 7.07e-6 sr. About 10 nJ of light produce the electrons of a
+/// pulse.
 TEST(Sunlight, IsShotNoiseOfItsPhotons) {
     WeatherSensor sensor;
     sensor.divergence_rad = 0.003, sensor.pulse_s = 6e-9;
@@ -69,8 +71,8 @@ TEST(Sunlight, IsShotNoiseOfItsPhotons) {
         << "something is before it";
 }
 
-/// Compares with Rice's rate of level crossings, integrated over the time in which
-/// returns arrive.
+/// Compares the rate of false returns with Rice's rate of level crossings, integrated
+/// over the time in which the sensor accepts returns.
 TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
     const WeatherSensor sensor = sensor_to_60_m();
     const double seconds = 2.0 * (60.0 - 1.0) / kLight_m_s;
@@ -95,9 +97,9 @@ TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
     }
 }
 
-/// Noise hides a target of power S if it is stronger, in 1 - exp(-N exp(-S^2 / 2
-/// sigma^2)) of the scans, where N is the number of noise crests. Half of the targets are
-/// hidden at R = sqrt(rho / S), S = sigma sqrt(2 ln(N / ln 2)).
+/// Noise of sunlight hides a target of power S if the noise is stronger. This happens in
+/// 1 - exp(-N exp(-S^2 / 2 sigma^2)) of the scans, where N is the number of noise crests.
+/// Half of the targets are hidden at R = sqrt(rho / S), S = sigma sqrt(2 ln(N / ln 2)).
 TEST(Sunlight, HidesWeakTargets) {
     WeatherSensor sensor = sensor_to_60_m();
     sensor.darkest = 0.0005;
@@ -140,7 +142,7 @@ TEST(Sunlight, ElsewhereChangesNothing) {
     }
 }
 
-/// A reflectivity of 0.002 at 4 m is as bright as 0.05 at 20 m.
+/// A reflectivity of 0.002 at 4 m has the same power as a reflectivity of 0.05 at 20 m.
 TEST(StrayLight, WinsOverWhatIsWeaker) {
     const WeatherSensor sensor = sensor_to_60_m();
     Echo stray{4.0, 0.002, PointSource::blooming};

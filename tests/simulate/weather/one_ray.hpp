@@ -10,7 +10,7 @@
 
 namespace relidar::test {
 
-/// Effect that adds the same echo to every ray and makes every surface darker.
+/// Weather effect that adds the same echo to every ray and makes every surface darker.
 class GivenEcho : public EffectOnRays {
 public:
     GivenEcho(const WeatherSensor& sensor, const Echo& echo, double transmission, double through_water)
@@ -26,7 +26,7 @@ private:
     const double transmission_, through_water_;
 };
 
-/// Returns clear air with an effect that adds an echo.
+/// Returns clear air with an additional effect that adds an echo.
 inline Air air_with(const WeatherSensor& sensor, const Echo& echo, double transmission = 1.0,
                     double through_water = 1.0) {
     std::vector<std::unique_ptr<EffectOnRays>> effects;
@@ -34,7 +34,7 @@ inline Air air_with(const WeatherSensor& sensor, const Echo& echo, double transm
     return {{}, sensor, std::move(effects)};
 }
 
-/// Returns air for a scan with a single ray along the x axis.
+/// Returns the air of a scan that has a single ray along the x axis.
 /// @param hides_sun alpha of the surfaces between the sensor and the sun
 inline Air air_of(const Weather& weather, const WeatherSensor& sensor = {}, float hides_sun = 0.0f) {
     RenderedScan scan;

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The few calls of CARLA's Python interface that tools/examples/carla_lidar.py makes, in front of a world of an ego vehicle and two cars.
-CARLA's frames are left-handed: x forward, y to the right, z up, angles in degrees, yaw to the right, pitch up."""
+"""Implements the few calls of CARLA's Python interface that tools/examples/carla_lidar.py makes.
+The world has an ego vehicle and two cars. CARLA's frames are left-handed: x forward, y to the
+right, z up, angles in degrees, yaw to the right, pitch up."""
 import fnmatch
 import math
 
@@ -38,10 +39,10 @@ class BoundingBox:
 
 
 def transform_of(id, t):
-    """None where the actor is not there."""
-    if id == EGO:   # 6 m/s, turning to the right
+    """Returns the transform of an actor at a time, or None if the actor is absent."""
+    if id == EGO:   # drives at 6 m/s and turns to the right
         return Transform(Location(6.0 * t, 0.5 * t, 0.0), Rotation(yaw=20.0 * t))
-    if id == CAR and t > 0.12:   # drives on a little to the right of the ego's way
+    if id == CAR and t > 0.12:   # drives slightly to the right of the ego vehicle's path
         return Transform(Location(9.0 + 5.0 * t, 3.0, 0.0), Rotation(yaw=15.0))
     if id == PASSING and 0.22 < t < 0.42:
         return Transform(Location(8.0, -3.0, 0.0), Rotation(yaw=180.0))

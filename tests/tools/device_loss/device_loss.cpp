@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// A Vulkan layer under which the device is lost after RELIDAR_LOSE_DEVICE_AFTER
-// submissions, as where a card hangs or its driver is restarted: each later one is
-// answered with VK_ERROR_DEVICE_LOST. For one instance and one device a process.
+// Implements a Vulkan layer that simulates a lost device. After RELIDAR_LOSE_DEVICE_AFTER
+// submissions, each further submission returns VK_ERROR_DEVICE_LOST, as if the GPU had
+// hung or its driver had restarted. Supports a single instance and a single device per
+// process.
 #include <atomic>
 #include <cstdlib>
 #include <string_view>
@@ -21,8 +22,8 @@ struct Next {
 
 std::atomic<long> submissions_left{0};
 
-/// The entry of a chain by which a layer finds what comes after it. @tparam Info
-/// VkLayerInstanceCreateInfo or VkLayerDeviceCreateInfo
+/// Returns the entry of the creation chain that links this layer to the next layer.
+/// @tparam Info VkLayerInstanceCreateInfo or VkLayerDeviceCreateInfo
 template <class Info>
 Info* link_in(const void* chain, VkStructureType type) {
     for (auto* info = static_cast<const Info*>(chain); info; info = static_cast<const Info*>(info->pNext))
@@ -67,7 +68,7 @@ VKAPI_ATTR VkResult VKAPI_CALL submit(VkQueue queue, std::uint32_t n, const VkSu
 PFN_vkVoidFunction of_instance(VkInstance instance, const char* name);
 PFN_vkVoidFunction of_device(VkDevice device, const char* name);
 
-/// What this layer does itself.
+/// Returns the functions that this layer implements.
 PFN_vkVoidFunction own(std::string_view name) {
     if (name == "vkGetInstanceProcAddr") return reinterpret_cast<PFN_vkVoidFunction>(of_instance);
     if (name == "vkGetDeviceProcAddr") return reinterpret_cast<PFN_vkVoidFunction>(of_device);

@@ -14,7 +14,7 @@ namespace relidar::test {
 namespace fs = std::filesystem;
 namespace {
 
-// Elevations by Argoverse's laser number, modulo 32
+// Elevations of the beams by Argoverse's laser number, modulo 32
 // (../shared/data/sensors/VLP-32C_Argoverse2.csv; pairs as measured in a published
 // sweep).
 constexpr double kElevation_deg[32] = {7,      -1.667,  1.667,  -0.667, 15,     -0.333, 3.333,  0.667,
@@ -37,8 +37,8 @@ struct SweepColumns {
     std::vector<std::int32_t> offset_ns;
 };
 
-/// Fires the rays of a LiDAR in a sweep and adds the stored points.
-/// @param lidar 0 up, 1 down
+/// Fires the rays of a LiDAR in a sweep and appends the points that the dataset stores.
+/// @param lidar 0 is the upper LiDAR, 1 is the lower LiDAR
 std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2Options& options,
                                 double sweep_s, SweepColumns& points) {
     const int half = lidar ^ int(options.lower_half_up);
@@ -50,8 +50,8 @@ std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2
             Argoverse2Ray ray;
             ray.time_s = 1e-9 * double(offset_ns);
             ray.elevation_rad = kElevation_deg[k] * kPi / 180.0;
-            // The sensor turns clockwise seen from above, so a LiDAR mounted upside down
-            // turns counter-clockwise.
+            // Viewed from above, the sensor turns clockwise. A LiDAR that is mounted
+            // upside down therefore turns counter-clockwise.
             const double head =
                 (lidar == 0 ? -1.0 : 1.0) * (2.0 * kPi * 10.0 * ray.time_s - 2.5 + 3.0 * lidar);
             const double azimuth = head + kAzimuth_deg[k] * kPi / 180.0;

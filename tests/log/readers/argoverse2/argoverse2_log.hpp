@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes a small Argoverse 2 log: two virtual VLP-32C on a vehicle that drives and turns
-// between four walls. As in the dataset, the points are compensated to the time of each
-// sweep.
+// between four walls. As in the dataset, the points are motion-compensated to the time of
+// each sweep.
 #pragma once
 
 #include <array>
@@ -20,16 +20,16 @@ std::vector<FeatherColumn> pose_columns(const std::vector<Pose>& poses);
 std::vector<FeatherColumn> with_poses(std::vector<FeatherColumn> columns, const std::vector<Pose>& poses);
 
 struct Argoverse2Options {
-    /// true: half-precision coordinates as in the dataset; false: single precision, for
-    /// comparison with the exact rays.
+    /// If true, coordinates have half precision as in the dataset. If false, they have
+    /// single precision, for comparison with the exact rays.
     bool half_precision = false;
     bool lower_half_up = false;  ///< lasers 32..63 belong to the upper LiDAR
     int sweeps = 3;
-    int firings = 1813;  ///< firings of each LiDAR per sweep: more than a turn
+    int firings = 1813;  ///< number of firings of each LiDAR per sweep, which is more than a turn
     FeatherCodec codec = FeatherCodec::lz4;
 };
 
-/// One firing of one laser.
+/// A single firing of a laser.
 struct Argoverse2Ray {
     double elevation_rad = 0.0;  ///< in the LiDAR's frame
     double time_s = 0.0;         ///< relative to the sweep's time

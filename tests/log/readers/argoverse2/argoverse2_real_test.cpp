@@ -169,8 +169,8 @@ protected:
                          << " or python3 with numpy is not there";
     }
 
-    /// Returns a stored point in the LiDAR's frame at its measurement time. The vehicle
-    /// moves uniformly between sweeps.
+    /// Returns a stored point in the LiDAR's frame at the time when the point was
+    /// measured. Assumes that the vehicle moves uniformly between sweeps.
     static glm::dvec3 measured(std::size_t s, std::size_t i, int lidar) {
         const double at =
             double(kTimes_ns[s] + real_[s].offset_ns[i] - kTimes_ns[0]) / double(kTimes_ns[1] - kTimes_ns[0]);
@@ -232,7 +232,8 @@ TEST_F(Argoverse2Real, SwappedHalvesAreClearlyWorse) {
 }
 
 TEST_F(Argoverse2Real, BoxesHoldPoints) {
-    std::vector<glm::dvec3> points;  // points of the first sweep in the world at its time, as published
+    // points of the first sweep in the world frame at the time of the sweep, as published
+    std::vector<glm::dvec3> points;
     for (std::size_t i = 0; i < real_[0].laser.size(); ++i)
         points.push_back(real_[0].city_from_vehicle *
                          glm::dvec3(real_[0].xyz[3 * i], real_[0].xyz[3 * i + 1], real_[0].xyz[3 * i + 2]));
@@ -266,8 +267,9 @@ TEST_F(Argoverse2Real, BoxesHoldPoints) {
     EXPECT_LE(empty, 1u) << "a bollard 30 m away has none as published";
 }
 
-/// Projects each published point and selects the beam nearest in elevation. Of the rays
-/// of this beam fired within a millisecond of the point, selects the nearest in azimuth.
+/// Projects each published point and selects the beam that is nearest in elevation. Among
+/// the rays of this beam that were fired within a millisecond of the point, selects the
+/// ray that is nearest in azimuth. The point must be in the cell of this ray.
 TEST_F(Argoverse2Real, PointsAreFoundInTheirCells) {
     for (std::size_t s = 0; s < 2; ++s) {
         std::size_t in_another_cell = 0;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads an Argoverse 2 log with known rays, and logs with damage in each file.
+// Reads an Argoverse 2 log whose exact rays the test knows, and logs with damage in each
+// file.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -27,8 +28,8 @@ DatasetOptions far_options() {
     return options;
 }
 
-/// Finds the true ray by beam and time: beams by elevation, firings within half the
-/// interval between two pairs.
+/// Looks up the exact ray by beam and time. The beam is identified by its elevation, the
+/// firing by a time within half the interval between two pairs.
 class TrueRays {
 public:
     TrueRays(const std::vector<Argoverse2Ray>& rays, const SpinningSensor& sensor) {
@@ -56,8 +57,8 @@ private:
 
 // The position of a LiDAR is interpolated along chords, with r = 1.3754 m from the axle
 // and 0.035088 rad per sweep. At s sweeps after the start of a chord, the distance to the
-// arc is r angle^2 |s (s - 1)| / 2, at most an eighth in the middle. The last sweep
-// extrapolates the last chord up to s = 2.027.
+// arc is r angle^2 |s (s - 1)| / 2, which is at most r angle^2 / 8, in the middle of the
+// chord. The last sweep extrapolates the last chord up to s = 2.027.
 constexpr double kArc_m = 1.3754 * 0.035088 * 0.035088, kBetween_m = kArc_m / 8 + 1e-6,
                  kBeyond_m = kArc_m * 2.027 * 1.027 / 2 + 1e-6;
 constexpr double kNearest_m = 4.7;
@@ -85,8 +86,8 @@ TEST(Argoverse2, EveryRayIsWhereItWasFired) {
             const float range_m = frame.scan.range_m[i];
             const Argoverse2Ray& ray =
                 truth.at(frame.scan.rays.channel[i], double(frame.scan.rays.time_offset_s[i]));
-            // A ray without a return has the time of its firing sequence, which differs
-            // by up to 35 us from its own time.
+            // A ray without a return has the time of its firing sequence. This time
+            // differs by up to 35 us from the exact firing time.
             ASSERT_NEAR(frame.scan.rays.time_offset_s[i], ray.time_s, range_m > 0.0f ? 1e-8 : 2.9e-5);
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
             ASSERT_EQ(range_m > 0.0f, ray.returned) << i;
@@ -106,8 +107,8 @@ TEST(Argoverse2, EveryRayIsWhereItWasFired) {
     }
 }
 
-/// The sensors face forward at times other than the sweep's time. Moving objects must
-/// still be placed at the times of their rays.
+/// The sensors face forward at a different time than the time of the sweep. Moving
+/// objects must still be placed at the times of their rays.
 TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
     const Argoverse2Log log("facing");
     const Sequence sequence = load_sequence(log.folder.string(), far_options());
@@ -119,8 +120,8 @@ TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
             const double facing_s = facing_time(sequence, point_m, moment_of(frame));
             late += std::abs(facing_s - frame.time_s - double(frame.scan.rays.time_offset_s[i])) > 3e-3;
         }
-        // Beams deviate by up to 4.2 degrees from the sensor's azimuth (1.2 ms). The
-        // sweep is longer than a turn, so its ends overlap.
+        // Only few rays may be late. Beams deviate by up to 4.2 degrees from the sensor's
+        // azimuth (1.2 ms). The sweep is longer than a turn, so its ends overlap.
         EXPECT_LT(double(late), 0.03 * double(frame.scan.rays.size())) << frame.index << " " << frame.lidar;
     }
 }
@@ -238,8 +239,8 @@ TEST(Argoverse2, ASweepMayLackALidar) {
     EXPECT_THAT(sequence.notes, testing::Contains(testing::HasSubstr("1 frames are skipped")));
 }
 
-/// Loads the log with one file replaced and checks that the one-line error contains
-/// `part`.
+/// Loads the log with a replaced file and checks that the error message has a single line
+/// and contains `part`.
 void expect_refused(const Argoverse2Log& log, const fs::path& file, const std::string& bytes,
                     const std::string& part) {
     const std::string good = test::read_text(file);

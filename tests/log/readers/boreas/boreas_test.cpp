@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a Boreas sequence with known rays, and checks the errors for invalid files.
+// Reads a Boreas sequence whose exact rays the test knows, and checks the errors for
+// invalid files.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -18,7 +19,8 @@ namespace fs = std::filesystem;
 using test::BoreasFolder;
 using test::StampedRay;
 
-/// Checks that every return is where its ray hit the yard, and that no return is lost.
+/// Checks that every return is at the point where its ray hit the yard, and that no
+/// return is lost.
 void expect_boreas_truth(const BoreasFolder& data, const Sequence& sequence) {
     const PoseTrack track = sequence.world_from_sensor(0);
     for (const Frame& frame : sequence.frames) {
@@ -33,7 +35,7 @@ void expect_boreas_truth(const BoreasFolder& data, const Sequence& sequence) {
             ASSERT_TRUE(ray.returned) << frame.index << " " << i;
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
             // Poses are interpolated linearly between scans. At 8 m/s and 0.3 rad/s the
-            // error is 9 mm, half a scan before the first pose.
+            // error is 9 mm at half a scan before the first pose.
             ASSERT_LT(glm::distance(placed.origin_m + sequence.world_offset_m, ray.origin_m), 0.01);
             ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
                                         sequence.world_offset_m,

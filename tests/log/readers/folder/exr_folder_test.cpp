@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads EXR range images as scans of a plain folder: a street with known rays, images
-// written by OpenEXR, and damaged images.
+// Reads EXR range images as scans of a plain folder: a simulated street, images written
+// by OpenEXR, and damaged images.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -37,7 +37,7 @@ fs::path fresh_exr_folder(const std::string& name) {
     return folder;
 }
 
-/// Makes a folder of one frame whose image is still missing.
+/// Makes a folder for one frame without its image. The test adds the image.
 fs::path one_frame(const std::string& name, const std::string& head = kHead) {
     const fs::path folder = fresh_exr_folder(name);
     test::write_text(folder / "sequence.json", head);
@@ -45,7 +45,7 @@ fs::path one_frame(const std::string& name, const std::string& head = kHead) {
     return folder;
 }
 
-/// Returns the channels of a scan as in a rendering.
+/// Returns the image channels of a scan, with the same names as in a rendering.
 Channels channels_of(const Scan& scan) {
     Channels channels{{"range", to_vector(scan.range_m)},
                       {"intensity", to_vector(scan.intensity)},
@@ -59,8 +59,7 @@ Channels channels_of(const Scan& scan) {
     return channels;
 }
 
-/// A street with second returns, saved as a plain folder whose scans are replaced by
-/// images.
+/// A street with second returns, saved as a plain folder. EXR images replace the scans.
 /// @param keep channels that are written
 struct StreetOfImages {
     Sequence truth = make_synthetic_street({.n_frames = 3, .rows = 32, .columns = 500});
@@ -96,8 +95,8 @@ struct StreetOfImages {
     }
 };
 
-/// Compares every ray with the truth: its return within 1 mm in the sensor's world, its
-/// beam, column and time.
+/// Compares every ray with the simulated street: its return (within 1 mm in the sensor's
+/// world), its beam, column and time.
 void expect_same_scans(const Sequence& sequence, const Sequence& truth, double ray_tolerance) {
     ASSERT_EQ(sequence.frames.size(), truth.frames.size());
     for (std::size_t f = 0; f < truth.frames.size(); ++f) {
@@ -164,8 +163,8 @@ TEST(ExrFolder, TheSensorThatAFileNames) {
         << "a file of the user's is not read because an image says so";
 }
 
-/// Images as other programs write them with OpenEXR: half precision or integers, other
-/// compression, and a window that does not start at 0.
+/// Reads images with features that other programs write with OpenEXR: half precision or
+/// integers, a different compression, and a window that does not start at 0.
 TEST(ExrFolder, ImagesOfOtherPrograms) {
     constexpr int rows = 40, columns = 30, n = rows * columns;
     const fs::path folder =
@@ -204,7 +203,8 @@ TEST(ExrFolder, ImagesOfOtherPrograms) {
     }
 }
 
-/// Checks the error message for the image of the folder's only frame.
+/// Fixture that damages the image of a folder with a single frame and checks the error
+/// message.
 class ExrDamage : public testing::Test {
 protected:
     const fs::path folder = one_frame("damage");
@@ -249,8 +249,9 @@ protected:
         EXPECT_EQ(complaint(), "nothing");
         return test::read_text(file);
     }
-    /// Returns the file with a number changed in an attribute, found by name and type.
-    /// @param at offset in the value; -4: the size
+    /// Returns the file after changing a number in an attribute, which is found by name
+    /// and type.
+    /// @param at offset in the value; -4 changes the size of the attribute
     std::string patched(const std::string& bytes, const std::string& name, const std::string& type, int at,
                         std::int32_t value) const {
         std::string changed = bytes;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads point files and poses in the conventions of other programs: text files, numpy
-// arrays with named fields, pose files of other orders, and points without rings.
+// arrays with named fields, pose files with different orders, and points without rings.
 #include <cmath>
 #include <random>
 
@@ -42,7 +42,7 @@ TEST(OtherPrograms, XyzOfColumns) {
 }
 TEST(OtherPrograms, NpyWithNamedFields) {
     const auto npy = [](const test::FilePoints& points) {
-        // The header of numpy for an aligned dtype. An unnamed field fills a gap.
+        // Header that numpy writes for an aligned dtype. An unnamed field fills a gap.
         std::string header = fmt::format(
             "{{'descr': [('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('intensity', '|u1'), ('', '|V1'), "
             "('ring', '<u2'), ('normal', '<f4', (3,)), ('t', '<f8')], 'fortran_order': False, 'shape': "
@@ -90,8 +90,8 @@ TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
     const PointLog log("conventions", "bin", test::bin,
                        R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
     const PoseTrack& truth = log.street.world_from_vehicle;
-    // The street's vehicle goes on before and after the scans, so that its motion is long
-    // enough to show the convention.
+    // The vehicle of the street also drives before and after the scans, so that its
+    // motion is long enough to determine the convention of the poses.
     const auto write = [&](const auto& numbers) {
         std::string text;
         for (double t_s = -1.0; t_s < 1.55; t_s += 0.1) {
@@ -136,7 +136,8 @@ TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
         });
         if (unit == 1.0) expect("", Pose{});
     }
-    // A vehicle that drives backwards has the motion of inverse poses. The scans decide.
+    // The poses of a vehicle that drives backwards look like inverse poses. The reader
+    // must decide by the scans.
     const Pose backwards{glm::dquat(0.0, 0.0, 0.0, 1.0), {}};
     test::write_text(
         log.folder / "sequence.json",

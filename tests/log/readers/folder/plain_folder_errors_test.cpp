@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks that every defect of a plain folder causes a one-line error that names file and
-// field.
+// Checks that every defect of a plain folder causes an error whose message is a single
+// line and names the file and the field.
 #include <relidar/log/dataset.hpp>
 
 #include <cstdint>
@@ -19,7 +19,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Two scans of 16 beams x 90 columns on a cylinder, as PCD.
+/// Folder with two scans of a cylinder (16 beams x 90 columns) as PCD, which the tests
+/// damage.
 class FolderDamage : public testing::Test {
 protected:
     void SetUp() override {
@@ -42,7 +43,8 @@ protected:
         test::write_text(folder / name, text);
     }
 
-    /// Returns the error message for a folder in which one file is replaced or missing.
+    /// Replaces or removes a file of a plain folder, loads the folder, and returns the
+    /// error message.
     std::string complaint(const std::string& name, const std::string& text,
                           const DatasetOptions& options = {}) const {
         const std::string good = fs::exists(folder / name) ? test::read_text(folder / name) : "";
@@ -219,7 +221,8 @@ TEST_F(FolderDamage, OfPointFiles) {
     expect("scans/a.npz", "x", "a.npz");
 }
 
-/// Point clouds written by relidar state the frame of their points.
+/// Point clouds written by relidar state whether their points are deskewed. The reader
+/// must check this statement.
 TEST_F(FolderDamage, OfDeskewedPoints) {
     for (const char* frame :
          {"points_in world: the dataset's own", "points_in sensor at time_s: x forward, y left, z up"}) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads plain folders with known content, written by save_folder() or in the point
-// formats of other programs.
+// Reads plain folders whose exact content the test knows. save_folder() writes them, or
+// the test writes the point formats of other programs.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -63,7 +63,7 @@ void expect_same_log(const Sequence& sequence, const Sequence& truth) {
     EXPECT_EQ(sequence.notes, truth.notes);
     EXPECT_EQ(sequence.rolling_shutter, truth.rolling_shutter);
     EXPECT_EQ(sequence.world_offset_m, truth.world_offset_m);
-    // Five million metres from the origin, the tolerance is the last digit.
+    // The positions are 5000 km from the origin, so the tolerance is the last digit.
     expect_same_poses(sequence.world_from_vehicle, truth.world_from_vehicle, 2e-9);
     ASSERT_EQ(sequence.lidars.size(), truth.lidars.size());
     for (std::size_t l = 0; l < truth.lidars.size(); ++l) {
@@ -350,7 +350,7 @@ TEST(PlainFolder, KeepsPointsWithoutOrderOfALidarThatDoesNotSpin) {
 }
 
 TEST(PlainFolder, UndoesMotionCompensation) {
-    // The sensor drives at 8 m/s, so half a sweep is 0.4 m.
+    // The sensor drives at 8 m/s, so that it moves 0.4 m in half a sweep.
     const Sequence street = make_synthetic_street(
         {.n_frames = 4, .rows = 16, .columns = 360, .range_noise_m = 0.0, .moving_cars = false});
     const PoseTrack track = street.world_from_sensor(0);
@@ -373,8 +373,8 @@ TEST(PlainFolder, UndoesMotionCompensation) {
 
 TEST(PlainFolder, InterpolatesPosesThatHaveTimes) {
     const PointLog log("track", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
-    // Columns by position; then columns by TUM's names, whose quaternions have w last,
-    // after a byte-order mark.
+    // The first log has columns by position. The second log has a byte-order mark and the
+    // column names of TUM, whose quaternions have w last.
     const std::string logs[] = {
         "# time x y z qw qx qy qz\n-0.05 0 0 0 1 0 0 0\n0.15 2 0 0 1 0 0 0\n0.25 2 3 0 0.9238795325112867 0 "
         "0 0.3826834323650898\n"

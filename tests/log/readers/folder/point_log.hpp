@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a log of point files in a format that the test chooses. Compares what is read
-// with the street that the points come from.
+// Writes a log of point files in a format that the test chooses. Compares the log that is
+// read with the street from which the points were made.
 #pragma once
 
 #include <algorithm>
@@ -28,7 +28,8 @@ inline fs::path fresh(const std::string& name) {
     return folder;
 }
 
-/// A log of point files with the returns of a street, in the order of its rays.
+/// Log of point files with the returns of a street. Points are in the order of the rays
+/// of the street.
 struct PointLog {
     Sequence street = make_synthetic_street(
         {.n_frames = 4, .rows = 16, .columns = 360, .range_noise_m = 0.0, .moving_cars = false});
@@ -68,7 +69,7 @@ struct Difference {
     std::size_t rings = 0, drops = 0;
 };
 
-/// Compares ray by ray; the image has the rows and columns of the street.
+/// Compares two logs ray by ray. The image must have the rows and columns of the street.
 inline Difference difference(const Sequence& sequence, const Sequence& street) {
     Difference worst;
     for (std::size_t f = 0; f < street.frames.size(); ++f) {
@@ -102,7 +103,7 @@ inline void expect_street(const PointLog& log, double time_s) {
     EXPECT_EQ(worst.drops, 0u);
 }
 
-/// Members of sequence.json for points with intensities to 255 and absolute times.
+/// Members of sequence.json for points with intensities from 0 to 255 and absolute times.
 inline constexpr const char* kStamped = R"(, "intensity_max": 255, "point_times": "absolute")";
 
 }  // namespace relidar::test

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a small KITTI-360 folder; computes every matrix independently with 4x4 products.
+// Writes a small KITTI-360 folder. Computes every matrix with 4x4 products, independently
+// of the library.
 #include "log/readers/kitti/kitti_360_folder.hpp"
 
 #include <cmath>
@@ -15,13 +16,13 @@ glm::dmat4 turned(const glm::dmat4& m, double angle_rad, const glm::dvec3& axis)
     return glm::rotate(m, angle_rad, axis);
 }
 
-/// Makes a matrix from the columns of its rotation and its translation.
+/// Makes a matrix from the columns of a rotation and from a translation.
 glm::dmat4 frame_matrix(const glm::dvec3& x, const glm::dvec3& y, const glm::dvec3& z, const glm::dvec3& at) {
     return {glm::dvec4(x, 0), glm::dvec4(y, 0), glm::dvec4(z, 0), glm::dvec4(at, 1)};
 }
 
-/// Returns imu_from_cam0: the camera looks along the IMU's x, its y points down like the
-/// IMU's z, with a small tilt.
+/// Returns imu_from_cam0. The camera looks along x of the IMU, and y of the camera points
+/// down like z of the IMU, with a small tilt.
 glm::dmat4 imu_from_cam0() {
     return turned(frame_matrix({0, 1, 0}, {0, 0, 1}, {1, 0, 0}, {1.57, 0.04, -0.9}), 0.03, {1, 0, 0});
 }
@@ -30,7 +31,7 @@ glm::dmat4 velo_from_cam0() {
     return turned(frame_matrix({0, -1, 0}, {0, 0, -1}, {1, 0, 0}, {0.81, 0.28, -0.1}), -0.02, {0, 1, 0});
 }
 
-/// Returns the numbers of the upper three rows, row by row.
+/// Returns the numbers of the upper three matrix rows as text, row by row.
 std::string numbers(const glm::dmat4& m) {
     std::string text;
     for (int r = 0; r < 3; ++r)
@@ -121,8 +122,8 @@ Kitti360Folder::Kitti360Folder(const std::string& name, int first)
         cameras += fmt::format("image_{:02d}: {}\n", camera, numbers(imu_from_cam0()));
     write_text(calibration("calib_cam_to_pose.txt"), cameras);
     write_text(calibration("calib_cam_to_velo.txt"), numbers(velo_from_cam0()) + "\n");
-    // Writes a car that drives ahead (mirrored in its second label), a parked car, a
-    // wall, and a person without a position.
+    // Writes the labelled objects: a car that drives ahead (mirrored in its second
+    // label), a parked car, a wall, and a person without a position.
     std::string objects;
     for (int i = 0; i < kFrames; ++i) {
         const glm::dvec3 size = i == 1 ? glm::dvec3(6, -3, 2) : glm::dvec3(6, 3, 2);

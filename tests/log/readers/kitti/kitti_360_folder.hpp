@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes a small KITTI-360 folder: sweeps of the virtual HDL-64E as frames 2350 to 2352
-// of drive 0000, which belongs to part kd1 of the paper from frame 2351 on. The car
-// drives a smooth curve with a closed form, so that the pose of the LiDAR is known at any
-// time.
+// of drive 0000. From frame 2351 on, this drive belongs to part kd1 of the paper. The car
+// drives a smooth curve in closed form, so that the exact pose of the LiDAR can be
+// computed at any time.
 #pragma once
 
 #include <filesystem>
@@ -36,7 +36,7 @@ struct Kitti360Folder {
     std::filesystem::path calibration(const std::string& file) const { return folder / "calibration" / file; }
 
     /// Returns the exact pose in the dataset's world.
-    /// @param frame fractional values are between two sweeps
+    /// @param frame frame number. A fractional number is a time between two sweeps.
     static glm::dmat4 world_from_imu(double frame);
     static glm::dmat4 world_from_velo(double frame);
 
@@ -44,15 +44,16 @@ struct Kitti360Folder {
     void write_poses(const std::vector<int>& frames) const;
 };
 
-/// Returns the matrix of a labelled box, which contains rotation and size as in
-/// KITTI-360.
+/// Returns the matrix of a labelled box. As in KITTI-360, it contains the rotation and
+/// the size.
 glm::dmat4 box_matrix(const glm::dvec3& centre_m, double yaw_rad, const glm::dvec3& size_m);
 
-/// Returns a child of opencv_storage with these fields, its transform, and the unit cube
-/// that is transformed.
+/// Returns an XML child of opencv_storage with the fields of an object, its transform,
+/// and the unit cube to which the transform applies.
 std::string object_xml(int number, const std::string& fields, const glm::dmat4& transform);
-/// Returns the fields of an object of train_full, for drives other than 0004.
-/// @param timestamp -1: the object does not move from start_frame to end_frame
+/// Returns the fields of an object in train_full, for drives other than 0004.
+/// @param timestamp frame of the label. -1 means that the object does not move from
+/// start_frame to end_frame.
 std::string object_fields(const std::string& label, int semantic, int instance, int timestamp,
                           int start_frame, int end_frame);
 std::string boxes_xml(const std::string& objects);

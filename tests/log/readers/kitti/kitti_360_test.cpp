@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads a small KITTI-360 folder and compares it with the closed-form path and the boxes
-// that it was written with.
+// from which it was written.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -162,7 +162,7 @@ TEST(Kitti360, FramesWithoutAPose) {
     log = read(kitti);
     ASSERT_EQ(log.frames.size(), 1u);
     EXPECT_THAT(log.notes, Contains("frames without a pose, left out: 2350, 2352"));
-    // A long gap between poses, but the car does not move.
+    // Makes a long gap between poses during which the car does not move.
     const std::string line = read_text(kitti.poses());
     const std::string pose = line.substr(line.find(' '), line.find('\n') - line.find(' '));
     write_text(kitti.poses(), "2300" + pose + "\n2400" + pose + "\n");
@@ -199,8 +199,8 @@ TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
     EXPECT_TRUE(read(kitti, options).boxes.empty());
 }
 
-// In drive 0004 objects have no numbers and exist only in train_full; other drives may
-// have only train.
+// In drive 0004, objects have no numbers and exist only in train_full. All other drives
+// may have only train.
 TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
     const Kitti360Folder kitti("k360_0004");
     const glm::dmat4 place =
@@ -229,7 +229,7 @@ TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
     EXPECT_THAT(read(kitti).notes, Contains("no data_3d_bboxes: nothing in this drive is labelled"));
 }
 
-/// Reads the log with one file changed, expects an error, and restores the file.
+/// Changes a file, reads the log, expects an error, and restores the file.
 void expect_error(const Kitti360Folder& kitti, const fs::path& file, const std::string& text,
                   const std::string& part) {
     const std::string good = read_text(file);

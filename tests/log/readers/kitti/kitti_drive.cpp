@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a virtual KITTI drive. The firings of a sweep are at encoder ticks floor(n *
-// 4000 / 701 + wobble), with 64 beams each.
+// Writes a virtual KITTI drive. The firings of a sweep are at the encoder ticks floor(n *
+// 4000 / 701 + wobble). Each firing has 64 beams.
 #include "log/readers/kitti/kitti_drive.hpp"
 
 #include <algorithm>
@@ -141,8 +141,8 @@ KittiDrive::KittiDrive(const std::string& name, Heads heads)
         times[0] += timestamp(second);
         times[1] += timestamp(second - 0.05);
         times[2] += timestamp(second + 0.05);
-        // 1e-5 degrees of longitude per frame. The yaw is a quarter turn: the car faces
-        // north while the log moves it east.
+        // The longitude increases by 1e-5 degrees per frame, which moves the car east.
+        // The yaw is a quarter turn, so that the car faces north.
         std::string oxts = fmt::format("60.0 {:.10f} 100.5 0 0 {:.12f}", 8.0 + 1e-5 * frame, kPi / 2);
         for (int i = 6; i < 30; ++i) oxts += " 0";
         write_text(file(fmt::format("oxts/data/{:010d}.txt", frame)), oxts + "\n");

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a small KITTI raw drive: a virtual HDL-64E (two optical centres, azimuth and
-// left offsets, encoder ticks of 0.09 degrees) in a wavy room. Coordinates are rounded to
-// millimetres and stored ring by ring like KITTI's.
+// Writes a small KITTI raw drive. A virtual HDL-64E (two optical centres, azimuth and
+// left offsets, encoder ticks of 0.09 degrees) scans a space with wavy walls. As in
+// KITTI, coordinates are rounded to millimetres and stored ring by ring.
 #pragma once
 
 #include <array>
@@ -15,7 +15,8 @@
 
 namespace relidar::test {
 
-/// Encoder positions of the firings: on ticks, at even steps, or random near even steps.
+/// Encoder positions of the firings: at ticks, at even steps, or at random positions near
+/// even steps.
 enum class Heads { ticks, even, jittered };
 
 struct KittiDrive {
@@ -23,7 +24,7 @@ struct KittiDrive {
 
     std::filesystem::path folder;     ///< folder of the drive
     std::vector<Beam> beams;          ///< the 64 exact beams
-    std::vector<glm::dvec3> dropped;  ///< exact direction of every ray of frame 0 without a return
+    std::vector<glm::dvec3> dropped;  ///< exact direction of each ray without a return in frame 0
     std::size_t n_points = 0;         ///< in frame 0
 
     /// Writes a drive of three frames to a new temporary folder.

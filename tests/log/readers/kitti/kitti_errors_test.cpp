@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks that every defect of a KITTI drive causes a one-line error with the path, the
-// value found, and the expected value.
+// Checks that every defect of a KITTI drive causes an error whose message is a single
+// line with the path, the value in the file, and the expected value.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -22,8 +22,8 @@ using test::KittiDrive;
 using test::read_text;
 using test::write_text;
 
-/// Loads the drive and expects an error with the given exit code and a one-line message
-/// that contains all parts.
+/// Loads the drive and expects an error with the exit code. The message must be a single
+/// line that contains all parts.
 void expect_failure(const KittiDrive& drive, const DatasetOptions& options, ExitCode code,
                     const std::vector<std::string>& parts) {
     try {
@@ -149,12 +149,13 @@ TEST(KittiErrors, BrokenScans) {
     expect_data_error(drive, {"velodyne_points/data: ", "rings in file order, expected 64"});
 }
 
-/// Returns 64 rings of points at even azimuths, ring by ring as in KITTI.
+/// Returns 64 rings of points at even azimuths, stored ring by ring as in KITTI.
 std::string even_scan(double step_rad, int n_a_ring) {
     std::string bytes;
     for (int ring = 0; ring < 64; ++ring) {
         for (int i = 0; i < n_a_ring; ++i) {
-            // A few points near the end of the turn make the azimuth wrap between rings.
+            // The last three points of a ring are near the end of the turn, so that the
+            // azimuth wraps between rings.
             const double azimuth = i < n_a_ring - 3 ? i * step_rad : 2.0 * kPi - (n_a_ring - i) * 1e-3;
             const double elevation = (2.0 - 0.42 * ring) * kPi / 180.0;
             const double rho = 12.0 + 8.0 * std::sin(0.01 * i);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a KITTI odometry sequence made from scans of the virtual HDL-64E and compares
-// times, poses and directions with their exact values.
+// Reads a KITTI odometry sequence that the test writes from scans of the virtual HDL-64E.
+// Compares times, poses and directions with their exact values.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -19,8 +19,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Three frames, 1.5 m apart along the camera's z. The camera looks along the LiDAR's x,
-/// 0.3 m ahead of the LiDAR and 0.1 m below it.
+/// Odometry sequence with three frames, 1.5 m apart along the camera's z. The camera
+/// looks along the LiDAR's x. It is 0.3 m ahead of the LiDAR and 0.1 m below it.
 struct Odometry {
     test::KittiDrive drive;
     fs::path folder;
@@ -60,8 +60,9 @@ TEST(KittiOdometry, IsRecognisedAndRead) {
     EXPECT_LT(glm::distance(log.world_offset_m, glm::dvec3(1.5, 0.0, 0.0)), 1e-9)
         << "forward is the LiDAR's x";
     EXPECT_LT(glm::distance(poses[0].translation, glm::dvec3(-1.5, 0.0, 0.0)), 1e-9);
-    // The camera has turned by 0.1 about its y, which points down: to the right. The
-    // camera is 3 m ahead of its start, and the LiDAR is 0.3 m behind the camera.
+    // The camera has turned by 0.1 rad about its y axis. This axis points down, so the
+    // camera has turned to the right. The camera is 3 m ahead of its start, and the LiDAR
+    // is 0.3 m behind the camera.
     const glm::dvec3 ahead = poses[2].rotation * glm::dvec3(1, 0, 0);
     EXPECT_NEAR(std::atan2(ahead.y, ahead.x), -0.1, 1e-9);
     EXPECT_LT(glm::distance(poses[2].translation,

@@ -63,7 +63,8 @@ TEST(KittiRaw, EveryPointAndEveryDropHasItsRay) {
         for (const glm::dvec3& d : model) nearest = std::min(nearest, glm::length(d - truth));
         ASSERT_LT(nearest, 3e-4);  // a step is 9e-3
     }
-    // Times must follow the encoder position, and columns the azimuth.
+    // The time of a ray must follow from the encoder position, and its column from the
+    // azimuth.
     for (std::size_t i = 0; i < scan.rays.size(); ++i) {
         const double azimuth = std::atan2(scan.rays.direction[i].y, scan.rays.direction[i].x);
         const double head = azimuth - log.lidars[0].sensor.beams[scan.rays.channel[i]].azimuth_offset_rad;
@@ -107,15 +108,15 @@ TEST(KittiRaw, PosesTimesAndBoxes) {
     const Sequence log = load_sequence(drive.folder.string(), {});
     ASSERT_EQ(log.frames.size(), 3u);
     EXPECT_NEAR(log.frames[2].time_s, 0.2, 1e-9);  // across midnight and New Year
-    // Mercator: s R dlon with s = cos 60; the sensor stays at the same position on the
-    // car.
+    // Distance of a step in Mercator coordinates: s R dlon with s = cos 60. The sensor
+    // does not move on the car.
     const double step = 0.5 * 6378137.0 * 1e-5 * kPi / 180;
     const PoseTrack& track = log.world_from_vehicle;
     EXPECT_NEAR(track.pose[1].translation.x, 0.0, 1e-9);
     EXPECT_NEAR(track.pose[2].translation.x - track.pose[1].translation.x, step, 1e-6);
     EXPECT_NEAR(track.pose[2].translation.y, 0.0, 1e-6);
-    // The sensor is at -T = (0.8, -0.3, 0.8) in the car, which is turned a quarter turn
-    // to the left.
+    // The sensor is at -T = (0.8, -0.3, 0.8) in the frame of the car. The car is rotated
+    // a quarter turn to the left.
     EXPECT_NEAR(log.world_offset_m.x - step, 0.3, 1e-6);
     EXPECT_NEAR(log.world_offset_m.y, 0.8, 1e-6);
     EXPECT_NEAR(log.world_offset_m.z, 0.8, 1e-6);
@@ -170,8 +171,8 @@ void blank_lines(const std::filesystem::path& path, const std::vector<std::size_
     test::write_text(path, text);
 }
 
-// Drive 0009 lacks some scans: their lines in the three timestamp files are empty, but
-// their OXTS files exist.
+// Drive 0009 lacks some scans. The lines of these scans in the three timestamp files are
+// empty, but their OXTS files exist.
 TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
     const KittiDrive drive("drive0009");
     std::filesystem::remove(drive.scan(1));
@@ -183,7 +184,8 @@ TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
     EXPECT_NEAR(log.frames[1].time_s - log.frames[0].time_s, 0.2, 1e-9);
     EXPECT_NEAR(log.lidars[0].sensor.period_s, 0.1, 1e-9);
     EXPECT_THAT(log.notes, testing::ElementsAre("1 of the scans 0 to 2 missing (1): left out"));
-    // from the OXTS file with the frame's number, not by count
+    // the pose must come from the OXTS file with the frame's number, not from the file at
+    // the frame's index
     const double step = 0.5 * 6378137.0 * 1e-5 * kPi / 180;
     EXPECT_NEAR(log.world_from_vehicle.pose[1].translation.x - log.world_from_vehicle.pose[0].translation.x,
                 2 * step, 1e-6);
@@ -309,7 +311,7 @@ TEST(KittiRaw, RealDrive) {
     }
 }
 
-/// Returns the points of a scan's file within a range, in the stored single precision.
+/// Returns the points of a scan file up to a range, in the stored single precision.
 std::vector<glm::vec3> file_points(const fs::path& file, float max_range_m, std::vector<float>& intensity) {
     std::vector<glm::vec4> records(fs::file_size(file) / sizeof(glm::vec4));
     const auto n_bytes = std::streamsize(records.size() * sizeof(glm::vec4));
@@ -320,7 +322,7 @@ std::vector<glm::vec3> file_points(const fs::path& file, float max_range_m, std:
     return points;
 }
 
-/// Counts the points without a point of `others` within 1 mm.
+/// Counts the points that have no point of `others` within 1 mm.
 std::size_t count_missing(const std::vector<glm::vec3>& points, std::vector<glm::vec3> others) {
     constexpr float kSame_m = 1e-3f;
     std::ranges::sort(others, {}, &glm::vec3::x);
@@ -360,8 +362,9 @@ TEST(KittiRaw, RealScansKeepTheirPointsOnTheNativeGrid) {
     EXPECT_GT(lost_grid, lost_native);
 }
 
-/// The setting render.follow_sweeps relies on this: nominal rays, with each firing turned
-/// as a unit, equal the rays of the scan, including dropped rays.
+/// The setting render.follow_sweeps relies on a property of real scans: if the nominal
+/// rays of each firing are rotated together, they equal the rays of the scan, including
+/// dropped rays.
 TEST(KittiRaw, RealScansHaveOneAzimuthAFiring) {
     const char* folder = std::getenv("RELIDAR_KITTI_DRIVE");
     if (!folder) GTEST_SKIP() << "RELIDAR_KITTI_DRIVE names no KITTI raw drive";

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a MulRan sequence with known rays in both orders of points, and checks the errors
-// for invalid files.
+// Reads a MulRan sequence whose exact rays the test knows, in both orders of points. Also
+// checks the errors for invalid files.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -19,7 +19,8 @@ namespace fs = std::filesystem;
 using test::MulranFolder;
 using test::StampedRay;
 
-/// Checks that every return is where its ray hit the yard, and that no return is lost.
+/// Checks that every return is at the point where its ray hit the yard, and that no
+/// return is lost.
 void expect_mulran_truth(const MulranFolder& data, const Sequence& sequence) {
     const PoseTrack track = sequence.world_from_sensor(0);
     for (const Frame& frame : sequence.frames) {
@@ -33,8 +34,8 @@ void expect_mulran_truth(const MulranFolder& data, const Sequence& sequence) {
             const StampedRay& ray = truth.at(column * 64 + frame.scan.rays.channel[i]);
             ASSERT_TRUE(ray.returned) << frame.index << " " << i;
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
-            // Poses are interpolated linearly over 10 ms; corrections of rays are in
-            // single precision.
+            // Tolerance: poses are interpolated linearly over 10 ms, and corrections of
+            // rays have single precision.
             ASSERT_LT(glm::distance(placed.origin_m + sequence.world_offset_m, ray.origin_m), 0.002);
             ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
                                         sequence.world_offset_m,

@@ -41,8 +41,8 @@ std::string sample_of(const char* token, const char* scene, int sweep) {
                        time_us(sweep));
 }
 
-/// Computes the rays of the turn that ends at a sweep's time and returns the bytes of its
-/// file.
+/// Computes the rays of the turn that ends at the time of a sweep. Returns the bytes of
+/// the sweep's file.
 std::string turn_of(int sweep, int columns, std::vector<NuscenesRay>& rays) {
     std::string bytes;
     const double end_s = sweep * NuscenesFolder::kSweep_s;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a small nuScenes folder of two scenes. In the second, a virtual HDL-32E drives
-// through a walled yard.
+// Writes a small nuScenes folder of two scenes. In the second scene, a virtual HDL-32E
+// drives through a yard with walls.
 #pragma once
 
 #include <filesystem>
@@ -11,12 +11,13 @@
 
 namespace relidar::test {
 
-/// One firing of one laser.
+/// A single firing of a laser.
 struct NuscenesRay {
-    double time_s = 0.0;        ///< relative to the scene's first sweep
-    glm::dvec3 origin_m{0.0};   ///< map frame
-    glm::dvec3 direction{0.0};  ///< in the LiDAR's frame at the firing time: x forward, y left, z up
-    glm::dvec3 point_m{0.0};    ///< map frame
+    double time_s = 0.0;       ///< relative to the scene's first sweep
+    glm::dvec3 origin_m{0.0};  ///< map frame
+    /// direction in the LiDAR's frame at the firing time: x forward, y left, z up
+    glm::dvec3 direction{0.0};
+    glm::dvec3 point_m{0.0};  ///< map frame
     bool returned = false;
 };
 
@@ -39,7 +40,8 @@ struct NuscenesFolder {
         return folder / "v1.0-mini" / (name + ".json");
     }
     std::filesystem::path sweep(int number) const;
-    /// Returns a pose in the map frame. Times are relative to the scene's first sweep.
+    /// Returns the pose of the vehicle in the map frame. Times are relative to the
+    /// scene's first sweep.
     static Pose vehicle_at(double time_s);
     static Pose box_at(double time_s);
 };

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a nuScenes folder with known rays, and folders with damage in each file.
+// Reads a nuScenes folder whose exact rays the test knows, and folders with damage in
+// each file.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -25,10 +26,10 @@ Sequence load(const NuscenesFolder& data, const std::string& scene = "scene-0103
     return load_sequence(data.folder.string(), options);
 }
 
-/// Returns the interpolation error of the LiDAR's position, which moves along chords at
-/// 0.944 m from the axle with 0.0175 rad per sweep. At s sweeps after the start of a
-/// chord the distance to the arc is r angle^2 |s (s - 1)| / 2. The first turn, s = -1 to
-/// 0, extrapolates the next chord backwards.
+/// Returns the interpolation error of the LiDAR's position. The position is interpolated
+/// along chords, at 0.944 m from the axle with 0.0175 rad per sweep. At s sweeps after
+/// the start of a chord, the distance to the arc is r angle^2 |s (s - 1)| / 2. The first
+/// turn, s = -1 to 0, extrapolates the next chord backwards.
 double off_arc_m(int frame, double s) {
     const double arc_m = 0.944 * 0.0175 * 0.0175, along = frame == 0 ? s - 1.0 : s;
     return arc_m * std::abs(along * (along - 1.0)) / 2.0 + 1e-6;
@@ -85,7 +86,8 @@ TEST(Nuscenes, TablesOfT4) {
     ASSERT_EQ(t4.frames.size(), nuscenes.frames.size());
     EXPECT_EQ(t4.boxes.size(), nuscenes.boxes.size());
     for (std::size_t i = 0; i < t4.frames.size(); ++i) {
-        // A file has five float32 per point. Points near the sensor are returns, too.
+        // A point has five float32 in the file. Points near the sensor must also be
+        // returns.
         EXPECT_EQ(t4.frames[i].scan.count_returns(), fs::file_size(data.sweep(int(i))) / 20);
     }
 }
@@ -175,7 +177,8 @@ TEST(Nuscenes, KeyframesAlone) {
                               ring = 31u - frame.scan.rays.channel[i];
             const NuscenesRay& ray = data.rays[std::size_t(frame.index)][column * 32 + ring];
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
-            // A chord of half a second; the LiDAR turns about the axle.
+            // The chord between poses is half a second long, and the LiDAR turns about
+            // the axle.
             const double s = (frame.index == 0 ? 0.0 : 1.0) + 0.1 * (turned - 1.0),
                          arc_m = 0.944 * 0.175 * 0.175;
             ASSERT_LT(glm::distance(placed.origin_m + actual.world_offset_m, ray.origin_m),

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Follows the schema of the development kit and its point clouds: PCD with x, y, z,
-// intensity and a time stamp of each point in microseconds, in the LiDAR's frame, not
-// compensated. The vehicle has a pose every 10 ms, and files refer to the nearest pose.
+// Implements the schema of the development kit and its point clouds. A cloud is PCD with
+// x, y, z, intensity and a time stamp of each point in microseconds. Points are in the
+// LiDAR's frame and not motion-compensated. The vehicle has a pose every 10 ms, and files
+// refer to the nearest pose.
 #include "log/readers/nuscenes/truckscenes_folder.hpp"
 
 #include <cmath>
@@ -101,7 +102,8 @@ void TruckScenesFolder::write_tables() const {
     std::vector<std::string> samples, mounts;
     std::vector<std::string> sensors = {
         "\"token\": \"radar\", \"channel\": \"RADAR_LEFT_FRONT\", \"modality\": \"radar\""};
-    for (int k = 0; k < kSweeps; k += 5)  // the time of a sample is close to the times of its files
+    // The time of a sample differs slightly from the times of its files.
+    for (int k = 0; k < kSweeps; k += 5)
         samples.push_back(fmt::format("\"token\": \"k{}\", \"scene_token\": \"s0\", \"timestamp\": {}", k,
                                       stamp_us(k, 0.0) + (k == 0 ? 900 : -900)));
     std::vector<std::string> files, poses;

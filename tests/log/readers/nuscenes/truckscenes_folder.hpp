@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a small TruckScenes folder: a truck in a walled yard with two LiDARs that differ
+// Writes a small TruckScenes folder: a truck in a yard with walls. Its two LiDARs differ
 // in beams, pose rates and time stamps.
 #pragma once
 
@@ -11,7 +11,7 @@
 
 namespace relidar::test {
 
-/// One firing of one laser.
+/// A single firing of a laser.
 struct TruckRay {
     double time_s = 0.0;       ///< relative to the first sweep of LIDAR_LEFT
     glm::dvec3 origin_m{0.0};  ///< in the world, like the other points
@@ -23,7 +23,7 @@ struct TruckScenesFolder {
     static constexpr int kSweeps = 11;  ///< every fifth sweep is a keyframe
     static constexpr int kMissing = 4;  ///< sweep that LIDAR_TOP_FRONT lacks
     static constexpr int kColumns = 400;
-    /// delay of LIDAR_TOP_FRONT's time stamps after LIDAR_LEFT's
+    /// delay of the time stamps of LIDAR_TOP_FRONT relative to LIDAR_LEFT
     static constexpr double kSweep_s = 0.1, kLater_s = 0.007;
 
     struct Lidar {
@@ -46,7 +46,8 @@ struct TruckScenesFolder {
         return folder / "v1.2-trainval" / (name + ".json");
     }
     std::filesystem::path sweep(const std::string& channel, int number) const;
-    /// Returns a pose in the world. Times are relative to the first sweep of LIDAR_LEFT.
+    /// Returns the pose of the vehicle in the world frame. Times are relative to the
+    /// first sweep of LIDAR_LEFT.
     static Pose vehicle_at(double time_s);
     static Pose box_at(double time_s);
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads TruckScenes and Lyft Level 5: nuScenes tables with several LiDARs, whose points
-// are not compensated and have no rings.
+// Reads TruckScenes and Lyft Level 5. Both store nuScenes tables with several LiDARs.
+// Their points are not motion-compensated and have no ring numbers.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -31,8 +31,8 @@ Sequence load(const TruckScenesFolder& data, DatasetOptions options = {}) {
     return load_sequence(data.folder.string(), options);
 }
 
-/// Checks that every return of a frame belongs to the ray fired at its time, and that no
-/// return is lost.
+/// Checks that every return of a frame belongs to the ray that was fired at the time of
+/// the return, and that no return is lost.
 void expect_truth(const Sequence& actual, const Frame& frame, const TruckScenesFolder::Lidar& lidar) {
     const std::vector<TruckRay>& truth = lidar.rays[std::size_t(frame.index)];
     const PoseTrack track = actual.world_from_sensor(frame.lidar);
@@ -49,8 +49,8 @@ void expect_truth(const Sequence& actual, const Frame& frame, const TruckScenesF
         ASSERT_TRUE(ray.returned) << i;
         ASSERT_NEAR(fired_s, ray.time_s, 1e-7);
         const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
-        // The LiDAR moves along chords, less than 2.5 m from the axle, at 20 degrees per
-        // second.
+        // Tolerance: the interpolated LiDAR moves along chords, less than 2.5 m from the
+        // axle, at 20 degrees per second.
         const TrackPosition place = track.place(fired_s);
         const double turn_rad =
             20.0 * kPi / 180.0 * (track.time_s[place.left + 1] - track.time_s[place.left]);
@@ -176,9 +176,9 @@ std::string replaced(std::string text, const std::string& from, const std::strin
     return text;
 }
 
-/// Converts the folder to a Lyft folder as distributed on Kaggle: tables in train_data,
-/// files `lidar/NAME.bin` in train_lidar with 5 columns, of which the last two are
-/// constant; LIDAR_TOP; time stamps with a fraction.
+/// Converts the folder to a Lyft folder as distributed on Kaggle. Tables are in
+/// train_data. The files `lidar/NAME.bin` in train_lidar have 5 columns, of which the
+/// last two are constant. The LiDAR is LIDAR_TOP, and time stamps have a fraction.
 /// @return ranges of the points by file
 std::map<std::string, std::vector<float>> make_lyft(const TruckScenesFolder& data) {
     std::map<std::string, std::vector<float>> ranges;

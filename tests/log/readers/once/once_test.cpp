@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads an ONCE sequence with known rays and quaternions in both orders, and checks the
-// errors for invalid files.
+// Reads an ONCE sequence whose exact rays the test knows, with quaternions in both
+// orders. Also checks the errors for invalid files.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -32,7 +32,7 @@ void expect_once_truth(const OnceFolder& data, const Sequence& sequence) {
             const double fired_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
             const glm::dvec3 origin = yard_from_once * (ray.origin_m + sequence.world_offset_m);
             // Poses are interpolated linearly over half a second. At 8 m/s and 0.1 rad/s
-            // the error is 14 mm, half a scan before the first pose.
+            // the error is 14 mm at half a scan before the first pose.
             ASSERT_LT(glm::distance(origin, data.drive.lidar_at(fired_s).translation), 0.015)
                 << frame.index << " " << i;
             const glm::dvec3 point =
@@ -64,7 +64,7 @@ TEST(Once, EveryReturnIsOnTheYard) {
     for (std::size_t b = 0; b < 40; ++b)
         EXPECT_NEAR(sensor.beams[b].elevation_rad, data.drive.beams[b].elevation_rad, 1e-5);
     expect_once_truth(data, sequence);
-    // x points forward, in a world whose x points left and y backward
+    // x points forward. In this world frame, x points left and y points backward.
     const glm::dvec3 ahead = sequence.world_from_vehicle.pose[0].rotation * glm::dvec3(1, 0, 0);
     EXPECT_LT(glm::distance(ahead, glm::dvec3(0, -1, 0)), 1e-9);
 }
@@ -79,7 +79,7 @@ TEST(Once, QuaternionsWithWFirst) {
 
 TEST(Once, PointsOfAnotherLidar) {
     const OnceFolder data("other");
-    // tilted by up to a degree, so that the points do not form beams
+    // tilts the sensor by up to a degree, so that the points do not form beams
     for (int s = 0; s < OnceFolder::kScans; ++s) {
         std::string bytes = test::read_text(data.scan(s));
         for (std::size_t at = 0; at < bytes.size(); at += 16) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks people of the synthetic street with swinging legs and arms. Compares hits on
-// limbs with a search in small steps along rays. Steps must depend on the walked
+// Checks the walking people of the synthetic street, whose legs and arms swing. Compares
+// hits on limbs with a search in small steps along rays. Steps must depend on the walked
 // distance.
 #include <algorithm>
 #include <cmath>
@@ -22,8 +22,8 @@ double distance_to_segment(const glm::dvec3& p, const glm::dvec3& a, const glm::
     return glm::distance(p, a + along * (b - a));
 }
 
-/// Compares a limb with small steps along rays from all sides. Its axis hangs from the
-/// joint, swung forward by swing sin(stride).
+/// Compares ray hits on a limb with a search in small steps along rays from all sides.
+/// The limb hangs from its joint and swings forward by the angle swing sin(stride).
 TEST(Gait, LimbsAreMetWhereTheySwing) {
     const street::Limb limb{{0.1, 0.3, 0.2}, 0.7, 0.08, 0.5, 0.4, 0.5};
     street::MovingCar walker;
@@ -62,8 +62,8 @@ TEST(Gait, LimbsAreMetWhereTheySwing) {
     EXPECT_GT(hits, 1500);
 }
 
-/// A person on the same path at half the speed must step on the same places and look the
-/// same at the same position.
+/// A person who walks on the same path at half the speed must have the same steps and the
+/// same shape at the same position.
 TEST(Gait, GoesByDistance) {
     const SyntheticOptions options{.n_frames = 9, .people = true, .gait = true};
     const Sequence street = make_synthetic_street(options);

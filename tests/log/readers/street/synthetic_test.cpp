@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks the synthetic street: ray casts against closed forms, determinism, moving cars
-// within their boxes, and the settings file with its error messages.
+// inside their boxes, and the settings file with its error messages.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -33,7 +33,8 @@ RayTable one_ray(const glm::vec3& direction) {
 
 TEST(Synthetic, GroundLiesAtHeightOverSineOfTheElevation) {
     const SyntheticOptions options = small();
-    // origin of relidar's world: the sensor in the middle frame, 1.8 m up
+    // The origin of relidar's world is the sensor in the middle frame, at a height of 1.8
+    // m.
     const PoseTrack level{{0.2}, {Pose{}}};
     for (const double elevation : {-0.8, -0.5, -0.4}) {
         const glm::vec3 d(0.0f, std::cos(elevation), std::sin(elevation));
@@ -44,7 +45,7 @@ TEST(Synthetic, GroundLiesAtHeightOverSineOfTheElevation) {
     EXPECT_EQ(cast_synthetic_street(options, one_ray({0, 0, 1}), level, 0.2).range_m[0], 0.0f);
 }
 
-/// Returns the boxes of the street's cars, with which edits start.
+/// Returns the cars of the street before any edits.
 std::vector<StreetCar> own_cars(const SyntheticOptions& options) {
     std::vector<StreetCar> cars;
     for (const BoxTrack& box : make_synthetic_street(options).boxes) cars.push_back({cars.size(), box});
@@ -86,8 +87,8 @@ TEST(Synthetic, EditedCarsAreMetWhereTheirTracksPutThem) {
 }
 
 TEST(Synthetic, MovingCarIsMetWhereItsSpeedPutsIt) {
-    // At the middle frame the centre of the car ahead is 12 m ahead. The car drives 1.05
-    // times as fast as the sensor.
+    // In the middle frame, the centre of the leading car is 12 m ahead of the sensor. The
+    // car drives 1.05 times as fast as the sensor.
     const SyntheticOptions options = small();
     // 0.6 m above the ground, at the height of the car's body
     PoseTrack still{{0.2}, {Pose{{1, 0, 0, 0}, {0, 0, -1.2}}}};
@@ -166,7 +167,8 @@ TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
     {
         std::ofstream out(file);
         out.precision(17);
-        // The same positions, but 0.5 m further left in the street's world.
+        // The positions are equal except that the world of the street is offset by 0.5 m
+        // to the left.
         for (const Pose& pose : exact.world_from_vehicle.pose) {
             const glm::dmat4 m = to_matrix(pose);
             const glm::dvec3 t = pose.translation + exact.world_offset_m + glm::dvec3(0.0, 0.5, 0.0);
@@ -218,7 +220,7 @@ TEST(Synthetic, SizesAreBoundedByTheirProductToo) {
     fs::remove_all(folder);
 }
 
-/// Returns the options of a street logged with a rig.
+/// Returns the options of a street that a rig of several LiDARs records.
 SyntheticOptions rig_street() {
     SyntheticOptions options{.n_frames = 4, .range_noise_m = 0.0};
     options.rig = test::write_rig(fs::path(testing::TempDir()) / "relidar_synthetic_rig");
@@ -432,7 +434,7 @@ TEST(Synthetic, WrongFilesAreNamed) {
     EXPECT_THAT(message("n_frames = 0\n"), HasSubstr("n_frames is 0"));
     EXPECT_THAT(message("gait = true\n"), HasSubstr("gait = true needs people = true"));
     EXPECT_THAT(message("rows = \n"), HasSubstr("street.toml line 1: malformed TOML"));
-    // found by fuzzing: conversions of values that no integer can hold
+    // These numbers cannot be converted to an integer. Fuzzing detected the error.
     for (const char* real : {"16.0", "4.4e38", "-1e308", "nan"})
         EXPECT_THAT(
             message(std::string("rows = ") + real + "\n"),

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A yard of four walls without a roof, in which tests record logs. The hit of a ray has a
-// closed form.
+// Defines a yard of four walls without a roof, in which tests record logs. The hit of a
+// ray has a closed form.
 #pragma once
 
 #include <algorithm>
@@ -10,7 +10,7 @@
 
 namespace relidar::test {
 
-/// Returns the first point of the ground (z = -0.35) or of a wall along a ray, in metres.
+/// Returns the first point where a ray hits the ground (z = -0.35) or a wall, in metres.
 /// The ray must start in the yard.
 inline glm::dvec3 yard_hit(const glm::dvec3& origin_m, const glm::dvec3& direction) {
     double t = std::numeric_limits<double>::infinity();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the Waymo segment with protozero and zlib; computes its geometry independently
-// with 4x4 products.
+// Writes the Waymo segment with protozero and zlib. Computes its geometry with 4x4
+// products, independently of the library.
 #include "log/readers/waymo/waymo_segment.hpp"
 
 #include <cmath>
@@ -31,7 +31,7 @@ glm::dmat4 euler(double roll, double pitch, double yaw, const glm::dvec3& at) {
                   {1, 0, 0});
 }
 
-/// Returns roll, pitch, yaw, x, y, z of the vehicle.
+/// Returns roll, pitch, yaw, x, y and z of the vehicle at a time.
 std::vector<double> vehicle_state(double time_us) {
     const double t = 1e-6 * (time_us - WaymoSegment::kStart_us);
     return {0.01 * std::sin(3 * t),    0.02 * std::cos(2 * t), 2.0 + 0.3 * t + 0.4 * t * t,
@@ -42,8 +42,9 @@ constexpr glm::dvec3 kRoomMiddle{1203, -3399, 22}, kRoomHalf{40, 25, 4};
 constexpr glm::dvec3 kParkedSize{4.6, 2.0, 1.6};
 constexpr double kFarthest_m = 35.0;
 
-/// Returns the range at which a ray leaves a box around the origin (inside) or enters it
-/// (outside); 0 if it does not.
+/// Returns the range at which a ray crosses a box around the origin. If the ray starts
+/// inside, the range is where it leaves the box, otherwise where it enters the box.
+/// Returns 0 if the ray misses the box.
 double box_range(const glm::dvec3& origin, const glm::dvec3& direction, const glm::dvec3& half, bool inside) {
     double enters = -1e9, leaves = 1e9;
     for (int a = 0; a < 3; ++a) {
@@ -55,7 +56,8 @@ double box_range(const glm::dvec3& origin, const glm::dvec3& direction, const gl
     return inside ? leaves : std::max(enters, 0.0);
 }
 
-/// Returns the range of the first surface along a ray of the world; 0 if it is too far.
+/// Returns the range of the first surface along a ray in the world frame. Returns 0 if
+/// the surface is too far away.
 double cast(const glm::dvec3& origin, const glm::dvec3& direction) {
     double range = box_range(origin - kRoomMiddle, direction, kRoomHalf, true);
     const glm::dmat4 to_parked = glm::inverse(WaymoSegment::world_from_parked());
@@ -91,8 +93,8 @@ Rig side_rig() {
     return {3, WaymoSegment::kSideRows, WaymoSegment::kSideColumns, side_extrinsic(), rows};
 }
 
-/// Returns the direction of a pixel in the LiDAR's frame, computed like the dataset's
-/// tool.
+/// Returns the direction of a pixel in the LiDAR's frame, computed in the same way as the
+/// dataset's tool.
 glm::dvec3 pixel_direction(const Rig& rig, int row, int column) {
     const double yaw = std::atan2(rig.extrinsic[0][1], rig.extrinsic[0][0]);
     const double azimuth = kPi64 * (2.0 * (rig.columns - column - 0.5) / rig.columns - 1.0) - yaw,
@@ -119,8 +121,8 @@ std::vector<WaymoPixel> make_image(const Rig& rig, int frame) {
     std::vector<WaymoPixel> pixels;
     for (int row = 0; row < rig.rows; ++row)
         for (int column = 0; column < rig.columns; ++column) {
-            // A pixel of TOP is fired within five columns of the mean position of its
-            // column.
+            // A pixel of TOP is fired within five columns of the mean firing position of
+            // its column.
             const double fired = column + 0.5 + 5.0 * std::sin(double(row));
             const double time_us =
                 WaymoSegment::kStart_us + WaymoSegment::kPeriod_us * (frame + fired / rig.columns);

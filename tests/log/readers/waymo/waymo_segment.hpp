@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes a small segment of Waymo Open, message by message: TOP with 16 x 400 pixels and
-// SIDE_LEFT with 12 x 60, cast into a room with a parked vehicle. The recording vehicle
-// accelerates and turns. Every pixel of TOP has a separate firing time and therefore a
-// separate pose.
+// SIDE_LEFT with 12 x 60. The rays are cast into a box-shaped space with a parked
+// vehicle. The recording vehicle accelerates and turns. Every pixel of TOP has a separate
+// firing time and therefore a separate pose.
 #pragma once
 
 #include <cstdint>
@@ -32,21 +32,22 @@ std::string waymo_context(const std::vector<std::string>& calibrations);
 std::string waymo_unpacked_matrix(const std::vector<float>& values, const std::vector<int>& dims);
 std::string waymo_matrix(const std::vector<float>& values, const std::vector<int>& dims);
 std::string deflated(const std::string& bytes);
-/// @param second second returns; empty: none
-/// @param poses poses of the pixels; empty: none
+/// @param second second returns. Empty if the laser has no second returns.
+/// @param poses poses of the pixels. Empty if the laser has no pixel poses.
 std::string waymo_laser(int laser, const std::string& first, const std::string& second,
                         const std::string& poses);
 std::string waymo_label(const std::string& id, int type, const glm::dvec3& centre,
                         const glm::dvec3& length_width_height, double heading);
 
-/// Returns a TFRecord: length, data and their masked CRC-32C.
+/// Returns a TFRecord: the length, the data, and the masked CRC-32C of both.
 std::string tfrecord(const std::string& data);
 /// Computes CRC-32C bit by bit.
 std::uint32_t plain_crc32c(const std::string& bytes);
 
 /// Exact content of a pixel.
 struct WaymoPixel {
-    glm::dvec3 point_m{0.0};  ///< in the world; for a dropped pixel, on its ray at 10 m
+    /// point in the world frame; for a dropped pixel, the point at 10 m on its ray
+    glm::dvec3 point_m{0.0};
     double time_us = 0.0;
     float range_m = 0.0f;  ///< 0: no return
     float second_m = 0.0f;
@@ -72,8 +73,9 @@ struct WaymoSegment {
     static glm::dmat4 top_extrinsic();
     static std::vector<double> top_inclinations();  ///< ascending
     static glm::dmat4 world_from_vehicle(double time_us);
-    static double label_time_us(int frame);  ///< time of Frame.pose: not exactly the middle of the sweep
-    static glm::dmat4 world_from_parked();   ///< the vehicle "parked", 4.6 x 2 x 1.6 m
+    /// Returns the time of Frame.pose, which is not exactly the middle of the sweep.
+    static double label_time_us(int frame);
+    static glm::dmat4 world_from_parked();  ///< the vehicle "parked", 4.6 x 2 x 1.6 m
 };
 
 }  // namespace relidar::test

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a small segment of Waymo Open and compares it with the room that it was cast
-// into.
+// Reads a small segment of Waymo Open and compares the points with the surfaces that the
+// rays were cast into.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decodes real packets of Velodyne and Hesai sensors and compares the points with those
+// Decodes real packets of Velodyne and Hesai sensors. Compares the points with the points
 // that TIER IV's driver nebula decodes from the same packets (nebula/*.txt). nebula
-// leaves out the rotation of the head while the lasers of a block fire. The test
-// therefore compares with a head that does not turn, and checks the rotation with the
-// manuals.
+// ignores the rotation of the head while the lasers of a block fire. The test therefore
+// compares with a head that does not turn, and checks the rotation with the manuals.
 #include <cmath>
 #include <filesystem>
 #include <fstream>
@@ -27,7 +26,8 @@ namespace {
 using packets::Calibration;
 using packets::Correction;
 
-constexpr double kStill_hz = 1e-9;  // rotation rate at which nothing turns during a firing
+// rotation rate at which the head does not turn noticeably during a firing
+constexpr double kStill_hz = 1e-9;
 constexpr double kDegree = kPi / 180.0;
 
 std::string packet_of_hex(std::string_view text) {
@@ -64,7 +64,7 @@ std::unique_ptr<packets::Decoder> make_decoder(const std::string& packet, const 
     return found && found->make ? found->make(found->name, calibration) : nullptr;
 }
 
-/// Returns all returns of the packets as points, for a head that does not turn while the
+/// Decodes all returns of the packets as points, for a head that does not turn while the
 /// lasers fire.
 std::vector<glm::dvec3> decode_points(const packets::Decoder& decoder,
                                       const std::vector<std::string>& all_packets) {
@@ -83,8 +83,8 @@ std::vector<glm::dvec3> decode_points(const packets::Decoder& decoder,
     return points_m;
 }
 
-/// Expects that each point of nebula is one of the decoded points.
-/// @param ahead_deg  largest rotation that nebula adds to a point
+/// Expects that each point of nebula is equal to a decoded point.
+/// @param ahead_deg largest rotation that nebula adds to a point
 void expect_all(const std::vector<glm::dvec3>& theirs_m, const std::vector<glm::dvec3>& ours_m,
                 double ahead_deg = 0.0) {
     std::size_t n_missing = 0;
@@ -126,8 +126,8 @@ TEST(BlockPackets, GiveThePointsOfNebula) {
         EXPECT_EQ(decoder->decode(recorded.packets[0]).n_slots, test.n_slots);
         EXPECT_EQ(decoder->timing().offset_us.size(), std::size_t(test.n_rings));
         EXPECT_EQ(recorded.points_m.size(), test.n_points);
-        // nebula turns the head for the last 32 lasers of a VLS-128, by up to 17 of the
-        // 20 parts of a step of 0.2 degrees
+        // nebula rotates the head for the last 32 lasers of a VLS-128, by up to 17/20 of
+        // an azimuth step of 0.2 degrees
         expect_all(recorded.points_m, decode_points(*decoder, recorded.packets),
                    std::string_view(test.file) == "vls128" ? 0.2 : 0.0);
     }
@@ -183,7 +183,8 @@ TEST(BlockPackets, UseTheAnglesOfTheirFile) {
         EXPECT_NEAR(beams[std::size_t(laser)].elevation_rad / kDegree, 10.0 - laser, 1e-9);
         EXPECT_NEAR(beams[std::size_t(laser)].azimuth_offset_rad / kDegree, -0.25 * laser, 1e-9);
     }
-    // two files that fit, and a file with the name of the recording that does not fit
+    // Two of the files fit the packets. A further file has the name of the recording but
+    // does not fit.
     const auto unsure = make_decoder(recorded.packets[0], "XT16", {{angles, angles}});
     ASSERT_TRUE(unsure);
     EXPECT_NE(unsure->about().find("nominal"), std::string::npos) << unsure->about();
@@ -228,8 +229,8 @@ TEST(BlockPackets, AngleFilesNextToABag) {
     EXPECT_THROW(packets::find_corrections(recording), DataError);
 }
 
-/// Returns a packet of an OT128 with one return per laser. The range value of a laser is
-/// its number, counted from 0. Written byte by byte from the manual.
+/// Returns a packet of an OT128 with a return per laser, written byte by byte from the
+/// manual. The range value of a laser is its number, counted from 0.
 std::string ot128_packet(int mode, int azimuth_state) {
     std::string bytes("\xee\xff\x01\x04\0\0\x80\x02\0\x04\x01\x07", 12);
     for (int block = 0; block < 2; ++block) {
@@ -255,13 +256,14 @@ TEST(BlockPackets, Ot128) {
     EXPECT_NEAR(packet.firings[1].azimuth_deg, 2.56, 1e-9);
     EXPECT_NEAR(packet.firings[1].after_us, 43.346 + 2.378, 1e-9);
     EXPECT_NEAR(packet.firings[0].after_us, 43.346 + 2.378 - 2 * 27.778, 1e-3);
-    // laser 1 is the highest one; range values up to 3 are marks of the sensor
+    // Laser 1 is the highest laser. The sensor uses range values up to 3 as special
+    // marks.
     EXPECT_EQ(packet.echoes[0][0].range_m, 0.0f);
     std::size_t n_returns = 0;
     for (std::size_t ring = 0; ring < 128; ++ring) n_returns += packet.echoes[ring][0].range_m > 0.0f;
     EXPECT_EQ(n_returns, 124u);
     EXPECT_NEAR(all->timing().offset_us[0], 49.758 - 2.378, 1e-9);
-    // 29 lasers do not fire in state 0, 31 others do not fire in state 1
+    // 29 lasers do not fire in state 0, and 31 different lasers do not fire in state 1
     EXPECT_EQ(states->timing().offset_us.size(), 256u - 29u - 31u);
     const packets::Packet half = states->decode(fine);
     EXPECT_EQ(half.firings[0].part, 0);
@@ -278,7 +280,7 @@ TEST(BlockPackets, TheTwoBrightestOfThreeReturns) {
     };
     const int returns[3][3][2] = {{{1000, 10}, {1200, 30}, {1400, 20}},  // the first is the darkest
                                   {{1000, 30}, {1200, 20}, {1200, 25}},  // two are the same
-                                  {{0, 0}, {0, 0}, {1400, 20}}};         // the third alone
+                                  {{0, 0}, {0, 0}, {1400, 20}}};         // only the third return
     for (int laser = 0; laser < 3; ++laser)
         for (int block = 0; block < 3; ++block)
             set(block, laser, returns[laser][block][0], returns[laser][block][1]);
@@ -296,7 +298,7 @@ TEST(BlockPackets, TheTwoBrightestOfThreeReturns) {
 }
 
 /// Returns a packet of an RS-LiDAR-16, written byte by byte from the manual. The azimuth
-/// is 90 degrees in the first block and rises by 0.4 degrees per block.
+/// is 90 degrees in the first block and increases by 0.4 degrees per block.
 std::string rs16_packet() {
     std::string bytes("\x55\xaa\x05\x0a\x5a\xa5\x50\xa0", 8);
     bytes.resize(26);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decodes packets of an Ouster that were written byte by byte from its firmware user
-// manual.
+// Decodes packets of an Ouster sensor that the test writes byte by byte from the firmware
+// user manual.
 #include <array>
 #include <string>
 #include <string_view>
@@ -22,8 +22,9 @@ std::string of_hex(std::string_view text) {
     return bytes;
 }
 
-/// Two beams, the lower first, with origins 10 mm from the axis. Two columns per packet
-/// and four per turn; these are the last two columns.
+/// Packet of a sensor with two beams, the lower beam first, whose origins are 10 mm from
+/// the axis. A packet has two columns and a turn has four columns. This packet contains
+/// the last two columns.
 struct Written {
     const char *profile, *head, *first, *second, *foot;  ///< columns without their time stamps
     std::array<packets::Echo, 2> lower, upper;           ///< echoes of the first column

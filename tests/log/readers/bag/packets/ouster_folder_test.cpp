@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads real scans of two Ouster sensors as plain folders. The points follow Ouster's
-// equation (beam angles, offset n of the beam origin) and the beams follow its
-// calibration. Every return must be on the ray that measured it. Skipped if
+// equation (beam angles, offset n of the beam origin), and the beams follow the
+// calibration of the sensor. Every return must be on the ray that measured it. Skipped if
 // RELIDAR_SHARED (default: ../shared next to the repository) does not contain the scans.
 #include <relidar/log/dataset.hpp>
 
@@ -29,8 +29,8 @@ fs::path shared_data() {
            "data/ouster";
 }
 
-/// Range images as measured by the sensor; column m of W has the encoder angle 2 pi (1 -
-/// m / W).
+/// Range images as measured by the sensor. Column m of W columns has the encoder angle 2
+/// pi (1 - m / W).
 struct OusterScans {
     std::size_t frames, rows, columns;
     std::vector<double> range_m, time_s, altitude_deg, azimuth_deg;
@@ -64,8 +64,8 @@ struct OusterScans {
     }
 };
 
-/// Writes points without rings and times, which the reader must estimate. Without
-/// `with_beams` it must also estimate the beams.
+/// Writes points without rings and times, so that the reader must estimate both. Without
+/// `with_beams`, the reader must also estimate the beams.
 fs::path write_folder(const OusterScans& scans, const std::string& name, bool with_beams) {
     const fs::path folder = fs::path(testing::TempDir()) / "relidar_ouster" / name;
     fs::remove_all(folder);
@@ -99,8 +99,8 @@ fs::path write_folder(const OusterScans& scans, const std::string& name, bool wi
     return folder;
 }
 
-/// Number of returns in the cell of their beam and column at the right range, and number
-/// of all returns. Columns are counted from a first column.
+/// Number of returns that have the right beam, column and range, and number of all
+/// returns. Columns are counted from a first column.
 struct Found {
     std::size_t right = 0, all = 0;
 };
@@ -113,7 +113,8 @@ Found compare(const OusterScans& scans, std::size_t f, const Scan& found, const 
             const double range_m = scans.range(f, row, column);
             if (range_m == 0.0) continue;
             ++counts.all;
-            // The sensor faces backwards, where an image starts, at half of the columns.
+            // A sweep starts in the backward direction, which is at half of the columns
+            // of an image.
             const std::size_t firing = (column + scans.columns / 2 + first) % scans.columns;
             const std::size_t at =
                 row * scans.columns +
@@ -160,7 +161,8 @@ TEST(OusterFolder, BeamsAreFoundInThePoints) {
     const SpinningSensor& sensor = log.lidars[0].sensor;
     EXPECT_EQ(sensor.columns, int(scans.columns));
     ASSERT_EQ(sensor.beams.size(), scans.rows);
-    // Seen from the centre: n sin(altitude) / range is 0.08 degrees at 4 m.
+    // The estimated elevation refers to the centre of the sensor. It differs from the
+    // calibration by n sin(altitude) / range, which is 0.08 degrees at 4 m.
     for (std::size_t b = 0; b < scans.rows; ++b)
         EXPECT_NEAR(sensor.beams[b].elevation_rad * 180.0 / kPi, scans.altitude_deg[b], 0.1) << "beam " << b;
     for (std::size_t f = 0; f < scans.frames; ++f) {

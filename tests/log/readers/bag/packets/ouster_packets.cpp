@@ -63,7 +63,8 @@ std::vector<OusterPacket> ouster_packets(const OusterImages& images) {
             bool any = false;
             std::string bytes;
             if (images.profile != kLegacy) {
-                // a FUSA header has one byte of type, then the number of the last reboot
+                // a FUSA header starts with the type in a single byte, followed by the
+                // number of the last reboot
                 append(bytes, std::uint16_t(images.profile == kFusa ? 0xBC01 : 1));
                 append(bytes, std::uint16_t(frame));
                 bytes.append(28, '\x21');

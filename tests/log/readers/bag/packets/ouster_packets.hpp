@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes packets of an Ouster from range images as its firmware user manual describes
-// ("Lidar Data", "Lidar Data Legacy"), and a capture of the packets.
+// Makes the packets of an Ouster sensor from range images, following its firmware user
+// manual ("Lidar Data", "Lidar Data Legacy"), and a capture of the packets.
 #pragma once
 
 #include <cstdint>
@@ -15,7 +15,8 @@ inline constexpr const char *kLegacy = "LEGACY", *kSingle = "RNG19_RFL8_SIG16_NI
                             *kDual = "RNG19_RFL8_SIG16_NIR16_DUAL", *kLowRate = "RNG15_RFL8_NIR8",
                             *kLowRateDual = "RNG15_RFL8_NIR8_DUAL", *kFusa = "FUSA_RNG15_RFL8_NIR8_DUAL";
 
-/// Staggered range images: a column holds simultaneous measurements of all beams.
+/// Range images that are staggered: a column contains the simultaneous measurements of
+/// all beams.
 struct OusterImages {
     std::string product = "OS-1-16", profile = kSingle;
     std::size_t frames = 0, rows = 0, columns = 0, per_packet = 16;
@@ -33,20 +34,21 @@ struct OusterImages {
     bool is_in_window(std::size_t column) const { return last == 0 || (column >= first && column <= last); }
     bool is_dual() const { return profile == kDual || profile == kLowRateDual || profile == kFusa; }
     bool is_low_rate() const { return profile == kLowRate || profile == kLowRateDual || profile == kFusa; }
-    /// Returns the range stored in packets. The low data rate profiles use steps of 8 mm.
+    /// Returns the range as packets store it. The low data rate profiles use steps of 8
+    /// mm.
     std::uint32_t written_mm(std::uint32_t mm) const { return is_low_rate() ? mm / 8 * 8 : mm; }
 };
 
-/// A packet with the measurement time of its last column.
+/// A packet and the measurement time of its last column.
 struct OusterPacket {
     std::uint64_t time_ns;
     std::string bytes;
 };
-/// Returns the packets that contain a column of the window, in order.
+/// Returns the packets that contain a column of the azimuth window, in order.
 std::vector<OusterPacket> ouster_packets(const OusterImages& images);
 
 /// Returns the metadata as JSON.
-/// @param is_nested true: nested, as newer tools write it; false: flat
+/// @param is_nested if true, the JSON is nested (newer tools), otherwise flat
 std::string ouster_metadata(const OusterImages& images, int port, bool is_nested = false);
 
 /// A UDP datagram of a capture.
@@ -55,8 +57,8 @@ struct Datagram {
     std::string bytes;
     int port = 7502;
 };
-/// Returns the received datagrams: 0.2 ms after the last column, every third up to 0.4 ms
-/// later.
+/// Returns the datagrams with their time of arrival. A packet arrives 0.2 ms after its
+/// last column. Every third packet arrives up to 0.4 ms later.
 /// @param ahead_ns clock of the recorder minus clock of the sensor
 std::vector<Datagram> received(const std::vector<OusterPacket>& packets, int port = 7502,
                                std::int64_t ahead_ns = 1700000000000000000);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decodes packets of Ouster sensors. Packets made from real range images, in every
-// supported profile, must give the same scans as a plain folder of the same images
-// (skipped if RELIDAR_SHARED does not contain them). Also checks the errors for invalid
-// captures and metadata.
+// Decodes packets of Ouster sensors. The test makes packets from real range images in
+// every supported profile. They must give the same scans as a plain folder of the same
+// images (skipped if RELIDAR_SHARED does not contain the images). Also checks the errors
+// for invalid captures and metadata.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -46,8 +46,8 @@ void write_bytes(const fs::path& file, const std::string& bytes) {
     std::ofstream(file, std::ios::binary) << bytes;
 }
 
-/// Adds second returns 1.5 m behind every fifth first return; some are brighter than the
-/// first.
+/// Adds second returns 1.5 m behind every fifth first return. Some of the second returns
+/// are brighter than the first return.
 void add_second_returns(OusterImages& images) {
     images.range_2_mm.assign(images.range_mm.size(), 0);
     images.reflectivity_2 = images.range_2_mm;
@@ -57,7 +57,7 @@ void add_second_returns(OusterImages& images) {
             images.reflectivity_2[i] = std::uint32_t(3 + i % 200);
 }
 
-/// Returns real scans, or no value if they are not available.
+/// Returns real scans, or std::nullopt if the files are not available.
 std::optional<OusterImages> real_images(const std::string& name, const std::string& product,
                                         const std::string& profile) {
     const char* shared = std::getenv("RELIDAR_SHARED");
@@ -84,7 +84,7 @@ std::optional<OusterImages> real_images(const std::string& name, const std::stri
     return images;
 }
 
-/// Makes a few beams in a room; some have no return.
+/// Makes range images of a few beams in a room. Some pixels have no return.
 OusterImages small_images(const std::string& profile) {
     OusterImages images;
     images.profile = profile, images.frames = 4, images.rows = 16, images.columns = 128, images.n_mm = 15.8;
@@ -105,7 +105,7 @@ OusterImages small_images(const std::string& profile) {
     return images;
 }
 
-/// Returns x y z intensity ring time return of each return, as float64.
+/// Returns the columns x y z intensity ring time return for each return, as float64.
 std::string points_of(const OusterImages& images, std::size_t frame) {
     std::vector<std::size_t> ring(images.rows);
     for (std::size_t row = 0; row < images.rows; ++row)
@@ -117,7 +117,8 @@ std::string points_of(const OusterImages& images, std::size_t frame) {
         for (std::size_t column = 0; column < images.columns; ++column) {
             const std::size_t i = images.at(frame, row, column);
             const auto add = [&](double mm, double reflectivity, double number) {
-                // Ouster's equation, with its LiDAR frame turned by 180 degrees about z.
+                // Computes the point with Ouster's equation, with Ouster's LiDAR frame
+                // rotated by 180 degrees about z.
                 const double encoder = 2.0 * kPi * (1.0 - double(column) / double(images.columns)) + kPi;
                 const double theta = encoder - images.azimuth_deg[row] * kPi / 180.0,
                              phi = images.altitude_deg[row] * kPi / 180.0;
@@ -192,8 +193,8 @@ fs::path write_capture(const OusterImages& images) {
     return write_capture(images, test::received(test::ouster_packets(images)));
 }
 
-/// Result of load_sequence(), or its error message. Tests are skipped if relidar was
-/// built without the reader of captures.
+/// Log from load_sequence(), or its error message. Tests are skipped if relidar was built
+/// without the reader of captures.
 struct Loaded {
     Sequence log;
     std::string error;
@@ -217,7 +218,8 @@ struct Loaded {
     }
 };
 
-/// Returns the column of a ray (the encoder position at its firing) and its ring.
+/// Returns the column and the ring of a ray. The column is the encoder position when the
+/// ray was fired.
 std::pair<std::size_t, int> cell_of(const Scan& scan, std::size_t ray, const SpinningSensor& sensor) {
     const std::size_t ring = scan.rays.channel[ray];
     const glm::vec3 d = scan.rays.direction[ray];
@@ -249,7 +251,8 @@ void expect_same_scan(const Scan& actual, const Scan& expected, const SpinningSe
                        actual.intensity[a] == expected.intensity[b] &&
                        std::abs(actual.rays.time_offset_s[a] - expected.rays.time_offset_s[b]) < 1e-6f &&
                        glm::distance(actual.rays.origin[a], expected.rays.origin[b]) < 1e-5f;
-        // The folder reader estimates the phase of the columns from the points.
+        // A tolerance is needed, because the folder reader estimates the phase of the
+        // columns from the points.
         is_same = is_same && glm::distance(actual.rays.direction[a], expected.rays.direction[b]) <
                                  (actual.range_m[a] > 0.0f ? 2e-6f : 1e-4f);
         for (std::size_t k = 0; k < actual.second_returns.size(); ++k)
@@ -485,7 +488,8 @@ TEST(OusterPackets, TwoSensorsHaveTheirOwnMetadata) {
         ambiguous.error,
         HasSubstr("packets of 3328 bytes on port 7502, expected one metadata that tells of them there"));
     fs::remove(folder / "rear.json");
-    // Packets of the other sensor must not be decoded with the metadata of the first.
+    // Packets of the second sensor must not be decoded with the metadata of the first
+    // sensor.
     const Loaded half(folder / "drive.pcap");
     EXPECT_THAT(
         half.notes(),
