@@ -107,7 +107,7 @@ class Runs(TestCase):
         shutil.copytree(run().folder, newer)
         scene = json.loads((newer / "scene.json").read_text())
         (newer / "scene.json").write_text(json.dumps(dict(scene, version=scene["version"] + 1)))
-        self.assert_fails(relidar.DataError, f"found {scene['version'] + 1}, this relidar", relidar.Run.load, newer)
+        self.assert_fails(relidar.DataError, f"found {scene['version'] + 1}, relidar", relidar.Run.load, newer)
         cut = FOLDER / "cut"
         shutil.copytree(run().folder, cut)
         (cut / "model.safetensors").write_bytes((cut / "model.safetensors").read_bytes()[:1000])

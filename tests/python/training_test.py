@@ -122,7 +122,7 @@ class Train(TestCase):
 
     def test_bad_log(self):
         self.assert_fails(relidar.UsageError, "test_every", relidar.train, log(), relidar.Config("quick", {"dataset.test_every": 1}))
-        self.assert_fails(relidar.UsageError, "found 999", relidar.train, log(), relidar.Config("quick", {"dataset.test_frames": "1,999"}))
+        self.assert_fails(relidar.UsageError, "found frame 999", relidar.train, log(), relidar.Config("quick", {"dataset.test_frames": "1,999"}))
 
 
 class Evaluate(TestCase):

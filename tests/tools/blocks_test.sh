@@ -172,7 +172,7 @@ mpi_pair() {
 ranks() {
     mpi 2 "$relidar" train street --out two --blocks 30m "${settings[@]}" >out 2>err
     check "mpirun: exit code $?, expected 0" test $? = 0
-    check "more than one process talks" test "$(grep -c '^blocks  3 of' out)" = 1
+    check "more than one process talks" test "$(grep -c '^blocks  3 blocks of' out)" = 1
     same two
     mpi 2 "$relidar" train street --out piece "${settings[@]}" >out 2>err
     check "a log in one piece by two processes: exit code 0" test $? != 0
@@ -231,7 +231,7 @@ misfits() {
     # model.
     mpi 2 "$relidar" train street --out full/run --blocks 30m "${settings[@]}" --set train.checkpoint_minutes=10 --quiet >out 2>err
     check "a full folder: exit code $?, expected 3" test $? = 3
-    check "the message lacks the block" grep -Eq "^relidar: block . of 3: writing .*: No space left on device; .* continue with: relidar train --resume full/run" err
+    check "the message lacks the block" grep -Eq "^relidar: block . of 3: cannot write .*: No space left on device; .* continue with: relidar train --resume full/run" err
     absent full/run/scene.json
     # no files of the first block may remain
     check "nothing is kept in the full folder" compgen -G "full/run/blocks/*/scene.json" >/dev/null
