@@ -17,8 +17,9 @@ namespace relidar {
 /// @return the largest relative error of a sum. 0 if all sums are correct
 double sum_error(Device& device, bool swaps);
 
-/// Lets `n_threads` threads of one dispatch add to 1024 sums with compare-and-swap.
-/// @return the largest relative error of a sum
+/// Tests atomic addition with compare-and-swap. The threads of one dispatch add numbers
+/// to 1024 shared sums.
+/// @return the largest relative error, compared with the exact sums
 double sum_error_of(Device& device, std::uint32_t n_threads);
 
 /// Returns the subgroup sizes that kernels can request, of 4 to 64 lanes.

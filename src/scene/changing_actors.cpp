@@ -25,7 +25,8 @@ constexpr std::size_t kCompared = 64;
 // Minimum number of surfels that each frame is allowed. Without it, the actors of long
 // logs would have too few surfels per frame.
 constexpr std::size_t kInFrame = 200;
-// Minimum number of frames from which changing surfels are made.
+// Minimum number of frames with points for an actor whose surfels change from frame to
+// frame.
 constexpr std::size_t kFewestChanging = 3;
 // Minimum distance that the actor must walk in the log. Minimum spacing of two frames in
 // walked distance, because frames of a standing actor would have a spacing of zero.

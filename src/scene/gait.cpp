@@ -166,8 +166,8 @@ StrideEstimate find_stride(const std::vector<Sample>& samples, const StrideRange
     std::vector<double> shares(strides.size()), smooth;
     parallel_for(int(strides.size()),
                  [&](int i) { shares[std::size_t(i)] = misfit_share(gaps, strides[std::size_t(i)]); });
-    // Averages the ratios of neighbouring stride lengths, because one good ratio can be a
-    // coincidence.
+    // Each share is the error of one candidate for the length of a stride. Averages the
+    // shares of neighbouring candidates, because a single low error can be a coincidence.
     for (std::size_t i = kBeside; i + kBeside < shares.size(); ++i)
         smooth.push_back(std::accumulate(&shares[i - kBeside], &shares[i + kBeside] + 1, 0.0) /
                          (2 * kBeside + 1));

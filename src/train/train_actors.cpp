@@ -124,8 +124,8 @@ std::vector<Stretch> stretches_of(const Run& run, const std::vector<PoseTrack>& 
     return stretches;
 }
 
-/// Returns the rays of a scan that pass near an actor, without image order. Skips rays
-/// that the sensor itself drops with a high probability.
+/// Returns the rays of a scan that pass near an actor, as a list without rows and
+/// columns. Leaves out rays that the sensor drops with a high probability.
 Scan select_rays_near(const Run& run, const Frame& frame, const PoseTrack& world_from_sensor,
                       const std::vector<Sight>& sights) {
     const Scan& all = frame.scan;

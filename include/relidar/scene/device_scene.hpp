@@ -300,9 +300,9 @@ public:
     /// Enlarges the arrays of parameters and records to at least `capacity` surfels.
     /// Existing values are kept.
     void reserve(Device& device, std::uint32_t capacity);
-    /// Sets the surfel ranges of the models after the parameter arrays were rearranged.
-    /// size() becomes the sum of the ranges. The surfel records must then be computed
-    /// again. The next place() or set_poses() updates the instance table.
+    /// Sets which part of the surfel arrays belongs to each model. Call it after the
+    /// arrays were rearranged, and compute the surfel records again afterwards. The next
+    /// place() or set_poses() updates the instance table.
     void set_models(const std::vector<Model>& models);
 
     const Scene& layout() const;  ///< Models and instances of the scene, without surfels.

@@ -295,8 +295,8 @@ private:
                                               : ""));
     }
 
-    /// Sets the rings of points without rings. Returns false if neither the elevations
-    /// nor the order of the points show rings.
+    /// Computes ring numbers for points that have none. Returns false if the rings cannot
+    /// be derived from the elevations or from the order of the points.
     bool find_rings(std::size_t l, std::vector<Points>& samples) {
         // Try the elevations before the order, because the rings of an Ouster begin at
         // different azimuths and the order cannot show them.

@@ -23,7 +23,8 @@ constexpr double kApart_m = 80.0;
 // Maximum distance between the two passes of a loop closure. This limit grows with the
 // path length between the passes, because odometry drifts.
 constexpr double kNear_m = 4.0, kNearShare = 0.01, kFarthest_m = 15.0;
-// Path length of the earlier pass that the map covers, before and after the key pose.
+// The map covers this length of the earlier drive's path before the key pose, and the
+// same length after it.
 constexpr double kMap_m = 14.0;
 // Grid of start positions around the predicted pose. Registration tries these positions.
 constexpr double kGrid_m = 1.5, kWidest_m = 6.0, kHighest_m = 4.5;
@@ -219,8 +220,8 @@ private:
         return LoopClosure{earlier, later, twist_between(pose(later), at)};
     }
 
-    /// Returns the pose `other` after the correction of the pose `at`, as if both poses
-    /// were rigidly connected.
+    /// The correction moves the pose `at`. Returns the pose `other` after the same motion,
+    /// so that the pose of `other` relative to `at` does not change.
     static Pose carried(const Twist& correction, const Pose& at, const Pose& other) {
         const Pose world_from_world = moved(at, correction) * inverse(at);
         return world_from_world * other;

@@ -42,10 +42,10 @@ public:
     RigidEquations& operator+=(const RigidEquations& other);
     bool empty() const { return !(stiffness_.trace() > 0.0); }
     std::size_t n_on_planes() const { return n_on_planes_; }
-    /// Solves the equations for the step of the pose.
-    /// @param prior weight of the prior that pulls the correction to zero, relative to
-    /// the mean weight of translations and of rotations. The prior matters only in
-    /// directions that no point constrains.
+    /// Solves the equations for the next step of the pose.
+    /// @param prior weight that pulls the correction to zero. It is multiplied by the
+    /// mean weight of the translations, and by the mean weight of the rotations. It
+    /// matters only in directions that no point constrains.
     /// @param correction current correction of the pose
     Twist solve(double prior, const Twist& correction = {}) const;
 

@@ -31,10 +31,9 @@ constexpr double kStanding_m = 3.0;  // a box that moves farther than this is no
 constexpr int kNeighbours = 3;       // number of poses on each side that are used to interpolate a pose
 constexpr double kLongestGap_s = 1.0;
 
-/// Returns the prior for the corrections of poses, as weights relative to the weight of
-/// one point. A point has an error of 0.05 m, and errors of neighbouring points are
-/// correlated. Labels have errors of 0.15 m and 2 degrees. These errors change by 0.05 m
-/// and 1 degree within 0.1 s.
+/// Returns the weights of the prior for pose corrections. The weight of one point is 1. A
+/// weight is the squared ratio of the error of a point (0.05 m) and the expected error of
+/// a label (0.15 m, 2 degrees), or its expected change within 0.1 s (0.05 m, 1 degree).
 CorrectionPrior correction_prior() {
     const double pull_m = std::pow(0.05 / 0.15, 2), pull_rad = std::pow(0.05 / 0.035, 2);
     const double link_m = std::pow(0.05 / 0.05, 2), link_rad = std::pow(0.05 / 0.017, 2);

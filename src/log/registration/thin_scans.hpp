@@ -49,9 +49,9 @@ double share_of(const ThinPoint& point, std::size_t pose);
 /// @return indices in the order of the scan
 std::vector<std::size_t> thin_rays(const Sequence& sequence, int position, const RegisterOptions& options,
                                    double cell_m);
-/// Returns the point of one ray of a frame. The range offset of the beam is removed.
-/// @param track track on which the point is interpolated
-/// @param pose index in the track of the frame's sweep
+/// Computes the 3D point of one ray of a frame, without the range offset of its beam.
+/// @param track poses of the sensor; the pose of the ray is interpolated
+/// @param pose index in `track` of the pose of this frame
 ThinPoint point_of(const Sequence& sequence, const PoseTrack& track, std::size_t pose, int position,
                    std::size_t ray);
 /// Returns the selected points of some sweeps. In each cell of edge length `cell_m` in

@@ -31,7 +31,8 @@ struct PatternKind {
     PatternSummary (*describe)(const SensorPattern& pattern);
 };
 
-/// Creates the table row of a kind from the static functions of a struct.
+/// Creates the row of a scanning pattern in the table of patterns. The row calls the
+/// static functions of a struct.
 /// @tparam Functions  struct with the static functions parse, write, make_rays and
 /// describe
 template <class Functions>
@@ -83,8 +84,9 @@ struct CommonMembers {
 /// Reads the members that all kinds of sensors can have.
 /// @param least_period_s  smallest allowed period
 CommonMembers read_common(const JsonField& field, const std::string& name, double least_period_s = 1e-6);
-/// Checks that a JSON object has only known members: the members that all kinds can have,
-/// and `members`. Each name in `angles` allows NAME_rad and NAME_deg.
+/// Checks that the JSON object of a scanning pattern has only known members: the members
+/// that all patterns can have, and `members`. Each name in `angles` allows two members,
+/// NAME_rad and NAME_deg.
 /// @throws DataError for any other member
 void check_members(const JsonField& field, std::vector<std::string> members,
                    const std::vector<std::string>& angles);

@@ -15,9 +15,8 @@ namespace relidar {
 struct Sweep {
     const SensorChoice& sensor;
     double time_s = 0.0;
-    /// Rays of this sweep. Set only if they differ from the sensor's table. This is the
-    /// case if a pattern generates new rays for each scan, or if all rays are fired at
-    /// the same time.
+    /// Rays of this sweep if they differ from the rays of the sensor. They differ if a
+    /// pattern generates new rays for each scan, or if all rays are fired at once.
     std::optional<RayTable> changed_rays = {};
     PoseTrack world_from_sensor = {};  ///< poses of the sensor; a single pose if the sensor does not move
     Pose pose = {};                    ///< pose of the sensor at `time_s`

@@ -66,8 +66,8 @@ struct Unknown {
     /// tracks of actors; their points are used for training, because the scene has a
     /// model for these actors
     std::vector<std::string> actors;
-    /// Table of drop rates. Rays for which is_blind() is true are ignored. If the table
-    /// is empty, no ray is ignored for this reason.
+    /// Measured drop rates. Rays whose directions are blind (is_blind()) are not trained.
+    /// If the table is empty, no direction is blind.
     DropTable observed_drops;
 };
 

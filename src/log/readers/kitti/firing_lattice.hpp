@@ -21,8 +21,8 @@ namespace relidar::kitti {
 /// Grid of the possible head angles, and azimuth and left offset of each beam.
 struct FiringLattice {
     HeadLattice head;
-    /// True if the sensor fires at every step of the grid, because the azimuths show no
-    /// encoder ticks.
+    /// If true, the sensor is assumed to fire at every step of the grid. This is assumed
+    /// if the azimuths show no ticks of a rotary encoder.
     bool every_tick = false;
     /// azimuth of each beam relative to the head; the mean of all beams is 0
     std::array<double, kRings> offset_rad{};

@@ -12,8 +12,8 @@ namespace relidar::packets {
 
 /// Encoding and message type of the clouds that livox_cloud() returns.
 inline constexpr const char *kLivoxEncoding = "ros1", *kLivoxType = "livox_ros_driver2/CustomMsg";
-/// A cloud is complete when its packets span this time. Then the next cloud starts about
-/// 0.1 s after the previous cloud.
+/// A cloud is complete when its packets span this time. The time is slightly below 0.1 s,
+/// so that clouds start about every 0.1 s.
 inline constexpr std::int64_t kLivoxCloud_ns = 99'000'000;
 inline constexpr std::size_t kMostLivoxPackets = 4096;  ///< maximum number of packets in one cloud
 
