@@ -70,8 +70,7 @@ void report_sent_frames(const TrainingFrames& frames, const Config& config, cons
 
 /// Returns the settings, and disables pose refinement if the poses cannot be determined.
 /// If all training frames belong to one sweep, nothing constrains the pose of this sweep.
-/// The pose and the scene would then drift together away from the poses of all other
-/// sweeps.
+/// The pose and the scene would then drift away from the poses of all other sweeps.
 Config with_findable_poses(Config config, const Sequence& sequence, const Split& split, const Scene& initial,
                            const TrainSession& session) {
     const auto frame = [&](int position) -> const Frame& { return sequence.frames[std::size_t(position)]; };

@@ -186,8 +186,8 @@ void main() {
     bool inside = i < params.scene.n_rays;
     if (!inside) {
         if (!rows_are_exchanged()) return;
-        // This lane has no ray, but all lanes must take part in the exchange of gradients.
-        // So the lane uses ray 0 as a placeholder.
+        // This lane has no ray, but all lanes must take part in the exchange of
+        // gradients. So the lane uses ray 0 as a placeholder.
         i = 0u;
     }
     DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];

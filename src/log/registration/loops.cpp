@@ -220,8 +220,8 @@ private:
         return LoopClosure{earlier, later, twist_between(pose(later), at)};
     }
 
-    /// The correction moves the pose `at`. Returns the pose `other` after the same motion,
-    /// so that the pose of `other` relative to `at` does not change.
+    /// The correction moves the pose `at`. Returns the pose `other` after the same
+    /// motion, so that the pose of `other` relative to `at` does not change.
     static Pose carried(const Twist& correction, const Pose& at, const Pose& other) {
         const Pose world_from_world = moved(at, correction) * inverse(at);
         return world_from_world * other;

@@ -56,18 +56,15 @@ Config standard() {
     config.preset = "default";
     // 0 means the maximum range of the sensor; published results use 80 m
     config.dataset.max_range_m = 0.0;
-    // Calibrates the beams of the sensor. The beams of an HDL-64E differ in range by
-    // centimetres, which is more than all other errors. The intensities of one surface
-    // differ more between beams than the intensities of different surfaces.
+    // The beams of an HDL-64E differ in range by centimetres, and in intensity more than
+    // different surfaces do.
     config.sensor.calibrate = "range,intensity";
-    // small voxels give sharp silhouettes, because surfels overhang an edge by about
-    // their size
+    // small voxels give sharp silhouettes: surfels overhang an edge by about their size
     config.init.voxel_m = 0.1;
     config.init.voxel_growth = 0.006;  // approximately the spacing of neighbouring rays
     // with only 6 points, noise of 2 cm would tilt a normal by 0.1 rad
     config.init.normal_neighbours = 24;
-    // Points on leaves and corners then get discs that face the sensor. This lowers the
-    // Chamfer distance and the range error.
+    // Points on leaves and corners get discs that face the sensor, which lowers errors.
     config.init.flatness = 0.04;
     // needed because only objects in the view of the front camera are labelled
     config.init.unlabelled_movers = UnlabelledMovers::actors;
@@ -77,13 +74,10 @@ Config standard() {
     config.init.scale_factor = 0.4;
     config.init.max_scale_m = 0.3;
     config.init.second_returns = true;
-    // a smaller value would leave holes between the rings of a 32-beam log for other
-    // sensors
+    // a smaller value would leave holes between the rings of a 32-beam log
     config.init.max_gap_m = 2.0;
-    // Used only for 3D Gaussians. With this thickness they reach the range error of
-    // surfels. Thicker Gaussians and spheres are less accurate.
+    // Used only for 3D Gaussians, which reach the range error of surfels with it.
     config.init.thickness = 0.05;
-    // evaluates the coefficients once for each surfel and frame, and not for each hit
     config.image.sh_direction = ShDirection::surfel;
     config.image.transmittance_min = 1e-3f;
     // the Huber loss estimates means, and the L1 loss would estimate medians
@@ -112,8 +106,7 @@ Config standard() {
     config.refine.enabled = true;          // the network improves the accuracy of ray-drop
     config.refine.frames = 200;            // limited because the images of all frames are in memory together
     config.render.range = "normalised";
-    // renders with the measured head angles, because heads rotate unevenly; lowers the
-    // range error
+    // renders with the measured head angles, because heads rotate unevenly
     config.render.follow_sweeps = true;
     // a single pass is nearly always enough, because rays stop at low transmittance
     config.trace.chunk = 64;

@@ -56,8 +56,8 @@ public:
 
     struct Gathered {
         std::span<const shared::ReturnedPoint> points;
-        /// Distance to the surface in metres for each sampled ray. requested_ray() returns
-        /// the index of a sampled ray.
+        /// Distance to the surface in metres for each sampled ray. requested_ray()
+        /// returns the index of a sampled ray.
         std::span<const float> requested_m;
         std::uint32_t n_capped;
     };

@@ -112,8 +112,8 @@ Sequence load_synthetic(const fs::path& folder, const DatasetOptions& options) {
     Sequence sequence;
     try {
         sequence = make_synthetic_frames(street, options.frames.begin, end);
-        // reports a DataError, because the invalid value is in a file and not on the command
-        // line
+        // reports a DataError, because the invalid value is in a file and not on the
+        // command line
     } catch (const UsageError& error) {
         throw DataError(fmt::format("{}: {}", file.string(), error.what()));
     }

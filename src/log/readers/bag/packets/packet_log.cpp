@@ -472,8 +472,7 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
     const int n_columns = int(timing.fires.size());
     std::vector<bool> has_fired(timing.fires.size(), false), is_lost = has_fired;
     const std::uint32_t first_of_turn = first_message(turn);
-    // number of firings of the revolution before this packet, including firings in lost
-    // packets
+    // firings of the revolution before this packet, including firings in lost packets
     std::size_t before = 0;
     int previous_number = -1;
     bool is_inside = false;
@@ -493,15 +492,13 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
             const Firing& firing = packet.firings[f];
             azimuth += f > begin ? step : 0.0;
             if (f + 1 < end) step = degrees_on(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
-            // time and rotation from the first firing sequence of this column to this
-            // firing
+            // from the first firing sequence of this column to this firing
             const double late_us = timing.cycle_us * double(firing.part);
             const double start_deg = azimuth - late_us * mean_deg_us;
             const int slot = int(before) + firing.slot - entry.first_slot;
             const int number =
                 n_columns > 0 ? column_in(turn, azimuth) : (slot - firing.part + timing.parts) / timing.parts;
-            // All firing sequences of a column belong to the same revolution, so check
-            // only the first one.
+            // all firing sequences of a column belong to the same revolution
             if (number != previous_number)
                 is_inside = n_columns > 0 ? number >= 0 && number < n_columns
                                           : start_deg >= turn.begin_deg && start_deg < turn.begin_deg + 360.0;
