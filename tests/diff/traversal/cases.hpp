@@ -20,8 +20,8 @@ struct TraversalCase {
     Surfels surfels;
     std::vector<reference::Placement> instances;
     WorldRays rays;
-    /// true if rays are almost parallel to surfels (|n.d| down to 1e-3); rounding then
-    /// blurs the outline, so a few hits may differ
+    /// True if rays are almost parallel to surfels (|n.d| down to 1e-3). Rounding then
+    /// blurs the outline of the surfels, so a few hits may differ.
     bool grazing = false;
 };
 

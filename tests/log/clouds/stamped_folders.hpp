@@ -32,7 +32,9 @@ struct StampedDrive {
     Pose vehicle_from_lidar;  ///< with the dataset's axes
     std::vector<Beam> beams;  ///< highest beam first
     int columns = 0, n_scans = 0;
-    double step_s = 0.1;  ///< time between scans; a turn takes 0.1 s, with the time stamp in its middle
+    /// Time between scans. A turn takes 0.1 s, and the time stamp is in the middle of the
+    /// turn.
+    double step_s = 0.1;
     double first_azimuth_rad = kPi;                  ///< in the LiDAR's frame
     std::vector<std::vector<StampedRay>> rays = {};  ///< [scan] column by column
 
