@@ -60,9 +60,9 @@ struct StampedFolder {
     StampedFolder& operator=(const StampedFolder&) = delete;
 };
 
-/// Boreas sequence with 128 beams whose laser numbers are unordered. The LiDAR is turned
-/// 42.6 degrees to the right, and its frame starts in that direction. Poses continue for
-/// 40 s after the scans, twice around the yard.
+/// Boreas sequence with 128 beams. The laser numbers are not sorted by elevation. The
+/// LiDAR is turned 42.6 degrees to the right, and its frame starts in that direction.
+/// Poses continue for 40 s after the scans, twice around the yard.
 struct BoreasFolder : StampedFolder {
     static constexpr std::int64_t kFirst_us = 1606417097528152;
     static constexpr int kScans = 6;

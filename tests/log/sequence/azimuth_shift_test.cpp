@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates the azimuth of the sensor at each firing of a sweep from a scan whose uneven
-// rotation the test knows, and applies the azimuths to nominal rays.
+// Estimates the azimuth of the sensor at each firing from a simulated scan with uneven
+// rotation, and applies the azimuths to nominal rays.
 #include <gtest/gtest.h>
 
 #include <algorithm>

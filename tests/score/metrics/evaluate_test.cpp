@@ -15,8 +15,8 @@
 namespace relidar {
 namespace {
 
-/// Returns an image whose rays start at (0, 0, 1) and point along x, y and z in turn, so
-/// that the pixels 0 to 2 have different rays.
+/// Returns an image whose rays start at (0, 0, 1). They point along x, y and z in turn,
+/// so that the pixels 0 to 2 have different rays.
 RangeImage image_of(int rows, int columns, std::vector<float> range_m, std::vector<float> intensity,
                     std::vector<float> drop_prob) {
     RangeImage image{rows, columns, std::move(range_m), std::move(intensity), std::move(drop_prob), {}, {}};

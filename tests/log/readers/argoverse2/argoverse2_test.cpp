@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads an Argoverse 2 log whose exact rays the test knows, and logs with damage in each
-// file.
+// Reads a simulated Argoverse 2 log and compares it with the exact rays. Also reads logs
+// with damage in each file.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
