@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fuzzes a Waymo Open segment. CRCs and zlib streams would prevent inputs from reaching
-// the parsers behind them. Therefore the first byte of an input selects how the remainder
-// is used: as the file, as the data of a record, or as an uncompressed matrix of the TOP
-// LiDAR.
+// Fuzzes a Waymo Open segment. Random changes would fail at CRCs and zlib streams and not
+// reach the parsers behind them. Therefore the first byte of an input selects how the
+// remainder is used: as the file, as the data of a record, or as an uncompressed matrix
+// of the TOP LiDAR.
 #include "harness.hpp"
 
 #include <cstdlib>

@@ -46,7 +46,8 @@ double waves_of_64(const PipelineStatistics& p) {
 class GpuCompilers : public ::testing::Test {
 protected:
     static std::vector<PipelineStatistics> pipelines_;
-    static std::set<std::string> suffixes_;  ///< of the variants that the devices opened would choose
+    /// suffixes of the kernel variants that the open devices would select
+    static std::set<std::string> suffixes_;
 
     static void compile(Traversal traversal) {
         Device device({.traversal = traversal, .compile_only = true});
@@ -89,10 +90,10 @@ TEST_F(GpuCompilers, EveryKernelOfTheBuildIsCompiled) {
     for (const PipelineStatistics& p : pipelines_) compiled.insert(p.kernel);
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
         const std::string text(kernel.name);
-        // of the tests
+        // kernels that only tests use
         if (text.starts_with("diff/traversal/collect_hits") || text.find("@brute_force") != std::string::npos)
             continue;
-        // of `relidar-dev bench` and `relidar check`
+        // kernels of `relidar-dev bench` and `relidar check`
         if (text == "gpu/copy" || text.starts_with("gpu/check_")) continue;
         // kernels that only ray query uses
         if (text == "diff/accel/model_radii" && !suffixes_.count("@ray_query")) continue;

@@ -9,7 +9,8 @@
 
 namespace relidar::reference {
 
-/// A ray with a simulated and a measured range; range 0 means no point.
+/// A ray with a simulated and a measured range. A range of 0 means that the ray has no
+/// point.
 struct ChamferRay {
     glm::dvec3 origin_m{0.0};
     glm::dvec3 direction{0.0};

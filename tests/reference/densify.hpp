@@ -32,8 +32,8 @@ struct DensifyRules {
 };
 
 /// Decides whether densification keeps, removes, clones or splits a surfel.
-/// @param mean_gradient mean norm over the batches in which the surfel was visible, 0 if
-/// there are no such batches
+/// @param mean_gradient mean gradient norm over the batches in which the surfel was
+/// visible; 0 if it was never visible
 /// @param item index for random numbers
 Fate fate_of(const DensifiedSurfel& surfel, double mean_gradient, const DensifyRules& rules,
              std::uint32_t item);

@@ -30,8 +30,8 @@ using Context = RTCRayQueryContext;
 using Context = RTCIntersectContext;
 #endif
 
-// Maximum half size in metres. It keeps Embree's vertices far below Embree's limit of
-// 1.8e18.
+// Maximum half size in metres. With this limit, vertices are far below the limit of
+// Embree (1.8e18).
 constexpr double kMaxHalfSize = 1e5;
 
 template <typename Handle, void (*release)(Handle)>

@@ -10,7 +10,7 @@ namespace {
 int ring(int x, int n) { return ((x % n) + n) % n; }
 
 /// Calls visit(image, out, in, row, column, tap, source row, source column) for each
-/// product of a convolution. A tap is an element of the kernel.
+/// product of a convolution. Here `tap` is the index of the kernel element.
 template <class Visit>
 void for_products(const ImageBatch& to, int n_in, int taps, Visit&& visit) {
     const int reach = taps == 1 ? 0 : 1, side = 2 * reach + 1;

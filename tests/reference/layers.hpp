@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Implements the layers of the ray-drop network in double. Images are [n, channels, rows,
-// columns]; columns wrap around, and rows are padded with zeros.
+// columns]. Columns wrap around, and rows are padded with zeros.
 #pragma once
 
 #include <cstddef>
@@ -39,7 +39,7 @@ ImageBatch convolve(const ImageBatch& from, const std::vector<double>& weights,
                     const std::vector<double>& bias, int n_out, int taps);
 ImageBatch convolve_input_vjp(const ImageBatch& d_to, const std::vector<double>& weights, int n_in, int taps);
 /// Returns the derivative of a convolution with respect to its weights.
-/// @return [d_to.channels, from.channels, taps]
+/// @return [d_to.channels, from.channels, number of kernel elements]
 std::vector<double> convolve_weights_vjp(const ImageBatch& from, const ImageBatch& d_to, int taps);
 /// Returns the sum of each channel over all images, which is the derivative with respect
 /// to a bias.
@@ -84,7 +84,7 @@ ImageBatch attend(const ImageBatch& qkv, int heads);
 ImageBatch attend_vjp(const ImageBatch& qkv, int heads, const ImageBatch& d_to);
 
 struct DropEntropy {
-    /// loss and accuracy over pixels with a target; 0 without such pixels
+    /// Loss and accuracy over pixels with a target. Both are 0 if no pixel has a target.
     double mean = 0.0, accuracy = 0.0;
     /// drop probability of each pixel, and derivative of the mean
     std::vector<double> probability, d_logit;

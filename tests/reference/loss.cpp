@@ -42,8 +42,8 @@ LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Targ
         }
         if (returned) {
             const double residual = p.intensity - targets[i].intensity, delta = weights.intensity_delta;
-            // part of the residual with a quadratic loss; the loss of the remainder is
-            // linear
+            // Part of the residual with a quadratic loss. The loss of the remainder is
+            // linear.
             const double within = std::min(std::abs(residual), delta);
             terms.intensity +=
                 (std::abs(residual) - within + (delta > 0.0 ? within * within / (2.0 * delta) : 0.0)) /

@@ -33,8 +33,8 @@ struct BlendedValues {
 /// also contains the final transmittance T_N.
 struct Pixel : BlendedValues {
     double transmittance = 1.0;  ///< T_N, after the last blended surfel
-    /// t of the surfel that reduces T from above 0.5 to 0.5 or less; 0 without such a
-    /// surfel
+    /// t of the surfel that reduces the transmittance T from above 0.5 to 0.5 or less. It
+    /// is 0 if no surfel does.
     double median_depth = 0.0;
     std::uint32_t hits = 0;  ///< number of blended surfels
     /// Instance of the surfel of median_depth. Without median_depth, instance of the

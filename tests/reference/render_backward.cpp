@@ -11,7 +11,8 @@ namespace {
 /// Derivatives of the loss with respect to a hit.
 struct HitGradient {
     double alpha = 0.0;
-    double t = 0.0;  // direct derivative with respect to t; the derivative through u and v is added later
+    // Direct derivative with respect to t. The derivative through u and v is added later.
+    double t = 0.0;
     glm::dvec3 value{0.0};
 };
 

@@ -26,7 +26,8 @@ struct Surfel {
     /// quaternion w, x, y, z, unnormalised
     glm::dvec4 rotation{1.0, 0.0, 0.0, 0.0};
     glm::dvec2 log_scale{0.0};  ///< logarithm of the scales in metres
-    /// logarithm of the scale in metres along the normal; only for a 3D Gaussian
+    /// Logarithm of the scale along the normal (scale in metres). Only a 3D Gaussian has
+    /// this scale.
     std::optional<double> log_scale_w;
     double opacity_logit = 0.0;
     double gait_phase = 0.0;  ///< phase of the gait, in turns

@@ -166,8 +166,8 @@ TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     }
 }
 
-/// Adds a second LiDAR to the log: in the first case with few returns on the objects, in
-/// the second case with the same returns as the first LiDAR.
+/// Adds a second LiDAR to the log. In the first case, it has few returns on the objects.
+/// In the second case, it has the same returns as the first LiDAR.
 TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
     for (const bool first_frame_is_complete : {false, true}) {
         Street street = street_without_labels();

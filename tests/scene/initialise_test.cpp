@@ -80,8 +80,8 @@ TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
     EXPECT_LT(worst[worst.size() * 95 / 100], 0.02f) << "normals of a few rays are not quite upright";
 }
 
-/// Returns the mean of |n . d| over the surfels of a scan whose ranges a function
-/// defines. Here d is the direction from the sensor to the surfel.
+/// Makes a scan with ranges from a function. Returns the mean of |n . d| over its
+/// surfels, where d is the direction from the sensor to the surfel and n is the normal.
 double mean_facing(const std::function<float(const glm::vec3& direction)>& range_m, double flatness) {
     Sequence sequence;
     for (int b = 0; b < 48; ++b)

@@ -25,7 +25,7 @@ constexpr std::size_t kSeenReturns = 12;
 // frames.
 constexpr std::size_t kSeenFrames = 10;
 constexpr double kFarthest_m = 40.0;  // discover_tracks() ignores objects farther away
-// margin around a true box; the centre of a discovered box must lie within it
+// The centre of a discovered box must lie in the true box, enlarged by this margin.
 constexpr double kInside_m = 0.3;
 // a discovered box may exceed the size of the true box by at most this length
 constexpr double kLarger_m = 0.8;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests several runs within a memory budget: which runs are released, whether a run is
-// identical after it is loaded again, and the error for a run that never fits.
+// Tests a server with several runs within a memory budget. Checks which runs are
+// released, and whether a run is identical after it is loaded again. A run that never
+// fits must cause an error.
 #include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>

@@ -21,7 +21,8 @@ using Names = std::set<std::string>;
 /// Names that are placeholders, or that are created elsewhere.
 const Names kPlaceholders = {
     "relidar/room/name.hpp", "src/room",
-    // placeholder for any macro; the two names above stand for any header and any module
+    // Placeholder for any macro. The two names above are placeholders for any header and
+    // any module.
     "RELIDAR_UPPER", "kernel_params.hpp",
     "relidarTargets.cmake",  // created by the build
     "scores.md",             // written by `relidar eval --table`

@@ -77,8 +77,8 @@ bool starts_with_any(const std::string& text, const std::vector<std::string>& pr
     return std::ranges::any_of(prefixes, [&](const std::string& prefix) { return text.starts_with(prefix); });
 }
 
-/// Returns the reason why a file of the library must not include a different file of the
-/// library, or an empty string if the include is allowed.
+/// Returns an error message if a file of the library must not include a second file of
+/// the library. Returns an empty string if the include is allowed.
 std::string judge_library(const std::string& from, const std::string& to) {
     const std::size_t from_room = room_of(from), to_room = room_of(to);
     if (from == kUmbrella) return "";

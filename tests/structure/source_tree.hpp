@@ -16,8 +16,8 @@ namespace relidar::structure {
 struct SourceFile {
     std::string path;  ///< relative to the root, with forward slashes
     std::string text;
-    /// text with comments and the contents of literals replaced by blanks; same length,
-    /// same lines
+    /// Text in which blanks replace comments and the contents of literals. It has the
+    /// same length and the same lines.
     std::string code;
     std::vector<std::string> lines;  ///< lines of the text, without line ends
 };

@@ -22,7 +22,9 @@ namespace spirv_detail {
 /// Parameter member from which an instruction's result was loaded, and whether the access
 /// is coherent.
 struct Origin {
-    std::string member;  ///< name of the member, such as "keys" or "wide.order"; empty without a member
+    /// Name of the member, such as "keys" or "wide.order". Empty if the origin is no
+    /// member.
+    std::string member;
     /// true if the result is in the array, false if it is the pointer to the array
     bool in_array = false;
     bool coherent = false;

@@ -15,7 +15,8 @@ namespace relidar::test {
 struct SceneAndPoses {
     Scene scene;
     std::vector<InstancePose> world_from_instance;
-    /// [n] index in the world of each surfel of the scene; ascending within a model
+    /// [n] index of each surfel of the scene in the world. Indices are ascending within a
+    /// model.
     std::vector<std::uint32_t> original;
 };
 SceneAndPoses to_scene(const Surfels& surfels, const std::vector<reference::Placement>& placements);

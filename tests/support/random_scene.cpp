@@ -54,8 +54,9 @@ reference::Surfel random_surfel(Random& random, const glm::dvec3& low, const glm
     return s;
 }
 
-/// Returns true if a surfel satisfies all margins for a ray: alpha is not close to its
-/// limits, the surfel is not grazing, and the hit is not at the near plane.
+/// Returns true if a surfel has the minimum distances (margins) to all discontinuities
+/// for a ray. Alpha must not be close to its limits, the surfel must not be grazing, and
+/// the hit must not be at the near plane.
 bool surfel_is_smooth(const reference::Surfel& surfel, const reference::Ray& ray,
                       const reference::LocalRay<double>& local, const reference::Settings& settings,
                       const Margins& m) {
@@ -67,13 +68,13 @@ bool surfel_is_smooth(const reference::Surfel& surfel, const reference::Ray& ray
                  log_alpha = std::log(r.sigma) - 0.5 * (met.u * met.u + met.v * met.v + met.w * met.w);
     if (std::abs(log_alpha - std::log(double(settings.image.alpha_min))) < m.log_alpha) return false;
     if (std::abs(log_alpha - std::log(double(settings.image.alpha_max))) < m.log_clamp) return false;
-    // the ray does not hit this surfel, so the remaining margins do not matter
+    // the ray does not hit this surfel, so its remaining distances do not matter
     if (log_alpha < std::log(double(settings.image.alpha_min))) return true;
     return std::abs(facing) >= m.facing && std::abs(t - double(settings.image.near_m)) >= m.near_m;
 }
 
-/// Returns true if the sorted hits satisfy the margins of their order, of the stop and of
-/// the intensity clamp.
+/// Returns true if the sorted hits have the minimum distances (margins) to a change of
+/// their order, to the stop rule, and to the intensity clamp.
 bool hits_are_smooth(const reference::World& world, const reference::Settings& settings,
                      const reference::Ray& ray, const Margins& m) {
     const reference::BruteForce brute(world, settings.image, reference::Precision::double_record);
@@ -124,8 +125,8 @@ RandomScene random_surfels(Random& random, const RandomSceneOptions& options) {
     return scene;
 }
 
-/// Adds random rays that satisfy the margins of the options, until enough rays exist or
-/// the number of attempts is exhausted.
+/// Adds random rays with the minimum distances to discontinuities, until enough rays
+/// exist or the number of attempts is exhausted.
 void add_rays(Random& random, const RandomSceneOptions& options, const reference::Settings& settings,
               const Margins& margins, RandomScene& scene) {
     for (int attempt = 0; attempt < 200 * options.rays && int(scene.rays.size()) < options.rays; ++attempt) {

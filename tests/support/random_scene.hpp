@@ -17,8 +17,8 @@ struct RandomSceneOptions {
     std::uint64_t seed = 1;
     int background_surfels = 40;
     int actor_surfels = 12;  ///< surfels of the actor's model
-    /// number of instances of the actor; each instance has a different pose and overlaps
-    /// the background
+    /// Number of instances of the actor. Each instance has a different pose and overlaps
+    /// the background.
     int actor_instances = 2;
     /// Number of background surfels at 3, 5, ... m that are 4 m wide. Their opacity is
     /// 0.997, so that alpha is clamped.
@@ -59,7 +59,8 @@ struct RandomScene {
 RandomScene make_random_scene(const RandomSceneOptions& options, const reference::Settings& settings,
                               const Margins& margins = {});
 
-/// Returns true if a ray satisfies all margins in a world.
+/// Returns true if a ray has the minimum distances (margins) to all discontinuities of
+/// the image.
 bool keeps_margins(const reference::World& world, const reference::Settings& settings,
                    const reference::Ray& ray, const Margins& margins);
 

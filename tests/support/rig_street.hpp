@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Simulates a drive through the synthetic street with four different LiDARs: a spinning
-// LiDAR, a LiDAR that scans a window with mirrors, a LiDAR that scans a rosette, and a
-// LiDAR with wide beams and two returns.
+// Simulates a drive through the synthetic street with four different LiDARs. The first
+// spins. The second scans a window with mirrors. The third scans a rosette. The fourth
+// has wide beams and two returns.
 #pragma once
 
 #include <filesystem>

@@ -23,8 +23,8 @@ inline constexpr double kSmallRow = 3e-3;
 /// Tolerance of a kernel against the reference's backward pass, relative to the row's
 /// norm. A ray has some tens of hits in single precision.
 inline constexpr double kKernelGradient = 1e-4;
-/// Errors that Vulkan allows in single precision, relative to the result: a rounding, exp
-/// (3 + 2 |x| units in the last place), and a division (2.5 units).
+/// Errors that Vulkan allows in single precision, relative to the result. They are a
+/// rounding, exp (3 + 2 |x| units in the last place), and a division (2.5 units).
 inline constexpr double kRounding = 0x1p-24, kUnit = 0x1p-23, kDivision = 2.5 * kUnit;
 inline double exp_error(double x) { return (3.0 + 2.0 * (x < 0.0 ? -x : x)) * kUnit; }
 /// Returns the absolute error bound of 1 / (1 + exp(-x)).

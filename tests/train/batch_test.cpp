@@ -94,7 +94,7 @@ TEST_F(Batch, GroupsOfColumnsAreAnImageAndNoColumnIsPreferred) {
         const std::vector<DeviceTarget> targets = batch.targets.targets->download();
         for (std::uint32_t k = 0; k < kRows * kTaken; ++k) {
             ASSERT_EQ(rays[k].origin.y, float(k / kTaken));
-            // groups of four neighbouring columns; the last group is shorter
+            // the columns form groups of four neighbours, and the last group is shorter
             const std::uint32_t group = k % kTaken / 4, within = k % kTaken % 4;
             ASSERT_EQ(std::uint32_t(rays[k].origin.z),
                       (std::uint32_t(rays[0].origin.z) + group * 4 * kStride + within) % kColumns);

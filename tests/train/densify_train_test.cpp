@@ -16,8 +16,8 @@ class DensifyTrain : public test::DeviceTest {};
 
 Sequence growing_street() { return make_synthetic_street({.n_frames = 11, .rows = 16, .columns = 256}); }
 
-/// Returns settings with about an eighth of the surfels of the `small` configuration in
-/// other tests, using every second ray.
+/// Returns settings with about an eighth of the surfels that other tests use with their
+/// `small` settings. Uses every second ray.
 Config sparse_config() {
     Config config = make_preset("quick");
     config.init.voxel_m = 1.2;

@@ -78,9 +78,9 @@ const Run& weak_run(Device& device) {
     return run;
 }
 
-/// Returns the shares of correctly predicted drops on held-out frames: first for weak
-/// beams that hit a surface near or beyond their maximum range, then for all remaining
-/// pixels.
+/// Returns two shares of correctly predicted drops on held-out frames. The first share is
+/// for weak beams that hit a surface near or beyond their maximum range. The second share
+/// is for all remaining pixels.
 std::pair<double, double> accuracies(Device& device, const Run& run) {
     ScanRenderer renderer(device, run);
     double n[2] = {0.0, 0.0}, right[2] = {0.0, 0.0};

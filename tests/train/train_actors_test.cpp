@@ -71,8 +71,8 @@ protected:
         return block;
     }
 
-    /// Returns the median error of the mean range over the rays of the held-out frame
-    /// whose return is from a car.
+    /// Returns the median error of the mean range on a held-out frame. Uses only rays
+    /// with a return from a car.
     double error_on_cars() {
         const Frame& frame = run.sequence.frames[std::size_t(run.split.test[0])];
         ScanRenderer renderer(device(), run.scene, run.config, run.sequence);

@@ -34,8 +34,8 @@ private:
 
 /// Sends a request on a new connection and returns the response.
 std::string ask(int port, std::string_view request);
-/// Returns the status code of a response such as "HTTP/1.1 404 Not Found"; 0 without a
-/// status line.
+/// Returns the status code of a response such as "HTTP/1.1 404 Not Found". Returns 0 if
+/// the response has no status line.
 int status_of(std::string_view answer);
 
 /// Encodes a WebSocket frame in the form in which a client sends it.

@@ -71,8 +71,8 @@ struct Socket : RawClient {
     std::string answer;
 };
 
-/// Returns the code of the close frame at the end of a server's bytes; 0 without a close
-/// frame.
+/// Returns the code of the close frame at the end of a server's bytes. Returns 0 if the
+/// bytes contain no close frame.
 int close_code(const std::string& bytes) {
     const std::size_t at = bytes.rfind(static_cast<char>(0x88));
     if (at == std::string::npos || at + 4 > bytes.size()) return 0;

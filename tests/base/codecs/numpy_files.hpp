@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Contains npz files written by numpy 1.24.2, in hexadecimal: values f4 [2,3] = 0 0.5 1
-// 1.5 2 2.5, mask b1 [3] = 1 0 1, frame i8 [] = -7, wide f8 [2] = 1.5 -2.25; and three
-// files that must be rejected. numpy writes zip64 fields into every local header.
+// Contains npz files that numpy 1.24.2 wrote, in hexadecimal. The values are f4 [2,3] = 0
+// 0.5 1 1.5 2 2.5, mask b1 [3] = 1 0 1, frame i8 [] = -7, and wide f8 [2] = 1.5 -2.25.
+// Three further files must be rejected. numpy writes zip64 fields into every local
+// header.
 #pragma once
 
 #include <string_view>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks walking actors (diff/accel/proxies, diff/accel/bvh_refit): the trees of models
-// with a gait follow their surfels, and other trees do not change.
+// Checks walking actors (diff/accel/proxies, diff/accel/bvh_refit). When the surfels of a
+// walking model move, its tree must be refitted. All other trees must not change.
 #include <algorithm>
 #include <cmath>
 #include <cstring>

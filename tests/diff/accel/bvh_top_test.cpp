@@ -99,8 +99,8 @@ protected:
         }
     }
 
-    /// Computes the world box of an instance in double: the box around the corners of all
-    /// surfel boxes of the model at the pose of the instance.
+    /// Computes the world box of an instance in double. The box contains the corners of
+    /// all surfel boxes of the model at the pose of the instance.
     static test::HostBox world_box(const Built& built, const BvhOnHost& host, std::uint32_t instance) {
         const Scene& layout = built.scene.layout();
         const Model& model = layout.models[layout.instances[instance].model];

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks when an acceleration structure is rebuilt instead of refitted: at the first use,
-// on request, after a number of refits, and (software tree only) when the cost of the
-// tree has grown since the build.
+// Checks when an acceleration structure is rebuilt instead of refitted. It is rebuilt at
+// the first use, on request, and after a number of refits. The software tree is also
+// rebuilt when its cost has grown since the build.
 #include <relidar/diff/accel.hpp>
 #include <relidar/scene/device_scene.hpp>
 

@@ -70,11 +70,12 @@ test::RandomScene wall(std::uint64_t seed) {
     return scene;
 }
 
-/// Returns a wall for which no ray is close to a discontinuity, as defined by the
-/// margins.
+/// Returns a wall for which every ray has a minimum distance (margin) to discontinuities
+/// of the image.
 test::RandomScene smooth_wall(const reference::Settings& settings) {
-    // These margins are smaller than in other tests, so that a seed with 42 valid rays
-    // exists. They are still much larger than the steps of the differences.
+    // The minimum distances to discontinuities are smaller than in other tests, so that a
+    // seed with 42 valid rays exists. They are still much larger than the steps of the
+    // differences.
     const test::Margins margins{.log_alpha = 5e-3, .separation_m = 5e-4, .log_stop = 5e-3};
     for (std::uint64_t seed = 1; seed < 5000; ++seed) {
         const test::RandomScene scene = wall(seed);
@@ -316,9 +317,9 @@ LossWeights weights_of(float image, float likelihood) {
 TEST_F(LikelihoodGradient, Alone) { expect_agreement(weights_of(0.0f, 1.0f), "likelihood"); }
 TEST_F(LikelihoodGradient, WithTheImageLosses) { expect_agreement(weights_of(0.1f, 0.3f), "all terms"); }
 
-/// Tests two surfels that are 30 cm apart, on a ray whose measured range is the second
-/// surfel. In closed form S = w_0 k + w_1 with k = 1 / (1 + (0.3 / s)^2). Tests the pair
-/// at 80 m and at 3 m.
+/// Tests two surfels that are 30 cm apart. The measured range of the ray is the range of
+/// the second surfel. In closed form S = w_0 k + w_1 with k = 1 / (1 + (0.3 / s)^2).
+/// Tests the pair at 80 m and at 3 m.
 TEST_F(LikelihoodGradient, TwoSurfelsInClosedForm) {
     for (const double start : {3.0, 79.0}) {
         const double t[] = {double(float(start)), double(float(start + 0.3))}, opacity[] = {0.6, 0.5};

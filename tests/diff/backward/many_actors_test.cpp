@@ -16,7 +16,7 @@ namespace {
 using test::Passes;
 
 constexpr int kAcross = 10;  // actors along each axis of a lattice
-// distance between the actors; small, so that single precision loses few digits
+// distance between the actors, which is small so that single precision loses few digits
 constexpr double kApart_m = 1.5;
 
 /// Places copies of an actor in front of a sensor at the origin. Every third copy is
@@ -43,8 +43,8 @@ test::RandomScene many_actors(bool own, int n_actors) {
     return scene;
 }
 
-/// Adds rays towards actors. Optionally adds only rays that satisfy the margins of a
-/// comparison with the reference.
+/// Adds rays towards actors. Optionally, each ray must have a minimum distance to
+/// discontinuities, so that it can be compared with the reference.
 void add_rays(test::RandomScene& scene, std::size_t n, const reference::Settings* margins) {
     std::mt19937_64 random(73);
     std::uniform_real_distribution<double> aside(-0.4, 0.4);

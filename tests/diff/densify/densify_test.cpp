@@ -105,7 +105,7 @@ bool survives(Fate fate) { return fate >= Fate::keep; }
 /// Origin of a row after densification.
 struct Row {
     std::uint32_t source;
-    Fate fate;     // decision for the source surfel; `keep` if the surfel was not copied
+    Fate fate;     // Decision for the source surfel. The value is `keep` if the surfel was not copied.
     bool is_copy;  // not the first row of its source
 };
 

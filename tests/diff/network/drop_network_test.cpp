@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trains and evaluates the ray-drop network. It must learn a rule that depends on
-// neighbouring pixels, give the same result twice, have no effect before training, accept
-// different image sizes, and reject unsuitable inputs.
+// Trains and evaluates the ray-drop network. The network must learn a rule that depends
+// on neighbouring pixels. It must give the same result twice, and have no effect before
+// training. It must accept different image sizes and reject unsuitable inputs.
 #include <cmath>
 #include <limits>
 #include <random>

@@ -43,7 +43,7 @@ Surfel facing_surfel(double x, double scale_m, double opacity) {
 }
 
 /// Returns a surfel with random orientation (quaternion not normalised), standard
-/// deviations of 0.03 to 0.5 m, and an opacity from just above the cut to 0.99.
+/// deviations of 0.03 to 0.5 m, and an opacity between alpha_min and 0.99.
 Surfel random_surfel(Random& random, double half_m) {
     std::normal_distribution<double> normal;
     Surfel s;

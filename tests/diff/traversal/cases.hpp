@@ -20,8 +20,8 @@ struct TraversalCase {
     Surfels surfels;
     std::vector<reference::Placement> instances;
     WorldRays rays;
-    /// true if rays are almost parallel to surfels (|n.d| down to 1e-3); rounding then
-    /// blurs the outline, so a few hits may differ
+    /// True if rays are almost parallel to surfels (|n.d| down to 1e-3). Rounding then
+    /// blurs the outline of the surfels, so a few hits may differ.
     bool grazing = false;
 };
 
@@ -29,8 +29,9 @@ struct TraversalCase {
 reference::World to_world(const TraversalCase& c);
 
 TraversalCase empty_case();
-/// Makes a scene of a single surfel. Rays hit the surfel head on and off centre, lie in
-/// its plane, start behind it, hit it at the near limit, and run parallel to the plane.
+/// Makes a scene with a single surfel. Rays hit the surfel head on, off centre, and at
+/// the near limit. Further rays lie in its plane, are parallel to the plane, or start
+/// behind the surfel.
 TraversalCase single_case();
 /// Makes exact copies of surfels at the same position, within a model and in several
 /// instances.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Classifies the differences between hit providers (docs/architecture.md sections 6 and
-// 9; boundaries of M1 and M2).
+// Classifies the differences between the hits of two providers (docs/architecture.md
+// sections 6 and 9; boundaries of M1 and M2).
 #include "hit_comparison.hpp"
 
 #include <algorithm>

@@ -108,8 +108,8 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     };
     put(original.substr(0, 16 * (n / 3)));
     expect_left(fmt::format("it has {} points, and the neighbouring scans have", n / 3));
-    // removes about eight of 64 rings; the number is not exact, because rings have
-    // different numbers of returns
+    // Removes about eight of 64 rings. The number is not exact, because rings have
+    // different numbers of returns.
     put(original.substr(0, 16 * (n - n / 8)));
     expect_left("its points end in ring 5");
     put(std::string(original.size(), '\0'));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits sensors to points and compares each result with the sensor from whose rays the
-// points were computed.
+// Fits sensors to points that were computed from the rays of a sensor. The fitted sensor
+// must equal the original sensor.
 #include <relidar/log/clouds.hpp>
 
 #include <cmath>

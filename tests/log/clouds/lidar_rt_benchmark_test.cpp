@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the parts of the benchmark by their names in the paper: their frames, and the
-// frames that the results of the paper hold out.
+// Tests the parts of the LiDAR-RT benchmark by their names in the paper. Checks which
+// frames belong to a part, and which frames are held out.
 #include "log/clouds/lidar_rt_benchmark.hpp"
 
 #include <gtest/gtest.h>

@@ -32,7 +32,9 @@ struct StampedDrive {
     Pose vehicle_from_lidar;  ///< with the dataset's axes
     std::vector<Beam> beams;  ///< highest beam first
     int columns = 0, n_scans = 0;
-    double step_s = 0.1;  ///< time between scans; a turn takes 0.1 s, with the time stamp in its middle
+    /// Time between scans. A turn takes 0.1 s, and the time stamp is in the middle of the
+    /// turn.
+    double step_s = 0.1;
     double first_azimuth_rad = kPi;                  ///< in the LiDAR's frame
     std::vector<std::vector<StampedRay>> rays = {};  ///< [scan] column by column
 
@@ -58,9 +60,9 @@ struct StampedFolder {
     StampedFolder& operator=(const StampedFolder&) = delete;
 };
 
-/// Boreas sequence with 128 beams whose laser numbers are unordered. The LiDAR is turned
-/// 42.6 degrees to the right, and its frame starts in that direction. Poses continue for
-/// 40 s after the scans, twice around the yard.
+/// Boreas sequence with 128 beams. The laser numbers are not sorted by elevation. The
+/// LiDAR is turned 42.6 degrees to the right, and its frame starts in that direction.
+/// Poses continue for 40 s after the scans, twice around the yard.
 struct BoreasFolder : StampedFolder {
     static constexpr std::int64_t kFirst_us = 1606417097528152;
     static constexpr int kScans = 6;

@@ -114,9 +114,9 @@ TEST(Packets, OfAVlp16AreThoseOfItsManual) {
     }
 }
 
-/// Compares with the user manual of the PandarXT. The tail of a packet has the return
-/// mode, the motor speed, the date from 1900, the time of the second, a constant and the
-/// packet number.
+/// Compares with the user manual of the PandarXT. The tail of a packet contains the
+/// return mode and the motor speed. It also contains the date from 1900, the time of the
+/// second, a constant and the packet number.
 TEST(Packets, OfAnXt32HaveModeDateAndNumber) {
     const std::vector<SensorPacket> packets =
         packets_of(sensor_named("XT32"), {.start_ns = kStart_ns, .returns = 2}, 1, true);

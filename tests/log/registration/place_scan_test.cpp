@@ -120,8 +120,8 @@ TEST(PlaceScan, ReturnsThatAreNoWallsHardlyPull) {
     EXPECT_LT(found.on_surfaces, 0.9);
 }
 
-/// Makes the same drive with two LiDARs that measure different surfaces: `first` keeps
-/// only the returns of the two side walls.
+/// Makes the same drive with two LiDARs that measure different surfaces. The LiDAR
+/// `first` has only the returns of the two side walls.
 Sequence drive_of_two() {
     Sequence log = drive();
     const Pose mounted{rotation_of(0.4, 0.1, -0.05), {0.8, -0.3, 0.2}};

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits scatter trees to sensors whose intensity scatter the test knows exactly. Values
-// drawn from the tree must have the same distribution, including the correlation with
+// Fits scatter trees to simulated sensors with an exact intensity scatter. Values drawn
+// from the tree must have the same distribution, including the correlation with
 // neighbouring rays.
 #include <algorithm>
 #include <array>

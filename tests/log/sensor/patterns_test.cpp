@@ -20,8 +20,8 @@ const Rosette kRosette{.name = "r",
                        .n_rays = 5000,
                        .period_s = 0.1};
 
-/// The sum of two rotating deflections of equal size has the length 2 |cos| of half the
-/// angle between them, and the direction of their mean.
+/// Tests the sum of two rotating deflections of equal size. Its length must be 2 |cos| of
+/// half the angle between them, and its direction must be their mean direction.
 TEST(Patterns, RosetteIsTheSumOfTwoTurningDeflections) {
     const double time_s = 12.34;
     const RayTable rays = make_rays(kRosette, time_s);

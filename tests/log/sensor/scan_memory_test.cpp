@@ -75,7 +75,7 @@ TEST(ScanMemory, KeepsWhatIsWrittenWhereverItLies) {
         std::mt19937 random(1);
         std::vector<ScanArray<std::uint32_t>> arrays;
         std::vector<std::uint32_t> first;
-        // allocates and frees arrays of all sizes; at the end, 40 MB are allocated
+        // Allocates and frees arrays of all sizes. At the end, 40 MB are allocated.
         for (int turn = 0; turn < 2000; ++turn) {
             if (arrays.size() > 20 && random() % 2) {
                 const std::size_t which = random() % arrays.size();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates the azimuth of the sensor at each firing of a sweep from a scan whose uneven
-// rotation the test knows, and applies the azimuths to nominal rays.
+// Estimates the azimuth of the sensor at each firing from a simulated scan with uneven
+// rotation, and applies the azimuths to nominal rays.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -28,8 +28,9 @@ SpinningSensor sensor() {
     return result;
 }
 
-/// Returns the azimuth error of a firing: a parabola from 3 mrad at the first firing to
-/// -5 mrad at the last firing, plus an error within packets of seven firings.
+/// Returns the azimuth error of a firing. It is a parabola from 3 mrad at the first
+/// firing to -5 mrad at the last firing. An error within packets of seven firings is
+/// added.
 double unevenness(int firing) {
     const double x = double(firing) / kColumns;
     return 3e-3 - 4e-3 * x - 4e-3 * x * x + 4e-4 * (firing % 7 - 3);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the division of exact routes into blocks: the sweeps of each block, the frames
-// that train it, and the surfels that it keeps. Compares with brute force.
+// Tests the division of exact routes into blocks. Checks the sweeps of each block, the
+// frames that train the block, and the surfels that the block contains. Compares with
+// brute force.
 #include <algorithm>
 #include <numeric>
 

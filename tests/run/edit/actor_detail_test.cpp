@@ -12,8 +12,8 @@
 namespace relidar {
 namespace {
 
-/// Returns a LiDAR at the origin with 200 beams from -30 to 30 degrees and 3600 columns,
-/// and a cube of 2 m that drives by at 10 m on the left.
+/// Returns a scene with a LiDAR at the origin and a cube of 2 m that passes at 10 m on
+/// the left. The LiDAR has 200 beams from -30 to 30 degrees and 3600 columns.
 DrivingScene passing_cube(std::uint32_t n_surfels) {
     DrivingScene d;
     d.scene.surfels.resize(n_surfels);

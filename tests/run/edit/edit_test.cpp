@@ -26,8 +26,8 @@ Pose at(double x, double y, double yaw_rad = 0.0) {
     return {glm::angleAxis(yaw_rad, glm::dvec3(0, 0, 1)), {x, y, 0.5}};
 }
 
-/// Returns a scene with ten frames, a background of 3 surfels, a van of 2 surfels that
-/// drives a curve, a car of 4 surfels, and a pedestrian without a model.
+/// Returns a scene with ten frames and a background of 3 surfels. It also has a van of 2
+/// surfels that drives a curve, a car of 4 surfels, and a pedestrian without a model.
 DrivingScene example() {
     DrivingScene d;
     d.scene.surfels = numbered(3, 0.0f);

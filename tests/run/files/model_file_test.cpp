@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests model.safetensors: an exact round trip, and errors for truncated files, missing
+// Tests model.safetensors. Values must be read back exactly. Truncated files, missing
 // arrays, wrong shapes, values that are not finite, and models that do not cover the
-// surfels.
+// surfels must be rejected.
 #include <relidar/run/run.hpp>
 
 #include <algorithm>

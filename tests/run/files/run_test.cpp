@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests run folders: saved values must be restored bit by bit, and truncated, missing or
-// changed files must be rejected with the name of file and field.
+// Tests run folders. Saved values must be restored bit by bit. Truncated, missing or
+// changed files must be rejected with an error that names the file and the field.
 #include <relidar/run/run.hpp>
 
 #include <relidar/base/arrays.hpp>

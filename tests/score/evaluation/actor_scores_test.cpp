@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the scores of moving boxes for scans with exact errors: an exact copy, ranges
-// that are too long, a scan without points, and a point at an earlier position of a car.
-// Compares the points in a box with the points of each ray at its firing time.
+// Tests the scores of moving boxes for scans whose errors are exact. The scans are an
+// exact copy, a scan with ranges that are too long, a scan without points, and a scan
+// with a point at an earlier position of a car. Compares the points in a box with the
+// points of each ray at its firing time.
 #include "score/evaluation/actor_scores.hpp"
 
 #include <algorithm>

@@ -32,8 +32,8 @@ protected:
         std::iota(positions.begin(), positions.end(), 0);
     }
 
-    /// Checks that every frame was reported with its images, and that the evaluation
-    /// keeps only the images of the middle frame.
+    /// Checks that every frame was reported with its images. After the evaluation, only
+    /// the images of the middle frame must still be stored.
     void expect_forgotten(const Evaluation& evaluation, const std::vector<ScoredFrame>& seen) {
         ASSERT_EQ(evaluation.frames.size(), std::size_t(kFrames));
         ASSERT_EQ(seen.size(), std::size_t(kFrames));

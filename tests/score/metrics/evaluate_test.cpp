@@ -15,8 +15,8 @@
 namespace relidar {
 namespace {
 
-/// Returns an image whose rays start at (0, 0, 1) and point along x, y and z in turn, so
-/// that the pixels 0 to 2 have different rays.
+/// Returns an image whose rays start at (0, 0, 1). They point along x, y and z in turn,
+/// so that the pixels 0 to 2 have different rays.
 RangeImage image_of(int rows, int columns, std::vector<float> range_m, std::vector<float> intensity,
                     std::vector<float> drop_prob) {
     RangeImage image{rows, columns, std::move(range_m), std::move(intensity), std::move(drop_prob), {}, {}};
@@ -170,8 +170,8 @@ TEST(Evaluate, IdenticalImagesArePerfect) {
     // limited, not infinite
     EXPECT_NEAR(row.at("peer/depth_psnr_db"), 10.0 * std::log10(6400.0 / 1e-20), 1e-9);
     EXPECT_NEAR(row.at("peer/intensity_psnr_db"), 200.0, 1e-9);
-    // 12 metrics of the peer protocol and 25 of the strict protocol; no LPIPS, because
-    // its weights are missing
+    // The row has 12 metrics of the peer protocol and 25 metrics of the strict protocol.
+    // It has no LPIPS, because the weights are missing.
     EXPECT_EQ(row.size(), 37u);
 }
 

@@ -34,7 +34,7 @@ LpipsWeights random_weights() {
     LpipsWeights weights;
     for (unsigned l = 0; l < 5; ++l) {
         const int fan_in = kIn[l] * kEdge[l] * kEdge[l];
-        // this bound keeps the magnitude of the features constant from layer to layer
+        // With this bound, the magnitude of the features is constant from layer to layer.
         const float bound = std::sqrt(6.0f / float(fan_in));
         weights.weight[l] = random_values(std::size_t(kOut[l]) * std::size_t(fan_in), -bound, bound, 10 + l);
         weights.bias[l] = random_values(std::size_t(kOut[l]), -0.1f, 0.1f, 20 + l);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests assets: the visible surface of an actor, the surfels that an asset keeps, and its
-// files. An asset in a different run must render like the original actor.
+// Tests assets, which are actors that are saved for use in other runs. Checks the visible
+// surface of an actor, the surfels of the asset, and its files. In a different run, an
+// asset must render like the original actor.
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 

@@ -16,7 +16,7 @@
 namespace relidar {
 namespace {
 
-// difference between the codes of consecutive rays; larger than the number of channels
+// difference between the codes of consecutive rays, which exceeds the number of channels
 constexpr int kStep = 14;
 constexpr const char *kLabel = "my_label", *kShare = "my_share", *kWay = "my_way";
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests scans of a run whose log is motion-compensated. A sensor drives towards a wall.
-// The position of the wall in each output follows from the path and the time of each
-// point. Covers the sensor of the log and a different sensor.
+// The expected position of the wall follows from the path and the time of each point.
+// Uses the sensor of the log and a different sensor.
 #include <cmath>
 #include <cstring>
 #include <sstream>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests beams with divergence: the distribution of their sub-rays, the combination of
-// sub-rays against results computed by hand, and a scene of two walls with an edge inside
-// a beam.
+// Tests beams with divergence. Checks the distribution of sub-rays, and compares the
+// combination of sub-rays with results computed by hand. Also renders two walls with an
+// edge inside a beam.
 #include "simulate/render/footprint.hpp"
 
 #include <algorithm>

@@ -110,8 +110,8 @@ void expect_equal(const RenderedPoints& found, const RenderedPoints& expected, c
     EXPECT_EQ(p.return_number, e.return_number) << what;
 }
 
-/// Tests rays whose columns share a firing time, rays whose rows have different times,
-/// and rays in any order, for a moving and for a static sensor.
+/// Tests rays of a moving and of a static sensor. The rays of a column share a firing
+/// time, or the rows have different times, or the rays have any order.
 TEST(FiringPoses, AreThoseOfEachRay) {
     RenderedScan scan;
     scan.time_s = 5.0;

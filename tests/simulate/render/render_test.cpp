@@ -153,7 +153,7 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     constexpr int kColumns = 64;
     constexpr double kColumn_rad = 2.0 * kPi / kColumns;
     Surfels post = wall_ahead();
-    // the post is 0.1 m wide; columns are 1 m apart at its range
+    // The post is 0.1 m wide. At its range, columns are 1 m apart.
     post.log_scale[0] = {std::log(5.0f), std::log(0.1f)};
     Sequence sequence = cross_sequence();
     SpinningSensor& sensor = sequence.lidars[0].sensor;

@@ -20,8 +20,8 @@ namespace {
 constexpr int kRays = 20'000;
 constexpr std::int32_t kNothing = -1, kSurface = 0, kFog = 1;
 
-/// Returns a scan of a wall in which every tenth ray has no return. All channels have the
-/// instance 3. With two returns, both returns are from panes of the wall.
+/// Returns a scan of a wall in which every tenth ray has no return. All channels of the
+/// hits refer to actor 3. With two returns, both returns are from panes of the wall.
 RenderedScan wall_at(float range_m, float intensity, bool two_returns = false, int n_rays = kRays) {
     const auto n = std::size_t(n_rays);
     RenderedScan scan;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads an Argoverse 2 log whose exact rays the test knows, and logs with damage in each
-// file.
+// Reads a simulated Argoverse 2 log and compares it with the exact rays. Also reads logs
+// with damage in each file.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -57,8 +57,8 @@ private:
 
 // The position of a LiDAR is interpolated along chords, with r = 1.3754 m from the axle
 // and 0.035088 rad per sweep. At s sweeps after the start of a chord, the distance to the
-// arc is r angle^2 |s (s - 1)| / 2, which is at most r angle^2 / 8, in the middle of the
-// chord. The last sweep extrapolates the last chord up to s = 2.027.
+// arc is r angle^2 |s (s - 1)| / 2. Within the chord, it is at most r angle^2 / 8. The
+// last sweep extrapolates the last chord up to s = 2.027.
 constexpr double kArc_m = 1.3754 * 0.035088 * 0.035088, kBetween_m = kArc_m / 8 + 1e-6,
                  kBeyond_m = kArc_m * 2.027 * 1.027 / 2 + 1e-6;
 constexpr double kNearest_m = 4.7;

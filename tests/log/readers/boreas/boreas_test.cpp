@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a Boreas sequence whose exact rays the test knows, and checks the errors for
-// invalid files.
+// Reads a simulated Boreas sequence and compares it with the exact rays. Also checks the
+// errors for invalid files.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>

@@ -163,7 +163,7 @@ TEST(ExrFolder, TheSensorThatAFileNames) {
         << "a file of the user's is not read because an image says so";
 }
 
-/// Reads images with features that other programs write with OpenEXR: half precision or
+/// Reads images with features that other programs use. These are half precision or
 /// integers, a different compression, and a window that does not start at 0.
 TEST(ExrFolder, ImagesOfOtherPrograms) {
     constexpr int rows = 40, columns = 30, n = rows * columns;
@@ -249,8 +249,8 @@ protected:
         EXPECT_EQ(complaint(), "nothing");
         return test::read_text(file);
     }
-    /// Returns the file after changing a number in an attribute, which is found by name
-    /// and type.
+    /// Returns the file after changing a number in an attribute. The attribute is found
+    /// by name and type.
     /// @param at offset in the value; -4 changes the size of the attribute
     std::string patched(const std::string& bytes, const std::string& name, const std::string& type, int at,
                         std::int32_t value) const {
@@ -289,7 +289,9 @@ TEST_F(ExrDamage, OfHeaders) {
     expect_bytes(window(-4, -1), "attribute 'dataWindow' has an invalid size of -1 bytes");
     expect_bytes(patched(bytes, "pixelAspectRatio", "float", -4, 8),
                  "attribute 'pixelAspectRatio' of type 'float' has 8 bytes, expected 4");
-    std::int32_t list_bytes = 0;  // larger than the channel list; OpenEXR would read beyond the list
+    // The size is larger than the channel list, so that OpenEXR would read beyond the
+    // list.
+    std::int32_t list_bytes = 0;
     const std::string list = std::string("channels") + '\0' + "chlist" + '\0';
     std::memcpy(&list_bytes, bytes.data() + bytes.find(list) + list.size(), sizeof list_bytes);
     expect_bytes(patched(bytes, "channels", "chlist", -4, list_bytes + 9), "its list of channels is shorter");

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks that every defect of a plain folder causes an error whose message is a single
-// line and names the file and the field.
+// Checks that every defect of a plain folder causes an error. The message must be a
+// single line and name the file and the field.
 #include <relidar/log/dataset.hpp>
 
 #include <cstdint>

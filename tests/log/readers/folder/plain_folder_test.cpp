@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads plain folders whose exact content the test knows. save_folder() writes them, or
-// the test writes the point formats of other programs.
+// Reads simulated plain folders and compares them with the original data. save_folder()
+// writes the folders, or the test writes point formats of other programs.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks that every defect of a KITTI drive causes an error whose message is a single
+// Checks that every defect of a KITTI drive causes an error. The message must be a single
 // line with the path, the value in the file, and the expected value.
 #include <relidar/log/dataset.hpp>
 

@@ -63,8 +63,8 @@ TEST(KittiRaw, EveryPointAndEveryDropHasItsRay) {
         for (const glm::dvec3& d : model) nearest = std::min(nearest, glm::length(d - truth));
         ASSERT_LT(nearest, 3e-4);  // a step is 9e-3
     }
-    // The time of a ray must follow from the encoder position, and its column from the
-    // azimuth.
+    // The time of a ray must follow from the encoder position. The column of a ray must
+    // follow from its azimuth.
     for (std::size_t i = 0; i < scan.rays.size(); ++i) {
         const double azimuth = std::atan2(scan.rays.direction[i].y, scan.rays.direction[i].x);
         const double head = azimuth - log.lidars[0].sensor.beams[scan.rays.channel[i]].azimuth_offset_rad;
@@ -362,9 +362,9 @@ TEST(KittiRaw, RealScansKeepTheirPointsOnTheNativeGrid) {
     EXPECT_GT(lost_grid, lost_native);
 }
 
-/// The setting render.follow_sweeps relies on a property of real scans: if the nominal
-/// rays of each firing are rotated together, they equal the rays of the scan, including
-/// dropped rays.
+/// Tests a property of real scans that the setting render.follow_sweeps needs. If the
+/// nominal rays of each firing are rotated together, they must equal the rays of the
+/// scan, including dropped rays.
 TEST(KittiRaw, RealScansHaveOneAzimuthAFiring) {
     const char* folder = std::getenv("RELIDAR_KITTI_DRIVE");
     if (!folder) GTEST_SKIP() << "RELIDAR_KITTI_DRIVE names no KITTI raw drive";

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a MulRan sequence whose exact rays the test knows, in both orders of points. Also
-// checks the errors for invalid files.
+// Reads simulated MulRan sequences with both orders of points and compares them with the
+// exact rays. Also checks the errors for invalid files.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>

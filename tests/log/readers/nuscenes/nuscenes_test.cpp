@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a nuScenes folder whose exact rays the test knows, and folders with damage in
-// each file.
+// Reads a simulated nuScenes folder and compares it with the exact rays. Also reads
+// folders with damage in each file.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>

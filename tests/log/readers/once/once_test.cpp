@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads an ONCE sequence whose exact rays the test knows, with quaternions in both
-// orders. Also checks the errors for invalid files.
+// Reads simulated ONCE sequences with quaternions in both orders and compares them with
+// the exact rays. Also checks the errors for invalid files.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>

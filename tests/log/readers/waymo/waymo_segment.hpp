@@ -46,7 +46,7 @@ std::uint32_t plain_crc32c(const std::string& bytes);
 
 /// Exact content of a pixel.
 struct WaymoPixel {
-    /// point in the world frame; for a dropped pixel, the point at 10 m on its ray
+    /// Point in the world frame. For a dropped pixel, the point at 10 m on its ray.
     glm::dvec3 point_m{0.0};
     double time_us = 0.0;
     float range_m = 0.0f;  ///< 0: no return

@@ -22,9 +22,9 @@ std::string of_hex(std::string_view text) {
     return bytes;
 }
 
-/// Packet of a sensor with two beams, the lower beam first, whose origins are 10 mm from
-/// the axis. A packet has two columns and a turn has four columns. This packet contains
-/// the last two columns.
+/// Packet of a sensor with two beams. The lower beam is the first beam, and the beam
+/// origins are 10 mm from the axis. A packet has two columns and a turn has four columns.
+/// This packet contains the last two columns.
 struct Written {
     const char *profile, *head, *first, *second, *foot;  ///< columns without their time stamps
     std::array<packets::Echo, 2> lower, upper;           ///< echoes of the first column

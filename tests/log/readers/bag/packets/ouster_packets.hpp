@@ -25,8 +25,11 @@ struct OusterImages {
     /// [frames, rows, columns]; the second returns may be empty
     std::vector<std::uint32_t> range_mm, reflectivity, range_2_mm, reflectivity_2;
     std::vector<std::uint64_t> time_ns;  ///< [frames, columns]
-    std::vector<bool> is_valid;          ///< [frames, columns]; empty: all valid
-    std::size_t first = 0, last = 0;     ///< column_window; 0 and 0: all
+    /// [frames, columns] true for valid columns. If empty, all columns are valid.
+    std::vector<bool> is_valid;
+    /// First and last column of the column window. If both are 0, the window contains all
+    /// columns.
+    std::size_t first = 0, last = 0;
 
     std::size_t at(std::size_t frame, std::size_t row, std::size_t column) const {
         return (frame * rows + row) * columns + column;
