@@ -61,9 +61,8 @@ Config standard() {
     config.sensor.calibrate = "range,intensity";
     // small voxels give sharp silhouettes: surfels overhang an edge by about their size
     config.init.voxel_m = 0.1;
-    config.init.voxel_growth = 0.006;  // approximately the spacing of neighbouring rays
-    // with only 6 points, noise of 2 cm would tilt a normal by 0.1 rad
-    config.init.normal_neighbours = 24;
+    config.init.voxel_growth = 0.006;    // approximately the spacing of neighbouring rays
+    config.init.normal_neighbours = 24;  // 6 points with noise of 2 cm would tilt a normal by 0.1 rad
     // Points on leaves and corners get discs that face the sensor, which lowers errors.
     config.init.flatness = 0.04;
     // needed because only objects in the view of the front camera are labelled
