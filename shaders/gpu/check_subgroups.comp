@@ -21,9 +21,6 @@ void main() {
     uint sum = subgroupAdd(params.fault != 0u && lane == 0u ? 0u : x);
     uvec2 total, before = workgroup_exclusive_add(uvec2(x, 1u), total);
     uvec4 ballot = subgroupBallot(odd);
-    uint in_branch = 0u;
-    // Half of the lanes take this branch. The sum must include only these active lanes.
-    if (odd) in_branch = subgroupAdd(x);
     params.results.at[first] = gl_SubgroupSize;
     params.results.at[first + 1u] = sum;
     params.results.at[first + 2u] = subgroupExclusiveAdd(x);
@@ -32,7 +29,11 @@ void main() {
     params.results.at[first + 5u] = subgroupShuffle(x, lane ^ 1u);
     params.results.at[first + 6u] = uint(subgroupAny(odd)) + 2u * uint(subgroupAll(odd));
     params.results.at[first + 7u] = subgroupBroadcastFirst(x);
-    params.results.at[first + 8u] = in_branch;
     params.results.at[first + 9u] = before.x;
     params.results.at[first + 10u] = total.x;
+    uint in_branch = 0u;
+    // Half of the lanes take this branch. The sum must include only these active lanes.
+    // The branch is last, because lanes may not reconverge after it.
+    if (odd) in_branch = subgroupAdd(x);
+    params.results.at[first + 8u] = in_branch;
 }

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <array>
+#include <chrono>
 #include <cmath>
 #include <numeric>
 #include <utility>
@@ -25,12 +26,14 @@ using Words = std::vector<std::uint32_t>;
 /// Lets `n` threads add integers to `n_sums` sums on the device. Returns the largest
 /// relative error of a sum.
 double error_of_sums(Stream& stream, const Kernel<shared::CheckAtomicsParams>& kernel, std::uint32_t n,
-                     std::uint32_t n_sums, bool fault) {
+                     std::uint32_t n_sums, bool fault, double* seconds = nullptr) {
     std::vector<double> expected(n_sums, 0.0);
     for (std::uint32_t i = 0; i < n; ++i) expected[i % n_sums] += 1.0 + i % RELIDAR_CHECK_AMOUNTS;
     const Array<float> sums(stream.device(), std::vector<float>(n_sums, 0.0f), "sums");
+    const auto start = std::chrono::steady_clock::now();
     run(stream, kernel, n, {.sums = sums.address(), .n = n, .n_sums = n_sums, .fault = fault});
     stream.finish();
+    if (seconds) *seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     const std::vector<float> actual = sums.download();
     double worst = 0.0;
     for (std::uint32_t i = 0; i < n_sums; ++i) {
@@ -48,6 +51,9 @@ constexpr std::array<const char*, RELIDAR_CHECK_RESULTS> kOperations = {
     "subgroupAdd in a branch", "prefix sum of workgroup",
     "sum of the workgroup",
 };
+/// Index of the sum in a branch. Vulkan guarantees this result only on devices that
+/// reconverge.
+constexpr std::size_t kInBranch = 8;
 constexpr std::uint32_t kCheckWorkgroup = 256;
 
 /// Returns the correct results of one thread in a subgroup.
@@ -100,7 +106,7 @@ std::string wrong_operations(Device& device) {
                 const auto expected = right_results(values, lane, before, total);
                 const std::uint32_t* found = actual.data() + (first + lane) * RELIDAR_CHECK_RESULTS;
                 for (std::size_t k = 0; k < expected.size(); ++k)
-                    if (found[k] != expected[k])
+                    if (found[k] != expected[k] && (k != kInBranch || reconverges(device)))
                         return fmt::format("{}: found {} in lane {}, expected {}", kOperations[k], found[k],
                                            lane, expected[k]);
             }
@@ -145,11 +151,11 @@ double sum_error(Device& device, bool swaps) {
                     error_of_sums(stream, kernel, 1u << 14, 1, fault));
 }
 
-double sum_error_of(Device& device, std::uint32_t n_threads) {
+double sum_error_of(Device& device, std::uint32_t n_threads, double& seconds) {
     const Kernel<shared::CheckAtomicsParams> kernel(device, "gpu/check_atomics", KernelVariant("@_swap"));
     Stream stream(device);
     const double piece_s = std::exchange(impl_of(device).launch_limit.piece_s, 0.0);
-    const double error = error_of_sums(stream, kernel, n_threads, 1024, false);
+    const double error = error_of_sums(stream, kernel, n_threads, 1024, false, &seconds);
     impl_of(device).launch_limit.piece_s = piece_s;
     return error;
 }

@@ -20,7 +20,8 @@ double sum_error(Device& device, bool swaps);
 /// Tests atomic addition with compare-and-swap. The threads of one dispatch add numbers
 /// to 1024 shared sums.
 /// @return the largest relative error, compared with the exact sums
-double sum_error_of(Device& device, std::uint32_t n_threads);
+/// @param seconds receives the duration of the dispatch
+double sum_error_of(Device& device, std::uint32_t n_threads, double& seconds);
 
 /// Returns the subgroup sizes that kernels can request, of 4 to 64 lanes.
 std::vector<int> subgroup_sizes(const Device& device);

@@ -312,6 +312,8 @@ void Device::Impl::find_compute_queues() {
     std::vector<VkQueueFamilyProperties> families(n);
     vkGetPhysicalDeviceQueueFamilyProperties(physical, &n, families.data());
     while (queue_family < n && !(families[queue_family].queueFlags & VK_QUEUE_COMPUTE_BIT)) ++queue_family;
+    const std::uint32_t bits = queue_family < n ? families[queue_family].timestampValidBits : 0;
+    if (bits > 0 && bits < 64) timestamp_mask = (std::uint64_t(1) << bits) - 1;
 }
 
 void Device::Impl::make_device() {

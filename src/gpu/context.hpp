@@ -143,6 +143,7 @@ struct Device::Impl {
     gpu::OptionalFeatures optional;       ///< Optional features that are enabled.
     Traversal traversal = Traversal::ray_query;
     float timestamp_period_ns = 1.0f;
+    std::uint64_t timestamp_mask = ~std::uint64_t(0);  ///< valid bits of the queue's time stamps
     std::uint32_t workgroup_size = 32;
     std::uint32_t scratch_alignment = 256;
     /// Maximum size of one array in bytes, and the name of the Vulkan limit that sets

@@ -32,7 +32,8 @@ std::span<const std::uint32_t> find_words(std::string_view name) {
 
 /// Kernels that need lanes to reconverge. They use subgroup operations inside branches,
 /// or in loops that lanes leave at different times.
-constexpr std::array<std::string_view, 2> kReconverging{"diff/accel/bvh_cluster", "diff/backward/trace"};
+constexpr std::array<std::string_view, 3> kReconverging{"diff/accel/bvh_cluster", "diff/backward/trace",
+                                                        "gpu/check_subgroups"};
 
 /// Returns true for lavapipe 25.0 and older. These versions skip a load inside a branch
 /// if no lane takes the branch.

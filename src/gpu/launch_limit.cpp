@@ -23,7 +23,8 @@ double LaunchLimit::expected_s(const std::string& kernel, std::uint32_t n_groups
 bool LaunchLimit::should_measure(const std::string& kernel, std::uint32_t n_groups) {
     constexpr std::uint64_t kFirst = 8, kEvery = 64;
     // Skips small launches, because their fixed cost would make the kernel look slow.
-    if (!is_set() || n_groups < kUnknownGroups / 4) return false;
+    // A kernel whose pieces are small is still measured, because it may become faster.
+    if (!is_set() || n_groups < std::min(kUnknownGroups / 4, groups_per_piece(kernel) / 2)) return false;
     const std::scoped_lock lock(mutex_);
     const std::uint64_t n = speeds_[kernel].n_launches++;
     return n < kFirst || n % kEvery == 0;

@@ -249,7 +249,10 @@ Stream::Impl::Dispatch make_dispatch(VkPipeline pipeline, const std::array<std::
     // Distributes the workgroups evenly over the rows, so that few workgroups have no
     // work.
     const std::uint32_t rows = (n_groups - 1) / columns + 1, even_columns = (n_groups - 1) / rows + 1;
-    return {pipeline, pushed, rows, even_columns, std::max(1u, groups_per_piece / even_columns)};
+    // A launch that must not be split has all its rows in one piece.
+    const std::uint32_t rows_per_piece =
+        groups_per_piece >= n_groups ? rows : std::max(1u, groups_per_piece / even_columns);
+    return {pipeline, pushed, rows, even_columns, rows_per_piece};
 }
 
 }  // namespace
@@ -279,7 +282,10 @@ void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, con
 void Stream::Impl::record_pieces(const std::string& name, const Dispatch& dispatch) {
     for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece) {
         const std::uint32_t n_groups = dispatch.rows_from(row) * dispatch.columns;
-        const double expected_s = device->launch_limit.expected_s(name, n_groups);
+        double expected_s = device->launch_limit.expected_s(name, n_groups);
+        // Each piece of a kernel with an unknown speed gets its own submission.
+        if (expected_s == 0.0 && n_groups < dispatch.rows * dispatch.columns)
+            expected_s = device->launch_limit.piece_s;
         commands();
         if (recorded_s > 0.0 && recorded_s + expected_s > device->launch_limit.piece_s) submit_part();
         begin_timing(name, n_groups);
@@ -314,7 +320,9 @@ void Stream::Impl::collect_times(Slot& slot) {
                               stamps.size() * 8, stamps.data(), 8, VK_QUERY_RESULT_64_BIT);
     for (std::size_t i = 0; result == VK_SUCCESS && i < slot.launches.size(); ++i) {
         const auto& [name, n_groups] = slot.launches[i];
-        const double ms = double(stamps[2 * i + 1] - stamps[2 * i]) * device->timestamp_period_ns * 1e-6;
+        // The counter of the device may have fewer than 64 bits and start again at 0.
+        const std::uint64_t ticks = (stamps[2 * i + 1] - stamps[2 * i]) & device->timestamp_mask;
+        const double ms = double(ticks) * device->timestamp_period_ns * 1e-6;
         if (timing) times.add(name, ms);
         if (n_groups > 0) device->launch_limit.add(name, n_groups, 1e-3 * ms);
     }

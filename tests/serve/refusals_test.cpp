@@ -79,7 +79,7 @@ const std::vector<Case>& cases_of_poses() {
          Code::INVALID_ARGUMENT,
          "cannot read actors.actors[0].poses: found poses from 3 to 4 s for a scan at 0.5 s, expected poses "
          "that "
-         "cover the scan's time"},
+         "cover the time of the scan"},
         {"actor twice",
          [](auto& r) {
              for (int i = 0; i < 2; ++i) add_pose(*actor(r, "car").mutable_poses(), 0, at_x(0));
@@ -114,7 +114,7 @@ const std::vector<Case>& cases_of_sensors() {
          "found no pattern, expected rays, spinning, window or rosette"},
         {"no rays", [](auto& r) { spec(r).mutable_rays(); }, Code::INVALID_ARGUMENT, "found 0 rays per scan"},
         {"half a ray", [](auto& r) { spec(r).mutable_rays()->set_direction("1234567"); },
-         Code::INVALID_ARGUMENT, "7 bytes, expected 12"},
+         Code::INVALID_ARGUMENT, "7 bytes, expected a multiple of 12"},
         {"wrong rows",
          [](auto& r) {
              spec(r) = rays_ahead(3);

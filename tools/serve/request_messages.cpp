@@ -81,7 +81,7 @@ Weather read_weather(const std::string& text) {
     try {
         return parse_weather(text);
     } catch (const UsageError& error) {
-        throw Refusal(grpc::StatusCode::INVALID_ARGUMENT, fmt::format("reading {}", error.what()));
+        throw Refusal(grpc::StatusCode::INVALID_ARGUMENT, fmt::format("cannot read {}", error.what()));
     }
 }
 

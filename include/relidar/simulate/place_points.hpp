@@ -1,4 +1,5 @@
-// SPDX-License-Identifier: Apache-2.0 Converts a rendered scan to points in a frame.
+// SPDX-License-Identifier: Apache-2.0
+// Converts a rendered scan to points in a frame.
 // Files, recordings, the service, the viewer and Python all use this function. The GPU
 // kernel of ScanRenderer::submit_points() computes bitwise equal points.
 #pragma once

@@ -107,8 +107,17 @@ DeviceTrust check_first_use(const DeviceOptions& options) {
     if (device.info().software)
         if (const std::string wrong = wrong_subgroups(device); !wrong.empty())
             trust.subgroup_size = right_subgroup_size(options, device, wrong);
-    if (device.traversal() == Traversal::ray_query)
-        trust.ray_query = count_wrong_rays(device) == 0 ? Trust::right : Trust::wrong;
+    if (device.traversal() != Traversal::ray_query) return trust;
+    int n_wrong = 0;
+    if (trust.subgroup_size == 0) {
+        n_wrong = count_wrong_rays(device);
+    } else {
+        // Other kernels of the renderer need the subgroup size that gives right results.
+        const Trusting trusting_size(trust);
+        Device other(options);
+        n_wrong = count_wrong_rays(other);
+    }
+    trust.ray_query = n_wrong == 0 ? Trust::right : Trust::wrong;
     return trust;
 }
 

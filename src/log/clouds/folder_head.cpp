@@ -178,6 +178,9 @@ bool is_table_beside(const fs::path& file, const fs::path& folder) {
     return file.extension() == ".csv" && file.parent_path() == folder;
 }
 
+/// Returns true if a file is a table of numbers in text form.
+bool is_text(const fs::path& file) { return file.extension() == ".csv" || file.extension() == ".xyz"; }
+
 /// Lists the scan files in the folder of each LiDAR, sorted by name. Sets the times of
 /// the frames from the constant frame rate `rate_hz`.
 std::vector<HeadFrame> frames_in_folders(double rate_hz, const std::vector<HeadLidar>& lidars,
@@ -185,8 +188,14 @@ std::vector<HeadFrame> frames_in_folders(double rate_hz, const std::vector<HeadL
     std::vector<HeadFrame> frames;
     for (std::size_t l = 0; l < lidars.size(); ++l) {
         int number = 0;
-        for (const fs::path& file : list_folder((folder / lidars[l].scans).lexically_normal()))
-            if ((is_point_file(file) && !is_table_beside(file, folder)) || is_image_file(file)) {
+        const std::vector<fs::path> files = list_folder((folder / lidars[l].scans).lexically_normal());
+        // Tables of numbers are scans only if the folder has no other scans. Otherwise a
+        // table of time stamps next to the scans would become a scan.
+        const bool has_scans = std::ranges::any_of(
+            files, [](const fs::path& f) { return !is_text(f) && (is_point_file(f) || is_image_file(f)); });
+        for (const fs::path& file : files)
+            if ((is_point_file(file) && !is_table_beside(file, folder) && !(has_scans && is_text(file))) ||
+                is_image_file(file)) {
                 frames.push_back({number, number / rate_hz, int(l), file});
                 ++number;
             }

@@ -202,7 +202,12 @@ PointTable read_packed(const SharedBytes& data, const std::vector<PointField>& f
                        Packing packing, const std::string& where) {
     check_count(n, where);
     std::size_t record = 0;
-    for (const PointField& field : fields) record += field.size * field.count;
+    for (const PointField& field : fields) {
+        if (field.size == 0 || field.count == 0)
+            throw DataError(fmt::format("{}: field '{}' has no values, expected at least one per point",
+                                        where, excerpt(field.name)));
+        record += field.size * field.count;
+    }
     if (data.bytes.size() / n < record)
         throw DataError(fmt::format("{}: truncated: {} bytes of points, expected {} x {}", where,
                                     data.bytes.size(), n, record));

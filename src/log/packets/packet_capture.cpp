@@ -79,7 +79,8 @@ std::int64_t log_start_ns(const Sequence& sequence) {
     if (dot == std::string::npos || end == std::string::npos || end < dot || end - dot != 10) return 0;
     const auto seconds = parse_number(text.substr(0, dot));
     const auto nanoseconds = parse_number(text.substr(dot + 1, 9));
-    if (!seconds || !nanoseconds) return 0;
+    constexpr double kLatest_s = 4e9;
+    if (!seconds || !nanoseconds || !(*seconds >= 0.0 && *seconds <= kLatest_s)) return 0;
     return std::int64_t(*seconds) * 1'000'000'000 + std::int64_t(*nanoseconds);
 }
 
@@ -119,6 +120,10 @@ std::size_t save_packets(const Sequence& sequence, const fs::path& file, const P
             file.string(), sequence.lidars.size()));
     PacketOptions options;
     options.start_ns = log_start_ns(sequence);
+    // Packets cannot have negative times, so move the log if it begins before 0.
+    if (options.start_ns == 0 && !sequence.frames.empty())
+        options.start_ns =
+            1'000'000'000 * (1 + std::int64_t(std::ceil(std::max(0.0, -sequence.frames.front().time_s))));
     options.times_jitter = true;
     for (const Frame& frame : sequence.frames)
         if (!frame.scan.second_returns.empty()) options.returns = 2;

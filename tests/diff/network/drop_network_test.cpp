@@ -216,7 +216,7 @@ TEST_F(DropNetworkTest, RefusesWhatItCannotWorkWith) {
     EXPECT_THAT(message(images, options), HasSubstr("intensity at row 1 and column 5 is nan"));
     images = some_images(options, 2);
     for (DropImage& image : images) std::fill(image.dropped.begin(), image.dropped.end(), 0.0f);
-    EXPECT_THAT(message(images, options), HasSubstr("no dropped ray"));
+    EXPECT_THAT(message(images, options), HasSubstr("no training frame has a dropped ray"));
     images = some_images(options, 1);
     images.push_back(dark_neighbours(16, 41, options, 3));
     EXPECT_THAT(message(images, options), HasSubstr("image 1 has 16 x 41 pixels, expected 16 x 40"));

@@ -86,6 +86,27 @@ TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
     }
 }
 
+/// A launch with more workgroups than one dimension of a dispatch can have. Each parameter
+/// must get one step. The first step of Adam is the learning rate in the direction of the
+/// gradient.
+TEST_F(AdamTest, StepsEachParameterOnceInALargeLaunch) {
+    const std::uint32_t n = 175'001;  // 48 floats for each surfel, and at most 128 threads in a workgroup
+    Surfels start, gradient;
+    start.resize(n), gradient.resize(n);
+    std::ranges::fill(start.sh, 0.0f), std::ranges::fill(gradient.sh, 1.0f);
+    const Forced forced(device(), {.coalesces = true});
+    Adam adam(device(), n, {});
+    Stream stream(device());
+    SurfelArrays parameters(device(), n, "parameters"), gradients(device(), n, "gradients");
+    parameters.upload(start), gradients.upload(gradient);
+    adam.step(stream, parameters, gradients, nullptr, {.sh = 1e-2, .sh_rest_factor = 1.0}, 1, 3);
+    stream.finish();
+    const Surfels actual = parameters.download();
+    const auto n_wrong =
+        std::ranges::count_if(actual.sh, [](float x) { return std::abs(x + 1e-2f) > 1e-6f; });
+    EXPECT_EQ(n_wrong, 0);
+}
+
 const LearningRates kRates{.mean = 1e-3,
                            .rotation = 2e-3,
                            .log_scale = 3e-3,

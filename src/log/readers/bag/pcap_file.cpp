@@ -204,6 +204,7 @@ public:
             Stream* stream = stream_of(*datagram, topics);
             if (!stream) continue;
             pass.done(bytes_ > 0 ? double(datagram->at) / double(bytes_) : 0.0);
+            if (is_pause(*stream, stream->n, datagram->stamp_ns - stream->log_ns)) flush(*stream, pass);
             if (stream->n++ == 0) stream->begin_run(*datagram);
             stream->at = std::min(stream->at, datagram->at);
             if (stream->product) append_to(stream->run, *datagram);
@@ -233,6 +234,7 @@ public:
         std::int64_t first_ns = 0;
         for (std::size_t n = 0; const auto datagram = next(fragments, nullptr);) {
             if (key_of(*datagram) != stream->first || (n == 0 && datagram->at != first_at)) continue;
+            if (is_pause(stream->second, n, datagram->stamp_ns - first_ns)) break;
             if (n++ == 0) first_ns = datagram->stamp_ns;
             append_to(run, *datagram);
             if (is_full(stream->second, n, datagram->stamp_ns - first_ns)) break;
@@ -311,6 +313,8 @@ private:
                 ++n_cut_;
                 continue;
             }
+            constexpr std::int64_t kLatest_s = 4'000'000'000;  // later times are damaged
+            if (std::int64_t(head->ts.tv_sec) < 0 || std::int64_t(head->ts.tv_sec) > kLatest_s) continue;
             const std::string_view frame(reinterpret_cast<const char*>(data), head->caplen);
             // libpcap was opened with nanosecond precision, so tv_usec contains
             // nanoseconds
@@ -391,6 +395,13 @@ private:
         return stream.livox_frame.empty()
                    ? n == kRun
                    : passed_ns >= packets::kLivoxCloud_ns || n == packets::kMostLivoxPackets;
+    }
+    /// Returns true if a datagram follows a pause of the sensor, so that it begins a new
+    /// message. Only clouds of a Livox end at a pause.
+    /// @param n  number of datagrams in the message before it
+    /// @param passed_ns  time from the first datagram of the message to this datagram
+    static bool is_pause(const Stream& stream, std::size_t n, std::int64_t passed_ns) {
+        return n > 0 && !stream.livox_frame.empty() && passed_ns >= 2 * packets::kLivoxCloud_ns;
     }
     /// Converts the datagrams of a message to the message type of the stream's topic.
     static std::string message_of(const Stream& stream, std::string run) {

@@ -75,13 +75,13 @@ private:
     bool has_read_metadata_ = false;
 
     void read_corrections() {
-        std::vector<packets::Correction> corrections;
+        // Sets the list first, so that a file with an error is read only once.
+        std::vector<packets::Correction>& corrections = corrections_.emplace();
         for (const std::filesystem::path& file : bag_.files())
             for (packets::Correction& correction : packets::find_corrections(file))
                 if (std::ranges::find(corrections, correction.where, &packets::Correction::where) ==
                     corrections.end())
                     corrections.push_back(std::move(correction));
-        corrections_ = std::move(corrections);
     }
 
     void add_cloud(const Topic& topic, const Message& message) {

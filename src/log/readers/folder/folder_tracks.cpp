@@ -89,6 +89,20 @@ std::vector<double> pose_row(const std::string& line, std::size_t n, const std::
     return *v;
 }
 
+/// Refuses rows of x y z and a quaternion. Without this check, they would be read as a
+/// time, a position and three angles.
+void check_have_times(const PoseRows& rows, const std::string& file) {
+    const auto ends_with_quaternion = [](const std::vector<double>& row) {
+        return row.size() == 7 &&
+               std::abs(glm::length(glm::dquat(row[3], row[4], row[5], row[6])) - 1.0) <= kUnit;
+    };
+    if (!rows.rows.empty() && std::ranges::all_of(rows.rows, ends_with_quaternion))
+        throw DataError(fmt::format(
+            "{}: found poses without times: the last four of seven numbers are a quaternion; expected 8 "
+            "numbers: time_s x y z qw qx qy qz",
+            file));
+}
+
 PoseRows read_rows(const std::vector<std::string>& lines, const std::string& file) {
     PoseRows rows;
     std::vector<int> at;
@@ -117,6 +131,7 @@ PoseRows read_rows(const std::vector<std::string>& lines, const std::string& fil
         }
         rows.rows.push_back(std::move(row));
     }
+    check_have_times(rows, file);
     return rows;
 }
 
@@ -167,11 +182,6 @@ std::vector<PoseReading> readings_of(const PoseRows& rows) {
             {"roll pitch yaw in radians", track_of(rows, [&](const Row& r) { return angles(r, 1.0); })});
         readings.push_back({"roll pitch yaw in degrees",
                             track_of(rows, [&](const Row& r) { return angles(r, kPi / 180.0); })});
-        const bool are_degrees = std::ranges::any_of(rows.rows, [](const Row& r) {
-            return std::max({std::abs(r[4]), std::abs(r[5]), std::abs(r[6])}) > 2.0 * kPi;
-        });
-        if (are_degrees) std::swap(readings[0], readings[1]);
-        if (are_degrees) readings.pop_back();
     }
     return with_inverses(std::move(readings));
 }

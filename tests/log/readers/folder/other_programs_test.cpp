@@ -147,6 +147,21 @@ TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
     expect("", backwards);
 }
 
+TEST(OtherPrograms, PosesWithoutTimesAreRefused) {
+    const PointLog log("untimed", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
+    std::string text;
+    for (int i = 0; i < 4; ++i) text += fmt::format("{} 0 0 1 0 0 0\n", i);  // x y z and a quaternion
+    test::write_text(log.folder / "poses.txt", text);
+    EXPECT_THAT(error_message<DataError>([&] { load_sequence(log.folder.string(), {}); }),
+                testing::HasSubstr("found poses without times"));
+}
+
+TEST(OtherPrograms, ATableOfTimesIsNotAScan) {
+    const PointLog log("times", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
+    test::write_text(log.folder / "scans" / "timestamps.csv", "frame,time\n0,0.0\n1,0.1\n");
+    EXPECT_EQ(load_sequence(log.folder.string(), {}).frames.size(), 4u);
+}
+
 TEST(OtherPrograms, FindsRingsInTheOrderOfTheFile) {
     // The beams of an HDL-64E start far from the sensor's centre, so their elevations
     // overlap.

@@ -75,7 +75,7 @@ void add_echo(std::array<Echo, 2>& echoes, std::size_t number, const Echo& echo)
 class BlockDecoder : public Decoder {
 public:
     BlockDecoder(const Layout& layout, const std::vector<Correction>& corrections) : layout_(layout) {
-        if (layout.first_channel == 1) choose_angles(corrections);
+        if (layout.has_correction_file) choose_angles(corrections);
         timing_.cycle_us = layout.cycle_us;
         timing_.wrap_us = layout.wrap_us;
         timing_.interpolates = layout.firings > 1;  // as in the VLP-16's manual

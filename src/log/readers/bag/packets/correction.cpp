@@ -89,7 +89,7 @@ std::vector<Correction> find_corrections(const fs::path& recording) {
     std::vector<fs::path> named{fs::path(recording).replace_extension(".csv")};
     if (is_ros2_folder) named.push_back(fs::path(fs::absolute(folder)).concat(".csv"));
     for (const fs::path& file : named) {
-        if (!path_exists(file)) continue;
+        if (!is_correction(file)) continue;
         Correction correction = read_correction(read_text(file), file.filename().string());
         correction.is_named = true;
         return {correction};

@@ -62,8 +62,12 @@ PacketFaults sort_packets(std::vector<PacketEntry>& packets) {
         while (at > 0 && is_later(at - 1) && packets[at - 1].clock_ns - entry.clock_ns <= kLatest_ns) --at;
         if (at > 0 && is_later(at - 1)) at = n;
         bool is_known = false;
-        for (std::size_t k = at; k > 0 && packets[k - 1].clock_ns == entry.clock_ns; --k)
-            is_known = is_known || is_repeat(packets[k - 1], entry);
+        // The limit keeps the search short if the clock of the sensor stands still.
+        constexpr std::size_t kMostCompared = 64;
+        for (std::size_t k = at, n_compared = 0;
+             k > 0 && !is_known && n_compared < kMostCompared && packets[k - 1].clock_ns == entry.clock_ns;
+             --k, ++n_compared)
+            is_known = is_repeat(packets[k - 1], entry);
         const bool counts = entry.first_firing == 0;  // counts a packet only once if it has two parts
         faults.n_repeated += is_known && counts;
         if (is_known) continue;
@@ -132,7 +136,7 @@ SkippedSector find_skipped_sector(const std::vector<PacketEntry>& packets, doubl
     std::array<bool, kBins> fires{};
     for (const PacketEntry& entry : packets)
         for (double on = 0.0; on <= std::min(double(entry.turned_deg), 360.0) + step_deg; on += 0.4)
-            fires[std::size_t((entry.azimuth_deg + on) / 360.0 * kBins) % kBins] = true;
+            fires[std::size_t(std::max(entry.azimuth_deg + on, 0.0) / 360.0 * kBins) % kBins] = true;
     std::size_t widest = 0, end = 0, run = 0;
     // scans the circle twice, because the sector may contain azimuth 0
     for (std::size_t b = 0; b < 2 * kBins; ++b) {
