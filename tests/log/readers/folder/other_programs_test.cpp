@@ -5,10 +5,12 @@
 #include <random>
 
 #include <fmt/format.h>
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
 
+#include "../../../base/codecs/temporary_folder.hpp"
 #include "log/readers/folder/point_log.hpp"
 
 namespace relidar {
