@@ -127,8 +127,8 @@ const WeatherEffect kSunlight{
     .form = "sun=AZIMUTH:ELEVATION[:KLUX]",
     .meaning = "degrees in the dataset's world",
     .expected =
-        "sun=AZIMUTH:ELEVATION, degrees within 360 and 0 to 90, or sun=AZIMUTH:ELEVATION:KLUX, above "
-        "0 to 150",
+        "sun=AZIMUTH:ELEVATION or sun=AZIMUTH:ELEVATION:KLUX with an azimuth from -360 to 360 degrees, an "
+        "elevation from 0 to 90 degrees and an illuminance above 0 and up to 150 klux",
     .examples = "sun=0:5",
     .numbers = kSunNumbers,
     .n_required = 2,

@@ -78,7 +78,7 @@ void read_word(Weather& weather, std::string_view word) {
         refuse(fmt::format("\"{}\"", excerpt(word)), forms());
     const WeatherEffect& effect = **row;
     if (effect.is_in(weather))
-        throw UsageError(fmt::format("weather: found {} twice, expected it once", effect.name));
+        throw UsageError(fmt::format("weather: {} occurs twice, expected it once", effect.name));
     const std::vector<double> values = read_numbers(word.substr(std::min(equals + 1, word.size())));
     const std::size_t fewest = equals < word.size() ? std::max<std::size_t>(effect.n_required, 1) : 0;
     if (values.size() < fewest || values.size() > effect.numbers.size() || !are_valid(effect, values))

@@ -101,7 +101,7 @@ TEST(Feather, SaysWhatIsWrong) {
     expect(good.substr(0, good.size() - 1), "does not end with ARROW1", only_open);
     std::string bad = good;
     bad[bad.size() - 7] = '\x7f';  // length of the footer
-    expect(bad, "a footer at -", only_open);
+    expect(bad, "a footer should be at byte -", only_open);
     expect(good, "column 'wider': the file has no such column, expected one of 'wide, narrow, ",
            [](const Feather& t) { t.numbers("wider"); });
     expect(good, "column 'text': found text", [](const Feather& t) { t.numbers("text"); });

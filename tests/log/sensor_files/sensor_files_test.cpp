@@ -237,7 +237,7 @@ TEST(SensorFiles, WrongFilesAreNamed) {
                       R"({"beam_altitude_angles": [1], "beam_azimuth_angles": [1], "lidar_mode": "fast"})")),
         HasSubstr("lidar_mode is \"fast\""));
     EXPECT_THAT(message(write("i.json", R"({"directions": [[1,0,0]], "time": [1e300]})")),
-                HasSubstr("time number 0 is 1e+300"));
+                HasSubstr("entry 0 of time is 1e+300"));
     write_npz(path_of("a.npz"), {make_text("name", "x")});
     EXPECT_THAT(message(path_of("a.npz")), HasSubstr("array \"directions\" is missing"));
 }

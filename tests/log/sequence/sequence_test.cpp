@@ -339,9 +339,10 @@ TEST(Split, ListsThatNameNoPartOfTheLogAreRefused) {
     };
     refused("104",
             "found frame 104, expected only frames that are read from the log: 100, 103, 106, 109, "
-            "112, ... 121 (8 in all)");
-    refused("100:104", "found 101,");
-    refused("100:99999999", "found 101,");
+            "112, ... 121"
+            " (8 in total)");
+    refused("100:104", "found frame 101,");
+    refused("100:99999999", "found frame 101,");
     refused("103,103", "frame 103 occurs twice");
     refused("100:101,100", "frame 100 occurs twice");
     refused("100,103,106,109,112,115,118,121", "all frames of the log are held out");

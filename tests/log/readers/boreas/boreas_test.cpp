@@ -172,8 +172,8 @@ TEST(Boreas, SaysWhichFileAndLineIsWrong) {
         data.poses(), [](std::string& text) { text.erase(text.find('\n') + 1); },
         "lidar_poses.csv: no pose, expected lines");
     with(data.calibration(), line(1, " ", " x"),
-         "T_applanix_lidar.txt: a word is no number, expected 4 lines of 4 numbers");
-    with(data.calibration(), line(4, "0 0 0 1", ""), "T_applanix_lidar.txt: 12 numbers, expected");
+         "T_applanix_lidar.txt: found a word that is not a number, expected 4 lines of 4 numbers");
+    with(data.calibration(), line(4, "0 0 0 1", ""), "T_applanix_lidar.txt: found 12 numbers, expected");
     with(data.calibration(), line(1, "0.", "3."), "T_applanix_lidar.txt: the 3x3 block is no rotation");
     with(
         data.scan(3), [](std::string& bytes) { bytes.resize(bytes.size() - 5); }, ".bin: ");

@@ -253,7 +253,7 @@ TEST(Nuscenes, SaysWhichFileIsWrong) {
             load(data);
             ADD_FAILURE() << "no failure, expected " << part;
         } catch (const DataError& error) {
-            EXPECT_THAT(error.what(), testing::HasSubstr("turn_4.pcd.bin: " + part));
+            EXPECT_THAT(error.what(), testing::HasSubstr("turn_4.pcd.bin has " + part));
         }
     };
     const auto with = [&](std::size_t point, std::size_t field, float value) {

@@ -135,7 +135,7 @@ TEST(Once, SaysWhichFileAndFieldIsWrong) {
     with("\"pose\": [", "\"pose\": [0, ", "errors.json: frames[0].pose: found 8 numbers, expected 7");
     with("\"pose\": [", "\"pose\": [\"x\", ", "errors.json: frames[0].pose");
     with("\"pose\": [0", "\"pose\": [2",
-         "errors.json: frames[0].pose: a quaternion of length 2.236, expected 1");
+         "errors.json: frames[0].pose: found a quaternion of length 2.236, expected 1");
     with("\"pose\"", "\"posture\"", "errors.json: frames[0].pose");
     with("\"frames\"", "\"other\"", "errors.json: frames");
     with("]}]", "", "errors.json");
@@ -143,7 +143,7 @@ TEST(Once, SaysWhichFileAndFieldIsWrong) {
     data.expect_error("1616535967200.bin: 3 bytes, expected a multiple of 16");
     fs::remove_all(data.folder / "lidar_roof");
     fs::create_directory(data.folder / "lidar_roof");
-    data.expect_error("errors.json lists 4 frames ");
+    data.expect_error("errors.json lists 4 frames");
     fs::remove(data.json());
     data.expect_error("errors.json");
 }

@@ -428,7 +428,7 @@ TEST(Synthetic, WrongFilesAreNamed) {
     using testing::HasSubstr;
     EXPECT_THAT(message("row = 16\n"),
                 HasSubstr("street.toml line 1: unknown key 'row', did you mean 'rows'?"));
-    EXPECT_THAT(message("rows = 1\n"), HasSubstr("rows is 1, expected 2 ... 256"));
+    EXPECT_THAT(message("rows = 1\n"), HasSubstr("rows is 1, expected 2 to 256"));
     EXPECT_THAT(message("range_noise_m = nan\n"), HasSubstr("range_noise_m is nan"));
     EXPECT_THAT(message("speed_mps = \"fast\"\n"), HasSubstr("line 1: speed_mps has the wrong type"));
     EXPECT_THAT(message("n_frames = 0\n"), HasSubstr("n_frames is 0"));
