@@ -86,9 +86,9 @@ TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
     }
 }
 
-/// A launch with more workgroups than one dimension of a dispatch can have. Each parameter
-/// must get one step. The first step of Adam is the learning rate in the direction of the
-/// gradient.
+/// A launch with more workgroups than one dimension of a dispatch can have. Each
+/// parameter must get one step. The first step of Adam is the learning rate in the
+/// direction of the gradient.
 TEST_F(AdamTest, StepsEachParameterOnceInALargeLaunch) {
     const std::uint32_t n = 175'001;  // 48 floats for each surfel, and at most 128 threads in a workgroup
     Surfels start, gradient;

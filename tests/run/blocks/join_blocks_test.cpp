@@ -183,7 +183,7 @@ TEST_F(JoinedBlocks, NamesTheFileThatIsWrong) {
     fs::create_directories(folders[2]);
     fs::copy_file(folders[0] / kModelFile, folders[2] / kModelFile);
     EXPECT_THAT(data_error([&] { load_all_blocks(load_run(run.folder).scene); }),
-                HasSubstr("blocks/002/model.safetensors: found "));
+                HasSubstr("blocks/002/model.safetensors: the block has "));
     Scene scene = run.scene;
     scene.blocks[1].file = folder / "aside" / kModelFile;  // outside of the run's folder
     save_model(run.folder / kModelFile, scene);

@@ -128,8 +128,9 @@ TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
     std::string changed = whole;
     const std::string quoted = "rolling_shutter = \"auto\"";
     ASSERT_NE(changed.find(quoted), std::string::npos);
-    EXPECT_EQ(error(changed.replace(changed.find(quoted), quoted.size(), "rolling_shutter = true")),
-              file + "sensor.rolling_shutter: found \"true\", expected one of auto, true, false in quotes");
+    EXPECT_EQ(
+        error(changed.replace(changed.find(quoted), quoted.size(), "rolling_shutter = true")),
+        file + "setting sensor.rolling_shutter: found \"true\", expected one of auto, true, false in quotes");
 }
 
 /// The short form omits default values of minor settings. Reading the short form must
