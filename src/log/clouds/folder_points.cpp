@@ -27,9 +27,32 @@ constexpr float kOneRay = 1e-6f;
 /// ReturnType: 3 strongest, 6 identical, 9 and 10 strongest and first or last.
 bool is_strongest(double type) { return type == 3.0 || type == 6.0 || type == 9.0 || type == 10.0; }
 
+/// Returns true if a field contains the distances of the points from the sensor, in any
+/// unit. Another field may have a similar name, for example the distance from a plane.
+/// @param marked  points whose value is no range
+bool are_ranges(const FieldValues& ranges, const std::vector<glm::vec3>& points,
+                const std::vector<char>& marked) {
+    constexpr std::size_t kMostCompared = 2000;
+    constexpr double kTolerance = 0.05, kFewest = 0.9;
+    std::vector<double> ratios;
+    const std::size_t step = std::max<std::size_t>(1, points.size() / kMostCompared);
+    for (std::size_t i = 0; i < points.size(); i += step)
+        if (const double distance_m = glm::length(glm::dvec3(points[i]));
+            !marked[i] && std::isfinite(distance_m) && distance_m > 0.0)
+            ratios.push_back(ranges[i] / distance_m);
+    if (ratios.empty()) return false;
+    const auto middle = ratios.begin() + std::ptrdiff_t(ratios.size() / 2);
+    std::ranges::nth_element(ratios, middle);
+    const double unit = *middle;
+    const auto n = std::ranges::count_if(
+        ratios, [unit](double ratio) { return std::abs(ratio - unit) <= kTolerance * unit; });
+    return double(n) >= kFewest * double(ratios.size());
+}
+
 /// Returns for each point whether its field `range` marks a ray without a return. Returns
-/// an empty array if the points have no such field, or if no range in the field is valid.
-std::vector<char> marked_by_range(const PointTable& table) {
+/// an empty array if the points have no such field, or if the field does not contain the
+/// distances of the points.
+std::vector<char> marked_by_range(const PointTable& table, const std::vector<glm::vec3>& points) {
     const FieldValues* ranges = table.find(PointValue::range);
     std::vector<char> marked;
     if (!ranges) return marked;
@@ -37,7 +60,7 @@ std::vector<char> marked_by_range(const PointTable& table) {
     ranges->visit([&](const auto& range_at) {
         for (std::size_t i = 0; i < table.n; ++i) marked[i] = !is_return_range(double(range_at(i)));
     });
-    if (std::ranges::all_of(marked, [](char m) { return m != 0; })) marked.clear();
+    if (!are_ranges(*ranges, points, marked)) marked.clear();
     return marked;
 }
 
@@ -49,7 +72,7 @@ std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> find_returns(
         xyz[std::size_t(axis)]->visit([&](const auto& value_at) {
             for (std::size_t i = 0; i < table.n; ++i) all[i][axis] = float(value_at(i));
         });
-    const std::vector<char> marked = marked_by_range(table);
+    const std::vector<char> marked = marked_by_range(table, all);
     std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> returns;
     returns.first.reserve(table.n);
     for (std::size_t i = 0; i < table.n; ++i)

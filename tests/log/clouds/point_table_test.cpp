@@ -127,7 +127,12 @@ TEST(DroppedRays, HaveRangeZeroInARangeField) {
     const auto n_returns = [&](const std::vector<float>& range) {
         return points_of(table_of(points, {{"range", range}}), PointUnits{}, 0.0, "test").size();
     };
-    EXPECT_EQ(n_returns({20.0f, 0.0f, kInfinite, 20.0f}), 2u);
+    for (const float unit : {1.0f, 1000.0f}) {  // metres, millimetres
+        const float first = unit * glm::length(points[0]), last = unit * glm::length(points[3]);
+        EXPECT_EQ(n_returns({first, 0.0f, kInfinite, last}), 2u);
+        EXPECT_EQ(n_returns({-first, 0.0f, 0.3f * last, last}), 4u)
+            << "a signed distance from something else";
+    }
     EXPECT_EQ(n_returns({0.0f, 0.0f, 0.0f, 0.0f}), 4u) << "a field that no program has filled";
 }
 
