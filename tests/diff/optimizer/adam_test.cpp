@@ -90,7 +90,7 @@ TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
 /// parameter must get one step. The first step of Adam is the learning rate in the
 /// direction of the gradient.
 TEST_F(AdamTest, StepsEachParameterOnceInALargeLaunch) {
-    const std::uint32_t n = 175'001;  // 48 floats for each surfel, and at most 128 threads in a workgroup
+    const std::uint32_t n = 200'001;  // 75,001 workgroups of 128 threads, or 300,002 of 32
     Surfels start, gradient;
     start.resize(n), gradient.resize(n);
     std::ranges::fill(start.sh, 0.0f), std::ranges::fill(gradient.sh, 1.0f);
