@@ -52,10 +52,8 @@ struct FrameSamples {
 using Frames = std::vector<std::unique_ptr<FrameSamples>>;
 
 Frames frames_of(const std::vector<Sample>& samples) {
-    std::map<int, std::vector<std::uint32_t>> numbers;
-    for (std::size_t i = 0; i < samples.size(); ++i) numbers[samples[i].frame].push_back(std::uint32_t(i));
     Frames frames;
-    for (auto& [frame, of_frame] : numbers)
+    for (auto& [frame, of_frame] : group_by_frame(samples))
         frames.push_back(std::make_unique<FrameSamples>(samples, std::move(of_frame)));
     for (std::size_t k = 0; k < frames.size(); ++k) {
         const std::size_t before = k > 0 ? k - 1 : 0, after = std::min(k + 1, frames.size() - 1);

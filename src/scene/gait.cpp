@@ -81,12 +81,10 @@ struct FrameGaps {
 
 FrameGaps frame_gaps(const std::vector<Sample>& samples) {
     constexpr std::size_t kMost = 3000;
-    std::map<int, std::vector<std::uint32_t>> numbers;
-    for (std::size_t i = 0; i < samples.size(); ++i) numbers[samples[i].frame].push_back(std::uint32_t(i));
     std::vector<std::unique_ptr<SampleIndex>> frames;
     FrameGaps gaps;
     std::map<int, std::size_t> place;
-    for (auto& [frame, of_frame] : numbers) {
+    for (auto& [frame, of_frame] : group_by_frame(samples)) {
         place[frame] = frames.size();
         gaps.walked_m.push_back(samples[of_frame[of_frame.size() / 2]].walked_m);
         frames.push_back(std::make_unique<SampleIndex>(samples, std::move(of_frame)));

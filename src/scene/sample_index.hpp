@@ -5,6 +5,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <map>
 #include <utility>
 #include <vector>
 
@@ -13,6 +16,13 @@
 #include "scene/point_surfels.hpp"
 
 namespace relidar {
+
+/// Returns the indices of the samples of each frame, by the number of the frame.
+inline std::map<int, std::vector<std::uint32_t>> group_by_frame(const std::vector<Sample>& samples) {
+    std::map<int, std::vector<std::uint32_t>> groups;
+    for (std::size_t i = 0; i < samples.size(); ++i) groups[samples[i].frame].push_back(std::uint32_t(i));
+    return groups;
+}
 
 /// Adapter that gives nanoflann access to some of the samples.
 struct SampleCloud {

@@ -7,6 +7,8 @@
 
 #include <relidar/base/math.hpp>
 
+#include "base/median.hpp"
+
 namespace relidar::folder {
 namespace {
 
@@ -27,12 +29,6 @@ constexpr double kInRing = 0.5;
 double azimuth_of_point(const glm::vec3& p) { return std::atan2(double(p.y), double(p.x)); }
 double elevation_of_point(const glm::vec3& p) {
     return std::atan2(double(p.z), std::hypot(double(p.x), double(p.y)));
-}
-
-double median_of(std::vector<double>& values) {
-    const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
-    std::nth_element(values.begin(), middle, values.end());
-    return *middle;
 }
 
 /// Returns 1 if the azimuth increases at most points of the file. Returns -1 if it

@@ -12,6 +12,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/median.hpp"
 #include "log/clouds/dropped_ray.hpp"
 #include "log/clouds/scan_npz.hpp"
 
@@ -41,9 +42,7 @@ bool are_ranges(const FieldValues& ranges, const std::vector<glm::vec3>& points,
             !marked[i] && std::isfinite(distance_m) && distance_m > 0.0)
             ratios.push_back(ranges[i] / distance_m);
     if (ratios.empty()) return false;
-    const auto middle = ratios.begin() + std::ptrdiff_t(ratios.size() / 2);
-    std::ranges::nth_element(ratios, middle);
-    const double unit = *middle;
+    const double unit = median_of(ratios);
     const auto n = std::ranges::count_if(
         ratios, [unit](double ratio) { return std::abs(ratio - unit) <= kTolerance * unit; });
     return double(n) >= kFewest * double(ratios.size());

@@ -8,6 +8,7 @@
 
 #include <Eigen/QR>
 
+#include "base/median.hpp"
 #include "base/parallel.hpp"
 #include "log/registration/plane_adjustment.hpp"
 
@@ -164,13 +165,6 @@ void apply_corrections(PoseTrack& track, const PoseTrack& corrections, const std
                 track.pose[k] = *pose;
 }
 
-/// Returns the median of the values, or 0 if there are none.
-double median_of(std::vector<double> values) {
-    if (values.empty()) return 0.0;
-    std::ranges::nth_element(values, values.begin() + std::ptrdiff_t(values.size() / 2));
-    return values[values.size() / 2];
-}
-
 /// Registers the track of one box. The track stays unchanged if the points do not improve
 /// its poses.
 void register_actor(BoxTrack& box, const ActorPoints& actor, ActorRegistration& result,
@@ -203,7 +197,7 @@ void register_actor(BoxTrack& box, const ActorPoints& actor, ActorRegistration& 
     if (registered_share < labelled_share + kGain) return;
     apply_corrections(box.world_from_box, adjustment.track(), has_points);
     ++result.n_registered;
-    moved_m.push_back(median_of(lengths_m));
+    moved_m.push_back(lengths_m.empty() ? 0.0 : median_of(lengths_m));
 }
 
 }  // namespace
@@ -221,7 +215,7 @@ ActorRegistration register_actors(Sequence& sequence, const std::vector<int>& tr
         if (progress) progress("registering actors", double(i) / double(boxes.size()));
         register_actor(*boxes[i], actors[i], result, moved_m);
     }
-    result.moved_m = median_of(std::move(moved_m));
+    result.moved_m = moved_m.empty() ? 0.0 : median_of(std::move(moved_m));
     return result;
 }
 

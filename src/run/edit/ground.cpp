@@ -17,6 +17,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
+#include "base/median.hpp"
 #include "base/plane_sums.hpp"
 #include "base/random.hpp"
 
@@ -262,8 +263,7 @@ std::optional<double> clearance_of(const DrivingView& owner, const BoxTrack& box
         if (plane) heights_m.push_back(plane->above(pose.translation) - 0.5 * box.size_m.z);
     }
     if (heights_m.empty()) return {};
-    std::ranges::nth_element(heights_m, heights_m.begin() + std::ptrdiff_t(heights_m.size() / 2));
-    return heights_m[heights_m.size() / 2];
+    return median_of(heights_m);
 }
 
 /// Returns the rotation of an actor that stands on a plane and faces in the direction of

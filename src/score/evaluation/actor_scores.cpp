@@ -9,6 +9,7 @@
 
 #include <relidar/scene/scene.hpp>
 #include <relidar/score/evaluation.hpp>
+#include "base/median.hpp"
 #include "score/evaluation/tails.hpp"
 
 namespace relidar {
@@ -64,12 +65,6 @@ double mean_of(const std::vector<double>& values) {
     double sum = 0.0;
     for (const double v : values) sum += v;
     return sum / double(std::max<std::size_t>(values.size(), 1));
-}
-
-double median_of(std::vector<double> values) {
-    const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
-    std::nth_element(values.begin(), middle, values.end());
-    return *middle;
 }
 
 /// Adds three metrics of the range errors: the median, the bias, and the fraction of

@@ -49,10 +49,10 @@ namespace {
 
 /// Prints which sides of actors appear in the scans although the log never observed them.
 /// Each side is printed with the number of scans that show it.
-void note_unseen_sides(const std::vector<std::string>& entries, const std::string& folder) {
+void note_unseen_sides(const std::vector<nlohmann::json>& scans, const std::string& folder) {
     std::map<std::string, std::size_t> n_scans;
-    for (const std::string& entry : entries)
-        for (const nlohmann::json& side : nlohmann::json::parse(entry)["unseen_sides"])
+    for (const nlohmann::json& scan : scans)
+        for (const nlohmann::json& side : scan["unseen_sides"])
             ++n_scans[fmt::format("the {} of {}", side["side"].get<std::string>(),
                                   side["track"].get<std::string>())];
     std::vector<std::string> texts;
@@ -67,12 +67,13 @@ void note_unseen_sides(const std::vector<std::string>& entries, const std::strin
 }  // namespace
 
 void note_unseen(const std::vector<std::string>& entries, const std::string& folder) {
-    note_unseen_sides(entries, folder);
+    std::vector<nlohmann::json> scans;
+    for (const std::string& entry : entries) scans.push_back(nlohmann::json::parse(entry));
+    note_unseen_sides(scans, folder);
     std::size_t n_unseen = 0, n_known = 0;
     double worst = 0.0;
     int worst_number = 0;
-    for (const std::string& entry : entries) {
-        const nlohmann::json scan = nlohmann::json::parse(entry);
+    for (const nlohmann::json& scan : scans) {
         if (!scan["unseen"].is_number()) continue;
         ++n_known;
         const double unseen = scan["unseen"];

@@ -9,6 +9,8 @@
 
 #include <fmt/format.h>
 
+#include "base/median.hpp"
+
 namespace relidar::bag {
 namespace {
 
@@ -72,13 +74,6 @@ double gap_of_all(const std::vector<TurnPart>& clouds) {
         }
     const std::optional<Arc> all = arc_of_bins(seen);
     return 2.0 * kPi - double(all ? all->extent_rad : 0.0f);
-}
-
-template <class Value>
-double median_of(std::vector<Value> values) {
-    const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
-    std::ranges::nth_element(values, middle);
-    return double(*middle);
 }
 
 /// Azimuth range of a part of a revolution, and step from one part to the next.

@@ -1,0 +1,21 @@
+// SPDX-License-Identifier: Apache-2.0
+// Median of a list of values.
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <vector>
+
+namespace relidar {
+
+/// Returns the median of values. For an even number of values, returns the larger of the
+/// two middle values.
+/// @param values at least one value
+template <class Value>
+Value median_of(std::vector<Value> values) {
+    const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
+    std::ranges::nth_element(values, middle);
+    return *middle;
+}
+
+}  // namespace relidar
