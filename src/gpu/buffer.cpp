@@ -5,6 +5,7 @@
 #include "gpu/buffer.hpp"
 
 #include <cstring>
+#include <exception>
 
 #include <fmt/format.h>
 
@@ -52,6 +53,7 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::MemoryUse used, c
     : device(&owner), use(used), n_bytes(size) {
     // A driver without hardware can compile kernels but cannot allocate memory.
     if (owner.compile_only) return;
+    owner.free_orphans();
     check_size(owner, size, what);
     // Checks the budget only for device memory, because all other buffers use host
     // memory.
@@ -90,9 +92,32 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::MemoryUse used, c
 
 Buffer::Impl::~Impl() {
     if (!handle) return;
-    vkDestroyBuffer(device->device, handle, nullptr);
-    device->memory->release(memory);
-    if (use == gpu::MemoryUse::device) device->allocated -= memory.n_bytes;
+    // Usually the code that frees a buffer has waited for the commands that use it. An
+    // exception skips this wait. Therefore waits here for the commands that are submitted,
+    // and keeps the buffer if there are commands that are recorded only.
+    if (std::uncaught_exceptions() > 0) {
+        const std::lock_guard lock(device->orphans_mutex);
+        if (device->n_recording > 0) {
+            device->orphans.push_back({handle, memory, use});
+            return;
+        }
+        device->wait_idle();
+    }
+    device->free_buffer({handle, memory, use});
+}
+
+void Device::Impl::free_buffer(const Orphan& buffer) noexcept {
+    vkDestroyBuffer(device, buffer.handle, nullptr);
+    memory->release(buffer.memory);
+    if (buffer.use == gpu::MemoryUse::device) allocated -= buffer.memory.n_bytes;
+}
+
+void Device::Impl::free_orphans() {
+    const std::lock_guard lock(orphans_mutex);
+    if (orphans.empty() || n_recording > 0) return;
+    wait_idle();
+    for (const Orphan& orphan : orphans) free_buffer(orphan);
+    orphans.clear();
 }
 
 Buffer::Buffer(Device& device, std::size_t n_bytes, const std::string& what)

@@ -406,6 +406,7 @@ Device::Impl::~Impl() {
     if (!device) return;
     nothing.reset();
     transfers.reset();
+    for (const Orphan& orphan : orphans) free_buffer(orphan);
     memory.reset();
     for (const auto& [key, made] : pipelines.by_key) {
         // Skips kernels that were never launched, because they have no pipeline to
@@ -420,6 +421,11 @@ Device::Impl::~Impl() {
     pipeline_cache.reset();
     if (pipeline_layout) vkDestroyPipelineLayout(device, pipeline_layout, nullptr);
     vkDestroyDevice(device, nullptr);
+}
+
+void Device::Impl::wait_idle() noexcept {
+    const std::lock_guard lock(queue_mutex);
+    vkDeviceWaitIdle(device);
 }
 
 void Device::Impl::submit(const VkSubmitInfo& work, VkFence fence) {

@@ -16,13 +16,13 @@
 #include <relidar/gpu/stream.hpp>
 #include "gpu/forced.hpp"
 #include "gpu/launch_limit.hpp"
+#include "gpu/memory.hpp"
 
 #include "base/parallel.hpp"
 #include "gpu/vulkan.hpp"
 
 namespace relidar::gpu {
 
-class MemoryPools;
 class PipelineCache;
 class Transfers;
 
@@ -182,6 +182,17 @@ struct Device::Impl {
     std::vector<PipelineStatistics> compiled;
     std::atomic<std::uint64_t> allocated{0};  ///< Total size of all allocated arrays, in bytes.
     std::atomic<std::uint64_t> peak{0};
+    /// Number of streams that have recorded commands and not submitted them yet.
+    std::atomic<int> n_recording{0};
+    /// Buffers that an exception destroyed while such a stream existed. They are freed
+    /// later, because the recorded commands may use them.
+    struct Orphan {
+        VkBuffer handle;
+        gpu::MemoryPiece memory;
+        gpu::MemoryUse use;
+    };
+    std::vector<Orphan> orphans;
+    std::mutex orphans_mutex;
     /// Number of buffers created, and number of times that the host waited for all
     /// submissions.
     std::atomic<std::uint64_t> n_buffers{0}, n_full_waits{0};
@@ -198,6 +209,13 @@ struct Device::Impl {
     /// Submits work to the compute queue. Locks a mutex, because Vulkan allows only one
     /// thread to use a queue at a time.
     void submit(const VkSubmitInfo& work, VkFence fence = VK_NULL_HANDLE);
+    /// Waits until the device has finished all submitted work. Ignores errors, because
+    /// destructors call this function and a lost device does no more work.
+    void wait_idle() noexcept;
+    void free_buffer(const Orphan& buffer) noexcept;
+    /// Frees the buffers that exceptions have destroyed, unless a stream still has
+    /// recorded commands.
+    void free_orphans();
 };
 
 }  // namespace relidar

@@ -191,6 +191,7 @@ KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<C
     impl_->workgroup_size = size == all.end() ? device.workgroup_size : size->value;
     if (size == all.end()) all.push_back({ConstantId::WORKGROUP_SIZE, device.workgroup_size});
     impl_->addresses = gpu::parameter_addresses(find_words(name));
+    if (gpu::can_cut(impl_->name)) impl_->speed = &device.launch_limit.speed(impl_->name);
     impl_->made_ = find_or_begin_pipeline(device, *impl_,
                                           device.compiles_ahead ? std::launch::async : std::launch::deferred);
     if (device.compile_only) compile_only();

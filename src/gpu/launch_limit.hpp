@@ -4,6 +4,7 @@
 // launches of the same kernel give the expected duration.
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <map>
 #include <mutex>
@@ -11,34 +12,44 @@
 
 namespace relidar::gpu {
 
-/// Measured speeds of the kernels of a device. Thread-safe.
-class LaunchLimit {
+/// Measured speed of a kernel on a device. Several threads may use the same object. It
+/// has no lock, because every launch reads it. If two threads add a measurement at the
+/// same time, one of the measurements can be lost.
+class KernelSpeed {
 public:
     /// Number of workgroups per dispatch for a kernel whose speed is unknown.
     static constexpr std::uint32_t kUnknownGroups = 4096;
 
+    /// Returns the number of workgroups that one dispatch should have.
+    /// @param piece_s target duration of a dispatch in seconds
+    std::uint32_t groups_per_piece(double piece_s) const;
+    /// Returns the expected duration of `n_groups` workgroups in seconds. Returns 0 if
+    /// the speed is unknown.
+    double expected_s(std::uint32_t n_groups) const;
+    /// Returns true if the next dispatch should be measured. The first 8 dispatches of a
+    /// kernel are measured, and then every 64th.
+    bool should_measure(double piece_s, std::uint32_t n_groups);
+    void add(std::uint32_t n_groups, double seconds);
+
+private:
+    std::atomic<double> s_per_group_{0.0};
+    std::atomic<std::uint64_t> n_dispatches_{0};
+};
+
+/// Measured speeds of all kernels of a device.
+class LaunchLimit {
+public:
     /// Target duration of a dispatch and of a submission, in seconds. The target is half
     /// of the allowed duration, because speeds vary. 0 means no limit.
     double piece_s = 0.0;
 
     bool is_set() const { return piece_s > 0.0; }
-    /// Returns the number of workgroups that one dispatch of this kernel should have.
-    std::uint32_t groups_per_piece(const std::string& kernel) const;
-    /// Returns the expected duration of `n_groups` workgroups in seconds. Returns 0 if
-    /// the speed of the kernel is unknown.
-    double expected_s(const std::string& kernel, std::uint32_t n_groups) const;
-    /// Returns true if the next launch should be measured. The first 8 launches of a
-    /// kernel are measured, and then every 64th.
-    bool should_measure(const std::string& kernel, std::uint32_t n_groups);
-    void add(const std::string& kernel, std::uint32_t n_groups, double seconds);
+    /// Returns the speed of a kernel. The reference stays valid. Thread-safe.
+    KernelSpeed& speed(const std::string& kernel);
 
 private:
-    struct Speed {
-        double s_per_group = 0.0;
-        std::uint64_t n_launches = 0;
-    };
-    mutable std::mutex mutex_;
-    std::map<std::string, Speed> speeds_;
+    std::mutex mutex_;
+    std::map<std::string, KernelSpeed> speeds_;
 };
 
 /// Returns true if launches of this kernel may be split into several dispatches. Kernels

@@ -38,8 +38,8 @@ Stream::Impl::Impl(Device& d, bool with_timing)
 
 Stream::Impl::~Impl() {
     if (device->compile_only) return;
-    const std::unique_lock lock(device->queue_mutex);
-    vkDeviceWaitIdle(device->device);
+    device->wait_idle();
+    if (recording) --device->n_recording;
     for (Slot& slot : slots) {
         if (slot.queries) vkDestroyQueryPool(device->device, slot.queries, nullptr);
         if (slot.pool) vkDestroyCommandPool(device->device, slot.pool, nullptr);
@@ -59,6 +59,7 @@ VkCommandBuffer Stream::Impl::commands() {
     slot.n_buffers = 0;
     begin_buffer(slot);
     recording = true;
+    ++device->n_recording;
     return slot.commands;
 }
 
@@ -154,14 +155,15 @@ void Stream::Impl::record_barrier() {
                          nullptr);
 }
 
-void Stream::Impl::begin_timing(const std::string& name, std::uint32_t n_groups) {
+void Stream::Impl::begin_timing(const std::string& name, gpu::KernelSpeed* speed, std::uint32_t n_groups,
+                                bool continues) {
     last_kernel = name;
     VkCommandBuffer buffer = commands();
     Slot& slot = slots[current];
-    const bool measured = device->launch_limit.should_measure(name, n_groups);
-    timed = slot.queries && (timing || measured) && slot.launches.size() < kMaxLaunches;
+    if (speed && !speed->should_measure(device->launch_limit.piece_s, n_groups)) speed = nullptr;
+    timed = slot.queries && (timing || speed) && slot.launches.size() < kMaxLaunches;
     if (!timed) return;
-    slot.launches.push_back({name, measured ? n_groups : 0});
+    slot.launches.push_back({name, speed, n_groups, continues});
     vkCmdWriteTimestamp(buffer, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, slot.queries,
                         2 * static_cast<std::uint32_t>(slot.launches.size() - 1));
 }
@@ -267,29 +269,30 @@ void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, con
                                               device->nothing->address};
     const std::string& name = kernel.impl().name;
     const std::uint32_t n_groups = (n_threads - 1) / kernel.impl().workgroup_size + 1;
-    const bool limited = device->launch_limit.is_set() && gpu::can_cut(name);
-    const Dispatch dispatch = make_dispatch(pipeline, pushed, n_groups,
-                                            limited ? device->launch_limit.groups_per_piece(name) : n_groups);
+    const gpu::LaunchLimit& limit = device->launch_limit;
+    const gpu::KernelSpeed* speed = limit.is_set() ? kernel.impl().speed : nullptr;
+    const Dispatch dispatch =
+        make_dispatch(pipeline, pushed, n_groups, speed ? speed->groups_per_piece(limit.piece_s) : n_groups);
     // Splits the launch only outside of concurrent sequences. The commands of concurrent
     // sequences are recorded later and in a single submission.
-    if (limited && lanes.empty()) return record_pieces(name, dispatch);
+    if (speed && lanes.empty()) return record_pieces(kernel.impl(), dispatch);
     record(name, [layout = device->pipeline_layout, dispatch](VkCommandBuffer c) {
         for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece)
             dispatch.record(c, layout, row);
     });
 }
 
-void Stream::Impl::record_pieces(const std::string& name, const Dispatch& dispatch) {
+void Stream::Impl::record_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch) {
+    const double piece_s = device->launch_limit.piece_s;
     for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece) {
         const std::uint32_t n_groups = dispatch.rows_from(row) * dispatch.columns;
-        double expected_s = device->launch_limit.expected_s(name, n_groups);
+        double expected_s = kernel.speed->expected_s(n_groups);
         // Each piece of a kernel with an unknown speed gets its own submission.
-        if (expected_s == 0.0 && n_groups < dispatch.rows * dispatch.columns)
-            expected_s = device->launch_limit.piece_s;
+        if (expected_s == 0.0 && n_groups < dispatch.rows * dispatch.columns) expected_s = piece_s;
         commands();
-        if (recorded_s > 0.0 && recorded_s + expected_s > device->launch_limit.piece_s) submit_part();
-        begin_timing(name, n_groups);
-        begin_label(name);
+        if (recorded_s > 0.0 && recorded_s + expected_s > piece_s) submit_part();
+        begin_timing(kernel.name, kernel.speed, n_groups, row > 0);
+        begin_label(kernel.name);
         dispatch.record(commands(), device->pipeline_layout, row);
         end_label();
         end_timing();
@@ -318,13 +321,16 @@ void Stream::Impl::collect_times(Slot& slot) {
     const VkResult result =
         vkGetQueryPoolResults(device->device, slot.queries, 0, static_cast<std::uint32_t>(stamps.size()),
                               stamps.size() * 8, stamps.data(), 8, VK_QUERY_RESULT_64_BIT);
+    double launch_ms = 0.0;  // sum of the pieces of a launch
     for (std::size_t i = 0; result == VK_SUCCESS && i < slot.launches.size(); ++i) {
-        const auto& [name, n_groups] = slot.launches[i];
+        const auto& [name, speed, n_groups, continues] = slot.launches[i];
         // The counter of the device may have fewer than 64 bits and start again at 0.
         const std::uint64_t ticks = (stamps[2 * i + 1] - stamps[2 * i]) & device->timestamp_mask;
         const double ms = double(ticks) * device->timestamp_period_ns * 1e-6;
-        if (timing) times.add(name, ms);
-        if (n_groups > 0) device->launch_limit.add(name, n_groups, 1e-3 * ms);
+        launch_ms = continues ? launch_ms + ms : ms;
+        const bool is_complete = i + 1 == slot.launches.size() || !slot.launches[i + 1].continues;
+        if (timing && is_complete) times.add(name, launch_ms);
+        if (speed) speed->add(n_groups, 1e-3 * ms);
     }
     slot.launches.clear();
 }
@@ -407,6 +413,7 @@ std::uint64_t Stream::submit() {
     info.pSignalSemaphores = &s.timeline;
     s.device->submit(info);
     s.recording = false;
+    --s.device->n_recording;
     s.recorded_s = 0.0;
     s.last_ticket = s.slots[s.current].ticket = ticket;
     s.current = (s.current + 1) % Impl::kSlots;

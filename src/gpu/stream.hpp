@@ -25,6 +25,8 @@ struct KernelBase::Impl {
     std::vector<Constant> constants;
     Subgroups subgroups = Subgroups::any;
     std::uint32_t workgroup_size = 0;  ///< Number of threads per workgroup.
+    /// Measured speed of the kernel. Null if its launches must not be split.
+    gpu::KernelSpeed* speed = nullptr;
     /// Byte offsets of the device addresses in the parameter struct.
     std::vector<std::uint32_t> addresses = {};
 
@@ -55,14 +57,17 @@ struct Stream::Impl {
         std::vector<VkCommandBuffer> buffers;
         std::size_t n_buffers = 0;  ///< Number of command buffers of the current recording.
         VkQueryPool queries = VK_NULL_HANDLE;
-        /// Launch that a pair of timestamps measures. The list has the same order as the
+        /// Commands between a pair of timestamps. The list has the same order as the
         /// timestamps.
-        struct TimedLaunch {
+        struct Timed {
             std::string name;
-            /// Number of workgroups. 0 if the launch does not measure the kernel's speed.
-            std::uint32_t n_groups;
+            /// Speed of the kernel that the timestamps measure, or null.
+            gpu::KernelSpeed* speed;
+            std::uint32_t n_groups;  ///< Number of workgroups.
+            /// True if these commands are a later piece of the launch before them.
+            bool continues;
         };
-        std::vector<TimedLaunch> launches;
+        std::vector<Timed> launches;
         /// Memory blocks for values that the host writes. Blocks are added until the
         /// largest submission fits.
         std::vector<std::unique_ptr<Buffer::Impl>> blocks;
@@ -88,8 +93,8 @@ struct Stream::Impl {
     bool timing = false;
     std::array<Slot, kSlots> slots;
     std::size_t current = 0;
-    bool recording = false;
-    int n_concurrent = 0;  ///< Number of open Concurrent scopes.
+    bool recording = false;  ///< True if commands were recorded but not submitted yet.
+    int n_concurrent = 0;    ///< Number of open Concurrent scopes.
     /// True if the current scope has recorded commands, so that it must record a barrier
     /// at its end.
     bool owes_barrier = false;
@@ -166,14 +171,16 @@ private:
     void barrier();
     void record_barrier();
     /// Writes the timestamp before a command.
-    /// @param n_groups number of workgroups if the launch may measure the kernel's speed,
-    /// otherwise 0
-    void begin_timing(const std::string& name, std::uint32_t n_groups = 0);
+    /// @param speed speed of the kernel that the timestamps may measure, or null
+    /// @param n_groups number of workgroups that run at this speed
+    /// @param continues true for the later pieces of a launch that is split
+    void begin_timing(const std::string& name, gpu::KernelSpeed* speed = nullptr, std::uint32_t n_groups = 0,
+                      bool continues = false);
     void end_timing();
     /// Begins a region that debuggers show with a name. end_label() ends the region.
     void begin_label(const std::string& name);
     void end_label();
-    void record_pieces(const std::string& name, const Dispatch& dispatch);
+    void record_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch);
     void begin_buffer(Slot& slot);
     /// Submits the commands recorded so far, without ending the submission. Later
     /// commands are recorded to a new command buffer.

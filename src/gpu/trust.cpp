@@ -2,6 +2,8 @@
 #include "gpu/trust.hpp"
 
 #include <fstream>
+#include <map>
+#include <mutex>
 #include <optional>
 #include <sstream>
 #include <utility>
@@ -21,6 +23,17 @@ FirstUse& first_use() {
 std::string& all_faults() {
     static std::string faults;
     return faults;
+}
+
+/// Check results that this process could not store in a file. The key contains the
+/// device, the driver and the faults that a test has forced.
+struct UnstoredTrust {
+    std::mutex mutex;
+    std::map<std::string, DeviceTrust> by_device;
+};
+UnstoredTrust& unstored_trust() {
+    static UnstoredTrust results;
+    return results;
 }
 
 /// Check results that a Trusting object selects for this thread, or null.
@@ -57,7 +70,11 @@ std::optional<DeviceTrust> read_trust(const std::filesystem::path& path, const s
 
 }  // namespace
 
-void set_first_use(FirstUse functions) { first_use() = std::move(functions); }
+void set_first_use(FirstUse functions) {
+    first_use() = std::move(functions);
+    const std::scoped_lock lock(unstored_trust().mutex);
+    unstored_trust().by_device.clear();
+}
 
 Trusting::Trusting(const DeviceTrust& trust) : before_(fixed_trust), trust_(trust) { fixed_trust = &trust_; }
 Trusting::~Trusting() { fixed_trust = before_; }
@@ -79,14 +96,23 @@ DeviceTrust find_trust(const Device::Impl& device, const DeviceOptions& options)
     // affect later runs.
     if (!options.pipeline_cache.empty() && all_faults().empty())
         path = options.pipeline_cache / ("check_" + device_key(properties) + ".txt");
+    const auto is_complete = [&](const std::optional<DeviceTrust>& trust) {
+        return trust && (trust->ray_query != Trust::unknown || device.traversal != Traversal::ray_query);
+    };
     const std::optional<DeviceTrust> known = read_trust(path, device.info.driver);
-    if (known && (known->ray_query != Trust::unknown || device.traversal != Traversal::ray_query))
-        return *known;
+    if (is_complete(known)) return *known;
+    const std::string key = device_key(properties) + " " + all_faults();
+    UnstoredTrust& unstored = unstored_trust();
+    const std::scoped_lock lock(unstored.mutex);
+    const auto checked_before = unstored.by_device.find(key);
+    if (checked_before != unstored.by_device.end() && is_complete(checked_before->second))
+        return checked_before->second;
     DeviceOptions checked = options;
     checked.index = device.info.index;
     checked.traversal = device.traversal;
     const DeviceTrust trust = first_use().check(checked);
     if (!path.empty()) replace_file(path, trust_text(device.info.driver, trust));
+    if (!read_trust(path, device.info.driver)) unstored.by_device[key] = trust;
     return trust;
 }
 

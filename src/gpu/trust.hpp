@@ -14,8 +14,8 @@ namespace relidar::gpu {
 
 /// Returns the results of the device check. Reads the results from the cache folder if a
 /// valid file exists. Runs the check if the file is missing, damaged, or from another
-/// version of the driver or of relidar. Trusts every method if the program has set no
-/// check.
+/// version of the driver or of relidar. If the results cannot be stored in a file, the
+/// process remembers them. Trusts every method if the program has set no check.
 DeviceTrust find_trust(const Device::Impl& device, const DeviceOptions& options);
 
 /// Replaces the methods that gave wrong results, and prints one line for each. Call this

@@ -14,6 +14,7 @@
 
 #include <relidar/base/error.hpp>
 #include "../support/device.hpp"
+#include "../support/work_in_flight.hpp"
 #include "gpu/copy_rate.hpp"
 #include "gpu/forced.hpp"
 #include "gpu/kernel.hpp"
@@ -254,36 +255,86 @@ TEST_F(StreamTest, LanesMayBeSubmittedBeforeTheirEnd) {
     EXPECT_THROW(StreamLanes(stream, 0), Error);
 }
 
-/// If the workgroups of a kernel are expected to take a millisecond, a launch must be cut
-/// into pieces of at most `piece_s`. Together, the pieces must do all the work.
-TEST_F(StreamTest, LongLaunchesAreCut) {
-    constexpr std::uint32_t kGroups = 1000, kThreads = 32, n = kGroups * kThreads - 5;
-    std::vector<glm::vec4> values(n);
-    for (std::uint32_t i = 0; i < n; ++i) values[i] = glm::vec4(float(i));
-    const Array<glm::vec4, shared::CopySource> from(device(), values, "source");
-    const Kernel<shared::CopyParams> copy(device(), "gpu/copy", {{ConstantId::WORKGROUP_SIZE, kThreads}});
-    gpu::LaunchLimit& limit = impl_of(device()).launch_limit;
-    const double piece_s_before = limit.piece_s;
-    limit.piece_s = 0.1;
-    limit.add("gpu/copy", 1000, 1.0);
-    EXPECT_EQ(limit.groups_per_piece("gpu/copy"), 100u);
-    EXPECT_EQ(limit.groups_per_piece("unknown"), gpu::LaunchLimit::kUnknownGroups);
+/// Launches 32000 threads of gpu/copy. The workgroups are expected to take a millisecond,
+/// so that a launch is cut into 10 pieces of at most 0.1 s.
+class CutLaunches : public StreamTest {
+protected:
+    static constexpr std::uint32_t kGroups = 1000, kThreads = 32, kValues = kGroups * kThreads - 5;
+    std::vector<glm::vec4> values = std::vector<glm::vec4>(kValues);
+    std::optional<Array<glm::vec4, shared::CopySource>> from;
+    std::optional<Kernel<shared::CopyParams>> copy;
+    double piece_s_before = 0.0;
+
+    void SetUp() override {
+        StreamTest::SetUp();
+        if (IsSkipped() || HasFatalFailure()) return;
+        for (std::uint32_t i = 0; i < kValues; ++i) values[i] = glm::vec4(float(i));
+        from.emplace(device(), values, "source");
+        copy.emplace(device(), KernelName<shared::CopyParams>("gpu/copy"),
+                     std::vector<Constant>{{ConstantId::WORKGROUP_SIZE, kThreads}});
+        piece_s_before = std::exchange(limit().piece_s, 0.1);
+        limit().speed("gpu/copy").add(1000, 1.0);
+    }
+    void TearDown() override {
+        if (copy) limit().piece_s = piece_s_before;
+        from.reset(), copy.reset();
+        StreamTest::TearDown();
+    }
+    gpu::LaunchLimit& limit() { return impl_of(device()).launch_limit; }
+    Array<glm::vec4, shared::CopyTarget> target() {
+        return {device(), std::vector<glm::vec4>(kValues, glm::vec4(-1.0f)), "target"};
+    }
+    void launch(Stream& stream, const Array<glm::vec4, shared::CopyTarget>& to) {
+        run(stream, *copy, kValues, {.from = from->address(), .to = to.address(), .n = kValues});
+    }
+};
+
+/// Together, the pieces of a launch must do all the work. The measured times must count a
+/// launch once, not once per piece.
+TEST_F(CutLaunches, DoTheSameWork) {
+    EXPECT_EQ(limit().speed("gpu/copy").groups_per_piece(0.1), 100u);
+    EXPECT_EQ(limit().speed("unknown").groups_per_piece(0.1), gpu::KernelSpeed::kUnknownGroups);
     Stream stream(device(), true);
     for (const bool in_strand : {false, true}) {
-        const Array<glm::vec4, shared::CopyTarget> to(device(), std::vector<glm::vec4>(n, glm::vec4(-1.0f)),
-                                                      "target");
-        const shared::CopyParams params{.from = from.address(), .to = to.address(), .n = n};
+        const auto to = target();
         if (in_strand) {
             StreamLanes lanes(stream, 1);
-            run(stream, copy, n, params);
-        } else run(stream, copy, n, params);
+            launch(stream, to);
+        } else launch(stream, to);
         EXPECT_EQ(impl_of(stream).slots[impl_of(stream).current].n_buffers, in_strand ? 1u : 10u);
         stream.finish();
         EXPECT_EQ(to.download(), values);
     }
-    limit.piece_s = piece_s_before;
     if (!device().info().timestamps) return;
-    EXPECT_EQ(stream.times().totals.at("gpu/copy").launches, 11.0);
+    EXPECT_EQ(stream.times().totals.at("gpu/copy").launches, 2.0);
+    EXPECT_EQ(stream.times().milliseconds.at("gpu/copy").size(), 2u);
+}
+
+/// If an exception is thrown after some pieces of a launch were submitted, the arrays of
+/// the launch must stay allocated. The later pieces are recorded, and the next submission
+/// runs them. The arrays must be freed after this submission.
+TEST_F(CutLaunches, ArraysOutliveAnException) {
+    Stream stream(device());
+    const std::uint64_t allocated = device().allocated_bytes();
+    const test::WorkInFlight work;
+    try {
+        const auto to = target();
+        launch(stream, to);
+        EXPECT_GE(work.n_submissions(), 9) << "the launch is not cut";
+        throw std::runtime_error("between two parts");
+    } catch (const std::runtime_error&) {}
+    EXPECT_EQ(work.n_destroyed(), 0) << "recorded commands use the array";
+    stream.finish();
+    try {
+        const auto to = target();
+        EXPECT_EQ(work.n_destroyed(), 1) << "the array of before was kept too long";
+        launch(stream, to);
+        stream.submit();
+        throw std::runtime_error("after a submission");
+    } catch (const std::runtime_error&) {}
+    EXPECT_EQ(work.n_destroyed(), 2);
+    EXPECT_EQ(work.n_destroyed_in_flight(), 0);
+    EXPECT_EQ(device().allocated_bytes(), allocated);
 }
 
 /// The weight of an earlier slow launch must decrease over time, so that it does not cut
@@ -291,12 +342,12 @@ TEST_F(StreamTest, LongLaunchesAreCut) {
 TEST(LaunchLimit, ForgetsOldSpeeds) {
     gpu::LaunchLimit limit;
     EXPECT_FALSE(limit.is_set());
-    limit.piece_s = 1.0;
-    limit.add("kernel", 10, 10.0);
-    EXPECT_EQ(limit.groups_per_piece("kernel"), 1u);
-    for (int i = 0; i < 50; ++i) limit.add("kernel", 10, 0.1);
-    EXPECT_EQ(limit.groups_per_piece("kernel"), 100u);
-    EXPECT_DOUBLE_EQ(limit.expected_s("kernel", 200), 2.0);
+    gpu::KernelSpeed& speed = limit.speed("kernel");
+    speed.add(10, 10.0);
+    EXPECT_EQ(speed.groups_per_piece(1.0), 1u);
+    for (int i = 0; i < 50; ++i) speed.add(10, 0.1);
+    EXPECT_EQ(speed.groups_per_piece(1.0), 100u);
+    EXPECT_DOUBLE_EQ(speed.expected_s(200), 2.0);
 }
 
 /// Launches of kernels that read the total number of workgroups must not be cut, because

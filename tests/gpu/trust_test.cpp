@@ -96,6 +96,25 @@ TEST_F(TrustTest, DeviceIsCheckedOncePerDriver) {
     EXPECT_THAT(notes, IsEmpty());
 }
 
+/// A process that cannot store the results must check a device only once. A forced fault
+/// and a new check function need another check.
+TEST_F(TrustTest, DeviceIsCheckedOncePerProcessWithoutAFolder) {
+    std::ofstream(folder) << "a file, so that the folder cannot be created";
+    for (const std::filesystem::path& cache : {std::filesystem::path(), folder}) {
+        options.pipeline_cache = cache;
+        n_checks = 0;
+        check_gives({.ray_query = Trust::right});
+        { const Device first(options), second(options); }
+        EXPECT_EQ(n_checks, 1) << cache;
+        gpu::set_faults("float_swaps");
+        { const Device third(options); }
+        EXPECT_EQ(n_checks, 2) << cache;
+        gpu::set_faults("");
+        { const Device fourth(options); }
+        EXPECT_EQ(n_checks, 2) << cache;
+    }
+}
+
 TEST_F(TrustTest, WrongAtomicsAreReplacedAndReported) {
     if (!device().info().float_atomics) GTEST_SKIP() << "no float atomics";
     check_gives({.float_atomics = false, .ray_query = Trust::right});

@@ -11,6 +11,7 @@
 #include <relidar/base/error.hpp>
 
 #include "diff/shared/trace.h"
+#include "gpu/context.hpp"
 
 namespace relidar {
 
@@ -63,7 +64,15 @@ struct Renderer::Impl {
 Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model,
                    const RendererOptions& options)
     : impl_(std::make_unique<Impl>(device, scene, model, options)) {}
-Renderer::~Renderer() = default;
+Renderer::~Renderer() {
+    // Waits, because the device may still use the arrays of this renderer. On a stream of
+    // the caller, the recorded commands may use them too.
+    try {
+        if (!impl_->local_stream) impl_->stream.finish();
+    } catch (const Error&) {  // nothing to do, because a lost device no longer uses memory
+    }
+    impl_of(impl_->device).wait_idle();
+}
 
 void Renderer::place(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m) {
     Impl& r = *impl_;

@@ -41,7 +41,7 @@ void copy_points(std::span<const shared::ReturnedPoint> from, const IntensitySca
 
 /// Records GPU commands that render a sweep and compute its points.
 PendingPoints ScanRenderer::Impl::record_points(const Sweep& sweep, const Pose& dataset_from_points,
-                                                const ScanPlan& plan, Send when) {
+                                                const ScanPlan& plan, Send when) try {
     const int side_by_side = sweeps.layout().blocks.empty() ? lanes->most() : 1;
     const bool joins = side_by_side > 1 && (lanes->has_batch() || when == Send::with_next);
     RenderLane& lane = joins ? lanes->next() : lanes->first();
@@ -65,6 +65,9 @@ PendingPoints ScanRenderer::Impl::record_points(const Sweep& sweep, const Pose& 
     if (!joins) scan.renderer->stream().submit();
     else if (when == Send::now) lanes->submit_batch();
     return scan;
+} catch (...) {
+    wait_for_device();  // because the next scan may replace arrays that recorded commands use
+    throw;
 }
 
 /// Waits for the points of a requested scan.
@@ -96,12 +99,6 @@ RenderedPoints ScanRenderer::Impl::collect(PendingPoints& scan, Points memory) {
 /// Waits until all requested scans are finished. Stores their points until they are
 /// collected.
 void ScanRenderer::Impl::finish_pending() {
-    // If a request fails while its commands are recorded, its scan is not in the list of
-    // pending scans. Therefore also submits the batch and waits for the device.
-    if (lanes->has_batch()) {
-        lanes->submit_batch();
-        scene.renderer().stream().finish();
-    }
     for (PendingPoints& scan : pending) scan.ready = collect(scan);
 }
 
@@ -134,16 +131,16 @@ RenderedPoints ScanRenderer::wait_for_points(Points memory) {
     return s.collect(first, std::move(memory));
 }
 
-ScanRenderer::~ScanRenderer() {
-    const auto in_flight = [](const PendingPoints& scan) { return !scan.ready; };
-    if (std::ranges::none_of(impl_->pending, in_flight)) return;
+/// Waits until the device no longer uses the arrays of this object. Submits recorded
+/// commands first, because otherwise a later scan would submit them.
+void ScanRenderer::Impl::wait_for_device() noexcept {
     try {
-        impl_->lanes->submit_batch();
-        // Waits for the device, because it may still write to memory that this object
-        // frees.
-        impl_->scene.renderer().stream().finish();
-    } catch (const DeviceError&) {  // nothing to do, because a lost device no longer writes to memory
+        lanes->submit_batch();
+        if (scene.is_loaded()) scene.renderer().stream().finish();
+    } catch (const Error&) {  // nothing to do, because a lost device no longer writes to memory
     }
 }
+
+ScanRenderer::~ScanRenderer() { impl_->wait_for_device(); }
 
 }  // namespace relidar

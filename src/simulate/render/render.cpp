@@ -161,7 +161,7 @@ void ScanRenderer::Impl::load_scene(const RenderLane& lane, const Sweep& sweep) 
 /// before.
 /// @param corrects_drops true to run the ray-drop network as well
 std::shared_ptr<SensorRays> ScanRenderer::Impl::record(RenderLane& lane, const Sweep& sweep,
-                                                       const RayTable& rays, bool corrects_drops) {
+                                                       const RayTable& rays, bool corrects_drops) try {
     const SensorChoice& sensor = sweep.sensor;
     const std::shared_ptr<SensorRays> recorded = lane.upload(device, sensor, rays, [&](std::size_t i) {
         return sweeps.never_seen(sensor, rays.channel[i], rays.direction[i]);
@@ -176,6 +176,9 @@ std::shared_ptr<SensorRays> ScanRenderer::Impl::record(RenderLane& lane, const S
         recorded->refine(renderer.stream(), lanes->refiner(lane).pass(),
                          glm::vec3(sweep.pose.translation + sweeps.log().world_offset_m - first_origin_m));
     return recorded;
+} catch (...) {
+    wait_for_device();  // because the next scan may replace arrays that recorded commands use
+    throw;
 }
 
 /// Traces rays and waits for the result.

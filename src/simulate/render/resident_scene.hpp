@@ -32,6 +32,7 @@ public:
     /// Returns the renderer of the loaded scene. Call bring() first, because it loads the
     /// scene.
     Renderer& renderer() { return *renderer_; }
+    bool is_loaded() const { return renderer_.has_value(); }
     /// Copies a scene without blocks on the device, so that several scans can be rendered
     /// in parallel. The copy uses the stream of renderer(), which must outlive it. Waits
     /// until the copy is finished.

@@ -71,6 +71,7 @@ struct ScanRenderer::Impl {
                                 Send when);
     RenderedPoints collect(PendingPoints& scan, Points memory = {});
     void finish_pending();
+    void wait_for_device() noexcept;
     bool has_channel(const std::string& name) const;
     SeenByLog seen_by_log(const SensorChoice& sensor) const;
 };
