@@ -2,8 +2,10 @@
 // Tests SensorsimService with the wall and the plate of small_service.hpp. The expected
 // positions of their points follow from the poses only.
 #include <functional>
+#include <set>
 
 #include <gmock/gmock.h>
+#include <grpcpp/generic/generic_stub.h>
 
 #include <relidar/log/sensor_files.hpp>
 
@@ -232,7 +234,9 @@ TEST_F(Sensorsim, SaysWhatMakesNoSense) {
          "cannot read sensor_pose: found two different poses in a frame without duration"},
         {"unknown sensor", [](auto& r) { r.mutable_lidar()->set_lidar_type(wire::LidarType(7)); },
          Code::INVALID_ARGUMENT,
-         "cannot read lidar.lidar_type: found 7, expected 0 (PANDAR128) or 1 (AT128)"},
+         "cannot read lidar.lidar_type: found 7, expected 0 (PANDAR128), 1 (AT128) or 2 (OTHER)"},
+        {"unknown LiDAR", [](auto& r) { r.mutable_lidar()->set_logical_id("roof"); }, Code::NOT_FOUND,
+         "cannot read lidar.logical_id: found \"roof\", expected no name"},
         {"unknown object",
          [&](auto& r) { add_car(r, here, here), r.mutable_dynamic_objects(0)->set_track_id("cat"); },
          Code::NOT_FOUND,
@@ -256,6 +260,81 @@ TEST_F(Sensorsim, SaysWhatMakesNoSense) {
     set_pair(*moment.mutable_sensor_pose(), kEnd, kEnd);
     EXPECT_THAT(world_x(render(moment), kEnd), testing::Each(LiesAt(10.0)))
         << "a sensor that stands may take no time";
+}
+
+/// Calls a method of the service with raw bytes under the package name of NuRec 26.10.
+std::string call_renamed(const std::string& address, const std::string& method, const std::string& request) {
+    grpc::GenericStub stub(connect(address));
+    grpc::ClientContext context;
+    grpc::CompletionQueue queue;
+    const grpc::Slice slice(request);
+    const auto call =
+        stub.PrepareUnaryCall(&context, "/nurec.grpc.protos.sensorsim.SensorsimService/" + method,
+                              grpc::ByteBuffer(&slice, 1), &queue);
+    call->StartCall();
+    grpc::ByteBuffer answer;
+    grpc::Status status;
+    call->Finish(&answer, &status, &queue);
+    void* tag = nullptr;
+    bool is_done = false;
+    queue.Next(&tag, &is_done);
+    EXPECT_TRUE(status.ok()) << method << ": " << status.error_message();
+    grpc::Slice bytes;
+    EXPECT_TRUE(answer.DumpToSingleSlice(&bytes).ok());
+    return {reinterpret_cast<const char*>(bytes.begin()), bytes.size()};
+}
+
+TEST_F(Sensorsim, AnswersUnderTheNameOfNuRec2610) {
+    start_sensorsim();
+    const std::string renamed = call_renamed(address(), "render_lidar", moving().SerializeAsString());
+    EXPECT_EQ(renamed, render(moving()).SerializeAsString());
+    wire::LoadedScenes loaded;
+    ASSERT_TRUE(loaded.ParseFromString(call_renamed(address(), "get_loaded_scenes", "")));
+    ASSERT_EQ(loaded.scenes_size(), 1) << "a scan of the only scene was rendered";
+    EXPECT_EQ(loaded.scenes(0).scene_id(), "small");
+    EXPECT_EQ(loaded.scenes(0).loaded_instance_count(), 1u);
+    EXPECT_EQ(loaded.loaded_instance_capacity(), 1u);
+}
+
+TEST_F(Sensorsim, LogicalIdTellsTheLidarsOfTheLogApart) {
+    relidar::Run run = small_run(folder / "small");
+    run.sequence.lidars.push_back(run.sequence.lidars[0]);
+    run.sequence.lidars[0].name = "front", run.sequence.lidars[1].name = "rear";
+    run.sequence.lidars[1].sensor.beams = {{0.05}, {-0.05}};
+    save_run(run);
+    start_sensorsim();
+    wire::LidarRenderRequest request = moving();
+    set_pair(*request.mutable_sensor_pose(), {}, {});
+    request.mutable_lidar()->set_lidar_type(wire::OTHER);
+    const auto elevations_of = [&](const char* logical_id) {
+        request.mutable_lidar()->set_logical_id(logical_id);
+        std::set<double> elevations;
+        for (const glm::vec3& point : values<glm::vec3>(render(request).xyz_buffer()))
+            elevations.insert(std::round(1e4 * std::atan2(point.z, std::hypot(point.x, point.y))) / 1e4);
+        return elevations;
+    };
+    EXPECT_THAT(elevations_of("front"), testing::ElementsAre(-0.1, 0.0, 0.1));
+    EXPECT_THAT(elevations_of("rear"), testing::ElementsAre(-0.05, 0.05));
+    request.mutable_lidar()->clear_logical_id();
+    EXPECT_THAT(refused(request).error_message(),
+                HasSubstr("cannot read lidar.logical_id: found none with lidar_type OTHER, expected the name "
+                          "of one of the log's 2 LiDARs"));
+}
+
+TEST_F(Sensorsim, ListsTheActorsOfTheLog) {
+    start_sensorsim();
+    wire::SceneRequest which;
+    wire::DynamicObjectTracks answer;
+    grpc::ClientContext context;
+    ASSERT_TRUE(calls->get_dynamic_objects(&context, which, &answer).ok());
+    ASSERT_EQ(answer.dynamic_objects_size(), 1);
+    const wire::DynamicObjectTrack& car = answer.dynamic_objects(0);
+    EXPECT_EQ(car.id(), "car");
+    EXPECT_EQ(car.semantic_class(), "Car");
+    EXPECT_EQ(car.object_size().x(), 1.0f);
+    ASSERT_EQ(car.trajectory().poses_size(), 2);
+    EXPECT_EQ(car.trajectory().poses(1).timestamp_us(), 1'000'000u);
+    EXPECT_EQ(car.trajectory().poses(1).pose().translation().x(), 4.0f);
 }
 
 TEST_F(Sensorsim, TellsTheWaysOfTheLog) {

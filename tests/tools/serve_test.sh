@@ -153,6 +153,12 @@ bad 2 "sensorsim-poses: found 'xyz', expected rotation-first or translation-firs
 serve town=run --api sensorsim
 "$python" -B "$root/tests/tools/sensorsim_client.py" "$root" "$address" town >sensorsim.out 2>&1 \
     || fail "a client of SensorsimService: $(cat sensorsim.out)"
+for package in nre nurec; do
+    "$python" -B "$root/tools/examples/alpasim_lidar.py" "$address" $package.grpc.protos $package >$package.out 2>&1 \
+        || fail "alpasim_lidar.py: $(cat $package.out)"
+    grep -q "frame 2: [1-9][0-9]* points, [1-9]" $package.out && grep -q "town loaded" $package.out || fail "alpasim_lidar.py prints: $(cat $package.out)"
+done
+diff -r nre nurec || fail "the two packages return different scans"
 stop
 
 # Uses a self-signed certificate, which the client trusts explicitly.

@@ -27,17 +27,15 @@ STEP_S, LANE_M, ACTOR_BRAKES, EGO_BRAKES = 0.1, 1.2, 4.0, 6.0   # Seconds, metre
 SENSOR_M = 1.73   # Height above the road, as in KITTI and the demo.
 
 
-def make_stubs(folder):
-    """Writes relidar/v1/render_pb2.py and render_pb2_grpc.py into a folder."""
+def compile_proto(root, proto, folder):
+    """Writes the stubs of a proto, whose path is relative to a root folder, into a folder."""
     plugin = shutil.which("grpc_python_plugin")
     compiler = ["protoc", f"--plugin=protoc-gen-grpc_python={plugin}"] if plugin else [sys.executable, "-m", "grpc_tools.protoc"]
-    root = PROTO.parents[2]
-    subprocess.run([*compiler, f"-I{root}", f"--python_out={folder}", f"--grpc_python_out={folder}", str(PROTO.relative_to(root))],
-                   check=True, cwd=root)
+    subprocess.run([*compiler, f"-I{root}", f"--python_out={folder}", f"--grpc_python_out={folder}", proto], check=True, cwd=root)
 
 
 with tempfile.TemporaryDirectory() as stubs:
-    make_stubs(stubs)
+    compile_proto(PROTO.parents[2], "relidar/v1/render.proto", stubs)
     sys.path.insert(0, stubs)
     from relidar.v1 import render_pb2 as v1, render_pb2_grpc as v1_grpc
 

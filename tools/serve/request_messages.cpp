@@ -111,7 +111,7 @@ std::size_t RequestReader::find_scene(const std::string& name, const std::string
     refuse_unknown(field, name, names);
 }
 
-int RequestReader::find_lidar(std::size_t scene, const std::string& name) const {
+int RequestReader::find_lidar(std::size_t scene, const std::string& name, const std::string& field) const {
     const std::vector<Lidar>& lidars = outlines_[scene].sequence.lidars;
     if (name.empty()) return 0;
     std::vector<std::string> names;
@@ -119,7 +119,7 @@ int RequestReader::find_lidar(std::size_t scene, const std::string& name) const 
         if (lidar.name == name) return int(names.size());
         names.push_back(lidar.name);
     }
-    refuse_unknown("lidar", name, names);
+    refuse_unknown(field, name, names);
 }
 
 std::pair<std::string, std::shared_ptr<const SensorChoice>> RequestReader::upload(

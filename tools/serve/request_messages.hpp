@@ -74,7 +74,10 @@ public:
     /// @param field name of the field in the request, for error messages
     /// @throws Refusal if the scene is unknown
     std::size_t find_scene(const std::string& name, const std::string& field = "scene") const;
-    int find_lidar(std::size_t scene, const std::string& name) const;
+    /// Returns the index of the LiDAR with this name. For an empty name, returns 0.
+    /// @param field name of the field in the request, for error messages
+    /// @throws Refusal if the LiDAR is unknown
+    int find_lidar(std::size_t scene, const std::string& name, const std::string& field = "lidar") const;
     /// Caches a sensor that a client has described.
     /// @return a handle, with which later requests select this sensor, and the sensor
     /// @throws Refusal if the description is invalid

@@ -30,7 +30,7 @@ constexpr WireLidar kLidars[] = {{sensorsim::PANDAR128, "Pandar128", 0.1}, {sens
 const WireLidar& find_wire_lidar(sensorsim::LidarType type) {
     const auto match = std::ranges::find(kLidars, type, &WireLidar::type);
     if (match == std::end(kLidars))
-        refuse("lidar.lidar_type", fmt::format("{}", int(type)), "0 (PANDAR128) or 1 (AT128)");
+        refuse("lidar.lidar_type", fmt::format("{}", int(type)), "0 (PANDAR128), 1 (AT128) or 2 (OTHER)");
     return *match;
 }
 
@@ -65,13 +65,27 @@ void write_track(const PoseTrack& track, PoseOrder order, sensorsim::Trajectory&
 
 }  // namespace
 
-std::shared_ptr<const SensorChoice> SensorsimReader::sensor(const sensorsim::LidarRenderRequest& message) {
-    const WireLidar& lidar = find_wire_lidar(message.lidar().lidar_type());
+std::shared_ptr<const SensorChoice> SensorsimReader::sensor(const sensorsim::LidarRenderRequest& message,
+                                                            std::size_t scene) {
+    const sensorsim::LidarType type = message.lidar().lidar_type();
+    const std::string& id = message.lidar().logical_id();
+    const bool is_of_log = type == sensorsim::OTHER;
+    const std::vector<Lidar>& lidars = outlines_[scene].sequence.lidars;
+    if (is_of_log && id.empty() && lidars.size() > 1)
+        refuse("lidar.logical_id", "none with lidar_type OTHER",
+               fmt::format("the name of one of the log's {} LiDARs", lidars.size()));
+    const int lidar = reader_.find_lidar(scene, id, "lidar.logical_id");
+    const std::string name = is_of_log ? "native" : find_wire_lidar(type).name;
     const std::uint64_t frame_us = message.frame_end_us() - message.frame_start_us();
-    const std::string key = fmt::format("{} {}", lidar.name, frame_us);
+    const std::string key = fmt::format("{} {} {} {}", is_of_log ? scene : 0, lidar, name, frame_us);
     if (auto sensor = sensors_.find(key)) return sensor;
-    SensorChoice sensor = sensor_choice(find_sensor(lidar.name));
-    const float stretch = float(double(frame_us) * kMicrosecond / lidar.period_s);
+    SensorChoice sensor = named_sensor(name, outlines_[scene], lidar);
+    if (count_rays(sensor) == 0)
+        refuse("lidar.logical_id", quoted(id) + ", a LiDAR whose beams are unknown",
+               "another LiDAR, or the lidar_type PANDAR128 or AT128");
+    const double period_s =
+        is_of_log ? lidars[std::size_t(lidar)].period_s() : find_wire_lidar(type).period_s;
+    const float stretch = period_s > 0.0 ? float(double(frame_us) * kMicrosecond / period_s) : 1.0f;
     for (float& time_s : sensor.rays.time_offset_s) time_s *= stretch;
     return sensors_.put(key, std::move(sensor));
 }
@@ -116,7 +130,7 @@ RenderRequest SensorsimReader::read(const sensorsim::LidarRenderRequest& message
     const Frame frame{read_time(double(start_us) * kMicrosecond, "frame_start_us"),
                       read_time(double(end_us) * kMicrosecond, "frame_end_us"),
                       outlines_[wanted.scene].sequence.world_offset_m};
-    wanted.sensor = sensor(message);
+    wanted.sensor = sensor(message, wanted.scene);
     // Uses the middle of the interval, because firing times are relative to the middle of
     // the sweep.
     wanted.request.time_s = 0.5 * (frame.start_s + frame.end_s);
@@ -143,6 +157,20 @@ void write_points(const Points& points, sensorsim::LidarRenderReturn& message) {
     };
     write(points.position_m, *message.mutable_xyz_buffer(), *message.mutable_xyz());
     write(points.intensity, *message.mutable_intensity_buffer(), *message.mutable_intensities());
+}
+
+void write_objects(const Run& run, PoseOrder order, sensorsim::DynamicObjectTracks& message) {
+    for (const std::string& name : actor_names(run)) {
+        const auto box = std::ranges::find(run.sequence.boxes, name, &BoxTrack::id);
+        if (box == run.sequence.boxes.end()) continue;
+        sensorsim::DynamicObjectTrack& object = *message.add_dynamic_objects();
+        object.set_id(name);
+        object.set_semantic_class(box->category);
+        object.mutable_object_size()->set_x(float(box->size_m.x));
+        object.mutable_object_size()->set_y(float(box->size_m.y));
+        object.mutable_object_size()->set_z(float(box->size_m.z));
+        write_track(box->world_from_box, order, *object.mutable_trajectory());
+    }
 }
 
 void write_trajectories(const Run& run, PoseOrder order, sensorsim::AvailableTrajectories& message) {

@@ -50,7 +50,8 @@ private:
         double start_s = 0.0, end_s = 0.0;
         glm::dvec3 world_offset_m{0.0};
     };
-    std::shared_ptr<const SensorChoice> sensor(const sensorsim::LidarRenderRequest& message);
+    std::shared_ptr<const SensorChoice> sensor(const sensorsim::LidarRenderRequest& message,
+                                               std::size_t scene);
     Pose read_pose(const sensorsim::Pose& message, const std::string& field) const;
     PoseTrack read_track(const sensorsim::PosePair& message, const Frame& frame,
                          const std::string& field) const;
@@ -58,6 +59,10 @@ private:
 
 /// Writes the points of a rendered scan into the response.
 void write_points(const Points& points, sensorsim::LidarRenderReturn& message);
+
+/// Writes the actors of the run, with their classes, sizes and poses, into the response.
+/// @throws Refusal if a track starts before time 0
+void write_objects(const Run& run, PoseOrder order, sensorsim::DynamicObjectTracks& message);
 
 /// Writes the trajectories of the log's vehicle and LiDARs into the response.
 /// @throws Refusal if the log starts before time 0, because the messages cannot store

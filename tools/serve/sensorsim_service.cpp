@@ -1,7 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "sensorsim_service.hpp"
 
+#include <deque>
+
 #include <fmt/format.h>
+#include <grpcpp/impl/rpc_service_method.h>
+#include <grpcpp/impl/service_type.h>
+#include <grpcpp/support/method_handler.h>
 
 #include "refusal.hpp"
 #include "render_requests.hpp"
@@ -22,49 +27,125 @@ constexpr int kMostScans = 64;
                     call, found));
 }
 
+// Packages of the service. NuRec used the first name until version 26.09 and has used the
+// second name since version 26.10.
+constexpr const char* kPackages[] = {"nre.grpc.protos", "nurec.grpc.protos"};
+
 }  // namespace
+
+/// Registers the gRPC methods of the service under a single name. The wire format does
+/// not contain the names of messages, so all services use the same message types.
+class SensorsimService::NamedService final : public grpc::Service {
+public:
+    NamedService(SensorsimService& calls, const std::string& full_name) : path_("/" + full_name + "/") {
+        using Context = const grpc::ServerContext&;
+        add<sensorsim::Empty, sensorsim::VersionId>(
+            "get_version", [&](Context, const auto&, auto& answer) { calls.get_version(answer); });
+        add<sensorsim::Empty, sensorsim::AvailableScenes>(
+            "get_available_scenes",
+            [&](Context, const auto&, auto& answer) { calls.get_available_scenes(answer); });
+        add<sensorsim::Empty, sensorsim::LoadedScenes>(
+            "get_loaded_scenes",
+            [&](Context, const auto&, auto& answer) { calls.get_loaded_scenes(answer); });
+        add<sensorsim::SceneRequest, sensorsim::DynamicObjectTracks>(
+            "get_dynamic_objects",
+            [&](Context, const auto& request, auto& answer) { calls.get_dynamic_objects(request, answer); });
+        add<sensorsim::SceneRequest, sensorsim::AvailableTrajectories>(
+            "get_available_trajectories", [&](Context, const auto& request, auto& answer) {
+                calls.get_available_trajectories(request, answer);
+            });
+        add<sensorsim::SceneRequest, sensorsim::AvailableCameras>(
+            "get_available_cameras",
+            [&](Context, const auto& request, auto&) { calls.reader_->find_scene(request.scene_id()); });
+        add<sensorsim::Empty, sensorsim::AvailableEgoMasks>("get_available_ego_masks",
+                                                            [](Context, const auto&, auto&) {});
+        add<sensorsim::LidarRenderRequest, sensorsim::LidarRenderReturn>(
+            "render_lidar", [&](Context context, const auto& request, auto& answer) {
+                calls.render_lidar(context, request, answer);
+            });
+        add<sensorsim::RgbRenderRequest, sensorsim::RgbRenderReturn>(
+            "render_rgb",
+            [](Context, const auto&, auto&) { refuse_images("render_rgb", "a request for an image"); });
+        add<sensorsim::AggregatedRenderRequest, sensorsim::AggregatedRenderReturn>(
+            "render_aggregated", [&](Context context, const auto& request, auto& answer) {
+                calls.render_aggregated(context, request, answer);
+            });
+    }
+
+private:
+    const std::string path_;
+    // gRPC keeps pointers to the characters of these names. A deque does not move its
+    // elements.
+    std::deque<std::string> methods_;
+
+    /// Registers a method. The function answers a call and throws Refusal to reject it.
+    template <class RequestMessage, class Answer, class Function>
+    void add(const std::string& method, Function function) {
+        using grpc::internal::RpcMethodHandler, grpc::internal::RpcServiceMethod;
+        const auto call = [function](NamedService*, grpc::ServerContext* context,
+                                     const RequestMessage* request, Answer* answer) {
+            return answered([&] { function(*context, *request, *answer); });
+        };
+        AddMethod(new RpcServiceMethod(
+            methods_.emplace_back(path_ + method).c_str(), grpc::internal::RpcMethod::NORMAL_RPC,
+            new RpcMethodHandler<NamedService, RequestMessage, Answer>(call, this)));
+    }
+};
 
 SensorsimService::SensorsimService(RenderQueue& queue, SceneSet& scenes, PoseOrder order)
     : queue_(queue),
       scenes_(scenes),
       order_(order),
       scene_reader_(std::make_unique<RequestReader>(scenes)),
-      reader_(std::make_unique<SensorsimReader>(scenes.outlines(), *scene_reader_, order)) {}
+      reader_(std::make_unique<SensorsimReader>(scenes.outlines(), *scene_reader_, order)) {
+    for (const std::string& name : full_names())
+        named_.push_back(std::make_unique<NamedService>(*this, name));
+}
 
 SensorsimService::~SensorsimService() = default;
 
-grpc::Status SensorsimService::get_version(grpc::ServerContext*, const sensorsim::Empty*,
-                                           sensorsim::VersionId* answer) {
-    answer->set_version("relidar " RELIDAR_VERSION);
-    answer->mutable_numbers()->set_major(RELIDAR_VERSION_MAJOR);
-    answer->mutable_numbers()->set_minor(RELIDAR_VERSION_MINOR);
-    answer->mutable_numbers()->set_patch(RELIDAR_VERSION_PATCH);
-    return grpc::Status::OK;
+std::vector<std::string> SensorsimService::full_names() {
+    std::vector<std::string> names;
+    for (const std::string package : kPackages) names.push_back(package + ".sensorsim.SensorsimService");
+    return names;
 }
 
-grpc::Status SensorsimService::get_available_scenes(grpc::ServerContext*, const sensorsim::Empty*,
-                                                    sensorsim::AvailableScenes* answer) {
-    for (const SceneSource& source : scenes_.sources()) answer->add_scene_ids(source.name);
-    return grpc::Status::OK;
+void SensorsimService::register_at(grpc::ServerBuilder& builder) {
+    for (const std::unique_ptr<NamedService>& service : named_) builder.RegisterService(service.get());
 }
 
-grpc::Status SensorsimService::get_available_trajectories(grpc::ServerContext*,
-                                                          const sensorsim::SceneRequest* request,
-                                                          sensorsim::AvailableTrajectories* answer) {
-    return answered([&] {
-        write_trajectories(scenes_.outlines()[reader_->find_scene(request->scene_id())], order_, *answer);
+void SensorsimService::get_version(sensorsim::VersionId& answer) const {
+    answer.set_version("relidar " RELIDAR_VERSION);
+    answer.mutable_numbers()->set_major(RELIDAR_VERSION_MAJOR);
+    answer.mutable_numbers()->set_minor(RELIDAR_VERSION_MINOR);
+    answer.mutable_numbers()->set_patch(RELIDAR_VERSION_PATCH);
+}
+
+void SensorsimService::get_available_scenes(sensorsim::AvailableScenes& answer) const {
+    for (const SceneSource& source : scenes_.sources()) answer.add_scene_ids(source.name);
+}
+
+void SensorsimService::get_loaded_scenes(sensorsim::LoadedScenes& answer) {
+    reserve(queue_).run([&] {
+        for (std::size_t i = 0; i < scenes_.sources().size(); ++i) {
+            if (!scenes_.is_loaded(i)) continue;
+            sensorsim::LoadedScene& scene = *answer.add_scenes();
+            scene.set_scene_id(scenes_.sources()[i].name);
+            scene.set_loaded_instance_count(1);
+            scene.set_reusable_instance_count(1);
+        }
     });
+    answer.set_loaded_instance_capacity(scenes_.sources().size());
 }
 
-grpc::Status SensorsimService::get_available_cameras(grpc::ServerContext*,
-                                                     const sensorsim::SceneRequest* request,
-                                                     sensorsim::AvailableCameras*) {
-    return answered([&] { reader_->find_scene(request->scene_id()); });
+void SensorsimService::get_dynamic_objects(const sensorsim::SceneRequest& request,
+                                           sensorsim::DynamicObjectTracks& answer) {
+    write_objects(scenes_.outlines()[reader_->find_scene(request.scene_id())], order_, answer);
 }
 
-grpc::Status SensorsimService::get_available_ego_masks(grpc::ServerContext*, const sensorsim::Empty*,
-                                                       sensorsim::AvailableEgoMasks*) {
-    return grpc::Status::OK;
+void SensorsimService::get_available_trajectories(const sensorsim::SceneRequest& request,
+                                                  sensorsim::AvailableTrajectories& answer) {
+    write_trajectories(scenes_.outlines()[reader_->find_scene(request.scene_id())], order_, answer);
 }
 
 void SensorsimService::render(RenderQueue::Slot& slot, const RenderRequest& wanted,
@@ -74,37 +155,27 @@ void SensorsimService::render(RenderQueue::Slot& slot, const RenderRequest& want
     write_points(request.points.front().points, answer);
 }
 
-grpc::Status SensorsimService::render_lidar(grpc::ServerContext* context,
-                                            const sensorsim::LidarRenderRequest* request,
-                                            sensorsim::LidarRenderReturn* answer) {
-    return answered([&] {
-        RenderQueue::Slot slot = reserve(queue_);
-        render(slot, reader_->read(*request), *context, *answer);
-    });
+void SensorsimService::render_lidar(const grpc::ServerContext& context,
+                                    const sensorsim::LidarRenderRequest& request,
+                                    sensorsim::LidarRenderReturn& answer) {
+    RenderQueue::Slot slot = reserve(queue_);
+    render(slot, reader_->read(request), context, answer);
 }
 
-grpc::Status SensorsimService::render_rgb(grpc::ServerContext*, const sensorsim::RgbRenderRequest*,
-                                          sensorsim::RgbRenderReturn*) {
-    return answered([] { refuse_images("render_rgb", "a request for an image"); });
-}
-
-grpc::Status SensorsimService::render_aggregated(grpc::ServerContext* context,
-                                                 const sensorsim::AggregatedRenderRequest* request,
-                                                 sensorsim::AggregatedRenderReturn* answer) {
-    return answered([&] {
-        if (request->rgb_size() > 0)
-            refuse_images("render_aggregated", fmt::format("a request for {} images", request->rgb_size()));
-        if (request->lidar_size() > kMostScans)
-            refuse("lidar", fmt::format("{} scans", request->lidar_size()),
-                   fmt::format("at most {} per call", kMostScans));
-        // Reserves one slot for all scans of the call, so that the call is not rejected
-        // after some scans.
-        RenderQueue::Slot slot = reserve(queue_);
-        std::vector<RenderRequest> wanted;
-        for (const sensorsim::LidarRenderRequest& lidar : request->lidar())
-            wanted.push_back(reader_->read(lidar));
-        for (const RenderRequest& scan : wanted) render(slot, scan, *context, *answer->add_lidar());
-    });
+void SensorsimService::render_aggregated(const grpc::ServerContext& context,
+                                         const sensorsim::AggregatedRenderRequest& request,
+                                         sensorsim::AggregatedRenderReturn& answer) {
+    if (request.rgb_size() > 0)
+        refuse_images("render_aggregated", fmt::format("a request for {} images", request.rgb_size()));
+    if (request.lidar_size() > kMostScans)
+        refuse("lidar", fmt::format("{} scans", request.lidar_size()),
+               fmt::format("at most {} per call", kMostScans));
+    // Reserves one slot for all scans of the call, so that the call is not rejected
+    // after some scans.
+    RenderQueue::Slot slot = reserve(queue_);
+    std::vector<RenderRequest> wanted;
+    for (const sensorsim::LidarRenderRequest& lidar : request.lidar()) wanted.push_back(reader_->read(lidar));
+    for (const RenderRequest& scan : wanted) render(slot, scan, context, *answer.add_lidar());
 }
 
 }  // namespace relidar::serve

@@ -4,9 +4,13 @@
 #pragma once
 
 #include <memory>
+#include <string>
+#include <vector>
+
+#include <grpcpp/server_builder.h>
 
 #include "render_queue.hpp"
-#include "sensorsim/sensorsim.grpc.pb.h"
+#include "sensorsim/sensorsim.pb.h"
 #include "server.hpp"
 
 namespace relidar::serve {
@@ -17,39 +21,41 @@ class SceneSet;
 class SensorsimReader;
 struct RenderRequest;
 
-class SensorsimService final : public sensorsim::SensorsimService::Service {
+/// Answers the calls of SensorsimService under all names of its protobuf package.
+class SensorsimService {
 public:
     /// Creates the service. The queue and the scenes must outlive this object.
     /// @param scenes used only on the render thread
     SensorsimService(RenderQueue& queue, SceneSet& scenes, PoseOrder order);
-    ~SensorsimService() override;
+    ~SensorsimService();
 
-    grpc::Status get_version(grpc::ServerContext* context, const sensorsim::Empty* request,
-                             sensorsim::VersionId* answer) override;
-    grpc::Status get_available_scenes(grpc::ServerContext* context, const sensorsim::Empty* request,
-                                      sensorsim::AvailableScenes* answer) override;
-    grpc::Status get_available_trajectories(grpc::ServerContext* context,
-                                            const sensorsim::SceneRequest* request,
-                                            sensorsim::AvailableTrajectories* answer) override;
-    grpc::Status get_available_cameras(grpc::ServerContext* context, const sensorsim::SceneRequest* request,
-                                       sensorsim::AvailableCameras* answer) override;
-    grpc::Status get_available_ego_masks(grpc::ServerContext* context, const sensorsim::Empty* request,
-                                         sensorsim::AvailableEgoMasks* answer) override;
-    grpc::Status render_lidar(grpc::ServerContext* context, const sensorsim::LidarRenderRequest* request,
-                              sensorsim::LidarRenderReturn* answer) override;
-    grpc::Status render_rgb(grpc::ServerContext* context, const sensorsim::RgbRenderRequest* request,
-                            sensorsim::RgbRenderReturn* answer) override;
-    grpc::Status render_aggregated(grpc::ServerContext* context,
-                                   const sensorsim::AggregatedRenderRequest* request,
-                                   sensorsim::AggregatedRenderReturn* answer) override;
+    /// Adds the service to a server under all names.
+    void register_at(grpc::ServerBuilder& builder);
+    /// Returns the full names of the service, such as
+    /// "nre.grpc.protos.sensorsim.SensorsimService".
+    static std::vector<std::string> full_names();
 
 private:
+    class NamedService;
+
     RenderQueue& queue_;
     SceneSet& scenes_;
     const PoseOrder order_;
     const std::unique_ptr<RequestReader> scene_reader_;
     const std::unique_ptr<SensorsimReader> reader_;
+    std::vector<std::unique_ptr<NamedService>> named_;
 
+    void get_version(sensorsim::VersionId& answer) const;
+    void get_available_scenes(sensorsim::AvailableScenes& answer) const;
+    void get_loaded_scenes(sensorsim::LoadedScenes& answer);
+    void get_dynamic_objects(const sensorsim::SceneRequest& request, sensorsim::DynamicObjectTracks& answer);
+    void get_available_trajectories(const sensorsim::SceneRequest& request,
+                                    sensorsim::AvailableTrajectories& answer);
+    void render_lidar(const grpc::ServerContext& context, const sensorsim::LidarRenderRequest& request,
+                      sensorsim::LidarRenderReturn& answer);
+    void render_aggregated(const grpc::ServerContext& context,
+                           const sensorsim::AggregatedRenderRequest& request,
+                           sensorsim::AggregatedRenderReturn& answer);
     void render(RenderQueue::Slot& slot, const RenderRequest& wanted, const grpc::ServerContext& context,
                 sensorsim::LidarRenderReturn& answer);
 };

@@ -117,7 +117,7 @@ void ScanServer::Impl::listen(const ServerOptions& options) {
     connections =
         builder.experimental().AddExternalConnectionAcceptor(FromDescriptor::FROM_FD, credentials(options));
     builder.RegisterService(&*service);
-    if (sensorsim) builder.RegisterService(&*sensorsim);
+    if (sensorsim) sensorsim->register_at(builder);
     server = builder.BuildAndStart();
     if (!server)
         throw UsageError(
@@ -135,7 +135,8 @@ void ScanServer::Impl::listen(const ServerOptions& options) {
 void ScanServer::Impl::set_serving(bool serving) {
     grpc::HealthCheckServiceInterface& health = *server->GetHealthCheckService();
     health.SetServingStatus(v1::RenderService::service_full_name(), serving);
-    if (sensorsim) health.SetServingStatus(sensorsim::SensorsimService::service_full_name(), serving);
+    if (sensorsim)
+        for (const std::string& name : SensorsimService::full_names()) health.SetServingStatus(name, serving);
     // The empty name means the complete server in the gRPC health protocol.
     if (!serving) health.SetServingStatus("", false);
 }
