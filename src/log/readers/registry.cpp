@@ -348,7 +348,7 @@ std::string recognise_dataset(const fs::path& path) {
     for (const DatasetKind& kind : kKinds) {
         const std::string stranger = kitti::describe_stranger(path, kind.marker);
         if (!stranger.empty())
-            throw DataError(fmt::format("{} is not a dataset, but {}", path.string(), stranger));
+            throw DataError(fmt::format("{} is not a dataset: {}", path.string(), stranger));
     }
     throw DataError(
         fmt::format("{} is not a dataset of a known format, expected one of: {}", path.string(), known));

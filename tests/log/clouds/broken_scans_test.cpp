@@ -60,7 +60,7 @@ Sequence expect_left_out(const fs::path& log, const fs::path& scan, int number,
     Sequence left = load_sequence(log.string(), skipping(part));
     EXPECT_EQ(numbers(left), expected);
     const auto n_notes = std::count_if(left.notes.begin(), left.notes.end(), [&](const std::string& note) {
-        return note.starts_with("a broken scan is left out: ") &&
+        return note.starts_with("a broken scan is skipped:  ") &&
                note.find(scan.filename().string()) != std::string::npos;
     });
     EXPECT_EQ(n_notes, 1) << testing::PrintToString(left.notes);
@@ -103,7 +103,7 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     const auto expect_left = [&](const std::string& reason) {
         const Sequence left = load_sequence(drive.folder.string(), {});
         EXPECT_EQ(numbers(left), (std::vector<int>{0, 2})) << reason;
-        EXPECT_THAT(left.notes, testing::Contains(testing::AllOf(HasSubstr("a broken scan is left out: "),
+        EXPECT_THAT(left.notes, testing::Contains(testing::AllOf(HasSubstr("a broken scan is skipped:  "),
                                                                  HasSubstr("0000000001.bin: " + reason))));
     };
     put(original.substr(0, 16 * (n / 3)));
@@ -116,7 +116,7 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     expect_left("none of its points is a return");
     for (int frame = 0; frame < 3; ++frame)
         test::write_text(drive.scan(frame), std::string(original.size(), '\0'));
-    EXPECT_THAT(complaint(drive), HasSubstr("each of the 3 scans is broken"));
+    EXPECT_THAT(complaint(drive), HasSubstr("all 3 scans are broken"));
     for (int frame = 0; frame < 3; ++frame) test::write_text(drive.scan(frame), original);
     const auto early = testing::Contains(HasSubstr("0000000001.bin: its last ring ends at azimuth "));
     // The cut is in the last ring or in the ring before the last. In addition, every
@@ -225,7 +225,7 @@ TEST_F(BareFolder, LeavesBrokenScansOut) {
         load_sequence(folder.string(), skipping());
         ADD_FAILURE() << "read a log without a scan";
     } catch (const DataError& error) {
-        EXPECT_THAT(error.what(), HasSubstr("each of the 5 scans is broken"));
+        EXPECT_THAT(error.what(), HasSubstr("all 5 scans are broken"));
     }
 }
 

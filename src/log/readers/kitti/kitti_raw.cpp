@@ -51,7 +51,7 @@ Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     if (!path_exists(folder / "velodyne_points")) {
         const std::string stranger = describe_stranger(folder, "velodyne_points");
         if (!stranger.empty())
-            throw DataError(fmt::format("{}: no drive, but {}", folder.string(), stranger));
+            throw DataError(fmt::format("{} is not a KITTI raw drive: {}", folder.string(), stranger));
     }
     const fs::path drive = fs::canonical(folder);
     if (drive.parent_path().filename() == "data_3d_raw")

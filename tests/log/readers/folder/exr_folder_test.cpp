@@ -320,11 +320,11 @@ TEST_F(ExrDamage, OfValues) {
         channels[name][7] = value;
         return channels;
     };
-    expect(with("range", 2e6f), "range of ray 7 is 2000000, expected metres, 0 where there is no return");
+    expect(with("range", 2e6f), "range of ray 7 is 2000000, expected a range in metres");
     for (const float range_m : {NAN, -1.0f, INFINITY, -INFINITY}) expect(with("range", range_m), "nothing");
-    expect(with("intensity", 51.0f), "intensity 51, expected 0..1, or \"intensity_max\"");
-    expect(with("time", NAN), "time of ray 7: time nan");
-    expect(with("ring", 0.5f), "ring of ray 7: ring 0.5");
+    expect(with("intensity", 51.0f), "the intensity is 51, expected 0 to 1, or \"intensity_max\"");
+    expect(with("time", NAN), "time of ray 7: the time nan");
+    expect(with("ring", 0.5f), "ring of ray 7: the ring is 0.5");
 }
 
 TEST_F(ExrDamage, OfWhatIsMissing) {
@@ -333,17 +333,20 @@ TEST_F(ExrDamage, OfWhatIsMissing) {
         channels.erase(name);
         return channels;
     };
-    expect(without("range"), "no channel 'range', found direction.x, direction.y, direction.z, intensity");
-    expect(without("direction.y"), "2 of the channels direction.x, .y and .z, expected all or none");
+    expect(without("range"),
+           "the channel 'range' is missing; found the channels direction.x, direction.y, "
+           "direction.z, intensity");
+    expect(without("direction.y"), "found only 2 of the channels direction.x, .y and .z");
     const Channels range{{"range", good()["range"]}};
-    expect(range, "no directions of its rays, expected them, or the LiDAR's sensor in sequence.json");
-    expect(good(), "deskewed or in the world", {{"points_in", "world: the dataset's own"}});
-    expect(good(), "deskewed or in the world", {{"points_in", "sensor at time_s: x forward, y left, z up"}});
+    expect(range, "the array of ray directions is missing");
+    expect(good(), "motion-compensated or in the world", {{"points_in", "world: the dataset's own"}});
+    expect(good(), "motion-compensated or in the world",
+           {{"points_in", "sensor at time_s: x forward, y left, z up"}});
     expect(good(), "nothing", {{"points_in", "sensor at each ray's firing time: x forward, y left, z up"}});
     test::write_text(
         folder / "sequence.json",
         R"({"format": "relidar log", "version": 1, "rate_hz": 10, "lidars": [{"sensor": "VLP-16"}]})");
-    expect(range, "range of 20 x 12 without directions, expected 16 x 1808");
+    expect(range, "the array range has 20 x 12 values and there are no directions, expected 16 x 1808");
 }
 
 }  // namespace

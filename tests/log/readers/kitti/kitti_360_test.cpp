@@ -255,7 +255,7 @@ TEST(Kitti360, SaysWhichFileIsWrong) {
     expect_error(kitti, kitti.poses(), "2350 1 0 0 nan 0 1 0 0 0 0 1 0\n",
                  "poses.txt line 1: number 4 is nan");
     expect_error(kitti, kitti.poses(), "2350 1 0 0 0 0 1 0 0 0 0 2 0\n",
-                 "poses.txt line 1: the 3x3 block is no rotation");
+                 "poses.txt line 1: the 3x3 block is not a rotation");
     expect_error(kitti, kitti.calibration("calib_cam_to_pose.txt"), "image_01: 1\n",
                  "calib_cam_to_pose.txt: no line 'image_00:'");
     expect_error(kitti, kitti.calibration("calib_cam_to_velo.txt"), "1 0 0 0\n",
@@ -264,7 +264,7 @@ TEST(Kitti360, SaysWhichFileIsWrong) {
                  "timestamps.txt: no two lines with times");
     expect_error(kitti, kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n2013-05-28 08:47:02.9\n",
                  "a sweep lasts 60 s");
-    expect_error(kitti, kitti.scan(2351), "", "0000002351.bin: empty");
+    expect_error(kitti, kitti.scan(2351), "", "0000002351.bin: the file is empty");
     fs::remove(kitti.calibration("calib_cam_to_velo.txt"));
     EXPECT_THROW(read(kitti), DataError);
     fs::remove_all(kitti.raw());
@@ -298,7 +298,7 @@ TEST(Kitti360, SaysWhichBoxIsWrong) {
     const auto one = [](const glm::dmat4& m) {
         return test::boxes_xml(test::object_xml(0, test::object_fields("bus", 34, 1, 2351, 0, 0), m));
     };
-    expect_error(kitti, kitti.boxes(), one(sheared), "object0: transform: the 3x3 block is no rotation");
+    expect_error(kitti, kitti.boxes(), one(sheared), "object0: transform: the 3x3 block is not a rotation");
     expect_error(kitti, kitti.boxes(), one(glm::dmat4(0.0)), "object0: transform has a size of 0 x 0 x 0 m");
 }
 

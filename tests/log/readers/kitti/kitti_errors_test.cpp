@@ -83,7 +83,7 @@ TEST(KittiErrors, NumbersOfScans) {
     DatasetOptions complete;
     complete.allow_missing_scans = false;
     expect_failure(drive, complete, ExitCode::data,
-                   {"99999996 of the scans 0 to 99999999 missing (3, 4, 5, 6, 7, ...), expected all"});
+                   {"99999996 of the scans 0 to 99999999 are missing (3, 4, 5, 6, 7, ...), expected all"});
 }
 
 TEST(KittiErrors, FoldersThatAreNoDrive) {
@@ -99,18 +99,18 @@ TEST(KittiErrors, FoldersThatAreNoDrive) {
         }
     };
     expect(drive.folder.parent_path(),
-           {"2011_12_31", "holds 1 dataset; expected one of them, as", "2011_12_31_drive_0001_sync"});
-    expect(drive.file("velodyne_points"), {"within a dataset; expected", "2011_12_31_drive_0001_sync"});
-    expect(drive.file("oxts/data"), {"within a dataset; expected"});
+           {"2011_12_31", "contains 1 dataset; use the folder of one of them", "2011_12_31_drive_0001_sync"});
+    expect(drive.file("velodyne_points"), {"inside a dataset", "2011_12_31_drive_0001_sync"});
+    expect(drive.file("oxts/data"), {"inside a dataset"});
     const fs::path odometry = drive.folder.parent_path().parent_path() / "dataset/sequences/00";
     write_text(odometry / "velodyne/000000.bin", "");
     write_text(odometry / "times.txt", "0\n");
     expect(odometry,
-           {"sequences/00", "a KITTI odometry sequence, whose scans are motion-compensated", "KITTI raw"});
+           {"sequences/00", "a KITTI odometry sequence with motion-compensated scans", "KITTI raw"});
     expect(odometry.parent_path().parent_path(), {"a KITTI odometry sequence"});
     for (int frame = 0; frame < 3; ++frame)
         fs::rename(drive.scan(frame), drive.scan(frame).replace_extension("txt"));
-    expect_data_error(drive, {"scans as text", "_extract", "_sync"});
+    expect_data_error(drive, {"the scans are text files", "_extract", "_sync"});
 }
 
 TEST(KittiErrors, PosesOutOfThisWorld) {
@@ -133,10 +133,10 @@ TEST(KittiErrors, BrokenScans) {
     const KittiDrive drive("scans");
     const std::string original = read_text(drive.scan(1));
     write_text(drive.scan(1), original.substr(0, 100));
-    expect_data_error(drive,
-                      {"0000000001.bin: truncated: 100 bytes", "multiple of 16", "6 points and 4 bytes"});
+    expect_data_error(drive, {"0000000001.bin: the file is truncated: it has 100 bytes", "4 more bytes",
+                              "6 points of 16 bytes"});
     write_text(drive.scan(1), "");
-    expect_data_error(drive, {"0000000001.bin: empty"});
+    expect_data_error(drive, {"0000000001.bin: the file is empty"});
     std::string bad = original;
     put_float(bad, 5, 3, INFINITY);
     write_text(drive.scan(1), bad);
@@ -210,8 +210,8 @@ TEST(KittiErrors, Calibration) {
     };
     expect("T: 0 0 0\n", {"calib_imu_to_velo.txt: no line 'R:'"});
     expect("R: 1 0 0 0 1 0 0 0\nT: 0 0 0\n", {"calib_imu_to_velo.txt key R: 8 numbers, expected 9"});
-    expect("R: 1 0 0 0 1 0 0 0 1.01\nT: 0 0 0\n", {"calib_imu_to_velo.txt", "no rotation", "orthonormal"});
-    expect("R: 1 0 0 0 1 0 0 0 -1\nT: 0 0 0\n", {"no rotation"});
+    expect("R: 1 0 0 0 1 0 0 0 1.01\nT: 0 0 0\n", {"calib_imu_to_velo.txt", "not a rotation", "orthonormal"});
+    expect("R: 1 0 0 0 1 0 0 0 -1\nT: 0 0 0\n", {"not a rotation"});
     expect("R: 1 0 0 0 1 0 0 0 1\nT: 0 nan 0\n", {"key T: number 2 is nan"});
 }
 
@@ -226,7 +226,7 @@ TEST(KittiErrors, PosesFile) {
     };
     expect(good + "1 0 0 0 0 1 0 0 0 0 1\n" + good, {"poses.txt line 2: 11 numbers, expected 12"});
     expect(good + good, {"poses.txt: 2 lines, frame 2 needs line 3"});
-    expect(good + good + "1 0.1 0 0 0 1 0 0 0 0 1 0\n", {"poses.txt line 3", "no rotation"});
+    expect(good + good + "1 0.1 0 0 0 1 0 0 0 0 1 0\n", {"poses.txt line 3", "not a rotation"});
     expect("1 0 0 x 0 1 0 0 0 0 1 0\n", {"poses.txt line 1: a word is no number"});
 }
 
