@@ -155,7 +155,7 @@ TEST(OtherPrograms, PosesWithoutTimesAreRefused) {
     for (int i = 0; i < 4; ++i) text += fmt::format("{} 0 0 1 0 0 0\n", i);  // x y z and a quaternion
     test::write_text(log.folder / "poses.txt", text);
     EXPECT_THAT(error_message<DataError>([&] { load_sequence(log.folder.string(), {}); }),
-                testing::HasSubstr("found poses without times"));
+                testing::HasSubstr("the poses have no times"));
 }
 
 TEST(OtherPrograms, ATableOfTimesIsNotAScan) {

@@ -152,7 +152,7 @@ TEST_F(FolderDamage, OfListedFrames) {
     expect("sequence.json", frames(R"({"number": 0, "time_s": 0, "scan": "scans/a.pcd", "lidar": "x"})"),
            "found \"x\", expected the name of");
     expect("sequence.json", frames(R"({"number": 0, "time_s": 0, "scan": "scans/a.txt"})"),
-           "no scan of relidar_folder_damage lies in it, 1 are missing");
+           "no existing scan of relidar_folder_damage; 1 scans are missing");
     DatasetOptions strict;
     strict.allow_missing_scans = false;
     expect("sequence.json", frames(R"({"number": 0, "time_s": 0, "scan": "scans/x.pcd"})"),
@@ -163,12 +163,12 @@ TEST_F(FolderDamage, OfListedFrames) {
 
 TEST_F(FolderDamage, OfPosesAndBoxes) {
     expect("poses.txt", kMissing,
-           "poses.txt: no such file; expected poses of the vehicle, dataset.poses=FILE");
+           "poses.txt: no such file; expected poses of the vehicle; use dataset.poses=FILE");
     expect("poses.txt", "", "poses.txt: no pose");
-    expect("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", "poses.txt: 1 lines, frame 1 needs line 2");
+    expect("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", "poses.txt: found 1 lines, but frame 1 needs line 2");
     expect("poses.txt", "1 2 3\n", "poses.txt line 1: '1 2 3', expected 8 numbers");
     expect("poses.txt", "0 0 0 0 1 0 0 0\n0 0 0 0 1 0 0 0\n",
-           "poses.txt line 2: time 0 s after 0 s, expected times that rise");
+           "poses.txt line 2: found the time 0 s after 0 s, expected increasing times");
     expect("poses.txt", "0 0 0 nan 1 0 0 0\n", "expected finite numbers");
     expect("poses.txt", "0 0 0 0 0.5 0 0 0\n", "a quaternion of length 0.5");
     expect("poses.txt", "5 0 0 0 1 0 0 0\n6 0 0 0 1 0 0 0\n", "poses from 5 to 6 s, but frame 0 is at 0 s");

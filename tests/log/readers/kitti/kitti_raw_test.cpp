@@ -240,7 +240,7 @@ TEST(KittiRaw, WithoutPosesAndTracklets) {
                     0.0, 1e-9);
     std::filesystem::remove(drive.file("tracklet_labels.xml"));
     log = load_sequence(drive.folder.string(), options);
-    EXPECT_THAT(log.notes, testing::Contains(testing::HasSubstr("no tracklet_labels.xml")));
+    EXPECT_THAT(log.notes, testing::Contains(testing::HasSubstr("tracklet_labels.xml is missing")));
     EXPECT_TRUE(log.boxes.empty());
 }
 

@@ -115,7 +115,7 @@ TEST(Mulran, PosesOfSomethingElseAreTold) {
     test::write_text(data.poses(), lines);
     EXPECT_THAT(load_sequence(data.folder.string(), {}).notes,
                 testing::Contains(testing::HasSubstr(
-                    "poses: the vehicle drives along (-0.00, -1.00, 0.00) of its own frame")));
+                    "the vehicle drives in the direction (-0.00, -1.00, 0.00) of its own frame")));
 }
 
 TEST(Mulran, BrightPointsAreCut) {
