@@ -199,7 +199,7 @@ void calibrate_intensities(Sequence& sequence, const Split& split, const Prepare
         "by {:.3f} (RMS)",
         double(calibration.returns) * 1e-6, calibration.rms_before);
     session.tell(!calibration.shared && !calibration.beams
-                     ? start + "; a correction does not reduce this, so no correction is used"
+                     ? start + "; a correction does not reduce this difference, so no correction is used"
                      : fmt::format("{}, {:.3f} after the correction; {}{}{}", start, calibration.rms_after,
                                    calibration.beams ? "one gain and offset per beam" : "",
                                    calibration.beams && calibration.shared ? "; " : "",

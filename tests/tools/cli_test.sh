@@ -93,7 +93,7 @@ wrong_usage() {
     bad 2 "unknown command sensor, did you mean sensors\?" list sensor
     bad 2 "unknown option --jso, did you mean --json\? .see .relidar list devices --help" list devices --jso
     bad 3 "--json .: this is a folder" check --json .
-    bad 2 "--run needs --speed" check --run street
+    bad 2 "--run can only be used with --speed" check --run street
     absent x
 }
 

@@ -271,8 +271,8 @@ TEST_F(ExrDamage, CutAnywhere) {
     }
     test::write_text(file, bytes.substr(0, bytes.size() - 1));
     EXPECT_NE(complaint(), "nothing");
-    expect_bytes(bytes.substr(0, 100), "a.exr: its header is truncated");
-    expect_bytes("", "a.exr: its header is truncated");
+    expect_bytes(bytes.substr(0, 100), "a.exr: the header is truncated");
+    expect_bytes("", "a.exr: the header is truncated");
     expect_bytes("P6 20 12", "an OpenEXR file");
 }
 
@@ -285,7 +285,7 @@ TEST_F(ExrDamage, OfHeaders) {
     expect_bytes(window(8, 400'000), "20 x 400001 pixels with 5 channels");
     expect_bytes(window(8, 2147483647), "dataWindow has a corner at 2147483647");
     expect_bytes(window(8, -5), "20 x -4 pixels");
-    expect_bytes(window(-4, 2147483647), "its header is truncated");
+    expect_bytes(window(-4, 2147483647), "the header is truncated");
     expect_bytes(window(-4, -1), "attribute 'dataWindow' has an invalid size of -1 bytes");
     expect_bytes(patched(bytes, "pixelAspectRatio", "float", -4, 8),
                  "attribute 'pixelAspectRatio' of type 'float' has 8 bytes, expected 4");
@@ -294,10 +294,10 @@ TEST_F(ExrDamage, OfHeaders) {
     std::int32_t list_bytes = 0;
     const std::string list = std::string("channels") + '\0' + "chlist" + '\0';
     std::memcpy(&list_bytes, bytes.data() + bytes.find(list) + list.size(), sizeof list_bytes);
-    expect_bytes(patched(bytes, "channels", "chlist", -4, list_bytes + 9), "its list of channels is shorter");
+    expect_bytes(patched(bytes, "channels", "chlist", -4, list_bytes + 9), "the list of channels is shorter");
     std::string other = bytes;
     other[5] = 0x02;
-    expect_bytes(other, "it stores tiles");
+    expect_bytes(other, "the file stores tiles");
     other[5] = 0x08;
     expect_bytes(other, "deep pixels");
     other[5] = 0x10;
