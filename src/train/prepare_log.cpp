@@ -72,7 +72,7 @@ struct PoseCorrections {
     }
     std::string text() const {
         return fmt::format(
-            "poses were corrected by {:.3f} m and {:.2f} degrees (median), at most {:.3f} m and "
+            "poses were corrected by a median of {:.3f} m and {:.2f} degrees, and by at most {:.3f} m and "
             "{:.2f} degrees",
             median_m, median_deg, most_m, most_deg);
     }
