@@ -123,7 +123,7 @@ std::string JsonField::text(std::size_t most) const {
     const auto is_control = [](unsigned char c) { return c < 0x20 || c == 0x7F; };
     if (value_text.size() > most || std::any_of(value_text.begin(), value_text.end(), is_control))
         fail(fmt::format("found {} bytes of text", value_text.size()),
-             fmt::format("expected one line of at most {}", most));
+             fmt::format("expected one line of at most {} bytes", most));
     return value_text;
 }
 

@@ -189,7 +189,8 @@ void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& sam
             fmt::format("{} ({}) {}", box.id, box.category,
                         found.stride_m > 0.0
                             ? fmt::format("walks with strides of {:.2f} m", found.stride_m)
-                            : (changes ? "changes from frame to frame, without a gait: " : "is rigid: ") +
+                            : (changes ? "changes its shape from frame to frame, but no gait was detected: "
+                                       : "is rigid: ") +
                                   found.why_none));
     const Surfels surfels =
         found.stride_m > 0.0 ? surfels_that_walk(samples, found.stride_m, options, incidence, most, progress)

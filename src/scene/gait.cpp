@@ -147,17 +147,20 @@ StrideEstimate find_stride(const std::vector<Sample>& samples, const StrideRange
     constexpr double kClearly = 0.9, kStep = 1.01;
     constexpr std::size_t kBeside = 2;
     if (samples.size() < kFewest)
-        return {0.0, fmt::format("it has only {} points, and detecting a gait needs at least {}",
+        return {0.0, fmt::format("the actor has only {} points, but detecting a gait needs at least {} "
+                                 "points",
                                  samples.size(), kFewest)};
     const auto [first, last] = std::ranges::minmax(samples, {}, &Sample::walked_m);
     const double walked = double(last.walked_m) - double(first.walked_m),
                  most = std::min(range.most_m, walked / kTurns);
     if (most < range.least_m)
-        return {0.0, fmt::format("it walked only {:.1f} m, and detecting a gait needs at least {:.1f} m",
+        return {0.0, fmt::format("the actor walked only {:.1f} m, but detecting a gait needs at least "
+                                 "{:.1f} m",
                                  walked, kTurns * range.least_m)};
     const FrameGaps gaps = frame_gaps(samples);
     if (gaps.walked_m.size() < kFewestFrames)
-        return {0.0, fmt::format("it is observed in only {} frames, and detecting a gait needs at least {}",
+        return {0.0, fmt::format("the actor is observed in only {} frames, but detecting a gait needs at "
+                                 "least {} frames",
                                  gaps.walked_m.size(), kFewestFrames)};
     std::vector<double> strides;
     for (double stride = range.least_m; stride <= most; stride *= kStep) strides.push_back(stride);
@@ -169,16 +172,15 @@ StrideEstimate find_stride(const std::vector<Sample>& samples, const StrideRange
     for (std::size_t i = kBeside; i + kBeside < shares.size(); ++i)
         smooth.push_back(std::accumulate(&shares[i - kBeside], &shares[i + kBeside] + 1, 0.0) /
                          (2 * kBeside + 1));
-    if (smooth.size() < 3) return {0.0, "it walked too few strides"};
+    if (smooth.size() < 3) return {0.0, "the actor walked too few strides"};
     const std::size_t best = std::size_t(std::ranges::min_element(smooth) - smooth.begin());
     const double stride = strides[best + kBeside];
     if (smooth[best] > kClearly || best == 0 || best + 1 == smooth.size())
-        return {0.0,
-                fmt::format(
-                    "its points show no gait: the best stride length between {:.1f} and {:.1f} m is {:.2f} "
-                    "m, but the distance between points of the same phase is {:.2f} times that between other "
-                    "points, expected at most {} times",
-                    strides.front(), strides.back(), stride, smooth[best], kClearly)};
+        return {0.0, fmt::format(
+                         "the points of the actor show no gait: the best stride length between {:.1f} and "
+                         "{:.1f} m is {:.2f} m, but the distance between points of the same phase is {:.2f} "
+                         "times the distance between other points, expected at most {} times",
+                         strides.front(), strides.back(), stride, smooth[best], kClearly)};
     return {stride, {}};
 }
 

@@ -72,7 +72,7 @@ struct PoseCorrections {
     }
     std::string text() const {
         return fmt::format(
-            "poses were corrected by {:.3f} m and {:.2f} degrees (median), at most {:.3f} m and "
+            "poses were corrected by a median of {:.3f} m and {:.2f} degrees, and by at most {:.3f} m and "
             "{:.2f} degrees",
             median_m, median_deg, most_m, most_deg);
     }
@@ -199,7 +199,7 @@ void calibrate_intensities(Sequence& sequence, const Split& split, const Prepare
         "by {:.3f} (RMS)",
         double(calibration.returns) * 1e-6, calibration.rms_before);
     session.tell(!calibration.shared && !calibration.beams
-                     ? start + "; a correction does not reduce this, so no correction is used"
+                     ? start + "; a correction does not reduce this difference, so no correction is used"
                      : fmt::format("{}, {:.3f} after the correction; {}{}{}", start, calibration.rms_after,
                                    calibration.beams ? "one gain and offset per beam" : "",
                                    calibration.beams && calibration.shared ? "; " : "",

@@ -53,10 +53,10 @@ const std::vector<Case>& cases_of_poses() {
         {"NaN time", [](auto& r) { r.set_time_s(kNan); }, Code::INVALID_ARGUMENT,
          "cannot read time_s: found nan"},
         {"microseconds", [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_time_s(500000.0); },
-         Code::INVALID_ARGUMENT, "cannot read time_s: found 500000 for a path from 0.5 to 0.6"},
+         Code::INVALID_ARGUMENT, "cannot read time_s: found the time 500000 s for a path from 0.5 to 0.6 s"},
         {"two seconds behind the path",
          [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_time_s(2.7); },
-         Code::INVALID_ARGUMENT, "cannot read time_s: found 2.7 for a path from 0.5 to 0.6"},
+         Code::INVALID_ARGUMENT, "cannot read time_s: found the time 2.7 s for a path from 0.5 to 0.6 s"},
         {"points elsewhen",
          [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_points_at_s(-500.0); },
          Code::INVALID_ARGUMENT, "cannot read points_at_s"},
@@ -77,9 +77,8 @@ const std::vector<Case>& cases_of_poses() {
              add_pose(*car.mutable_poses(), 3.0, at_x(4)), add_pose(*car.mutable_poses(), 4.0, at_x(5));
          },
          Code::INVALID_ARGUMENT,
-         "cannot read actors.actors[0].poses: found poses from 3 to 4 s for a scan at 0.5 s, expected poses "
-         "that "
-         "cover the time of the scan"},
+         "cannot read actors.actors[0].poses: found poses from 3 to 4 s, which do not cover the scan at "
+         "0.5 s, expected poses that cover the time of the scan"},
         {"actor twice",
          [](auto& r) {
              for (int i = 0; i < 2; ++i) add_pose(*actor(r, "car").mutable_poses(), 0, at_x(0));
@@ -123,7 +122,9 @@ const std::vector<Case>& cases_of_sensors() {
          Code::INVALID_ARGUMENT, "found 2 rows, 2 columns and 3 directions"},
         {"times for some rays",
          [](auto& r) { spec(r) = rays_ahead(3), spec(r).mutable_rays()->set_time_s(std::string(8, '\0')); },
-         Code::INVALID_ARGUMENT, "rays.time_s: found 8 bytes, expected 12, which is 4 for each of 3 rays"},
+         Code::INVALID_ARGUMENT,
+         "rays.time_s: found 8 bytes, expected 12 bytes, which are 4 bytes for "
+         "each of 3 rays"},
         {"directions of no length",
          [](auto& r) { spec(r).mutable_rays()->set_direction(std::string(12, '\0')); },
          Code::INVALID_ARGUMENT, "direction of ray 0: found 0, expected a length of 1"},
@@ -166,7 +167,8 @@ const std::vector<Case>& cases_of_patterns() {
                  s.set_period_s(0.1);
          },
          Code::INVALID_ARGUMENT,
-         "beams: found -0.1 rad first and 0.1 rad last, expected beams from the highest to the lowest"},
+         "beams: found a first beam at -0.1 rad and a last beam at 0.1 rad, expected beams from the "
+         "highest to the lowest"},
         {"a window upside down",
          [](auto& r) {
              v1::ScanningWindow& w = *spec(r).mutable_window();

@@ -93,7 +93,7 @@ wrong_usage() {
     bad 2 "unknown command sensor, did you mean sensors\?" list sensor
     bad 2 "unknown option --jso, did you mean --json\? .see .relidar list devices --help" list devices --jso
     bad 3 "--json .: this is a folder" check --json .
-    bad 2 "--run needs --speed" check --run street
+    bad 2 "--run can only be used with --speed" check --run street
     absent x
 }
 
@@ -168,11 +168,11 @@ converting() {
     grep -v ^source out >street.txt
     good info plain
     check "info says other things of a log and of the folder it was converted to" cmp -s street.txt <(grep -v ^source out)
-    bad 2 "plain: found a plain folder, expected a new name; --force replaces it" convert street --out plain
+    bad 2 "plain: this plain folder exists, expected a new name; use --force" convert street --out plain
     good convert plain --out plain --frames 3: --force --quiet
     check "--quiet prints" test ! -s out -a ! -s err
     check "--force left scans of the log before" test "$(ls plain/scans | wc -l)" = 3
-    bad 2 "street: found something that is no plain folder" convert street --out street --force
+    bad 2 "street: this path exists and is not a plain folder" convert street --out street --force
     good convert street --out free --set dataset.poses=none
     absent free/poses.txt
     bad 3 "free/poses.txt: no such file; expected poses of the vehicle" info free
@@ -348,7 +348,7 @@ rendering() {
     check "a rig has a capture for each sensor" test -s packets/packets_top.pcap -a -s packets/packets_left.json
     good convert packets/packets_left.pcap --out packet_log --set dataset.poses=none
     says "1 scans of 1 LiDAR"
-    bad 2 "found sensor .*expected one of VLP-16, VLP-32C" render run --out x --format pcap
+    bad 2 "cannot write packets of the sensor .*expected one of VLP-16, VLP-32C" render run --out x --format pcap
     bad 2 "--realtime: found no --udp" render run --out x --sensor VLP-16 --realtime
     bad 2 "--udp: found 'nowhere'" render run --out x --sensor VLP-16 --udp nowhere
     good render run --out merged --frames 5:6 --sensor rig.json --format pcd --merge

@@ -211,11 +211,11 @@ def test_ousters():
         write(bag, out) if form == "ros1" else write(bag, out, form=form)
         if when is None:
             text = run("info", bag, code=3)
-            expect("packets of 3328 bytes of /ouster/lidar_packets look like an Ouster's, expected its metadata" in text, f"{name}: {text}")
+            expect("packets of 3328 bytes of /ouster/lidar_packets, probably from an Ouster; expected the metadata" in text, f"{name}: {text}")
             bag.with_suffix(".json").write_text(metadata)
         log = converted(bag)
         notes = "\n".join(log[1]["notes"])
-        expect("32 packets of a 16-beam Ouster, OS-1-16" in notes and "4 whole turns: used" in notes, f"{name}: {notes}")
+        expect("32 packets of a 16-beam Ouster, OS-1-16" in notes and "4 full turns: used" in notes, f"{name}: {notes}")
         expect(len(log[1]["frames"]) == 4 and len(log[1]["lidars"]) == 1 and "missing" not in notes, f"{name}: {log[1]['frames']}, {notes}")
         for frame in log[1]["frames"]:
             scan = np.load(log[0] / frame["scan"])
@@ -231,7 +231,7 @@ def test_ousters():
         expect(np.abs(np.array(step) - 0.1).max() < 1e-6, f"{name}: frames {step} s apart")
         if moves:   # two rotations by 180 degrees leave x unchanged
             poses = np.loadtxt(log[0] / "poses.txt")
-            expect("poses of 'base_link' in 'map'" in notes and "/ouster/points" in notes, f"{name}: {notes}")
+            expect("poses are those of the frame 'base_link' in the frame 'map'" in notes and "/ouster/points" in notes, f"{name}: {notes}")
             expect(np.abs(np.diff(poses[:, 1]) - 0.5).max() < 1e-3 and np.abs(np.abs(poses[:, 4]) - 1).max() < 1e-6, f"{name}: {poses}")
         print(f"{name}: as written")
 
@@ -295,9 +295,9 @@ def test_captures():
     test_livox()
     whole = capture.read_bytes()
     capture.write_bytes(whole[:-100])
-    expect("packets behind byte" in run("info", capture), "a capture that ends in a packet")
+    expect("packets after byte" in run("info", capture), "a capture that ends in a packet")
     captures.write(capture, [(T0 + ns, f) for ns, f in frames], cut={1200: 200})
-    expect("the capture cut 1 frames short" in run("info", capture), "a frame that was cut")
+    expect("1 packets were truncated" in run("info", capture), "a frame that was cut")
     capture.write_bytes(b"no capture at all")
     expect("expected a capture of packets" in run("info", capture, code=3), "a file that is none")
     captures.write(capture, [(T0, captures.frame(bytes(100)))])
@@ -422,7 +422,7 @@ def test_network():
     text = run("info", capture("two sensors", mixed), code=3)
     expect("packets of two sensors are mixed" in text, f"two sensors: {text}")
     text = run("info", capture("half", spaced[:90]), code=3)
-    expect("90 packets of a XT32" in text and "degrees of a turn, expected whole turns" in text, f"half a turn: {text}")
+    expect("90 packets of a XT32" in text and "degrees of a turn, expected at least one full turn" in text, f"half a turn: {text}")
     text = run("info", capture("one", spaced[:1]), code=3)
     expect("1 packets of a XT32" in text, f"one packet: {text}")
     print("fragments, any, IPv6, two sensors, parts of a turn: as expected")
@@ -532,7 +532,7 @@ def test_others():
     for name, reason in (("ouster-duplicate_id/duplicate_id.pcap", "1 packets of a 128-beam Ouster, OS-2-128"),
                          ("ouster-OS-1-128_fusa/OS-1-128_767798045_1024x10_20230712_120049.pcap", "8 packets of a 128-beam Ouster, OS-1-128"),
                          ("ouster-same_ports/legacy/same_ports_legacy.pcap", "1 packets of a 64-beam Ouster, OS-1-64-AH"),
-                         ("ouster-shot_limiting/shot_limiting_test.pcap", "the packets are of 5 degrees of a turn"),
+                         ("ouster-shot_limiting/shot_limiting_test.pcap", "the packets cover only 5 degrees of a turn"),
                          ("gadomski-vlp16/position.pcap", "1 datagrams that relidar cannot decode as LiDAR packets")):
         text = run("info", data / name, code=3)
         expect(reason in text, f"{name}: {text}")

@@ -257,25 +257,26 @@ void add_properties(py::class_<LoadedRun>& type) {
             "A copy of the surfels as a dict of float32 arrays that relidar.Scene accepts.")
         .def_property_readonly(
             "times", [](const LoadedRun& run) { return times_of(run.run.sequence); },
-            "[frames] float64: seconds at which the head faced forward.")
+            "Times in seconds at which the head of the LiDAR faced forward, [frames] float64.")
         .def_property_readonly(
             "frame_numbers", [](const LoadedRun& run) { return frame_numbers_of(run.run.sequence); },
-            "[frames] int32: frame numbers of the dataset.")
+            "Frame numbers of the dataset, [frames] int32.")
         .def_property_readonly(
             "held_out", [](const LoadedRun& run) { return run.run.split.test; },
             "Indices of the held-out frames in `times`.")
         .def_property_readonly(
             "trajectory", [](const LoadedRun& run) { return trajectory_of(run.run.sequence); },
-            "(times [n], poses [n,4,4]) of the log's vehicle in the dataset's world: for a single "
-            "LiDAR, those of the sensor, in the form of render().")
+            "Trajectory of the log's vehicle in the dataset's world: (times [n], poses [n,4,4]), in the "
+            "form of render(). For a single LiDAR, it is the trajectory of the sensor.")
         .def_property_readonly(
             "mountings", [](const LoadedRun& run) { return mountings_of(run.run.sequence); },
-            "Dict of LiDAR name -> vehicle from sensor, [4,4] float64. The poses of a LiDAR are "
-            "poses @ mountings[name]. A single LiDAR has an empty name and the identity.")
+            "Mountings of the LiDARs: dict of LiDAR name -> pose vehicle from sensor, [4,4] float64. The "
+            "poses of a LiDAR are poses @ mountings[name]. A single LiDAR has an empty name and the "
+            "identity.")
         .def_property_readonly(
             "actors", [](const LoadedRun& run) { return actors_of(run.run.sequence, track_names(run.run)); },
-            "Dict of track -> (times [n], poses [n,4,4]) of the centre of its box in the dataset's "
-            "world, in the form of render().")
+            "Trajectories of the actors in the dataset's world: dict of track -> (times [n], poses "
+            "[n,4,4]) of the centre of the box, in the form of render().")
         .def_property_readonly(
             "edits",
             [](const LoadedRun& run) {
@@ -283,7 +284,7 @@ void add_properties(py::class_<LoadedRun>& type) {
                 for (const RunEdit& edit : run.run.edits) edits.push_back(edit.edit);
                 return edits;
             },
-            "Descriptions of all edits, the oldest first.");
+            "Descriptions of all edits of the run, the oldest edit first.");
 }
 
 }  // namespace

@@ -124,25 +124,25 @@ void add_sequence_class(py::module_& module) {
             "A copy of the settings that the log was read with.")
         .def_property_readonly(
             "times", [](const Log& log) { return times_of(log.sequence); },
-            "[frames] float64: seconds at which the head faces forward.")
+            "Times in seconds at which the head of the LiDAR faced forward, [frames] float64.")
         .def_property_readonly(
             "frame_numbers", [](const Log& log) { return frame_numbers_of(log.sequence); },
-            "[frames] int32: frame numbers of the dataset.")
+            "Frame numbers of the dataset, [frames] int32.")
         .def_property_readonly(
             "frame_lidars", [](const Log& log) { return lidars_of(log.sequence); },
-            "[frames] name of the LiDAR of each frame. Empty if the log has a single LiDAR.")
+            "Name of the LiDAR of each frame, [frames]. Empty if the log has a single LiDAR.")
         .def_property_readonly(
             "trajectory", [](const Log& log) { return trajectory_of(log.sequence); },
-            "(times [n], poses [n,4,4]) of the vehicle in the dataset's world, float64, metres: for "
-            "a single LiDAR, those of the sensor.")
+            "Trajectory of the vehicle in the dataset's world: (times [n], poses [n,4,4]), float64, "
+            "metres. For a single LiDAR, it is the trajectory of the sensor.")
         .def_property_readonly(
             "mountings", [](const Log& log) { return mountings_of(log.sequence); },
-            "Dict of LiDAR name -> vehicle from sensor, [4,4] float64. A single LiDAR has an empty "
-            "name and the identity.")
+            "Mountings of the LiDARs: dict of LiDAR name -> pose vehicle from sensor, [4,4] float64. A "
+            "single LiDAR has an empty name and the identity.")
         .def_property_readonly(
             "boxes", [](const Log& log) { return actors_of(log.sequence, box_names(log.sequence)); },
-            "Dict of track -> (times [n], poses [n,4,4]) of the centre of its labelled box in the "
-            "dataset's world.")
+            "Trajectories of the labelled boxes in the dataset's world: dict of track -> (times [n], poses "
+            "[n,4,4]) of the centre of the box.")
         .def(
             "rays",
             [](const Log& log, const std::string& lidar) {

@@ -16,7 +16,7 @@ namespace relidar::serve {
 namespace {
 
 static_assert(std::endian::native == std::endian::little,
-              "arrays of messages are sent as they lie in memory");
+              "arrays of messages are sent with the byte order of this machine, which must be little-endian");
 
 template <class T>
 void set_array(std::string& bytes, const std::vector<T>& values) {

@@ -68,7 +68,7 @@ LatencyResult measure_latency(const LatencyOptions& options) {
     const v1::ListScenesResponse scenes = first.list_scenes();
     if (scenes.scenes().empty())
         throw DataError(
-            fmt::format("the service at {} has no scene, expected at least one", options.address));
+            fmt::format("the service at {} serves no scene, expected at least one", options.address));
     LatencyResult result;
     result.scene = options.scene.empty() ? scenes.scenes(0).name() : options.scene;
     v1::GetTracksRequest which;

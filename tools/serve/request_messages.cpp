@@ -40,7 +40,8 @@ double read_moment(double time_s, const PoseTrack& path, const std::string& fiel
     if (is_far_beyond(time_s, path))
         refuse(
             field,
-            fmt::format("{} for a path from {} to {}", time_s, path.time_s.front(), path.time_s.back()),
+            fmt::format("the time {} s for a path from {} to {} s", time_s, path.time_s.front(),
+                        path.time_s.back()),
             fmt::format("a time in seconds on the path, or at most {} s before or after it", kBeyondPath_s));
     return time_s;
 }
@@ -63,8 +64,8 @@ std::vector<ActorRequest> read_actors(const v1::ActorTracks& message, double tim
         const PoseTrack& track = wishes.back().dataset_from_actor;
         if (is_far_beyond(time_s, track))
             refuse(field + ".poses",
-                   fmt::format("poses from {} to {} s for a scan at {} s", track.time_s.front(),
-                               track.time_s.back(), time_s),
+                   fmt::format("poses from {} to {} s, which do not cover the scan at {} s",
+                               track.time_s.front(), track.time_s.back(), time_s),
                    fmt::format("poses that cover the time of the scan, or that are at most {} s away from it",
                                kBeyondPath_s));
     }

@@ -46,7 +46,7 @@ template <class T>
 std::vector<T> read_array(const std::string& bytes, std::size_t n, const std::string& field) {
     if (!bytes.empty() && bytes.size() != n * sizeof(T))
         refuse(field, fmt::format("{} bytes", bytes.size()),
-               fmt::format("{}, which is {} for each of {} rays", n * sizeof(T), sizeof(T), n));
+               fmt::format("{} bytes, which are {} bytes for each of {} rays", n * sizeof(T), sizeof(T), n));
     std::vector<T> values(bytes.size() / sizeof(T));
     if (!bytes.empty()) std::memcpy(values.data(), bytes.data(), bytes.size());
     return values;
@@ -79,7 +79,7 @@ RayTable read_rays(const v1::RayTable& message, const std::string& field) {
     if (has_order && std::uint64_t(message.rows()) * message.columns() != n)
         refuse(field,
                fmt::format("{} rows, {} columns and {} directions", message.rows(), message.columns(), n),
-               "rows * columns directions");
+               "one direction for each combination of row and column");
     check_rows(field, message.rows());
     RayTable rays;
     rays.rows = has_order ? int(message.rows()) : 1;
@@ -119,7 +119,7 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
     if (const auto& beams = sensor.beams;
         !beams.empty() && beams.back().elevation_rad > beams.front().elevation_rad)
         refuse(field + ".beams",
-               fmt::format("{} rad first and {} rad last", beams.front().elevation_rad,
+               fmt::format("a first beam at {} rad and a last beam at {} rad", beams.front().elevation_rad,
                            beams.back().elevation_rad),
                "beams from the highest to the lowest, because row 0 of an image is the highest");
     sensor.columns = int(message.columns());

@@ -15,7 +15,9 @@
 namespace relidar::view {
 namespace {
 
-static_assert(std::endian::native == std::endian::little, "arrays are sent as they lie in memory");
+static_assert(std::endian::native == std::endian::little,
+              "arrays are sent with the byte order of this "
+              "machine, which must be little-endian");
 
 using Json = nlohmann::json;
 

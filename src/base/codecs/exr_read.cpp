@@ -47,7 +47,7 @@ public:
         return value;
     }
     std::string_view bytes(std::size_t n) {
-        if (n > file_.size() - at_) throw DataError("its header is truncated");
+        if (n > file_.size() - at_) throw DataError("the header is truncated");
         at_ += n;
         return std::string_view(file_).substr(at_ - n, n);
     }
@@ -55,7 +55,7 @@ public:
     std::string name() {
         const std::size_t end = file_.find('\0', at_);
         if (end == std::string::npos || end - at_ > 255)
-            throw DataError("its header is truncated, or it contains a name that is longer than 255 bytes");
+            throw DataError("the header is truncated, or it contains a name that is longer than 255 bytes");
         const std::string text = file_.substr(at_, end - at_);
         at_ = end + 1;
         return text;
@@ -97,7 +97,7 @@ void read_window(std::string_view bytes, ImageHeader& image_header) {
 void read_compression(std::string_view bytes, ImageHeader& image_header) {
     const std::size_t kind =
         bytes.empty() ? std::size(kRowsAtOnce) : std::size_t(static_cast<unsigned char>(bytes[0]));
-    if (kind >= std::size(kRowsAtOnce)) throw DataError("its compression is unknown");
+    if (kind >= std::size(kRowsAtOnce)) throw DataError("the compression of the image is unknown");
     image_header.rows_at_once = kRowsAtOnce[kind];
 }
 
@@ -115,9 +115,9 @@ void read_channels(std::string_view bytes, ImageHeader& image_header) {
             throw DataError(fmt::format("channel '{}' occurs twice, expected it once", excerpt(name)));
         image_header.channels.push_back(name);
         if (image_header.channels.size() > kMostChannels)
-            throw DataError(fmt::format("it has more than {} channels", kMostChannels));
+            throw DataError(fmt::format("the image has more than {} channels", kMostChannels));
     }
-    if (!items.at_end()) throw DataError("its list of channels is shorter than the size in its header");
+    if (!items.at_end()) throw DataError("the list of channels is shorter than the size in its header");
 }
 
 /// Checks that the size of an attribute matches its type. OpenEXR ignores the stored
@@ -167,13 +167,13 @@ void check_layout(const std::string& name, const std::string& type, std::string_
 }
 
 void check_kind(ExrHeader& header) {
-    if (header.number() != std::int32_t(kExrMagic)) throw DataError("it does not begin like an OpenEXR file");
+    if (header.number() != std::int32_t(kExrMagic)) throw DataError("the file does not begin like an OpenEXR file");
     const auto version = std::uint32_t(header.number());
     if ((version & kVersionBits) > 2)
-        throw DataError(fmt::format("it has version {} of the format, expected 2", version & kVersionBits));
-    if (version & kTiles) throw DataError("it stores tiles, expected scan lines");
-    if (version & kDeep) throw DataError("it has deep pixels, expected one value per channel");
-    if (version & kParts) throw DataError("it contains several images, expected one");
+        throw DataError(fmt::format("the file has version {} of the format, expected 2", version & kVersionBits));
+    if (version & kTiles) throw DataError("the file stores tiles, expected scan lines");
+    if (version & kDeep) throw DataError("the file has deep pixels, expected one value per channel");
+    if (version & kParts) throw DataError("the file contains several images, expected one");
 }
 
 ImageHeader read_header(const std::string& file) {
@@ -202,7 +202,7 @@ ImageHeader read_header(const std::string& file) {
         if (type == "string" && bytes.size() <= kLongestNote) image_header.notes[name] = bytes;
     }
     if (!seen.contains("dataWindow") || !seen.contains("channels"))
-        throw DataError("its header has no dataWindow, or no channels");
+        throw DataError("the header has no dataWindow, or no channels");
     return image_header;
 }
 
@@ -210,18 +210,18 @@ ImageHeader read_header(const std::string& file) {
 void check_image_size(const ImageHeader& image_header, std::size_t file_bytes) {
     const std::int64_t rows = image_header.rows, columns = image_header.columns;
     if (rows <= 0 || columns <= 0 || image_header.channels.empty())
-        throw DataError(fmt::format("it has {} x {} pixels and {} channels, expected at least one of each",
+        throw DataError(fmt::format("the image has {} x {} pixels and {} channels, expected at least one of each",
                                     rows, columns, image_header.channels.size()));
     if (rows > std::int64_t(kMaxPixels) / columns)
         throw DataError(
-            fmt::format("it has {} x {} pixels, expected at most {} pixels", rows, columns, kMaxPixels));
+            fmt::format("the image has {} x {} pixels, expected at most {} pixels", rows, columns, kMaxPixels));
     const std::int64_t unpacked =
         (rows + image_header.rows_at_once - 1) / image_header.rows_at_once * image_header.rows_at_once;
     // Minimum uncompressed size in bytes, assuming half-precision channels.
     const std::size_t least = std::size_t(unpacked * columns) * image_header.channels.size() * 2;
     if (least > std::max(kAlwaysFits, kMostInflated * file_bytes))
         throw DataError(fmt::format(
-            "its header announces {} x {} pixels with {} channels, which is impossible in a file of "
+            "the header announces {} x {} pixels with {} channels, which is impossible in a file of "
             "{} bytes",
             rows, columns, image_header.channels.size(), file_bytes));
 }

@@ -108,7 +108,7 @@ std::size_t rows_of(const Batch& batch, std::size_t node, std::size_t last_buffe
     const arrow::Node& found = batch.layout.nodes[node];
     if (found.length != batch.layout.length)
         throw DataError(
-            fmt::format("it has {} rows in a batch of {} rows", found.length, batch.layout.length));
+            fmt::format("the column has {} rows in a batch of {} rows", found.length, batch.layout.length));
     if (found.null_count != 0)
         throw DataError(fmt::format("{} values are missing (null), expected none", found.null_count));
     return std::size_t(found.length);
@@ -184,7 +184,8 @@ std::size_t count_rows(const std::vector<Batch>& batches, std::size_t most) {
     for (const Batch& batch : batches) {
         const std::int64_t n = batch.layout.length;
         if (n < 0 || std::uint64_t(n) > most - rows)
-            throw DataError(fmt::format("found a batch of {} rows, expected at most {}", n, most - rows));
+            throw DataError(
+                fmt::format("found a batch of {} rows, expected at most {} rows", n, most - rows));
         rows += std::size_t(n);
     }
     return rows;

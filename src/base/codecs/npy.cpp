@@ -50,7 +50,7 @@ public:
 
 private:
     [[noreturn]] static std::string refuse(const std::string& why) {
-        throw DataError("its npy header " + why);
+        throw DataError("the npy header " + why);
     }
 
     bool peek(char c) {
@@ -150,25 +150,25 @@ std::string npy_header(const NamedArray& array) {
 
 NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& bytes) {
     if (bytes.size() < 12 || std::memcmp(bytes.data(), kNpyMagic.data(), kNpyMagic.size()) != 0)
-        throw DataError("it is not a .npy array");
+        throw DataError("the file is not a .npy array");
     const auto version = std::to_integer<int>(bytes[6]);
     if (version < 1 || version > 3)
-        throw DataError(fmt::format("it has npy version {}, expected 1 to 3", version));
+        throw DataError(fmt::format("the file has npy version {}, expected 1 to 3", version));
     const std::size_t n_length = version == 1 ? 2 : 4, start = 8 + n_length;
     const std::size_t length = little_endian(bytes.data() + 8, n_length);
     if (length > bytes.size() - start)
-        throw DataError(fmt::format("its npy header should have {} bytes, but only {} bytes are left", length,
+        throw DataError(fmt::format("the npy header should have {} bytes, but only {} bytes are left", length,
                                     bytes.size() - start));
 
     HeaderParser header({reinterpret_cast<const char*>(bytes.data()) + start, length});
     header.parse();
     NamedArray array{name, type_of(*header.descr), *header.shape, {}};
     if (*header.fortran_order)
-        throw DataError("its values are in Fortran (column-major) order, expected row-major");
+        throw DataError("the values are in Fortran (column-major) order, expected row-major");
     const auto expected = byte_count(array.shape, item_size(array.dtype));
     const std::size_t found = bytes.size() - start - length;
     if (!expected || *expected != found)
-        throw DataError(fmt::format("its {} bytes of values do not fit its shape", found));
+        throw DataError(fmt::format("the {} bytes of values do not fit the shape of the array", found));
     array.bytes.assign(bytes.end() - std::ptrdiff_t(found), bytes.end());
     return array;
 }

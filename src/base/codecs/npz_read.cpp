@@ -70,7 +70,7 @@ std::size_t find_end(const Archive& archive) {
             get<std::uint16_t>(record, 20) == back - kEndSize)
             return n - back;
     }
-    throw DataError("it is not a zip archive, or it is truncated");
+    throw DataError("the file is not a zip archive, or it is truncated");
 }
 
 Directory find_directory(const Archive& archive) {
@@ -165,14 +165,14 @@ std::vector<std::byte> inflate_bytes(std::span<const std::byte> packed, std::siz
     }
     inflateEnd(&stream);
     if (status != Z_STREAM_END || produced != size)
-        throw DataError(fmt::format("its compressed data unpack to {} bytes, expected {}", produced, size));
+        throw DataError(fmt::format("the compressed data unpack to {} bytes, expected {}", produced, size));
     return result;
 }
 
 std::vector<std::byte> unpack(const Archive& archive, const NpzEntry& entry) {
     if (entry.flags & 1) throw DataError("it is encrypted");
     const auto local = archive.part(entry.offset, kLocalSize);
-    if (get<std::uint32_t>(local, 0) != kLocalSignature) throw DataError("its zip header is damaged");
+    if (get<std::uint32_t>(local, 0) != kLocalSignature) throw DataError("the zip header is damaged");
     const std::uint64_t start =
         entry.offset + kLocalSize + get<std::uint16_t>(local, 26) + get<std::uint16_t>(local, 28);
     const auto packed = archive.part(start, entry.packed_size);
@@ -180,19 +180,19 @@ std::vector<std::byte> unpack(const Archive& archive, const NpzEntry& entry) {
     if (entry.method == 0) {
         if (entry.size != entry.packed_size)
             throw DataError(
-                "its compressed and uncompressed sizes differ, although it is stored without compression");
+                "the compressed and uncompressed sizes differ, although the entry is stored without compression");
         bytes.assign(packed.begin(), packed.end());
     } else if (entry.method == 8) {
         if (entry.size / kMaxExpansion > packed.size())
             throw DataError(
-                fmt::format("its size is {} bytes, which is impossible for its compressed data", entry.size));
+                fmt::format("the size is {} bytes, which is impossible for the compressed data", entry.size));
         bytes = inflate_bytes(packed, entry.size);
     } else {
-        throw DataError(fmt::format("it uses the compression method {}, expected 0 (stored) or 8 (deflated)",
+        throw DataError(fmt::format("the entry uses the compression method {}, expected 0 (stored) or 8 (deflated)",
                                     entry.method));
     }
     const auto crc = ::crc32_z(0, reinterpret_cast<const Bytef*>(bytes.data()), bytes.size());
-    if (crc != entry.crc) throw DataError("its checksum does not match: the file is damaged");
+    if (crc != entry.crc) throw DataError("the checksum of the data is wrong, so the file is damaged");
     return bytes;
 }
 
@@ -200,7 +200,7 @@ NamedArray read_array(const Archive& archive, const NpzEntry& entry) {
     constexpr std::string_view kSuffix = ".npy";
     try {
         if (entry.name.size() <= kSuffix.size() || !entry.name.ends_with(kSuffix))
-            throw DataError("it is not a .npy array");
+            throw DataError("the entry is not a .npy array");
         return report_detail::parse_npy(entry.name.substr(0, entry.name.size() - kSuffix.size()),
                                         unpack(archive, entry));
     } catch (const DataError& error) {
@@ -221,7 +221,7 @@ std::vector<NamedArray> parse(const Archive& archive) {
             throw DataError(fmt::format("entry '{}' occurs twice, expected it once", entry.name));
         n_packed += std::min<std::uint64_t>(entry.packed_size, archive.bytes.size() + 1);
         // Rejects overlapping entries, which zip bombs use.
-        if (n_packed > archive.bytes.size()) throw DataError("its zip entries overlap");
+        if (n_packed > archive.bytes.size()) throw DataError("the zip entries of the file overlap");
         arrays.push_back(read_array(archive, entry));
     }
     return arrays;

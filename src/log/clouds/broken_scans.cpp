@@ -21,10 +21,10 @@ void BrokenScans::add(std::size_t i, const std::string& reason) {
 
 void BrokenScans::tell(Sequence& sequence, std::size_t n) const {
     if (!reasons_.empty() && reasons_.size() == n)
-        throw DataError(fmt::format("{}: each of the {} scans is broken; the first is {}", sequence.source, n,
+        throw DataError(fmt::format("{}: all {} scans are broken; the first error is: {}", sequence.source, n,
                                     reasons_.begin()->second));
     for (const auto& [i, reason] : reasons_)
-        sequence.notes.push_back(fmt::format("a broken scan is left out: {}", reason));
+        sequence.notes.push_back(fmt::format("a broken scan is skipped: {}", reason));
 }
 
 void BrokenScans::leave_out(Sequence& sequence) const {

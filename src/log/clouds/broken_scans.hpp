@@ -52,7 +52,7 @@ public:
     void leave_out(Sequence& sequence) const;
 
 private:
-    static constexpr const char* kWayOut = "; dataset.skip_broken=true leaves such scans out";
+    static constexpr const char* kWayOut = "; use dataset.skip_broken=true to skip broken scans";
 
     const bool skip_;
     mutable std::mutex lock_;

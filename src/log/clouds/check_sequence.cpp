@@ -33,7 +33,7 @@ constexpr double kLargestOrigin_m = 1000.0;
 constexpr double kWidestBeam_rad = 6.3;  // maximum divergence of a beam, as a full angle
 
 [[noreturn]] void fail(const std::string& where, const std::string& found, const std::string& expected) {
-    throw DataError(fmt::format("{}: {}, expected {}", where, found, expected));
+    throw DataError(fmt::format("{}: found {}, expected {}", where, found, expected));
 }
 
 bool is_finite(const glm::dvec3& v) { return std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z); }
@@ -43,80 +43,85 @@ void check_pose(const Pose& pose, const std::string& where) {
         std::max({std::abs(pose.translation.x), std::abs(pose.translation.y), std::abs(pose.translation.z)});
     if (!is_finite(pose.translation) || largest > kFarthest_m)
         fail(where,
-             fmt::format("position ({}, {}, {})", pose.translation.x, pose.translation.y, pose.translation.z),
-             fmt::format("metres within {} of the recentred world's origin", kFarthest_m));
+             fmt::format("the position ({}, {}, {})", pose.translation.x, pose.translation.y,
+                         pose.translation.z),
+             fmt::format("coordinates of at most {} m from the origin of the world", kFarthest_m));
     if (!(std::abs(glm::length(pose.rotation) - 1.0) <= kUnit))
-        fail(where, fmt::format("a quaternion of length {}", glm::length(pose.rotation)), "1");
+        fail(where, fmt::format("a quaternion of length {}", glm::length(pose.rotation)), "length 1");
 }
 
 /// Checks a track. Its times must increase, and each time must have one pose.
 void check_track(const PoseTrack& track, const std::string& where) {
     if (track.pose.empty() || track.pose.size() != track.time_s.size())
-        fail(where, fmt::format("{} poses at {} times", track.pose.size(), track.time_s.size()),
-             "at least one, and one a time");
+        fail(where, fmt::format("{} poses and {} times", track.pose.size(), track.time_s.size()),
+             "at least one pose and one time for each pose");
     for (std::size_t k = 0; k < track.pose.size(); ++k) {
         const double before = k == 0 ? -INFINITY : track.time_s[k - 1];
         if (!std::isfinite(track.time_s[k]) || !(track.time_s[k] > before))
             fail(fmt::format("{}, pose {}", where, k),
-                 fmt::format("time {} s after {} s", track.time_s[k], before), "finite times that rise");
+                 fmt::format("the time {} s after the time {} s", track.time_s[k], before),
+                 "finite and increasing times");
         check_pose(track.pose[k], fmt::format("{}, pose {}", where, k));
     }
 }
 
 void check_lidars(const Sequence& sequence) {
-    if (sequence.lidars.empty()) fail(sequence.name, "no LiDAR", "at least one");
+    if (sequence.lidars.empty()) fail(sequence.name, "no LiDAR", "at least one LiDAR");
     std::set<std::string> names;
     for (const Lidar& lidar : sequence.lidars) {
         const std::string where = fmt::format("{}: LiDAR '{}'", sequence.name, lidar.name);
-        if (!names.insert(lidar.name).second) fail(where, "a second one of this name", "unique names");
+        if (!names.insert(lidar.name).second)
+            fail(where, "another LiDAR with this name", "different names of LiDARs");
         check_pose(lidar.vehicle_from_sensor, where + ", vehicle_from_sensor");
         const SpinningSensor& sensor = lidar.sensor;
         if (sensor.beams.empty() != (sensor.columns == 0))
-            fail(where, fmt::format("{} beams x {} columns", sensor.beams.size(), sensor.columns),
-                 "some of both, or none where it does not spin");
+            fail(where, fmt::format("{} beams and {} columns", sensor.beams.size(), sensor.columns),
+                 "both above 0, or both 0 for a sensor that does not spin");
         if (!(sensor.period_s >= 0.0 && sensor.period_s < kLongestOffset_s))
             fail(where, fmt::format("a period of {} s", sensor.period_s),
-                 fmt::format("0 to {} s", kLongestOffset_s));
+                 fmt::format("a period from 0 to {} s", kLongestOffset_s));
         if (!sensor.beams.empty()) make_rays(sensor);
     }
 }
 
 void check_frame_times(const Sequence& sequence) {
     const std::vector<double>& times = sequence.world_from_vehicle.time_s;
-    if (sequence.frames.empty()) fail(sequence.name, "no frame", "at least one");
+    if (sequence.frames.empty()) fail(sequence.name, "no frame", "at least one frame");
     std::set<std::pair<int, int>> numbers;
     std::size_t pose = 0;
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
         const Frame& frame = sequence.frames[i];
         const std::string where = fmt::format("{}: frame {}", sequence.name, frame.index);
         if (frame.lidar < 0 || std::size_t(frame.lidar) >= sequence.lidars.size())
-            fail(where, fmt::format("LiDAR {}", frame.lidar),
-                 fmt::format("0 to {}", sequence.lidars.size() - 1));
+            fail(where, fmt::format("the LiDAR index {}", frame.lidar),
+                 fmt::format("the index of a LiDAR, 0 to {}", sequence.lidars.size() - 1));
         if (!numbers.insert({frame.lidar, frame.index}).second)
-            fail(where, "another frame of this number before it", "one a number and LiDAR");
+            fail(where, "a second frame with this number and this LiDAR", "each number once per LiDAR");
         if (i > 0) {
             const Frame& before = sequence.frames[i - 1];
             const double step_s = frame.time_s - before.time_s;
             if (!(step_s >= kLeastStep_s) && !(step_s == 0.0 && frame.lidar > before.lidar))
                 fail(where,
-                     fmt::format("time {} s after {} s of frame {}", frame.time_s, before.time_s,
+                     fmt::format("the time {} s after the time {} s of frame {}", frame.time_s, before.time_s,
                                  before.index),
-                     fmt::format("at least {} s more, or the same time and a later LiDAR", kLeastStep_s));
+                     fmt::format("a time that is at least {} s later, or the same time with a higher LiDAR "
+                                 "index",
+                                 kLeastStep_s));
             pose += step_s != 0.0;
         }
         if (pose >= times.size() || times[pose] != frame.time_s)
             fail(where, fmt::format("no pose of the vehicle at {} s", frame.time_s),
-                 "one for each time of frames");
+                 "one pose for the time of each frame");
     }
     if (pose + 1 != times.size())
         fail(sequence.name, fmt::format("{} poses of the vehicle", times.size()),
-             fmt::format("{}, one for each time of frames", pose + 1));
+             fmt::format("{} poses, one for the time of each frame", pose + 1));
 }
 
 void check_sizes(const Scan& scan, const std::string& where) {
     const RayTable& rays = scan.rays;
     if (rays.rows < 0 || rays.columns < 0 || std::size_t(rays.rows) * std::size_t(rays.columns) > kMaxRays)
-        fail(where, fmt::format("{} rows x {} columns", rays.rows, rays.columns),
+        fail(where, fmt::format("{} rows and {} columns", rays.rows, rays.columns),
              fmt::format("at most {} rays", kMaxRays));
     const std::size_t n = std::size_t(rays.rows) * std::size_t(rays.columns);
     const auto check = [&](const char* field, std::size_t size) {
@@ -152,28 +157,30 @@ void check_scan(const Scan& scan, std::size_t n_beams, const std::string& where)
         const glm::dvec3 origin(scan.rays.origin[i]), direction(scan.rays.direction[i]);
         if (!is_finite(origin) || glm::length(origin) > kLargestOrigin_m)
             fail(ray("rays.origin"), fmt::format("({}, {}, {})", origin.x, origin.y, origin.z),
-                 fmt::format("metres within {} of the sensor", kLargestOrigin_m));
+                 fmt::format("coordinates of at most {} m from the sensor", kLargestOrigin_m));
         if (!(std::abs(glm::length(direction) - 1.0) <= kUnit))
-            fail(ray("rays.direction"), fmt::format("length {}", glm::length(direction)), "1");
+            fail(ray("rays.direction"), fmt::format("length {}", glm::length(direction)), "length 1");
         if (!(std::abs(scan.rays.time_offset_s[i]) <= kLongestOffset_s))
             fail(ray("rays.time_offset_s"), fmt::format("{}", scan.rays.time_offset_s[i]),
-                 fmt::format("seconds within {} of the frame's time", kLongestOffset_s));
+                 fmt::format("at most {} s before or after the time of the frame", kLongestOffset_s));
         if (n_beams > 0 && scan.rays.channel[i] >= n_beams)
             fail(ray("rays.channel"), fmt::format("{}", scan.rays.channel[i]),
-                 fmt::format("one of {} beams", n_beams));
+                 fmt::format("the index of one of {} beams", n_beams));
         if (const double angle = scan.rays.divergence_of(i); !(angle >= 0.0 && angle <= kWidestBeam_rad))
             fail(ray("divergence"), fmt::format("{}", angle),
-                 fmt::format("radians in [0, {}]", kWidestBeam_rad));
+                 fmt::format("an angle from 0 to {} rad", kWidestBeam_rad));
         if (const char* field = wrong_return(scan.range_m[i], scan.intensity[i]))
-            fail(ray(field), fmt::format("range {} m, intensity {}", scan.range_m[i], scan.intensity[i]),
-                 "metres and 0..1, both 0 where dropped");
+            fail(ray(field),
+                 fmt::format("a range of {} m and an intensity of {}", scan.range_m[i], scan.intensity[i]),
+                 "a range above 0 m and an intensity from 0 to 1, or both 0 for a dropped ray");
         for (const SecondReturn& f : scan.second_returns)
             if (wrong_return(f.range_m[i], f.intensity[i]) ||
                 (scan.range_m[i] == 0.0f && f.range_m[i] != 0.0f))
                 fail(ray("second return"),
-                     fmt::format("range {} m, intensity {} behind a return at {} m", f.range_m[i],
-                                 f.intensity[i], scan.range_m[i]),
-                     "metres and 0..1, both 0 where there is none or the ray was dropped");
+                     fmt::format("a second return with range {} m and intensity {} after a first return at "
+                                 "{} m",
+                                 f.range_m[i], f.intensity[i], scan.range_m[i]),
+                     "a range above 0 m and an intensity from 0 to 1, or both 0 without a second return");
     }
 }
 
@@ -182,10 +189,10 @@ void check_boxes(const Sequence& sequence) {
     for (const BoxTrack& box : sequence.boxes) {
         const std::string where = fmt::format("{}: box '{}'", sequence.name, box.id);
         if (box.id.empty() || !ids.insert(box.id).second)
-            fail(where, "an empty id or one that was there before", "unique ids");
+            fail(where, "an id that is empty or occurs twice", "a different id for each box");
         if (!is_finite(box.size_m) || !(std::min({box.size_m.x, box.size_m.y, box.size_m.z}) > 0.0))
             fail(where, fmt::format("a size of {} x {} x {} m", box.size_m.x, box.size_m.y, box.size_m.z),
-                 "all above 0");
+                 "three lengths above 0");
         check_track(box.world_from_box, where);
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
             const double t_s = box.world_from_box.time_s[k];
@@ -195,8 +202,9 @@ void check_boxes(const Sequence& sequence) {
                                                     sequence.world_from_vehicle.at(t_s).translation);
             if (distance_m > kBoxReach_m)
                 fail(fmt::format("{}, pose {}", where, k),
-                     fmt::format("{:.0f} m from the vehicle", distance_m),
-                     fmt::format("at most {} m: boxes and poses of one world", kBoxReach_m));
+                     fmt::format("a distance of {:.0f} m from the vehicle", distance_m),
+                     fmt::format("at most {} m, because boxes and poses must have the same world frame",
+                                 kBoxReach_m));
         }
     }
 }
@@ -226,13 +234,14 @@ void check_gaps(Sequence& sequence) {
     const int before = longest.before->index, after = longest.after->index;
     if (longest.step_s() > kJump_s)
         fail(fmt::format("{}: frame {}", sequence.name, after),
-             fmt::format("time {} s, {:.1f} s after frame {}", longest.after->time_s, longest.step_s(),
-                         before),
-             fmt::format("at most {} s, usual is {:.3g} s: read one side of the jump by --frames", kJump_s,
-                         usual_s));
+             fmt::format("the time {} s, which is {:.1f} s after frame {}", longest.after->time_s,
+                         longest.step_s(), before),
+             fmt::format("a step of at most {} s (the median step is {:.3g} s); use --frames to read only "
+                         "the frames on one side of the gap",
+                         kJump_s, usual_s));
     sequence.notes.push_back(
-        fmt::format("{} gap{} in the times of frames, the longest of {:.1f} s between frames {} and {} "
-                    "(usual is {:.3g} s): poses inside are interpolated",
+        fmt::format("the times of the frames have {} gap{}; the longest is {:.1f} s, between frames {} and "
+                    "{} (the median step is {:.3g} s); poses in gaps are interpolated",
                     steps.size(), steps.size() > 1 ? "s" : "", longest.step_s(), before, after, usual_s));
 }
 

@@ -69,20 +69,24 @@ void find_time_unit(CloudUnits& units, const std::vector<TimeRange>& ranges, dou
         if (!(turns >= kLeastSpan && turns <= kMostSpan)) continue;
         units.zero = zero_of(ranges, unit.seconds);
         units.time_unit_s = unit.seconds;
-        units.about =
-            fmt::format("times of points in {}, {}, {:.1f} ms from the first to the last", unit.name,
-                        units.zero == TimeZero::stamp ? "from the stamp"
-                        : units.zero == TimeZero::epoch
-                            ? "of the clock of the stamps"
-                            : "of a clock of the sensor's own, whose first is taken for the stamp",
-                        1e3 * span * unit.seconds);
+        units.about = fmt::format(
+            "times of points are read in {}, {}; a cloud lasts {:.1f} ms from its first to "
+            "its last point",
+            unit.name,
+            units.zero == TimeZero::stamp ? "relative to the stamp"
+            : units.zero == TimeZero::epoch
+                ? "in the clock of the stamps"
+                : "in the clock of the sensor, whose first time in a cloud is set to the "
+                  "stamp",
+            1e3 * span * unit.seconds);
         return;
     }
     units.about = units.is_deskewed
-                      ? "all points of a cloud have one time: taken as motion-compensated to the stamp"
+                      ? "all points of a cloud have the same time, so clouds are read as "
+                        "motion-compensated to their stamp"
                       : fmt::format(
-                            "times of points span {:.4g} in clouds {:.3g} s apart, which no unit makes a "
-                            "sweep: not used",
+                            "times of points are ignored: a cloud spans {:.4g} of an unknown unit, clouds "
+                            "are {:.3g} s apart, and no unit of time fits both",
                             span, step_s);
 }
 

@@ -64,7 +64,8 @@ void drop_far_marker(Sequence& sequence) {
                 drop_outside(frame.scan, {0.0, double(far.range_m) * (1.0 - double(kSameRange))});
         const std::string& name = sequence.lidars[l].name;
         sequence.notes.push_back(fmt::format(
-            "range{}: {} of {} points are at exactly {} m, the largest range: they count as dropped rays",
+            "range{}: {} of {} points have exactly the largest range, {} m, and are read as rays without "
+            "return",
             name.empty() ? "" : " of " + name, far.n, far.n_all, rounded(far.range_m)));
     }
 }

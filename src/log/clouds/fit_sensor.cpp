@@ -99,8 +99,8 @@ int columns_by_steps(const Points& scan, const Rings& rings) {
     }
     if (steps.size() < kFewestSteps)
         throw DataError(
-            fmt::format("fitting a spinning LiDAR to {} points in {} rings: {} steps of the azimuth, "
-                        "expected at least {}",
+            fmt::format("cannot fit a spinning LiDAR to {} points in {} rings: only {} pairs of "
+                        "consecutive points differ in azimuth, expected at least {}",
                         scan.size(), rings.size(), steps.size(), kFewestSteps));
     return int(std::lround(2.0 * kPi / middle_of(steps, 0.25)));
 }
@@ -203,15 +203,21 @@ FittedSensor fit_sensor(const std::vector<Points>& scans, double period_s) {
     for (const Points& scan : scans) {
         if (scan.ring.size() != scan.size())
             throw UsageError(
-                fmt::format("fitting a spinning LiDAR: {} rings of {} points, expected one a point",
+                fmt::format("cannot fit a spinning LiDAR: found {} ring numbers for {} points, expected "
+                            "one per point",
                             scan.ring.size(), scan.size()));
         for (const std::uint16_t ring : scan.ring) n_rings = std::max(n_rings, std::size_t(ring) + 1);
         if (!fullest || scan.size() > fullest->size()) fullest = &scan;
     }
-    if (n_rings == 0) throw UsageError("fitting a spinning LiDAR: no point, expected a few scans");
+    if (n_rings == 0)
+        throw UsageError(
+            "cannot fit a spinning LiDAR: there are no points, expected the "
+            "points of a few scans");
     if (n_rings > kMostRings)
-        throw DataError(fmt::format("fitting a spinning LiDAR: a point of ring {}, expected less than {}",
-                                    n_rings - 1, kMostRings));
+        throw DataError(
+            fmt::format("cannot fit a spinning LiDAR: a point has ring {}, expected a number "
+                        "below {}",
+                        n_rings - 1, kMostRings));
     const Rings rings = rings_of(*fullest, n_rings);
     const Lattice lattice = find_lattice(*fullest, rings);
     const std::vector<std::optional<double>> elevations = elevations_of(scans, n_rings);

@@ -89,7 +89,7 @@ void name_sensor(const JsonField& field, const fs::path& folder, bool spins, Lid
         find_sensor(is_file(".csv") || is_file(".json") || is_file(".npz") ? (folder / name).string() : name,
                     {}, max_range_m);
     if (!std::holds_alternative<SpinningSensor>(model.pattern) && spins)
-        field.fail(fmt::format("found {}, which does not spin", excerpt(name)),
+        field.fail(fmt::format("found the sensor {}, which does not spin", excerpt(name)),
                    "expected a spinning sensor, or \"spins\": false");
     set_sensor(lidar, model);
 }
@@ -103,7 +103,7 @@ void read_sensor(const JsonField& field, bool spins, Lidar& lidar) {
     const JsonField members = kind ? field.at(kind->name) : field;
     set_sensor(lidar, kind ? read_sensor_json(field, "") : spinning_kind().parse(field, ""));
     if (lidar.pattern && spins)
-        field.fail(fmt::format("found a {}, which does not spin", kind->name),
+        field.fail(fmt::format("found a sensor of kind {}, which does not spin", kind->name),
                    "expected a spinning sensor, or \"spins\": false");
     if (!lidar.pattern && !members.has("period_s")) lidar.sensor.period_s = 0.0;
     if (!members.has("max_range_m")) lidar.sensor.max_range_m = max_range_m;
@@ -125,7 +125,8 @@ HeadLidar read_lidar(const JsonField& field, const std::string& file, const fs::
     else if (field.has("sensor")) read_sensor(field.at("sensor"), lidar.spins, lidar.lidar);
     lidar.has_beams = !lidar.lidar.sensor.beams.empty();
     if (lidar.has_beams && !lidar.spins)
-        field.at("spins").fail("found false beside beams", "expected one of the two");
+        field.at("spins").fail("found false for a LiDAR with beams",
+                               "expected true, or a LiDAR without beams");
     lidar.scans = text_or(field, "scans", "", kLongestPath);
     lidar.lowest_first = field.has("ring_0") && choice(field.at("ring_0"), {"highest", "lowest"}) == 1;
     return lidar;
@@ -138,7 +139,7 @@ std::vector<HeadLidar> read_lidars(const JsonField& root, const std::string& fil
         const JsonField field = root.at("lidars");
         for (std::size_t i = 0; i < field.size(); ++i)
             lidars.push_back(read_lidar(field.at(i), file, folder, max_range_m));
-        if (lidars.empty()) field.fail("found no LiDAR", "expected at least one, or no member of that name");
+        if (lidars.empty()) field.fail("found no LiDAR", "expected at least one LiDAR, or no key \"lidars\"");
     } else {
         lidars.emplace_back().lidar.sensor.max_range_m = max_range_m;
     }
@@ -154,7 +155,7 @@ int lidar_number(const JsonField& entry, const std::vector<HeadLidar>& lidars) {
         std::find_if(lidars.begin(), lidars.end(), [&](const HeadLidar& l) { return l.lidar.name == name; });
     if (at == lidars.end())
         entry.at("lidar").fail(fmt::format("found \"{}\"", excerpt(name)),
-                               "expected the name of one of the lidars");
+                               "expected the name of a LiDAR in \"lidars\"");
     return int(at - lidars.begin());
 }
 
@@ -168,7 +169,7 @@ std::vector<HeadFrame> listed_frames(const JsonField& field, const std::vector<H
                           entry.at("time_s").number(-kLargestOfHead, kLargestOfHead),
                           lidar_number(entry, lidars), folder / entry.at("scan").text(kLongestPath)});
     }
-    if (frames.empty()) field.fail("found no frame", "expected at least one");
+    if (frames.empty()) field.fail("found no frame", "expected at least one frame");
     return frames;
 }
 
@@ -202,7 +203,8 @@ std::vector<HeadFrame> frames_in_folders(double rate_hz, const std::vector<HeadL
         const std::string other = number == 0 ? describe_other_files(folder / lidars[l].scans) : "";
         if (number == 0)
             throw DataError(fmt::format(
-                "{}: no scan{}{}, expected files .npz, .exr, .pcd, .ply, .bin, .npy, .csv or .xyz",
+                "{}: no scan was found{}{}, expected files that end in .npz, .exr, .pcd, .ply, .bin, .npy, "
+                ".csv or .xyz",
                 (folder / lidars[l].scans).string(), other.empty() ? "" : ": ", other));
     }
     return frames;
@@ -213,7 +215,7 @@ PointUnits read_units(const JsonField& root) {
     units.columns = texts_or_none(root, "columns");
     if (units.columns.size() > kMostFieldsOfPoint)
         root.at("columns").fail(fmt::format("found {}", units.columns.size()),
-                                fmt::format("expected at most {}", kMostFieldsOfPoint));
+                                fmt::format("expected at most {} names", kMostFieldsOfPoint));
     if (root.has("intensity_max"))
         units.intensity_max = root.at("intensity_max").number(1e-12, kLargestOfHead);
     constexpr double kSeconds[] = {1.0, 1e-3, 1e-6, 1e-9};
@@ -234,7 +236,7 @@ Head read_head(const fs::path& folder, double max_range_m) {
                         "rate_hz", "motion_compensated", "columns", "intensity_max", "time_unit",
                         "point_times", "world_offset_m"});
     if (root.at("format").text() != kFormat)
-        root.at("format").fail("found another one", fmt::format("expected \"{}\"", kFormat));
+        root.at("format").fail("found another format", fmt::format("expected \"{}\"", kFormat));
     root.at("version").integer(1, kVersion);
     Head head;
     head.name = text_or(root, "name", folder.filename().string());
@@ -243,8 +245,9 @@ Head read_head(const fs::path& folder, double max_range_m) {
     head.notes = texts_or_none(root, "notes");
     head.lidars = read_lidars(root, file, folder, max_range_m);
     if (root.has("frames") == root.has("rate_hz"))
-        root.fail(root.has("frames") ? "found frames and rate_hz" : "found neither frames nor rate_hz",
-                  "expected one of the two");
+        root.fail(root.has("frames") ? "found both \"frames\" and \"rate_hz\""
+                                     : "found neither \"frames\" nor \"rate_hz\"",
+                  "expected exactly one of the two keys");
     head.frames = root.has("frames")
                       ? listed_frames(root.at("frames"), head.lidars, folder)
                       : frames_in_folders(root.at("rate_hz").number(1e-3, 1e3), head.lidars, folder);

@@ -161,7 +161,8 @@ void number_returns(Points& points, const std::vector<double>& type) {
 
 std::uint8_t return_of(double number, const std::string& where) {
     if (!(number >= 0.0 && number < 8.0))
-        throw DataError(fmt::format("{}: return {}, expected 0 (the strongest) to 7", where, number));
+        throw DataError(fmt::format("{}: the return number is {}, expected 0 (the strongest return) to 7",
+                                    where, number));
     return std::uint8_t(number);
 }
 
@@ -170,7 +171,7 @@ std::uint8_t return_of(double number, const std::string& where) {
 Points points_of(const PointTable& table, const PointUnits& units, double time_s, const std::string& where) {
     const auto *x = table.find(PointValue::x), *y = table.find(PointValue::y), *z = table.find(PointValue::z);
     if (!x || !y || !z)
-        throw DataError(fmt::format("{}: no field {}, expected x, y and z", where,
+        throw DataError(fmt::format("{}: the field {} is missing, expected x, y and z", where,
                                     !x   ? "x"
                                     : !y ? "y"
                                          : "z"));
@@ -181,8 +182,8 @@ Points points_of(const PointTable& table, const PointUnits& units, double time_s
         const glm::vec3 p = glm::abs(points.position_m[k]);
         if (std::max({p.x, p.y, p.z}) <= kFarthestCoordinate_m) continue;
         const std::size_t i = convert.kept[k];
-        throw DataError(fmt::format("{}: point {}: ({}, {}, {}), expected metres within {}", where, i,
-                                    (*x)[i], (*y)[i], (*z)[i], kFarthestCoordinate_m));
+        throw DataError(fmt::format("{}: point {} is ({}, {}, {}), expected coordinates of at most {} m",
+                                    where, i, (*x)[i], (*y)[i], (*z)[i], kFarthestCoordinate_m));
     }
     const std::string of_point;  // Conversion adds the point's number
     const auto* intensity = table.find(units.intensity_field);

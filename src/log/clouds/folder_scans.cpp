@@ -128,9 +128,10 @@ public:
         Points points = sample == samples_.end() ? read_points(i, plan.undo) : std::move(sample->second);
         if (plan.has_rings == points.ring.empty() || plan.has_times == points.time_offset_s.empty())
             throw DataError(fmt::format(
-                "{}: its points {} rings and {} times, expected what the other scans of the LiDAR have",
-                source_.name(i), points.ring.empty() ? "lack" : "have",
-                points.time_offset_s.empty() ? "lack" : "have"));
+                "{}: its points have {} and {}, unlike the points of other scans of this LiDAR; expected the "
+                "same fields in all scans",
+                source_.name(i), points.ring.empty() ? "no rings" : "rings",
+                points.time_offset_s.empty() ? "no times" : "times"));
         if (!plan.ordered) {
             frame.scan = unordered_scan(points);
             return;
@@ -148,11 +149,12 @@ public:
             return std::reduce(counts.begin(), counts.end());
         };
         if (const std::size_t n = sum(left_out_); n > 0)
-            note(fmt::format("{} points of rings that the fitted scans do not have are left out", n));
+            note(fmt::format("{} points are skipped, because the fitted sensor has no beam for their rings",
+                             n));
         if (const std::size_t n = sum(behind_), all = sum(n_first_); n > 0)
             note(
-                fmt::format("{} of {} points ({:.2g} %) are left out: a nearer one takes their ray, which "
-                            "lies beside no free one",
+                fmt::format("{} of {} points ({:.2g} %) are skipped, because their ray has a nearer point "
+                            "and no neighbouring ray is free",
                             n, all, 100.0 * double(n) / double(all)));
     }
 
@@ -236,13 +238,12 @@ private:
         if (!plan.ordered) sensor.period_s = 0.0;
         if (plan.ordered && !plan.has_times && !head_.motion_compensated)
             note(l,
-                 "points have no times: a ray was fired when a head that faces forward at the frame's time "
-                 "got there");
+                 "the points have no times; their times are computed from their azimuths for a head that "
+                 "faces forward at the time of the frame");
         if (head_.motion_compensated && !plan.undo)
             note(l,
-                 "scans are motion-compensated, and points have no times (or the log no poses) to undo it: "
-                 "rays start at the sensor of the "
-                 "frame's time");
+                 "the scans are motion-compensated, which cannot be undone without times of points and "
+                 "poses; all rays start at the position of the sensor at the time of the frame");
         for (std::size_t k = 0; k < samples.size(); ++k) {
             // Remove the rings again, because they were estimated only to fit the sensor.
             if (!plan.has_rings) samples[k].ring.clear();
@@ -257,7 +258,9 @@ private:
         for (std::size_t k = 0; k < n; ++k)
             plan.beam_of_ring.push_back(std::uint16_t(head_.lidars[l].lowest_first ? n - 1 - k : k));
         if (!plan.has_rings)
-            note(l, "points have no rings: each is taken for one of the beam that passes nearest");
+            note(l,
+                 "the points have no rings; each point is assigned to the beam with the nearest "
+                 "elevation");
     }
 
     void fit_beams(std::size_t l, std::vector<Points>& samples) {
@@ -265,8 +268,8 @@ private:
         SpinningSensor& sensor = sequence_.lidars[l].sensor;
         if (!plan.has_rings && !find_rings(l, samples)) {
             note(l,
-                 "points have no rings, and neither their order nor their elevations show them: rays that "
-                 "were dropped are unknown, and so is the order of an image" +
+                 "the points have no rings, and neither their order nor their elevations show the rings; "
+                 "therefore dropped rays and the order of the rays in an image are unknown" +
                      way_out(l));
             return;
         }
@@ -275,8 +278,8 @@ private:
         std::string why = found ? explain_missing_head(samples, *found, step_s) : "";
         if (found && why.empty() && !plan.has_rings) why = why_thinned(samples, *found);
         if (!why.empty()) {
-            note(l, fmt::format("{}: no spinning head, so points are taken as they are, a ray each, and rays "
-                                "that were dropped are unknown{}",
+            note(l, fmt::format("{}, so the sensor does not spin: each point becomes one ray, and dropped "
+                                "rays are unknown{}",
                                 why, plan.has_rings ? "" : way_out(l)));
             found = std::nullopt;
         }
@@ -288,9 +291,10 @@ private:
         found->divergence_rad = sensor.divergence_rad;
         sensor = *found;
         plan.ordered = true;
-        note(l, fmt::format("{} beams x {} columns are fitted to its points{}", found->beams.size(),
-                            found->columns,
-                            plan.order        ? ", which have no rings; their order in the file shows them"
+        note(l, fmt::format("a sensor with {} beams and {} columns was fitted to the points{}",
+                            found->beams.size(), found->columns,
+                            plan.order        ? ", which have no rings; their order in the file shows the "
+                                                "rings"
                             : !plan.has_rings ? ", which have no rings"
                                               : ""));
     }
@@ -315,26 +319,29 @@ private:
     /// string if the log is not a plain folder.
     std::string way_out(std::size_t l) const {
         return head_.lidars[l].is_guessed ? ""
-                                          : "; \"sensor\" of the LiDAR in sequence.json states its beams";
+                                          : "; use \"sensor\" of the LiDAR in sequence.json to set its "
+                                            "beams";
     }
 
     std::optional<SpinningSensor> fitted(std::size_t l, const std::vector<Points>& samples, double period_s) {
         try {
             const FittedSensor fit = fit_sensor(samples, period_s);
             if (fit.sensor.beams.size() * std::size_t(fit.sensor.columns) > kMaxRays)
-                throw DataError(fmt::format("{} beams x {} columns, expected at most {} rays",
-                                            fit.sensor.beams.size(), fit.sensor.columns, kMaxRays));
+                throw DataError(
+                    fmt::format("the fitted sensor has {} beams and {} columns, expected at "
+                                "most {} rays",
+                                fit.sensor.beams.size(), fit.sensor.columns, kMaxRays));
             plans_[l].beam_of_ring = fit.beam_of_ring;
             return fit.sensor;
         } catch (const DataError& error) {
             if (head_.lidars[l].is_guessed) {
-                note(l, fmt::format("{}: points are taken as they are, a ray each, and rays that were "
-                                    "dropped are unknown",
+                note(l, fmt::format("{}; therefore each point becomes one ray, and dropped rays are unknown",
                                     error.what()));
                 return std::nullopt;
             }
             throw DataError(
-                fmt::format("{}: LiDAR '{}': {}; \"spins\": false in sequence.json takes points as they are",
+                fmt::format("{}: LiDAR '{}': {}; use \"spins\": false in sequence.json to read each point "
+                            "as one ray",
                             sequence_.source, sequence_.lidars[l].name, error.what()));
         }
     }
@@ -347,8 +354,10 @@ private:
             const std::uint16_t ring = points.ring[p],
                                 beam = ring < plan.beam_of_ring.size() ? plan.beam_of_ring[ring] : kNoBeam;
             if (beam == kNoBeam && head_.lidars[std::size_t(sequence_.frames[i].lidar)].has_beams)
-                throw DataError(fmt::format("{}: a point of ring {}, expected one of {} beams",
-                                            source_.name(i), ring, plan.beam_of_ring.size()));
+                throw DataError(
+                    fmt::format("{}: a point has ring {}, expected the number of one of {} "
+                                "beams",
+                                source_.name(i), ring, plan.beam_of_ring.size()));
             if (beam == kNoBeam) {
                 ++left_out_[i];
                 continue;
@@ -412,7 +421,7 @@ void find_units(Head& head, const std::vector<fs::path>& files, std::vector<std:
     std::erase(meaning.notes, meaning.scale.about);
     if (!head.units.intensity_max && meaning.scale.is_sure && meaning.scale.max > 1.0) {
         head.units.intensity_max = meaning.scale.max;
-        notes.push_back(meaning.scale.about + "; intensity_max in sequence.json states another scale");
+        notes.push_back(meaning.scale.about + "; use intensity_max in sequence.json to set another scale");
     }
     notes.insert(notes.end(), meaning.notes.begin(), meaning.notes.end());
 }

@@ -20,8 +20,8 @@ Pose rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const
     }
     if (!(worst <= 1e-3) || glm::determinant(rotation) < 0.0) {
         throw DataError(fmt::format(
-            "{}: the 3x3 block is no rotation (R^T R differs from 1 by {:.3g}, determinant {:.3g}), "
-            "expected orthonormal within 0.001",
+            "{}: the 3x3 block is not a rotation: R^T R differs from the identity by {:.3g} and the "
+            "determinant is {:.3g}, expected an orthonormal matrix within 0.001",
             where, worst, glm::determinant(rotation)));
     }
     return {glm::normalize(glm::quat_cast(rotation)), translation};

@@ -73,17 +73,19 @@ std::string explain_missing_head(const std::vector<Points>& scans, const Spinnin
     if (fullest == scans.end()) return "";
     if (const double spread = spread_of_rings(*fullest); spread > kMostSpread_rad)
         return fmt::format(
-            "rings have no elevations of their own (points of one lie {:.1f} degrees apart, as where clouds "
-            "of several LiDARs were merged)",
+            "the points of one ring differ in elevation by {:.1f} degrees, probably because clouds of "
+            "several LiDARs were merged",
             spread * 180.0 / kPi);
     const double gap = widest_gap(scans);
     if (gap < kLeastGap_rad) return "";
     const std::string window =
-        fmt::format("points lie within {:.0f} degrees of azimuth", 360.0 - gap * 180.0 / kPi);
+        fmt::format("all points are within {:.0f} degrees of azimuth", 360.0 - gap * 180.0 / kPi);
     if (fullest->time_offset_s.empty()) return "";
     if (std::abs(fitted.period_s - step_s) < kOtherPeriod * step_s) return "";
-    return fmt::format("{}, at a rate by which a turn would take {:.3f} s in scans {:.3f} s apart", window,
-                       fitted.period_s, step_s);
+    return fmt::format(
+        "{}, and the times of the points give a turn of {:.3f} s, but scans are {:.3f} s "
+        "apart",
+        window, fitted.period_s, step_s);
 }
 
 }  // namespace relidar

@@ -27,13 +27,13 @@ std::string describe_stranger(const fs::path& folder, const std::string& marker)
     std::error_code failed;
     const auto has = [&](const char* name) { return fs::exists(folder / name, failed); };
     if ((has("velodyne") && (has("times.txt") || has("calib.txt"))) || has("sequences"))
-        return "a KITTI odometry sequence, whose scans are motion-compensated; expected its calib.txt there "
-               "too, or the drive of KITTI raw "
-               "that it was cut from";
+        return "the folder is a KITTI odometry sequence with motion-compensated scans; expected also its "
+               "file calib.txt, or the KITTI raw drive from which the sequence was made";
     for (fs::path up = fs::canonical(folder, failed).parent_path(); !failed && up.has_relative_path();
          up = up.parent_path()) {
         if (fs::exists(up / marker, failed))
-            return fmt::format("something within a dataset; expected {}", up.string());
+            return fmt::format("the folder is inside a dataset; use the folder of the dataset, {}",
+                               up.string());
     }
     std::string first;
     std::size_t n = 0;
@@ -44,8 +44,10 @@ std::string describe_stranger(const fs::path& folder, const std::string& marker)
         if (n++ == 0 || name < first) first = name;
     }
     return n == 0 ? ""
-                  : fmt::format("a folder that holds {} dataset{}; expected one of them, as {}", n,
-                                n == 1 ? "" : "s", (folder / first).string());
+                  : fmt::format(
+                        "the folder contains {} dataset{}; use the folder of one of them, such as "
+                        "{}",
+                        n, n == 1 ? "" : "s", (folder / first).string());
 }
 
 std::string note_gaps(const fs::path& folder, const std::vector<int>& frames, bool allow_missing) {
@@ -57,14 +59,14 @@ std::string note_gaps(const fs::path& folder, const std::vector<int>& frames, bo
         for (int frame = frames[i - 1] + 1; frame < frames[i] && shown.size() < kShown; ++frame)
             shown.push_back(frame);
     }
-    const std::string gaps = fmt::format("{} of the scans {} to {} missing ({}{})", n, frames.front(),
+    const std::string gaps = fmt::format("{} of the scans {} to {} are missing ({}{})", n, frames.front(),
                                          frames.back(), fmt::join(shown, ", "), n > kShown ? ", ..." : "");
-    if (!allow_missing) throw DataError(fmt::format("{}: {}, expected all", folder.string(), gaps));
-    return gaps + ": left out";
+    if (!allow_missing) throw DataError(fmt::format("{}: {}, expected all scans", folder.string(), gaps));
+    return gaps;
 }
 
 std::vector<int> list_scans(const fs::path& folder, int begin, int end) {
-    check_folder(folder, "KITTI raw scans %010d.bin in it");
+    check_folder(folder, "KITTI raw scans with names like 0000000000.bin");
     std::vector<int> all, frames;
     bool text_scans = false;
     for (const fs::path& file : list_folder(folder)) {
@@ -72,21 +74,28 @@ std::vector<int> list_scans(const fs::path& folder, int begin, int end) {
         if (file.extension() == ".bin" && number) all.push_back(*number);
         else if (file.extension() == ".bin" &&
                  file.stem().string().find_first_not_of("0123456789") == std::string::npos)
-            throw DataError(fmt::format("{}: the number of a scan, expected below 100000000", file.string()));
+            throw DataError(
+                fmt::format("{}: the number of a scan is too large, expected a number below "
+                            "100000000",
+                            file.string()));
         text_scans = text_scans || file.extension() == ".txt";
     }
     if (all.empty() && text_scans)
         throw DataError(
-            fmt::format("{}: scans as text, as an unsynced drive (_extract) has them; expected files "
-                        "%010d.bin of its _sync",
+            fmt::format("{}: the scans are text files, so this is an unsynced drive (_extract); expected "
+                        "the synced drive (_sync) with files like 0000000000.bin",
                         folder.string()));
-    if (all.empty()) throw DataError(fmt::format("{}: no scans, expected files %010d.bin", folder.string()));
+    if (all.empty())
+        throw DataError(
+            fmt::format("{}: no scans were found, expected files like "
+                        "0000000000.bin",
+                        folder.string()));
     std::sort(all.begin(), all.end());
     std::copy_if(all.begin(), all.end(), std::back_inserter(frames),
                  [&](int f) { return f >= begin && (end < 0 || f < end); });
     if (frames.empty()) {
-        throw UsageError(fmt::format("frames {}:{}: no scan of {} lies in it, expected numbers in [{}, {}]",
-                                     begin, end < 0 ? "" : std::to_string(end), folder.string(), all.front(),
+        throw UsageError(fmt::format("frames {}:{} select no scan of {}, expected numbers in [{}, {}]", begin,
+                                     end < 0 ? "" : std::to_string(end), folder.string(), all.front(),
                                      all.back()));
     }
     return frames;
@@ -95,10 +104,12 @@ std::vector<int> list_scans(const fs::path& folder, int begin, int end) {
 std::vector<glm::vec4> read_scan(const fs::path& file) {
     const std::string bytes = read_file(file);
     static_assert(sizeof(glm::vec4) == 16);
-    if (bytes.empty()) throw DataError(fmt::format("{}: empty, expected points of 16 bytes", file.string()));
+    if (bytes.empty())
+        throw DataError(fmt::format("{}: the file is empty, expected points of 16 bytes", file.string()));
     if (bytes.size() % 16 != 0) {
         throw DataError(
-            fmt::format("{}: truncated: {} bytes, expected a multiple of 16 ({} points and {} bytes)",
+            fmt::format("{}: the file is truncated: it has {} bytes, which are {} points of 16 bytes and "
+                        "{} more bytes",
                         file.string(), bytes.size(), bytes.size() / 16, bytes.size() % 16));
     }
     std::vector<glm::vec4> points(bytes.size() / 16);
@@ -108,7 +119,8 @@ std::vector<glm::vec4> read_scan(const fs::path& file) {
         const double largest = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
         if (!is_return(p) || (std::isfinite(p.w) && largest <= kFarthestReturn_m)) continue;
         throw DataError(
-            fmt::format("{}: point {} is ({}, {}, {}) with intensity {}, expected finite values within {} m",
+            fmt::format("{}: point {} is ({}, {}, {}) with intensity {}, expected finite values and "
+                        "coordinates of at most {} m",
                         file.string(), i, p.x, p.y, p.z, p.w, kFarthestReturn_m));
     }
     std::erase_if(points, [](const glm::vec4& p) { return !is_return(p); });

@@ -74,7 +74,7 @@ std::vector<Pose> read_pose_file(const std::filesystem::path& file, const std::v
 
 /// Note that is added to a log if the user requested to load it without poses.
 inline constexpr const char* kNoPosesNote =
-    "no poses are read (dataset.poses=none): they have to be found from the scans";
+    "poses are not read (dataset.poses=none); they must be estimated from the scans";
 
 /// Replaces the vehicle poses of a log by the poses in the file
 /// DatasetOptions::poses_file. Keeps the positions of boxes relative to the vehicle. Does

@@ -17,30 +17,30 @@ struct OtherFormat {
     const char* tool;
 };
 constexpr OtherFormat kOtherFormats[] = {
-    {".las", "a LAS file", "'pdal translate IN.las OUT.ply' writes points of one scan"},
-    {".laz", "a LAZ file", "'pdal translate IN.laz OUT.ply' writes points of one scan"},
-    {".e57", "an E57 file", "'pdal translate IN.e57 OUT.ply' writes points of one scan"},
-    {".pts", "a PTS file", "CloudCompare saves it as PLY"},
-    {".ptx", "a PTX file", "CloudCompare saves it as PLY"},
-    {".vtp", "a VTK file", "ParaView saves it as CSV"},
-    {".vtk", "a VTK file", "ParaView saves it as CSV"},
-    {".lvx", "a Livox recording", "livox_ros_driver converts it to a ROS bag"},
-    {".lvx2", "a Livox recording", "livox_ros_driver2 converts it to a ROS bag"},
-    {".osf", "an Ouster OSF file", "'ouster-cli source IN.osf save OUT.pcap' converts it"},
-    {".rosbag", "a recording of another version", "'rosbags-convert' converts it to a ROS bag"},
-    {".record", "an Apollo Cyber record", "'cyber_record' extracts its clouds as PCD"},
-    {".h5", "an HDF5 file", "Python's h5py and numpy.save write its points as npy"},
-    {".hdf5", "an HDF5 file", "Python's h5py and numpy.save write its points as npy"},
-    {".parquet", "a Parquet file", "Python's pandas writes its points as CSV"},
-    {".mat", "a MATLAB file", "MATLAB's pcwrite writes its points as PCD"},
-    {".gz", "a gzip file", "'gunzip' unpacks it"},
-    {".zst", "a Zstandard file", "'zstd -d' unpacks it"},
-    {".zstd", "a Zstandard file", "'zstd -d' unpacks it"},
-    {".xz", "an xz file", "'unxz' unpacks it"},
-    {".zip", "a zip file", "'unzip' unpacks it"},
-    {".7z", "a 7z file", "'7z x' unpacks it"},
-    {".tar", "a tar file", "'tar xf' unpacks it"},
-    {".tgz", "a tar file", "'tar xf' unpacks it"},
+    {".las", "a LAS file", "convert it with 'pdal translate IN.las OUT.ply'"},
+    {".laz", "a LAZ file", "convert it with 'pdal translate IN.laz OUT.ply'"},
+    {".e57", "an E57 file", "convert it with 'pdal translate IN.e57 OUT.ply'"},
+    {".pts", "a PTS file", "save it as PLY with CloudCompare"},
+    {".ptx", "a PTX file", "save it as PLY with CloudCompare"},
+    {".vtp", "a VTK file", "save it as CSV with ParaView"},
+    {".vtk", "a VTK file", "save it as CSV with ParaView"},
+    {".lvx", "a Livox recording", "convert it to a ROS bag with livox_ros_driver"},
+    {".lvx2", "a Livox recording", "convert it to a ROS bag with livox_ros_driver2"},
+    {".osf", "an Ouster OSF file", "convert it with 'ouster-cli source IN.osf save OUT.pcap'"},
+    {".rosbag", "a rosbag recording of another version", "convert it to a ROS bag with 'rosbags-convert'"},
+    {".record", "an Apollo Cyber record", "extract its clouds as PCD with 'cyber_record'"},
+    {".h5", "an HDF5 file", "save its points as npy with Python (h5py and numpy.save)"},
+    {".hdf5", "an HDF5 file", "save its points as npy with Python (h5py and numpy.save)"},
+    {".parquet", "a Parquet file", "save its points as CSV with Python (pandas)"},
+    {".mat", "a MATLAB file", "save its points as PCD with pcwrite of MATLAB"},
+    {".gz", "a gzip file", "unpack it with 'gunzip'"},
+    {".zst", "a Zstandard file", "unpack it with 'zstd -d'"},
+    {".zstd", "a Zstandard file", "unpack it with 'zstd -d'"},
+    {".xz", "an xz file", "unpack it with 'unxz'"},
+    {".zip", "a zip file", "unpack it with 'unzip'"},
+    {".7z", "a 7z file", "unpack it with '7z x'"},
+    {".tar", "a tar file", "unpack it with 'tar xf'"},
+    {".tgz", "a tar file", "unpack it with 'tar xf'"},
 };
 
 }  // namespace
@@ -50,7 +50,7 @@ std::string describe_other_format(const std::filesystem::path& file) {
     std::ranges::transform(ending, ending.begin(), [](unsigned char c) { return char(std::tolower(c)); });
     for (const OtherFormat& format : kOtherFormats)
         if (ending == format.ending)
-            return fmt::format("{}, which relidar does not read; {}", format.what, format.tool);
+            return fmt::format("{}, which relidar cannot read; {}", format.what, format.tool);
     return "";
 }
 

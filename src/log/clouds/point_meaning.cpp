@@ -49,10 +49,11 @@ void choose_intensity(const std::vector<PointTable>& clouds, PointMeaning& meani
     meaning.intensity_field = used == names.end() ? names[0] : *used;
     const bool is_usual = meaning.intensity_field == "intensity" || meaning.intensity_field == "reflectivity";
     if (used == names.end())
-        meaning.notes.push_back(fmt::format("the field '{}' is 0 at all points", excerpt(names[0])));
+        meaning.notes.push_back(
+            fmt::format("the intensity field '{}' is 0 for all points", excerpt(names[0])));
     else if (used != names.begin())
         meaning.notes.push_back(
-            fmt::format("intensities are read from the field '{}', because '{}' is 0 at all points",
+            fmt::format("intensities are read from the field '{}', because '{}' is 0 for all points",
                         excerpt(*used), excerpt(names[0])));
     else if (!is_usual)
         meaning.notes.push_back(fmt::format("intensities are read from the field '{}'", excerpt(*used)));
@@ -65,7 +66,8 @@ void list_unread(const std::vector<PointTable>& clouds, PointMeaning& meaning) {
     if (unread.empty()) return;
     meaning.notes.push_back(
         fmt::format("fields of the points that are not read: {} (intensities: {})", fmt::join(unread, ", "),
-                    meaning.intensity_field.empty() ? "none, because no field has a name for them"
+                    meaning.intensity_field.empty() ? "none, because no field has a known name of "
+                                                      "intensities"
                                                     : "'" + excerpt(meaning.intensity_field) + "'"));
 }
 
@@ -108,15 +110,15 @@ IntensityScale find_scale(std::vector<double>& intensities) {
     if (highest <= 1.0) return scale;
     if (highest <= kByte) {
         scale.max = kByte;
-        scale.about = fmt::format("intensities up to {:.4g} are read as shares of 255{}", highest,
-                                  scale.is_sure ? "" : ", but percent would fit them, too");
+        scale.about = fmt::format("intensities up to {:.4g} are divided by 255{}", highest,
+                                  scale.is_sure ? "" : ", but they could also be percentages");
         return scale;
     }
     const auto at = intensities.begin() + std::ptrdiff_t(kFewBrighter * double(intensities.size() - 1));
     std::nth_element(intensities.begin(), at, intensities.end());
     scale.max = std::max(*at, 1.0);
     scale.about =
-        fmt::format("intensities up to {:.4g}: {:.4g}, above which 0.5 % of the points are, counts as 1",
+        fmt::format("intensities go up to {:.4g}; they are divided by {:.4g}, their 99.5th percentile",
                     highest, scale.max);
     return scale;
 }
@@ -136,7 +138,8 @@ PointMeaning find_meaning(const std::vector<PointTable>& clouds) {
         if (!meaning.no_return) meaning.no_return = repeated_position(cloud);
     if (meaning.no_return)
         meaning.notes.push_back(
-            fmt::format("many points have exactly the position ({}, {}, {}): they count as dropped rays",
+            fmt::format("many points have exactly the position ({}, {}, {}); they are read as rays without "
+                        "return",
                         meaning.no_return->x, meaning.no_return->y, meaning.no_return->z));
     return meaning;
 }

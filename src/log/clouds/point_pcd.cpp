@@ -42,12 +42,12 @@ std::vector<double> numbers_of(const std::vector<std::string>& words, const std:
     for (std::size_t i = 1; i < words.size(); ++i) {
         const auto number = parse_number(words[i]);
         if (!number || !(*number >= 0.0 && *number <= 1e9) || *number != double(std::int64_t(*number)))
-            throw DataError(
-                fmt::format("{}: {} '{}', expected a whole number", where, words[0], excerpt(words[i])));
+            throw DataError(fmt::format("{}: found {} '{}', expected a whole number", where, words[0],
+                                        excerpt(words[i])));
         numbers.push_back(*number);
     }
     if (numbers.empty())
-        throw DataError(fmt::format("{}: {} without a number, expected one", where, words[0]));
+        throw DataError(fmt::format("{}: the line {} has no number, expected at least one", where, words[0]));
     return numbers;
 }
 
@@ -56,7 +56,8 @@ PcdHeader parse_pcd_header(std::string_view bytes, const std::string& where) {
     while (header.data.empty()) {
         const std::size_t end = bytes.find('\n', header.length);
         if (end == std::string_view::npos)
-            throw DataError(fmt::format("{}: no line DATA, expected the header of a PCD file", where));
+            throw DataError(
+                fmt::format("{}: the line DATA is missing, expected the header of a PCD file", where));
         const std::vector<std::string> words = words_of(bytes.substr(header.length, end - header.length));
         header.length = end + 1;
         if (words.empty() || words[0].front() == '#') continue;
@@ -70,8 +71,10 @@ PcdHeader parse_pcd_header(std::string_view bytes, const std::string& where) {
             for (std::size_t i = 1; i < words.size(); ++i) header.types += words[i].front();
         else if (words[0] == "DATA") header.data = words.size() == 2 ? words[1] : "?";
         else if (words[0] != "VERSION" && words[0] != "VIEWPOINT")
-            throw DataError(fmt::format("{}: the line '{}', expected the header of a PCD file", where,
-                                        excerpt(words[0])));
+            throw DataError(
+                fmt::format("{}: found a line that starts with '{}', expected the header of a "
+                            "PCD file",
+                            where, excerpt(words[0])));
     }
     if (header.points < 0.0) header.points = header.width * header.height;
     if (header.counts.empty()) header.counts.assign(header.names.size(), 1.0);
@@ -82,28 +85,29 @@ std::vector<PointField> fields_of(const PcdHeader& header, const std::string& wh
     const std::size_t n = header.names.size();
     if (n == 0 || n > kMostPcdFields || header.sizes.size() != n || header.types.size() != n ||
         header.counts.size() != n)
-        throw DataError(fmt::format("{}: {} FIELDS, {} SIZE, {} TYPE, {} COUNT, expected 1 to {} of each",
-                                    where, n, header.sizes.size(), header.types.size(), header.counts.size(),
-                                    kMostPcdFields));
+        throw DataError(fmt::format(
+            "{}: found {} FIELDS, {} SIZE, {} TYPE and {} COUNT, expected the same "
+            "number of each, 1 to {}",
+            where, n, header.sizes.size(), header.types.size(), header.counts.size(), kMostPcdFields));
     std::vector<PointField> fields;
     double record = 0.0;
     for (std::size_t i = 0; i < n; ++i) {
         if (header.counts[i] < 1.0)
-            throw DataError(fmt::format("{}: COUNT 0 of field '{}', expected at least 1", where,
+            throw DataError(fmt::format("{}: COUNT of the field '{}' is 0, expected at least 1", where,
                                         excerpt(header.names[i])));
         record += header.sizes[i] * header.counts[i];
         fields.push_back(
             {header.names[i], header.types[i], std::size_t(header.sizes[i]), std::size_t(header.counts[i])});
     }
     if (record > double(kMostBytes))
-        throw DataError(fmt::format("{}: {} bytes a point (SIZE, COUNT), expected at most {}", where, record,
-                                    kMostBytes));
+        throw DataError(fmt::format("{}: a point has {} bytes (SIZE and COUNT), expected at most {}", where,
+                                    record, kMostBytes));
     return fields;
 }
 
 [[noreturn]] void fail_packed(const std::string& where) {
     throw DataError(
-        fmt::format("{}: its compressed data is damaged, expected LZF of the size that is given", where));
+        fmt::format("{}: the compressed data is damaged, expected LZF data of the size in the file", where));
 }
 
 /// Decompresses LZF data. If a byte b is less than 32, b + 1 literal bytes follow.
@@ -141,15 +145,19 @@ std::string unpack_lzf(std::string_view packed, std::size_t size, const std::str
 /// compressed bytes. The result is stored field by field.
 std::string unpack(std::string_view data, const std::string& where) {
     if (data.size() < 8)
-        throw DataError(fmt::format("{}: truncated: {} bytes behind the header, expected 8 with sizes", where,
-                                    data.size()));
+        throw DataError(
+            fmt::format("{}: the file is truncated: found {} bytes after the header, expected "
+                        "at least 8 with the sizes of the data",
+                        where, data.size()));
     std::uint32_t packed = 0, size = 0;
     std::memcpy(&packed, data.data(), 4);
     std::memcpy(&size, data.data() + 4, 4);
     data.remove_prefix(8);
     if (packed > data.size() || size / kMostExpansion > packed)
         throw DataError(
-            fmt::format("{}: {} compressed bytes of {}, and {} are there", where, packed, size, data.size()));
+            fmt::format("{}: found sizes of {} compressed and {} unpacked bytes, but the file has {} bytes "
+                        "of compressed data",
+                        where, packed, size, data.size()));
     return unpack_lzf(data.substr(0, packed), size, where);
 }
 
@@ -164,7 +172,7 @@ PointTable read_pcd(const SharedBytes& file, const std::string& where) {
     if (header.data == "binary") return read_packed(file.with(data), fields, n, Packing::by_point, where);
     if (header.data == "binary_compressed")
         return read_packed(share_bytes(unpack(data, where)), fields, n, Packing::by_field, where);
-    throw DataError(fmt::format("{}: DATA '{}', expected ascii, binary or binary_compressed", where,
+    throw DataError(fmt::format("{}: found DATA '{}', expected ascii, binary or binary_compressed", where,
                                 excerpt(header.data)));
 }
 

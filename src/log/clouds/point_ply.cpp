@@ -28,8 +28,10 @@ PointField field_of(const std::string& type, const std::string& name, const std:
                                      {"ushort", "uint16", 'U', 2}, {"uint", "uint32", 'U', 4}};
     for (const Row& row : kTypes)
         if (type == row.name || type == row.other) return {name, row.kind, row.size};
-    throw DataError(fmt::format("{}: property '{}' of type '{}', expected a number of a vertex", where,
-                                excerpt(name), excerpt(type)));
+    throw DataError(
+        fmt::format("{}: the property '{}' has the type '{}', expected a number type (lists "
+                    "are not supported)",
+                    where, excerpt(name), excerpt(type)));
 }
 
 struct PlyHeader {
@@ -48,12 +50,13 @@ void parse_line(const std::string& line, PlyHeader& header, int& elements, const
     } else if (keyword == "element") {
         const auto n = parse_number(b);
         if (++elements == 1 && (a != "vertex" || !n || !(*n >= 0.0 && *n <= 1e9)))
-            throw DataError(fmt::format("{}: '{}', expected 'element vertex N' first", where, excerpt(line)));
+            throw DataError(fmt::format("{}: found '{}', expected 'element vertex N' as the first element",
+                                        where, excerpt(line)));
         if (elements == 1) header.n = std::size_t(*n);
     } else if (keyword == "property" && elements == 1) {
         if (header.fields.size() >= kMostPlyFields)
-            throw DataError(
-                fmt::format("{}: more than {} properties, expected fewer", where, kMostPlyFields));
+            throw DataError(fmt::format("{}: found more than {} properties of a vertex, expected fewer",
+                                        where, kMostPlyFields));
         header.fields.push_back(field_of(a, b, where));
     }
 }
@@ -62,11 +65,14 @@ PlyHeader parse_ply_header(std::string_view bytes, const std::string& where) {
     PlyHeader header;
     int elements = 0;
     if (!bytes.starts_with("ply"))
-        throw DataError(fmt::format("{}: it does not begin with 'ply', expected a PLY file", where));
+        throw DataError(fmt::format("{}: the file does not begin with 'ply', expected a PLY file", where));
     for (std::string_view line; line != "end_header";) {
         const std::size_t end = bytes.find('\n', header.length);
         if (end == std::string_view::npos)
-            throw DataError(fmt::format("{}: no line end_header, expected the header of a PLY file", where));
+            throw DataError(
+                fmt::format("{}: the line end_header is missing, expected the header of a PLY "
+                            "file",
+                            where));
         line = trimmed(bytes.substr(header.length, end - header.length));
         header.length = end + 1;
         parse_line(std::string(line), header, elements, where);
@@ -82,7 +88,7 @@ PointTable read_ply(const SharedBytes& file, const std::string& where) {
     if (header.format == "ascii") return read_lines(data, header.fields, header.n, where);
     if (header.format == "binary_little_endian")
         return read_packed(file.with(data), header.fields, header.n, Packing::by_point, where);
-    throw DataError(fmt::format("{}: format '{}', expected ascii or binary_little_endian", where,
+    throw DataError(fmt::format("{}: found the format '{}', expected ascii or binary_little_endian", where,
                                 excerpt(header.format)));
 }
 

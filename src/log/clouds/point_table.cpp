@@ -106,13 +106,14 @@ NumberType type_of(const PointField& field, const std::string& where) {
     for (const NumberTypeRow& row : kNumberTypes)
         if (row.kind == field.kind && row.size == field.size) return row.type;
     throw DataError(
-        fmt::format("{}: field '{}' of type {}{}, expected F4, F8 or I or U of 1, 2, 4 or 8 bytes", where,
-                    excerpt(field.name), excerpt(std::string(1, field.kind)), field.size));
+        fmt::format("{}: the field '{}' has the type {}{}, expected F4, F8, or I or U with 1, 2, 4 or 8 "
+                    "bytes",
+                    where, excerpt(field.name), excerpt(std::string(1, field.kind)), field.size));
 }
 
 void check_count(std::size_t n, const std::string& where) {
     if (n == 0 || n > kMostPoints)
-        throw DataError(fmt::format("{}: {} points, expected 1 to {}", where, n, kMostPoints));
+        throw DataError(fmt::format("{}: found {} points, expected 1 to {}", where, n, kMostPoints));
 }
 
 PointTable read_bin(const fs::path& file, const std::vector<std::string>& columns) {
@@ -123,7 +124,8 @@ PointTable read_bin(const fs::path& file, const std::vector<std::string>& column
     const std::size_t record = fields.size() * sizeof(float);
     if (n_bytes % record != 0)
         throw DataError(
-            fmt::format("{}: {} bytes, expected a multiple of {}: {} float32 a point (\"columns\")",
+            fmt::format("{}: found {} bytes, expected a multiple of {} bytes for points of {} float32 "
+                        "values (\"columns\" in sequence.json)",
                         file.string(), n_bytes, record, fields.size()));
     PointTable table = read_packed(data, fields, n_bytes / record, Packing::by_point, file.string());
     // Clear the list, because read_head() already reports the columns that are not read.
@@ -137,9 +139,11 @@ PointTable read_npy_points(const fs::path& file, const std::vector<std::string>&
     NamedArray array = read_npy(file);
     if (array.shape.size() != 2 || array.shape[1] != columns.size())
         throw DataError(fmt::format(
-            "{}: an array of {} dimensions{}, expected [points, {}] (\"columns\")", file.string(),
-            array.shape.size(),
-            array.shape.empty() ? "" : fmt::format(", the last of {}", array.shape.back()), columns.size()));
+            "{}: found an array of {} dimensions{}, expected the shape [points, {}] (\"columns\" in "
+            "sequence.json)",
+            file.string(), array.shape.size(),
+            array.shape.empty() ? "" : fmt::format(", whose last dimension is {}", array.shape.back()),
+            columns.size()));
     check_count(array.shape[0], file.string());
     const auto* known = std::ranges::find(kNumberTypes, array.dtype, &NumberTypeRow::numpy);
     if (known == std::end(kNumberTypes) || array.bytes.size() != array.count() * known->size) {
@@ -191,7 +195,7 @@ const FieldValues* PointTable::find(PointValue value) const {
 
 void PointTable::add(const std::string& name, const FieldValues& values, const std::string& where) {
     if (!fields_.emplace(name, values).second)
-        throw DataError(fmt::format("{}: field '{}' twice, expected it once", where, name));
+        throw DataError(fmt::format("{}: the field '{}' occurs twice, expected it once", where, name));
 }
 
 void PointTable::remove(PointValue value) {
@@ -209,8 +213,10 @@ PointTable read_packed(const SharedBytes& data, const std::vector<PointField>& f
         record += field.size * field.count;
     }
     if (data.bytes.size() / n < record)
-        throw DataError(fmt::format("{}: truncated: {} bytes of points, expected {} x {}", where,
-                                    data.bytes.size(), n, record));
+        throw DataError(
+            fmt::format("{}: the file is truncated: found {} bytes of points, expected {} "
+                        "points of {} bytes",
+                        where, data.bytes.size(), n, record));
     PointTable table(n);
     table.keep(data.memory);
     std::size_t before = 0;  // number of bytes of the previous fields in a point
@@ -232,8 +238,8 @@ PointTable read_lines(std::string_view text, const std::vector<PointField>& fiel
                       const std::string& where) {
     check_count(n, where);
     if (n > text.size())
-        throw DataError(
-            fmt::format("{}: truncated: {} bytes of text, expected {} points", where, text.size(), n));
+        throw DataError(fmt::format("{}: the file is truncated: found {} bytes of text, expected {} points",
+                                    where, text.size(), n));
     struct Column {
         std::size_t place;  ///< index in the line
         const std::string& name;
@@ -249,7 +255,7 @@ PointTable read_lines(std::string_view text, const std::vector<PointField>& fiel
         const std::size_t end = std::min(text.find('\n'), text.size());
         const auto numbers = parse_numbers(text.substr(0, end));
         if (!numbers || numbers->size() != width)
-            throw DataError(fmt::format("{}: point {}: '{}', expected {} numbers", where, i,
+            throw DataError(fmt::format("{}: point {} is '{}', expected {} numbers", where, i,
                                         excerpt(text.substr(0, end)), width));
         for (Column& column : kept) column.values[i] = (*numbers)[column.place];
         text.remove_prefix(std::min(end + 1, text.size()));
@@ -302,7 +308,8 @@ PointTable read_point_file(const fs::path& file, const std::vector<std::string>&
     if (const std::string other = describe_other_format(file); !other.empty())
         throw DataError(fmt::format("{}: {}", file.string(), other));
     throw DataError(
-        fmt::format("{}: the ending '{}', expected .npz, .exr, .pcd, .ply, .bin, .npy, .csv or .xyz",
+        fmt::format("{}: found the file name ending '{}', expected .npz, .exr, .pcd, .ply, .bin, .npy, "
+                    ".csv or .xyz",
                     file.string(), excerpt(ending)));
 }
 

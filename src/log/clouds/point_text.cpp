@@ -44,7 +44,7 @@ std::vector<PointField> fields_without_header(std::size_t n, const std::vector<s
     if (columns.empty() && n == 3) return fields_named({"x", "y", "z"});
     if (columns.empty() && n == 4) return fields_named({"x", "y", "z", "intensity"});
     throw DataError(
-        fmt::format("{}: {} numbers a line without a header, expected names in the first line, or "
+        fmt::format("{}: found {} numbers per line and no header, expected names in the first line, or "
                     "\"columns\" in sequence.json",
                     where, n));
 }
@@ -92,7 +92,7 @@ private:
     const std::string& where_;
 
     [[noreturn]] void fail() const {
-        throw DataError(fmt::format("{}: its npy header is malformed, expected fields of numbers", where_));
+        throw DataError(fmt::format("{}: the npy header is malformed, expected fields of numbers", where_));
     }
     bool peek(char c) {
         while (!text_.empty() && (text_[0] == ' ' || text_[0] == '\n')) text_.remove_prefix(1);
@@ -120,8 +120,8 @@ private:
         const auto size = parse_number(std::string_view(type).substr(std::min<std::size_t>(2, type.size())));
         if (type.size() < 3 || !size || !(*size >= 1.0 && *size <= 65536.0)) fail();
         if (type[0] == '>')
-            throw DataError(
-                fmt::format("{}: field '{}' is big-endian, expected little-endian", where_, excerpt(name)));
+            throw DataError(fmt::format("{}: the field '{}' is big-endian, expected little-endian", where_,
+                                        excerpt(name)));
         if (type[1] == 'V' || name.empty()) return {std::string(kPadding), 'U', 1, std::size_t(*size)};
         const char kind = type[1] == 'f' ? 'F' : type[1] == 'i' ? 'I' : 'U';
         return {name, kind, std::size_t(*size)};
@@ -150,7 +150,7 @@ PointTable read_text_points(const SharedBytes& file, const std::vector<std::stri
     }
     if (fields.size() > kMostTextFields)
         throw DataError(
-            fmt::format("{}: {} fields, expected at most {}", where, fields.size(), kMostTextFields));
+            fmt::format("{}: found {} fields, expected at most {}", where, fields.size(), kMostTextFields));
     const auto n = rest.empty() ? 0 : std::size_t(std::ranges::count(rest, '\n')) + 1;
     return read_lines(rest, fields, n, where);
 }
@@ -165,15 +165,16 @@ bool is_structured_npy(std::string_view bytes) {
 PointTable read_structured_npy(const SharedBytes& file, const std::string& where) {
     const std::string_view bytes = file.bytes;
     const std::size_t n_length = bytes.size() > kNpyPrefix && bytes[6] == 1 ? 2 : 4;
-    if (bytes.size() < kNpyPrefix + n_length) throw DataError(fmt::format("{}: truncated npy header", where));
+    if (bytes.size() < kNpyPrefix + n_length)
+        throw DataError(fmt::format("{}: the npy header is truncated", where));
     std::uint32_t length = 0;
     std::memcpy(&length, bytes.data() + kNpyPrefix, n_length);
     const std::size_t start = kNpyPrefix + n_length;
-    if (length > bytes.size() - start) throw DataError(fmt::format("{}: truncated npy header", where));
+    if (length > bytes.size() - start) throw DataError(fmt::format("{}: the npy header is truncated", where));
     const std::string_view header = bytes.substr(start, length);
     const std::size_t fields_at = header.find("'descr':"), shape_at = header.find("'shape':");
     if (fields_at == header.npos || shape_at == header.npos)
-        throw DataError(fmt::format("{}: its npy header lacks descr or shape", where));
+        throw DataError(fmt::format("{}: the npy header has no descr or no shape, expected both", where));
     const std::vector<PointField> fields = FieldList(header.substr(fields_at + 8), where).parse();
     const std::size_t n = FieldList(header.substr(shape_at + 8), where).shape();
     return read_packed(file.with(bytes.substr(start + length)), fields, n, Packing::by_point, where);

@@ -80,9 +80,8 @@ std::size_t choose_reading(const std::vector<PoseReading>& readings, const ReadP
     }
     if (best > 0)
         notes.push_back(
-            fmt::format("{}: poses are read as {}: the vehicle then drives forward by {:.2f} on average, and "
-                        "by {:.2f} if "
-                        "they are read as {}",
+            fmt::format("{}: poses are read as {}, because then {:.2f} m of each metre of driving are "
+                        "forward, but only {:.2f} m if poses are read as {}",
                         where, readings[best].about, forward[best], forward[0], readings[0].about));
     return best;
 }

@@ -113,7 +113,9 @@ std::vector<Beam> find_beams(const std::vector<Points>& scans) {
 
 void recover_rings(Points& points, const std::vector<Beam>& beams) {
     if (beams.empty() || beams.size() > kNoBeam)
-        throw UsageError("recovering rings: found no beam or too many, expected 1 to 65535");
+        throw UsageError(
+            "cannot compute the rings of points: found no beam or too many beams, expected 1 "
+            "to 65535");
     std::vector<std::uint16_t> rising(beams.size());
     std::iota(rising.begin(), rising.end(), std::uint16_t(0));
     const auto elevation = [&](std::uint16_t k) { return beams[k].elevation_rad; };

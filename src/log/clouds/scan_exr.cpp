@@ -31,8 +31,10 @@ void add_vectors(const ExrImage& image, const std::string& channel, const std::s
     }
     if (n_found == 0) return;
     if (n_found < 3)
-        throw DataError(fmt::format("{}: {} of the channels {}.x, .y and .z, expected all or none", where,
-                                    n_found, channel));
+        throw DataError(
+            fmt::format("{}: found only {} of the channels {}.x, .y and .z, expected all three "
+                        "or none",
+                        where, n_found, channel));
     std::vector<float> values;
     values.reserve(axis[0]->size() * 3);
     for (std::size_t i = 0; i < axis[0]->size(); ++i)
@@ -46,7 +48,8 @@ std::vector<NamedArray> arrays_of(const ExrImage& image, const std::string& wher
         std::vector<std::string> names;
         for (const auto& [name, values] : image.channels)
             if (names.size() < 8) names.push_back(excerpt(name));
-        throw DataError(fmt::format("{}: no channel 'range', found {}", where, fmt::join(names, ", ")));
+        throw DataError(fmt::format("{}: the channel 'range' is missing; found the channels {}", where,
+                                    fmt::join(names, ", ")));
     }
     std::vector<NamedArray> arrays;
     for (const auto& [name, values] : image.channels)

@@ -27,7 +27,8 @@ public:
         const std::vector<std::size_t>& shape = at("range").shape;
         if (shape.empty() || shape.size() > 2 || at("range").count() > kMaxRays)
             throw DataError(
-                fmt::format("{}: range of shape [{}], expected [rows, columns] or [rays], at most {} rays",
+                fmt::format("{}: the array range has the shape [{}], expected [rows, columns] or [rays] "
+                            "with at most {} rays",
                             where_, fmt::join(shape, ", "), kMaxRays));
         rows = shape.size() == 2 ? shape[0] : 1;
         columns = shape.back();
@@ -37,13 +38,13 @@ public:
     const NamedArray* find(const std::string& name) const { return find_array(arrays_, name); }
     const NamedArray& at(const std::string& name) const {
         if (const NamedArray* array = find(name)) return *array;
-        throw DataError(fmt::format("{}: no array '{}', expected it", where_, name));
+        throw DataError(fmt::format("{}: the array '{}' is missing", where_, name));
     }
     /// Returns the value of an array that contains a single number.
     double number(const std::string& name) const {
         if (at(name).count() != 1)
-            throw DataError(fmt::format("{}: {} of shape [{}], expected one number", where_, name,
-                                        fmt::join(at(name).shape, ", ")));
+            throw DataError(fmt::format("{}: the array {} has the shape [{}], expected one number", where_,
+                                        name, fmt::join(at(name).shape, ", ")));
         return at(name).as_double()[0];
     }
     /// Returns the values of an array, one number per ray.
@@ -55,8 +56,8 @@ public:
     /// @throws DataError if the file does not contain the array
     std::vector<double> values(const std::string& name, std::size_t width) const {
         if (at(name).count() != rows * columns * width)
-            throw DataError(fmt::format("{}: {} of shape [{}], expected {} x {} x {}", where_, name,
-                                        fmt::join(at(name).shape, ", "), rows, columns, width));
+            throw DataError(fmt::format("{}: the array {} has the shape [{}], expected {} x {} x {} values",
+                                        where_, name, fmt::join(at(name).shape, ", "), rows, columns, width));
         return at(name).as_double();
     }
     std::vector<glm::vec3> vectors(const std::string& name) const {
@@ -81,8 +82,10 @@ std::vector<float> ranges_of(const Arrays& arrays, const std::string& name) {
     for (std::size_t i = 0; i < found.size(); ++i) {
         const bool has_return = is_return_range(found[i]) && drop[i] < 0.5;
         if (has_return && found[i] > 1e6)
-            throw DataError(fmt::format("{} is {}, expected metres, 0 where there is no return",
-                                        arrays.ray(name.c_str(), i), found[i]));
+            throw DataError(
+                fmt::format("{} is {}, expected a range in metres, or 0 for a ray without "
+                            "return",
+                            arrays.ray(name.c_str(), i), found[i]));
         range_m.push_back(has_return ? float(found[i]) : 0.0f);
     }
     return range_m;
@@ -104,11 +107,13 @@ RayTable sensor_rays(const Arrays& arrays, const ImageSource& source) {
     RayTable rays = nominal_rays(source.lidar, source.time_s);
     if (rays.size() == 0)
         throw DataError(fmt::format(
-            "{}: no directions of its rays, expected them, or the LiDAR's sensor in sequence.json",
+            "{}: the array of ray directions is missing; add it, or set the sensor of the LiDAR in "
+            "sequence.json",
             arrays.where()));
     if (std::size_t(rays.rows) != arrays.rows || std::size_t(rays.columns) != arrays.columns)
         throw DataError(fmt::format(
-            "{}: range of {} x {} without directions, expected {} x {}, as the LiDAR's sensor has them",
+            "{}: the array range has {} x {} values and there are no directions, expected {} x {} values "
+            "like the sensor of the LiDAR",
             arrays.where(), arrays.rows, arrays.columns, rays.rows, rays.columns));
     return rays;
 }
@@ -169,19 +174,21 @@ RayTable rays_of_scan(const Arrays& arrays) {
 void check_deskewed(bool is_deskewed, const Head& head, const std::string& where) {
     if (is_deskewed && !head.motion_compensated)
         throw DataError(
-            fmt::format("{}: its rays are deskewed or in the world, expected the sensor at each ray's time: "
-                        "render it without "
-                        "--deskew and --frame world, or say \"motion_compensated\": true",
+            fmt::format("{}: the rays are motion-compensated or in the world frame, expected rays that "
+                        "start at the sensor at their own times; render without --deskew and --frame "
+                        "world, or set \"motion_compensated\": true",
                         where));
 }
 
 float unit_intensity(double found, const PointUnits& units, const std::string& where) {
     if (!std::isfinite(found))
-        throw DataError(fmt::format("{}: intensity {}, expected a number", where, found));
+        throw DataError(fmt::format("{}: the intensity is {}, expected a finite number", where, found));
     if (units.intensity_max) return float(std::clamp(found / *units.intensity_max, 0.0, 1.0));
     if (found < 0.0 || found > 1.0)
-        throw DataError(fmt::format("{}: intensity {}, expected 0..1, or \"intensity_max\" in sequence.json",
-                                    where, found));
+        throw DataError(
+            fmt::format("{}: the intensity is {}, expected 0 to 1, or \"intensity_max\" in "
+                        "sequence.json",
+                        where, found));
     return float(found);
 }
 
@@ -190,16 +197,16 @@ float time_offset(double found, const PointUnits& units, double frame_time_s, co
         (found - units.time_zero) * units.time_unit_s - (units.absolute_times ? frame_time_s : 0.0);
     if (!(std::abs(offset_s) <= kLongestOffset_s))
         throw DataError(
-            fmt::format("{}: time {} is {} s from the frame's, expected at most {} s; \"time_unit\" and "
-                        "\"point_times\" in "
-                        "sequence.json say what times mean",
+            fmt::format("{}: the time {} is {} s away from the time of the frame, expected at most {} s; "
+                        "\"time_unit\" and \"point_times\" in sequence.json define the meaning of times",
                         where, found, offset_s, kLongestOffset_s));
     return float(offset_s);
 }
 
 std::uint16_t ring_number(double found, const std::string& where) {
     if (!(found >= 0.0 && found < kNoBeam) || found != std::floor(found))
-        throw DataError(fmt::format("{}: ring {}, expected a whole number below {}", where, found, kNoBeam));
+        throw DataError(
+            fmt::format("{}: the ring is {}, expected a whole number below {}", where, found, kNoBeam));
     return std::uint16_t(found);
 }
 

@@ -44,7 +44,8 @@ void check_points(const Points& points, std::size_t n_beams) {
     const auto check = [&](const char* field, std::size_t n, bool may_be_empty) {
         if (n != points.size() && !(may_be_empty && n == 0))
             throw UsageError(
-                fmt::format("making a scan: {} of {} points, expected {}", field, n, points.size()));
+                fmt::format("cannot make a scan: found {} values of {} for the points, expected {}", field, n,
+                            points.size()));
     };
     check("intensity", points.intensity.size(), false);
     check("ring", points.ring.size(), n_beams == 0);
@@ -53,11 +54,15 @@ void check_points(const Points& points, std::size_t n_beams) {
     check("firing", points.firing.size(), true);
     for (std::size_t i = 0; i < points.size(); ++i) {
         if (n_beams > 0 && points.ring[i] >= n_beams)
-            throw UsageError(fmt::format("making a scan: point {} is of ring {}, expected one of {} beams", i,
-                                         points.ring[i], n_beams));
+            throw UsageError(
+                fmt::format("cannot make a scan: point {} has ring {}, expected the index of "
+                            "one of {} beams",
+                            i, points.ring[i], n_beams));
         if (number_of(points, i) >= kMostReturns)
-            throw UsageError(fmt::format("making a scan: point {} is return {} of its ray, expected 1 to {}",
-                                         i, points.return_number[i], kMostReturns));
+            throw UsageError(
+                fmt::format("cannot make a scan: point {} has return number {}, expected 1 to "
+                            "{}",
+                            i, points.return_number[i], kMostReturns));
     }
 }
 
@@ -257,15 +262,20 @@ Scan spinning_scan(const Points& points, const SpinningSensor& sensor, const Swe
     if (sensor.columns < 1 || sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays ||
         sweep.lattice.n_ticks > kMostTicks)
         throw UsageError(fmt::format(
-            "making a scan: {} beams x {} columns, {} ticks a sweep, expected at most {} rays and {} ticks",
+            "cannot make a scan: found {} beams, {} columns and {} firing positions per sweep, expected at "
+            "most {} rays and {} firing positions",
             sensor.beams.size(), sensor.columns, sweep.lattice.n_ticks, kMaxRays, kMostTicks));
     if (sweep.firings.empty())
         throw UsageError(
-            fmt::format("making a scan of {} points: no firing, expected those of a sweep", points.size()));
+            fmt::format("cannot make a scan of {} points: there are no firings, expected the firings of a "
+                        "sweep",
+                        points.size()));
     for (const std::uint32_t firing : points.firing)
         if (firing >= sweep.firings.size())
-            throw UsageError(fmt::format("making a scan: a point of firing {}, expected one of {}", firing,
-                                         sweep.firings.size()));
+            throw UsageError(
+                fmt::format("cannot make a scan: a point has firing {}, expected the index of "
+                            "one of {} firings",
+                            firing, sweep.firings.size()));
     const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
     std::vector<double> head_rad(points.size());
     for (std::size_t i = 0; i < points.size(); ++i)
@@ -305,7 +315,7 @@ Scan unordered_scan(const Points& points) {
     std::size_t n_second_returns = 0;
     if (points.size() > kMaxRays)
         throw UsageError(
-            fmt::format("making a scan: {} points, expected at most {}", points.size(), kMaxRays));
+            fmt::format("cannot make a scan: found {} points, expected at most {}", points.size(), kMaxRays));
     for (std::size_t i = 0; i < points.size(); ++i) {
         n_second_returns = std::max(n_second_returns, number_of(points, i));
         if (number_of(points, i) == 0 && glm::length(points.position_m[i]) > float(kLeastRange_m))

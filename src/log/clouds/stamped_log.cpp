@@ -51,16 +51,16 @@ StampedRow row_of(const std::vector<std::string_view>& cells, std::size_t n_valu
                   const std::string& where) {
     StampedRow row{0, {}, where};
     const std::optional<std::int64_t> stamp = stamp_of_cell(cells[0]);
-    if (!stamp) throw DataError(fmt::format("{}: '{}', expected a time", where, excerpt(cells[0])));
+    if (!stamp) throw DataError(fmt::format("{}: found '{}', expected a time", where, excerpt(cells[0])));
     row.stamp = *stamp;
     if (cells.size() < n_values + 1)
         throw DataError(
-            fmt::format("{}: {} cells, expected a time and {} numbers", where, cells.size(), n_values));
+            fmt::format("{}: found {} cells, expected a time and {} numbers", where, cells.size(), n_values));
     for (std::size_t c = 1; c <= n_values; ++c) {
         const std::optional<double> number = parse_number(cells[c]);
         if (!number || !(std::abs(*number) <= kLargestCoordinate_m))
-            throw DataError(fmt::format("{}: cell {} is '{}', expected a number within {:g}", where, c + 1,
-                                        excerpt(cells[c]), kLargestCoordinate_m));
+            throw DataError(fmt::format("{}: cell {} is '{}', expected a number of at most {:g}", where,
+                                        c + 1, excerpt(cells[c]), kLargestCoordinate_m));
         row.values.push_back(*number);
     }
     return row;
@@ -98,7 +98,7 @@ public:
         return points;
     }
     Scan rays(std::size_t i) const override {
-        throw DataError(fmt::format("{}: no points, expected some", name(i)));
+        throw DataError(fmt::format("{}: the scan has no points, expected at least one", name(i)));
     }
 
 private:
@@ -192,7 +192,8 @@ std::vector<StampedScan> list_scans(const fs::path& folder) {
             scans.push_back({0, *stamp, file});
     if (scans.empty())
         throw DataError(
-            fmt::format("{}: no scan, expected files named by their times, such as 1598990189106857.bin",
+            fmt::format("{}: no scan was found, expected files named by their times, such as "
+                        "1598990189106857.bin",
                         folder.string()));
     // Sort by number, because a sort by name would put "10" before "9".
     std::ranges::sort(scans, {}, &StampedScan::stamp);
@@ -210,13 +211,13 @@ std::vector<StampedRow> read_rows(const fs::path& file, std::size_t n_values) {
         StampedRow row = row_of(cells, n_values, fmt::format("{} line {}", file.string(), l + 1));
         if (!rows.empty() && row.stamp == rows.back().stamp) continue;
         if (!rows.empty() && row.stamp < rows.back().stamp)
-            throw DataError(fmt::format("{}: time {} after {}, expected times that rise", row.where,
-                                        row.stamp, rows.back().stamp));
+            throw DataError(fmt::format("{}: found the time {} after {}, expected increasing times",
+                                        row.where, row.stamp, rows.back().stamp));
         rows.push_back(std::move(row));
     }
     if (rows.empty())
-        throw DataError(
-            fmt::format("{}: no pose, expected lines of a time and {} numbers", file.string(), n_values));
+        throw DataError(fmt::format("{}: no pose was found, expected lines with a time and {} numbers",
+                                    file.string(), n_values));
     return rows;
 }
 
@@ -251,9 +252,8 @@ void warn_unless_forward(std::vector<std::string>& notes, double forward) {
     constexpr double kMostlyForward = 0.9;
     if (forward < kMostlyForward)
         notes.push_back(
-            fmt::format("poses: the vehicle drives forward by {:.2f} on average, expected nearly 1; "
-                        "dataset.poses=none finds "
-                        "poses from the scans",
+            fmt::format("poses: the vehicle drives forward only {:.2f} m per metre on average, expected "
+                        "nearly 1; use dataset.poses=none to estimate the poses from the scans",
                         forward));
 }
 
@@ -273,19 +273,20 @@ std::vector<fs::path> add_frames(Sequence& sequence, const StampedLog& log, cons
         files.push_back(scan.file);
     }
     if (files.empty() && without.empty())
-        throw UsageError(fmt::format("frames {}:{}: no scan of {}, expected numbers in [{}, {}]", range.begin,
-                                     range.end, sequence.name, log.scans.front().number,
+        throw UsageError(fmt::format("frames {}:{} select no scan of {}, expected numbers in [{}, {}]",
+                                     range.begin, range.end, sequence.name, log.scans.front().number,
                                      log.scans.back().number));
     if (files.empty())
         throw DataError(fmt::format(
-            "{}: poses from {:.3f} to {:.3f} s, expected some around frames {} to {}, at {:.3f} to {:.3f} s",
+            "{}: found poses from {:.3f} to {:.3f} s, expected poses near the times of frames {} to {}, "
+            "which are {:.3f} to {:.3f} s",
             log.poses_file.string(), log.world_from_vehicle.time_s.front(),
             log.world_from_vehicle.time_s.back(), without.front()->number, without.back()->number,
             log.seconds(without.front()->stamp), log.seconds(without.back()->stamp)));
     if (!without.empty())
         sequence.notes.push_back(fmt::format(
-            "{} of {} scans are left out, the first of them frame {}, the last frame {}: {} has no poses "
-            "around their times",
+            "{} of {} scans are skipped (the first is frame {}, the last frame {}), because {} has no "
+            "poses near their times",
             without.size(), without.size() + files.size(), without.front()->number, without.back()->number,
             log.poses_file.filename().string()));
     kitti::use_pose_file(sequence, options.poses_file);
@@ -296,9 +297,8 @@ std::vector<fs::path> add_frames(Sequence& sequence, const StampedLog& log, cons
 void check_poses(const fs::path& file, const DatasetOptions& options) {
     if (!options.poses_file.empty() || path_exists(file)) return;
     throw DataError(
-        fmt::format("{}: no such file; expected poses, dataset.poses=FILE with them, or dataset.poses=none "
-                    "to find them from "
-                    "the scans",
+        fmt::format("{}: no such file; expected poses; use dataset.poses=FILE to name another file, or "
+                    "dataset.poses=none to estimate the poses from the scans",
                     file.string()));
 }
 
@@ -315,8 +315,8 @@ void read_points(Sequence& sequence, const std::vector<fs::path>& files, PointFo
             sensor = std::move(*fitted);
             of_head.has_beams = true;
             sequence.notes.push_back(fmt::format(
-                "{} beams x {} columns are fitted to its points, which have no rings: each is taken for "
-                "one of the nominal beam that passes nearest",
+                "a sensor with {} beams and {} columns was fitted to the points, which have no rings; each "
+                "point is assigned to the nominal beam with the nearest elevation",
                 sensor.beams.size(), sensor.columns));
         } else {
             // `source` refers to `format`; without beams, it leaves the points without

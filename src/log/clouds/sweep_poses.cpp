@@ -77,9 +77,8 @@ std::string place_rays(Sequence& sequence, const PoseAt& world_from_vehicle) {
     const auto n = std::ranges::count_if(moved_m, [](double m) { return m > 0.0; });
     return n == 0 ? ""
                   : fmt::format(
-                        "rays of {} sweeps start where poses between frames have the sensor, up to {:.3f} m "
-                        "(of what is {:.0f} m "
-                        "away) beside a straight way from frame to frame",
+                        "the ray origins of {0} sweeps use poses between frames; this moves points at "
+                        "{2:.0f} m by up to {1:.3f} m compared with a straight path between frames",
                         n, std::ranges::max(moved_m), kReach_m);
 }
 

@@ -41,11 +41,15 @@ std::string why_thinned(const std::vector<Points>& scans, const SpinningSensor& 
     if (fullest == scans.end()) return "";
     const double filled = double(fullest->size()) / (double(fitted.beams.size()) * fitted.columns);
     if (filled < kFewFilled)
-        return fmt::format("points fill {:.0f} % of {} beams x {} columns, as in a thinned cloud",
-                           100.0 * filled, fitted.beams.size(), fitted.columns);
+        return fmt::format(
+            "the points fill only {:.0f} % of the rays of {} beams and {} columns, so "
+            "points were probably removed from the cloud",
+            100.0 * filled, fitted.beams.size(), fitted.columns);
     if (const double share = regular_share(*fullest); share < kFewRegular)
-        return fmt::format("{:.0f} % of the steps between points are regular, as in a thinned cloud",
-                           100.0 * share);
+        return fmt::format(
+            "only {:.0f} % of the azimuth steps between points are regular, so points were "
+            "probably removed from the cloud",
+            100.0 * share);
     return "";
 }
 

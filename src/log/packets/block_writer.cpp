@@ -31,11 +31,12 @@ void check_beams(const Layout& layout, const SpinningSensor& sensor) {
                       });
     if (!fits)
         throw UsageError(fmt::format(
-            "packets of {}: found {} beams with other elevations; expected the {} beams of this product",
+            "cannot write packets of {}: found {} beams whose elevations differ from the data sheet, "
+            "expected the {} beams of this sensor",
             layout.sensor, sensor.beams.size(), nominal.beams.size()));
     if (!sensor.clockwise)
         throw UsageError(
-            fmt::format("packets of {}: found a head that turns counter-clockwise; expected one "
+            fmt::format("cannot write packets of {}: the sensor turns counter-clockwise, expected a sensor "
                         "that turns clockwise",
                         layout.sensor));
 }
@@ -59,8 +60,8 @@ BlockWriter::BlockWriter(const Layout& layout, const SpinningSensor& sensor, con
       ring_of_(layout.lasers()) {
     check_beams(layout, sensor);
     if (layout.n_blocks % (layout.banks * std::size_t(returns_)) != 0)
-        throw UsageError(
-            fmt::format("packets of {}: found {} returns; expected 1", layout.sensor, options.returns));
+        throw UsageError(fmt::format("cannot write packets of {}: found {} returns per ray, expected 1",
+                                     layout.sensor, options.returns));
     for (const BeamFiring& beam : find_beam_firings(layout.sensor)) {
         offsets_us_.push_back(beam.offset_us);
         laser_of_.push_back(std::size_t(beam.channel - layout.first_channel));

@@ -25,7 +25,8 @@ public:
     FiringImage(const Scan& scan, const SpinningSensor& sensor) : columns_(scan.rays.columns) {
         if (scan.rays.rows != int(sensor.beams.size()) || columns_ < 1)
             throw UsageError(fmt::format(
-                "packets of {}: found a scan of {} rows; expected an image with a row for each of {} beams",
+                "cannot write packets of {}: the scan has {} rows, expected one row for each of the {} "
+                "beams",
                 sensor.name, scan.rays.rows, sensor.beams.size()));
         for (const Beam& beam : sensor.beams) shift_.push_back(column_shift(beam, columns_));
     }
@@ -133,9 +134,8 @@ std::vector<FiredColumn> find_firings(const Scan& scan, double time_s, const Spi
     const auto [first, last] = std::ranges::minmax(scan.rays.time_offset_s);
     if (!(double(last - first) > kLeastTurn * sensor.period_s))
         throw UsageError(
-            fmt::format("packets of {}: the rays of a scan were fired within {:.3g} s; expected the {:.3g} s "
-                        "of a turn; a "
-                        "motion-compensated log has no firing times",
+            fmt::format("cannot write packets of {}: the rays of a scan were fired within {:.3g} s, "
+                        "expected the {:.3g} s of a turn; motion-compensated scans have no firing times",
                         sensor.name, last - first, sensor.period_s));
     // In a log, each laser of a firing has a time. In a rendered scan, all lasers of a
     // firing have the same time. Check which case fits the times better.

@@ -85,7 +85,8 @@ public:
                                        sensor.name)) {
         if (format_->profile->returns < options.returns)
             throw UsageError(fmt::format(
-                "packets of {}: found 2 returns and the packet format {}; expected a format of two returns",
+                "cannot write packets of {0}: the packet format {1} has only one return per ray, expected "
+                "a format with two returns",
                 sensor.name, format_->profile->name));
     }
 

@@ -58,7 +58,7 @@ std::string ethernet_frame(const std::string& payload, int port, unsigned number
 }
 
 void check_written(const std::ofstream& out, const fs::path& file) {
-    if (!out) throw DataError(fmt::format("cannot write '{}': is the disk full?", file.string()));
+    if (!out) throw DataError(fmt::format("cannot write '{}'; the disk may be full", file.string()));
 }
 
 }  // namespace
@@ -116,7 +116,8 @@ void PacketCapture::close() {
 std::size_t save_packets(const Sequence& sequence, const fs::path& file, const Progress& progress) {
     if (sequence.lidars.size() != 1)
         throw UsageError(fmt::format(
-            "writing '{}': found {} LiDARs in the log; expected one in a capture; dataset.lidars selects it",
+            "cannot write '{}': the log has {} LiDARs, but a capture can only contain one; select it with "
+            "dataset.lidars",
             file.string(), sequence.lidars.size()));
     PacketOptions options;
     options.start_ns = log_start_ns(sequence);

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 #include <optional>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -31,7 +32,7 @@ std::unique_ptr<PacketFormat> make_format(const SpinningSensor& sensor, const Pa
     for (auto* make :
          {packets::make_velodyne_format, packets::make_hesai_format, packets::make_ouster_format})
         if (auto format = make(sensor, options)) return format;
-    throw UsageError(fmt::format("writing packets: found sensor \"{}\"; expected one of {}", sensor.name,
+    throw UsageError(fmt::format("cannot write packets of the sensor \"{}\", expected one of {}", sensor.name,
                                  packet_sensors()));
 }
 
@@ -74,9 +75,8 @@ struct PacketEncoder::Impl {
         const double step_us = 1e6 * sensor.period_s / sensor.columns;
         if (has_columns() || std::abs(step_us / format->cycle_us() - 1.0) < kMostStepError) return;
         throw UsageError(
-            fmt::format("packets of {}: found {} columns in {} s; expected {:.0f} columns, because this "
-                        "sensor fires every "
-                        "{} us",
+            fmt::format("cannot write packets of {}: found {} columns in {} s, expected {:.0f} columns, "
+                        "because this sensor fires every {} us",
                         sensor.name, sensor.columns, sensor.period_s,
                         1e6 * sensor.period_s / format->cycle_us(), format->cycle_us()));
     }
@@ -87,8 +87,8 @@ struct PacketEncoder::Impl {
         const double place = (firing.azimuth_deg - kBehindSensor_deg) / 360.0 * format->columns();
         if (std::abs(place - std::round(place)) > kMostColumnError)
             throw UsageError(fmt::format(
-                "packets of {}: found a column at {:.3f} degrees; expected a multiple of {:.3f}: an Ouster "
-                "fires at fixed azimuths, the first one behind it",
+                "cannot write packets of {}: found a column at an azimuth of {:.3f} degrees, expected a "
+                "multiple of {:.3f} degrees, because an Ouster fires at fixed azimuths",
                 sensor.name, firing.azimuth_deg, 360.0 / format->columns()));
         return (std::llround(place) + format->columns()) % format->columns();
     }
@@ -115,9 +115,9 @@ struct PacketEncoder::Impl {
         if (steps < 1.0 && !firing.has_returns) return 0;
         if (steps < 1.0)
             throw UsageError(
-                fmt::format("packets of {}: found a scan that starts {:.3g} s before the last one ends, "
-                            "expected scans that "
-                            "do not overlap; the sensor needs {:.3g} s for a turn",
+                fmt::format("cannot write packets of {}: a scan starts {:.3g} s before the end of the "
+                            "previous scan, expected scans that do not overlap; a turn of the sensor takes "
+                            "{:.3g} s",
                             sensor.name, last->time_s - firing.time_s, sensor.period_s));
         return std::int64_t(steps);
     }

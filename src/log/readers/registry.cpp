@@ -78,7 +78,7 @@ const DatasetKind& find_kind(const std::string& name) {
     for (const DatasetKind& kind : kKinds) {
         if (name == kind.name) return kind;
     }
-    throw UsageError(fmt::format("dataset kind '{}': unknown{} (known: {})", name,
+    throw UsageError(fmt::format("the dataset kind '{}' is unknown{} (known: {})", name,
                                  did_you_mean(name, kind_names(), "'"), fmt::join(kind_names(), ", ")));
 }
 
@@ -199,15 +199,16 @@ void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& cou
         if (sum.near > 0)
             parts += fmt::format("{}{} are nearer than {} m", parts.empty() ? "" : " and ", sum.near,
                                  lidar.sensor.min_range_m);
-        sequence.notes.push_back(fmt::format("range{}: {} of {} returns ({:.2g} %) count as dropped: {}",
-                                             lidar.name.empty() ? "" : " of " + lidar.name,
-                                             sum.near + sum.far, sum.all,
-                                             100.0 * double(sum.near + sum.far) / double(sum.all), parts));
+        sequence.notes.push_back(
+            fmt::format("range{}: {} of {} returns ({:.2g} %) are read as dropped "
+                        "rays: {}",
+                        lidar.name.empty() ? "" : " of " + lidar.name, sum.near + sum.far, sum.all,
+                        100.0 * double(sum.near + sum.far) / double(sum.all), parts));
     }
     if (n_all > 0 && n_kept == 0)
         throw DataError(
-            fmt::format("{}: none of its {} returns is within the range limits, expected other values of "
-                        "dataset.min_range_m or dataset.max_range_m: {}",
+            fmt::format("{}: none of its {} returns is within the range limits; change dataset.min_range_m "
+                        "or dataset.max_range_m ({})",
                         sequence.source, n_all, sequence.notes.back()));
 }
 
@@ -344,11 +345,11 @@ std::string recognise_dataset(const fs::path& path) {
     if (const std::string other = describe_other_format(path); !other.empty())
         throw DataError(fmt::format("{}: {}", path.string(), other));
     if (const std::string other = describe_other_files(path); !other.empty())
-        throw DataError(fmt::format("{}: not a dataset: {}", path.string(), other));
+        throw DataError(fmt::format("{} is not a dataset: {}", path.string(), other));
     for (const DatasetKind& kind : kKinds) {
         const std::string stranger = kitti::describe_stranger(path, kind.marker);
         if (!stranger.empty())
-            throw DataError(fmt::format("{} is not a dataset, but {}", path.string(), stranger));
+            throw DataError(fmt::format("{} is not a dataset: {}", path.string(), stranger));
     }
     throw DataError(
         fmt::format("{} is not a dataset of a known format, expected one of: {}", path.string(), known));

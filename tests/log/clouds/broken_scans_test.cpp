@@ -60,7 +60,7 @@ Sequence expect_left_out(const fs::path& log, const fs::path& scan, int number,
     Sequence left = load_sequence(log.string(), skipping(part));
     EXPECT_EQ(numbers(left), expected);
     const auto n_notes = std::count_if(left.notes.begin(), left.notes.end(), [&](const std::string& note) {
-        return note.starts_with("a broken scan is left out: ") &&
+        return note.starts_with("a broken scan is skipped: ") &&
                note.find(scan.filename().string()) != std::string::npos;
     });
     EXPECT_EQ(n_notes, 1) << testing::PrintToString(left.notes);
@@ -103,29 +103,31 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     const auto expect_left = [&](const std::string& reason) {
         const Sequence left = load_sequence(drive.folder.string(), {});
         EXPECT_EQ(numbers(left), (std::vector<int>{0, 2})) << reason;
-        EXPECT_THAT(left.notes, testing::Contains(testing::AllOf(HasSubstr("a broken scan is left out: "),
+        EXPECT_THAT(left.notes, testing::Contains(testing::AllOf(HasSubstr("a broken scan is skipped: "),
                                                                  HasSubstr("0000000001.bin: " + reason))));
     };
     put(original.substr(0, 16 * (n / 3)));
-    expect_left(fmt::format("it has {} points, and the neighbouring scans have", n / 3));
+    expect_left(fmt::format("the scan has {} points, but the neighbouring scans have", n / 3));
     // Removes about eight of 64 rings. The number is not exact, because rings have
     // different numbers of returns.
     put(original.substr(0, 16 * (n - n / 8)));
-    expect_left("its points end in ring 5");
+    expect_left("the points of the scan end in ring 5");
     put(std::string(original.size(), '\0'));
-    expect_left("none of its points is a return");
+    expect_left("the scan has no returns");
     for (int frame = 0; frame < 3; ++frame)
         test::write_text(drive.scan(frame), std::string(original.size(), '\0'));
-    EXPECT_THAT(complaint(drive), HasSubstr("each of the 3 scans is broken"));
+    EXPECT_THAT(complaint(drive), HasSubstr("all 3 scans are broken"));
     for (int frame = 0; frame < 3; ++frame) test::write_text(drive.scan(frame), original);
-    const auto early = testing::Contains(HasSubstr("0000000001.bin: its last ring ends at azimuth "));
+    const auto early =
+        testing::Contains(HasSubstr("0000000001.bin: the last ring of the scan ends at "
+                                    "azimuth "));
     // The cut is in the last ring or in the ring before the last. In addition, every
     // tenth point is missing.
     for (const int kept_deg : {120, 270}) {
         const auto n_missing = std::size_t(0.9 * 701 * (kept_deg == 120 ? 240 : 360 + 90) / 360.0);
         put(original.substr(0, 16 * (n - n_missing)));
         EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes, early) << kept_deg;
-        expect_left("its last ring ends at azimuth ");
+        expect_left("the last ring of the scan ends at azimuth ");
     }
     put(original);
     EXPECT_EQ(complaint(drive), "");
@@ -150,7 +152,7 @@ TEST(BrokenScans, OfKittiMayCountIntensitiesTo255) {
     for (std::size_t i = 0; i < scan.range_m.size(); ++i)
         if (scan.range_m[i] > 0.0f) ASSERT_FLOAT_EQ(scan.intensity[i], 0.2f);
     EXPECT_THAT(log.notes,
-                testing::Contains(HasSubstr("whole numbers up to 51: they are read as shares of 255")));
+                testing::Contains(HasSubstr("whole numbers up to 51, so they are divided by 255")));
     for (const float wrong : {1.5f, 256.0f, -1.0f}) {
         set_intensities(drive, wrong);
         EXPECT_THAT(complaint(drive), HasSubstr("expected 0 to 1, or whole numbers up to 255")) << wrong;
@@ -225,7 +227,7 @@ TEST_F(BareFolder, LeavesBrokenScansOut) {
         load_sequence(folder.string(), skipping());
         ADD_FAILURE() << "read a log without a scan";
     } catch (const DataError& error) {
-        EXPECT_THAT(error.what(), HasSubstr("each of the 5 scans is broken"));
+        EXPECT_THAT(error.what(), HasSubstr("all 5 scans are broken"));
     }
 }
 

@@ -66,28 +66,30 @@ TEST(CheckSequence, NamesLidarFramePoseOrBox) {
     expect_errors({
         {[](Sequence& s) { s.frames.clear(); }, "no frame"},
         {[](Sequence& s) { s.lidars.clear(); }, "no LiDAR"},
-        {[](Sequence& s) { s.lidars.push_back(s.lidars[0]); }, "LiDAR '': a second one of this name"},
-        {[](Sequence& s) { s.lidars[0].sensor.columns = 0; }, "4 beams x 0 columns"},
+        {[](Sequence& s) { s.lidars.push_back(s.lidars[0]); },
+         "LiDAR '': found another LiDAR with this "
+         "name"},
+        {[](Sequence& s) { s.lidars[0].sensor.columns = 0; }, "4 beams and 0 columns"},
         {[](Sequence& s) { s.lidars[0].vehicle_from_sensor.rotation.w = 2.0; },
-         "vehicle_from_sensor: a quaternion of length 2, expected 1"},
-        {[](Sequence& s) { s.frames[1].lidar = 1; }, "frame 1: LiDAR 1, expected 0 to 0"},
+         "vehicle_from_sensor: found a quaternion of length 2, expected length 1"},
+        {[](Sequence& s) { s.frames[1].lidar = 1; }, "frame 1: found the LiDAR index 1"},
         {[](Sequence& s) { s.frames[2].time_s = s.frames[1].time_s; },
-         "frame 2: time 0.1 s after 0.1 s of frame 1"},
-        {[](Sequence& s) { s.frames[2].time_s = s.frames[1].time_s + 1e-5; }, "frame 2: time"},
-        {[](Sequence& s) { s.frames[2].index = 1; }, "frame 1: another frame of this number before it"},
-        {[](Sequence& s) { s.frames[2].time_s = 0.21; }, "frame 2: no pose of the vehicle at 0.21 s"},
-        {[](Sequence& s) { s.world_from_vehicle.pose.pop_back(); }, "2 poses at 3 times"},
+         "frame 2: found the time 0.1 s after the time 0.1 s of frame 1"},
+        {[](Sequence& s) { s.frames[2].time_s = s.frames[1].time_s + 1e-5; }, "frame 2: found the time"},
+        {[](Sequence& s) { s.frames[2].index = 1; }, "frame 1: found a second frame with this number"},
+        {[](Sequence& s) { s.frames[2].time_s = 0.21; }, "frame 2: found no pose of the vehicle at 0.21 s"},
+        {[](Sequence& s) { s.world_from_vehicle.pose.pop_back(); }, "2 poses and 3 times"},
         {[](Sequence& s) { s.frames.pop_back(); }, "3 poses of the vehicle, expected 2"},
         {[](Sequence& s) { s.world_from_vehicle.pose[1].translation.x = double(kNan); },
-         "the vehicle, pose 1: position (nan"},
+         "the vehicle, pose 1: found the position (nan"},
         {[](Sequence& s) { s.world_from_vehicle.pose[1].translation.x = 5e6; },
-         "expected metres within 1000000 of the recentred"},
+         "expected coordinates of at most 1000000 m"},
         {[](Sequence& s) { std::swap(s.world_from_vehicle.time_s[0], s.world_from_vehicle.time_s[1]); },
-         "expected finite times that rise"},
+         "expected finite and increasing times"},
         {[](Sequence& s) { s.boxes[1].id = s.boxes[0].id; },
-         "box '0': an empty id or one that was there before"},
-        {[](Sequence& s) { s.boxes[1].size_m.y = 0.0; }, "box '1': a size of"},
-        {[](Sequence& s) { s.boxes[1].world_from_box = {}; }, "box '1': 0 poses at 0 times"},
+         "box '0': found an id that is empty or occurs twice"},
+        {[](Sequence& s) { s.boxes[1].size_m.y = 0.0; }, "box '1': found a size of"},
+        {[](Sequence& s) { s.boxes[1].world_from_box = {}; }, "box '1': found 0 poses and 0 times"},
         {[](Sequence& s) { s.boxes[1].world_from_box.pose[2].translation.y += 4e5; }, "box '1', pose 2: "},
     });
 }
@@ -95,40 +97,48 @@ TEST(CheckSequence, NamesLidarFramePoseOrBox) {
 TEST(CheckSequence, NamesFrameRayAndField) {
     expect_errors({
         {[](Sequence& s) { s.frames[1].scan.range_m.pop_back(); },
-         "frame 1, range_m: 127 entries, expected 4 x 32"},
-        {[](Sequence& s) { s.frames[1].scan.rays.channel.clear(); }, "frame 1, rays.channel: 0 entries"},
-        {[](Sequence& s) { s.frames[1].scan.rays.rows = 1 << 30; }, "frame 1: 1073741824 rows x 32 columns"},
+         "frame 1, range_m: found 127 entries, expected 4 x 32"},
+        {[](Sequence& s) { s.frames[1].scan.rays.channel.clear(); },
+         "frame 1, rays.channel: found 0 "
+         "entries"},
+        {[](Sequence& s) { s.frames[1].scan.rays.rows = 1 << 30; },
+         "frame 1: found 1073741824 rows and 32 "
+         "columns"},
         {[](Sequence& s) { s.frames[1].scan.rays.direction[5] *= 1.1f; },
-         "frame 1, ray 5, rays.direction: length 1.1"},
+         "frame 1, ray 5, rays.direction: found length 1.1"},
         {[](Sequence& s) { s.frames[1].scan.rays.origin[5].z = kNan; }, "frame 1, ray 5, rays.origin"},
         {[](Sequence& s) { s.frames[1].scan.rays.time_offset_s[5] = 1e9f; },
-         "frame 1, ray 5, rays.time_offset_s: 1000000000, expected seconds within 10"},
+         "frame 1, ray 5, rays.time_offset_s: found 1000000000, expected at most 10 s"},
         {[](Sequence& s) { s.frames[1].scan.rays.channel[5] = 4; },
-         "frame 1, ray 5, rays.channel: 4, expected one of 4 beams"},
+         "frame 1, ray 5, rays.channel: found 4, expected the index of one of 4 beams"},
         {[](Sequence& s) { s.frames[1].scan.rays.divergence_rad = -1e-3f; },
-         "frame 1, ray 0, divergence: -0.001"},
+         "frame 1, ray 0, divergence: found -0.001"},
         {[](Sequence& s) { s.frames[1].scan.rays.ray_divergence_rad.assign(127, 1e-3f); },
-         "frame 1, rays.ray_divergence_rad: 127 entries"},
+         "frame 1, rays.ray_divergence_rad: found 127 entries"},
         {[](Sequence& s) {
              s.frames[1].scan.rays.ray_divergence_rad.assign(128, 1e-3f);
              s.frames[1].scan.rays.ray_divergence_rad[9] = kNan;
          },
-         "frame 1, ray 9, divergence: nan, expected radians in"},
-        {[](Sequence& s) { s.frames[2].scan.range_m[7] = kNan; }, "frame 2, ray 7, range_m: range nan m"},
-        {[](Sequence& s) { s.frames[2].scan.range_m[7] = -1.0f; }, "frame 2, ray 7, range_m: range -1 m"},
+         "frame 1, ray 9, divergence: found nan, expected an angle"},
+        {[](Sequence& s) { s.frames[2].scan.range_m[7] = kNan; },
+         "frame 2, ray 7, range_m: found a range "
+         "of nan m"},
+        {[](Sequence& s) { s.frames[2].scan.range_m[7] = -1.0f; },
+         "frame 2, ray 7, range_m: found a range "
+         "of -1 m"},
         {[](Sequence& s) { s.frames[2].scan.intensity[returned(s.frames[2].scan)] = 255.0f; },
-         "intensity: range"},
+         "intensity: found a range"},
         {[](Sequence& s) { s.frames[2].scan.range_m[returned(s.frames[2].scan)] = 0.0f; },
-         "both 0 where dropped"},
+         "both 0 for a dropped ray"},
         {[](Sequence& s) { s.frames[2].scan.second_returns.resize(1); },
-         "frame 2, second_returns.range_m: 0 entries"},
+         "frame 2, second_returns.range_m: found 0 entries"},
         {[](Sequence& s) {
              Scan& scan = s.frames[2].scan;
              scan.range_m[3] = scan.intensity[3] = 0.0f;
              scan.second_returns.assign(1, {std::vector<float>(128, 0.0f), std::vector<float>(128, 0.0f)});
              scan.second_returns[0].range_m[3] = 9.0f;
          },
-         "frame 2, ray 3, second return: range 9 m, intensity 0 behind a return at 0 m"},
+         "frame 2, ray 3, second return: found a second return with range 9 m"},
     });
 }
 
@@ -145,8 +155,7 @@ TEST(CheckGaps, SaysWhereFramesAreMissing) {
     check_gaps(log);
     ASSERT_EQ(log.notes.size(), 1u);
     EXPECT_NE(
-        log.notes[0].find(
-            "1 gap in the times of frames, the longest of 5.0 s between frames 6 and 7 (usual is 0.1 s)"),
+        log.notes[0].find("1 gap; the longest is 5.0 s, between frames 6 and 7 (the median step is 0.1 s)"),
         std::string::npos)
         << log.notes[0];
     for (const double gap_s : {0.0, 0.3}) {
@@ -162,7 +171,9 @@ TEST(CheckGaps, AJumpOfTheClockIsAnError) {
         check_gaps(log);
         FAIL() << "an hour between two frames";
     } catch (const DataError& error) {
-        EXPECT_NE(std::string(error.what()).find("frame 7: time 3600.7 s, 3600.1 s after frame 6"),
+        EXPECT_NE(std::string(error.what())
+                      .find("frame 7: found the time 3600.7 s, which is 3600.1 s "
+                            "after frame 6"),
                   std::string::npos)
             << error.what();
         EXPECT_EQ(std::string(error.what()).find('\n'), std::string::npos);

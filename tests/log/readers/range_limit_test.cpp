@@ -75,26 +75,29 @@ TEST_F(RangeLimit, OfATableWithoutOneIsTheFarthestReturn) {
     EXPECT_EQ(log.lidars[0].sensor.max_range_m, 150.0);
     EXPECT_EQ(count_returns(log), std::size_t(2 * kColumns * kScans)) << "no return is lost";
     EXPECT_THAT(log.notes, Contains(HasSubstr("range: 150 m, the farthest return")));
-    EXPECT_THAT(log.notes, testing::Not(Contains(HasSubstr("count as dropped"))));
+    EXPECT_THAT(log.notes, testing::Not(Contains(HasSubstr("are read as dropped rays"))));
 }
 
 TEST_F(RangeLimit, OfATableCountsTheReturnsThatItExcludes) {
     const Sequence far = load(",max_range_m", ",100");
     EXPECT_EQ(far.lidars[0].sensor.max_range_m, 100.0);
     EXPECT_EQ(count_returns(far), std::size_t(2 * kColumns * kScans - 2));
-    EXPECT_THAT(far.notes,
-                Contains(HasSubstr("range: 2 of 144 returns (1.4 %) count as dropped: 2 beyond 100 m")));
+    EXPECT_THAT(far.notes, Contains(HasSubstr(
+                               "range: 2 of 144 returns (1.4 %) are read as dropped rays: 2 are beyond 100 "
+                               "m")));
     const Sequence both = load(",min_range_m,max_range_m", ",1,100");
-    EXPECT_THAT(both.notes,
-                Contains(HasSubstr(
-                    "4 of 144 returns (2.8 %) count as dropped: 2 beyond 100 m and 2 nearer than 1 m")));
+    EXPECT_THAT(
+        both.notes,
+        Contains(HasSubstr(
+            "4 of 144 returns (2.8 %) are read as dropped rays: 2 are beyond 100 m and 2 are nearer than 1 "
+            "m")));
 }
 
 TEST_F(RangeLimit, OfTheUserCountsTheReturnsThatItExcludes) {
     DatasetOptions options;
     options.max_range_m = 30.0;
     EXPECT_THAT(load("", "", options).notes,
-                Contains(HasSubstr("2 of 144 returns (1.4 %) count as dropped: 2 are beyond 30 m")));
+                Contains(HasSubstr("2 of 144 returns (1.4 %) are read as dropped rays: 2 are beyond 30 m")));
     options.min_range_m = 1.0;
     options.max_range_m = 10.0;
     EXPECT_THAT([&] { load("", "", options); },

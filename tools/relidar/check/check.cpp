@@ -120,7 +120,7 @@ void check_device(const CheckOptions& options) {
         throw DataError(
             fmt::format("--json {}: this is a folder; expected the name of a file to write", options.json));
     if (!options.run.empty() && !options.speed)
-        throw UsageError("--run needs --speed; the checks use no run");
+        throw UsageError("--run can only be used with --speed, because the checks use no run");
     std::optional<OutputFolder> folder;
     if (const std::filesystem::path json = options.json; !json.empty())
         folder.emplace(json.has_parent_path() ? json.parent_path() : ".");

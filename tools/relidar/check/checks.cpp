@@ -35,7 +35,7 @@ Finding judge(double error, double tolerance) {
     return {is_right ? Finding::Kind::right : Finding::Kind::wrong,
             is_right && error == 0.0
                 ? "exact"
-                : fmt::format("error {:.1e}, at most {:.0e} expected", error, tolerance)};
+                : fmt::format("found an error of {:.1e}, expected at most {:.0e}", error, tolerance)};
 }
 
 Finding wrong(const std::string& text) { return {Finding::Kind::wrong, text}; }

@@ -19,10 +19,10 @@ Finding check_long_dispatch(CheckedDevice& checked) {
         double seconds = 0.0;
         const double error = sum_error_of(checked.device(), n_threads, seconds);
         if (error != 0.0)
-            return wrong(fmt::format("sums after {:.2f} s are wrong by {:.1e}", seconds, error));
+            return wrong(fmt::format("after {:.2f} s, the sums have an error of {:.1e}", seconds, error));
         if (seconds >= kLong_s) return {Finding::Kind::right, fmt::format("{:.2f} s", seconds)};
     }
-    return {Finding::Kind::right, "268 million threads take less than 0.25 s"};
+    return {Finding::Kind::right, "the GPU needs less than 0.25 s for 268 million threads"};
 }
 
 }  // namespace relidar::cli

@@ -43,13 +43,14 @@ Finding check_large_buffer(CheckedDevice& checked) {
     Device& device = checked.device();
     const std::uint64_t limit = impl_of(device).largest_buffer.n_bytes,
                         n_bytes = std::min(limit, allowed_bytes(device)) / 64 * 64;
-    if (n_bytes < kMiB) return unsupported("less than 1 MiB is free");
+    if (n_bytes < kMiB) return unsupported("less than 1 MiB of device memory is free");
     const Buffer buffer(device, n_bytes, "the largest buffer");
     Stream stream(device);
     stream.fill(buffer, 0x5a5a1234u);
     stream.finish();
     if (!holds(buffer, 0x5a5a1234u))
-        return wrong(fmt::format("{}: other values than written", byte_size(n_bytes)));
+        return wrong(
+            fmt::format("a buffer of {} contains other values than were written", byte_size(n_bytes)));
     return {Finding::Kind::right,
             fmt::format("{}{}", byte_size(n_bytes),
                         n_bytes < limit / 64 * 64 ? fmt::format(" of at most {}", byte_size(limit))
@@ -67,12 +68,13 @@ Finding check_memory(CheckedDevice& checked) {
         stream.fill(*pieces.back(), static_cast<std::uint32_t>(pieces.size()));
     }
     stream.finish();
-    if (pieces.empty()) return unsupported("less than 256 MiB may be used");
+    if (pieces.empty()) return unsupported("less than 256 MiB of device memory may be used");
     for (std::size_t i = 0; i < pieces.size(); ++i)
         if (!holds(*pieces[i], static_cast<std::uint32_t>(i + 1)))
-            return wrong(fmt::format("piece {} of {}: other values than written", i + 1, pieces.size()));
+            return wrong(
+                fmt::format("buffer {} of {} contains other values than were written", i + 1, pieces.size()));
     return {Finding::Kind::right,
-            fmt::format("{} of a budget of {}", byte_size(pieces.size() * kPiece),
+            fmt::format("{} of the memory budget of {}", byte_size(pieces.size() * kPiece),
                         byte_size(gpu::memory_budget(impl_of(device).physical).n_bytes))};
 }
 

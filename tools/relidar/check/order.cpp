@@ -72,12 +72,13 @@ Finding check_prefix_sum(CheckedDevice& checked) {
 
 Finding check_sort(CheckedDevice& checked) {
     Device& device = checked.device();
-    if (!device.info().has_known_subgroups) return unsupported("no subgroups of a known size");
+    if (!device.info().has_known_subgroups)
+        return unsupported("the device does not report its subgroup size");
     const std::uint32_t most = device.info().type == "CPU" ? 1'000'000u : 10'000'000u;
     for (const auto& [n_keys, capacity] :
          {std::pair{0u, 10u}, {1u, 1u}, {4097u, 4097u}, {12'345u, 30'000u}, {most, most}})
         if (!sorts(device, n_keys, capacity)) return wrong(fmt::format("{} keys", n_keys));
-    return {Finding::Kind::right, fmt::format("exact, up to {} keys", most)};
+    return {Finding::Kind::right, fmt::format("exact results for up to {} keys", most)};
 }
 
 }  // namespace relidar::cli

@@ -26,7 +26,7 @@ Finding check_points(CheckedDevice& checked) {
     const Points actual = renderer.wait_for_points().points;
     const Points expected = place_points(renderer.render(sensor, {time_s, track}), config, track.at(time_s));
     if (actual.size() != expected.size() || actual.size() == 0)
-        return wrong(fmt::format("{} points, expected {}", actual.size(), expected.size()));
+        return wrong(fmt::format("found {} points, expected {} points", actual.size(), expected.size()));
     double error_m = 0.0;
     for (std::size_t i = 0; i < actual.size(); ++i) {
         const double distance_m = glm::distance(actual.position_m[i], expected.position_m[i]);

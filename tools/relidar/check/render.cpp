@@ -116,7 +116,10 @@ Finding check_tree(CheckedDevice& checked, Traversal traversal) {
     const int n_built = count_wrong_rays(checked.with(traversal), TreeState::built),
               n_refitted = count_wrong_rays(checked.with(traversal), TreeState::refitted);
     if (n_built + n_refitted == 0) return {Finding::Kind::right, "all rays find the same surfels"};
-    return wrong(fmt::format("{} of 256 rays after a build, {} after a refit", n_built, n_refitted));
+    return wrong(
+        fmt::format("{} of 256 rays find other surfels after a build of the tree, and {} after a "
+                    "refit",
+                    n_built, n_refitted));
 }
 
 Finding check_render(CheckedDevice& checked, Traversal traversal) {

@@ -14,7 +14,7 @@ namespace {
 /// Returns "right" only if a sum has no error. Sums of small integers are exact in float.
 Finding judge_sums(double error) {
     if (error == 0.0) return {Finding::Kind::right, "exact"};
-    return wrong(fmt::format("a sum is off by {:.3g} times its value", error));
+    return wrong(fmt::format("a sum has a relative error of {:.3g}", error));
 }
 
 }  // namespace
@@ -28,7 +28,7 @@ Finding check_float_swaps(CheckedDevice& checked) { return judge_sums(sum_error(
 
 Finding check_subgroups(CheckedDevice& checked) {
     const DeviceInfo& info = checked.device().info();
-    if (!info.has_known_subgroups) return unsupported("no subgroups of a known size");
+    if (!info.has_known_subgroups) return unsupported("the device does not report its subgroup size");
     const std::vector<int> sizes = subgroup_sizes(checked.device());
     for (const int lanes : sizes) {
         const Trusting trusting(DeviceTrust{.subgroup_size = lanes});

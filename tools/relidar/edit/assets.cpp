@@ -56,8 +56,7 @@ std::string reason_against(const AssetFacts& facts, const ActorObservations& sig
         "its score is {:.2f}; expected at least {:.2f} (--least); it was seen {}{}", facts.score(), least,
         sides_text(facts),
         facts.completed > 0.0
-            ? fmt::format("; a share of {:.2f} of its surface was completed by its mirror image",
-                          facts.completed)
+            ? fmt::format("; its mirror image completed a share of {:.2f} of the surface", facts.completed)
             : "");
 }
 

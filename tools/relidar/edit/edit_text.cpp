@@ -117,8 +117,8 @@ std::string standing(const Start& start, const std::string& typed) {
 std::string unseen_ground_note(const Start& start, const std::string& track) {
     if (start.unseen_m == 0.0) return "";
     return fmt::format(
-        "track {}: the log has not seen the ground below {:.0f} m of its path, so the height there is a "
-        "guess: the actor keeps the mean slope of its path",
+        "track {}: the log has not observed the ground below {:.0f} m of its path, so the height there is "
+        "extrapolated with the mean slope of the path",
         track, start.unseen_m);
 }
 
@@ -129,8 +129,10 @@ std::string unseen_sides_note(const DrivingScene& driving) {
     const Model& model = driving.scene.models[added.model];
     const std::string sides = model.seen_sides ? list_unseen_sides(*model.seen_sides) : "";
     if (sides.empty()) return "";
-    return fmt::format("track {}: the log has not seen these sides of it: {}; rays pass through them",
-                       added.track, sides);
+    return fmt::format(
+        "track {}: the log has not observed these sides of the actor: {}; rays pass through "
+        "these sides",
+        added.track, sides);
 }
 
 std::string join_notes(const std::vector<std::string>& notes) {

@@ -54,10 +54,13 @@ std::string box_notes(const std::vector<BoxSummary>& boxes) {
     }
     std::string text;
     if (!guesses.empty())
-        text += fmt::format("size estimated from the class, because only one side was seen: {}\n",
-                            fmt::join(guesses, ", "));
+        text += fmt::format(
+            "sizes that are estimated from the class, because only one side of the object "
+            "was observed: {}\n",
+            fmt::join(guesses, ", "));
     if (!continued.empty())
-        text += fmt::format("tracks extended beyond their labels: {}\n", fmt::join(continued, ", "));
+        text +=
+            fmt::format("tracks that were extended beyond their labels: {}\n", fmt::join(continued, ", "));
     return text;
 }
 

@@ -74,7 +74,7 @@ void list_sensors() {
              rays.divergence_rad > 0.0f ? fmt::format("{:.1f} mrad", 1e3 * double(rays.divergence_rad)) : "-",
              sensor.about});
     }
-    print(table(rows) + "\nAngles in degrees, left and up positive. A divergence of - is unknown.\n");
+    print(table(rows) + "\nAngles are in degrees; left and up are positive. A divergence of - is unknown.\n");
 }
 
 void describe_sensor(const SensorsOptions& options) {

@@ -32,7 +32,9 @@ void convert_to_packets(const Sequence& sequence, const ConvertOptions& options)
     const std::filesystem::path out = options.out;
     if (!options.overwrite && std::filesystem::exists(out))
         throw UsageError(
-            fmt::format("--out {}: found a file of this name, expected a new one, or --force", options.out));
+            fmt::format("--out {}: a file with this name exists; expected a new name, or --force to "
+                        "replace the file",
+                        options.out));
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
     Progress progress(options.quiet);
     const relidar::Progress shown = make_progress(progress);

@@ -59,8 +59,8 @@ void note_unseen_sides(const std::vector<nlohmann::json>& scans, const std::stri
     for (const auto& [name, n] : n_scans) texts.push_back(fmt::format("{} in {} scans", name, n));
     if (texts.empty()) return;
     note(
-        fmt::format("{}: rays meet sides of actors that the log has not seen, and pass through them: {} "
-                    "(scans.json: unseen_sides)",
+        fmt::format("{}: rays pass through sides of actors that the log has not observed: {} (see "
+                    "unseen_sides in scans.json)",
                     folder, fmt::join(texts, ", ")));
 }
 

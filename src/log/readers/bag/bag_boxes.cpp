@@ -113,11 +113,14 @@ public:
         BoxTracks result;
         if (n_unplaced_ > 0)
             result.notes.push_back(fmt::format(
-                "{} boxes are left out: where the frame '{}' is in '{}' is not known at their times",
+                "{} boxes are skipped, because the pose of the frame '{}' in the frame '{}' is unknown at "
+                "their times",
                 n_unplaced_, excerpt(*unplaced_.begin()), places_.vehicle));
         if (const std::size_t n = sort_labels(labels_); n > 0)
             result.notes.push_back(
-                fmt::format("{} boxes are left out: there is one of their thing and time already", n));
+                fmt::format("{} boxes are skipped, because another box has the same track id and the same "
+                            "time",
+                            n));
         settle(labels_);
         result.tracks = build_tracks(labels_);
         return result;

@@ -90,21 +90,20 @@ Bag::Bag(const fs::path& path, bool skip_broken) {
             const fs::path file = path / fs::path(name).filename();
             if (path_exists(file)) paths_.push_back(file);
             else
-                note(fmt::format("{}: a part of the recording that {} lists is missing", file.string(),
+                note(fmt::format("{}: this file of the recording is listed in {} but missing", file.string(),
                                  kMetadata));
         }
     }
     if (paths_.empty()) paths_ = parts_by_name(path);
     if (paths_.empty())
         throw DataError(fmt::format(
-            "{}: no part of a recording, expected .mcap, .db3, .bag, .pcap or .pcapng", path.string()));
+            "{}: found no file of a recording, expected .mcap, .db3, .bag, .pcap or .pcapng", path.string()));
     for (const fs::path& file : paths_) {
         const std::string ending = file.extension().string();
         if (ending == ".zstd")
             throw DataError(
-                fmt::format("{}: a file that rosbag2 compressed as a whole, expected it unpacked: zstd -d "
-                            "{}, and its name in {} "
-                            "without .zstd",
+                fmt::format("{}: rosbag2 has compressed this file; unpack it with `zstd -d {}` and remove "
+                            ".zstd from its name in {}",
                             file.string(), file.filename().string(), kMetadata));
         if (ending == ".pcap" || ending == ".pcapng") files_.push_back(open_pcap(file));
         else if (ending == ".bag") files_.push_back(open_ros1(file, skip_broken));
@@ -135,7 +134,8 @@ void Bag::each(const Wanted& wanted, const Take& take, const Progress& progress)
         const Take of_file = [&](Message message) {
             if (message.log_ns < 0 || message.log_ns > kLatest_ns)
                 throw DataError(
-                    fmt::format("a message recorded at {} ns, expected 0 to {}", message.log_ns, kLatest_ns));
+                    fmt::format("found a message with the recording time {} ns, expected 0 to {} ns",
+                                message.log_ns, kLatest_ns));
             message.place.file = std::uint32_t(f);
             take(message);
         };

@@ -35,7 +35,7 @@ folder::PointTable read_table(const Bag& bag, const CloudTopic& clouds, const Pl
 
 std::string BagScans::name(std::size_t frame) const {
     const FrameCloud& cloud = clouds_[frame];
-    return fmt::format("{}: {}, cloud of frame {}", bag_.files().at(cloud.entry.place.file).string(),
+    return fmt::format("{}: topic {}, cloud of frame {}", bag_.files().at(cloud.entry.place.file).string(),
                        bag_.topics()[lidars_[cloud.lidar].clouds->topic].name, cloud.number);
 }
 
@@ -49,7 +49,8 @@ Points BagScans::points(std::size_t frame) const {
             frame, cloud, at.cloud_s + 1e-9 * double(cloud.time_ns(clock_) - at.entry.time_ns(clock_)));
         if (points.time_offset_s.empty())
             throw DataError(fmt::format(
-                "{}: {}, and its points have no times that can be used, expected whole turns, or times",
+                "{}: {}, and the points have no usable times, expected clouds of full turns, or times of "
+                "points",
                 name(frame), lidars_[at.lidar].clouds->parts_about));
         const auto append = [](auto& to, const auto& from) { to.insert(to.end(), from.begin(), from.end()); };
         append(all.position_m, points.position_m), append(all.intensity, points.intensity),
@@ -59,8 +60,8 @@ Points BagScans::points(std::size_t frame) const {
     if ((!all.ring.empty() && all.ring.size() != all.size()) ||
         (!all.return_number.empty() && all.return_number.size() != all.size()))
         throw DataError(
-            fmt::format("{}: some parts of its turn have rings or numbers of returns and some have none, "
-                        "expected the same of all",
+            fmt::format("{}: some clouds of the turn have rings or return numbers and some have none, "
+                        "expected the same fields in all of them",
                         name(frame)));
     return all;
 }

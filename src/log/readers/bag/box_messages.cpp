@@ -102,7 +102,8 @@ BoxList read_detections(MessageReader reader, const DetectionLayout& layout) {
         add_box(list, box);
     }
     if (reader.left() > (reader.is_ros1() ? 0 : kPadding))
-        throw DataError(fmt::format("{} bytes behind the last of {} boxes, expected none", reader.left(), n));
+        throw DataError(
+            fmt::format("found {} bytes after the last of {} boxes, expected none", reader.left(), n));
     return list;
 }
 
@@ -115,7 +116,10 @@ BoxList read_detections(const MessageReader& reader) {
             if (why.empty()) why = error.what();
         }
     }
-    throw DataError(fmt::format("no version of vision_msgs/Detection3DArray; as the newest: {}", why));
+    throw DataError(
+        fmt::format("cannot read the message as any version of vision_msgs/Detection3DArray; "
+                    "as the newest version: {}",
+                    why));
 }
 
 /// Names of Autoware's ObjectClassification labels, indexed by label number.

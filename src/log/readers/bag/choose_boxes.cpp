@@ -20,24 +20,25 @@ BoxChoice choose_boxes(const Bag& bag, const Survey& survey) {
     for (const BoxTopic& boxes : survey.boxes) {
         const std::string name = excerpt(name_of(boxes));
         if (&boxes == choice.topic)
-            choice.notes.push_back(fmt::format(
-                "boxes are those of {}{}", name,
-                boxes.n_named == boxes.n_boxes ? ""
-                                               : fmt::format("; {} of them have no identity and are left out",
-                                                             boxes.n_boxes - boxes.n_named)));
+            choice.notes.push_back(fmt::format("boxes are read from {}{}", name,
+                                               boxes.n_named == boxes.n_boxes
+                                                   ? ""
+                                                   : fmt::format("; {} boxes without a track id are skipped",
+                                                                 boxes.n_boxes - boxes.n_named)));
         else if (boxes.n_named > 0)
             choice.notes.push_back(
-                fmt::format("boxes of {} are left out: {} with an identity are not more than the {} of {}",
+                fmt::format("the boxes of {} are ignored: {} of them have a track id, which is not more "
+                            "than the {} of {}",
                             name, boxes.n_named, choice.topic->n_named, excerpt(name_of(*choice.topic))));
         else if (boxes.n_boxes > 0)
             choice.notes.push_back(
-                fmt::format("boxes of {} are left out: none of {} says which thing of other messages it is",
-                            name, boxes.n_boxes));
+                fmt::format("the boxes of {} are ignored, because none of the {} boxes has a track id", name,
+                            boxes.n_boxes));
     }
     for (const Topic& topic : bag.topics())
         if (use_of(topic) == Use::nameless_boxes)
             choice.notes.push_back(
-                fmt::format("boxes of {} are left out: {} does not say which thing of other messages one is",
+                fmt::format("the boxes of {} are ignored, because messages of type {} have no track ids",
                             excerpt(topic.name), excerpt(topic.type)));
     return choice;
 }

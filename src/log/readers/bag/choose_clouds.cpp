@@ -49,17 +49,18 @@ std::string broken_text(const Bag& bag, const Survey& survey) {
         for (const PacketDriver& known : kDrivers)
             if (topic.type.starts_with(known.package))
                 text += fmt::format(
-                    " ({}: packets that {} makes clouds of: record what it publishes while they are played)",
+                    " ({}: relidar cannot decode these packets; play the recording with {}, and record its "
+                    "point clouds)",
                     excerpt(topic.name), known.driver);
     for (std::size_t t = 0; t < survey.facts.size(); ++t) {
         const Topic& topic = bag.topics()[t];
         const auto clouds = std::ranges::find(survey.clouds, t, &CloudTopic::topic);
         const bool is_empty = clouds != survey.clouds.end() && clouds->clouds.empty();
         if (is_empty && !clouds->packets.empty())
-            text += fmt::format(" ({}: {} packets of a {}, {})", excerpt(topic.name), clouds->packets.size(),
+            text += fmt::format(" ({}: {} packets of a {}; {})", excerpt(topic.name), clouds->packets.size(),
                                 clouds->packets.about(), clouds->packets.problems());
         else if (is_empty)
-            text += fmt::format(" ({}: {} clouds without a point)", excerpt(topic.name), clouds->n_empty);
+            text += fmt::format(" ({}: {} clouds without points)", excerpt(topic.name), clouds->n_empty);
         if (survey.facts[t].n_broken > 0)
             text += fmt::format(" ({}: {})", excerpt(topic.name), survey.facts[t].broken);
         if (topic.type == packets::kOtherDatagrams)
@@ -100,14 +101,14 @@ bool is_of_sensor(const CloudTopic& clouds) { return !is_in(clouds, kOfWorld) &&
 void check_frame(const std::string& name, const CloudTopic& clouds, CloudChoice& choice) {
     if (is_in(clouds, kOfWorld))
         throw DataError(
-            fmt::format("{}: clouds in the frame '{}' are maps, or sweeps that were moved there: where the "
-                        "LiDAR was is not in "
-                        "them, expected clouds in the LiDAR's frame (dataset.lidars)",
+            fmt::format("{}: the clouds are in the frame '{}' of a map, so the positions of the LiDAR are "
+                        "unknown; expected clouds in the frame of the LiDAR (select another topic with "
+                        "dataset.lidars)",
                         name, clouds.frame));
     if (is_in(clouds, kOfVehicle))
         choice.notes.push_back(fmt::format(
-            "{}: clouds in the frame '{}' of the vehicle are often those of several LiDARs merged: their "
-            "rays are taken as fired from that frame's origin, which is wrong near the vehicle",
+            "{}: the clouds are in the frame '{}' of the vehicle, so clouds of several LiDARs were "
+            "probably merged; all rays start at the origin of this frame, which is wrong near the vehicle",
             name, clouds.frame));
 }
 
@@ -127,7 +128,7 @@ std::vector<std::size_t> named_clouds(const Bag& bag, const Survey& survey,
             survey.clouds, [&](const CloudTopic& c) { return bag.topics()[c.topic].name == name; });
         if (found == survey.clouds.end() || found->clouds.empty())
             throw UsageError(fmt::format(
-                "dataset.lidars: found '{}', expected a topic of point clouds; the recording has {}",
+                "dataset.lidars: found '{}', expected a topic of point clouds; the recording contains {}",
                 excerpt(name), topics_text(bag)));
         lidars.push_back(std::size_t(found - survey.clouds.begin()));
     }
@@ -182,8 +183,8 @@ CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vecto
     choice.lidars = wanted.empty() ? guessed_clouds(survey) : named_clouds(bag, survey, wanted);
     if (choice.lidars.empty())
         throw DataError(
-            fmt::format("{}: no point clouds{}, expected a topic of sensor_msgs/PointCloud2 or "
-                        "livox_ros_driver2/CustomMsg; found {}",
+            fmt::format("{}: the recording has no point clouds{}, expected a topic of "
+                        "sensor_msgs/PointCloud2 or livox_ros_driver2/CustomMsg; it contains {}",
                         bag.files().front().string(), broken_text(bag, survey), topics_text(bag)));
     choice.main = main_of(survey, choice.lidars);
     const CloudTopic& main = survey.clouds[choice.lidars[choice.main]];
@@ -194,19 +195,22 @@ CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vecto
         const double rate = rate_of(survey, clouds) / std::max(rate_of(survey, main), 1e-9);
         std::string why;
         if (&clouds != &main && !survey.frames.fixed(main.frame, clouds.frame))
-            why = fmt::format("/tf_static does not say where '{}' is mounted beside '{}'", clouds.frame,
-                              main.frame);
+            why = fmt::format("/tf_static has no transform between its frame '{}' and the frame '{}'",
+                              clouds.frame, main.frame);
         else if (&clouds != &main && !(rate >= kLeastRate && rate <= kMostRate))
-            why = fmt::format("it has {:.3g} clouds for each of {}", rate, bag.topics()[main.topic].name);
+            why =
+                fmt::format("it has {:.3g} times as many clouds as {}", rate, bag.topics()[main.topic].name);
         if (why.empty()) {
             check_frame(name, clouds, choice);
             kept.push_back(c);
         } else if (wanted.empty()) {
-            choice.notes.push_back(
-                fmt::format("{} is left out: {}; dataset.lidars={} reads it alone", name, why, name));
+            choice.notes.push_back(fmt::format(
+                "topic {} is ignored: {}; use dataset.lidars={} to read only this topic", name, why, name));
         } else {
             throw DataError(
-                fmt::format("{}: {}, expected topics that are read together (dataset.lidars)", name, why));
+                fmt::format("topic {} cannot be read together with the others: {}; select other topics "
+                            "with dataset.lidars",
+                            name, why));
         }
     }
     choice.main = std::size_t(std::ranges::find(kept, choice.lidars[choice.main]) - kept.begin());

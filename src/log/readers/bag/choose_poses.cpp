@@ -42,9 +42,10 @@ bool moves_below(const FrameTree& frames, const std::vector<std::string>& way, c
 
 PoseSource of_frame(const FrameTree& frames, const std::vector<std::string>& way, const std::string& outer) {
     PoseSource source{outer, nullptr, find_vehicle_frame(frames, way, outer), {}};
-    source.about = fmt::format(
-        "poses of '{}' in '{}' from /tf (on the way {}){}", source.vehicle, outer, fmt::join(way, " < "),
-        moves_below(frames, way, outer) ? "" : "; nothing moves there: the log stands");
+    source.about =
+        fmt::format("poses are those of the frame '{}' in the frame '{}' from /tf (path {}){}",
+                    source.vehicle, outer, fmt::join(way, " < "),
+                    moves_below(frames, way, outer) ? "" : "; they are constant, so the LiDAR does not move");
     return source;
 }
 
@@ -54,12 +55,13 @@ PoseSource of_topic(const Bag& bag, const FrameTree& frames, const PoseTopic& to
     const std::string& name = bag.topics()[topic.topic].name;
     if (!frames.fixed(source.vehicle, lidar)) {
         notes.push_back(
-            fmt::format("/tf_static does not say where '{}' is mounted in '{}': poses of {} are taken for "
-                        "those of the LiDAR itself",
+            fmt::format("/tf_static has no transform between '{}' and '{}', so the poses of {} are used as "
+                        "poses of the LiDAR",
                         lidar, source.vehicle, name));
         source.vehicle = lidar;
     }
-    source.about = fmt::format("poses of '{}' in '{}' from {}", source.vehicle, topic.parent, name);
+    source.about = fmt::format("poses are those of the frame '{}' in the frame '{}' from topic {}",
+                               source.vehicle, topic.parent, name);
     return source;
 }
 
@@ -84,10 +86,11 @@ std::optional<PoseSource> named_source(const Bag& bag, const Survey& survey,
             return of_topic(bag, survey.frames, topic, way.front(), notes);
         known.push_back(bag.topics()[topic.topic].name);
     }
-    throw UsageError(
-        fmt::format("dataset.poses_from: found '{}', expected a frame above '{}' or a topic of poses: {}",
-                    excerpt(wanted), way.front(),
-                    known.empty() ? "the recording has none" : fmt::format("{}", fmt::join(known, ", "))));
+    throw UsageError(fmt::format(
+        "dataset.poses_from: found '{}', expected a parent frame of '{}' or a topic of poses: "
+        "{}",
+        excerpt(wanted), way.front(),
+        known.empty() ? "the recording has no poses" : fmt::format("{}", fmt::join(known, ", "))));
 }
 
 std::optional<PoseSource> guessed_source(const Bag& bag, const Survey& survey,
@@ -133,7 +136,7 @@ PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& 
         std::ranges::any_of(main.clouds, [](const CloudEntry& cloud) { return cloud.stamp_ns != 0; });
     if (!has_stamps) {
         choice.clock = Clock::recorder;
-        choice.notes.push_back("clouds have no stamps: the times at which they were recorded are taken");
+        choice.notes.push_back("the clouds have no stamps, so their recording times are used");
     }
     choice.zero_ns = first_time(main, choice.clock);
     choice.vehicle = main.frame;
@@ -149,9 +152,8 @@ PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& 
     const std::size_t n_recorded = count_covered(main, recorded, Clock::recorder, zero_ns);
     if (n_recorded <= n) return choice;
     choice.notes.push_back(
-        fmt::format("stamps of clouds and of poses are of different clocks ({} of {} clouds have a pose by "
-                    "them): the times at "
-                    "which messages were recorded are taken",
+        fmt::format("the stamps of clouds and poses come from different clocks (only {} of {} clouds have "
+                    "a pose at their stamp), so the recording times of messages are used",
                     n, main.clouds.size()));
     choice.clock = Clock::recorder;
     choice.zero_ns = zero_ns;

@@ -25,7 +25,8 @@ std::vector<folder::PointField> layout_of(const Cloud& cloud, const std::vector<
     for (const Cloud::Field& field : known) {
         if (field.offset < at)
             throw DataError(fmt::format(
-                "the field '{}' at byte {} of a point, where another one lies, expected {} or more",
+                "the field '{}' starts at byte {} of a point and overlaps another field, expected byte {} "
+                "or more",
                 excerpt(field.name), field.offset, at));
         skip_to(field.offset);
         layout.push_back({field.name, field.kind, field.size, field.count});
@@ -56,7 +57,7 @@ std::string packed_points(const Cloud& cloud, const std::vector<Cloud::Field>& k
 }  // namespace
 
 folder::PointTable table_of(const Cloud& cloud, const SharedBytes& message) {
-    if (cloud.size() == 0) throw DataError("a cloud without points, expected some");
+    if (cloud.size() == 0) throw DataError("the cloud has no points, expected at least one");
     std::vector<Cloud::Field> known;
     std::ranges::copy_if(cloud.fields, std::back_inserter(known),
                          [](const Cloud::Field& f) { return folder::is_point_field(f.name); });

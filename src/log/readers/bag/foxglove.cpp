@@ -45,7 +45,7 @@ std::int64_t timestamp_of(pbf_reader reader) {
     }
     constexpr std::int64_t kLatest_s = 4294967295;  // limit of ROS times
     if (seconds < 0 || seconds > kLatest_s)
-        throw DataError(fmt::format("a time of {} s, expected 0 to {}", seconds, kLatest_s));
+        throw DataError(fmt::format("found a time of {} s, expected 0 to {} s", seconds, kLatest_s));
     return seconds * 1000000000 + nanoseconds;
 }
 
@@ -54,7 +54,8 @@ Pose checked_pose(const glm::dvec4& position, const glm::dvec4& rotation) {
     const glm::dvec3 t(position);
     if (!(std::abs(glm::length(q) - 1.0) <= 1e-2) || !std::isfinite(t.x + t.y + t.z))
         throw DataError(
-            fmt::format("a pose at ({}, {}, {}) with a quaternion of length {}, expected finite metres and 1",
+            fmt::format("found a pose at ({}, {}, {}) with a quaternion of length {}, expected finite "
+                        "coordinates in metres and length 1",
                         t.x, t.y, t.z, glm::length(q)));
     return {glm::normalize(q), t};
 }
@@ -76,7 +77,8 @@ Cloud::Field element_field(pbf_reader reader) {
         else reader.skip();
     }
     if (type < 1 || type > 8)
-        throw DataError(fmt::format("the field '{}' of type {}, expected 1 to 8", excerpt(field.name), type));
+        throw DataError(
+            fmt::format("the field '{}' has the type {}, expected 1 to 8", excerpt(field.name), type));
     field.kind = kTypes[type - 1].kind;
     field.size = kTypes[type - 1].size;
     return field;
@@ -93,9 +95,9 @@ void check_identity(pbf_reader reader) {
         const bool turns = reader.tag() == 2;
         const glm::dvec4 v = vector_of(reader.get_message());
         if (!(glm::length(glm::dvec3(v)) <= 1e-9))
-            throw DataError(fmt::format(
-                "a cloud that is {} by a pose of its own, expected points in the frame that it names",
-                turns ? "turned" : "moved"));
+            throw DataError(
+                fmt::format("the cloud is {} by a pose, expected points in the frame of the message",
+                            turns ? "turned" : "moved"));
     }
 }
 

@@ -115,10 +115,12 @@ private:
         for (const std::string& text : clouds_.notes) note(text);
         for (const std::string& text : poses_.notes) note(text);
         for (const std::string& text : boxes_.notes) note(text);
-        if (has_poses_) note(poses_.about + "; dataset.poses_from names another frame or topic");
+        if (has_poses_) note(poses_.about + "; use dataset.poses_from to select another frame or topic");
         for (const std::string& frame : survey_.frames.disputed())
-            note(fmt::format("/tf has '{}' in several parents: the one with the most transforms is taken",
-                             frame));
+            note(
+                fmt::format("the frame '{}' has several parents in /tf; the parent with the most "
+                            "transforms is used",
+                            frame));
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
             if (const std::string text = jumps_text(topic_of(l)); !text.empty())
                 note(name_of(topic_of(l)) + ": " + text);
@@ -138,7 +140,8 @@ private:
             sweeps.push_back({int(sweeps.size()), t_s, t_s, clouds_.main, entry});
         }
         if (n_late > 0)
-            note(fmt::format("{} clouds are left out: they are not later than the one before them", n_late));
+            note(fmt::format("{} clouds are skipped, because they are not later than the previous cloud",
+                             n_late));
         std::vector<double> times_s;
         for (const FrameCloud& sweep : sweeps) times_s.push_back(sweep.time_s);
         const double step_s = median_step_s(times_s);
@@ -167,7 +170,7 @@ private:
             --n_left;
         }
         if (n_left > 0)
-            note(fmt::format("{}: {} clouds are left out: {} has no sweep beside them",
+            note(fmt::format("{}: {} clouds are skipped, because {} has no cloud near their times",
                              name_of(topic_of(lidar)), n_left, name_of(main())));
     }
 
@@ -182,17 +185,16 @@ private:
         }
         if (frames_.empty() && n_unplaced > 0)
             throw DataError(
-                fmt::format("{}: {}: none of the {} clouds is of a time with a pose, expected "
-                            "dataset.poses_from, dataset.poses=FILE, or "
-                            "dataset.poses=none to find poses from the scans",
+                fmt::format("{}: {}; none of the {} clouds has a pose at its time; use dataset.poses_from "
+                            "or dataset.poses=FILE to select other poses, or dataset.poses=none to "
+                            "estimate the poses from the scans",
                             sequence_.source, poses_.about, n_unplaced));
         if (frames_.empty())
             throw UsageError(fmt::format(
-                "frames {}:{}: none of the clouds of {} lies in it, which are numbered from 0",
-                options_.frames.begin, options_.frames.end < 0 ? "" : std::to_string(options_.frames.end),
-                name_of(main())));
+                "frames {}:{} select no cloud of {}; frames are numbered from 0", options_.frames.begin,
+                options_.frames.end < 0 ? "" : std::to_string(options_.frames.end), name_of(main())));
         if (n_unplaced > 0)
-            note(fmt::format("{} clouds are left out: there are no poses at their times", n_unplaced));
+            note(fmt::format("{} clouds are skipped, because there are no poses at their times", n_unplaced));
     }
 
     void find_units_of(double step_s) {
@@ -209,8 +211,8 @@ private:
                 note(name_of(topic_of(l)) + ": " + text);
             if (is_deskewed_ && has_poses_ && lidars_.back().units.zero != TimeZero::none)
                 note(name_of(clouds) +
-                     ": relidar deskewed the points to the stamp: they are moved back to the sensor at their "
-                     "own times");
+                     ": the points were deskewed to the stamp by relidar; they are converted back to the "
+                     "sensor's frame at their own times");
         }
     }
 
@@ -291,11 +293,11 @@ private:
         if (options_.poses_file == kNoPoses) note(kitti::kNoPosesNote);
         else if (!sequence_.has_poses)
             note(
-                "the recording has no poses: they have to be found from the scans, as with "
+                "the recording has no poses; they must be estimated from the scans, like with "
                 "dataset.poses=none");
         sequence_.conventions = fmt::format(
-            "ROS: x forward, y left, z up; 0 s is {}.{:09} s of the {}; frames are numbered by the clouds of "
-            "{}",
+            "ROS: x forward, y left, z up; 0 s is {}.{:09} s of the {}; frames are numbered by the clouds "
+            "of {}",
             poses_.zero_ns / kSecond_ns, std::abs(poses_.zero_ns % kSecond_ns),
             poses_.clock == Clock::stamps ? "stamps" : "recorder's clock", name_of(main()));
         add_boxes();

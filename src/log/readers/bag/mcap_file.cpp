@@ -64,7 +64,7 @@ SharedBytes records_of_chunk(const SharedBytes& chunk) {
         unpack_chunk(compression, chunk.with(reader.take(reader.number<std::uint64_t>())), n);
     if (sum != 0 &&
         crc32_z(0, reinterpret_cast<const Bytef*>(records.bytes.data()), records.bytes.size()) != sum)
-        throw DataError("its bytes do not have the checksum that it gives");
+        throw DataError("the checksum of the data is wrong, so the data is damaged");
     return records;
 }
 
@@ -72,7 +72,7 @@ class McapFile : public BagFile {
 public:
     McapFile(const std::filesystem::path& path, bool skip_broken) : file_(path), skip_broken_(skip_broken) {
         if (file_.size() < kMcapMagic.size() || file_.part(0, kMcapMagic.size()).bytes != kMcapMagic)
-            throw DataError(fmt::format("{}: it does not begin as MCAP does", file_.name()));
+            throw DataError(fmt::format("{}: the file does not begin like an MCAP file", file_.name()));
     }
 
     void each(TopicTable& topics, const Pass& pass) override {
@@ -91,14 +91,14 @@ public:
             try {
                 read_record(code, at, length, topics, pass);
             } catch (const DataError& error) {
-                const std::string text =
-                    fmt::format("{}: the record at byte {}: {}", file_.name(), at, error.what());
-                if (!skip_broken_) throw DataError(text + "; dataset.skip_broken=true leaves it out");
-                pass.note("left out: " + text);
+                const std::string text = fmt::format("{}: the record at byte {} cannot be read: {}",
+                                                     file_.name(), at, error.what());
+                if (!skip_broken_) throw DataError(text + "; use dataset.skip_broken=true to skip it");
+                pass.note("skipped: " + text);
             }
             at += kRecordHead + length;
         }
-        pass.note(fmt::format("{}: cut off at byte {} of {}: what was recorded behind is missing",
+        pass.note(fmt::format("{}: the file is truncated at byte {} of {}; later messages are missing",
                               file_.name(), at, file_.size()));
     }
 
@@ -174,8 +174,10 @@ private:
             const McapMessage message = message_of(record.body);
             const auto channel = channels_.find(message.channel);
             if (channel == channels_.end())
-                throw DataError(fmt::format("a message of channel {}, which no record before it describes",
-                                            message.channel));
+                throw DataError(
+                    fmt::format("a message belongs to channel {}, but no earlier record "
+                                "describes this channel",
+                                message.channel));
             const bool wanted = pass.wanted(topics.topics()[channel->second]);
             pass.take({channel->second, message.log_ns, wanted ? message.bytes : std::string_view(), place});
         }

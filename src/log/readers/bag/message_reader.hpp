@@ -24,12 +24,14 @@ public:
         if (is_ros1) return;
         constexpr std::size_t kHead = 4;
         if (bytes.size() < kHead)
-            throw DataError(fmt::format("{} bytes, expected a message in CDR", bytes.size()));
+            throw DataError(fmt::format("the message has {} bytes, expected a message in CDR", bytes.size()));
         // Kinds 0 and 1 are XCDR1, kinds 6 and 7 are XCDR2. Odd kinds are little-endian.
         const auto kind = static_cast<unsigned char>(bytes[1]);
         if (bytes[0] != 0 || (kind != 0 && kind != 1 && kind != 6 && kind != 7))
-            throw DataError(fmt::format("the head {:02x} {:02x}, expected CDR: 00 00, 00 01, 00 06 or 00 07",
-                                        static_cast<unsigned char>(bytes[0]), kind));
+            throw DataError(
+                fmt::format("the message begins with {:02x} {:02x}, expected CDR: 00 00, 00 "
+                            "01, 00 06 or 00 07",
+                            static_cast<unsigned char>(bytes[0]), kind));
         swapped_ = kind % 2 == 0;
         widest_ = kind >= 6 ? 4 : 8;
         bytes_ = bytes.substr(kHead);
@@ -62,13 +64,16 @@ public:
     std::size_t length(std::size_t least) {
         const auto n = number<std::uint32_t>();
         if (n > (bytes_.size() - at_) / least)
-            throw DataError(fmt::format("a list of {} entries in {} bytes, expected at most {}", n,
-                                        bytes_.size() - at_, (bytes_.size() - at_) / least));
+            throw DataError(
+                fmt::format("the message has a list of {} entries in {} bytes, expected at "
+                            "most {} entries",
+                            n, bytes_.size() - at_, (bytes_.size() - at_) / least));
         return n;
     }
     std::string_view take(std::size_t n) {
         if (n > bytes_.size() - at_)
-            throw DataError(fmt::format("cut short: {} bytes, expected {}", bytes_.size() - at_, n));
+            throw DataError(fmt::format("the message is truncated: it has {} more bytes, expected {}",
+                                        bytes_.size() - at_, n));
         at_ += n;
         return bytes_.substr(at_ - n, n);
     }

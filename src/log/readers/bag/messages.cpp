@@ -63,8 +63,8 @@ Cloud::Field read_field(MessageReader& reader) {
     const auto count = reader.number<std::uint32_t>();
     field.count = std::max<std::size_t>(count, 1);  // some drivers write 0
     if (type < 1 || type > std::size(kTypes))
-        throw DataError(fmt::format("the field '{}' of type {}, expected 1 to {}", excerpt(field.name), type,
-                                    std::size(kTypes)));
+        throw DataError(fmt::format("the field '{}' has the type {}, expected 1 to {}", excerpt(field.name),
+                                    type, std::size(kTypes)));
     field.kind = kTypes[type - 1].kind;
     field.size = kTypes[type - 1].size;
     return field;
@@ -74,20 +74,21 @@ void check_layout(const Cloud& cloud) {
     for (const Cloud::Field& field : cloud.fields)
         if (field.offset > cloud.point_step || field.size * field.count > cloud.point_step - field.offset)
             throw DataError(
-                fmt::format("the field '{}' at {} with {} bytes of a point of {}, expected it within",
+                fmt::format("the field '{}' starts at byte {} and has {} bytes, expected a field inside "
+                            "the point of {} bytes",
                             excerpt(field.name), field.offset, field.size * field.count, cloud.point_step));
     if (cloud.size() == 0) return;
     if (cloud.point_step == 0 || cloud.point_step > kMostPointStep)
         throw DataError(
-            fmt::format("a point of {} bytes, expected 1 to {}", cloud.point_step, kMostPointStep));
+            fmt::format("a point has {} bytes, expected 1 to {}", cloud.point_step, kMostPointStep));
     const std::size_t row = cloud.width * cloud.point_step;
     if (cloud.row_step < row && cloud.height > 1)
-        throw DataError(fmt::format("rows of {} bytes, expected {} points of {}", cloud.row_step, cloud.width,
-                                    cloud.point_step));
+        throw DataError(fmt::format("a row of the cloud has {} bytes, expected {} points of {} bytes",
+                                    cloud.row_step, cloud.width, cloud.point_step));
     if (cloud.data.size() < row ||
         (cloud.height > 1 && (cloud.data.size() - row) / cloud.row_step < cloud.height - 1))
-        throw DataError(fmt::format("{} bytes of points, expected {} x {} of {}", cloud.data.size(),
-                                    cloud.height, cloud.width, cloud.point_step));
+        throw DataError(fmt::format("the cloud has {} bytes, expected {} x {} points of {} bytes",
+                                    cloud.data.size(), cloud.height, cloud.width, cloud.point_step));
 }
 
 /// Reads a CustomMsg of the Livox drivers. A point consists of offset_time uint32 (ns), x
@@ -149,7 +150,8 @@ Pose pose_of(const PoseNumbers& v) {
     const double length = glm::length(q);
     if (!(std::abs(length - 1.0) <= kUnitLength) || !std::isfinite(v[0] + v[1] + v[2]))
         throw DataError(
-            fmt::format("a pose at ({}, {}, {}) with a quaternion of length {}, expected finite metres and 1",
+            fmt::format("found a pose at ({}, {}, {}) with a quaternion of length {}, expected finite "
+                        "coordinates in metres and length 1",
                         v[0], v[1], v[2], length));
     return {glm::normalize(q), {v[0], v[1], v[2]}};
 }

@@ -33,7 +33,7 @@ void unpack_bz2(std::string_view from, std::span<char> to) {
                          : BZ2_bzBuffToBuffDecompress(to.data(), &n, const_cast<char*>(from.data()),
                                                       unsigned(from.size()), 0, 0);
     if (code != BZ_OK || n != to.size())
-        throw DataError(fmt::format("damaged bz2 data, expected {} bytes", to.size()));
+        throw DataError(fmt::format("the bz2 data is damaged, expected {} bytes after unpacking", to.size()));
 }
 
 std::string reason() { return std::error_code(errno, std::generic_category()).message(); }
@@ -42,11 +42,11 @@ std::string reason() { return std::error_code(errno, std::generic_category()).me
 
 PartFile::PartFile(const std::filesystem::path& path) : name_(path.string()) {
     handle_ = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
-    if (handle_ < 0) throw DataError(fmt::format("{}: cannot be read: {}", name_, reason()));
+    if (handle_ < 0) throw DataError(fmt::format("{}: cannot open the file: {}", name_, reason()));
     struct stat status {};
     if (::fstat(handle_, &status) != 0 || !S_ISREG(status.st_mode)) {
         ::close(handle_);
-        throw DataError(fmt::format("{}: not a file", name_));
+        throw DataError(fmt::format("{}: this is not a file", name_));
     }
     size_ = std::uint64_t(status.st_size);
 }
@@ -55,15 +55,17 @@ PartFile::~PartFile() { ::close(handle_); }
 
 SharedBytes PartFile::part(std::uint64_t at, std::uint64_t n) const {
     if (at > size_ || n > size_ - at)
-        throw DataError(fmt::format("cut short: {} bytes from byte {} on, expected {}",
-                                    size_ - std::min(at, size_), at, n));
+        throw DataError(
+            fmt::format("the file is truncated: it has {} bytes after byte {}, expected {} "
+                        "bytes",
+                        size_ - std::min(at, size_), at, n));
     return make_shared_bytes(std::size_t(n), [&](std::span<char> bytes) {
         for (std::size_t got = 0; got < bytes.size();) {
             const ssize_t k = ::pread(handle_, bytes.data() + got, bytes.size() - got, off_t(at + got));
             if (k < 0 && errno == EINTR) continue;
             if (k <= 0)
-                throw DataError(fmt::format("reading {} bytes from byte {} on: {}", n, at,
-                                            k < 0 ? reason() : "the file ends before"));
+                throw DataError(fmt::format("cannot read {} bytes from byte {} on: {}", n, at,
+                                            k < 0 ? reason() : "the file ends before them"));
             got += std::size_t(k);
         }
     });
@@ -89,7 +91,7 @@ SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk,
     const std::string_view bytes = chunk.bytes;
     if (compression.empty() || compression == "none") {
         if (n != bytes.size())
-            throw DataError(fmt::format("{} bytes that are not compressed, expected {}", bytes.size(), n));
+            throw DataError(fmt::format("found {} bytes of uncompressed data, expected {}", bytes.size(), n));
         return chunk;
     }
     const auto unpack = compression == "lz4"    ? unpack_lz4
@@ -98,10 +100,12 @@ SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk,
                                                 : nullptr;
     if (!unpack)
         throw DataError(
-            fmt::format("the compression '{}', expected none, lz4, zstd or bz2", excerpt(compression)));
+            fmt::format("found the compression '{}', expected none, lz4, zstd or bz2", excerpt(compression)));
     if (n > UINT_MAX || (n > kAlwaysUnpacked && n / kMostUnpacked > bytes.size()))
-        throw DataError(fmt::format("{} bytes that unpack to {}, expected at most {} times as many",
-                                    bytes.size(), n, kMostUnpacked));
+        throw DataError(
+            fmt::format("found {} bytes that unpack to {} bytes, expected at most {} times as "
+                        "many",
+                        bytes.size(), n, kMostUnpacked));
     return make_shared_bytes(std::size_t(n), [&](std::span<char> to) {
         if (n > 0 || !bytes.empty()) unpack(bytes, to);
     });

@@ -186,7 +186,7 @@ public:
                                         DLT_LOOP,   DLT_RAW,       DLT_IPV4};
         if (std::ranges::find(known, link_) == known.end())
             throw DataError(
-                fmt::format("{}: captured on a link of type {}, expected Ethernet, Linux cooked or raw IP",
+                fmt::format("{}: found packets of link type {}, expected Ethernet, Linux cooked or raw IP",
                             path.string(), link_));
         begin_ = position();
     }
@@ -217,7 +217,7 @@ public:
             if (stream.n > 0) flush(stream, pass);
         if (broken.empty() || !ousters_.empty()) note_unread_ousters(pass);
         if (n_cut_ > 0)
-            pass.note(fmt::format("{}: the capture cut {} frames short: what they held is missing",
+            pass.note(fmt::format("{}: {} packets were truncated during the capture; their data is missing",
                                   path_.string(), n_cut_));
     }
 
@@ -225,7 +225,10 @@ public:
         const std::lock_guard guard(lock_);
         const auto stream = std::ranges::find_if(
             streams_, [&](const auto& keyed) { return keyed.second.number == place.in_chunk; });
-        if (stream == streams_.end()) throw DataError("a stream that is not there any more");
+        if (stream == streams_.end())
+            throw DataError(
+                "the capture has changed: one of its packet streams "
+                "is missing");
         seek(place.at);
         Fragments fragments;
         std::string run;
@@ -293,7 +296,7 @@ private:
     }
     void seek(std::uint64_t at) const {
         if (fseeko(pcap_file(pcap_.get()), off_t(at), SEEK_SET) != 0)
-            throw DataError(fmt::format("{}: byte {} cannot be reached", path_.string(), at));
+            throw DataError(fmt::format("{}: cannot go to byte {} of the file", path_.string(), at));
     }
 
     /// Reads the next UDP datagram from the file. The result contains the UDP header and
@@ -306,7 +309,7 @@ private:
             const unsigned char* data = nullptr;
             const int code = pcap_next_ex(pcap_.get(), &head, &data);
             if (code == PCAP_ERROR && pass)
-                pass->note(fmt::format("{}: {}: packets behind byte {} are missing", path_.string(),
+                pass->note(fmt::format("{}: {}; the packets after byte {} are missing", path_.string(),
                                        excerpt(pcap_geterr(pcap_.get())), at));
             if (code != 1) return std::nullopt;
             if (head->caplen < head->len) {
@@ -358,8 +361,8 @@ private:
             std::string& first = senders[stream.ouster.get()];
             if (!first.empty())
                 pass.note(
-                    fmt::format("{}: packets of {} and of {} are read by one sensor's metadata, {}, expected "
-                                "one for each",
+                    fmt::format("{}: packets of {} and of {} use the same sensor metadata, {}, expected "
+                                "one metadata file for each sensor",
                                 path_.string(), first, std::get<0>(key), stream.ouster->where));
             first = std::get<0>(key);
         }

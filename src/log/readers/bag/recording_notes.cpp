@@ -26,10 +26,11 @@ std::string clouds_text(const CloudTopic& clouds) {
         for (const packets::PacketTurn& turn : clouds.turns) n_missing += turn.n_missing;
         const std::string problems = clouds.packets.problems();
         return fmt::format(
-            ", frame '{}', {} packets of a {}: {} whole turns{}{}{}", excerpt(clouds.frame),
+            ", frame '{}', {} packets of a {}: {} full turns{}{}{}", excerpt(clouds.frame),
             clouds.packets.size(), clouds.packets.about(), clouds.turns.size(),
-            n_missing == 0 ? ""
-                           : fmt::format("; {} packets are missing, whose rays count as dropped", n_missing),
+            n_missing == 0
+                ? ""
+                : fmt::format("; {} packets are missing, and their rays are read as dropped rays", n_missing),
             problems.empty() ? "" : "; ", problems);
     }
     std::vector<std::string> names;
@@ -40,14 +41,15 @@ std::string clouds_text(const CloudTopic& clouds) {
 }
 
 std::string poses_text(const PoseTopic& poses) {
-    return fmt::format(", frame '{}' in '{}'", poses.child.empty() ? "not said" : excerpt(poses.child),
+    return fmt::format(", frame '{}' in '{}'", poses.child.empty() ? "unknown" : excerpt(poses.child),
                        excerpt(poses.parent));
 }
 
 std::string boxes_text(const BoxTopic& boxes) {
     return fmt::format(
-        ", frame '{}', {} boxes, {} with an identity{}", excerpt(boxes.frame), boxes.n_boxes, boxes.n_named,
-        boxes.n_left_out == 0 ? "" : fmt::format("; {} more have no size or pose", boxes.n_left_out));
+        ", frame '{}', {} boxes, {} with a track id{}", excerpt(boxes.frame), boxes.n_boxes, boxes.n_named,
+        boxes.n_left_out == 0 ? ""
+                              : fmt::format("; {} more boxes have no size or no pose", boxes.n_left_out));
 }
 
 }  // namespace
@@ -66,7 +68,7 @@ std::vector<std::string> topic_lines(const Bag& bag, const Survey& survey, const
         if (const auto clouds = std::ranges::find(survey.clouds, t, &CloudTopic::topic);
             clouds != survey.clouds.end()) {
             line += clouds_text(*clouds);
-            if (clouds->n_empty > 0) line += fmt::format(", {} clouds without a point", clouds->n_empty);
+            if (clouds->n_empty > 0) line += fmt::format(", {} clouds without points", clouds->n_empty);
         }
         if (const auto poses = std::ranges::find(survey.poses, t, &PoseTopic::topic);
             poses != survey.poses.end())
@@ -75,7 +77,8 @@ std::vector<std::string> topic_lines(const Bag& bag, const Survey& survey, const
             boxes != survey.boxes.end())
             line += boxes_text(*boxes);
         if (facts.n_broken > 0)
-            line += fmt::format(", {} of them cannot be read (the first: {})", facts.n_broken, facts.broken);
+            line += fmt::format(", {} messages cannot be read (the first error: {})", facts.n_broken,
+                                facts.broken);
         lines.push_back(line + (used[t] ? ": used" : ""));
     }
     if (bag.topics().size() > kMostLines)
@@ -95,8 +98,8 @@ std::string gaps_text(const std::vector<double>& times_s, double step_s) {
     }
     return n == 0 ? ""
                   : fmt::format(
-                        "{} gaps between sweeps, about {} sweeps are missing; the longest is {:.2f} s, at "
-                        "{:.2f} s",
+                        "{} gaps between sweeps with about {} missing sweeps; the longest gap is {:.2f} s, "
+                        "at {:.2f} s",
                         n, missing, longest_s, at_s);
 }
 
@@ -113,10 +116,12 @@ std::string jumps_text(const CloudTopic& clouds) {
         if (std::abs(jump_s) > std::abs(largest_s)) largest_s = jump_s;
     }
     std::string text;
-    if (n_falls > 0) text = fmt::format("{} stamps of clouds do not rise", n_falls);
+    if (n_falls > 0)
+        text = fmt::format("the stamps of {} clouds are not later than the previous stamp", n_falls);
     if (n_jumps > 0)
         text += fmt::format(
-            "{}the clock of the stamps jumps {} times against the recorder's, by {:.2f} s at most",
+            "{}the clock of the stamps jumps {} times relative to the clock of the recorder, by at most "
+            "{:.2f} s",
             text.empty() ? "" : "; ", n_jumps, largest_s);
     return text;
 }

@@ -29,13 +29,14 @@ public:
             const std::string_view field = reader.sized();
             const std::size_t equals = field.find('=');
             if (equals == std::string_view::npos)
-                throw DataError(fmt::format("the field '{}', expected name=value", excerpt(field)));
+                throw DataError(
+                    fmt::format("found the header field '{}', expected name=value", excerpt(field)));
             values_[field.substr(0, equals)] = field.substr(equals + 1);
         }
     }
     std::string_view text(std::string_view name) const {
         const auto at = values_.find(name);
-        if (at == values_.end()) throw DataError(fmt::format("a header without '{}', expected it", name));
+        if (at == values_.end()) throw DataError(fmt::format("the header has no field '{}'", name));
         return at->second;
     }
     template <class T>
@@ -61,7 +62,7 @@ public:
     Ros1File(const std::filesystem::path& path, bool skip_broken) : file_(path), skip_broken_(skip_broken) {
         if (file_.size() < kRos1Magic.size() || file_.part(0, kRos1Magic.size()).bytes != kRos1Magic)
             throw DataError(
-                fmt::format("{}: it does not begin as a ROS 1 bag of format 2.0 does", file_.name()));
+                fmt::format("{}: the file does not begin like a ROS 1 bag of format 2.0", file_.name()));
     }
 
     void each(TopicTable& topics, const Pass& pass) override {
@@ -70,18 +71,20 @@ public:
         while (at < file_.size()) {
             const std::optional<Extent> record = extent_at(at);
             if (!record) {
-                pass.note(fmt::format("{}: cut off at byte {} of {}: what was recorded behind is missing",
-                                      file_.name(), at, file_.size()));
+                pass.note(
+                    fmt::format("{}: the file is truncated at byte {} of {}; later messages are "
+                                "missing",
+                                file_.name(), at, file_.size()));
                 return;
             }
             pass.done(double(at) / double(file_.size()));
             try {
                 read_record(at, *record, topics, pass);
             } catch (const DataError& error) {
-                const std::string text =
-                    fmt::format("{}: the record at byte {}: {}", file_.name(), at, error.what());
-                if (!skip_broken_) throw DataError(text + "; dataset.skip_broken=true leaves it out");
-                pass.note("left out: " + text);
+                const std::string text = fmt::format("{}: the record at byte {} cannot be read: {}",
+                                                     file_.name(), at, error.what());
+                if (!skip_broken_) throw DataError(text + "; use dataset.skip_broken=true to skip it");
+                pass.note("skipped: " + text);
             }
             at = record->data_at + record->data_bytes;
         }
@@ -91,7 +94,8 @@ public:
         if (place.in_chunk == Place::kNoChunk) {
             const std::optional<Extent> record = extent_at(place.at);
             if (!record)
-                throw DataError(fmt::format("{}: the message at byte {} is cut off", file_.name(), place.at));
+                throw DataError(
+                    fmt::format("{}: the message at byte {} is truncated", file_.name(), place.at));
             return file_.part(record->data_at, record->data_bytes);
         }
         const SharedBytes records = chunks_.get(place.at, [&] { return records_of(*extent_at(place.at)); });
@@ -125,7 +129,7 @@ private:
         if (!header_bytes) return std::nullopt;
         if (*header_bytes > kLongestHeader)
             throw DataError(
-                fmt::format("{}: the record at byte {}: a header of {} bytes, expected at most {}",
+                fmt::format("{}: the record at byte {} has a header of {} bytes, expected at most {}",
                             file_.name(), at, *header_bytes, kLongestHeader));
         const std::uint64_t data = at + 4 + *header_bytes;
         const auto data_bytes = length_at(data);
@@ -170,7 +174,9 @@ private:
         const auto connection = connections_.find(id);
         if (connection == connections_.end())
             throw DataError(
-                fmt::format("a message of connection {}, which no record before it describes", id));
+                fmt::format("a message belongs to connection {}, but no earlier record describes this "
+                            "connection",
+                            id));
         ByteReader time(header.text("time"));
         const auto seconds = time.number<std::uint32_t>(), nanoseconds = time.number<std::uint32_t>();
         const bool wanted = pass.wanted(topics.topics()[connection->second]);

@@ -85,8 +85,10 @@ public:
             const std::int64_t row = sqlite3_column_int64(rows.get(), 0);
             const auto topic = topic_of.find(sqlite3_column_int64(rows.get(), 1));
             if (topic == topic_of.end())
-                throw DataError(fmt::format("{}: row {} of its messages is of a topic that it does not list",
-                                            name_, row));
+                throw DataError(
+                    fmt::format("{}: the message in row {} belongs to a topic that the file "
+                                "does not list",
+                                name_, row));
             pass.done(last > 0 ? double(row) / double(last) : 0.0);
             Message message{topic->second, sqlite3_column_int64(rows.get(), 2), {}, {std::uint64_t(row)}};
             SharedBytes unpacked;
@@ -108,7 +110,7 @@ public:
         sqlite3_reset(one_.get());
         sqlite3_bind_int64(one_.get(), 1, std::int64_t(place.at));
         if (!step(one_.get()))
-            throw DataError(fmt::format("{}: row {} of its messages is not there any more", name_, place.at));
+            throw DataError(fmt::format("{}: the message in row {} no longer exists", name_, place.at));
         const std::string_view bytes = bytes_at(one_.get(), 0);
         return packed_ ? unpacked_message(bytes, std::int64_t(place.at)) : share_bytes(std::string(bytes));
     }
@@ -122,7 +124,7 @@ private:
     mutable Statement one_;
 
     [[noreturn]] void fail(const char* doing) const {
-        throw DataError(fmt::format("{}: {}: {}, expected messages of rosbag2 in SQLite", name_, doing,
+        throw DataError(fmt::format("{}: {} failed: {}; expected messages of rosbag2 in SQLite", name_, doing,
                                     excerpt(database_ ? sqlite3_errmsg(database_.get()) : "no memory")));
     }
 
@@ -146,7 +148,7 @@ private:
             if (code != SQLITE_ROW && code != SQLITE_DONE) fail("reading its messages");
             return code == SQLITE_ROW;
         }
-        pass.note(fmt::format("{}: damaged or cut off ({}): messages behind that place are missing", name_,
+        pass.note(fmt::format("{}: the file is damaged or truncated ({}); later messages are missing", name_,
                               sqlite3_errmsg(database_.get())));
         return false;
     }
@@ -164,18 +166,21 @@ private:
             "AND sql NOT LIKE '% as%(%)%' AND sql NOT LIKE 'create virtual%'",
             table));
         if (!step(row.get()))
-            throw DataError(fmt::format("{}: no table '{}', expected a database of rosbag2", name_, table));
+            throw DataError(
+                fmt::format("{}: the table '{}' is missing, expected a database of rosbag2", name_, table));
     }
 
     SharedBytes unpacked_message(std::string_view bytes, std::int64_t row) const {
         const unsigned long long n = ZSTD_getFrameContentSize(bytes.data(), bytes.size());
         if (n == ZSTD_CONTENTSIZE_UNKNOWN || n == ZSTD_CONTENTSIZE_ERROR)
             throw DataError(fmt::format(
-                "{}: row {} of its messages is not compressed by zstd, as metadata.yaml has it", name_, row));
+                "{}: the message in row {} is not compressed with zstd, unlike metadata.yaml says", name_,
+                row));
         try {
             return unpack_chunk("zstd", {nullptr, bytes}, n);
         } catch (const DataError& error) {
-            throw DataError(fmt::format("{}: row {} of its messages: {}", name_, row, error.what()));
+            throw DataError(
+                fmt::format("{}: cannot read the message in row {}: {}", name_, row, error.what()));
         }
     }
 };

@@ -203,11 +203,11 @@ void join_parts(CloudTopic& topic) {
         for (const TurnPart& part : turn) entry.n_points += part.n_points;
     }
     topic.parts_about =
-        fmt::format("{}: put together into {} whole turns of {}{}", joined.about, joined.turns.size(),
-                    joined.turns[joined.turns.size() / 2].size(),
+        fmt::format("{}; the clouds were combined to {} full turns of {}{}", joined.about,
+                    joined.turns.size(), joined.turns[joined.turns.size() / 2].size(),
                     joined.n_left_out == 0
                         ? ""
-                        : fmt::format("; {} of turns that are not whole are left out", joined.n_left_out));
+                        : fmt::format("; {} clouds of incomplete turns are skipped", joined.n_left_out));
 }
 
 }  // namespace

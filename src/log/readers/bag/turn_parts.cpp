@@ -152,7 +152,7 @@ JoinedTurns join_turns(std::vector<TurnPart> clouds) {
         if (turn.size() >= n_whole) joined.turns.push_back(std::move(turn));
         else joined.n_left_out += turn.size();
     }
-    joined.about = fmt::format("each cloud is a part of a turn, about {:.0f} degrees of it",
+    joined.about = fmt::format("each cloud covers only a part of a turn, about {:.0f} degrees",
                                parts->extent_rad * kDegrees);
     return joined;
 }

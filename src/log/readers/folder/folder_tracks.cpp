@@ -64,8 +64,7 @@ std::vector<int> find_pose_columns(const std::string& line, const std::string& w
     }
     const std::vector<int> at = find_columns(words, kPoseNames, where);
     for (std::size_t c = 0; c < at.size(); ++c)
-        if (at[c] < 0)
-            throw DataError(fmt::format("{}: found no column '{}', expected it", where, kPoseNames[c]));
+        if (at[c] < 0) throw DataError(fmt::format("{}: the column '{}' is missing", where, kPoseNames[c]));
     return at;
 }
 
@@ -81,11 +80,11 @@ struct PoseRows {
 std::vector<double> pose_row(const std::string& line, std::size_t n, const std::string& where) {
     const auto v = parse_numbers(content(line));
     if (!v || (n > 0 ? v->size() != n : v->size() != 7 && v->size() != 8))
-        throw DataError(
-            fmt::format("{}: '{}', expected 8 numbers: time_s x y z qw qx qy qz", where, excerpt(line)));
+        throw DataError(fmt::format("{}: found '{}', expected 8 numbers: time_s x y z qw qx qy qz", where,
+                                    excerpt(line)));
     if (!std::all_of(v->begin(), v->end(), [](double x) { return std::abs(x) <= kLargestOfTrack; }))
-        throw DataError(fmt::format("{}: '{}', expected finite numbers within {}", where, excerpt(line),
-                                    kLargestOfTrack));
+        throw DataError(fmt::format("{}: found '{}', expected finite numbers of at most {}", where,
+                                    excerpt(line), kLargestOfTrack));
     return *v;
 }
 
@@ -98,8 +97,8 @@ void check_have_times(const PoseRows& rows, const std::string& file) {
     };
     if (!rows.rows.empty() && std::ranges::all_of(rows.rows, ends_with_quaternion))
         throw DataError(fmt::format(
-            "{}: found poses without times: the last four of seven numbers are a quaternion; expected 8 "
-            "numbers: time_s x y z qw qx qy qz",
+            "{}: the poses have no times, because each line has seven numbers and the last four are a "
+            "quaternion; expected 8 numbers: time_s x y z qw qx qy qz",
             file));
 }
 
@@ -122,12 +121,13 @@ PoseRows read_rows(const std::vector<std::string>& lines, const std::string& fil
         if (const std::vector<double> read = row; !at.empty())
             for (std::size_t c = 0; c < row.size(); ++c) row[c] = read[static_cast<std::size_t>(at[c])];
         if (!rows.rows.empty() && !(row[0] > rows.rows.back()[0]))
-            throw DataError(fmt::format("{}: time {} s after {} s, expected times that rise", where, row[0],
-                                        rows.rows.back()[0]));
+            throw DataError(fmt::format("{}: found the time {} s after {} s, expected increasing times",
+                                        where, row[0], rows.rows.back()[0]));
         if (row.size() == 8) {
             const double length = glm::length(glm::dquat(row[4], row[5], row[6], row[7]));
             if (!(std::abs(length - 1.0) <= kUnit))
-                throw DataError(fmt::format("{}: a quaternion of length {}, expected 1", where, length));
+                throw DataError(
+                    fmt::format("{}: found a quaternion of length {}, expected length 1", where, length));
         }
         rows.rows.push_back(std::move(row));
     }
@@ -170,7 +170,7 @@ std::vector<PoseReading> readings_of(const PoseRows& rows) {
     };
     std::vector<PoseReading> readings;
     if (rows.rows[0].size() == 8) {
-        const std::string named = "columns as their names say";
+        const std::string named = "columns with the meaning of their names";
         readings.push_back({rows.has_names ? named : "qw qx qy qz",
                             track_of(rows, [](const Row& r) { return glm::dquat(r[4], r[5], r[6], r[7]); })});
         if (!rows.has_names)
@@ -179,8 +179,8 @@ std::vector<PoseReading> readings_of(const PoseRows& rows) {
                                 })});
     } else {
         readings.push_back(
-            {"roll pitch yaw in radians", track_of(rows, [&](const Row& r) { return angles(r, 1.0); })});
-        readings.push_back({"roll pitch yaw in degrees",
+            {"roll, pitch and yaw in radians", track_of(rows, [&](const Row& r) { return angles(r, 1.0); })});
+        readings.push_back({"roll, pitch and yaw in degrees",
                             track_of(rows, [&](const Row& r) { return angles(r, kPi / 180.0); })});
     }
     return with_inverses(std::move(readings));
@@ -193,8 +193,8 @@ std::vector<Pose> interpolated(const PoseTrack& track, const std::vector<HeadFra
         if (frame.time_s < track.time_s.front() - kMostBeyond_s ||
             frame.time_s > track.time_s.back() + kMostBeyond_s)
             throw DataError(fmt::format(
-                "{}: poses from {} to {} s, but frame {} is at {} s, expected poses for all frames", file,
-                track.time_s.front(), track.time_s.back(), frame.number, frame.time_s));
+                "{}: found poses from {} to {} s, but frame {} is at {} s, expected poses for all frames",
+                file, track.time_s.front(), track.time_s.back(), frame.number, frame.time_s));
         poses.push_back(track.at(frame.time_s));
     }
     return poses;
@@ -241,11 +241,13 @@ std::optional<std::vector<Pose>> read_poses(const fs::path& file, const std::vec
     const auto first = std::find_if(lines.begin(), lines.end(),
                                     [](const std::string& line) { return !content(line).empty(); });
     if (first == lines.end())
-        throw DataError(fmt::format("{}: no pose, expected 12 or 8 numbers a line", file.string()));
+        throw DataError(
+            fmt::format("{}: the file has no pose, expected lines of 12 or 8 numbers", file.string()));
     if (const auto numbers = parse_numbers(content(*first)); !numbers || numbers->size() != 12) {
         const PoseRows rows = read_rows(lines, file.string());
         if (rows.rows.empty())
-            throw DataError(fmt::format("{}: no pose, expected 12 or 8 numbers a line", file.string()));
+            throw DataError(
+                fmt::format("{}: the file has no pose, expected lines of 12 or 8 numbers", file.string()));
         const std::vector<PoseReading> readings = readings_of(rows);
         // Only relidar writes files with these column names, so no other meaning is
         // tested.

@@ -38,10 +38,10 @@ std::vector<HeadFrame> select_frames(const folder::Head& head, const DatasetOpti
     }
     if (frames.empty())
         throw UsageError(fmt::format(
-            "frames {}:{}: no scan of {} lies in it, {} are missing", options.frames.begin,
+            "frames {}:{} select no existing scan of {}; {} scans are missing", options.frames.begin,
             options.frames.end < 0 ? "" : std::to_string(options.frames.end), head.name, n_missing));
     if (n_missing > 0)
-        notes.push_back(fmt::format("{} scans that sequence.json lists are missing", n_missing));
+        notes.push_back(fmt::format("{} scans of the list in sequence.json are missing", n_missing));
     return frames;
 }
 
@@ -86,8 +86,8 @@ std::vector<Pose> read_scan_poses(const fs::path& folder, const folder::Head& he
     if (const auto poses = folder::read_poses(file, frames, pairs, notes)) return *poses;
     if (!options.poses_file.empty()) return std::vector<Pose>(frames.size());
     throw DataError(
-        fmt::format("{}: no such file; expected poses of the vehicle, dataset.poses=FILE with them, or "
-                    "dataset.poses=none to find them from the scans",
+        fmt::format("{}: no such file; expected poses of the vehicle; use dataset.poses=FILE to name "
+                    "another file, or dataset.poses=none to estimate the poses from the scans",
                     file.string()));
 }
 

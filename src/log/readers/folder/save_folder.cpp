@@ -96,11 +96,13 @@ std::string boxes_text(const Sequence& sequence) {
 void check_target_folder(const fs::path& folder, bool overwrite) {
     if (!path_exists(folder) || (fs::is_directory(folder) && list_folder(folder).empty())) return;
     if (!fs::is_directory(folder) || !path_exists(folder / folder::kHeadFile))
-        throw UsageError(
-            fmt::format("{}: found something that is no plain folder, expected a new name", folder.string()));
-    if (!overwrite)
-        throw UsageError(fmt::format("{}: found a plain folder, expected a new name; --force replaces it",
+        throw UsageError(fmt::format("{}: this path exists and is not a plain folder, expected a new name",
                                      folder.string()));
+    if (!overwrite)
+        throw UsageError(
+            fmt::format("{}: this plain folder exists, expected a new name; use --force to "
+                        "replace it",
+                        folder.string()));
 }
 
 }  // namespace

@@ -100,9 +100,8 @@ void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samp
             if (cones[k].n > 0) good.push_back(k);
         }
         if (good.size() < 2) {
-            throw DataError(
-                where +
-                ": fewer than two beams of a block of 32 have enough returns, expected an HDL-64E log");
+            throw DataError(where +
+                            ": fewer than two of 32 beams have enough returns, expected a log of an HDL-64E");
         }
         const BlockLine line = fit_block(cones, good);
         for (std::size_t k = first; k < first + kRings / 2; ++k) {
@@ -170,8 +169,10 @@ Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& whe
         }
     }
     if (samples[0].empty()) {
-        throw DataError(fmt::format("{}: {} rings in file order, expected 64 (HDL-64E, stored ring by ring)",
-                                    where, most));
+        throw DataError(
+            fmt::format("{}: found {} rings in the order of the file, expected 64 rings of an "
+                        "HDL-64E, stored one after another",
+                        where, most));
     }
     Cones cones;
     for (std::size_t k = 0; k < kRings; ++k) cones[k] = fit_cone(samples[k]);

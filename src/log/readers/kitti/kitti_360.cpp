@@ -40,8 +40,8 @@ std::vector<std::string> list_drives(const fs::path& folder) {
     for (const fs::path& drive : list_folder(folder))
         if (path_exists(drive / "velodyne_points")) names.push_back(drive.filename().string());
     if (names.empty())
-        throw DataError(
-            fmt::format("{}: no drive, expected folders *_drive_*_sync/velodyne_points", folder.string()));
+        throw DataError(fmt::format("{}: found no drive, expected folders *_drive_*_sync/velodyne_points",
+                                    folder.string()));
     return names;
 }
 
@@ -51,16 +51,16 @@ Drive choose_drive(const fs::path& folder, const DatasetOptions& options) {
     if (part.drive.empty()) {
         Drive drive{drives.front(), part.frames};
         if (drives.size() > 1)
-            drive.notes = {
-                fmt::format("the first of {} drives; dataset.sequence names another", drives.size())};
+            drive.notes = {fmt::format(
+                "the first of {} drives is read; use dataset.sequence to select another one", drives.size())};
         return drive;
     }
     for (const std::string& drive : drives)
         if (drive == part.drive || drive.find("_drive_" + part.drive + "_") != std::string::npos)
             return {drive, part.frames, part.test_frames};
     throw UsageError(fmt::format(
-        "dataset.sequence: found '{}', expected a drive of {} ({}), its number, or ks1 to ks4 or kd1 to kd6 "
-        "of 0000",
+        "dataset.sequence: found '{}', expected the name or number of a drive in {} ({}), or ks1 to ks4 or "
+        "kd1 to kd6 for parts of drive 0000",
         excerpt(options.sequence), folder.string(), excerpt(fmt::format("{}", fmt::join(drives, ", ")))));
 }
 
@@ -107,13 +107,15 @@ void add_posed_frames(Sequence& sequence, const std::vector<int>& frames, const 
     }
     if (sequence.frames.empty())
         throw DataError(fmt::format(
-            "{}: none of the frames {} to {} has a pose, expected some between {} and {}", sequence.name,
+            "{}: none of the frames {} to {} has a pose, expected frames between {} and {}", sequence.name,
             frames.front(), frames.back(), poses.begin()->first, poses.rbegin()->first));
     if (!between.empty())
         sequence.notes.push_back(fmt::format(
-            "frames without a pose, taken between those of their neighbours: {}", list_text(between)));
+            "poses of these frames are interpolated, because data_poses does not contain them: {}",
+            list_text(between)));
     if (!without.empty())
-        sequence.notes.push_back(fmt::format("frames without a pose, left out: {}", list_text(without)));
+        sequence.notes.push_back(
+            fmt::format("frames that are skipped, because they have no pose: {}", list_text(without)));
 }
 
 /// Returns the file with the box labels of a drive. Searches the folder train_full first,
@@ -136,11 +138,14 @@ void read_world(Sequence& sequence, const fs::path& folder, const Drive& drive,
     if (poses_file.empty() || path_exists(folder / "data_poses" / drive.name)) {
         add_posed_frames(sequence, frames, time_s, read_velo_poses(folder, drive.name));
         const fs::path labels = find_boxes(folder, drive.name);
-        if (labels.empty()) sequence.notes.push_back("no data_3d_bboxes: nothing in this drive is labelled");
+        if (labels.empty())
+            sequence.notes.push_back(
+                "data_3d_bboxes is missing, so this drive has no "
+                "labels");
         else sequence.boxes = read_360_boxes(labels, sequence.frames);
     } else {
         for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], time_s[i], {});
-        sequence.notes.push_back("no data_poses: boxes have no place");
+        sequence.notes.push_back("data_poses is missing, so the boxes are not read");
     }
 }
 

@@ -68,16 +68,18 @@ glm::dmat4 transform_of(const pugi::xml_node& object, const std::string& where) 
               cols = integer_of(matrix, "cols", {}, where + ": transform");
     const auto numbers = parse_numbers(matrix.child_value("data"));
     if (rows != 4 || cols != 4 || !numbers || numbers->size() != 16)
-        throw DataError(fmt::format("{}: transform of {} x {} with {} numbers, expected 4 x 4 with 16", where,
-                                    rows, cols,
-                                    numbers ? std::to_string(numbers->size()) : "words that are no"));
+        throw DataError(fmt::format(
+            "{}: transform has {} x {} entries and {}, expected 4 x 4 entries and 16 numbers", where, rows,
+            cols, numbers ? fmt::format("{} numbers", numbers->size()) : "words that are not numbers"));
     constexpr double kLargest = 1e8;
     glm::dmat4 m;
     for (int i = 0; i < 16; ++i) {
         const double value = (*numbers)[std::size_t(i)];
         if (!(std::abs(value) <= kLargest))
-            throw DataError(fmt::format("{}: number {} of transform is {}, expected one within {:.0e}", where,
-                                        i + 1, value, kLargest));
+            throw DataError(
+                fmt::format("{}: number {} of transform is {}, expected a number of at most "
+                            "{:.0e}",
+                            where, i + 1, value, kLargest));
         m[i % 4][i / 4] = value;
     }
     return m;
@@ -91,8 +93,10 @@ void place(BoxLabel& label, const glm::dmat4& m, const std::string& where) {
     label.size_m = {glm::length(axes[0]), glm::length(axes[1]), glm::length(axes[2])};
     constexpr double kSmallest_m = 1e-3;
     if (!(std::min({label.size_m.x, label.size_m.y, label.size_m.z}) >= kSmallest_m))
-        throw DataError(fmt::format("{}: transform has a size of {} x {} x {} m, expected all above 0", where,
-                                    label.size_m.x, label.size_m.y, label.size_m.z));
+        throw DataError(
+            fmt::format("{}: transform gives the size {} x {} x {} m, expected three lengths "
+                        "above 0",
+                        where, label.size_m.x, label.size_m.y, label.size_m.z));
     for (int c = 0; c < 3; ++c) axes[c] /= label.size_m[c];
     if (glm::determinant(axes) < 0.0) axes[1] = -axes[1];
     label.world_from_box = rigid_pose(axes, glm::dvec3(m[3]), where + ": transform");
@@ -127,7 +131,8 @@ void add_object(const pugi::xml_node& object, const std::vector<Frame>& frames,
         Labels& track = tracks[label.id];
         if (!track.empty() && track.begin()->second.category != label.category)
             throw DataError(
-                fmt::format("{}: a {} of track {}, which is a {} elsewhere, expected one class a track",
+                fmt::format("{}: found class {} for track {}, which has class {} in another frame, "
+                            "expected one class per track",
                             where, label.category, label.id, track.begin()->second.category));
         label.time_s = frame->time_s;
         track.emplace(frame->index, label);
@@ -145,8 +150,8 @@ std::vector<BoxTrack> read_360_boxes(const std::filesystem::path& file, const st
                                     parsed.description()));
     const pugi::xml_node root = document.child("opencv_storage");
     if (!root)
-        throw DataError(
-            fmt::format("{}: no element opencv_storage, expected the boxes of KITTI-360", file.string()));
+        throw DataError(fmt::format(
+            "{}: the element opencv_storage is missing, expected the boxes of KITTI-360", file.string()));
     std::map<std::string, Labels> tracks;
     for (const pugi::xml_node& object : root.children())
         add_object(object, frames, tracks, fmt::format("{}: {}", file.string(), excerpt(object.name())));

@@ -26,12 +26,12 @@ std::vector<double> read_seconds(const fs::path& file, const std::vector<int>& f
     for (const int frame : frames) {
         const std::size_t line = static_cast<std::size_t>(frame);
         if (line >= lines.size())
-            throw DataError(fmt::format("{}: {} lines, frame {} needs line {}", file.string(), lines.size(),
-                                        frame, line + 1));
+            throw DataError(fmt::format("{}: found {} lines, but frame {} needs line {}", file.string(),
+                                        lines.size(), frame, line + 1));
         const auto seconds = parse_number(trimmed(lines[line]));
         if (!seconds)
-            throw DataError(fmt::format("{} line {}: '{}', expected seconds", file.string(), line + 1,
-                                        excerpt(lines[line])));
+            throw DataError(fmt::format("{} line {}: found '{}', expected a time in seconds", file.string(),
+                                        line + 1, excerpt(lines[line])));
         time_s.push_back(*seconds);
     }
     return time_s;
@@ -46,8 +46,8 @@ fs::path find_poses(const fs::path& folder) {
     if (path_exists(here)) return here;
     if (path_exists(beside)) return beside;
     throw DataError(
-        fmt::format("{}: no such file, nor {}; expected poses of the camera, dataset.poses=FILE with those "
-                    "of the LiDAR, or dataset.poses=none",
+        fmt::format("neither {} nor {} exists, expected the poses of the camera; use dataset.poses=FILE "
+                    "for poses of the LiDAR, or dataset.poses=none to estimate the poses from the scans",
                     here.string(), beside.string()));
 }
 
@@ -77,8 +77,9 @@ Sequence load_kitti_odometry(const fs::path& log_folder, const DatasetOptions& o
     sequence.conventions =
         "sensor x forward, y left, z up; metres; seconds of times.txt; world: the LiDAR of frame 0; scans "
         "motion-compensated; no boxes";
-    sequence.notes = {"nothing in this log is labelled",
-                      "scans are motion-compensated: rays start at the sensor of the reference time"};
+    sequence.notes = {"this log has no labels",
+                      "the scans are motion-compensated, so all rays start at the position of the sensor "
+                      "at the time of the frame"};
     if (options.poses_file == kNoPoses) sequence.notes.push_back(kitti::kNoPosesNote);
     sequence.rolling_shutter = false;
     sequence.lidars[0].sensor.name = "HDL-64E fitted to " + sequence.name;

@@ -34,20 +34,22 @@ void check_extent(const std::vector<Pose>& poses, const std::vector<int>& frames
         const glm::dvec3 t = poses[i].translation, step = t - poses[0].translation;
         if (std::max({std::abs(t.x), std::abs(t.y), std::abs(t.z)}) > kLargestCoordinate_m)
             throw DataError(
-                fmt::format("{}: the pose of frame {} is at ({}, {}, {}), expected metres within {}", where,
-                            frames[i], t.x, t.y, t.z, kLargestCoordinate_m));
+                fmt::format("{}: the pose of frame {} is at ({}, {}, {}), expected coordinates of at most "
+                            "{} m",
+                            where, frames[i], t.x, t.y, t.z, kLargestCoordinate_m));
         if (glm::length(step) > kLongestLog_m)
             throw DataError(fmt::format(
-                "{}: the poses of frames {} and {} are {:.6g} m apart, expected one drive of at most {} m",
+                "{}: the poses of frames {} and {} are {:.6g} m apart, expected at most {} m within a drive",
                 where, frames[0], frames[i], glm::length(step), kLongestLog_m));
     }
 }
 
 std::vector<double> finite_numbers(const std::string& line, std::size_t n, const std::string& where) {
     const auto numbers = parse_numbers(line);
-    if (!numbers) throw DataError(fmt::format("{}: a word is no number, expected {} numbers", where, n));
+    if (!numbers)
+        throw DataError(fmt::format("{}: found a word that is not a number, expected {} numbers", where, n));
     if (numbers->size() != n)
-        throw DataError(fmt::format("{}: {} numbers, expected {}", where, numbers->size(), n));
+        throw DataError(fmt::format("{}: found {} numbers, expected {}", where, numbers->size(), n));
     for (std::size_t i = 0; i < n; ++i) {
         if (!std::isfinite((*numbers)[i])) {
             throw DataError(
@@ -74,8 +76,8 @@ Pose read_oxts(const fs::path& file, std::optional<double>& scale) {
     const std::vector<std::string> lines = split_lines(read_text(file));
     const std::vector<double> v = finite_numbers(lines.empty() ? "" : lines[0], 30, file.string());
     if (std::abs(v[0]) > 89.0 || std::abs(v[1]) > 360.0) {
-        throw DataError(
-            fmt::format("{}: latitude {} and longitude {}, expected degrees", file.string(), v[0], v[1]));
+        throw DataError(fmt::format("{}: found the latitude {} and the longitude {}, expected degrees",
+                                    file.string(), v[0], v[1]));
     }
     constexpr double kEarthRadius_m = 6378137.0;
     const double lat = v[0] * kPi / 180.0, lon = v[1] * kPi / 180.0;
@@ -98,9 +100,9 @@ int first_oxts(const fs::path& drive) {
         }
     }
     throw DataError(
-        fmt::format("{}: no OXTS files %010d.txt, so the drive has no poses; expected dataset.poses=FILE (12 "
-                    "numbers a line), or "
-                    "dataset.poses=none to find them from the scans alone",
+        fmt::format("{}: the OXTS files (0000000000.txt) are missing, so the drive has no poses; use "
+                    "dataset.poses=FILE (12 numbers per line), or dataset.poses=none to estimate the poses "
+                    "from the scans",
                     folder.string()));
 }
 
@@ -118,9 +120,9 @@ fs::path find_calibration(const fs::path& drive) {
         }
     }
     throw DataError(
-        fmt::format("{}: no such file, nor in the drive or in a folder calib, calibration or {}_calib beside "
-                    "or above it; expected KITTI's "
-                    "calibration of that day, or poses by dataset.poses",
+        fmt::format("{}: no such file here, in the drive, or in a folder calib, calibration or {}_calib "
+                    "next to it or above it; expected KITTI's calibration of that day; without it, use "
+                    "dataset.poses",
                     (drive.parent_path() / name).string(), date));
 }
 
@@ -134,7 +136,7 @@ Pose read_calibration(const fs::path& file) {
         if (line.rfind("T:", 0) == 0) t = finite_numbers(line.substr(2), 3, where + " key T");
     }
     if (r.empty() || t.empty()) {
-        throw DataError(fmt::format("{}: no line '{}:', expected the keys R and T", file.string(),
+        throw DataError(fmt::format("{}: the line '{}:' is missing, expected the keys R and T", file.string(),
                                     r.empty() ? "R" : "T"));
     }
     return rigid_pose(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]), {t[0], t[1], t[2]},
@@ -145,7 +147,8 @@ Pose read_transform(const fs::path& file, const std::string& key) {
     for (const std::string& line : split_lines(read_text(file)))
         if (line.rfind(key + ":", 0) == 0)
             return parse_matrix(line.substr(key.size() + 1), fmt::format("{} key {}", file.string(), key));
-    throw DataError(fmt::format("{}: no line '{}:', expected the key with 12 numbers", file.string(), key));
+    throw DataError(
+        fmt::format("{}: the line '{}:' is missing, expected this key with 12 numbers", file.string(), key));
 }
 
 std::vector<Pose> read_oxts_poses(const fs::path& drive, const std::vector<int>& frames) {
@@ -168,8 +171,8 @@ std::vector<Pose> read_pose_file(const fs::path& file, const std::vector<int>& f
     for (const int frame : frames) {
         const std::size_t line = static_cast<std::size_t>(frame);
         if (line >= lines.size()) {
-            throw DataError(fmt::format("{}: {} lines, frame {} needs line {}", file.string(), lines.size(),
-                                        frame, line + 1));
+            throw DataError(fmt::format("{}: found {} lines, but frame {} needs line {}", file.string(),
+                                        lines.size(), frame, line + 1));
         }
         const std::string where = fmt::format("{} line {}", file.string(), line + 1);
         poses.push_back(parse_matrix(lines[line], where));
@@ -201,15 +204,15 @@ std::map<int, Pose> read_numbered_poses(const fs::path& file) {
         const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
         const std::optional<int> frame = file_number(std::string(line.substr(0, end)));
         if (!frame || (!frames.empty() && *frame <= frames.back()))
-            throw DataError(fmt::format("{}: frame '{}'{}, expected frame numbers that rise", where,
-                                        excerpt(line.substr(0, end)),
+            throw DataError(fmt::format("{}: found the frame '{}'{}, expected increasing frame numbers",
+                                        where, excerpt(line.substr(0, end)),
                                         frames.empty() ? "" : fmt::format(" after {}", frames.back())));
         frames.push_back(*frame);
         poses.push_back(parse_matrix(std::string(line.substr(end)), where));
     }
     if (poses.empty())
-        throw DataError(
-            fmt::format("{}: empty, expected a frame number and 12 numbers a line", file.string()));
+        throw DataError(fmt::format("{}: the file is empty, expected a frame number and 12 numbers per line",
+                                    file.string()));
     check_extent(poses, frames, file.string());
     std::map<int, Pose> by_frame;
     for (std::size_t i = 0; i < frames.size(); ++i)

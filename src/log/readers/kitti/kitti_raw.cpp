@@ -27,7 +27,7 @@ PoseTrack read_drive_poses(const fs::path& drive, const std::vector<int>& frames
 }
 
 std::string describe_poses(const fs::path& poses_file) {
-    if (poses_file == kNoPoses) return "no poses: the sensor is at the origin in every frame";
+    if (poses_file == kNoPoses) return "without poses, so the sensor is at the origin in every frame";
     return "poses from " + (poses_file.empty() ? "OXTS (Mercator)" : poses_file.string());
 }
 
@@ -39,7 +39,7 @@ std::vector<std::string> collect_notes(const fs::path& drive, const std::vector<
     const std::string gaps = note_gaps(drive / "velodyne_points/data", frames, options.allow_missing_scans);
     if (!gaps.empty()) notes.push_back(gaps);
     if (!path_exists(drive / "tracklet_labels.xml"))
-        notes.push_back("no tracklet_labels.xml: nothing in this drive is labelled");
+        notes.push_back("tracklet_labels.xml is missing, so this drive has no labels");
     if (options.poses_file == kNoPoses) notes.push_back(kNoPosesNote);
     return notes;
 }
@@ -51,11 +51,11 @@ Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     if (!path_exists(folder / "velodyne_points")) {
         const std::string stranger = describe_stranger(folder, "velodyne_points");
         if (!stranger.empty())
-            throw DataError(fmt::format("{}: no drive, but {}", folder.string(), stranger));
+            throw DataError(fmt::format("{} is not a KITTI raw drive: {}", folder.string(), stranger));
     }
     const fs::path drive = fs::canonical(folder);
     if (drive.parent_path().filename() == "data_3d_raw")
-        throw DataError(fmt::format("{}: a drive of KITTI-360, expected {} with dataset.sequence={}",
+        throw DataError(fmt::format("{} is a drive of KITTI-360; use {} with dataset.sequence={}",
                                     folder.string(), drive.parent_path().parent_path().string(),
                                     drive.filename().string()));
     const std::vector<int> frames =

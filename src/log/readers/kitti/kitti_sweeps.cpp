@@ -72,18 +72,19 @@ public:
         constexpr int kMissingRings = 2;
         // in complete scans, the end of the last ring varies by up to 20 degrees
         constexpr double kEarly_deg = 60.0;
-        if (n_points_[i] == 0) return fmt::format("{}: none of its points is a return", file);
+        if (n_points_[i] == 0) return fmt::format("{}: the scan has no returns", file);
         if (const std::size_t usual = median_of_neighbours(n_points_, i); 2 * n_points_[i] < usual)
-            return fmt::format("{}: it has {} points, and the neighbouring scans have {}", file, n_points_[i],
-                               usual);
+            return fmt::format("{}: the scan has {} points, but the neighbouring scans have {}", file,
+                               n_points_[i], usual);
         if (const int usual = median_of_neighbours(n_rings_, i); n_rings_[i] + kMissingRings <= usual)
             return fmt::format(
-                "{}: its points end in ring {}, and those of the neighbouring scans in ring {}", file,
-                n_rings_[i], usual);
+                "{}: the points of the scan end in ring {}, but those of the neighbouring scans end in "
+                "ring {}",
+                file, n_rings_[i], usual);
         if (const double usual_deg = median_of_neighbours(end_deg_, i); end_deg_[i] + kEarly_deg <= usual_deg)
             return fmt::format(
-                "{}: its last ring ends at azimuth {:.0f} degrees, and those of the neighbouring scans at "
-                "{:.0f}",
+                "{}: the last ring of the scan ends at azimuth {:.0f} degrees, but that of the "
+                "neighbouring scans ends at {:.0f} degrees",
                 file, end_deg_[i], usual_deg);
         return "";
     }
@@ -125,11 +126,11 @@ std::string scale_intensities(std::vector<RawScan>& raw, const std::string& fold
     if (lowest >= 0.0f && highest <= 1.0f) return "";
     if (lowest < 0.0f || highest > kBytes || (!are_whole && highest <= kPercent))
         throw DataError(
-            fmt::format("{}: intensities from {} to {}, expected 0 to 1, or whole numbers up to 255", folder,
-                        lowest, highest));
+            fmt::format("{}: found intensities from {} to {}, expected 0 to 1, or whole numbers up to 255",
+                        folder, lowest, highest));
     for (RawScan& scan : raw)
         for (glm::vec4& p : scan.points) p.w /= kBytes;
-    return fmt::format("intensities are {} up to {}: they are read as shares of 255",
+    return fmt::format("intensities are {} up to {}, so they are divided by 255",
                        are_whole ? "whole numbers" : "numbers", highest);
 }
 
@@ -141,16 +142,16 @@ void check_rays(const std::vector<RawScan>& raw, const FiringLattice& lattice, c
     constexpr std::size_t kMostRaysAPoint = 200;  // a complete sweep has about 1.1 rays per point
     if (lattice.head.n_ticks > kMostFirings)
         throw DataError(
-            fmt::format("{}: azimuths of neighbouring points differ by 1/{} of a sweep, expected at most {} "
-                        "firings of an HDL-64E",
+            fmt::format("{}: azimuths of neighbouring points differ by 1/{} of a sweep, expected at most "
+                        "{} firings per sweep of an HDL-64E",
                         where, lattice.head.n_ticks, kMostFirings));
     std::size_t n_points = 0;
     for (const RawScan& scan : raw) n_points += scan.points.size();
     const std::size_t n_rays =
         raw.size() * kRings * std::size_t(lattice.every_tick ? lattice.head.n_ticks : 1);
     if (n_rays > kMostRaysAPoint * n_points)
-        throw DataError(fmt::format("{}: {} points in {} sweeps of {} rays, expected whole sweeps", where,
-                                    n_points, raw.size(), n_rays / raw.size()));
+        throw DataError(fmt::format("{}: found {} points in {} sweeps of {} rays, expected complete sweeps",
+                                    where, n_points, raw.size(), n_rays / raw.size()));
 }
 
 }  // namespace
@@ -170,7 +171,7 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
     for (std::size_t at = 0; at < raw.size(); ++at)
         if (const std::string why = broken.has(at) ? "" : scan_sizes.why_incomplete(at, file_of(at).string());
             !why.empty())
-            broken.add(at, why + ": the file is cut short or damaged");
+            broken.add(at, why + "; the file is probably truncated or damaged");
     if (broken.size() == raw.size()) broken.tell(sequence, raw.size());
     for (std::size_t at = 0; at < raw.size(); ++at)
         // clear the broken scan, so that it does not influence the fits
@@ -185,12 +186,13 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
     check_rays(raw, lattice, folder.string());
 
     std::vector<std::vector<int>> firings(raw.size());
-    for_each_with_progress(raw.size(), progress, "finding the firings of each sweep", [&](std::size_t at) {
+    for_each_with_progress(raw.size(), progress, "computing the firings of each sweep", [&](std::size_t at) {
         broken.attempt(at, [&] {
             firings[at] = find_firings(raw[at], lattice);
             if (firings[at].empty())
                 throw DataError(
-                    fmt::format("{}: {} points without a firing in common, expected a sweep of an HDL-64E",
+                    fmt::format("{}: found {} points that do not share firings, expected a sweep of an "
+                                "HDL-64E",
                                 file_of(at).string(), raw[at].points.size()));
         });
     });
@@ -199,13 +201,11 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
     for (const auto& sweep : firings)
         sensor.columns = std::max(sensor.columns, static_cast<int>(sweep.size()));
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
-    for_each_with_progress(raw.size(), progress, "putting points on the rays that were fired",
-                           [&](std::size_t at) {
-                               if (!broken.has(at))
-                                   sequence.frames[at].scan =
-                                       spinning_scan(points_of(raw[at]), sensor, {lattice.head, firings[at]});
-                               raw[at] = {};
-                           });
+    for_each_with_progress(raw.size(), progress, "assigning points to the fired rays", [&](std::size_t at) {
+        if (!broken.has(at))
+            sequence.frames[at].scan = spinning_scan(points_of(raw[at]), sensor, {lattice.head, firings[at]});
+        raw[at] = {};
+    });
     broken.leave_out(sequence);
 }
 

@@ -45,8 +45,10 @@ std::int64_t parse_timestamp(const std::string& line, const std::string& where) 
                       month >= 1 && month <= 12 && day >= 1 && day <= 31 && hour >= 0 && hour < 24 &&
                       minute >= 0 && minute < 60;
     if (!sane)
-        throw DataError(fmt::format("{}: '{}', expected YYYY-MM-DD HH:MM:SS.nnnnnnnnn of 1970 to 2199", where,
-                                    excerpt(line)));
+        throw DataError(
+            fmt::format("{}: found '{}', expected YYYY-MM-DD HH:MM:SS.nnnnnnnnn between the "
+                        "years 1970 and 2199",
+                        where, excerpt(line)));
     const std::int64_t minutes = (days_of(year, month, day) * 24 + hour) * 60 + minute;
     return minutes * 60'000'000'000ll + std::llround(*second * 1e9);
 }
@@ -62,7 +64,8 @@ std::vector<std::optional<std::int64_t>> parse_timestamps(const fs::path& file) 
         time_ns[l] = parse_timestamp(lines[l], fmt::format("{} line {}", file.string(), l + 1));
         any = true;
     }
-    if (!any) throw DataError(fmt::format("{}: empty, expected one timestamp a frame", file.string()));
+    if (!any)
+        throw DataError(fmt::format("{}: the file is empty, expected one time per frame", file.string()));
     return time_ns;
 }
 
@@ -76,16 +79,19 @@ std::vector<double> read_times(const fs::path& file, const std::vector<int>& fra
     for (std::size_t i = 0; i < frames.size(); ++i) {
         const std::size_t line = static_cast<std::size_t>(frames[i]);
         if (line >= time_ns.size())
-            throw DataError(fmt::format("{}: {} lines, frame {} needs line {}", file.string(), time_ns.size(),
-                                        frames[i], line + 1));
+            throw DataError(fmt::format("{}: found {} lines, but frame {} needs line {}", file.string(),
+                                        time_ns.size(), frames[i], line + 1));
         if (!time_ns[line])
             throw DataError(
-                fmt::format("{} line {}: empty, expected the time of frame {}, whose scan is there",
+                fmt::format("{} line {}: the line is empty, expected the time of frame {}, because its "
+                            "scan exists",
                             file.string(), line + 1, frames[i]));
         time_s.push_back(static_cast<double>(*time_ns[line] - first_ns) * 1e-9);
         if (i > 0 && !(time_s[i] > time_s[i - 1]))
-            throw DataError(fmt::format("{} line {}: not later than that of frame {}, expected rising times",
-                                        file.string(), line + 1, frames[i - 1]));
+            throw DataError(
+                fmt::format("{} line {}: the time is not later than the time of frame {}, "
+                            "expected increasing times",
+                            file.string(), line + 1, frames[i - 1]));
     }
     return time_s;
 }
@@ -99,7 +105,7 @@ double median_period(std::vector<double> lasts_s, const fs::path& file) {
                      lasts_s.end());
     const double period_s = lasts_s[lasts_s.size() / 2];
     if (!(period_s > 0.01 && period_s < 1.0)) {
-        throw DataError(fmt::format("{}: a sweep lasts {:.6g} s from start to end, expected 0.01 ... 1 s",
+        throw DataError(fmt::format("{}: a sweep lasts {:.6g} s from start to end, expected 0.01 to 1 s",
                                     file.string(), period_s));
     }
     return period_s;
@@ -117,7 +123,9 @@ double read_period(const fs::path& drive) {
     }
     if (lasts_s.empty())
         throw DataError(fmt::format(
-            "{}: no line with a time here and in timestamps_start.txt, expected one a sweep", file.string()));
+            "{}: no line has a time in this file and in timestamps_start.txt, expected one time per sweep "
+            "in both",
+            file.string()));
     return median_period(std::move(lasts_s), file);
 }
 
@@ -129,8 +137,8 @@ double read_step(const fs::path& file) {
             lasts_s.push_back(static_cast<double>(*time_ns[i] - *time_ns[i - 1]) * 1e-9);
     }
     if (lasts_s.empty())
-        throw DataError(fmt::format(
-            "{}: no two lines with times that follow one another, expected a time a sweep", file.string()));
+        throw DataError(fmt::format("{}: no two consecutive lines have times, expected one time per sweep",
+                                    file.string()));
     return median_period(std::move(lasts_s), file);
 }
 

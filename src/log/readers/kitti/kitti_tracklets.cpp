@@ -27,8 +27,8 @@ double number_of(const pugi::xml_node& node, const char* field, const std::strin
     const std::string text = node.child_value(field);
     const auto value = parse_number(trimmed(text));
     if (!value || !(std::abs(*value) <= kLargestOfLabel)) {
-        throw DataError(fmt::format("{}: {} is '{}', expected a finite number within {:.0e}", where, field,
-                                    excerpt(text), kLargestOfLabel));
+        throw DataError(fmt::format("{}: {} is '{}', expected a finite number of at most {:.0e}", where,
+                                    field, excerpt(text), kLargestOfLabel));
     }
     return *value;
 }
@@ -47,8 +47,8 @@ BoxTrack read_track(const pugi::xml_node& item, const std::vector<int>& frames,
     track.category = item.child_value("objectType");
     track.size_m = {number_of(item, "l", where), number_of(item, "w", where), number_of(item, "h", where)};
     if (!(std::min({track.size_m.x, track.size_m.y, track.size_m.z}) > 0.0)) {
-        throw DataError(fmt::format("{}: size l {} w {} h {} m, expected all above 0", where, track.size_m.x,
-                                    track.size_m.y, track.size_m.z));
+        throw DataError(fmt::format("{}: the size is l {} w {} h {} m, expected three lengths above 0", where,
+                                    track.size_m.x, track.size_m.y, track.size_m.z));
     }
     int frame = static_cast<int>(number_of(item, "first_frame", where));
     for (const pugi::xml_node& pose : item.child("poses").children("item")) {
@@ -77,8 +77,10 @@ std::vector<BoxTrack> read_tracklets(const std::filesystem::path& file, const st
                                     parsed.description()));
     const pugi::xml_node tracklets = document.child("boost_serialization").child("tracklets");
     if (!tracklets) {
-        throw DataError(fmt::format("{}: no element boost_serialization/tracklets, expected KITTI tracklets",
-                                    file.string()));
+        throw DataError(
+            fmt::format("{}: the element boost_serialization/tracklets is missing, expected "
+                        "KITTI tracklets",
+                        file.string()));
     }
     std::vector<BoxTrack> tracks;
     int number = 0;

@@ -125,8 +125,8 @@ PoseTrack read_mulran_poses(const fs::path& file, const stamped::StampedLog& log
     const glm::dvec3 driven = stamped::find_driving(track).mean;
     if (driven != glm::dvec3(0.0) && driven.x < kForward)
         notes.push_back(fmt::format(
-            "poses: the vehicle drives along ({:.2f}, {:.2f}, {:.2f}) of its own frame on average, "
-            "expected nearly (1, 0, 0); use dataset.poses=none to estimate the poses from the scans",
+            "poses: on average, the vehicle drives in the direction ({:.2f}, {:.2f}, {:.2f}) of its own "
+            "frame, expected nearly (1, 0, 0); use dataset.poses=none to estimate the poses from the scans",
             driven.x, driven.y, driven.z));
     return track;
 }

@@ -70,7 +70,8 @@ Pose parse_transform(pbf_reader from, const std::string& where) {
         }
     }
     if (m.size() != 16)
-        throw DataError(fmt::format("{}: found a transform of {} numbers, expected 16", where, m.size()));
+        throw DataError(
+            fmt::format("{}: found a transform of {} numbers, expected 16 numbers", where, m.size()));
     for (const double value : m) checked(value, "a number of the transform", where);
     return rigid_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]}, {m[3], m[7], m[11]}, where);
 }

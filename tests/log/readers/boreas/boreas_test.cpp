@@ -53,7 +53,8 @@ TEST(Boreas, EveryReturnIsWhereItWasMeasured) {
     EXPECT_EQ(sequence.name, "boreas-2020-11-26-13-58");
     EXPECT_THAT(sequence.conventions, testing::HasSubstr("rotated about z by -42.60 degrees"));
     EXPECT_THAT(sequence.notes, testing::ElementsAre("this log has no labels",
-                                                     "128 beams x 360 columns are fitted to its points"));
+                                                     "a sensor with 128 beams and 360 columns was fitted "
+                                                     "to the points"));
     ASSERT_EQ(sequence.frames.size(), std::size_t(BoreasFolder::kScans));
     const SpinningSensor& sensor = sequence.lidars[0].sensor;
     EXPECT_NEAR(sensor.period_s, 0.1, 1e-5);
@@ -102,14 +103,14 @@ TEST(Boreas, FramesAndOtherPoses) {
     EXPECT_EQ(some.frames[0].index, 2);
     EXPECT_NEAR(some.frames[0].time_s, 0.2, 1e-9) << "after the log's first scan";
     options.frames = {6, 9};
-    data.expect_error("frames 6:9: no scan of boreas-frames, expected numbers in [0, 5]", options);
+    data.expect_error("frames 6:9 select no scan of boreas-frames, expected numbers in [0, 5]", options);
     options = {};
     options.poses_file = kNoPoses;
     fs::remove(data.poses());
     const Sequence none = load_sequence(data.folder.string(), options);
     EXPECT_EQ(none.frames.size(), std::size_t(BoreasFolder::kScans));
     EXPECT_EQ(none.world_from_vehicle.pose[5].translation, glm::dvec3(0.0));
-    EXPECT_THAT(none.notes, testing::Contains(testing::HasSubstr("no poses are read")));
+    EXPECT_THAT(none.notes, testing::Contains(testing::HasSubstr("poses are not read")));
 }
 
 TEST(Boreas, ScansWithoutPosesAreLeftOut) {
@@ -127,15 +128,15 @@ TEST(Boreas, ScansWithoutPosesAreLeftOut) {
     const Sequence sequence = load_sequence(data.folder.string(), {});
     ASSERT_EQ(sequence.frames.size(), 4u);
     EXPECT_EQ(sequence.frames[0].index, 2);
-    EXPECT_THAT(sequence.notes,
-                testing::Contains(
-                    "2 of 6 scans are left out, the first of them frame 0, the last frame 1: lidar_poses.csv "
-                    "has no poses around their times"));
+    EXPECT_THAT(
+        sequence.notes,
+        testing::Contains("2 of 6 scans are skipped (the first is frame 0, the last frame 1), because "
+                          "lidar_poses.csv has no poses near their times"));
     DatasetOptions options;
     options.frames = {0, 2};
     data.expect_error(
-        "lidar_poses.csv: poses from 0.200 to 39.900 s, expected some around frames 0 to 1, at 0.000 to "
-        "0.100 s",
+        "lidar_poses.csv: found poses from 0.200 to 39.900 s, expected poses near the times of frames 0 to "
+        "1, which are 0.000 to 0.100 s",
         options);
     without(2, 3);  // 0.3 s between two poses
     EXPECT_EQ(load_sequence(data.folder.string(), {}).frames.size(), 6u);
@@ -160,21 +161,21 @@ TEST(Boreas, SaysWhichFileAndLineIsWrong) {
         };
     };
     with(data.poses(), line(3, ",0.0,0.0\n", "\n"),
-         "lidar_poses.csv line 3: 11 cells, expected a time and 12 numbers");
+         "lidar_poses.csv line 3: found 11 cells, expected a time and 12 numbers");
     with(data.poses(), line(4, ",0.3,", ",x,"),
-         "lidar_poses.csv line 4: cell 11 is 'x', expected a number within 1e+08");
+         "lidar_poses.csv line 4: cell 11 is 'x', expected a number of at most 1e+08");
     with(data.poses(), line(4, ",0.3,", ",nan,"),
          "lidar_poses.csv line 4: cell 11 is 'nan', expected a number");
     with(data.poses(), line(4, "16064", "t6064"), "lidar_poses.csv line 4: 't6064");
     with(data.poses(), line(5, "16064", "16063"),
-         "lidar_poses.csv line 5: time 1606317097828152 after 1606417097728152, expected times that rise");
+         "lidar_poses.csv line 5: found the time 1606317097828152 after 1606417097728152");
     with(
         data.poses(), [](std::string& text) { text.erase(text.find('\n') + 1); },
-        "lidar_poses.csv: no pose, expected lines");
+        "lidar_poses.csv: no pose was found, expected lines");
     with(data.calibration(), line(1, " ", " x"),
          "T_applanix_lidar.txt: found a word that is not a number, expected 4 lines of 4 numbers");
     with(data.calibration(), line(4, "0 0 0 1", ""), "T_applanix_lidar.txt: found 12 numbers, expected");
-    with(data.calibration(), line(1, "0.", "3."), "T_applanix_lidar.txt: the 3x3 block is no rotation");
+    with(data.calibration(), line(1, "0.", "3."), "T_applanix_lidar.txt: the 3x3 block is not a rotation");
     with(
         data.scan(3), [](std::string& bytes) { bytes.resize(bytes.size() - 5); }, ".bin: ");
     with(
@@ -183,13 +184,12 @@ TEST(Boreas, SaysWhichFileAndLineIsWrong) {
     options.skip_broken = true;
     test::write_text(data.scan(3), "cut");
     EXPECT_EQ(load_sequence(data.folder.string(), options).frames.size(), 5u);
-    data.expect_error("1606417097828152.bin: 3 bytes, expected a multiple of 24: 6 float32 a point");
+    data.expect_error("1606417097828152.bin: found 3 bytes, expected a multiple of 24 bytes");
     fs::remove(data.poses());
-    data.expect_error(
-        "lidar_poses.csv: no such file; expected poses, dataset.poses=FILE with them, or dataset.poses=none");
+    data.expect_error("lidar_poses.csv: no such file; expected poses; use dataset.poses=FILE");
     fs::remove_all(data.folder / "lidar");
     fs::create_directory(data.folder / "lidar");
-    data.expect_error("lidar: no scan, expected files named by their times");
+    data.expect_error("lidar: no scan was found, expected files named by their times");
 }
 
 }  // namespace

@@ -271,8 +271,8 @@ TEST_F(ExrDamage, CutAnywhere) {
     }
     test::write_text(file, bytes.substr(0, bytes.size() - 1));
     EXPECT_NE(complaint(), "nothing");
-    expect_bytes(bytes.substr(0, 100), "a.exr: its header is truncated");
-    expect_bytes("", "a.exr: its header is truncated");
+    expect_bytes(bytes.substr(0, 100), "a.exr: the header is truncated");
+    expect_bytes("", "a.exr: the header is truncated");
     expect_bytes("P6 20 12", "an OpenEXR file");
 }
 
@@ -285,7 +285,7 @@ TEST_F(ExrDamage, OfHeaders) {
     expect_bytes(window(8, 400'000), "20 x 400001 pixels with 5 channels");
     expect_bytes(window(8, 2147483647), "dataWindow has a corner at 2147483647");
     expect_bytes(window(8, -5), "20 x -4 pixels");
-    expect_bytes(window(-4, 2147483647), "its header is truncated");
+    expect_bytes(window(-4, 2147483647), "the header is truncated");
     expect_bytes(window(-4, -1), "attribute 'dataWindow' has an invalid size of -1 bytes");
     expect_bytes(patched(bytes, "pixelAspectRatio", "float", -4, 8),
                  "attribute 'pixelAspectRatio' of type 'float' has 8 bytes, expected 4");
@@ -294,10 +294,10 @@ TEST_F(ExrDamage, OfHeaders) {
     std::int32_t list_bytes = 0;
     const std::string list = std::string("channels") + '\0' + "chlist" + '\0';
     std::memcpy(&list_bytes, bytes.data() + bytes.find(list) + list.size(), sizeof list_bytes);
-    expect_bytes(patched(bytes, "channels", "chlist", -4, list_bytes + 9), "its list of channels is shorter");
+    expect_bytes(patched(bytes, "channels", "chlist", -4, list_bytes + 9), "the list of channels is shorter");
     std::string other = bytes;
     other[5] = 0x02;
-    expect_bytes(other, "it stores tiles");
+    expect_bytes(other, "the file stores tiles");
     other[5] = 0x08;
     expect_bytes(other, "deep pixels");
     other[5] = 0x10;
@@ -320,11 +320,11 @@ TEST_F(ExrDamage, OfValues) {
         channels[name][7] = value;
         return channels;
     };
-    expect(with("range", 2e6f), "range of ray 7 is 2000000, expected metres, 0 where there is no return");
+    expect(with("range", 2e6f), "range of ray 7 is 2000000, expected a range in metres");
     for (const float range_m : {NAN, -1.0f, INFINITY, -INFINITY}) expect(with("range", range_m), "nothing");
-    expect(with("intensity", 51.0f), "intensity 51, expected 0..1, or \"intensity_max\"");
-    expect(with("time", NAN), "time of ray 7: time nan");
-    expect(with("ring", 0.5f), "ring of ray 7: ring 0.5");
+    expect(with("intensity", 51.0f), "the intensity is 51, expected 0 to 1, or \"intensity_max\"");
+    expect(with("time", NAN), "time of ray 7: the time nan");
+    expect(with("ring", 0.5f), "ring of ray 7: the ring is 0.5");
 }
 
 TEST_F(ExrDamage, OfWhatIsMissing) {
@@ -333,17 +333,20 @@ TEST_F(ExrDamage, OfWhatIsMissing) {
         channels.erase(name);
         return channels;
     };
-    expect(without("range"), "no channel 'range', found direction.x, direction.y, direction.z, intensity");
-    expect(without("direction.y"), "2 of the channels direction.x, .y and .z, expected all or none");
+    expect(without("range"),
+           "the channel 'range' is missing; found the channels direction.x, direction.y, "
+           "direction.z, intensity");
+    expect(without("direction.y"), "found only 2 of the channels direction.x, .y and .z");
     const Channels range{{"range", good()["range"]}};
-    expect(range, "no directions of its rays, expected them, or the LiDAR's sensor in sequence.json");
-    expect(good(), "deskewed or in the world", {{"points_in", "world: the dataset's own"}});
-    expect(good(), "deskewed or in the world", {{"points_in", "sensor at time_s: x forward, y left, z up"}});
+    expect(range, "the array of ray directions is missing");
+    expect(good(), "motion-compensated or in the world", {{"points_in", "world: the dataset's own"}});
+    expect(good(), "motion-compensated or in the world",
+           {{"points_in", "sensor at time_s: x forward, y left, z up"}});
     expect(good(), "nothing", {{"points_in", "sensor at each ray's firing time: x forward, y left, z up"}});
     test::write_text(
         folder / "sequence.json",
         R"({"format": "relidar log", "version": 1, "rate_hz": 10, "lidars": [{"sensor": "VLP-16"}]})");
-    expect(range, "range of 20 x 12 without directions, expected 16 x 1808");
+    expect(range, "the array range has 20 x 12 values and there are no directions, expected 16 x 1808");
 }
 
 }  // namespace

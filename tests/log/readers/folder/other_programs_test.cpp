@@ -155,7 +155,7 @@ TEST(OtherPrograms, PosesWithoutTimesAreRefused) {
     for (int i = 0; i < 4; ++i) text += fmt::format("{} 0 0 1 0 0 0\n", i);  // x y z and a quaternion
     test::write_text(log.folder / "poses.txt", text);
     EXPECT_THAT(error_message<DataError>([&] { load_sequence(log.folder.string(), {}); }),
-                testing::HasSubstr("found poses without times"));
+                testing::HasSubstr("the poses have no times"));
 }
 
 TEST(OtherPrograms, ATableOfTimesIsNotAScan) {
@@ -198,7 +198,8 @@ TEST(OtherPrograms, InventsNoBeamsForThinnedClouds) {
     const Sequence sequence = load_sequence(log.folder.string(), {});
     EXPECT_TRUE(sequence.lidars[0].sensor.beams.empty());
     EXPECT_TRUE(std::ranges::any_of(sequence.notes, [](const std::string& n) {
-        return n.find("thinned cloud") != n.npos || n.find("neither their order nor") != n.npos;
+        return n.find("were probably removed from the cloud") != n.npos ||
+               n.find("neither their order nor") != n.npos;
     }));
 }
 

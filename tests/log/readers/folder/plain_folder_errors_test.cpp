@@ -99,12 +99,14 @@ TEST_F(FolderDamage, OfTheHead) {
     expect("sequence.json", "[]", "expected an object");
     expect("sequence.json", "{}", "format is missing");
     expect("sequence.json", replaced(head, "relidar log", "relidar"),
-           "format: found another one, expected \"relidar log\"");
+           "format: found another format, expected \"relidar log\"");
     expect("sequence.json", replaced(head, "1,", "2,"), "version: found 2");
     expect("sequence.json", with("\"intensity_maks\": 1"),
            "found the unknown member 'intensity_maks', expected only format, version");
-    expect("sequence.json", with("\"frames\": []"), "found frames and rate_hz");
-    expect("sequence.json", replaced(head, "\"rate_hz\": 10, ", ""), "found neither frames nor rate_hz");
+    expect("sequence.json", with("\"frames\": []"), "found both \"frames\" and \"rate_hz\"");
+    expect("sequence.json", replaced(head, "\"rate_hz\": 10, ", ""),
+           "found neither \"frames\" nor "
+           "\"rate_hz\"");
     expect("sequence.json", replaced(head, "10", "0"), "rate_hz: found 0");
     expect("sequence.json", with("\"time_unit\": \"sec\""),
            "time_unit: found \"sec\", expected one of: s, ms, us, ns");
@@ -123,10 +125,10 @@ TEST_F(FolderDamage, OfTheHead) {
     expect("sequence.json",
            with("\"lidars\": [{\"spins\": false, \"sensor\": {\"beams\": [{\"elevation_deg\": 1}], "
                 "\"columns\": 8}}]"),
-           "spins: found false beside beams");
+           "spins: found false for a LiDAR with beams");
     expect("sequence.json",
            with("\"lidars\": [{\"vehicle_from_sensor\": [2,0,0,0, 0,1,0,0, 0,0,1,0, 0,0,0,1]}]"),
-           "vehicle_from_sensor: the 3x3 block is no rotation");
+           "vehicle_from_sensor: the 3x3 block is not a rotation");
     expect(
         "sequence.json",
         with(
@@ -146,27 +148,27 @@ TEST_F(FolderDamage, OfListedFrames) {
     expect("sequence.json", frames(R"({"number": -1, "time_s": 0, "scan": "scans/a.pcd"})"),
            "frames[0].number: found -1");
     expect("sequence.json", frames(a + R"(, {"number": 1, "time_s": 0, "scan": "scans/a.pcd"})"),
-           "time 0 s after 0 s of frame 0");
+           "the time 0 s after the time 0 s of frame 0");
     expect("sequence.json", frames(R"({"number": 0, "time_s": 0, "scan": "scans/a.pcd", "lidar": "x"})"),
            "found \"x\", expected the name of");
     expect("sequence.json", frames(R"({"number": 0, "time_s": 0, "scan": "scans/a.txt"})"),
-           "no scan of relidar_folder_damage lies in it, 1 are missing");
+           "no existing scan of relidar_folder_damage; 1 scans are missing");
     DatasetOptions strict;
     strict.allow_missing_scans = false;
     expect("sequence.json", frames(R"({"number": 0, "time_s": 0, "scan": "scans/x.pcd"})"),
            "x.pcd: no such file, expected the scan of frame 0", strict);
     strict.frames = {7, 9};
-    expect("poses.txt", test::read_text(folder / "poses.txt"), "frames 7:9: no scan", strict);
+    expect("poses.txt", test::read_text(folder / "poses.txt"), "frames 7:9 select no scan", strict);
 }
 
 TEST_F(FolderDamage, OfPosesAndBoxes) {
     expect("poses.txt", kMissing,
-           "poses.txt: no such file; expected poses of the vehicle, dataset.poses=FILE");
+           "poses.txt: no such file; expected poses of the vehicle; use dataset.poses=FILE");
     expect("poses.txt", "", "poses.txt: no pose");
-    expect("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", "poses.txt: 1 lines, frame 1 needs line 2");
+    expect("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", "poses.txt: found 1 lines, but frame 1 needs line 2");
     expect("poses.txt", "1 2 3\n", "poses.txt line 1: '1 2 3', expected 8 numbers");
     expect("poses.txt", "0 0 0 0 1 0 0 0\n0 0 0 0 1 0 0 0\n",
-           "poses.txt line 2: time 0 s after 0 s, expected times that rise");
+           "poses.txt line 2: found the time 0 s after 0 s, expected increasing times");
     expect("poses.txt", "0 0 0 nan 1 0 0 0\n", "expected finite numbers");
     expect("poses.txt", "0 0 0 0 0.5 0 0 0\n", "a quaternion of length 0.5");
     expect("poses.txt", "5 0 0 0 1 0 0 0\n6 0 0 0 1 0 0 0\n", "poses from 5 to 6 s, but frame 0 is at 0 s");
@@ -185,38 +187,39 @@ TEST_F(FolderDamage, OfPosesAndBoxes) {
 
 TEST_F(FolderDamage, OfPointFiles) {
     const std::string good = test::pcd_binary(points);
-    expect("scans/a.pcd", "", "a.pcd: no line DATA");
-    expect("scans/a.pcd", good.substr(0, good.size() - 1), "a.pcd: truncated");
+    expect("scans/a.pcd", "", "a.pcd: the line DATA is missing");
+    expect("scans/a.pcd", good.substr(0, good.size() - 1), "a.pcd: the file is truncated");
     expect("scans/a.pcd", replaced(good, "POINTS 1440", "POINTS 999999999"),
-           "a.pcd: 999999999 points, expected 1 to");
-    expect("scans/a.pcd", replaced(good, "POINTS 1440", "POINTS 0"), "a.pcd: 0 points");
+           "a.pcd: found 999999999 points, expected 1 to");
+    expect("scans/a.pcd", replaced(good, "POINTS 1440", "POINTS 0"), "a.pcd: found 0 points");
     expect("scans/a.pcd", replaced(good, "POINTS 1440", "POINTS -3"), "POINTS '-3', expected a whole number");
     expect("scans/a.pcd", replaced(good, "SIZE 4 4 4", "SIZE 4 4"), "7 FIELDS, 6 SIZE");
-    expect("scans/a.pcd", replaced(good, "SIZE 4 4 4", "SIZE 3 4 4"), "field 'x' of type F3");
-    expect("scans/a.pcd", replaced(good, "COUNT 1", "COUNT 0"), "COUNT 0 of field 'x'");
-    expect("scans/a.pcd", replaced(good, "FIELDS x y z", "FIELDS x y y"), "field 'y' twice");
-    expect("scans/a.pcd", replaced(good, "FIELDS x y z", "FIELDS x y w"), "no field z");
+    expect("scans/a.pcd", replaced(good, "SIZE 4 4 4", "SIZE 3 4 4"), "the field 'x' has the type F3");
+    expect("scans/a.pcd", replaced(good, "COUNT 1", "COUNT 0"), "COUNT of the field 'x' is 0");
+    expect("scans/a.pcd", replaced(good, "FIELDS x y z", "FIELDS x y y"), "field 'y' occurs twice");
+    expect("scans/a.pcd", replaced(good, "FIELDS x y z", "FIELDS x y w"), "the field z is missing");
     expect("scans/a.pcd", replaced(good, "DATA binary", "DATA packed"), "DATA 'packed'");
     const std::string packed = test::pcd_compressed(points);
-    expect("scans/b.pcd", packed.substr(0, packed.size() - 5), "compressed bytes of");
+    expect("scans/b.pcd", packed.substr(0, packed.size() - 5), "bytes of compressed data");
     std::string other = packed;
     for (std::size_t at = other.size() - 40; at < other.size(); ++at) other[at] = char(0xFF);
-    expect("scans/b.pcd", other, "its compressed data is damaged");
+    expect("scans/b.pcd", other, "the compressed data is damaged");
     const std::string text = test::pcd_text(points);
     expect("scans/a.pcd", text.substr(0, text.size() / 2), "a.pcd: point 7");
     const std::string ply = test::ply_binary(points);
     fs::remove(folder / "scans/a.pcd");
-    expect("scans/a.ply", ply.substr(0, ply.size() - 1), "a.ply: truncated");
+    expect("scans/a.ply", ply.substr(0, ply.size() - 1), "a.ply: the file is truncated");
     expect("scans/a.ply", replaced(ply, "binary_little_endian", "binary_big_endian"),
            "format 'binary_big_endian'");
     expect("scans/a.ply", replaced(ply, "element vertex", "element camera"),
-           "expected 'element vertex N' first");
+           "expected 'element vertex N' as the first element");
     expect("scans/a.ply", replaced(ply, "property ushort", "property list ushort"),
-           "property 'ushort' of type 'list'");
-    expect("scans/a.bin", std::string(15, 'x'), "a.bin: 15 bytes, expected a multiple of 16");
-    expect("scans/a.bin", "", "a.bin: 0 points");
+           "property 'ushort' has the type 'list'");
+    expect("scans/a.bin", std::string(15, 'x'), "a.bin: found 15 bytes, expected a multiple of 16");
+    expect("scans/a.bin", "", "a.bin: found 0 points");
     expect("scans/a.npy", test::npy(points),
-           "a.npy: an array of 2 dimensions, the last of 6, expected [points, 4]");
+           "a.npy: found an array of 2 dimensions, whose last dimension is 6, expected the shape [points, "
+           "4]");
     expect("scans/a.npy", "x", "a.npy");
     expect("scans/a.npz", "x", "a.npz");
 }
@@ -229,9 +232,9 @@ TEST_F(FolderDamage, OfDeskewedPoints) {
         const std::string pcd = fmt::format("# {}\n", frame) + test::pcd_binary(points);
         const std::string ply =
             replaced(test::ply_binary(points), "ply\n", fmt::format("ply\ncomment {}\n", frame));
-        expect("scans/a.pcd", pcd, "a.pcd: its rays are deskewed or in the world");
+        expect("scans/a.pcd", pcd, "a.pcd: the rays are motion-compensated or in the world");
         fs::rename(folder / "scans/a.pcd", folder / "a.pcd");
-        expect("scans/a.ply", ply, "a.ply: its rays are deskewed or in the world");
+        expect("scans/a.ply", ply, "a.ply: the rays are motion-compensated or in the world");
         fs::rename(folder / "a.pcd", folder / "scans/a.pcd");
         put("sequence.json", with(R"("motion_compensated": true)"));
         EXPECT_EQ(complaint("scans/a.pcd", pcd, without_poses()), "nothing");
@@ -247,19 +250,18 @@ TEST_F(FolderDamage, OfValues) {
         change(some[7]);
         return test::pcd_binary(some);
     };
-    expect("scans/a.pcd", changed([](auto& p) { p.point_m.y = 1e7f; }), "a.pcd: point 7: (");
-    expect("scans/a.pcd", changed([](auto& p) { p.time_s = NAN; }), "a.pcd: point 7: time nan");
+    expect("scans/a.pcd", changed([](auto& p) { p.point_m.y = 1e7f; }), "a.pcd: point 7 is (");
+    expect("scans/a.pcd", changed([](auto& p) { p.time_s = NAN; }), "a.pcd: point 7: the time nan");
     expect("scans/a.pcd", changed([](auto& p) { p.time_s = 1e9; }),
            "\"time_unit\" and \"point_times\" in sequence.json");
-    expect("scans/a.pcd", changed([](auto& p) { p.ring = 65535; }), "a.pcd: point 7: ring 65535");
+    expect("scans/a.pcd", changed([](auto& p) { p.ring = 65535; }), "a.pcd: point 7: the ring is 65535");
     expect("sequence.json", replaced(head, "\"intensity_max\": 255, ", ""),
-           "intensity 51, expected 0..1, or \"intensity_max\"");
+           "the intensity is 51, expected 0 to 1, or \"intensity_max\"");
     expect("sequence.json",
            with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}], \"columns\": 8}}]"),
-           "expected one of 1 beams");
+           "expected the number of one of 1 beams");
     for (test::FilePoint& p : points) p.ring = 0, p.point_m = {5.0f, 0.0f, 0.0f};
-    expect("scans/a.pcd", test::pcd_binary(points),
-           "\"spins\": false in sequence.json takes points as they are");
+    expect("scans/a.pcd", test::pcd_binary(points), "use \"spins\": false in sequence.json");
 }
 
 }  // namespace

@@ -126,14 +126,15 @@ TEST(Kitti360, DrivesAndPartsHaveNames) {
         read(kitti, options);
         FAIL();
     } catch (const UsageError& error) {
-        EXPECT_THAT(error.what(), HasSubstr("dataset.sequence: found '0003', expected a drive of"));
-        EXPECT_THAT(error.what(), HasSubstr("(2013_05_28_drive_0000_sync), its number, or ks1"));
+        EXPECT_THAT(error.what(), HasSubstr("dataset.sequence: found '0003', expected the name or number "
+                                            "of a drive in"));
+        EXPECT_THAT(error.what(), HasSubstr("(2013_05_28_drive_0000_sync), or ks1"));
     }
     try {
         load_sequence((kitti.folder / "data_3d_raw" / Kitti360Folder::kDrive).string(), {});
         FAIL();
     } catch (const DataError& error) {
-        EXPECT_THAT(error.what(), HasSubstr("a drive of KITTI-360, expected"));
+        EXPECT_THAT(error.what(), HasSubstr("a drive of KITTI-360; use"));
     }
     options.sequence = "0001";
     EXPECT_THROW(load_sequence(kitti.sweeps.folder.string(), options), UsageError)
@@ -155,13 +156,14 @@ TEST(Kitti360, FramesWithoutAPose) {
     kitti.write_poses({2350, 2352});
     Sequence log = read(kitti);
     ASSERT_EQ(log.frames.size(), 3u);
-    EXPECT_THAT(log.notes, Contains("frames without a pose, taken between those of their neighbours: 2351"));
+    EXPECT_THAT(log.notes, Contains("poses of these frames are interpolated, because data_poses does not "
+                                    "contain them: 2351"));
     const glm::dvec3 there(Kitti360Folder::world_from_velo(2351)[3]);
     EXPECT_LT(glm::distance(log.world_from_vehicle.pose[1].translation + log.world_offset_m, there), 1e-3);
     kitti.write_poses({2345, 2351});  // six frames apart; half a second is five frames
     log = read(kitti);
     ASSERT_EQ(log.frames.size(), 1u);
-    EXPECT_THAT(log.notes, Contains("frames without a pose, left out: 2350, 2352"));
+    EXPECT_THAT(log.notes, Contains("frames that are skipped, because they have no pose: 2350, 2352"));
     // Makes a long gap between poses during which the car does not move.
     const std::string line = read_text(kitti.poses());
     const std::string pose = line.substr(line.find(' '), line.find('\n') - line.find(' '));
@@ -174,7 +176,7 @@ TEST(Kitti360, FramesWithoutAPose) {
     } catch (const DataError& error) {
         EXPECT_THAT(
             error.what(),
-            HasSubstr("none of the frames 2350 to 2352 has a pose, expected some between 100 and 200"));
+            HasSubstr("none of the frames 2350 to 2352 has a pose, expected frames between 100 and 200"));
     }
 }
 
@@ -195,7 +197,7 @@ TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
     EXPECT_EQ(mine.world_offset_m, glm::dvec3(2351, 0, 0));
     EXPECT_LT(glm::distance(mine.boxes[0].world_from_box.pose[2].translation, glm::dvec3(10.5, 0, 0)), 1e-6);
     fs::remove_all(kitti.folder / "data_poses");
-    EXPECT_THAT(read(kitti, options).notes, Contains("no data_poses: boxes have no place"));
+    EXPECT_THAT(read(kitti, options).notes, Contains("data_poses is missing, so the boxes are not read"));
     EXPECT_TRUE(read(kitti, options).boxes.empty());
 }
 
@@ -226,7 +228,7 @@ TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
     EXPECT_EQ(log.boxes[1].category, "person");
     EXPECT_EQ(log.boxes[1].world_from_box.pose.size(), 2u);
     fs::remove_all(kitti.folder / "data_3d_bboxes");
-    EXPECT_THAT(read(kitti).notes, Contains("no data_3d_bboxes: nothing in this drive is labelled"));
+    EXPECT_THAT(read(kitti).notes, Contains("data_3d_bboxes is missing, so this drive has no labels"));
 }
 
 /// Changes a file, reads the log, expects an error, and restores the file.
@@ -247,24 +249,26 @@ void expect_error(const Kitti360Folder& kitti, const fs::path& file, const std::
 TEST(Kitti360, SaysWhichFileIsWrong) {
     const Kitti360Folder kitti("k360_errors");
     const std::string poses = read_text(kitti.poses()), line = poses.substr(0, poses.find('\n') + 1);
-    expect_error(kitti, kitti.poses(), "", "poses.txt: empty, expected a frame number and 12 numbers");
+    expect_error(kitti, kitti.poses(), "",
+                 "poses.txt: the file is empty, expected a frame number and 12 "
+                 "numbers");
     expect_error(kitti, kitti.poses(), line.substr(0, line.size() / 2), "poses.txt line 1: ");
     expect_error(kitti, kitti.poses(), line + line,
-                 "poses.txt line 2: frame '2350' after 2350, expected frame numbers that rise");
-    expect_error(kitti, kitti.poses(), "x" + line, "poses.txt line 1: frame 'x2350', expected frame numbers");
+                 "poses.txt line 2: found the frame '2350' after 2350, expected increasing frame numbers");
+    expect_error(kitti, kitti.poses(), "x" + line, "poses.txt line 1: found the frame 'x2350'");
     expect_error(kitti, kitti.poses(), "2350 1 0 0 nan 0 1 0 0 0 0 1 0\n",
                  "poses.txt line 1: number 4 is nan");
     expect_error(kitti, kitti.poses(), "2350 1 0 0 0 0 1 0 0 0 0 2 0\n",
-                 "poses.txt line 1: the 3x3 block is no rotation");
+                 "poses.txt line 1: the 3x3 block is not a rotation");
     expect_error(kitti, kitti.calibration("calib_cam_to_pose.txt"), "image_01: 1\n",
                  "calib_cam_to_pose.txt: no line 'image_00:'");
     expect_error(kitti, kitti.calibration("calib_cam_to_velo.txt"), "1 0 0 0\n",
                  "calib_cam_to_velo.txt line 1: 4 numbers, expected 12");
     expect_error(kitti, kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n",
-                 "timestamps.txt: no two lines with times");
+                 "timestamps.txt: no two consecutive lines have times");
     expect_error(kitti, kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n2013-05-28 08:47:02.9\n",
                  "a sweep lasts 60 s");
-    expect_error(kitti, kitti.scan(2351), "", "0000002351.bin: empty");
+    expect_error(kitti, kitti.scan(2351), "", "0000002351.bin: the file is empty");
     fs::remove(kitti.calibration("calib_cam_to_velo.txt"));
     EXPECT_THROW(read(kitti), DataError);
     fs::remove_all(kitti.raw());
@@ -286,20 +290,19 @@ TEST(Kitti360, SaysWhichBoxIsWrong) {
     expect("<timestamp>-1</timestamp>", "<timestamp>1.5</timestamp>", "object3: timestamp is '1.5'");
     expect("<start_frame>2351</start_frame>", "", "object3: start_frame is ''");
     expect("<rows>4</rows>", "<rows>400000000</rows>", "object0: transform: rows is '400000000'");
-    expect("<cols>4</cols>", "<cols>3</cols>",
-           "object0: transform of 4 x 3 with 16 numbers, expected 4 x 4 with 16");
-    expect("e+00 ", "e+00 nan ", "object0: transform of 4 x 4 with 17 numbers");
+    expect("<cols>4</cols>", "<cols>3</cols>", "object0: transform has 4 x 3 entries and 16 numbers");
+    expect("e+00 ", "e+00 nan ", "object0: transform has 4 x 4 entries and 17 numbers");
     expect("e+00 ", "e+99 ", "object0: number 1 of transform is ");
     expect("<semanticId>13</semanticId>\n  <instanceId>7", "<semanticId>14</semanticId>\n  <instanceId>-995",
-           "object3: a truck of track 13005, which is a car elsewhere");
+           "object3: found class truck for track 13005, which has class car");
     write_text(kitti.boxes(), "<html/>");
-    expect_error(kitti, kitti.boxes(), "<html/>", ".xml: no element opencv_storage");
+    expect_error(kitti, kitti.boxes(), "<html/>", ".xml: the element opencv_storage is missing");
     const glm::dmat4 sheared{{2, 0, 0, 0}, {1, 1, 0, 0}, {0, 0, 1, 0}, {0, 0, 0, 1}};
     const auto one = [](const glm::dmat4& m) {
         return test::boxes_xml(test::object_xml(0, test::object_fields("bus", 34, 1, 2351, 0, 0), m));
     };
-    expect_error(kitti, kitti.boxes(), one(sheared), "object0: transform: the 3x3 block is no rotation");
-    expect_error(kitti, kitti.boxes(), one(glm::dmat4(0.0)), "object0: transform has a size of 0 x 0 x 0 m");
+    expect_error(kitti, kitti.boxes(), one(sheared), "object0: transform: the 3x3 block is not a rotation");
+    expect_error(kitti, kitti.boxes(), one(glm::dmat4(0.0)), "object0: transform gives the size 0 x 0 x 0 m");
 }
 
 }  // namespace

@@ -52,9 +52,9 @@ TEST(KittiErrors, MissingFoldersAndFiles) {
     fs::remove(drive.file("oxts/data/0000000001.txt"));
     expect_data_error(drive, {"oxts/data/0000000001.txt: no such file"});
     fs::remove_all(drive.file("oxts"));
-    expect_data_error(drive, {"oxts/data: no OXTS files", "dataset.poses=FILE", "dataset.poses=none"});
+    expect_data_error(drive, {"oxts/data: the OXTS files", "dataset.poses=FILE", "dataset.poses=none"});
     write_text(drive.file("oxts/data/nan.txt"), "");  // belongs to no frame
-    expect_data_error(drive, {"oxts/data: no OXTS files"});
+    expect_data_error(drive, {"oxts/data: the OXTS files"});
     fs::remove(drive.file("velodyne_points/timestamps_end.txt"));
     expect_data_error(drive, {"timestamps_end.txt: no such file"});
     fs::remove_all(drive.file("velodyne_points/data"));
@@ -66,7 +66,7 @@ TEST(KittiErrors, MissingFoldersAndFiles) {
 TEST(KittiErrors, MissingCalibration) {
     const KittiDrive drive("uncalibrated");
     fs::remove(drive.calibration());
-    expect_data_error(drive, {"calib_imu_to_velo.txt: no such file, nor in the drive", "2011_12_31_calib",
+    expect_data_error(drive, {"calib_imu_to_velo.txt: no such file here, in the drive", "2011_12_31_calib",
                               "dataset.poses"});
 }
 
@@ -79,11 +79,11 @@ TEST(KittiErrors, NumbersOfScans) {
     expect_data_error(drive, {"9999999999.bin: the number of a scan"});
     fs::rename(drive.file("velodyne_points/data/9999999999.bin"),
                drive.file("velodyne_points/data/0099999999.bin"));
-    expect_data_error(drive, {"timestamps.txt: 3 lines, frame 99999999 needs line 100000000"});
+    expect_data_error(drive, {"timestamps.txt: found 3 lines, but frame 99999999 needs line 100000000"});
     DatasetOptions complete;
     complete.allow_missing_scans = false;
     expect_failure(drive, complete, ExitCode::data,
-                   {"99999996 of the scans 0 to 99999999 missing (3, 4, 5, 6, 7, ...), expected all"});
+                   {"99999996 of the scans 0 to 99999999 are missing (3, 4, 5, 6, 7, ...), expected all"});
 }
 
 TEST(KittiErrors, FoldersThatAreNoDrive) {
@@ -99,18 +99,18 @@ TEST(KittiErrors, FoldersThatAreNoDrive) {
         }
     };
     expect(drive.folder.parent_path(),
-           {"2011_12_31", "holds 1 dataset; expected one of them, as", "2011_12_31_drive_0001_sync"});
-    expect(drive.file("velodyne_points"), {"within a dataset; expected", "2011_12_31_drive_0001_sync"});
-    expect(drive.file("oxts/data"), {"within a dataset; expected"});
+           {"2011_12_31", "contains 1 dataset; use the folder of one of them", "2011_12_31_drive_0001_sync"});
+    expect(drive.file("velodyne_points"), {"inside a dataset", "2011_12_31_drive_0001_sync"});
+    expect(drive.file("oxts/data"), {"inside a dataset"});
     const fs::path odometry = drive.folder.parent_path().parent_path() / "dataset/sequences/00";
     write_text(odometry / "velodyne/000000.bin", "");
     write_text(odometry / "times.txt", "0\n");
     expect(odometry,
-           {"sequences/00", "a KITTI odometry sequence, whose scans are motion-compensated", "KITTI raw"});
+           {"sequences/00", "a KITTI odometry sequence with motion-compensated scans", "KITTI raw"});
     expect(odometry.parent_path().parent_path(), {"a KITTI odometry sequence"});
     for (int frame = 0; frame < 3; ++frame)
         fs::rename(drive.scan(frame), drive.scan(frame).replace_extension("txt"));
-    expect_data_error(drive, {"scans as text", "_extract", "_sync"});
+    expect_data_error(drive, {"the scans are text files", "_extract", "_sync"});
 }
 
 TEST(KittiErrors, PosesOutOfThisWorld) {
@@ -120,7 +120,7 @@ TEST(KittiErrors, PosesOutOfThisWorld) {
     options.poses_file = drive.file("poses.txt");
     write_text(options.poses_file, good + "1 0 0 1e308 0 1 0 0 0 0 1 0\n" + good);
     expect_failure(drive, options, ExitCode::data,
-                   {"poses.txt: the pose of frame 1 is at (1e+308, 0, 0), expected metres within"});
+                   {"poses.txt: the pose of frame 1 is at (1e+308, 0, 0), expected coordinates of at most"});
     write_text(options.poses_file, good + "1 0 0 2e5 0 1 0 0 0 0 1 0\n" + good);
     expect_failure(drive, options, ExitCode::data,
                    {"poses.txt: the poses of frames 0 and 1 are 200000 m apart"});
@@ -133,10 +133,10 @@ TEST(KittiErrors, BrokenScans) {
     const KittiDrive drive("scans");
     const std::string original = read_text(drive.scan(1));
     write_text(drive.scan(1), original.substr(0, 100));
-    expect_data_error(drive,
-                      {"0000000001.bin: truncated: 100 bytes", "multiple of 16", "6 points and 4 bytes"});
+    expect_data_error(drive, {"0000000001.bin: the file is truncated: it has 100 bytes", "4 more bytes",
+                              "6 points of 16 bytes"});
     write_text(drive.scan(1), "");
-    expect_data_error(drive, {"0000000001.bin: empty"});
+    expect_data_error(drive, {"0000000001.bin: the file is empty"});
     std::string bad = original;
     put_float(bad, 5, 3, INFINITY);
     write_text(drive.scan(1), bad);
@@ -144,9 +144,9 @@ TEST(KittiErrors, BrokenScans) {
     bad = original;
     put_float(bad, 8, 0, 2e4f);
     write_text(drive.scan(1), bad);
-    expect_data_error(drive, {"point 8", "within 10000 m"});
+    expect_data_error(drive, {"point 8", "at most 10000 m"});
     for (int frame = 0; frame < 3; ++frame) write_text(drive.scan(frame), original.substr(0, 16 * 3000));
-    expect_data_error(drive, {"velodyne_points/data: ", "rings in file order, expected 64"});
+    expect_data_error(drive, {"velodyne_points/data: ", "rings in the order of the file, expected 64"});
 }
 
 /// Returns 64 rings of points at even azimuths, stored ring by ring as in KITTI.
@@ -179,11 +179,11 @@ TEST(KittiErrors, Timestamps) {
     const auto file = drive.file("velodyne_points/timestamps.txt");
     const std::string original = read_text(file);
     write_text(file, original.substr(0, original.find('\n') + 1));
-    expect_data_error(drive, {"timestamps.txt: 1 lines, frame 1 needs line 2"});
+    expect_data_error(drive, {"timestamps.txt: found 1 lines, but frame 1 needs line 2"});
     write_text(file, "2011-13-31 23:59:10.0\n");
     expect_data_error(drive, {"timestamps.txt line 1", "2011-13-31", "expected YYYY-MM-DD"});
     write_text(file, "9999-01-01 00:00:00.0\n");  // nanoseconds overflow 64 bits
-    expect_data_error(drive, {"timestamps.txt line 1", "9999-01-01", "1970 to 2199"});
+    expect_data_error(drive, {"timestamps.txt line 1", "9999-01-01", "1970 and 2199"});
     write_text(file, std::string(1 << 20, '7') + "\n");
     try {
         load_sequence(drive.folder.string(), {});
@@ -193,13 +193,13 @@ TEST(KittiErrors, Timestamps) {
     }
     const std::string line = original.substr(0, original.find('\n') + 1);
     write_text(file, line + "\n" + line);
-    expect_data_error(drive, {"timestamps.txt line 2: empty, expected the time of frame 1"});
+    expect_data_error(drive, {"timestamps.txt line 2: the line is empty, expected the time of frame 1"});
     write_text(file, "\n \n");
-    expect_data_error(drive, {"timestamps.txt: empty"});
+    expect_data_error(drive, {"timestamps.txt: the file is empty"});
     write_text(file, "   " + original);  // leading blanks are allowed
     EXPECT_EQ(load_sequence(drive.folder.string(), {}).frames.size(), 3u);
     write_text(file, line + line + line);
-    expect_data_error(drive, {"timestamps.txt line 2", "rising"});
+    expect_data_error(drive, {"timestamps.txt line 2", "increasing"});
 }
 
 TEST(KittiErrors, Calibration) {
@@ -210,8 +210,8 @@ TEST(KittiErrors, Calibration) {
     };
     expect("T: 0 0 0\n", {"calib_imu_to_velo.txt: no line 'R:'"});
     expect("R: 1 0 0 0 1 0 0 0\nT: 0 0 0\n", {"calib_imu_to_velo.txt key R: 8 numbers, expected 9"});
-    expect("R: 1 0 0 0 1 0 0 0 1.01\nT: 0 0 0\n", {"calib_imu_to_velo.txt", "no rotation", "orthonormal"});
-    expect("R: 1 0 0 0 1 0 0 0 -1\nT: 0 0 0\n", {"no rotation"});
+    expect("R: 1 0 0 0 1 0 0 0 1.01\nT: 0 0 0\n", {"calib_imu_to_velo.txt", "not a rotation", "orthonormal"});
+    expect("R: 1 0 0 0 1 0 0 0 -1\nT: 0 0 0\n", {"not a rotation"});
     expect("R: 1 0 0 0 1 0 0 0 1\nT: 0 nan 0\n", {"key T: number 2 is nan"});
 }
 
@@ -225,9 +225,9 @@ TEST(KittiErrors, PosesFile) {
         expect_failure(drive, options, ExitCode::data, parts);
     };
     expect(good + "1 0 0 0 0 1 0 0 0 0 1\n" + good, {"poses.txt line 2: 11 numbers, expected 12"});
-    expect(good + good, {"poses.txt: 2 lines, frame 2 needs line 3"});
-    expect(good + good + "1 0.1 0 0 0 1 0 0 0 0 1 0\n", {"poses.txt line 3", "no rotation"});
-    expect("1 0 0 x 0 1 0 0 0 0 1 0\n", {"poses.txt line 1: a word is no number"});
+    expect(good + good, {"poses.txt: found 2 lines, but frame 2 needs line 3"});
+    expect(good + good + "1 0.1 0 0 0 1 0 0 0 0 1 0\n", {"poses.txt line 3", "not a rotation"});
+    expect("1 0 0 x 0 1 0 0 0 0 1 0\n", {"poses.txt line 1: found a word that is not a number"});
 }
 
 TEST(KittiErrors, FrameRange) {
@@ -250,7 +250,7 @@ TEST(KittiErrors, Tracklets) {
         expect_data_error(drive, parts);
     };
     expect("</tracklets>", "", {"tracklet_labels.xml: malformed XML at byte"});
-    expect("<h>2</h>", "<h>0</h>", {"tracklet_labels.xml: track 0", "expected all above 0"});
+    expect("<h>2</h>", "<h>0</h>", {"tracklet_labels.xml: track 0", "expected three lengths above 0"});
     expect("<l>4.4</l>", "<l>nan</l>", {"tracklet_labels.xml: track 0: l is 'nan'"});
     expect("<tx>11</tx>", "<tx>inf</tx>", {"track 0 frame 2: tx is 'inf'"});
     expect("<w>1.8</w>", "", {"track 0: w is ''"});
@@ -259,7 +259,7 @@ TEST(KittiErrors, Tracklets) {
     expect("<tx>11</tx>", "<tx>" + std::string(1 << 16, '1') + "</tx>",
            {"track 0 frame 2: tx is '11111", "...'"});
     write_text(file, "<html/>");
-    expect_data_error(drive, {"tracklet_labels.xml: no element boost_serialization/tracklets"});
+    expect_data_error(drive, {"tracklet_labels.xml: the element boost_serialization/tracklets is missing"});
 }
 
 TEST(Registry, KindsAreRecognisedAndNamed) {

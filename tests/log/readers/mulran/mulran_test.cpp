@@ -53,11 +53,12 @@ TEST(Mulran, EveryReturnIsWhereItWasMeasured) {
     EXPECT_EQ(sequence.name, "MulRan KAIST01");
     ASSERT_EQ(sequence.frames.size(), 3u);
     EXPECT_EQ(sequence.frames[0].index, 1);
-    EXPECT_THAT(sequence.notes,
-                testing::Contains(
-                    "1 of 4 scans are left out, the first of them frame 0, the last frame 0: global_pose.csv "
-                    "has no poses around their times"));
-    EXPECT_THAT(sequence.notes, testing::Contains("64 beams x 1024 columns are fitted to its points"));
+    EXPECT_THAT(
+        sequence.notes,
+        testing::Contains("1 of 4 scans are skipped (the first is frame 0, the last frame 0), because "
+                          "global_pose.csv has no poses near their times"));
+    EXPECT_THAT(sequence.notes, testing::Contains("a sensor with 64 beams and 1024 columns was fitted to "
+                                                  "the points"));
     const Lidar& lidar = sequence.lidars[0];
     EXPECT_NEAR(lidar.sensor.period_s, 0.1, 1e-5);
     EXPECT_TRUE(lidar.sensor.clockwise);
@@ -87,8 +88,10 @@ TEST(Mulran, FramesAndOtherPoses) {
     ASSERT_EQ(one.frames.size(), 1u);
     EXPECT_NEAR(one.frames[0].time_s, 0.2, 1e-9) << "after the log's first scan";
     options.frames = {0, 1};
-    data.expect_error("global_pose.csv: poses from 0.046 to 0.356 s, expected some around frames 0 to 0",
-                      options);
+    data.expect_error(
+        "global_pose.csv: found poses from 0.046 to 0.356 s, expected poses near the times "
+        "of frames 0 to 0",
+        options);
     options = {};
     options.poses_file = kNoPoses;
     EXPECT_EQ(load_sequence(data.folder.string(), options).frames.size(), 4u);
@@ -112,7 +115,7 @@ TEST(Mulran, PosesOfSomethingElseAreTold) {
     test::write_text(data.poses(), lines);
     EXPECT_THAT(load_sequence(data.folder.string(), {}).notes,
                 testing::Contains(testing::HasSubstr(
-                    "poses: the vehicle drives along (-0.00, -1.00, 0.00) of its own frame")));
+                    "the vehicle drives in the direction (-0.00, -1.00, 0.00) of its own frame")));
 }
 
 TEST(Mulran, BrightPointsAreCut) {
@@ -124,7 +127,7 @@ TEST(Mulran, BrightPointsAreCut) {
     const Sequence sequence = load_sequence(data.folder.string(), {});
     EXPECT_THAT(
         sequence.notes,
-        testing::Contains("intensities up to 6000: 200, above which 0.5 % of the points are, counts as 1"));
+        testing::Contains("intensities go up to 6000; they are divided by 200, their 99.5th percentile"));
 }
 
 TEST(Mulran, SaysWhichFileAndLineIsWrong) {
@@ -136,13 +139,15 @@ TEST(Mulran, SaysWhichFileAndLineIsWrong) {
         test::write_text(data.poses(), std::string(good).replace(at, good.find('\n', at) - at, text));
         data.expect_error(part);
     };
-    with(2, "1561000444446857630,1,0,0", "global_pose.csv line 2: 4 cells, expected a time and 12 numbers");
+    with(2, "1561000444446857630,1,0,0",
+         "global_pose.csv line 2: found 4 cells, expected a time and 12 "
+         "numbers");
     with(2, "1561000444446857631,1,0,0,0,0,1,0,0,0,0,x,0",
          "global_pose.csv line 2: cell 12 is 'x', expected a number");
     with(3, "1561000444456857631,2,0,0,0,0,1,0,0,0,0,1,0",
-         "global_pose.csv line 3: the 3x3 block is no rotation");
+         "global_pose.csv line 3: the 3x3 block is not a rotation");
     with(3, "5,1,0,0,0,0,1,0,0,0,0,1,0",
-         "global_pose.csv line 3: time 5 after 1561000444446857630, expected times that rise");
+         "global_pose.csv line 3: found the time 5 after 1561000444446857630");
     with(3, "x,1,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3: 'x', expected a time");
     test::write_text(data.poses(), good);
     const std::string bytes = test::read_text(data.scan(2)), first = test::read_text(data.scan(1));

@@ -55,8 +55,8 @@ TEST(Once, EveryReturnIsOnTheYard) {
         testing::Contains("1 boxes in 1 labelled frames are ignored, because they have no track ids"));
     EXPECT_THAT(sequence.notes,
                 testing::Contains(
-                    "40 beams x 900 columns are fitted to its points, which have no rings: each is taken for "
-                    "one of the nominal beam that passes nearest"));
+                    "a sensor with 40 beams and 900 columns was fitted to the points, which have no rings; "
+                    "each point is assigned to the nominal beam with the nearest elevation"));
     EXPECT_TRUE(sequence.boxes.empty());
     const SpinningSensor& sensor = sequence.lidars[0].sensor;
     EXPECT_EQ(sensor.period_s, 0.1) << "a turn, not the time between scans";
@@ -92,7 +92,7 @@ TEST(Once, PointsOfAnotherLidar) {
     }
     const Sequence sequence = load_sequence(data.folder.string(), {});
     EXPECT_EQ(sequence.frames[0].scan.rays.rows, 1) << "rays without order";
-    EXPECT_THAT(sequence.notes, testing::Contains(testing::HasSubstr("rays that were dropped are unknown")));
+    EXPECT_THAT(sequence.notes, testing::Contains(testing::HasSubstr("dropped rays are unknown")));
 }
 
 TEST(Once, FramesOtherPosesAndMissingScans) {
@@ -140,7 +140,7 @@ TEST(Once, SaysWhichFileAndFieldIsWrong) {
     with("\"frames\"", "\"other\"", "errors.json: frames");
     with("]}]", "", "errors.json");
     test::write_text(data.scan(2), "cut");
-    data.expect_error("1616535967200.bin: 3 bytes, expected a multiple of 16");
+    data.expect_error("1616535967200.bin: found 3 bytes, expected a multiple of 16");
     fs::remove_all(data.folder / "lidar_roof");
     fs::create_directory(data.folder / "lidar_roof");
     data.expect_error("errors.json lists 4 frames");

@@ -297,7 +297,7 @@ TEST(Waymo, DamagedFramesAreRefused) {
     expect("record 1: the pose is missing", [](auto& frame) { frame.pose.clear(); });
     expect("record 1: pose: found a transform of 0 numbers, expected 16",
            [](auto& frame) { frame.pose = std::string("\x10\x01", 2); });
-    expect("record 1: pose: the 3x3 block is no rotation",
+    expect("record 1: pose: the 3x3 block is not a rotation",
            [](auto& frame) { frame.pose = test::waymo_transform(glm::dmat4(2.0)); });
     expect("record 1: pose: a number of the transform is nan",
            [](auto& frame) { frame.pose = test::waymo_transform(glm::dmat4(NAN)); });
@@ -323,7 +323,7 @@ TEST(Waymo, DamagedCalibrationsAreRefused) {
            {side, test::waymo_calibration(1, {0.0, 0.1}, 0, 0, glm::dmat4(1.0))});
     expect("record 0: a beam inclination is nan for laser 1",
            {side, test::waymo_calibration(1, {}, NAN, 0, glm::dmat4(1.0))});
-    expect("record 0: laser_calibrations, extrinsic: the 3x3 block is no rotation",
+    expect("record 0: laser_calibrations, extrinsic: the 3x3 block is not a rotation",
            {side, test::waymo_calibration(1, {}, 0, 0.1, glm::dmat4(0.5))});
 }
 

@@ -150,7 +150,7 @@ private:
     /// [lasers] angles of the lasers as calibrated by the manufacturer; empty if unknown
     std::vector<LaserAngles> angles_;
     /// text about the source of the angles, for notes to the user
-    std::string angles_about_ = "nominal angles of the beams";
+    std::string angles_about_ = "beam angles from the data sheet";
     std::vector<BlockBeam> beams_;  ///< [rings]
     /// [firing sequences, lasers] ring of each laser, or kNoRing if the laser does not
     /// fire
@@ -164,20 +164,20 @@ private:
         std::string files;
         for (const Correction& correction : corrections) {
             if (correction.lasers.size() != n && correction.is_named)
-                throw DataError(fmt::format("{}: angles of {} lasers, expected {} for a {}", correction.where,
-                                            correction.lasers.size(), n, layout_.name));
+                throw DataError(fmt::format("{}: found the angles of {} lasers, expected {} for a {}",
+                                            correction.where, correction.lasers.size(), n, layout_.name));
             if (correction.lasers.size() != n) continue;
             if (!files.empty()) {
                 angles_.clear();
                 angles_about_ = fmt::format(
-                    "nominal angles of the beams, because {} and {} both have angles of {} lasers: give one "
-                    "of them the name of the recording",
+                    "beam angles from the data sheet, because {} and {} both have angles of {} lasers; "
+                    "give one of the two files the name of the recording",
                     files, correction.where, n);
                 return;
             }
             files = correction.where;
             angles_ = correction.lasers;
-            angles_about_ = "angles of the beams from " + files;
+            angles_about_ = "beam angles from " + files;
         }
     }
 
@@ -221,12 +221,12 @@ private:
         const unsigned flag = 0xEEFF - 0x1100 * unsigned(bank);
         if (layout_.flagged && reader.number<std::uint16_t>() != flag)
             throw DataError(
-                fmt::format("a block of a packet that does not begin with FF {:X}, expected a {}'s",
+                fmt::format("a block of a packet does not begin with FF {:X}, expected a packet of a {}",
                             flag >> 8, layout_.name));
         const double azimuth_deg = 0.01 * read_short(reader);
         if (azimuth_deg > 360.0)
             throw DataError(
-                fmt::format("an azimuth of {} degrees in a packet, expected less than 360", azimuth_deg));
+                fmt::format("a packet has an azimuth of {} degrees, expected less than 360", azimuth_deg));
         return std::fmod(azimuth_deg - layout_.forward_deg + 360.0, 360.0);
     }
 

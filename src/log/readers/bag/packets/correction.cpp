@@ -69,16 +69,19 @@ Correction read_correction(const std::string& text, const std::string& where) {
         if (!(*laser >= 1.0 && *laser <= kMostCorrectedLasers) || !elevation || !azimuth ||
             !(std::abs(*elevation) <= 90.0) || !(std::abs(*azimuth) <= 180.0))
             throw DataError(
-                fmt::format("{}: line '{}', expected the number of a laser, elevation and azimuth", where,
-                            excerpt(line)));
+                fmt::format("{}: found the line '{}', expected the number of a laser, its elevation and "
+                            "its azimuth",
+                            where, excerpt(line)));
         angles[std::size_t(*laser)] = {*elevation, *azimuth};
     }
     Correction correction{where, false, {}};
     for (const auto& [laser, laser_angles] : angles) {
         correction.lasers.push_back(laser_angles);
         if (laser != correction.lasers.size())
-            throw DataError(fmt::format("{}: no angles of laser {}, expected those of each laser up to {}",
-                                        where, correction.lasers.size(), angles.rbegin()->first));
+            throw DataError(
+                fmt::format("{}: the angles of laser {} are missing, expected the angles of "
+                            "all lasers up to {}",
+                            where, correction.lasers.size(), angles.rbegin()->first));
     }
     return correction;
 }

@@ -48,7 +48,7 @@ public:
     const Timing& timing() const override { return timing_; }
 
     std::string about() const override {
-        return fmt::format("{}-beam Ouster, {}, profile {}, angles of the beams from {}",
+        return fmt::format("{}-beam Ouster, {}, profile {}, beam angles from {}",
                            format_->sensor.beams.size(), format_->product, format_->profile->name,
                            format_->where);
     }
@@ -66,8 +66,10 @@ public:
         if (!profile.is_legacy)
             if (const auto kind = ByteReader(reader.take(kHeadBytes)).number<std::uint8_t>();
                 kind != kLidarData)
-                throw DataError(fmt::format("a packet of type {}, expected {}: an Ouster's LiDAR data", kind,
-                                            kLidarData));
+                throw DataError(
+                    fmt::format("found a packet of type {}, expected {} (LiDAR data of an "
+                                "Ouster)",
+                                kind, kLidarData));
         Packet packet;
         packet.n_slots = format_->columns_per_packet;
         std::vector<std::int64_t> times_ns;
@@ -108,7 +110,7 @@ private:
         const int columns = format_->sensor.columns;
         if (column.number >= columns)
             throw DataError(
-                fmt::format("column {} in a packet, expected less than the {} of lidar_mode in {}",
+                fmt::format("a packet has column {}, expected a number below {} (lidar_mode in {})",
                             column.number, columns, format_->where));
         const double azimuth_deg = std::fmod(180.0 + 360.0 * column.number / columns, 360.0),
                      step_deg = 360.0 / columns;
@@ -116,7 +118,8 @@ private:
                                                            step_deg * (slot - before.back().slot),
                                                        360.0)) > 0.1 * step_deg)
             throw DataError(fmt::format(
-                "column {} in place {} of a packet, expected one that goes on from those before it",
+                "column {} at position {} of a packet does not follow the previous column, expected "
+                "columns in order",
                 column.number, slot));
         return azimuth_deg;
     }

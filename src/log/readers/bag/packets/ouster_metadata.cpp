@@ -72,8 +72,8 @@ const OusterProfile& profile_of(const Json& json, const std::string& where) {
     if (known != std::end(kProfiles)) return *known;
     std::string names;
     for (const OusterProfile& row : kProfiles) names += (names.empty() ? "" : ", ") + std::string(row.name);
-    throw DataError(fmt::format("{}: packets of the profile {}, expected one that relidar decodes: {}", where,
-                                excerpt(name), names));
+    throw DataError(
+        fmt::format("{}: the packet profile is {}, expected one of {}", where, excerpt(name), names));
 }
 
 /// Returns the ring of each row of pixels in a packet. The rows have the same order as
@@ -113,20 +113,20 @@ std::vector<bool> columns_in_window(const Json& json, const std::string& where, 
 void check_sizes(OusterFormat& format, const Json& json) {
     const int columns = format.sensor.columns, beams = int(format.sensor.beams.size());
     if (const int n = parse_integer(json, format.where, "columns_per_frame", columns, 65536); n != columns)
-        throw DataError(fmt::format("{}: columns_per_frame is {}, expected the {} of its lidar_mode",
+        throw DataError(fmt::format("{}: columns_per_frame is {}, expected {} like in lidar_mode",
                                     format.where, n, columns));
     if (const int n = parse_integer(json, format.where, "pixels_per_column", beams, 65536); n != beams)
         throw DataError(
-            fmt::format("{}: pixels_per_column is {}, expected the {} of its beam_altitude_angles",
+            fmt::format("{}: pixels_per_column is {}, expected {}, the number of beam_altitude_angles",
                         format.where, n, beams));
     if (format.columns_per_packet < 1 || columns % format.columns_per_packet != 0)
-        throw DataError(fmt::format(
-            "{}: packets of {} columns (columns_per_packet), expected a number that divides the {} of a turn",
-            format.where, format.columns_per_packet, columns));
+        throw DataError(
+            fmt::format("{}: columns_per_packet is {}, expected a divisor of the {} columns of a turn",
+                        format.where, format.columns_per_packet, columns));
     format.packet_bytes = bytes_of(*format.profile, beams, format.columns_per_packet);
     if (format.packet_bytes > kMostDatagram)
-        throw DataError(fmt::format("{}: {}, expected at most {} bytes, which UDP carries", format.where,
-                                    format.about(), kMostDatagram));
+        throw DataError(fmt::format("{}: found {}, expected at most {} bytes, the largest UDP packet",
+                                    format.where, format.about(), kMostDatagram));
 }
 
 /// Returns the port in the topic name of a network capture, for example 7502 for
@@ -179,7 +179,7 @@ std::vector<fs::path> files_of(const fs::path& folder) {
 }  // namespace
 
 std::string OusterFormat::about() const {
-    return fmt::format("packets of {} bytes ({}, {} beams, {} columns a packet{})", packet_bytes,
+    return fmt::format("packets of {} bytes ({}, {} beams, {} columns per packet{})", packet_bytes,
                        profile->name, sensor.beams.size(), columns_per_packet,
                        port > 0 ? fmt::format(", port {}", port) : "");
 }
@@ -200,7 +200,7 @@ std::shared_ptr<const OusterFormat> read_ouster_metadata(const std::string& text
     const auto* spinning = std::get_if<SpinningSensor>(&model.pattern);
     if (!spinning)
         throw DataError(
-            fmt::format("{}: a sensor that does not spin, expected the metadata of an Ouster", where));
+            fmt::format("{}: the sensor does not spin, expected the metadata of an Ouster", where));
     format->sensor = *spinning;
     format->profile = &profile_of(json, where);
     format->columns_per_packet = parse_integer(json, where, "columns_per_packet", kUsualColumns, 65536);
@@ -279,22 +279,23 @@ std::string ouster_text(const OusterFormats& formats, const fs::path& recording,
         port > 0 ? fmt::format(" on port {}", port) : fmt::format(" of {}", excerpt(topic));
     if (formats.empty())
         return fmt::format(
-            "packets of {} bytes{} look like an Ouster's, expected its metadata {}{} (from `ouster-cli "
-            "source SENSOR "
-            "metadata`, or the sensor's http api/v1/sensor/metadata)",
-            bytes, from, port > 0 ? "beside: " : "on a topic .../metadata, or beside: ",
+            "found packets of {} bytes{}, probably from an Ouster; expected the metadata of the sensor "
+            "{}{} (from `ouster-cli source SENSOR metadata`, or from http://SENSOR/api/v1/sensor/metadata)",
+            bytes, from, port > 0 ? "in the file " : "on a topic .../metadata, or in the file ",
             fs::path(recording).replace_extension(".json").filename().string());
     std::string told;
     for (std::size_t k = 0; k < std::min(formats.size(), kMostTold); ++k)
         told += fmt::format("{}{} of {}", k == 0 ? "" : ", or ", formats[k]->about(), formats[k]->where);
-    if (formats.size() > kMostTold) told += fmt::format(", or of {} more", formats.size() - kMostTold);
+    if (formats.size() > kMostTold) told += fmt::format(", or of {} other files", formats.size() - kMostTold);
     if (std::ranges::any_of(formats, [&](const auto& format) { return format->packet_bytes == bytes; }))
         return fmt::format(
-            "packets of {} bytes{}, expected one metadata that tells of them there ({}), found {}", bytes,
-            from, port > 0 ? "udp_port_lidar" : "its topic in the same name space", told);
+            "found packets of {} bytes{}, expected exactly one metadata file that belongs to them ({}), "
+            "but several files describe such packets: {}",
+            bytes, from, port > 0 ? "udp_port_lidar" : "a topic in the same name space", told);
     return fmt::format(
-        "packets of {} bytes{}, expected {}: metadata of another sensor, or of another configuration?", bytes,
-        from, told);
+        "found packets of {} bytes{}, but the metadata describes {}; use the metadata of the same sensor "
+        "and configuration",
+        bytes, from, told);
 }
 
 }  // namespace relidar::packets

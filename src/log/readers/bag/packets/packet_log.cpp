@@ -122,7 +122,7 @@ void PacketLog::add(const std::vector<PacketView>& packets, std::int64_t log_ns,
     messages_.push_back({place, log_ns});
     if (packets.size() > kMostInMessage)
         throw DataError(
-            fmt::format("{} packets in a message, expected at most {}", packets.size(), kMostInMessage));
+            fmt::format("a message has {} packets, expected at most {}", packets.size(), kMostInMessage));
     for (std::size_t i = 0; i < packets.size(); ++i) {
         check_product(packets[i], calibration);
         add_packet(packets[i], std::uint16_t(i));
@@ -133,9 +133,10 @@ void PacketLog::check_product(const PacketView& packet, const Calibration& calib
     if (product_ && product_ == find_product(packet.bytes, calibration_)) return;
     const Product* product = find_product(packet.bytes, calibration);
     if (product_)
-        throw DataError(fmt::format("a packet of {} bytes of {}, expected those of a {} as before",
-                                    packet.bytes.size(), product ? product->name : "no known product",
-                                    product_->name));
+        throw DataError(
+            fmt::format("found a packet of {} bytes of {}, expected a packet of a {} like the "
+                        "previous ones",
+                        packet.bytes.size(), product ? product->name : "no known product", product_->name));
     if (!product || !product->make) throw DataError(unknown_text(product, packet.bytes));
     decoder_ = product->make(product->name, calibration);
     product_ = product;
@@ -324,20 +325,23 @@ std::string PacketLog::problems() const {
         if (n > 0) texts.push_back(fmt::format("{} {}", n, text));
     };
     add(faults_.n_repeated, "packets were received twice");
-    add(faults_.n_late, "packets were received late and are put in order by the sensor's clock");
+    add(faults_.n_late, "packets were received late and are sorted by the clock of the sensor");
     const double all_deg =
         packets_.back().azimuth_deg + double(packets_.back().turned_deg) - packets_.front().azimuth_deg;
     if (turns_.empty() && all_deg < 360.0)
-        texts.push_back(fmt::format("the packets are of {:.0f} degrees of a turn, expected whole turns",
-                                    std::max(all_deg, 0.0)));
-    else add(left_out_.n_cut_off, "turns are left out: the recording begins or ends in them");
-    add(left_out_.n_lost, "turns are left out: at least a third of their packets is missing");
+        texts.push_back(
+            fmt::format("the packets cover only {:.0f} degrees of a turn, expected at least "
+                        "one full turn",
+                        std::max(all_deg, 0.0)));
+    else add(left_out_.n_cut_off, "turns are skipped, because the recording begins or ends during them");
+    add(left_out_.n_lost, "turns are skipped, because at least a third of their packets is missing");
     add(left_out_.n_jumps,
-        "turns are left out: the sensor's clock jumps in them, or packets of two sensors are mixed");
+        "turns are skipped, because the clock of the sensor jumps during them, or because packets of two "
+        "sensors are mixed");
     if (skipped_.width_deg > 0.0)
         texts.push_back(
-            fmt::format("the sensor fires in {:.0f} degrees of a turn, the other {:.0f} degrees "
-                        "are not seen",
+            fmt::format("the sensor fires in {:.0f} degrees of a turn, so the other {:.0f} degrees have no "
+                        "rays",
                         360.0 - skipped_.width_deg, skipped_.width_deg));
     return fmt::format("{}", fmt::join(texts, "; "));
 }
@@ -429,9 +433,8 @@ double PacketLog::intensity_max() const {
 
 std::string PacketLog::about() const {
     if (brightest() <= 255.0) return decoder_->about();
-    return fmt::format(
-        "{}, reflectivities up to {:.4g} ({:.4g}, above which 0.5 % of the points are, counts as 1)",
-        decoder_->about(), brightest(), 255.0 * intensity_max());
+    return fmt::format("{}, reflectivities up to {:.4g} are divided by {:.4g}, their 99.5th percentile",
+                       decoder_->about(), brightest(), 255.0 * intensity_max());
 }
 
 /// Decodes a packet for the second time, when the scan of its revolution is read.
@@ -440,10 +443,10 @@ Packet PacketLog::reread_packet(std::size_t message, const Entry& entry,
                                 const std::vector<std::vector<PacketView>>& packets) const {
     const std::size_t m = message;
     if (m >= packets.size() || entry.in_message >= packets[m].size())
-        throw DataError("a message of packets has fewer of them than when it was first read");
+        throw DataError("the recording has changed: a message has fewer packets than before");
     const PacketView& view = packets[m][entry.in_message];
     if (find_product(view.bytes, calibration_) != product_)
-        throw DataError("a packet is another one than when it was first read");
+        throw DataError("the recording has changed: a packet differs from the one that was read before");
     return decoder_->decode(view.bytes);
 }
 

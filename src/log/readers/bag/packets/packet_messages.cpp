@@ -54,7 +54,7 @@ std::string_view read_bytes(MessageReader& reader, const MessageType& type) {
     const std::string_view bytes = reader.take(type.n);
     const std::size_t size = type.form == Form::padded ? reader.number<std::uint32_t>() : type.n;
     if (size > type.n)
-        throw DataError(fmt::format("a packet of {} bytes, expected at most {}", size, type.n));
+        throw DataError(fmt::format("found a packet of {} bytes, expected at most {}", size, type.n));
     return bytes.substr(0, size);
 }
 

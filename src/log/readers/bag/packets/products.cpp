@@ -73,12 +73,12 @@ constexpr Product kProducts[] = {
     {"VLS-128", is_velodyne_of<0xA1>, make_block_decoder},
     {"Puck Hi-Res", is_velodyne_of<0x24>, nullptr, "velodyne_pointcloud or nebula"},
     {"Velarray", is_velodyne_of<0x63>, nullptr, "velodyne_pointcloud"},
-    {"Velodyne that relidar does not know", is_velodyne, nullptr, "velodyne_pointcloud or nebula"},
+    {"Velodyne of an unknown model", is_velodyne, nullptr, "velodyne_pointcloud or nebula"},
     {"PandarQT of the first generation",
      [](string_view p) { return p.size() >= 1072 && p.starts_with("\xee\xff\x40\x04"); }, nullptr, "nebula"},
     {"Pandar128 or OT128", is_hesai<1, 4>, nullptr, "nebula"},
     {"AT128", is_hesai<4, 3>, nullptr, "nebula"},
-    {"Hesai that relidar does not know",
+    {"Hesai LiDAR of an unknown model",
      [](string_view p) { return p.size() > 500 && p.starts_with("\xee\xff"); }, nullptr, "hesai_ros_driver"},
     {"RS-LiDAR-16", is_rs16, make_block_decoder},
     {"RoboSense",
@@ -106,12 +106,11 @@ std::string unknown_text(const Product* product, string_view bytes) {
         if (row.make) known += (known.empty() ? "" : ", ") + std::string(row.name);
     if (!product)
         return fmt::format(
-            "packets of {} bytes that relidar does not know, expected those of {}, or of an Ouster with its "
-            "metadata",
+            "found unknown packets of {} bytes, expected packets of {}, or of an Ouster with its metadata",
             bytes.size(), known);
     return fmt::format(
-        "packets of a {}, expected those of {}, or point clouds: let {} make them of these packets, and "
-        "record those",
+        "found packets of a {}, which relidar cannot decode, expected packets of {}, or point clouds; "
+        "convert the packets to point clouds with {} and record these",
         product->name, known, product->driver);
 }
 

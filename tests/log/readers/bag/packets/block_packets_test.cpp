@@ -187,7 +187,7 @@ TEST(BlockPackets, UseTheAnglesOfTheirFile) {
     // does not fit.
     const auto unsure = make_decoder(recorded.packets[0], "XT16", {{angles, angles}});
     ASSERT_TRUE(unsure);
-    EXPECT_NE(unsure->about().find("nominal"), std::string::npos) << unsure->about();
+    EXPECT_NE(unsure->about().find("data sheet"), std::string::npos) << unsure->about();
     others.is_named = true;
     const Calibration named{{others}};
     EXPECT_THROW(make_decoder(recorded.packets[0], "XT16", named), DataError);

@@ -322,8 +322,8 @@ TEST(OusterPackets, ReflectivitiesOf16BitsCountAsThoseOfClouds) {
     const Loaded loaded(write_capture(images));
     if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
     ASSERT_EQ(loaded.error, "");
-    EXPECT_THAT(loaded.notes(), AllOf(HasSubstr("reflectivities up to 2040"),
-                                      HasSubstr("above which 0.5 % of the points are")));
+    EXPECT_THAT(loaded.notes(),
+                AllOf(HasSubstr("reflectivities up to 2040"), HasSubstr("their 99.5th percentile")));
     float most = 0.0f;
     for (const float intensity : loaded.log.frames[0].scan.intensity) most = std::max(most, intensity);
     EXPECT_EQ(most, 1.0f);
@@ -401,7 +401,7 @@ TEST(OusterPackets, RaysOfMissingPacketsAreDropped) {
     const Loaded loaded(write_capture(images, datagrams));
     if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
     ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
-    EXPECT_THAT(loaded.notes(), HasSubstr("2 packets are missing, whose rays count as dropped"));
+    EXPECT_THAT(loaded.notes(), HasSubstr("2 packets are missing, and their rays"));
     const Columns columns(loaded.log, 1);
     for (std::size_t column = 0; column < images.columns; ++column) {
         const bool is_missing = column / 16 == 2 || column / 16 == 5;
@@ -419,7 +419,7 @@ TEST(OusterPackets, ATurnWithoutMostOfItsPacketsIsLeftOut) {
     ASSERT_EQ(loaded.log.frames.size(), 3u) << loaded.error;
     EXPECT_NEAR(loaded.log.frames[1].time_s, 2 * 128 * 781250e-9, 1e-6);
     EXPECT_THAT(loaded.notes(),
-                HasSubstr("1 turns are left out: at least a third of their packets is missing"));
+                HasSubstr("1 turns are skipped, because at least a third of their packets is missing"));
 }
 
 TEST(OusterPackets, AWindowOfColumnsIsTheWholeTurn) {
@@ -484,16 +484,14 @@ TEST(OusterPackets, TwoSensorsHaveTheirOwnMetadata) {
     // Both metadata files name the same port.
     write_bytes(folder / "rear.json", test::ouster_metadata(other, 7502));
     const Loaded ambiguous(folder / "drive.pcap");
-    EXPECT_THAT(
-        ambiguous.error,
-        HasSubstr("packets of 3328 bytes on port 7502, expected one metadata that tells of them there"));
+    EXPECT_THAT(ambiguous.error,
+                HasSubstr("packets of 3328 bytes on port 7502, expected exactly one metadata file"));
     fs::remove(folder / "rear.json");
     // Packets of the second sensor must not be decoded with the metadata of the first
     // sensor.
     const Loaded half(folder / "drive.pcap");
-    EXPECT_THAT(
-        half.notes(),
-        HasSubstr("packets of 3328 bytes on port 7504, expected one metadata that tells of them there"));
+    EXPECT_THAT(half.notes(),
+                HasSubstr("packets of 3328 bytes on port 7504, expected exactly one metadata file"));
     if (half.error.empty()) expect_same_log(one, half.log);
     EXPECT_EQ(half.error, "");
 }
@@ -511,8 +509,8 @@ TEST(OusterPackets, WhatIsWrongIsSaidInOneLine) {
     fs::remove(fs::path(bare).replace_extension(".json"));
     const Loaded alone(bare);
     if (alone.is_left_out()) GTEST_SKIP() << alone.error;
-    EXPECT_THAT(alone.error, HasSubstr("packets of 3328 bytes on port 7502 look like an Ouster's, expected "
-                                       "its metadata beside: drive.json"));
+    EXPECT_THAT(alone.error, HasSubstr("packets of 3328 bytes on port 7502, probably from an Ouster; "
+                                       "expected the metadata of the sensor in the file drive.json"));
     const std::string metadata = test::ouster_metadata(images, 7502);
     const auto changed = [&](const std::string& from, const std::string& to) {
         std::string text = metadata;
@@ -521,28 +519,27 @@ TEST(OusterPackets, WhatIsWrongIsSaidInOneLine) {
     EXPECT_THAT(error_with(metadata.substr(0, metadata.size() / 2)),
                 HasSubstr("drive.json: not valid JSON, truncated or damaged"));
     EXPECT_THAT(error_with(changed(test::kSingle, "RNG15_RFL8_NIR8_ZONE16")),
-                HasSubstr("packets of the profile RNG15_RFL8_NIR8_ZONE16, expected one that relidar decodes: "
-                          "LEGACY, RNG19"));
+                HasSubstr("the packet profile is RNG15_RFL8_NIR8_ZONE16, expected one of LEGACY, RNG19"));
     EXPECT_THAT(error_with(changed(test::kSingle, test::kDual)),
-                HasSubstr("packets of 3328 bytes on port 7502, expected packets of 4352 bytes "
-                          "(RNG19_RFL8_SIG16_NIR16_DUAL, 16 beams, 16 columns"));
+                HasSubstr("packets of 3328 bytes on port 7502, but the metadata describes packets of 4352 "
+                          "bytes (RNG19_RFL8_SIG16_NIR16_DUAL, 16 beams, 16 columns"));
     EXPECT_THAT(error_with(changed("\"columns_per_frame\": 128", "\"columns_per_frame\": 1024")),
-                HasSubstr("columns_per_frame is 1024, expected the 128 of its lidar_mode"));
+                HasSubstr("columns_per_frame is 1024, expected 128"));
     EXPECT_THAT(error_with(changed("\"pixels_per_column\": 16", "\"pixels_per_column\": 64")),
-                HasSubstr("pixels_per_column is 64, expected the 16 of its beam_altitude_angles"));
+                HasSubstr("pixels_per_column is 64, expected 16"));
     EXPECT_THAT(error_with(changed("[0, 127]", "[0, 128]")), HasSubstr("column_window"));
     EXPECT_THAT(error_with(changed("\"columns_per_packet\": 16", "\"columns_per_packet\": 24")),
-                HasSubstr("expected a number that divides"));
+                HasSubstr("expected a divisor of the"));
     EXPECT_THAT(error_with(changed("\"lidar_mode\": \"128x10\"", "\"lidar_mode\": \"64x10\"")),
                 HasSubstr("columns_per_frame is 128"));
     auto datagrams = test::received(test::ouster_packets(images));
     for (test::Datagram& datagram : datagrams) datagram.bytes[0] = 2;
     EXPECT_THAT(Loaded(write_capture(images, datagrams)).error,
-                HasSubstr("a packet of type 2, expected 1: an Ouster's LiDAR data"));
+                HasSubstr("a packet of type 2, expected 1 (LiDAR data of an Ouster)"));
     // column 1024 and above
     for (test::Datagram& datagram : datagrams) datagram.bytes[0] = 1, datagram.bytes[32 + 9] = 4;
     EXPECT_THAT(Loaded(write_capture(images, datagrams)).error,
-                HasSubstr("expected less than the 128 of lidar_mode"));
+                HasSubstr("expected a number below 128 (lidar_mode"));
 }
 
 }  // namespace
