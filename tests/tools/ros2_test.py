@@ -10,6 +10,7 @@ Prints errors and exits with code 1 if a check fails.
 """
 import json
 import pathlib
+import runpy
 import subprocess
 import sys
 import types
@@ -21,7 +22,7 @@ root, relidar, address, work = pathlib.Path(sys.argv[1]), sys.argv[2], sys.argv[
 sys.path[:0] = [str(root / "tests/tools"), str(root / "tools/examples")]
 import bag_writer   # noqa: E402
 
-failures, published = [], []
+failures, published, declared = [], [], []
 START_NS = 1_700_000_000_250_000_000
 
 
@@ -41,6 +42,12 @@ def module(name, **content):
 
 
 class Node:
+    parameters = {}   # parameters that a launch file or `--ros-args` sets
+
+    def declare_parameter(self, name, value):
+        declared.append(name)
+        return types.SimpleNamespace(value=self.parameters.get(name, value))
+
     def create_publisher(self, kind, topic, depth):
         return types.SimpleNamespace(publish=lambda message: published.append((topic, kind, message)))
 
@@ -54,18 +61,48 @@ class Node:
         pass
 
 
-for package, names in (("builtin_interfaces", ["Time"]), ("std_msgs", ["Header"]), ("tf2_msgs", ["TFMessage"]),
+for package, names in (("builtin_interfaces", ["Time"]), ("std_msgs", ["Header"]), ("rosgraph_msgs", ["Clock"]), ("tf2_msgs", ["TFMessage"]),
                        ("sensor_msgs", ["PointCloud2"]), ("geometry_msgs", ["Quaternion", "Transform", "TransformStamped", "Vector3"])):
     module(package)
     module(package + ".msg", **{name: message_type() for name in names})
 # values from the definition of the message
 sys.modules["sensor_msgs.msg"].PointField = message_type(UINT16=4, FLOAT32=7)
-module("rclpy", init=lambda: None, ok=lambda: True, shutdown=lambda: None, create_node=lambda name: Node())
+module("rclpy.utilities", remove_ros_args=lambda arguments: arguments)
+module("rclpy", init=lambda args: None, ok=lambda: True, shutdown=lambda: None, create_node=lambda name: Node())
 
 import ros2_lidar   # noqa: E402
 from closed_loop_client import v1, v1_grpc   # noqa: E402
 
 ros2_lidar.main([address, "--sensor", "VLP-16", "--topic", "/front/points", "--frame", "front"])
+
+of_options = list(published)
+published.clear()
+
+# Sets parameters as the launch file does. The launch file and the node must have the same
+# parameters.
+record = lambda kind: lambda *arguments, **fields: (kind, arguments, fields)
+module("launch", LaunchDescription=list)
+module("launch.actions", DeclareLaunchArgument=record("argument"))
+module("launch.substitutions", LaunchConfiguration=lambda name: name)
+module("launch_ros")
+module("launch_ros.actions", Node=record("node"))
+module("launch_ros.parameter_descriptions", ParameterValue=lambda name, value_type: (name, value_type))
+launch = runpy.run_path(str(root / "tools/examples/ros2_lidar.launch.py"))
+entries = launch["generate_launch_description"]()
+node = next(fields for kind, _, fields in entries if kind == "node")
+check("launch file: the script is missing", pathlib.Path(node["executable"]).is_file())
+names = [arguments[0] for kind, arguments, _ in entries if kind == "argument"]
+check(f"launch file: arguments {names}, parameters {declared}", names == list(node["parameters"][0]) == declared)
+defaults = vars(ros2_lidar.options_parser().parse_args([]))
+check(f"launch file: defaults {launch['DEFAULTS']}, expected {defaults}", launch["DEFAULTS"] == defaults)
+Node.parameters = {"address": address, "sensor": "VLP-16:90x5", "rate": 5.0, "topic": "/roof", "frame": "roof", "clock": True}
+ros2_lidar.main([])
+stamps = {topic: [] for topic in ("/roof", "/tf", "/clock")}
+for topic, _, message in published:
+    time = message.clock if topic == "/clock" else message.header.stamp if topic == "/roof" else message.transforms[0].header.stamp
+    stamps[topic].append(time.sec * 10**9 + time.nanosec)
+    check(f"{topic} before its time on /clock", stamps["/clock"] and stamps["/clock"][-1] == stamps[topic][-1])
+published[:] = of_options
 
 
 def plain(message):
@@ -95,6 +132,9 @@ bag_writer.write_mcap(work / "published.mcap", messages)
 service = v1_grpc.RenderServiceStub(grpc.insecure_channel(address, options=[("grpc.max_receive_message_length", -1)]))
 way = service.GetTracks(v1.GetTracksRequest()).dataset_from_sensor
 clouds = [value for topic, _, _, value in messages if topic == "/front/points"]
+log_ns = round(way[0].time_s * 1e9)
+expected = [log_ns + k * 200_000_000 for k in range(1, 1 + int((way[-1].time_s - way[0].time_s) * 5 + 1e-6))]
+check(f"/clock at {stamps['/clock']}, expected {expected}", stamps["/clock"] == expected and len(expected) > 3)
 frames = [value["transforms"][0] for topic, _, _, value in messages if topic == "/tf"]
 sweeps = round((way[-1].time_s - way[0].time_s) * 10)
 check(f"{len(clouds)} clouds and {len(frames)} transforms, expected {sweeps}", len(clouds) == len(frames) == sweeps > 5)

@@ -4,17 +4,24 @@
 sensor_msgs/PointCloud2, and the pose of the sensor on /tf.
 
     relidar serve RUN &
-    tools/examples/ros2_lidar.py 127.0.0.1:50051 [--sensor OS1-128] [--topic /points] [--loop]
+    tools/examples/ros2_lidar.py 127.0.0.1:50051 [--sensor OS1-128] [--topic /points] [--loop] [--clock]
+
+Each option is also a parameter of the node, which replaces the option. ros2_lidar.launch.py starts the
+node with parameters.
 
 Each cloud contains one motion-compensated sweep. Its points (x, y, z, intensity as float32, ring as
 uint16) are in the sensor's frame at the header's stamp, which is the end of the sweep. /tf has the
 pose of this frame for the same stamp. The cloud has no time field, because a subscriber could use it
 to compensate the motion a second time. Stamps start at the time of the node's clock and advance with
 the log. If the server is slower than the sensor, the stamps fall behind, and a warning is printed once.
+With --clock, stamps are times of the log, and /clock has the stamp of each sweep for nodes with
+use_sim_time.
 
-Needs rclpy with sensor_msgs, geometry_msgs, tf2_msgs, and the packages of closed_loop_client.py.
+Needs rclpy with sensor_msgs, geometry_msgs, rosgraph_msgs, tf2_msgs, and the packages of
+closed_loop_client.py.
 """
 import argparse
+import sys
 import time
 
 import grpc
@@ -22,6 +29,8 @@ import numpy as np
 import rclpy
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+from rclpy.utilities import remove_ros_args
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
@@ -86,7 +95,13 @@ class Sweeps:
         return self.service.RenderLidar(request, timeout=60), end_s
 
 
-def main(arguments=None):
+def read_parameters(node, options):
+    """Declares each option as a parameter of the node, and reads the value of the parameter."""
+    for name, value in vars(options).items():
+        setattr(options, name, node.declare_parameter(name, value).value)
+
+
+def options_parser():
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("address", nargs="?", default="127.0.0.1:50051", help="of relidar serve")
     parser.add_argument("--scene", default="", help="of the server (default: its first)")
@@ -97,15 +112,23 @@ def main(arguments=None):
     parser.add_argument("--frame", default="lidar", help="of the points")
     parser.add_argument("--world", default="map", help="frame of the dataset's world")
     parser.add_argument("--loop", action="store_true", help="begin again where the log ends")
-    options = parser.parse_args(arguments)
+    parser.add_argument("--clock", action="store_true", help="publish /clock, and use times of the log as stamps")
+    return parser
+
+
+def main(arguments=None):
+    arguments = sys.argv if arguments is None else ["ros2_lidar.py", *arguments]
+    options = options_parser().parse_args(remove_ros_args(arguments)[1:])
+    rclpy.init(args=arguments)
+    node = rclpy.create_node("relidar")
+    read_parameters(node, options)
     channel = grpc.insecure_channel(options.address, options=[("grpc.max_receive_message_length", -1)])
     sweeps = Sweeps(v1_grpc.RenderServiceStub(channel), options)
-    rclpy.init()
-    node = rclpy.create_node("relidar")
     clouds = node.create_publisher(PointCloud2, options.topic, 5)
     transforms = node.create_publisher(TFMessage, "/tf", 100)
+    clock = node.create_publisher(Clock, "/clock", 10) if options.clock else None
     log = node.get_logger()
-    begin_ns = node.get_clock().now().nanoseconds
+    begin_ns = round(sweeps.path[0].time_s * 1e9) if options.clock else node.get_clock().now().nanoseconds
     begin, done, late = time.monotonic(), 0, False
     try:
         while rclpy.ok() and (options.loop or done < sweeps.count):
@@ -118,6 +141,8 @@ def main(arguments=None):
             elif not late:
                 late = True
                 log.warning(f"a sweep of {1e3 * sweeps.period_s:.0f} ms takes longer than that: stamps fall behind the clock")
+            if clock:
+                clock.publish(Clock(clock=time_message(stamp_ns)))
             transforms.publish(transform_message(scan.dataset_from_points, stamp_ns, options.world, options.frame))
             clouds.publish(cloud_message(scan.points, stamp_ns, options.frame))
     except KeyboardInterrupt:
