@@ -109,6 +109,7 @@ bad_paths() {
     local long
     long=$(printf 'x%.0s' {1..300})
     if [[ $(id -u) != 0 || $relidar != "$own" ]]; then
+        # shellcheck disable=SC2086  # A command and its options are several words.
         for command in "train street" "demo" "render street" "edit run --remove 0" "edit run --from-ply a.ply"; do bad 3 "(locked|run).*(Permission denied|no such folder|config.toml is missing)" $command --out locked/run; done
         bad 3 "cannot read .*unreadable/street.toml: Permission denied" info unreadable
         bad 3 "cannot read .*locked.*: Permission denied" info locked
@@ -127,6 +128,7 @@ bad_paths() {
 
 no_driver() {
     for command in "list devices" "train street --out x" "demo --out x"; do
+        # shellcheck disable=SC2086  # A command and its options are several words.
         VK_DRIVER_FILES=/nonexistent VK_ICD_FILENAMES=/nonexistent "$relidar" $command >out 2>err
         local code=$?
         check "relidar $command without a driver: exit code $code, expected 4" test "$code" = 4
@@ -434,7 +436,7 @@ own_paths() {
     check "the log's own path: other points than the log's own frame" awk "BEGIN { exit !($(difference log/frame_000005.bin along/frame_000000.bin) < 1e-3) }"
     check "scans.json does not name the trajectory" grep -q '"trajectory": ".*way.csv"' along/scans.json
     good render run --out twice_as_often --trajectory way.csv --rate 20 --format bin --offset 0,1,0 --quiet
-    check "11 turns at 20 Hz are not 23 scans" test "$(ls twice_as_often | grep -c bin)" = 23
+    check "11 turns at 20 Hz are not 23 scans" test "$(find twice_as_often -name '*.bin' | grep -c .)" = 23
     { cat way.csv; echo "60,400,0,2,0"; } >beyond.csv
     good render run --out after_the_log --trajectory beyond.csv --times 50:60:10 --format bin
     check "nobody says that the log has no actors then" grep -q "2 of 2 scans are outside the log's .* show no actors" err
@@ -758,6 +760,7 @@ whole_or_none() {
     check "a killed edit leaves files" test -z "$(find . -maxdepth 1 -name '.killed.tmp-*')"
     good info killed
     mv out before
+    # shellcheck disable=SC2034  # eval uses it.
     local full_disk='ulimit -f 8; trap "" XFSZ; exec "$@"'   # limits files to 8 KiB
     check "an edit on a full disk succeeds" eval '! bash -c "$full_disk" - "$relidar" edit run --out full_disk --remove 0 >out 2>err'
     check "an edit on a full disk does not name the file" grep -q "full_disk/" err
@@ -836,7 +839,7 @@ resuming() {
     check "other than two checkpoints are kept" test "$(ls stopped/checkpoints | wc -l)" = 2
     good train --resume stopped
     says "has already finished all $total iterations"
-    head -c 2000 stopped/checkpoints/*$total.safetensors >cut && mv cut stopped/checkpoints/*$total.safetensors
+    head -c 2000 stopped/checkpoints/*$total.safetensors >cut.bin && mv cut.bin stopped/checkpoints/*$total.safetensors
     # tests the flag in front of the log
     good train --resume street --out stopped --set train.iterations=$((total + 2)) --no-eval
     says "^resume  from iteration $((total - 1))$"

@@ -139,7 +139,7 @@ makefile() {
 # because Debian's package depends on 76 other packages.
 snakefile() {
     command -v snakemake >/dev/null || { echo "note: no snakemake, the Snakefile is not run"; return; }
-    cd make && rm -r done scores.* || exit 1
+    cd make && rm -r "done" scores.* || exit 1
     for words in -n ""; do
         snakemake -s "$fleet/Snakefile" --cores 1 $words --config relidar="$relidar" train="$train" >../out 2>../err
         check "snakemake $words: exit code $?, expected 0" test $? = 0
