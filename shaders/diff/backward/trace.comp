@@ -56,8 +56,9 @@ struct BlendedHit {
     float alpha;          // Opacity at the hit (sigma G) before it is clamped.
     float transmittance;  // transmittance before the hit
     float w;              // alpha times transmittance
-    // Derivative of the loss with respect to the blending weight, minus a constant shift
-    // (see start_shift()).
+    // Derivative of the loss with respect to the blending weight, minus a constant. The
+    // constant is the derivative for the nearest hit. Subtracting it avoids differences
+    // of large numbers.
     float shade;
     float behind;  // Sum of weight times `shade` over all hits behind this hit, including the background.
 };

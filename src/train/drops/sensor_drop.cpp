@@ -18,9 +18,9 @@ constexpr int kNeighbours = 2;
 // Minimum number of rays for a drop rate. With fewer rays, a blind spot of the sensor and
 // a hole in the scene cannot be distinguished.
 constexpr std::uint32_t kCertainRays = 60;
-// Weight of the prior, as a number of rays. This many returned rays are added to the
-// expected drop rate. This many rays with the expected rate are added to the drop rate of
-// a bin.
+// Weight of the prior, as a number of rays. To compute the expected drop rate of a bin,
+// this many returned rays are added to its neighbours. The drop rate of the bin itself is
+// computed with this many additional rays that have the expected rate.
 constexpr double kPriorRays = 8.0;
 // smallest sector without returns, as a share of the circle
 constexpr double kLeastSector = 10.0 / 360.0;
