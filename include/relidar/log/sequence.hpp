@@ -90,8 +90,7 @@ struct Frame {
     double time_s = 0.0;
     Scan scan;
     int lidar = 0;  ///< index into Sequence::lidars
-    /// Azimuth and time at the start of the sweep. Empty if the sweep has the default
-    /// start.
+    /// Azimuth and time at the start of the sweep; empty if both have default values
     std::optional<SweepStart> start = {};
     /// [columns] deviation of the head from the nominal azimuth at each firing, in
     /// radians. load_sequence() sets it. Empty if there is no deviation.

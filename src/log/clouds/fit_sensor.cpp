@@ -85,8 +85,8 @@ std::vector<std::optional<double>> elevations_of(const std::vector<Points>& scan
 }
 
 /// Estimates the number of columns per revolution from the azimuth steps between
-/// neighbouring points of a ring. A step across dropped rays spans several columns. So
-/// the function uses the lower quartile of the steps.
+/// neighbouring points of a ring. Uses the lower quartile of the steps, because a step
+/// across dropped rays spans several columns.
 int columns_by_steps(const Points& scan, const Rings& rings) {
     std::vector<double> steps;
     for (const Ring& ring : rings) {

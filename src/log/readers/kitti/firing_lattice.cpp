@@ -177,8 +177,8 @@ std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std:
 }
 
 /// Returns the shift of a beam, in full ticks, for which most of its ticks are also ticks
-/// of the other beams. Returns 0 unless another shift matches at least 1 % more of the
-/// ticks. If several shifts are equally good, returns the one nearest to 0.
+/// of other beams. Returns 0 unless another shift matches at least 1 % more of the ticks.
+/// If several shifts are equally good, returns the shift that is nearest to 0.
 /// @param pattern  [scans][ticks] true if other beams have returns at the tick
 int best_shift(const std::vector<Ticks>& ticks, std::size_t ring,
                const std::vector<std::vector<char>>& pattern, int n_ticks, int reach) {

@@ -231,8 +231,8 @@ std::size_t PacketLog::steps_to(std::size_t packet) const {
     return std::size_t(std::clamp(std::round(n), 1.0, 1e9));
 }
 
-/// Returns the number of firings in the packets that were lost before this packet. Does
-/// not count the sector that the sensor skips. Valid only for a sensor that fires at any
+/// Returns the number of firings in the packets that were lost before this packet. The
+/// sector that the sensor skips has no firings. Valid only for a sensor that fires at any
 /// azimuth.
 double PacketLog::slots_to(std::size_t packet) const {
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
@@ -495,7 +495,7 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
             const Firing& firing = packet.firings[f];
             azimuth += f > begin ? step : 0.0;
             if (f + 1 < end) step = degrees_on(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
-            // from the first firing sequence of this column to this firing
+            // time from the first firing sequence of this column to this firing
             const double late_us = timing.cycle_us * double(firing.part);
             const double start_deg = azimuth - late_us * mean_deg_us;
             const int slot = int(before) + firing.slot - entry.first_slot;
