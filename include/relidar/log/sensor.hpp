@@ -322,7 +322,7 @@ RayTable make_rays(const ScanningWindow& window);
 using SensorPattern = std::variant<SpinningSensor, ScanningWindow, Rosette, RayTable>;
 
 /// Returns the rays of the scan at a time.
-/// @throws UsageError like the make_rays() of the pattern's type
+/// @throws UsageError if a value of the pattern is invalid
 RayTable make_rays(const SensorPattern& pattern, double time_s);
 
 /// A sweep at constant speed over columns of rays. All rays of a column fire at the same

@@ -89,7 +89,7 @@ Surfels mirror_left_right(Surfels surfels);
 
 /// Writes an asset to a folder. This folder then contains the run of the asset and
 /// asset.json.
-/// @throws DataError like save_run()
+/// @throws DataError if the folder cannot be written
 void save_asset(Asset asset, const std::filesystem::path& folder);
 /// Reads asset.json from a folder.
 /// @throws DataError if the file is missing or malformed

@@ -68,7 +68,7 @@ struct RenderedScan {
     /// observed less than half of its path. Computed from all rays, or from about a
     /// thousand of them. Empty if the run has no coverage.
     std::optional<double> unseen_share = {};
-    /// Unobserved sides of actors that the scan shows; see find_unseen_sides(). The
+    /// Sides of actors that the log did not observe, but that rays of the scan meet. The
     /// command `relidar render` sets this field. ScanRenderer leaves it empty.
     std::vector<UnseenSide> unseen_sides = {};
     Pose world_from_sensor;  ///< pose of the sensor at the reference time, in the dataset's world frame
@@ -132,7 +132,7 @@ std::vector<float> range_spread(const RenderedScan& scan);
 
 /// Computes the inputs of a ray-drop network for a scan.
 /// @param scan should have the channel `incidence`; without it all cosines are 0
-/// @param channels inputs of the network, see drop_channel_names()
+/// @param channels names of the input channels of the network
 /// @param first_origin_m [3] point that sensor positions are relative to, in the
 /// dataset's world frame; see first_origin()
 DropImage drop_image(const RenderedScan& scan, const std::vector<std::string>& channels,

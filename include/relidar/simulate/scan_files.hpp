@@ -69,7 +69,7 @@ struct ScanFormat {
     /// Mounting of the log's sensor on the vehicle. Needed because recordings also
     /// contain the vehicle frame.
     Pose vehicle_from_lidar;
-    /// True if rays are fired at different times, see has_rolling_shutter().
+    /// True if the rays of a scan are fired at different times.
     bool rolling_shutter = true;
     /// Topic of the sensor's point clouds in recordings. The names of the sensor's other
     /// topics begin with this name.
@@ -136,7 +136,7 @@ public:
     /// sensors are read from the first
     /// @throws UsageError if two topics or frames have the same name, or if ROS does not
     /// allow a name
-    /// @throws DataError like write_atomically()
+    /// @throws DataError if a file cannot be written
     ScanRecordings(std::filesystem::path folder, std::vector<ScanFormat> sensors);
     /// Appends the scans of a sweep to the recordings.
     /// @param scans  a scan for each sensor, all of the same sweep
@@ -186,7 +186,7 @@ public:
     static ScanFolder joining(std::filesystem::path folder, ScanFormat format);
     /// Writes the files of a scan.
     /// @param frame  number of the frame
-    /// @throws DataError like write_atomically()
+    /// @throws DataError if a file cannot be written
     void write(int frame, const RenderedScan& scan);
     /// Writes scans.json and gives the recordings their final names. Must be called after
     /// the last scan.

@@ -419,8 +419,8 @@ double PacketLog::brightest() const {
     return most > 0 ? double(most - 1) : 0.0;
 }
 
-/// Returns the intensity that is scaled to 1. Applies the same rule as for point clouds
-/// (see cloud_units.cpp).
+/// Returns the intensity that is scaled to 1. The rule is the same as for the intensities
+/// of point clouds.
 double PacketLog::intensity_max() const {
     if (brightest() <= 255.0) return 1.0;
     std::uint64_t n = 0, left = 0;
