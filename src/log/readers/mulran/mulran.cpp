@@ -176,9 +176,9 @@ Sequence load_mulran(const fs::path& log_folder, const DatasetOptions& options) 
     sequence.source = log_folder.string();
     sequence.notes = {"this log has no labels"};
     sequence.conventions =
-        "vehicle and LiDAR x forward, y left, z up (MulRan: LiDAR x backward); metres; seconds "
-        "after the first scan of the log; time = middle of the sweep; points as measured; world: "
-        "that of global_pose.csv";
+        "Frames of vehicle and LiDAR: x forward, y left, z up, in metres (in MulRan's files, the LiDAR's x "
+        "axis points backward). Times are seconds after the first scan. The time of a frame is the middle "
+        "of its sweep. Points are not motion-compensated. The world frame is that of global_pose.csv.";
     stamped::StampedLog log{kNanosecond, stamped::list_scans(scans_folder(folder)),
                             {},          folder / "global_pose.csv",
                             kMostGap_s,  0.5 * kTurn_s};
