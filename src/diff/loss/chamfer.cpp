@@ -36,8 +36,8 @@ struct Cloud {
     Array<glm::vec3, shared::GroupLows> group_low;
     Array<glm::vec3, shared::GroupHighs> group_high;
 
-    /// Allocates a point cloud. n / 4 + 1 tiles are always enough, because an image with
-    /// one column has the most tiles: ceil(n / 4). The same holds for groups of tiles.
+    /// Allocates a point cloud. An image with one column has the most tiles, ceil(n / 4),
+    /// so n / 4 + 1 tiles are always enough. This is also true for groups of tiles.
     Cloud(Device& device, std::size_t n, const std::string& what)
         : points(device, n, what + " points"),
           tile_low(device, n / 4 + 1, what + " tiles"),

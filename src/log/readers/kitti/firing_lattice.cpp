@@ -24,7 +24,8 @@ namespace {
 constexpr int kEncoderTicks = 4000;
 // maximum azimuth offset of a beam; HDL-64E calibrations have at most 0.16 rad
 constexpr double kMaxOffset_rad = 0.35;
-// A tick is a firing if at least this many beams have a return. Stray points have fewer.
+// An encoder tick counts as a firing if at least this many beams have a return at this
+// tick. Stray points occur in fewer beams.
 constexpr int kMinLasers = 4;
 
 /// Azimuth and inverse distance from the spin axis, for each point of one beam.
@@ -250,8 +251,9 @@ std::vector<Beam> FiringLattice::beams(const Cones& cones) const {
 }
 
 FiringLattice fit_lattice(const std::vector<const RawScan*>& scans) {
-    // Minimum mean concentration of a valid fit. It is 0.98 on KITTI. For evenly
-    // distributed azimuths, it is near 0.
+    // Minimum concentration of the azimuths around the encoder ticks for a valid fit, as
+    // a mean over the beams. It is 0.98 on KITTI, and near 0 for evenly distributed
+    // azimuths.
     constexpr double kFound = 0.8;
     const std::array<Polar, kRings> polar = polar_of(scans);
     FiringLattice lattice;

@@ -125,8 +125,8 @@ private:
     /// misses the bounding sphere, the shapes are not tested.
     struct Cluster {
         Sphere around;
-        /// index after the last shape; the first shape follows the last shape of the
-        /// previous cluster
+        /// index after the last shape of the cluster; its first shape follows the last
+        /// shape of the previous cluster
         std::size_t end;
     };
     class Walk;
