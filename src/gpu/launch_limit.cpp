@@ -31,9 +31,8 @@ bool LaunchLimit::should_measure(const std::string& kernel, std::uint32_t n_grou
 }
 
 void LaunchLimit::add(const std::string& kernel, std::uint32_t n_groups, double seconds) {
-    // Factor by which the stored time decreases at each launch, so that old launches are
-    // forgotten slowly. The slowest recent launch counts, because the same kernel may be
-    // slower in another scene.
+    // Forgets old speeds slowly. The slowest recent launch counts, because the same
+    // kernel may be slower in another scene.
     constexpr double kForget = 0.9;
     const std::scoped_lock lock(mutex_);
     double& s_per_group = speeds_[kernel].s_per_group;
