@@ -154,8 +154,8 @@ void add_unseen_sectors(DropTable& drops, const DropTable& observed, const Seque
             },
             [&](int first, int n) {
                 for (const std::size_t row : rows) {
-                    // Extends the sector of each beam to neighbouring bins that
-                    // have hardly any returns, because azimuth offsets differ between beams.
+                    // Extends the sector of each beam to neighbouring bins that have
+                    // hardly any returns, because azimuth offsets differ between beams.
                     int begin = first, end = first + n;
                     while (first - begin < spread && is_blind_at(row, begin - 1)) --begin;
                     while (end - first - n < spread && is_blind_at(row, end)) ++end;
