@@ -101,8 +101,9 @@ ChangingSurfels changing_surfels(const std::vector<Sample>& samples, const Initi
         for (const std::uint32_t i : frame->index.cloud.of)
             if (!rests[i]) changing.push_back(samples[i]);
         if (changing.empty()) continue;
-        // The opacity of a surfel is a Gaussian of the distance to the frame of the
-        // surfel. The standard deviation is the spacing of the frames.
+        // A surfel is most visible in the phase of its frame. Its opacity falls with the
+        // walked distance to this frame, as a Gaussian with the frame spacing as standard
+        // deviation.
         const Gait gait{float(frame->walked_m / actor.period_m),
                         float(actor.period_m / (2.0 * kPi * frame->spacing_m)), glm::vec3(0.0f)};
         actor.surfels.append(surfels_at(thin_out(changing, most_in_frame), gait, options, incidence));

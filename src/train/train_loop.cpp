@@ -207,8 +207,8 @@ TrainLoop::~TrainLoop() {
         // with an exception.
         stream_.wait(submitted_);
     } catch (const DeviceError&) {
-        // Ignores the error. It was already reported, and a lost device no longer uses
-        // the arrays.
+        // The device is lost. This error was already reported, and the device no longer
+        // uses the arrays, so they can be freed.
     }
 }
 

@@ -151,7 +151,7 @@ struct Instance {
 /// Block of the background that was trained on one section of a road. Its surfels stay in
 /// a file until a sensor is near.
 struct SceneBlock {
-    /// File written by save_model(). The block is the first model in the file.
+    /// Model file with the surfels of the block. They are the first model in the file.
     std::filesystem::path file;
     std::uint32_t count = 0;  ///< Number of surfels in the block.
     /// Corners of the bounding box of the surfels, [3] metres, world frame. The box

@@ -131,10 +131,9 @@ BlendState start_blending(RenderedRay final, RayGradient g) {
     return state;
 }
 
-/// Subtracts a constant shift from all values. Eq. 9 does not change if all values and
-/// the background's value are shifted equally, because all weights sum to 1. The shift is
-/// the value of the nearest hit in the buffer. It avoids differences of large numbers,
-/// which lose precision.
+/// Subtracts the value of the nearest hit in the buffer from all values and from the
+/// value of the background. This avoids differences of large numbers, which lose
+/// precision. It does not change Eq. 9, because all weights sum to 1.
 void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient g, inout BlendState state) {
     state.shift = shade_of(scene, ray, g, hit_at(0u));
     add_compensated(state.remaining, state.lost, -state.shift * final.weight);

@@ -14,7 +14,8 @@ namespace relidar {
 
 namespace {
 
-/// Rows and columns on three levels: points, tiles of points, groups of tiles.
+/// Sizes of an image in points, in tiles of points and in groups of tiles, as (rows,
+/// columns).
 struct Levels {
     glm::uvec2 tile{4, 8};  ///< number of points per tile, and of tiles per group
     glm::uvec2 points, tiles, groups;

@@ -27,8 +27,8 @@ constexpr double kTried = 0.03;
 // Minimum of |S_r| divided by the number of points. If the value is smaller, the azimuths
 // are not on a regular grid.
 constexpr double kCoherent = 0.5;
-// Maximum ratio of the number of columns to its estimate. Used if a ring has more points
-// than the estimate.
+// A ring may have more points than the estimated number of columns. The number of columns
+// is then increased, at most by this factor.
 constexpr double kMostColumns = 1.1;
 constexpr std::size_t kFewestSteps = 16;
 constexpr std::size_t kMostRings = 4096;

@@ -141,9 +141,10 @@ struct PacketEncoder::Impl {
         return firings() - start;
     }
 
-    /// Returns the maximum number of missing firings that are replaced by firings without
-    /// returns. Such gaps are normal in a log. A log has no firings without returns at
-    /// the end of a turn, and its frames may be farther apart than one turn.
+    /// Returns the maximum number of consecutive firings that a log may lack. The encoder
+    /// adds these firings without returns. Logs contain such gaps, because they store no
+    /// firings without returns at the end of a turn, and frames may be farther apart than
+    /// one turn.
     std::int64_t longest_gap() const {
         return std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / cycle_s());
     }

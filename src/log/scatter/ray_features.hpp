@@ -57,7 +57,7 @@ constexpr std::size_t kFeatures = kOwn + 2 * kBeside.size() + kSmoothed.size() +
                                   kLevels.size() + kMeans.size() + kSizes.size();
 using Features = std::array<float, kFeatures>;
 
-/// Computes the features of rays in a scan. Only some intensities of the scan are already
+/// Computes the features of rays in a scan in which the intensities of some rays are
 /// known.
 class Context {
 public:

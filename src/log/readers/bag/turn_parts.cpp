@@ -21,10 +21,10 @@ constexpr double kMostOfPart = 300.0 * kPi / 180.0;
 // If all clouds together leave an azimuth range of this size empty, the LiDAR does not
 // rotate. It scans a window.
 constexpr double kLeastGap_rad = kPi / 3.0;
-// Limits for the azimuth steps from one cloud to the next. kTogether is the minimum
-// length of the mean of all steps, as unit vectors. It would be 1 if all steps were
-// equal. kAbut is the maximum difference between the step and the azimuth range of a
-// cloud, relative to the step.
+// kTogether: Each azimuth step from one cloud to the next is written as a unit vector.
+// The mean of these vectors must have at least this length; it is 1 if all steps are
+// equal. kAbut: A step and the azimuth range of a cloud may differ at most by this share
+// of the step.
 constexpr double kTogether = 0.8, kAbut = 0.4;
 // A time step longer than this multiple of the usual time step means that a part is
 // missing.

@@ -160,8 +160,8 @@ Ticks ticks_of(const RawScan& scan, const FiringLattice& lattice) {
     return ticks;
 }
 
-/// Returns for each scan and tick whether at least `at_least` beams have a return. First
-/// shifts the ticks of each beam by `shift`.
+/// Returns for each scan and each tick (step of the firing grid) whether at least
+/// `at_least` beams have a return. The ticks of each beam are first shifted by `shift`.
 std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std::vector<int>& shift,
                                      int n_ticks, int at_least) {
     std::vector<std::vector<char>> pattern;

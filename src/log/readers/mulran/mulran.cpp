@@ -28,7 +28,8 @@ constexpr double kMostGap_s = 0.5;
 // Minimum range of points that are used to identify a beam by elevation. A beam starts
 // about a centimetre from the spin axis, which changes the elevation of nearer points.
 constexpr double kLeastRange_m = 2.0;
-// maximum spread of the elevations of one beam, if the assumed order is right
+// If the assumed order of the points is right, the elevations of one beam differ by at
+// most this angle.
 constexpr double kMostSpread_rad = kPi / 180.0;
 // Minimum forward component of the mean driving direction. It is at most 1.
 constexpr double kForward = 0.9;

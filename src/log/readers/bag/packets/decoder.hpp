@@ -54,7 +54,7 @@ struct Packet {
     std::vector<std::array<Echo, 2>> echoes;
 };
 
-/// Constants that describe when the lasers of a sensor fire.
+/// Firing times of the lasers of a sensor.
 struct Timing {
     double cycle_us = 0.0;  ///< time between firings
     /// Number of firing sequences between which the sensor alternates. Each sequence has
