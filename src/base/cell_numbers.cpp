@@ -36,8 +36,8 @@ std::vector<ItemsByPart> distribute_items(std::span<const std::uint64_t> key) {
 CellNumbers number_cells(std::span<const std::uint64_t> key) {
     const std::vector<ItemsByPart> blocks = distribute_items(key);
     CellNumbers numbers{std::vector<std::uint32_t>(key.size()), 0};
-    // Index of the first item in the same cell as each item. The cell number replaces it
-    // later.
+    // For each item, the index of the first item in the same cell. Later, the number of
+    // the cell replaces this index.
     std::vector<std::uint32_t>& first = numbers.of;
     parallel_for(kParts, [&](int part) {
         std::unordered_map<std::uint64_t, std::uint32_t> table;

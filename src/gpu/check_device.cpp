@@ -51,8 +51,8 @@ constexpr std::array<const char*, RELIDAR_CHECK_RESULTS> kOperations = {
     "subgroupAdd in a branch", "prefix sum of workgroup",
     "sum of the workgroup",
 };
-/// Index of the sum in a branch. Vulkan guarantees this result only on devices that
-/// reconverge.
+/// Index of subgroupAdd in a branch. Vulkan guarantees its result only on devices whose
+/// lanes reconverge after a branch.
 constexpr std::size_t kInBranch = 8;
 constexpr std::uint32_t kCheckWorkgroup = 256;
 

@@ -21,8 +21,7 @@ struct ForcedWays {
     /// If true, neighbouring threads read neighbouring floats. This is the default on
     /// GPUs.
     std::optional<bool> coalesces = std::nullopt;
-    /// Number of scans that a renderer processes concurrently. See
-    /// ScanRenderer::side_by_side().
+    /// Number of scans that a ScanRenderer renders concurrently.
     std::optional<int> side_by_side = std::nullopt;
 };
 

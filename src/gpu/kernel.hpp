@@ -95,7 +95,7 @@ public:
     template <std::size_t n>
     consteval KernelName(const char (&name)[n]) : name_(name) {
         if (params_of_kernel(name_) != name_of_struct<Params>())
-            throw "the kernel with this name has other parameters";
+            throw "the kernel with this name has another parameter struct than Params";
     }
     std::string_view text() const { return name_; }
 

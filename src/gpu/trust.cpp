@@ -123,21 +123,23 @@ void distrust(Device::Impl& device, const DeviceTrust& trust) {
     };
     if (!trust.float_atomics && info.float_atomics) {
         info.float_atomics = false;
-        note("its float atomics give wrong sums; gradients are gathered without them");
+        note("float atomics give wrong sums; gradients are gathered without them");
     }
     if (!trust.float_swaps && !info.float_atomics) {
         device.wrong_sums = true;
-        note("it gives wrong sums of floats with every method; relidar renders on it, but does not train");
+        note(
+            "every method of adding floats gives wrong sums; relidar renders on this device, but does not "
+            "train");
     }
     if (trust.subgroup_size != 0 && trust.subgroup_size != info.subgroup_size) {
-        note(fmt::format("its subgroups of {} lanes give wrong results; subgroups of {} lanes are used",
+        note(fmt::format("subgroups of {} lanes give wrong results; subgroups of {} lanes are used",
                          info.subgroup_size, trust.subgroup_size));
         info.subgroup_size = trust.subgroup_size;
         device.forced_lanes = true;
     }
     if (trust.ray_query != Trust::wrong || device.traversal != Traversal::ray_query) return;
-    note(fmt::format("its ray queries find other surfels than a full search; {}",
-                     info.software ? "the software tree is used" : "the results on it are wrong"));
+    note(fmt::format("ray queries find other surfels than a full search; {}",
+                     info.software ? "the software tree is used" : "its renderings are wrong"));
     if (info.software) device.traversal = Traversal::software;
 }
 

@@ -9,11 +9,11 @@
 namespace relidar {
 namespace {
 
-// Maximum angle in radians between the azimuth of a beam and the azimuth that the head
-// faces.
+// Maximum difference in radians between the azimuth of a beam and the azimuth that the
+// head of the LiDAR faces.
 constexpr double kBeside_rad = 0.17;
-// The angle of a box is widened on each side by this share of half the angle. The reason
-// is that the sensor and the box move while the head faces the box.
+// The angle that a box covers is widened on each side by this share of half the angle,
+// because the sensor and the box move while the head faces the box.
 constexpr double kBesideShare = 0.25;
 // Share by which the time span of a motion is lengthened. Real LiDAR heads deviate from
 // the nominal firing times.

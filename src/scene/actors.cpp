@@ -204,10 +204,10 @@ void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& sam
     scene.surfels.append(surfels);
 }
 
-/// Returns the distance in metres that an actor had walked when a new track starts. Finds
-/// the nearest pose on the recorded track of the actor. Adds the distance by which the
-/// new pose is ahead of this recorded pose. If a caller moves the actor to another track,
-/// its steps then still match its position.
+/// Returns the distance in metres that an actor had already walked at the start of a new
+/// track, so that its steps match its position on this track. Finds the nearest pose on
+/// the recorded track of the actor. Adds the distance by which the new pose is ahead of
+/// this recorded pose.
 double start_distance_m(const BoxTrack& own, const PoseTrack& track) {
     const Pose& at = track.pose.front();
     const auto place_m = [&](const Pose& pose) { return glm::distance(pose.translation, at.translation); };

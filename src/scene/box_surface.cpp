@@ -14,12 +14,13 @@ constexpr double kBoxPatch_m = 0.3;
 // Fraction of the height of a vertical side that counts as hidden. The ground hides this
 // lowest part, so it is ignored.
 constexpr double kHiddenHeight = 0.2;
-/// Minimum cosine between a ray and the normal of a side. A return at a smaller cosine
-/// does not observe the side, because such returns form separate streaks. The limit for
-/// the top is lower. A LiDAR on a car hits the roofs of other cars only at grazing
-/// angles.
+/// Minimum cosine between a ray and the normal of a side of a box. At smaller cosines, a
+/// return does not observe the side, because such returns form separate streaks. The
+/// limit for the top is lower, because a LiDAR on a car hits the roofs of other cars only
+/// at grazing angles.
 constexpr double kGrazingSide = 0.2, kGrazingTop = 0.02;
-// Maximum number of pairs of patches along an axis. A box of 120 m reaches it.
+// Maximum number of pairs of surface patches along an axis of a box. A box with a length
+// of 120 m has this number of pairs.
 constexpr double kMostPairs = 200.0;
 
 /// Returns the number of patches along a length. The number is even, so that the symmetry

@@ -17,13 +17,13 @@ namespace {
 
 // Maximum distance between points of the same surface.
 constexpr double kNearPlace_m = 0.07;
-// Minimum fraction of the frames that have a point at a position. Above it, the position
-// counts as static.
+// If at least this fraction of the frames has a point at a position, the position counts
+// as static.
 constexpr double kResting = 0.75;
 // Maximum number of frames that are searched for points at a position.
 constexpr std::size_t kCompared = 64;
-// Minimum number of surfels that each frame is allowed. Without it, the actors of long
-// logs would have too few surfels per frame.
+// Minimum number of surfels per frame. Without this minimum, the actors of long logs
+// would have too few surfels in each frame.
 constexpr std::size_t kInFrame = 200;
 // Minimum number of frames with points for an actor whose surfels change from frame to
 // frame.
@@ -31,9 +31,9 @@ constexpr std::size_t kFewestChanging = 3;
 // Minimum distance that the actor must walk in the log. Minimum spacing of two frames in
 // walked distance, because frames of a standing actor would have a spacing of zero.
 constexpr double kFewestWalked_m = 0.5, kSmallestSpacing_m = 0.02;
-// Gap between the last and the first frame when the motion repeats, as a number of frame
-// spacings. The gap keeps surfels of the last and the first frame from being visible
-// together.
+// Gap between the last and the first frame of a repeated motion, as a number of frame
+// spacings. Because of this gap, surfels of the last frame and of the first frame are
+// never visible together.
 constexpr double kFramesBetween = 3.0;
 
 /// Samples of one frame.
@@ -101,8 +101,9 @@ ChangingSurfels changing_surfels(const std::vector<Sample>& samples, const Initi
         for (const std::uint32_t i : frame->index.cloud.of)
             if (!rests[i]) changing.push_back(samples[i]);
         if (changing.empty()) continue;
-        // The opacity falls like a Gaussian with the distance from the frame. The spacing
-        // of the frames is its standard deviation.
+        // A surfel is most visible in the phase of its frame. Its opacity falls with the
+        // walked distance to this frame, as a Gaussian with the frame spacing as standard
+        // deviation.
         const Gait gait{float(frame->walked_m / actor.period_m),
                         float(actor.period_m / (2.0 * kPi * frame->spacing_m)), glm::vec3(0.0f)};
         actor.surfels.append(surfels_at(thin_out(changing, most_in_frame), gait, options, incidence));

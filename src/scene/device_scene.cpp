@@ -62,15 +62,16 @@ std::vector<Constant> activation_constants(bool stage_harmonics) {
     return all;
 }
 
-/// Assigns rows of the gradient array to each instance of a model. The first instance of
-/// a model uses the rows of the model's surfels. The rows of all further instances are
-/// stored after the rows of all surfels, sorted by model.
+/// Assigns rows of the gradient array to the instances of each model. The first instance
+/// of a model uses the rows of the model's surfels. The rows of all further instances
+/// follow after the rows of all surfels, sorted by model.
 struct Placements {
     std::vector<std::uint32_t> first_row;  ///< [instances] first gradient row of each instance
     /// [models] index of the first instance of each model, or -1 if the model has no
     /// instance
     std::vector<std::int64_t> first_instance;
-    /// first gradient rows of the second and further instances, sorted by model
+    /// index of the first gradient row of the second and of each further instance, sorted
+    /// by model
     std::vector<std::uint32_t> more;
     /// [models + 1] index in `more` where the entries of each model begin
     std::vector<std::uint32_t> first_more;

@@ -30,9 +30,9 @@ constexpr std::size_t kFewestPoints = 5;
 constexpr double kLongest_m = 20.0, kWidest_m = 3.2, kTallest_m = 4.5;
 constexpr double kSlowest_mps = 0.4, kFastest_mps = 50.0;
 constexpr double kVehicle_m = 1.2;  // objects that are at least this long are vehicles, not people
-// Minimum distance that an object must move, as a multiple of the longer side of its box.
-// Shorter motion is rejected, because the visible part of a static object can drift
-// within its box.
+// Minimum distance that a moving object must travel, as a multiple of the longer side of
+// its box. Over shorter distances, the visible part of a static object can drift within
+// its box.
 constexpr double kWayOfSize = 0.9;
 constexpr double kStraightness = 0.5;  // minimum ratio of net motion to path length
 // Maximum turn of a vehicle: per metre of its path, plus a constant angle. A vehicle
@@ -227,10 +227,10 @@ std::vector<BoxTrack> discovered_by(int lidar, const Sequence& sequence, std::ve
     return without_parts(proven_boxes(visibility, tracks, sequence, progress, group));
 }
 
-/// Adds the boxes that another LiDAR found. If both LiDARs found an object, usually keeps
-/// the existing box. The new box replaces it only if it has more than 1.5 times as many
-/// observations. A slightly longer track is not always better. A much shorter track means
-/// that the LiDAR lost the object.
+/// Adds the boxes that another LiDAR found. If both LiDARs found the same object, usually
+/// keeps the existing box. The new box replaces the existing box only if it has more than
+/// 1.5 times as many observations, which means that the first LiDAR lost the object. A
+/// slightly longer track is not always better.
 void add_movers(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
     for (BoxTrack& other : others) {
         const auto is_same = [&](const BoxTrack& b) {

@@ -68,7 +68,8 @@ namespace {
 constexpr double kTurns = 2.0;          // minimum number of strides that must be observed
 constexpr double kNearSurface_m = 0.3;  // upper limit for the distance to the nearest point
 
-/// For some samples of an actor, the distance to the nearest sample of each frame.
+/// For some samples of an actor: the distance from the sample to the nearest sample of
+/// each frame.
 struct FrameGaps {
     /// [frames] distance that the actor had walked when each frame was recorded
     std::vector<double> walked_m;

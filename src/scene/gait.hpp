@@ -41,10 +41,11 @@ struct StrideEstimate {
     double stride_m = 0.0;  ///< 0 if no stride was found
     std::string why_none = {};
 };
-/// Finds the stride length of an actor. Tries many lengths, and compares the points of
-/// different strides at the same phase of the stride. Chooses the length for which these
-/// points are nearest to each other.
-/// @param samples points in the frame of the box, with the distance walked so far
+/// Finds the stride length of an actor. For each tried length, compares the points that
+/// different strides have at the same phase. Chooses the length for which these points
+/// are nearest to each other.
+/// @param samples points in the frame of the box, with the distance that the actor has
+/// walked so far
 StrideEstimate find_stride(const std::vector<Sample>& samples, const StrideRange& range);
 
 /// Makes the surfels of a walking actor. Points that are present at every phase of the

@@ -13,8 +13,8 @@
 namespace relidar {
 namespace {
 
-// Number of times the fit is repeated. The first path is curved wrongly where other sides
-// of the object become visible. Repeating the fit corrects this.
+// Number of fits. Where other sides of the object become visible, the path of the first
+// fit is curved wrongly. The following fits correct this.
 constexpr int kRounds = 3;
 // Window in seconds for the height of an object's top. The road height changes little in
 // this time.

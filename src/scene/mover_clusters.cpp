@@ -47,9 +47,10 @@ constexpr double kMovedShare = 0.15;  // minimum share of moved returns in a clu
 // are faster, because cells at the border between two groups are computed twice.
 constexpr std::size_t kStretch = 200;
 
-/// Motion state of a cell. At the end of a log, few frames observe a cell. They cannot
-/// prove that a moving object left the cell, so its state is `seldom_seen`. Such a cell
-/// joins a cluster only together with moved cells.
+/// Motion state of a grid cell. At the end of a log, only few frames observe a cell, so
+/// they cannot prove that a moving object left the cell. The state of such a cell is
+/// `seldom_seen`. It becomes part of a cluster only together with cells in the state
+/// `moved`.
 enum class Motion : char { rests, seldom_seen, moved };
 
 /// One return of a frame.

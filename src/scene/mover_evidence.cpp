@@ -17,8 +17,8 @@ constexpr double kSamePlace_m = 0.2;
 constexpr double kClear_m = 0.4;
 // At least this share of a track's returns must be proven to have moved.
 constexpr double kToldShare = 0.25;
-// At least this share of the returns must have moved. Only returns about which other
-// frames say something are counted.
+// At least this share of a track's returns must have moved. Returns that no other frame
+// can confirm or disprove are not counted.
 constexpr double kLeftShare = 0.85;
 constexpr double kProvenShare = 0.5;  // motion must be proven in at least this share of a track's frames
 

@@ -37,10 +37,10 @@ struct EvidenceSum {
     /// returns are proven to have moved.
     std::size_t frames = 0, frames_moved = 0;
     void operator+=(const EvidenceSum& other);
-    /// Returns true if the counts prove that the object moves. For a moving object, other
-    /// frames observe empty space at nearly all of its positions. For a static object,
-    /// they observe empty space only at its edges. If a box hardly moves, other frames
-    /// say little about its returns.
+    /// Returns true if the frame counts prove that the object moves. At nearly all
+    /// positions of a moving object, other frames observe empty space. For a static
+    /// object, they observe empty space only at its edges. The counts prove little for a
+    /// box that hardly moves.
     bool proves_motion() const;
 };
 

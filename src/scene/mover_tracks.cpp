@@ -23,8 +23,8 @@ constexpr std::size_t kEndsOfGap = 4;  // minimum number of observations before 
 // next frame, and kFar is used to predict across a gap.
 constexpr std::size_t kNext = 4, kFar = 10;
 constexpr double kFirstSpeed_mps = 15.0;  // maximum speed of an object that has been observed only once
-// Maximum error of a predicted position: a constant plus a value per second of
-// prediction.
+// An object may be this far from its predicted position: kAcceleration_m, plus
+// kAcceleration_mps for each second since it was last seen.
 constexpr double kAcceleration_m = 0.7, kAcceleration_mps = 4.0;
 // Maximum position error per second of gap. It applies to the prediction across a gap,
 // both forward and backward.

@@ -98,9 +98,9 @@ glm::vec4 rotation_of(const glm::dvec3& x, const glm::dvec3& normal) {
     return {float(q.w), float(q.x), float(q.y), float(q.z)};
 }
 
-/// Gap between the scan lines on a surface. `across` is the direction in the surface that
-/// is perpendicular to the lines. `left_m` and `right_m` are the distances to the nearest
-/// points on the next lines, or 0 without such a point.
+/// Distances to the neighbouring scan lines on a surface. `across` is the direction in
+/// the surface that is perpendicular to the scan lines. `left_m` and `right_m` are the
+/// distances to the nearest points on the next scan lines, or 0 if no such point exists.
 struct Gap {
     glm::dvec3 across{0.0};
     double left_m = 0.0, right_m = 0.0;
@@ -186,15 +186,17 @@ struct Neighbours {
     }
 };
 
-/// Plane of a surfel, and the gap between the scan lines around it.
+/// Plane in which a new surfel lies, and the distances to the scan lines on both sides of
+/// the surfel.
 struct Place {
     Plane plane;
     Gap gap;
 };
 
-/// Finds the plane and the gap at a sample. If the nearest points lie on one scan line or
-/// on one side of a gap, searches again with more neighbours. The points of one line do
-/// not determine the rotation of the plane about the line.
+/// Finds the plane and the scan-line distances at a sample from its nearest neighbours.
+/// If all neighbours lie on one scan line or on one side of a gap, searches again with
+/// more neighbours. Points of a single line do not determine the rotation of the plane
+/// about this line.
 Place place_of(const Tree& tree, const std::vector<Sample>& samples, std::size_t i,
                std::vector<std::size_t> nearest, const InitialiseOptions& options) {
     constexpr int kWider = 2;  // maximum number of repeated searches with more neighbours

@@ -166,14 +166,14 @@ Layout parse_ply_header(const std::string& header) {
                     "found format {}, expected binary_little_endian (export as binary PLY)", excerpt(first)));
         } else if (what == "element") {
             if (first != "vertex" || has_vertex)
-                throw DataError(
-                    fmt::format("found element {}, expected only the element vertex", excerpt(first)));
+                throw DataError(fmt::format("found the PLY element {}, expected only one element, vertex",
+                                            excerpt(first)));
             has_vertex = true;
             layout.count = parse_count(second);
         } else if (what == "property") {
             if (!has_vertex)
                 throw DataError(
-                    fmt::format("property {} is before the element vertex, expected it after this element",
+                    fmt::format("the PLY property {} comes before the element vertex, expected after it",
                                 excerpt(second)));
             add_field(layout, first, second);
         }

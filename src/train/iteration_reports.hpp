@@ -59,7 +59,8 @@ public:
     struct Report {
         int first_step, last_step;
         std::uint32_t pass_cap, most_hits, overfull;
-        /// Value of hit_capacity when close() was called. The same holds for kept_hits.
+        /// Hit capacity at the time at which close() was called. kept_hits refers to the
+        /// same time.
         std::uint64_t hit_capacity;
         std::uint32_t kept_hits;
     };

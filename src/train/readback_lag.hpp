@@ -8,9 +8,9 @@
 namespace relidar {
 
 /// The host reads the report of iteration i just before it records iteration i +
-/// kReadbackLag. The stream waits for iteration i at this time anyway, because it reuses
-/// the command buffer. Therefore reading the report needs no additional wait. The lag is
-/// fixed, so training is repeatable.
+/// kReadbackLag. At this time, the stream waits for iteration i in any case, because it
+/// reuses the command buffer. Therefore reading the report needs no additional wait.
+/// Training is repeatable, because the lag is constant.
 inline constexpr int kReadbackLag = static_cast<int>(Stream::Impl::kSlots);
 
 }  // namespace relidar

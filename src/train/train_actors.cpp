@@ -28,8 +28,8 @@ constexpr double kReach_sigmas = 3.5;
 // Maximum number of surfels in the blocks of one training. Only the surfels near actors
 // are used from these blocks.
 constexpr std::size_t kTogether = 1'500'000;
-// Rays are skipped if the sensor itself drops them with a higher probability than this.
-// Such rays carry no information about actors.
+// Maximum probability with which the sensor itself drops a ray. Rays with a higher
+// probability are skipped, because they carry no information about actors.
 constexpr float kBlind = 0.5f;
 
 /// An actor in one sweep. Also holds the sensor position at the time when the sensor's
@@ -71,7 +71,8 @@ struct SightedFrame {
     }
 };
 
-/// Frames of one training, and the blocks that the rays of these frames can reach.
+/// Frames that are trained together, and the scene blocks that the rays of these frames
+/// can reach.
 struct Stretch {
     std::vector<SightedFrame> frames;
     std::set<std::size_t> blocks;
@@ -183,7 +184,8 @@ Surfels along_rays(const Surfels& surfels, const std::vector<const SightedFrame*
     return surfels.permuted(order);
 }
 
-/// Scene of a section. `extent_m` is the mean background extent of its blocks.
+/// Scene in which the actors of a section are trained. `extent_m` is the mean extent of
+/// the backgrounds of its blocks.
 struct StretchScene {
     Scene scene;
     double extent_m = 1.0;

@@ -110,8 +110,8 @@ TreeFits tree_fits(const Config& config, std::uint32_t n_fixed) {
 /// learning rate is high, surfels could outgrow the margin between two refits. Then every
 /// step refits.
 bool should_fit_tree(const TreeFits& fits, const TrainConfig& config, int step) {
-    // Fraction of the margin that growing scales may use. The remainder is reserved for
-    // growing opacities, which also enlarge surfels.
+    // Surfels may grow by this fraction of the tree's margin before a refit. The
+    // remainder is reserved for growing opacities, which also enlarge surfels.
     constexpr double kShare = 0.9;
     const double growth = (fits.every - 1) * rates_at(config, 1.0, step).log_scale;
     return growth > kShare * std::log(fits.accel.margin_scale) || (step - 1) % fits.every == 0;
@@ -124,9 +124,9 @@ RendererOptions renderer_options(const Config& config, const TrainingFrames& fra
             .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)};
 }
 
-/// Returns the maximum size of each surfel. The limit grows with the initial size.
-/// Surfels that are close together start small and need not become large. Surfels that
-/// are far apart must be able to close holes.
+/// Returns the maximum scale of each surfel. The limit is proportional to the initial
+/// scale. Surfels that are close together start small and do not need to grow much.
+/// Surfels that are far apart must be able to close the holes between them.
 std::vector<float> scale_bounds(const Surfels& surfels, double max_growth) {
     std::vector<float> bounds;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
@@ -207,8 +207,8 @@ TrainLoop::~TrainLoop() {
         // with an exception.
         stream_.wait(submitted_);
     } catch (const DeviceError&) {
-        // Ignores the error. It was already reported, and a lost device no longer uses
-        // the arrays.
+        // The device is lost. This error was already reported, and the device no longer
+        // uses the arrays, so they can be freed.
     }
 }
 

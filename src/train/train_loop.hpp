@@ -74,14 +74,14 @@ public:
     /// iteration becomes available kReadbackLag iterations later, or after settle().
     std::vector<LogLine> collect_lines() { return reports_.collect_lines(); }
     /// Waits for all submitted iterations and reads their reports.
-    /// @throws DataError like iterate()
+    /// @throws DataError if a loss of these iterations was not finite
     void settle();
     /// Completes training after the last iteration. Waits for all iterations, then
     /// applies the pending pose updates.
     void finish();
     /// Writes the complete training state into a checkpoint. First waits for all
     /// submitted iterations.
-    /// @throws DataError like iterate()
+    /// @throws DataError if a loss of these iterations was not finite
     void save(Checkpoint& checkpoint);
     /// Restores the state from a checkpoint. The loop must have been created with the
     /// scene and the log of the checkpoint.

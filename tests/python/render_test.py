@@ -138,10 +138,10 @@ class Render(TestCase):
 
     def test_times_outside_are_refused(self):
         render, times = run().render, run().times
-        self.assert_fails(relidar.UsageError, "time in the log: found 1000 s, expected seconds from", render, time=1000.0)
+        self.assert_fails(relidar.UsageError, "time in the log: found 1000 s, expected a time from", render, time=1000.0)
         self.assert_fails(relidar.UsageError, "time in the log: found -0.2 s", render, time=times[0] - 0.2)
         poses = np.stack([np.eye(4)] * 2)
-        self.assert_fails(relidar.UsageError, "time on the poses: found 2.5 s, expected seconds from 1 to 2", render, time=2.5,
+        self.assert_fails(relidar.UsageError, "time on the poses: found 2.5 s, expected a time from 1 to 2 s", render, time=2.5,
                           pose=(np.array([1.0, 2.0]), poses))
         name = next(iter(run().actors))
         self.assert_fails(relidar.UsageError, f'time relative to the poses of actors["{name}"]: found', render, time=times[3],

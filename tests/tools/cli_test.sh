@@ -517,7 +517,7 @@ XOSC
     bad 2 'expected also Van=TRACK, Van=RUN#TRACK, Van=ASSET or Van=-' edit run --out x --scenario cut_in.xosc
     bad 2 'expected entities of the file; Bus is not in the file' edit run --out x --scenario cut_in.xosc@Van=1,Bus=0
     bad 2 'an entity with a trajectory, but Ego has no trajectory' edit run --out x --scenario cut_in.xosc@Van=1,Ego=0
-    bad 2 'expected Van=TRACK of the run, RUN#TRACK or ASSET' edit run --out x --scenario cut_in.xosc@Van=7
+    bad 2 'expected Van=TRACK \(a track of the run\), RUN#TRACK' edit run --out x --scenario cut_in.xosc@Van=7
     bad 2 'scenario with at least one entity that follows' edit run --out x --scenario cut_in.xosc@Van=-
     bad 2 'expected FILE.xosc\[@ENTITY=TRACK' edit run --out x --scenario cut_in.xosc@Van
     bad 3 'none.xosc' edit run --out x --scenario none.xosc
@@ -549,7 +549,7 @@ keeping_assets() {
     good render assets/car-0 --out asset_scans --frames 5:6 --format ply
     local most
     most=$("$relidar" assets run --out every --least 0 2>/dev/null | awk '/^car-/ && $3 > most { most = $3 } END { print most }')
-    bad 3 "run has a sufficient score: skipped 0 \(Car\): its score is 0.*1.00 \(--least\); it was seen front" assets run --out none --least 1
+    bad 3 "run has a sufficient score: skipped 0 \(Car\): the score of the actor is 0.*1.00 \(--least\); the observed shares of its sides are front" assets run --out none --least 1
     absent none
     check "a score above 1: $most" awk "BEGIN { exit !($most <= 1) }"
     bad 2 "assets: the folder is not empty, expected a new or empty folder" assets run --out assets

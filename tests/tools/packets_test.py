@@ -299,7 +299,7 @@ def test_captures():
     captures.write(capture, [(T0 + ns, f) for ns, f in frames], cut={1200: 200})
     expect("1 packets were truncated" in run("info", capture), "a frame that was cut")
     capture.write_bytes(b"no capture at all")
-    expect("expected a capture of packets" in run("info", capture, code=3), "a file that is none")
+    expect("cannot read the capture" in run("info", capture, code=3), "a file that is none")
     captures.write(capture, [(T0, captures.frame(bytes(100)))])
     expect("no " in run("train", capture, "--out", WORK / "run", code=3), "a capture without a LiDAR")
 

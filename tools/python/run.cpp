@@ -59,7 +59,7 @@ void check_covered(const PoseTrack& track, double time_s, double tolerance_s, co
     const double begin_s = track.time_s.front() - tolerance_s, end_s = track.time_s.back() + tolerance_s;
     if (time_s < begin_s || time_s > end_s)
         throw UsageError(
-            fmt::format("{}: found {} s, expected seconds from {} to {}", what, time_s, begin_s, end_s));
+            fmt::format("{}: found {} s, expected a time from {} to {} s", what, time_s, begin_s, end_s));
 }
 
 ActorPoses actors_from(const py::dict& actors, double time_s) {

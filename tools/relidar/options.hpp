@@ -84,7 +84,7 @@ std::string without_blanks(const std::string& text);  ///< Removes spaces and ta
 /// Returns the absolute path. An empty path stays empty.
 std::string absolute_path(const std::string& path);
 /// Loads the log that the settings in config.dataset describe.
-/// @param max_scans see DatasetOptions::max_scans
+/// @param max_scans maximum number of scans to read per LiDAR; 0: all scans
 Sequence load_dataset(const Config& config, bool quiet = false, int max_scans = 0);
 
 }  // namespace relidar::cli

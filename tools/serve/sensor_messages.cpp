@@ -46,7 +46,7 @@ template <class T>
 std::vector<T> read_array(const std::string& bytes, std::size_t n, const std::string& field) {
     if (!bytes.empty() && bytes.size() != n * sizeof(T))
         refuse(field, fmt::format("{} bytes", bytes.size()),
-               fmt::format("{} bytes, which are {} bytes for each of {} rays", n * sizeof(T), sizeof(T), n));
+               fmt::format("{} bytes: a value of {} bytes for each of {} rays", n * sizeof(T), sizeof(T), n));
     std::vector<T> values(bytes.size() / sizeof(T));
     if (!bytes.empty()) std::memcpy(values.data(), bytes.data(), bytes.size());
     return values;

@@ -116,7 +116,7 @@ PoseTrack SensorsimReader::read_track(const sensorsim::PosePair& message, const 
     if (frame.end_s > frame.start_s) return {{frame.start_s, frame.end_s}, {start, end}};
     if (!same(start, end))
         refuse(field, "two different poses in a frame without duration",
-               "one pose, or a frame_end_us after frame_start_us");
+               "the same pose at start and end, or a frame_end_us after frame_start_us");
     return {{frame.start_s}, {start}};
 }
 
@@ -124,7 +124,7 @@ RenderRequest SensorsimReader::read(const sensorsim::LidarRenderRequest& message
     const std::uint64_t start_us = message.frame_start_us(), end_us = message.frame_end_us();
     if (end_us < start_us || end_us - start_us > kLongestFrame_us)
         refuse("frame_end_us", fmt::format("{} with frame_start_us {}", end_us, start_us),
-               fmt::format("a time in microseconds, which is at most {} later", kLongestFrame_us));
+               fmt::format("a time in microseconds that is at most {} later", kLongestFrame_us));
     RenderRequest wanted;
     wanted.scene = find_scene(message.scene_id());
     const Frame frame{read_time(double(start_us) * kMicrosecond, "frame_start_us"),

@@ -44,7 +44,7 @@ public:
 
     explicit SpawnedActors(std::size_t n_scenes) : scenes_(n_scenes) {}
 
-    /// A slot and the actor in it. `position` is the number of the slot in its scene.
+    /// A slot that is free or contains one actor. `position` is its number in the scene.
     struct Place {
         std::size_t position = 0;
         ActorToSpawn actor;  ///< Actor in this slot. The name is empty if the slot is free.

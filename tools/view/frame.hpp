@@ -52,8 +52,7 @@ struct ScanColumns {
 };
 
 /// Converts a simulated scan to the arrays of a message.
-/// @param world_offset_m offset between relidar's world frame and the world frame of the
-/// dataset (see Sequence)
+/// @param world_offset_m offset from relidar's world frame to the dataset's world frame
 ScanColumns simulated_columns(const RenderedScan& scan, const Config& config,
                               const glm::dvec3& world_offset_m);
 /// Converts a measured scan to the arrays of a message.

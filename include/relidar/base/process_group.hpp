@@ -12,9 +12,9 @@
 namespace relidar {
 
 /// Group of processes that execute the same steps in the same order. A slow step is split
-/// into parts, and the split does not depend on the number of processes. Each process
-/// computes some of these parts. Then all processes receive all results. A single process
-/// computes all parts.
+/// into parts that do not depend on the number of processes. Each process computes some
+/// of the parts, and then all processes receive all results. A single process computes
+/// all parts.
 struct ProcessGroup {
     int rank = 0, size = 1;
     /// Function that concatenates the bytes of all processes in rank order and returns

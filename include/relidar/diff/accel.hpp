@@ -31,7 +31,7 @@ enum class Proxy { automatic, triangles, boxes };
 
 struct AccelOptions {
     Proxy proxy = Proxy::automatic;
-    /// Factor and length by which the enclosing geometry is enlarged. Without this
+    /// Factor and length by which the geometry around a surfel is enlarged. Without this
     /// margin, rounding errors of the driver's intersection test could lose hits.
     float margin_scale = 1.002f;
     float margin_m = 1e-4f;

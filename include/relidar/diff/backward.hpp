@@ -121,10 +121,10 @@ public:
     void run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch,
              const glm::vec3& view_origin_m, Gradients& gradients);
     void set_sh_degree(int degree);
-    /// Returns the largest number of hits of a batch as a device array, [1]. The value
-    /// grows until the caller sets it to 0. Hits that exceed hit_capacity() are added
-    /// with atomics. Their sums are correct but not bit-equal between runs. With
-    /// Reduction::atomics, this function returns null, and hit_capacity() returns 0.
+    /// Returns the largest number of hits of a batch as a device array, [1], or null with
+    /// Reduction::atomics. The value grows until the caller sets it to 0. If a batch has
+    /// more than hit_capacity() hits, the additional hits are added with atomics. Their
+    /// sums are correct, but not bit-equal between runs.
     const Array<std::uint32_t>* most_hits() const;
     std::uint64_t hit_capacity() const;
     /// Increases the capacity to at least n_hits records. Waits until the stream is idle.

@@ -63,7 +63,7 @@ struct DensifyReport {
     /// Number of removed surfels by reason: value not finite, low opacity, large scale,
     /// outside the actor's box.
     std::uint32_t invalid = 0, faint = 0, large = 0, outside = 0;
-    /// Message that insufficient memory prevents further surfels. Only the first report
+    /// Message that there is too little memory for more surfels. Only the first report
     /// with this problem contains the message. Empty in all other reports.
     std::string note;
 

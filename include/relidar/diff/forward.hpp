@@ -29,9 +29,9 @@ struct Rendering {
     std::vector<float> median_depth;
     std::vector<std::uint32_t> hits;  ///< Number of blended surfels.
     /// Index into Scene::instances of the object that the ray hits, or -1 without hits.
-    /// The object is that of the surfel at which the transmittance crosses 0.5. Therefore
-    /// a faint surfel in front does not hide the object. If the transmittance stays above
-    /// 0.5, the object of the nearest blended surfel is used.
+    /// This is the object of the surfel at which the transmittance falls below 0.5.
+    /// Therefore a faint surfel in front does not hide an object. If the transmittance
+    /// stays above 0.5, the object of the nearest blended surfel is used.
     std::vector<std::int32_t> instance;
     /// Sum of w n over the hits, world frame. w is the weight of a hit, and n is the unit
     /// normal that faces the sensor. Empty unless TraceOptions::normals is set.

@@ -128,10 +128,10 @@ T missing_value_of(const ChannelInfo& channel) {
     return T(static_cast<float>(channel.none));
 }
 
-/// Appends the value of one return to a channel of points. A second return uses the value
-/// in `ScanChannel::second` if that array is not empty. Otherwise it uses the value of
-/// the first return if `ChannelInfo::of_ray` is set, or else the default value
-/// `ChannelInfo::none`.
+/// Appends the value of one return to a channel of points. For a first return, this is
+/// the value of its ray. For a second return, it is the value in `ScanChannel::second`.
+/// If that array is empty, it is the value of the first return (with
+/// `ChannelInfo::of_ray`) or the default value `ChannelInfo::none`.
 /// @param number  number of the return, starting at 1
 void append_return(ScanChannel& of_points, const ScanChannel& of_rays, std::size_t ray, int number);
 

@@ -40,10 +40,9 @@ struct Sweep {
 Sweep even_sweep(const Points& points, const SpinningSensor& sensor);
 
 /// Builds the scan of a spinning LiDAR, with one ray for each beam and firing. The rays
-/// are in the order of a range image (see RayTable). Each point is assigned to the ray
-/// that measured it. A ray with a return keeps its measured direction and starts at the
-/// origin of its beam. A firing without a point becomes a dropped ray with the direction
-/// of the sensor model.
+/// are in the order of a range image. Each point is assigned to the ray that measured it.
+/// A ray with a return keeps its measured direction and starts at the origin of its beam.
+/// A firing without a point becomes a dropped ray with the direction of the sensor model.
 ///
 /// If two first returns belong to one ray, the second return is moved to a free
 /// neighbouring cell. If no such cell is free, only the nearer point is kept. A point

@@ -22,10 +22,9 @@ struct FrameRange {
 };
 
 /// Value of `DatasetOptions::poses_file` for a log without poses. All poses of the
-/// vehicle are then the identity until a registration of the scans estimates them. Until
-/// then, boxes have the poses of their labels in the sensor frame. set_vehicle_poses()
-/// later moves the boxes together with the vehicle. To read a file with the name "none",
-/// write "./none".
+/// vehicle are the identity until the scans are registered. Until then, boxes have the
+/// poses of their labels in the sensor frame. Afterwards, set_vehicle_poses() moves the
+/// boxes together with the vehicle. To read a file with the name "none", write "./none".
 inline constexpr const char* kNoPoses = "none";
 
 /// Options that only the reader of ROS bags uses.

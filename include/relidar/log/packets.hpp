@@ -28,8 +28,7 @@ struct SensorPacket {
 
 /// Options for PacketEncoder.
 struct PacketOptions {
-    /// Time since 1970, in nanoseconds, at which the time of the log is 0. See
-    /// log_start_ns().
+    /// Time since 1970, in nanoseconds, that corresponds to time 0 of the log.
     std::int64_t start_ns = 0;
     int returns = 1;  ///< returns per ray, 1 or 2
     /// Packet format of an Ouster (udp_profile_lidar). If the text is empty, the encoder
@@ -57,10 +56,10 @@ std::string ouster_profile_of(const std::filesystem::path& file);
 /// captures contain this time. Returns 0 for all other logs.
 std::int64_t log_start_ns(const Sequence& sequence);
 
-/// Converts the scans of a sensor to packets. A packet holds a fixed number of firings.
-/// Therefore a packet may contain the end of one scan and the start of the next scan.
-/// After the last scan and before a long gap, the encoder adds a packet without returns.
-/// A driver needs this packet to complete the scan.
+/// Converts the scans of a sensor to packets. A packet holds a fixed number of firings,
+/// so it may contain the end of one scan and the start of the next scan. After the last
+/// scan and before a long gap, the encoder adds a packet without returns, because a
+/// driver needs this packet to complete the scan.
 class PacketEncoder {
 public:
     /// @param sensor  its name selects the product

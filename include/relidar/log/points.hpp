@@ -31,8 +31,8 @@ struct Points {
     std::vector<std::int32_t> instance = {};
     std::vector<ScanChannel> channels = {};  ///< additional channels, [n] values each
     /// Pose of the frame of the points, in the world frame of the dataset. If each point
-    /// is in the sensor frame at its own firing time, `world_from_points` is the pose of
-    /// the sensor at time_s.
+    /// is in the sensor frame at its own firing time, this is the pose of the sensor at
+    /// time_s.
     Pose world_from_points = {};
     double time_s = 0.0;  ///< reference time of the scan, in the time of the log
 

@@ -15,8 +15,9 @@ namespace relidar {
 
 struct RegisterOptions {
     /// Maximum difference, in metres, between the pose correction of a scan and the
-    /// corrections of its neighbours. A scan beyond this limit could not be registered.
-    /// Also the maximum initial distance between two observations of the same surface.
+    /// corrections of its neighbours. If the difference is larger, the scan could not be
+    /// registered. This is also the maximum initial distance between two observations of
+    /// the same surface.
     double largest_m = 1.0;
     /// True: the given poses define the motion from scan to scan. False: this motion is
     /// estimated from the scans alone.

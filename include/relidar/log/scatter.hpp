@@ -80,9 +80,9 @@ double find_step(std::vector<float> values);
 /// @throws DataError if an array has another size than its image
 IntensityScatter fit_scatter(std::span<const MeasuredIntensities> images);
 
-/// Draws random intensities that a sensor could have measured. Draws the rays beam by
-/// beam, starting with the highest beam. Each draw depends on the intensities that were
-/// already drawn for other rays.
+/// Draws random intensities that a sensor could have measured. The rays are processed
+/// beam by beam, starting with the highest beam, because each intensity depends on the
+/// intensities that were already drawn.
 /// @param returns [rows*columns] 0 for rays without a return
 /// @return [rows*columns] kNoIntensity for rays without a return
 std::vector<float> draw_intensities(const IntensityScatter& scatter, const RenderedIntensities& rendered,

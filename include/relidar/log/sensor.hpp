@@ -207,9 +207,9 @@ RayTable make_rays(const SpinningSensor& sensor);
 inline constexpr std::size_t kMaxRays = std::size_t(1) << 24;
 
 /// Probability that the sensor itself drops a ray, for each beam and azimuth bin (paper
-/// section 3.5). This probability does not depend on the scene. For example, the vehicle
-/// that carries the sensor blocks some rays. P(drop) = 1 - (1 - P of the scene) (1 - P of
-/// the sensor).
+/// section 3.5). It does not depend on the scene. For example, the vehicle that carries
+/// the sensor blocks some rays. The total drop probability is P(drop) = 1 - (1 - P of the
+/// scene) (1 - P of the sensor).
 struct DropTable {
     int channels = 0;
     int bins = 0;  ///< Number of azimuth bins. Bin 0 starts at +180 degrees, and the azimuth decreases.
@@ -322,7 +322,7 @@ RayTable make_rays(const ScanningWindow& window);
 using SensorPattern = std::variant<SpinningSensor, ScanningWindow, Rosette, RayTable>;
 
 /// Returns the rays of the scan at a time.
-/// @throws UsageError like the make_rays() of the pattern's type
+/// @throws UsageError if a value of the pattern is invalid
 RayTable make_rays(const SensorPattern& pattern, double time_s);
 
 /// A sweep at constant speed over columns of rays. All rays of a column fire at the same

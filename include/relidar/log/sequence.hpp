@@ -90,7 +90,7 @@ struct Frame {
     double time_s = 0.0;
     Scan scan;
     int lidar = 0;  ///< index into Sequence::lidars
-    /// Azimuth and time at the start; empty for the default start
+    /// Azimuth and time at the start of the sweep; empty if both have default values
     std::optional<SweepStart> start = {};
     /// [columns] deviation of the head from the nominal azimuth at each firing, in
     /// radians. load_sequence() sets it. Empty if there is no deviation.
@@ -221,7 +221,8 @@ struct BoxTrack {
 /// beams of a log share it. The factor is 1 at 10 m and perpendicular incidence.
 ///   intensity of the mean beam = albedo * at_range(range) * at_cosine(cos)
 struct IntensityResponse {
-    /// Ranges of the factors, ascending. Empty: the factor is 1.
+    /// Ranges in metres, ascending, for which the table has factors. If the table is
+    /// empty, the factor is 1 at all ranges.
     std::vector<double> range_m;
     std::vector<double> factor;  ///< [knots] factor, interpolated linearly
     /// Dependence on the angle of incidence: 0 none, 1 Lambert's cosine law.

@@ -66,8 +66,8 @@ public:
     /// whose mirror patch was observed.
     double seen() const;
     double mirrored() const;
-    /// Returns the fraction of a side that was not observed, but whose mirror patches
-    /// were observed.
+    /// Returns the fraction of a side's patches that were not observed, but whose mirror
+    /// images on the other half of the box were observed.
     double mirrored(BoxSide side) const;
 
 private:

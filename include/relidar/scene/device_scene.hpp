@@ -152,10 +152,10 @@ constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32
             [](Surfels& s, std::size_t n_floats) { (s.*kHost).resize(n_floats / kFloats); }};
 }
 
-/// All parameter groups. The two optional groups are the first and the last entry.
-/// Therefore every valid combination of groups is a contiguous range. A new parameter
-/// needs a member of Surfels, a member of SurfelArrays, a pointer for kernels and an
-/// entry in this table.
+/// Table of all parameter groups. The two optional groups are the first and the last
+/// entry, so every valid combination of groups is a contiguous range. A new parameter
+/// needs an entry in this table, a member of Surfels, a member of SurfelArrays and a
+/// pointer for the kernels.
 inline constexpr std::array<ParameterGroup, 7> kParameterGroups{{
     describe_group<&Surfels::gait, &SurfelArrays::gait>("gait", {5, 1}, &LearningRates::gait, false, false,
                                                         ParameterGroup::Of::bends),
@@ -245,10 +245,10 @@ struct ActivationGradients {
     /// model frame. Null if not needed.
     Array<float, shared::ViewGradients>* d_view = nullptr;
     bool zero_untouched = true;  ///< If true, activate_vjp() writes zeros for surfels without a gradient.
-    /// If true, `touched` is also an input. It must contain 1 for each surfel that may
-    /// have a gradient, otherwise 0. Surfels marked with 0 are skipped if lists_touched()
-    /// is true and zero_untouched is false. The entries of d_view for skipped surfels are
-    /// not written.
+    /// If true, `touched` is also an input: 1 for each surfel that may have a gradient,
+    /// otherwise 0. If lists_touched() is true and zero_untouched is false, surfels
+    /// marked with 0 are skipped. The entries of d_view for skipped surfels are not
+    /// written.
     bool touched_is_marked = false;
 };
 

@@ -151,7 +151,7 @@ struct Instance {
 /// Block of the background that was trained on one section of a road. Its surfels stay in
 /// a file until a sensor is near.
 struct SceneBlock {
-    /// File written by save_model(). The block is the first model in the file.
+    /// Model file with the surfels of the block. They are the first model in the file.
     std::filesystem::path file;
     std::uint32_t count = 0;  ///< Number of surfels in the block.
     /// Corners of the bounding box of the surfels, [3] metres, world frame. The box
@@ -244,9 +244,9 @@ ObjectKind object_kind(std::string_view category);
 /// "other".
 const char* name_of(ObjectKind kind);
 
-/// Treatment of moving objects without a label. `background`: their points stay in the
-/// background. `removed`: points through which rays of other frames pass are removed.
-/// `actors`: like `removed`, and objects that are observed long enough become actors.
+/// Treatment of moving objects without a label. `background`: their points belong to the
+/// background. `removed`: a point is removed if rays of other frames pass through it.
+/// `actors`: like `removed`, and an object that is observed long enough becomes an actor.
 enum class UnlabelledMovers { background, removed, actors };
 
 /// Options for creating the initial scene from a log.
@@ -364,9 +364,9 @@ Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_p
                        const InitialiseOptions& options, const Progress& progress = {},
                        std::vector<std::string>* notes = nullptr);
 
-/// Returns the boxes that are removed from the background but have no instance. Their
-/// class is not selected, or they have too few points. Training ignores rays through
-/// these boxes, and renderings lack the returns of these objects.
+/// Returns the boxes that are removed from the background, but that have no instance in
+/// the scene. Their class is not selected, or they have too few points. Training ignores
+/// rays through these boxes, and renderings lack their returns.
 std::vector<BoxTrack> masked_boxes(const Scene& scene, const Sequence& sequence,
                                    const InitialiseOptions& options);
 /// Returns the moving boxes that are removed from the background but are not selected as
@@ -401,10 +401,10 @@ Surfels freeze(const Scene& scene, const std::vector<InstancePose>& placed);
 /// @return [n] permutation: position i of the sorted array holds point order[i]
 std::vector<std::uint32_t> kd_order(const std::vector<glm::vec3>& points);
 
-/// Returns the extent of a model in metres. Training multiplies relative settings by the
-/// extent. For an actor it is 4 x the diagonal of its box. Otherwise it is 3 x the 90th
-/// percentile of 2 |p - centre| over the model's surfels. A model without surfels has
-/// extent 1.
+/// Returns the extent of a model in metres. Training multiplies relative settings by this
+/// extent. For an actor, the extent is 4 times the diagonal of its box. For any
+/// other model, it is 3 times the 90th percentile of 2 |p - centre| over its surfels. A
+/// model without surfels has the extent 1.
 double model_extent(const Scene& scene, std::size_t model);
 /// Returns the extent of a box, 4 x its diagonal, metres.
 /// @param half_size_m [3] half size of the box, metres

@@ -17,8 +17,8 @@ struct SurfelRecord {
     vec3 mean;      // Centre, metres.
     float opacity;  // Opacity sigma, 0..1.
     vec3 axis_u;    // First axis divided by its standard deviation, a_u / s_u, 1/m.
-    // Intensity, evaluated once per surfel. The intensity and the two logits are used
-    // only with ShDirection::surfel.
+    // Intensity of the surfel towards the sensor. The intensity and the two logits are
+    // used only with ShDirection::surfel, which evaluates them once per surfel.
     float intensity;
     vec3 axis_v;  // Second axis divided by its standard deviation, a_v / s_v, 1/m.
     float hit_logit;

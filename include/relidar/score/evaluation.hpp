@@ -80,7 +80,7 @@ struct BoxPoints {
 /// the lowest 0.15 m, which contains ground points. To count rays that hit the box, the
 /// box is enlarged by 0.3 m.
 /// @param rendered  rendered image
-/// @param points_m [n] ranges of the simulated points, see point_ranges()
+/// @param points_m [n] ranges at which the simulated points are placed
 /// @param real  measured image of the same rays
 /// @param seen  the sweep of both images
 /// @param box  a box that is present at the time of the sweep
@@ -148,18 +148,18 @@ MetricRow mean_times(const KernelTimes& times);
 /// @throws UsageError for another name
 BoxMotion find_baseline(const std::string& name);
 /// Computes the metrics of a baseline on the held-out frames of a log.
-/// @param name  see find_baseline()
+/// @param name  "nearest" or "nearest-actors"
 /// @param sequence  the log, with its scans
-/// @param progress  see evaluate_frames()
-/// @param see  see evaluate_frames()
-/// @throws UsageError like find_baseline()
+/// @param progress  called before each frame and after the last one
+/// @param see  called for each scored frame
+/// @throws UsageError for another name
 Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence,
                              const Split& split, const Progress& progress = {},
                              const FrameCallback& see = {});
 
 /// Reads the file with LPIPS weights, if the user has set one. Called before a long
 /// evaluation, so that a damaged file is reported at the start.
-/// @throws DataError like read_lpips_weights()
+/// @throws DataError if the file is damaged or an array is missing
 void check_lpips_weights();
 /// Returns the path of the file with LPIPS weights, from the environment variable
 /// RELIDAR_LPIPS_WEIGHTS. If the path is empty, LPIPS is not computed.

@@ -33,9 +33,9 @@ struct ActorObservations {
 /// @param size_m [3] size of the box
 BoxSurface seen_surface(const glm::dvec3& size_m, const ActorObservations& sightings);
 /// Renders the training frames again and returns the points at which their rays hit each
-/// actor, by track. The scans use the log's LiDARs at their original poses. An object
-/// that hid an actor in the log therefore hides the same actor here. A LiDAR without a
-/// nominal ray pattern is replaced by an HDL-64E.
+/// actor, by track. The frames are rendered with the log's LiDARs at their original
+/// poses. Therefore an object that hid an actor in the log also hides it here. A LiDAR
+/// without a nominal ray pattern is replaced by an HDL-64E.
 std::map<std::string, ActorObservations> observe_actors(Device& device, const Run& run,
                                                         const Progress& progress = {});
 
@@ -89,7 +89,7 @@ Surfels mirror_left_right(Surfels surfels);
 
 /// Writes an asset to a folder. This folder then contains the run of the asset and
 /// asset.json.
-/// @throws DataError like save_run()
+/// @throws DataError if the folder cannot be written
 void save_asset(Asset asset, const std::filesystem::path& folder);
 /// Reads asset.json from a folder.
 /// @throws DataError if the file is missing or malformed

@@ -64,11 +64,11 @@ struct RenderedScan {
     /// example "seen" without a Coverage). A caller can append channels. All functions
     /// that join, bin, merge or write channels process the appended channels too.
     std::vector<ScanChannel> channels = {};
-    /// Share of rays that leave the observed space. A ray counts if the log observed less
-    /// than half of its path. Computed from all rays or from about a thousand of them.
-    /// Empty if the run has no coverage.
+    /// Share of rays through space that the log did not observe. A ray counts if the log
+    /// observed less than half of its path. Computed from all rays, or from about a
+    /// thousand of them. Empty if the run has no coverage.
     std::optional<double> unseen_share = {};
-    /// Unobserved sides of actors that the scan shows; see find_unseen_sides(). The
+    /// Sides of actors that the log did not observe, but that rays of the scan meet. The
     /// command `relidar render` sets this field. ScanRenderer leaves it empty.
     std::vector<UnseenSide> unseen_sides = {};
     Pose world_from_sensor;  ///< pose of the sensor at the reference time, in the dataset's world frame
@@ -116,10 +116,9 @@ private:
     std::vector<Made> made_;
 };
 
-/// Limit for RenderedScan::unseen_share, the share of rays outside the space that the log
-/// observed. The program prints a warning if the share is above this limit. The log's own
-/// sensor on its recorded path has a share below 0.01. A sensor in the next lane has a
-/// few hundredths.
+/// The program prints a warning if the share of rays through unobserved space is above
+/// this limit. The log's own sensor on its recorded path has a share below 0.01. A sensor
+/// in the next lane has a share of a few hundredths.
 inline constexpr double kMuchUnseen = 0.2;
 
 /// Returns the [n] ranges, in metres, at which the points of a scan are placed. The
@@ -133,7 +132,7 @@ std::vector<float> range_spread(const RenderedScan& scan);
 
 /// Computes the inputs of a ray-drop network for a scan.
 /// @param scan should have the channel `incidence`; without it all cosines are 0
-/// @param channels inputs of the network, see drop_channel_names()
+/// @param channels names of the input channels of the network
 /// @param first_origin_m [3] point that sensor positions are relative to, in the
 /// dataset's world frame; see first_origin()
 DropImage drop_image(const RenderedScan& scan, const std::vector<std::string>& channels,
@@ -162,8 +161,8 @@ void sample_returns(RenderedScan& scan, const RangeNoise& noise, const Intensity
 struct RenderedPoints {
     Points points;           ///< all returns, see place_points()
     std::size_t n_rays = 0;  ///< number of rays of the scan
-    /// Share of rays outside the space that the log observed, see
-    /// RenderedScan::unseen_share.
+    /// Share of the rays through space that the log did not observe. Empty if the run has
+    /// no coverage.
     std::optional<double> unseen_share = {};
 };
 
@@ -205,9 +204,9 @@ struct SensorChoice {
 bool has_rolling_shutter(const SensorChoice& sensor, const Config& config);
 
 /// Returns a copy of the sensor with the measured azimuths of the log's sweep at this
-/// time. Returns the sensor unchanged if it does not follow the sweeps of the log, or if
-/// the log has no sweep at this time. ScanRenderer calls this function for scans without
-/// a ScanRequest.
+/// time. If the sensor does not follow the sweeps of the log, or if the log has no sweep
+/// at this time, returns the sensor unchanged. ScanRenderer calls this function for scans
+/// without a ScanRequest.
 /// @param frames frames of the log with their azimuth shifts
 SensorChoice sensor_in_sweep(const SensorChoice& sensor, std::span<const Frame> frames,
                              std::span<const Lidar> lidars, double time_s);
@@ -253,11 +252,11 @@ struct ScanRequest {
     std::optional<ActorPoses> dataset_from_actor = {};
 };
 
-/// Renders scans of a trained scene. Only one thread may use a renderer, and renderers of
-/// the same device must not be used simultaneously. With ShDirection::surfel, a model
-/// with n instances is stored n times (copy_shared_models), because spherical harmonics
-/// depend on the direction from the sensor to each instance. ShDirection::ray needs only
-/// one copy.
+/// Renders scans of a trained scene. Only one thread may use a renderer, and two
+/// renderers of the same device must not be used simultaneously. With
+/// ShDirection::surfel, a model with n instances is stored n times, because its
+/// intensities depend on the direction from the sensor to each instance. With
+/// ShDirection::ray, one copy is enough.
 class ScanRenderer {
 public:
     /// Creates a renderer of a scene.
@@ -289,8 +288,8 @@ public:
     /// off.
     void compare_with(const Coverage& coverage);
     /// Sets the statistical intensity model of each LiDAR of the log, for all following
-    /// scans. Sampled scans draw random intensities from this model. In all other scans,
-    /// intensities are rounded to the quantisation steps of the log.
+    /// scans. If a scan is sampled, its intensities are drawn from this model. Otherwise,
+    /// they are rounded to the quantisation steps of the log.
     /// @param scatter [lidars] if an entry is missing or empty, intensities are as
     /// rendered
     void scatter_intensities(const std::vector<IntensityScatter>& scatter);

@@ -69,7 +69,7 @@ struct ScanFormat {
     /// Mounting of the log's sensor on the vehicle. Needed because recordings also
     /// contain the vehicle frame.
     Pose vehicle_from_lidar;
-    /// True if rays are fired at different times, see has_rolling_shutter().
+    /// True if the rays of a scan are fired at different times.
     bool rolling_shutter = true;
     /// Topic of the sensor's point clouds in recordings. The names of the sensor's other
     /// topics begin with this name.
@@ -77,7 +77,7 @@ struct ScanFormat {
     std::string frame_id = "lidar";  ///< frame id of the sensor in recordings
     /// Tracks of the actors in relidar's world frame. Recordings store them as boxes.
     std::vector<BoxTrack> actors;
-    /// Offset from relidar's world to the dataset's world, see Sequence::world_offset_m.
+    /// Offset in metres from relidar's world frame to the dataset's world frame.
     glm::dvec3 world_offset_m{0.0};
     /// Trajectory file that defines the poses of the sensor. If empty, the poses of the
     /// log's sensor are used.
@@ -88,10 +88,10 @@ struct ScanFormat {
 /// Returns the default format for scans of a run: npz files with rays in the sensor
 /// frame. The simulated sensor has the same poses as the log's sensor.
 ScanFormat scan_format(const Run& run, const SensorChoice& sensor);
-/// Returns true if all points of a scan share one frame: the world frame, or the sensor
-/// frame at the scan's time. In recordings, this time is the time stamp of the message.
-/// The function returns true if the points are converted, or if all rays are fired at the
-/// scan's time.
+/// Returns true if all points of a scan are in the same frame: the world frame, or the
+/// sensor frame at one time. This is the case if the points are converted, or if all rays
+/// are fired at the scan's time. In recordings, the frame has the time stamp of the
+/// message.
 bool is_deskewed(const ScanFormat& format);
 /// Sets the topic and the frame id of a sensor in recordings. The topic is
 /// /lidar/NAME/points, with topic_word(NAME), and the frame id is NAME. An empty name
@@ -136,7 +136,7 @@ public:
     /// sensors are read from the first
     /// @throws UsageError if two topics or frames have the same name, or if ROS does not
     /// allow a name
-    /// @throws DataError like write_atomically()
+    /// @throws DataError if a file cannot be written
     ScanRecordings(std::filesystem::path folder, std::vector<ScanFormat> sensors);
     /// Appends the scans of a sweep to the recordings.
     /// @param scans  a scan for each sensor, all of the same sweep
@@ -186,7 +186,7 @@ public:
     static ScanFolder joining(std::filesystem::path folder, ScanFormat format);
     /// Writes the files of a scan.
     /// @param frame  number of the frame
-    /// @throws DataError like write_atomically()
+    /// @throws DataError if a file cannot be written
     void write(int frame, const RenderedScan& scan);
     /// Writes scans.json and gives the recordings their final names. Must be called after
     /// the last scan.

@@ -26,7 +26,7 @@ public:
     /// Adds the scans of a sweep.
     /// @param scans  a scan for each sensor
     /// @return [sensors] packets that are complete
-    /// @throws UsageError like PacketEncoder::encode()
+    /// @throws UsageError if a scan does not fit its sensor or overlaps the previous scan
     std::vector<std::vector<SensorPacket>> encode(std::span<const RenderedScan> scans);
     /// Returns the remaining packets. Must be called after the last scans.
     std::vector<std::vector<SensorPacket>> finish();

@@ -73,9 +73,9 @@ struct WeatherSensor {
     /// Half a quantisation step of the sensor's intensities. A surface with a lower
     /// reflectivity is not detected at the maximum range.
     double darkest = 0.5 / 255.0;
-    /// Reflectivity below which a surface is not detected at any range. The reason is
-    /// that receivers are less sensitive to near targets (sensitivity-time control). If
-    /// the value is 0, weakest() is the only threshold.
+    /// Surfaces with a lower reflectivity than this are not detected at any range,
+    /// because receivers are less sensitive to near targets (sensitivity-time control).
+    /// If the value is 0, weakest() is the only threshold.
     double weakest_reflectivity = 0.0;
 
     /// Returns the minimum power that is detected: the power of the darkest surface at

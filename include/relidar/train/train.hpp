@@ -77,9 +77,9 @@ struct TrainResult {
     bool interrupted = false;  ///< True if training stopped before the last iteration.
 };
 
-/// Callback that receives each entry of the training log, a few iterations after the
-/// entry's last iteration. If the callback returns false, training stops after the
-/// current iteration and returns the current scene.
+/// Callback that receives the lines of the training log. A line arrives a few iterations
+/// after the last iteration that it describes. If the callback returns false, training
+/// stops after the current iteration and returns the current scene.
 using ProgressCallback = std::function<bool(const TrainProgress&)>;
 
 /// Checkpoints, callbacks and stop condition of a training that may take days.

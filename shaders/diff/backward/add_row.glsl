@@ -21,9 +21,9 @@ shared float shared_rows[COALESCED_ATOMICS != 0u ? gl_WorkGroupSize.x * kRowPitc
 shared uint shared_targets[COALESCED_ATOMICS != 0u ? gl_WorkGroupSize.x : 1u];
 
 /// Returns true if the lanes of a subgroup exchange rows through shared memory. All lanes
-/// must then call add_row() together. All lanes of a workgroup get the same result.
-/// Partial subgroups do not exchange rows, because the missing lanes would not add their
-/// floats.
+/// must then call add_row() together. The result is the same for all lanes of a
+/// workgroup. If the subgroups are not full, rows are not exchanged, because the missing
+/// lanes would not add their floats.
 bool rows_are_exchanged() {
     return COALESCED_ATOMICS != 0u && gl_NumSubgroups * gl_SubgroupSize == gl_WorkGroupSize.x;
 }

@@ -49,9 +49,9 @@ HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance
 #undef RELIDAR_SEND
     if (SINGLE_DROP_LOGIT != 0u) d_channel.y = 0.0;
     SurfelHitGradient d = intersect_vjp(record, origin, direction, hit, d_t, d_alpha);
-    // Floats 7, 11 and 15 of a row contain the gradient of the channel values. If
-    // spherical harmonics (SH) are evaluated per hit, they contain the rotation gradient
-    // of the SH direction instead.
+    // Floats 7, 11 and 15 of a row usually contain the gradient of the channel values. If
+    // spherical harmonics (SH) are evaluated per hit, they contain the gradient of a
+    // rotation of the SH direction.
     vec3 others = d_channel;
     if (SH_PER_SURFEL == 0u) {
         use_basis(scene, ray, instance);

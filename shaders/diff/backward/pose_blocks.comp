@@ -13,9 +13,10 @@ RELIDAR_PARAMS(PoseBlocksParams);
 
 vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1], a.at[i + 2]); }
 
-/// Returns the gradient of the rotation of the view direction for spherical harmonics
-/// (SH). This rotation is opposite to the rotation of the model. If SH are evaluated per
-/// hit, floats 7, 11 and 15 of a row contain this gradient.
+/// Returns the gradient with respect to a small rotation of the view direction. A
+/// rotation of the model turns the view direction the opposite way, so the caller
+/// subtracts this gradient. Floats 7, 11 and 15 of a row contain it if spherical
+/// harmonics are evaluated per hit.
 vec3 turn(uint row) {
     return vec3(params.d_records.at[row + 7], params.d_records.at[row + 11], params.d_records.at[row + 15]);
 }

@@ -56,8 +56,9 @@ struct BlendedHit {
     float alpha;          // Opacity at the hit (sigma G) before it is clamped.
     float transmittance;  // transmittance before the hit
     float w;              // alpha times transmittance
-    // Derivative of the loss with respect to the blending weight, minus a constant shift
-    // (see start_shift()).
+    // Derivative of the loss with respect to the blending weight, minus a constant. The
+    // constant is the derivative for the nearest hit. Subtracting it avoids differences
+    // of large numbers.
     float shade;
     float behind;  // Sum of weight times `shade` over all hits behind this hit, including the background.
 };
@@ -130,10 +131,9 @@ BlendState start_blending(RenderedRay final, RayGradient g) {
     return state;
 }
 
-/// Subtracts a constant shift from all values. Eq. 9 does not change if all values and
-/// the background's value are shifted equally, because all weights sum to 1. The shift is
-/// the value of the nearest hit in the buffer. It avoids differences of large numbers,
-/// which lose precision.
+/// Subtracts the value of the nearest hit in the buffer from all values and from the
+/// value of the background. This avoids differences of large numbers, which lose
+/// precision. It does not change Eq. 9, because all weights sum to 1.
 void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient g, inout BlendState state) {
     state.shift = shade_of(scene, ray, g, hit_at(0u));
     add_compensated(state.remaining, state.lost, -state.shift * final.weight);

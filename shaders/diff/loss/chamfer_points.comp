@@ -11,8 +11,8 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(ChamferPointsParams);
 
-// Minimum blended weight W for which a ray has a simulated point. The range D / W is
-// meaningless for a smaller weight.
+// A ray has a simulated point only if its blended weight is larger than this value. With
+// a smaller weight, depth / weight is not a reliable range.
 const float kLeastWeight = 0.1;
 
 /// Returns the range of the simulated point of a ray. Returns 0 if the ray has no

@@ -50,8 +50,8 @@ struct BackwardParams {
     // atomics.
     uint capacity;
     uint n_rows;
-    // 1: d_records also receives the rotation gradient of the view direction for
-    // spherical harmonics (SH). Used only if SH are evaluated per hit.
+    // 1: d_records also receives the gradient of a rotation of the view direction. Used
+    // only if spherical harmonics (SH) are evaluated per hit.
     uint with_turn;
 };
 

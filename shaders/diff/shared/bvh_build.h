@@ -57,7 +57,8 @@ struct BvhBinary {
     // Cost [n,7] of storing a node's subtree as at most 1 ... 7 children of an eight-wide
     // node, m^2.
     RELIDAR_OF(Floats, BinaryCosts) costs;
-    // Best distribution of child slots to both children [n]. See accel/bvh_binary.glsl.
+    // Best distribution of a wide node's child slots to the two children of a binary node
+    // [n]. The lowest 4 bits contain the number of surfels in the subtree, at most 15.
     RELIDAR_OF(Uints, BinaryDecisions) decisions;
     // Sorted position [n] in a node's subtree that is not yet used as a node index.
     RELIDAR_OF(Uints, SpareNodes) spares;

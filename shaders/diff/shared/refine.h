@@ -77,8 +77,8 @@ struct DropInputsParams {
     RELIDAR_OF(Floats, DropTargets) target;  // output [n_images, n_pixels]
     uint n_images;
     uint n_channels;
-    // Number of channels at the end that describe the sensor's pixels, so that they are
-    // not rotated.
+    // Number of channels at the end that belong to the pixels of the sensor. The rotation
+    // of images, which augments the training data, does not rotate these channels.
     uint n_fixed;
     uint logit_channel;
     uint rows;

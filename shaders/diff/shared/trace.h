@@ -85,13 +85,13 @@ struct ForwardParams {
     // Accumulated [1]: number of rays with more hits than n_kept. Not used if n_kept is
     // 0.
     RELIDAR_OF(Uints, OverfullCount) n_overfull;
-    // Output [n_rays]: surface that each ray hit. Written only by kernels that are built
-    // with normals or modes.
+    // Output [n_rays]: normal and range (mode) of the surface that each ray hit. Written
+    // only by kernels that compute normals or modes.
     RenderedSurfaces surfaces;
     uint n_kept;
     uint kept_in_lists;  // 1: the stored hits share the memory of lists.hits.
-    // Minimum distance in m between two surfaces on a ray. Used only by kernels that are
-    // built with modes.
+    // Minimum distance in m between two surfaces on a ray. Used only by kernels that
+    // compute the mode, which is the mean range of the surface with the largest weight.
     float surface_gap_m;
 };
 

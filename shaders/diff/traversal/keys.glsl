@@ -15,9 +15,9 @@ bool before(Key a, Key b) {
     return a.surfel < b.surfel;
 }
 
-/// Returns the index of hit k of a hit list with capacity `room`. Each thread has one
-/// list. RELIDAR_SIDE_BY_SIDE lists are interleaved, so that reads use complete cache
-/// sectors. This holds both if each thread reads a separate list and if all lanes read
+/// Returns the index in memory of hit k of a thread's hit list. `room` is the capacity of
+/// a list. RELIDAR_SIDE_BY_SIDE lists are interleaved, so that reads use complete cache
+/// sectors. This is true if each lane reads a separate list, and also if all lanes read
 /// one list together.
 uint list_entry(uint room, uint list, uint k) {
     return ((list / RELIDAR_SIDE_BY_SIDE) * room + k) * RELIDAR_SIDE_BY_SIDE + list % RELIDAR_SIDE_BY_SIDE;

@@ -17,8 +17,8 @@ uint entered_instance = 0xffffffffu;
 uint entered_first_surfel;
 vec3 entered_origin;
 vec3 entered_direction;
-// Rotation of the model since its reference time, as a Rodrigues vector in the model's
-// axes (see turned_by()).
+// Rotation of the model since its reference time, in the model's axes. It is stored as a
+// Rodrigues vector: axis times tangent of half the angle.
 vec3 entered_turn = vec3(0.0);
 
 /// Returns the index of this thread's ray in the batch. The index is at least n_rays if

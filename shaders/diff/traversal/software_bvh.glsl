@@ -50,8 +50,8 @@ const uint kSharesLoads = 2u;
 RELIDAR_CONSTANT(uint, COUNT_VISITS, 0u);
 
 // Capacity of the traversal stack. Each tree level adds at most 7 entries, so 64 entries
-// are enough for 9 levels of full nodes. In a deeper tree, a ray may overflow the stack.
-// It then ends early and is counted as an error.
+// are enough for 9 levels of full nodes. If the stack overflows in a deeper tree, the ray
+// ends early and is counted as an error.
 const uint kStackSize = 64u;
 const uint kInstanceEntry = 0x80000000u;  // flag of a stack entry that is an instance
 // Flag of a stack entry that is a node of the top-level tree. All other nodes belong to

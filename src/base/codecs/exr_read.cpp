@@ -167,10 +167,12 @@ void check_layout(const std::string& name, const std::string& type, std::string_
 }
 
 void check_kind(ExrHeader& header) {
-    if (header.number() != std::int32_t(kExrMagic)) throw DataError("the file does not begin like an OpenEXR file");
+    if (header.number() != std::int32_t(kExrMagic))
+        throw DataError("the file does not begin like an OpenEXR file");
     const auto version = std::uint32_t(header.number());
     if ((version & kVersionBits) > 2)
-        throw DataError(fmt::format("the file has version {} of the format, expected 2", version & kVersionBits));
+        throw DataError(
+            fmt::format("the file has version {} of the format, expected 2", version & kVersionBits));
     if (version & kTiles) throw DataError("the file stores tiles, expected scan lines");
     if (version & kDeep) throw DataError("the file has deep pixels, expected one value per channel");
     if (version & kParts) throw DataError("the file contains several images, expected one");
@@ -210,11 +212,12 @@ ImageHeader read_header(const std::string& file) {
 void check_image_size(const ImageHeader& image_header, std::size_t file_bytes) {
     const std::int64_t rows = image_header.rows, columns = image_header.columns;
     if (rows <= 0 || columns <= 0 || image_header.channels.empty())
-        throw DataError(fmt::format("the image has {} x {} pixels and {} channels, expected at least one of each",
-                                    rows, columns, image_header.channels.size()));
-    if (rows > std::int64_t(kMaxPixels) / columns)
         throw DataError(
-            fmt::format("the image has {} x {} pixels, expected at most {} pixels", rows, columns, kMaxPixels));
+            fmt::format("the image has {} x {} pixels and {} channels, expected at least one of each", rows,
+                        columns, image_header.channels.size()));
+    if (rows > std::int64_t(kMaxPixels) / columns)
+        throw DataError(fmt::format("the image has {} x {} pixels, expected at most {} pixels", rows, columns,
+                                    kMaxPixels));
     const std::int64_t unpacked =
         (rows + image_header.rows_at_once - 1) / image_header.rows_at_once * image_header.rows_at_once;
     // Minimum uncompressed size in bytes, assuming half-precision channels.

@@ -48,8 +48,8 @@ public:
         arrow::RecordBatch layout;
         std::string_view body;
     };
-    /// Column, and the indices of its first node and its first buffer in each record
-    /// batch.
+    /// Column of the table. `node` and `buffer` are the indices of its first node and its
+    /// first buffer in each record batch.
     struct Column {
         arrow::Field field;
         std::size_t node = 0, buffer = 0;

@@ -180,7 +180,8 @@ std::vector<std::byte> unpack(const Archive& archive, const NpzEntry& entry) {
     if (entry.method == 0) {
         if (entry.size != entry.packed_size)
             throw DataError(
-                "the compressed and uncompressed sizes differ, although the entry is stored without compression");
+                "the compressed and uncompressed sizes differ, although the entry is stored without "
+                "compression");
         bytes.assign(packed.begin(), packed.end());
     } else if (entry.method == 8) {
         if (entry.size / kMaxExpansion > packed.size())
@@ -188,8 +189,8 @@ std::vector<std::byte> unpack(const Archive& archive, const NpzEntry& entry) {
                 fmt::format("the size is {} bytes, which is impossible for the compressed data", entry.size));
         bytes = inflate_bytes(packed, entry.size);
     } else {
-        throw DataError(fmt::format("the entry uses the compression method {}, expected 0 (stored) or 8 (deflated)",
-                                    entry.method));
+        throw DataError(fmt::format(
+            "the entry uses the compression method {}, expected 0 (stored) or 8 (deflated)", entry.method));
     }
     const auto crc = ::crc32_z(0, reinterpret_cast<const Bytef*>(bytes.data()), bytes.size());
     if (crc != entry.crc) throw DataError("the checksum of the data is wrong, so the file is damaged");

@@ -105,10 +105,10 @@ Header parse_header(const std::vector<std::byte>& file) {
         throw DataError(fmt::format("the file has {} bytes, expected at least 8", file.size()));
     std::memcpy(&size, file.data(), sizeof size);
     if (size > kMaxHeader)
-        throw DataError(fmt::format("its header has {} bytes, expected at most {}", size, kMaxHeader));
+        throw DataError(fmt::format("the header has {} bytes, expected at most {} bytes", size, kMaxHeader));
     if (size > file.size() - sizeof size)
-        throw DataError(fmt::format("its header should have {} bytes, but the file ends after {} bytes", size,
-                                    file.size() - sizeof size));
+        throw DataError(fmt::format("the header should have {} bytes, but the file ends after {} bytes of it",
+                                    size, file.size() - sizeof size));
     header.data_start = sizeof size + size;
     const char* text = reinterpret_cast<const char*>(file.data()) + sizeof size;
     header.json = Json::parse(

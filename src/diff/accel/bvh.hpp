@@ -60,9 +60,9 @@ public:
     shared::BvhPointers pointers() const;
     std::uint64_t memory_bytes() const;
     /// record_cost() submits a kernel that computes the cost of all trees with the
-    /// surface area heuristic, in m^2. read_cost() waits for the cost and returns it, or
-    /// nothing if record_cost() was not called since the last read_cost(). A rebuild is
-    /// useful if the cost is much higher than after the last build.
+    /// surface area heuristic, in m^2. read_cost() waits for this cost and returns it. It
+    /// returns nothing if record_cost() was not called since the last read_cost(). If the
+    /// cost is much higher than after the last build, a rebuild is useful.
     void record_cost(Stream& stream);
     std::optional<double> read_cost(Stream& stream);
     /// Waits for the device and copies the BVH to the host. All recorded commands must

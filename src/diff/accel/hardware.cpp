@@ -125,7 +125,7 @@ struct HardwareAccel::Impl {
     Kernel<shared::ProxyParams> proxies;
     Array<float> geometry;       ///< vertices [n,corners,3] or boxes [n,6]
     Array<std::uint32_t> reach;  ///< [1] maximum distance from a hit to the far side of its icosahedron
-    /// Triangle indices for the largest model. Smaller models use the first of them with
+    /// Triangle indices for the largest model. Smaller models use the first entries, with
     /// a different first vertex.
     Array<std::uint32_t> indices;
     std::vector<std::unique_ptr<Structure>> blas;  ///< one per model, null for a model without surfels

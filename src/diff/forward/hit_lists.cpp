@@ -67,10 +67,10 @@ void HitLists::make_hits(std::size_t n_lists) {
     if (room_ < wanted) grows_ = false;
 }
 
-/// Returns true if a ray had more hits than its list can contain. Such rays are slow,
-/// because kernel diff/forward/trace must render them, and the full device may wait for
-/// it. Reads the count only after its submission is finished, so that the host never
-/// waits here.
+/// Returns true if a ray had more hits than its list can contain. Such a ray is slow,
+/// because kernel diff/forward/trace must render it and the other threads of the device
+/// may wait for it. Reads the count only after its submission is finished, so that the
+/// host never waits here.
 bool HitLists::needs_more_room(Stream& stream) {
     if (!overflows_.pending() || impl_of(stream).last_ticket + 1 < counted_until_ + Stream::Impl::kSlots)
         return false;

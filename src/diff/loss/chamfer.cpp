@@ -14,7 +14,8 @@ namespace relidar {
 
 namespace {
 
-/// Rows and columns on three levels: points, tiles of points, groups of tiles.
+/// Sizes of an image in points, in tiles of points and in groups of tiles, as (rows,
+/// columns).
 struct Levels {
     glm::uvec2 tile{4, 8};  ///< number of points per tile, and of tiles per group
     glm::uvec2 points, tiles, groups;
@@ -36,8 +37,8 @@ struct Cloud {
     Array<glm::vec3, shared::GroupLows> group_low;
     Array<glm::vec3, shared::GroupHighs> group_high;
 
-    /// Allocates a point cloud. n / 4 + 1 tiles are always enough, because an image with
-    /// one column has the most tiles: ceil(n / 4). The same holds for groups of tiles.
+    /// Allocates a point cloud. An image with one column has the most tiles, ceil(n / 4),
+    /// so n / 4 + 1 tiles are always enough. This is also true for groups of tiles.
     Cloud(Device& device, std::size_t n, const std::string& what)
         : points(device, n, what + " points"),
           tile_low(device, n / 4 + 1, what + " tiles"),

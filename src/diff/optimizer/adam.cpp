@@ -86,7 +86,8 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g,
     for (const ParameterGroup& group : groups_of(p.parameters())) {
         const std::uint32_t stride = group.floats(), block = group.harmonics ? group.row[1] : stride;
         const std::uint32_t n_active = group.harmonics ? active_harmonics : block, n_blocks = stride / block;
-        // Factor on the learning rate of each block's columns, except the first column.
+        // For spherical harmonics, the learning rate of all coefficients except the
+        // constant one has this factor.
         const double rest_factor = group.harmonics ? rates.sh_rest_factor : 1.0;
         const std::size_t from = std::size_t(first) * stride;
         const bool by_model = group.rate == &LearningRates::mean && !rates.mean_factors.empty();

@@ -54,7 +54,7 @@ void check_pose(const Pose& pose, const std::string& where) {
 void check_track(const PoseTrack& track, const std::string& where) {
     if (track.pose.empty() || track.pose.size() != track.time_s.size())
         fail(where, fmt::format("{} poses and {} times", track.pose.size(), track.time_s.size()),
-             "at least one pose and one time for each pose");
+             "at least one pose, and as many times as poses");
     for (std::size_t k = 0; k < track.pose.size(); ++k) {
         const double before = k == 0 ? -INFINITY : track.time_s[k - 1];
         if (!std::isfinite(track.time_s[k]) || !(track.time_s[k] > before))
@@ -76,7 +76,7 @@ void check_lidars(const Sequence& sequence) {
         const SpinningSensor& sensor = lidar.sensor;
         if (sensor.beams.empty() != (sensor.columns == 0))
             fail(where, fmt::format("{} beams and {} columns", sensor.beams.size(), sensor.columns),
-                 "both above 0, or both 0 for a sensor that does not spin");
+                 "both numbers above 0, or both 0 for a sensor that does not spin");
         if (!(sensor.period_s >= 0.0 && sensor.period_s < kLongestOffset_s))
             fail(where, fmt::format("a period of {} s", sensor.period_s),
                  fmt::format("a period from 0 to {} s", kLongestOffset_s));
@@ -127,7 +127,7 @@ void check_sizes(const Scan& scan, const std::string& where) {
     const auto check = [&](const char* field, std::size_t size) {
         if (size != n)
             fail(fmt::format("{}, {}", where, field), fmt::format("{} entries", size),
-                 fmt::format("{} x {}", rays.rows, rays.columns));
+                 fmt::format("{} x {} entries", rays.rows, rays.columns));
     };
     check("rays.origin", rays.origin.size());
     check("rays.direction", rays.direction.size());
@@ -161,8 +161,8 @@ void check_scan(const Scan& scan, std::size_t n_beams, const std::string& where)
         if (!(std::abs(glm::length(direction) - 1.0) <= kUnit))
             fail(ray("rays.direction"), fmt::format("length {}", glm::length(direction)), "length 1");
         if (!(std::abs(scan.rays.time_offset_s[i]) <= kLongestOffset_s))
-            fail(ray("rays.time_offset_s"), fmt::format("{}", scan.rays.time_offset_s[i]),
-                 fmt::format("at most {} s before or after the time of the frame", kLongestOffset_s));
+            fail(ray("rays.time_offset_s"), fmt::format("{} s", scan.rays.time_offset_s[i]),
+                 fmt::format("an offset of at most {} s from the time of the frame", kLongestOffset_s));
         if (n_beams > 0 && scan.rays.channel[i] >= n_beams)
             fail(ray("rays.channel"), fmt::format("{}", scan.rays.channel[i]),
                  fmt::format("the index of one of {} beams", n_beams));
@@ -191,8 +191,8 @@ void check_boxes(const Sequence& sequence) {
         if (box.id.empty() || !ids.insert(box.id).second)
             fail(where, "an id that is empty or occurs twice", "a different id for each box");
         if (!is_finite(box.size_m) || !(std::min({box.size_m.x, box.size_m.y, box.size_m.z}) > 0.0))
-            fail(where, fmt::format("a size of {} x {} x {} m", box.size_m.x, box.size_m.y, box.size_m.z),
-                 "three lengths above 0");
+            fail(where, fmt::format("the box size {} x {} x {} m", box.size_m.x, box.size_m.y, box.size_m.z),
+                 "a length, a width and a height above 0 m");
         check_track(box.world_from_box, where);
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
             const double t_s = box.world_from_box.time_s[k];

@@ -10,7 +10,8 @@
 namespace relidar {
 namespace {
 
-// Ranges with a smaller relative difference are equal except for rounding.
+// Two ranges count as equal if their relative difference is smaller than this. Such
+// differences are rounding errors.
 constexpr float kSameRange = 1e-5f;
 // The maximum range of a sensor is assumed to be a multiple of this length.
 constexpr float kRound_m = 0.5f;

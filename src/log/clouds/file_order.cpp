@@ -72,8 +72,8 @@ std::vector<std::uint16_t> number_turns(const std::vector<double>& turned, doubl
         first_turn = std::min(first_turn, std::floor((t - first_rad) / (2.0 * kPi)));
     int last = 0;
     for (const double t : turned) {
-        // The number must not decrease, because rounding may move a point back across the
-        // start of its ring.
+        // Rounding may put the first point of a ring into the previous ring. Therefore
+        // the ring number must never decrease.
         last = std::max(last, int(std::floor((t - first_rad) / (2.0 * kPi)) - first_turn));
         turns.push_back(std::uint16_t(std::min(last, int(kMostOrderedRings))));
     }

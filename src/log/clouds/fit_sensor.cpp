@@ -27,8 +27,8 @@ constexpr double kTried = 0.03;
 // Minimum of |S_r| divided by the number of points. If the value is smaller, the azimuths
 // are not on a regular grid.
 constexpr double kCoherent = 0.5;
-// Maximum ratio of the number of columns to its estimate. Used if a ring has more points
-// than the estimate.
+// A ring may have more points than the estimated number of columns. The number of columns
+// is then increased, at most by this factor.
 constexpr double kMostColumns = 1.1;
 constexpr std::size_t kFewestSteps = 16;
 constexpr std::size_t kMostRings = 4096;
@@ -85,8 +85,8 @@ std::vector<std::optional<double>> elevations_of(const std::vector<Points>& scan
 }
 
 /// Estimates the number of columns per revolution from the azimuth steps between
-/// neighbouring points of a ring. A step across dropped rays spans several columns. So
-/// the function uses the lower quartile of the steps.
+/// neighbouring points of a ring. Uses the lower quartile of the steps, because a step
+/// across dropped rays spans several columns.
 int columns_by_steps(const Points& scan, const Rings& rings) {
     std::vector<double> steps;
     for (const Ring& ring : rings) {

@@ -241,7 +241,7 @@ Head read_head(const fs::path& folder, double max_range_m) {
     Head head;
     head.name = text_or(root, "name", folder.filename().string());
     head.conventions =
-        text_or(root, "conventions", "sensor x forward, y left, z up; metres; a plain folder", kLongestText);
+        text_or(root, "conventions", "Sensor frame: x forward, y left, z up, in metres.", kLongestText);
     head.notes = texts_or_none(root, "notes");
     head.lidars = read_lidars(root, file, folder, max_range_m);
     if (root.has("frames") == root.has("rate_hz"))

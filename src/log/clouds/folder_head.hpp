@@ -94,8 +94,8 @@ std::optional<std::vector<Pose>> read_poses(const std::filesystem::path& file,
                                             std::vector<std::string>& notes);
 
 /// Reads the boxes from boxes.json. Returns no boxes if the file does not exist. If only
-/// some frames of the log are loaded, ignores labels before the first and after the last
-/// of them.
+/// some frames of the log are loaded, ignores all labels outside the time of these
+/// frames.
 /// @param all  all frames of the log, because labels can refer to frames by number
 std::vector<BoxTrack> read_boxes(const std::filesystem::path& file, const std::vector<HeadFrame>& frames,
                                  const std::vector<HeadFrame>& all);

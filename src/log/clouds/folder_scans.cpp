@@ -410,8 +410,8 @@ IntensityScale scale_of_images(const std::vector<fs::path>& files) {
 }
 
 /// Estimates the units that sequence.json does not state, from the points of some scans.
-/// If the scale of the intensities is ambiguous, leaves it unset. Then an intensity above
-/// 1 is an error.
+/// If the scale of the intensities is ambiguous, it stays unset, and an intensity above 1
+/// is an error later.
 void find_units(Head& head, const std::vector<fs::path>& files, std::vector<std::string>& notes) {
     const std::vector<PointTable> samples = sample_tables(files, head.units.columns);
     PointMeaning meaning = find_meaning(samples);

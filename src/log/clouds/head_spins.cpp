@@ -10,12 +10,11 @@
 namespace relidar {
 namespace {
 
-// Maximum spread of the elevations in a ring of a spinning LiDAR. The spread is the
-// difference between the 10th and the 90th percentile. Only the farther half of the
-// points is used.
+// Maximum spread of the elevations in a ring of a spinning LiDAR, as the difference
+// between the 10th and the 90th percentile. Only the farther half of the points is used.
 constexpr double kMostSpread_rad = 1.5 * kPi / 180.0;
-// A larger azimuth range without points means a limited field of view. A smaller range
-// may be blocked by the vehicle.
+// Minimum azimuth range without points of a sensor with a limited field of view. A
+// smaller range may be blocked by the vehicle.
 constexpr double kLeastGap_rad = kPi / 3.0;
 // Maximum difference between the period of revolution and the time between scans,
 // relative to the time between scans.

@@ -31,9 +31,9 @@ std::vector<glm::vec4> read_scan(const std::filesystem::path& file);
 std::string note_gaps(const std::filesystem::path& folder, const std::vector<int>& frames,
                       bool allow_missing);
 
-/// Returns an error text for a folder that is not a drive. The text says what the folder
-/// is and which folder to use instead. Knows a KITTI odometry sequence, a folder of
-/// drives, and a folder inside a drive.
+/// Returns an error message for a folder that is not a drive. The message says what the
+/// folder is and which folder to use instead. Recognises a KITTI odometry sequence, a
+/// folder of drives, and a folder inside a drive.
 /// @param marker  subfolder that every drive has
 /// @return empty string if the folder is none of these
 std::string describe_stranger(const std::filesystem::path& folder, const std::string& marker);

@@ -16,8 +16,8 @@ namespace {
 // Minimum forward component for a vehicle that drives forward. The component is the mean
 // over all steps, along the x axis of the vehicle.
 constexpr double kForward = 0.9;
-// Another reading of the poses must be better by these amounts: in the mean forward
-// component, and in the overlap of the scans.
+// Another meaning of the poses is chosen only if it is better by these amounts: in the
+// mean forward component, and in the overlap of the scans.
 constexpr double kMoreForward = 0.3, kMoreOverlap = 0.02;
 // minimum number of steps that is needed to find the driving direction
 constexpr std::size_t kFewestSteps = 3;

@@ -104,9 +104,9 @@ struct PointFormat {
 void read_points(Sequence& sequence, const std::vector<std::filesystem::path>& files, PointFormat format,
                  const DatasetOptions& options);
 
-/// Intensity that is scaled to 1, for datasets that do not document it. The value is 1 if
-/// no intensity is larger. Otherwise it is 255 if no intensity is larger than 255.
-/// Otherwise it is a value that only few intensities exceed.
+/// Intensity that is scaled to 1, for datasets that do not document it. If all
+/// intensities are at most 1, the value is 1. If all are at most 255, it is 255.
+/// Otherwise only few intensities exceed the value.
 struct Brightness {
     double most = 1.0;
     std::string about;  ///< text for a note, used if larger intensities are clamped to 1

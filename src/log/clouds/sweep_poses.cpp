@@ -17,7 +17,7 @@ constexpr double kStep_s = 1e-3;
 // Minimum size of a correction. Smaller corrections are skipped, because range errors of
 // sensors are ten times larger.
 constexpr double kLeast_m = 1e-3;
-// distance from the sensor at which the effect of a rotation is computed
+// The effect of a rotation is measured as the shift of a point at this distance.
 constexpr double kReach_m = 50.0;
 
 /// Returns the maximum distance by which a correction moves a point. The point is at most

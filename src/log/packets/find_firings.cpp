@@ -115,8 +115,8 @@ void correct_empty_times(std::vector<FiredColumn>& columns, double period_s) {
     }
 }
 
-/// Sorts firings by the angle through which the head has turned. Does not sort by time,
-/// because the times of a log may jitter. The times only tell full turns apart.
+/// Sorts firings by the angle through which the head has turned. The times of a log may
+/// jitter, so they are used only to distinguish full turns.
 void sort_by_rotation(std::vector<FiredColumn>& columns, double period_s) {
     const FiredColumn middle = columns[columns.size() / 2];
     const auto turns_since = [&](const FiredColumn& column) {
@@ -137,8 +137,9 @@ std::vector<FiredColumn> find_firings(const Scan& scan, double time_s, const Spi
             fmt::format("cannot write packets of {}: the rays of a scan were fired within {:.3g} s, "
                         "expected the {:.3g} s of a turn; motion-compensated scans have no firing times",
                         sensor.name, last - first, sensor.period_s));
-    // In a log, each laser of a firing has a time. In a rendered scan, all lasers of a
-    // firing have the same time. Check which case fits the times better.
+    // In a log, each laser of a firing may have a different time. In a rendered scan, all
+    // lasers of a firing have the same time. Check which of the two cases fits the times
+    // better.
     const std::vector<double> no_offset(offset_us.size(), 0.0);
     const bool has_laser_times = time_spread(scan, image, offset_us) < time_spread(scan, image, no_offset);
     const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);

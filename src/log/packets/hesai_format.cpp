@@ -55,7 +55,8 @@ public:
         std::vector<std::string> lines(blocks_.layout().lasers());
         for (std::size_t ring = 0; ring < lines.size(); ++ring) {
             const Beam& beam = sensor_.beams[ring];
-            // azimuth of the beam, without the rotation of the head until the laser fires
+            // azimuth of the beam when the head points ahead; the rotation of the head
+            // between the start of the block and the firing of the laser is subtracted
             const double azimuth_rad =
                 -beam.azimuth_offset_rad - 2e-6 * kPi / sensor_.period_s * blocks_.offsets_us()[ring];
             const std::size_t laser = blocks_.laser_of(ring);

@@ -109,7 +109,7 @@ struct PacketEncoder::Impl {
     }
 
     /// Returns the position of a firing minus the position of the last firing. Returns 0
-    /// if the firing has no returns and its position already has a firing.
+    /// for a firing without returns whose position already has a firing.
     std::int64_t steps_to(const FiredColumn& firing) const {
         const double steps = steps_between(*last, firing);
         if (steps < 1.0 && !firing.has_returns) return 0;
@@ -122,8 +122,8 @@ struct PacketEncoder::Impl {
         return std::int64_t(steps);
     }
 
-    /// Returns the position of the first firing. In a log, packet times jitter, and the
-    /// time jumps at the start of a packet. Uses such a jump, so that the new packets
+    /// Returns the position of the first firing. In a log, the times of packets jitter,
+    /// and the time jumps where a packet starts. If such a jump is found, the new packets
     /// start at the same firings as the packets of the log.
     std::int64_t first_position(const std::vector<FiredColumn>& firings_of_scan) const {
         if (has_columns()) return column_of(firings_of_scan.front());
@@ -141,9 +141,10 @@ struct PacketEncoder::Impl {
         return firings() - start;
     }
 
-    /// Returns the maximum number of positions in a gap that is filled with firings
-    /// without returns. Such gaps are normal in a log: it omits firings without returns
-    /// at the end of a turn, and its frames may be longer apart than one turn.
+    /// Returns the maximum number of consecutive firings that a log may lack. The encoder
+    /// adds these firings without returns. Logs contain such gaps, because they store no
+    /// firings without returns at the end of a turn, and frames may be farther apart than
+    /// one turn.
     std::int64_t longest_gap() const {
         return std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / cycle_s());
     }
@@ -172,9 +173,9 @@ struct PacketEncoder::Impl {
         pending[std::size_t(position % firings())] = std::move(firing);
     }
 
-    /// Fills the positions between the last firing and the next firing. Used for a sensor
-    /// that can fire at any azimuth. Assumes that the head turns evenly between the two
-    /// azimuths.
+    /// Fills the positions between the last firing and the next firing with firings
+    /// without returns. Used for a sensor that can fire at any azimuth. Assumes that the
+    /// head turns evenly between the two azimuths.
     void fill_gap(const FiredColumn& next, std::int64_t position) {
         const double turned_deg = std::remainder(next.azimuth_deg - last->azimuth_deg, 360.0);
         const double n = double(position - last->position);

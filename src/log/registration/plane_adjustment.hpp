@@ -26,7 +26,8 @@ struct PlaneMap {
 /// Prior for the corrections of poses, as weights relative to the weight of one point.
 struct CorrectionPrior {
     Vector6 pull = Vector6::Zero();  ///< weight of the term that pulls each correction to zero
-    /// weight of the term that pulls two corrections to each other, for poses 0.1 s apart
+    /// weight of the term that makes the corrections of two poses similar; valid for
+    /// poses 0.1 s apart
     Vector6 link = Vector6::Zero();
 };
 

@@ -20,7 +20,7 @@ constexpr int kFits = 4;
 constexpr double kSpread = 0.12;
 // Minimum standard deviation of the points along the narrower axis of a plane, relative
 // to the scale of the robust kernel. If poses are wrong, the points of a single beam form
-// a ribbon that is narrower than this limit. A ribbon is not a surface.
+// a ribbon that is narrower than this limit and is not a surface.
 constexpr double kSpreadScale = 0.8;
 // minimum share of the points that are closer to the plane than the scale of the robust
 // kernel

@@ -32,9 +32,10 @@ constexpr double kStanding_m = 3.0;  // a box that moves farther than this is no
 constexpr int kNeighbours = 3;       // number of poses on each side that are used to interpolate a pose
 constexpr double kLongestGap_s = 1.0;
 
-/// Returns the weights of the prior for pose corrections. The weight of one point is 1. A
-/// weight is the squared ratio of the error of a point (0.05 m) and the expected error of
-/// a label (0.15 m, 2 degrees), or its expected change within 0.1 s (0.05 m, 1 degree).
+/// Returns the weights of the prior for pose corrections, where a point has the weight 1.
+/// Each weight is a squared ratio. The numerator is the error of a point (0.05 m). The
+/// denominator is the expected error of a label (0.15 m, 2 degrees), or its expected
+/// change within 0.1 s (0.05 m, 1 degree).
 CorrectionPrior correction_prior() {
     const double pull_m = std::pow(0.05 / 0.15, 2), pull_rad = std::pow(0.05 / 0.035, 2);
     const double link_m = std::pow(0.05 / 0.05, 2), link_rad = std::pow(0.05 / 0.017, 2);

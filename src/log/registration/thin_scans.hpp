@@ -11,8 +11,8 @@
 namespace relidar {
 
 /// Sweeps to register: one for each sweep time of the LiDAR with the most returns. A
-/// sweep includes the frames of other LiDARs with the same time. The poses of LiDARs with
-/// other sweep times are interpolated.
+/// sweep includes the frames of other LiDARs with the same time. For LiDARs with other
+/// sweep times, the poses are interpolated.
 struct Sweeps {
     PoseTrack track;                       ///< [sweeps] poses of the vehicle before registration
     std::vector<std::size_t> pose;         ///< [sweeps] index in Sequence::world_from_vehicle, ascending

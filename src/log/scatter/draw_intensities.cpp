@@ -18,8 +18,8 @@ namespace {
 
 constexpr int kTileColumns = 64;  // Number of columns of a tile. Each tile has one row.
 /// A tile depends on the tile to its left. It also depends on up to kAhead columns to the
-/// right in the rows above. So tile t of row r needs tile t + 1 of row r - 1. All tiles
-/// with the same value of 2 r + t are independent of each other.
+/// right in the rows above, so tile t of row r needs tile t + 1 of row r - 1. Therefore
+/// all tiles with the same value of 2 r + t are independent of each other.
 static_assert(scatter_detail::kAhead <= kTileColumns);
 
 const IntensityScatter::Node& leaf_of(const IntensityScatter& scatter, const scatter_detail::Context& context,

@@ -29,9 +29,9 @@ using scatter_detail::kFeatures;
 
 constexpr std::size_t kMostReturns = 2000000, kFewestReturns = 1000;
 constexpr std::size_t kFewestOfLeaf = 50;
-// Minimum gain for a split. Twice the gain is chi-square distributed with 23 degrees of
-// freedom. If the features are unrelated to the intensity, the gain of the best split
-// exceeds this limit in 1 of 100 cases.
+// Minimum gain in log-likelihood for a split. If the features are unrelated to the
+// intensity, twice the gain is chi-square distributed with 23 degrees of freedom. The
+// gain of the best split then exceeds this limit in 1 of 100 cases.
 constexpr double kLeastGain = 20.0;
 constexpr std::size_t kClasses = 24, kBins = 64;
 constexpr std::size_t kQuantileReturns = 100000;  // number of returns from which quantiles are computed

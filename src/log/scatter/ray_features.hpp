@@ -29,8 +29,8 @@ struct Window {
 constexpr std::array<Step, 4> kBeside{{{0, -1}, {0, 1}, {-1, 0}, {1, 0}}};
 constexpr std::array<Window, 2> kSmoothed{{{{0, -4}, {0, 4}}, {{-2, 0}, {2, 0}}}};
 /// Offsets of earlier rays whose residuals (known minus rendered intensity) are features.
-/// The lasers of a LiDAR fire alternately. Therefore the second ray along a beam or above
-/// is more similar than the first ray.
+/// The lasers of a LiDAR fire alternately. Therefore the second ray in a direction is
+/// more similar than the first ray.
 constexpr std::array<Step, 7> kResiduals{{{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, 0}, {-2, 0}, {-4, 0}}};
 constexpr std::array<Step, 10> kLevels{
     {{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, -1}, {-1, 0}, {-1, 1}, {-2, -1}, {-2, 0}, {-2, 1}}};
@@ -57,7 +57,7 @@ constexpr std::size_t kFeatures = kOwn + 2 * kBeside.size() + kSmoothed.size() +
                                   kLevels.size() + kMeans.size() + kSizes.size();
 using Features = std::array<float, kFeatures>;
 
-/// Computes the features of rays in a scan. Only some intensities of the scan are already
+/// Computes the features of rays in a scan in which the intensities of some rays are
 /// known.
 class Context {
 public:

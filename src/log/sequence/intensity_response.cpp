@@ -65,7 +65,7 @@ std::pair<std::size_t, double> knot_at(double range_m) {
 }
 
 /// Divides the returns into chunks for parallel sums. All returns of a place are in one
-/// chunk. Returns the begin of each chunk and the end of the last chunk.
+/// chunk. Returns the first index of each chunk, followed by the number of returns.
 std::vector<std::size_t> chunk_bounds(const std::vector<PlaceReturn>& seen) {
     std::vector<std::size_t> bounds{0};
     for (std::size_t c = 1; c < kChunks; ++c) {
@@ -159,8 +159,8 @@ struct System {
 /// neighbouring structs.
 struct alignas(64) Sums {
     System system;
-    // coupling between the albedo of the current place and each unknown; zero before and
-    // after each place
+    // [unknowns] product terms of the albedo of the current place with each unknown; all
+    // are zero before and after a place
     std::vector<double> coupling;
     std::vector<Eigen::Index> touched;  // unknowns that are coupled to the current place
     double sum = 0.0, squares = 0.0;    // sum and sum of squares of the expected intensities

@@ -286,8 +286,8 @@ struct HeadTurn {
 
 std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor& sensor) {
     // Minimum length of the mean phasor. If the mean phasor is shorter, the rays do not
-    // come from one rotating head. Azimuth offsets of beams and uneven rotation reduce
-    // the length only slightly.
+    // come from one rotating head. Azimuth offsets of beams and an uneven rotation make
+    // the mean phasor only slightly shorter than 1.
     constexpr double kTogether = 0.9;
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;

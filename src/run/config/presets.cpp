@@ -59,7 +59,8 @@ Config standard() {
     // The beams of an HDL-64E differ in range by centimetres, and in intensity more than
     // different surfaces do.
     config.sensor.calibrate = "range,intensity";
-    // small voxels give sharp silhouettes: surfels overhang an edge by about their size
+    // Small voxels give sharp silhouettes, because surfels extend beyond an edge by about
+    // their size.
     config.init.voxel_m = 0.1;
     config.init.voxel_growth = 0.006;    // approximately the spacing of neighbouring rays
     config.init.normal_neighbours = 24;  // 6 points with noise of 2 cm would tilt a normal by 0.1 rad
@@ -75,16 +76,18 @@ Config standard() {
     config.init.second_returns = true;
     // a smaller value would leave holes between the rings of a 32-beam log
     config.init.max_gap_m = 2.0;
-    // Used only for 3D Gaussians, which reach the range error of surfels with it.
+    // Used only for 3D Gaussians. With this value, they reach the same range error as
+    // surfels.
     config.init.thickness = 0.05;
     config.image.sh_direction = ShDirection::surfel;
     config.image.transmittance_min = 1e-3f;
-    // the Huber loss estimates means, and the L1 loss would estimate medians
+    // The Huber loss estimates mean intensities. The L1 loss would estimate medians.
     config.loss.intensity = 0.3f;
     config.loss.intensity_delta = 0.2f;  // lowers the RMSE of held-out intensities
-    // without this, a blending weight of 0.97 would move every surface by 3 % (range D)
+    // Without normalisation, a blending weight of 0.97 would move every surface by 3 %.
     config.loss.normalised_depth = true;
-    // off: the loss would change metrics by less than 1 % and make a step 10 % slower
+    // The Chamfer loss is off, because it changes metrics by less than 1 % and makes a
+    // step 10 % slower.
     config.loss.chamfer = 0.0f;
     config.loss.opacity = 0.1f;      // closes holes; the normalised range alone does not close them
     config.loss.likelihood = 0.05f;  // this loss lowers the Chamfer distance and the median range error
@@ -107,7 +110,8 @@ Config standard() {
     config.render.range = "normalised";
     // renders with the measured head angles, because heads rotate unevenly
     config.render.follow_sweeps = true;
-    // a single pass is nearly always enough, because rays stop at low transmittance
+    // A single traversal pass is nearly always enough, because rays stop at a low
+    // transmittance.
     config.trace.chunk = 64;
     return config;
 }

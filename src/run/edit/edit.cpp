@@ -119,7 +119,7 @@ void check_trajectory(const PoseTrack& track, const std::string& id) {
     };
     if (track.pose.size() < 2 || track.pose.size() != track.time_s.size())
         fail(fmt::format("{} poses at {} times", track.pose.size(), track.time_s.size()),
-             "at least two of each and the same number of both");
+             "at least two poses, and as many times as poses");
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         const glm::dvec3& p = track.pose[i].translation;
         if (!std::isfinite(track.time_s[i] + p.x + p.y + p.z + glm::length(track.pose[i].rotation)))

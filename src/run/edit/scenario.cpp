@@ -173,7 +173,7 @@ PoseTrack read_polyline(const Source& source, const Action& action, const std::s
         source.fail(where,
                     fmt::format("a start time of {} s, which is after the time {} s of the first vertex",
                                 *action.start_s, track.time_s.front()),
-                    "a start at or before the first vertex");
+                    "a start time at or before the time of the first vertex");
     return track;
 }
 

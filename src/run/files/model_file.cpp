@@ -92,7 +92,7 @@ void read_layout(const JsonField& layout, Scene& scene) {
                            count = m.at("count").integer(0, kMaxSurfels);
         if (first != next)
             m.at("first").fail(fmt::format("found {}", first),
-                               fmt::format("expected {}, which is the end of the previous model", next));
+                               fmt::format("expected {}, the first surfel after the previous model", next));
         next = first + count;
         scene.models.push_back({m.at("name").text(), static_cast<std::uint32_t>(first),
                                 static_cast<std::uint32_t>(count), read_half_size(m), read_stride(m),

@@ -94,8 +94,8 @@ Json frames_json(const Sequence& sequence, const Split& split) {
     return frames;
 }
 
-/// Checks that all numbers of a field are within a limit.
-/// @throws DataError if a number is larger than the limit
+/// Checks that the absolute values of all numbers are at most `limit`.
+/// @throws DataError for the first larger number
 void check_within(const JsonField& field, std::initializer_list<double> values, double limit) {
     for (const double v : values)
         if (std::abs(v) > limit)

@@ -34,7 +34,8 @@ struct ActorScores {
 ActorScores actor_scores(const RangeImage& rendered, const std::vector<float>& points_m,
                          const RangeImage& real, const Sequence& sequence, const SweepMoment& seen);
 
-/// Combines the scores of each actor over several frames (see Evaluation::actors).
+/// Combines the scores of each actor over several frames. Numbers of points are summed.
+/// Other metrics are means, weighted by the number of real points.
 /// @param frames [frames][actors]
 std::vector<ActorScore> over_frames(const std::vector<std::vector<ActorScore>>& frames);
 

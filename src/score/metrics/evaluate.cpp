@@ -50,8 +50,10 @@ struct ImagePair {
     double peak;
 };
 
-/// Returns both images with all pixels. A pixel is 0 if it is dropped at the given
-/// threshold.
+/// Returns the rendered and the real range image with all pixels. Sets the range of
+/// dropped pixels to 0.
+/// @param threshold  a rendered pixel is dropped if its drop probability is not below
+/// this value
 ImagePair depth_pair(const RangeImage& rendered, const RangeImage& real, double threshold,
                      double max_range_m) {
     return {masked(rendered.range_m, not_dropped(rendered, threshold), max_range_m),

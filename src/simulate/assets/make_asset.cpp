@@ -48,9 +48,9 @@ bool can_show(const Surfels& surfels, std::size_t i, const Model& model, const I
     return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[i])) >= image.alpha_min;
 }
 
-/// Completes a symmetric object. If one side of a pair of mirrored patches was observed
-/// and the other was not, replaces the surfels of the unobserved side. The new surfels
-/// are the mirror image of the observed side.
+/// Completes an actor that is nearly symmetric. If only one of two mirrored surface
+/// patches was observed, replaces the surfels of the unobserved patch by the mirror image
+/// of the observed patch.
 /// @return number of surfels that were added
 std::size_t complete(Surfels& surfels, const BoxSurface& surface) {
     std::vector<std::uint32_t> kept, copied;
@@ -84,8 +84,8 @@ Sequence frames_of(const Sequence& log, const BoxTrack& box) {
     return sequence;
 }
 
-/// Returns the share of each side that has surfels. This is the observed share. For
-/// vehicles, the share that was completed by mirroring is added.
+/// Returns the share of each side of a box that has surfels. This is the observed share.
+/// For vehicles, it also includes the share that was completed by mirroring.
 SideShares known_sides(const BoxSurface& surface, ObjectKind kind) {
     SideShares shares{};
     for (std::size_t s = 0; s < kBoxSides; ++s)

@@ -31,10 +31,10 @@ RayTable split_rays(const RayTable& rays, int n, double divergence_rad);
 /// @param parts scan of split_rays(rays, config.sub_rays, ...)
 RenderedScan join_footprints(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config);
 
-/// Number of sub-rays of a beam that hits several surfaces. Nine sub-rays are too few: a
-/// surface with a tenth of the light is hit by only one sub-ray or none. At a straight
-/// edge, one outer sub-ray of nine reports a surface that covers only 2.6 % of the
-/// footprint.
+/// Number of sub-rays of a beam that hits several surfaces. Nine sub-rays would be too
+/// few. A surface with a tenth of the light would be hit by only one of them or by none.
+/// At a straight edge, one outer sub-ray would report a surface that covers only 2.6 % of
+/// the footprint.
 inline constexpr int kEdgeParts = 40;
 
 /// Returns the indices of the beams that hit several surfaces. The sub-rays of such a

@@ -18,9 +18,9 @@ namespace relidar {
 
 class SensorRays;
 
-/// Number of rays that are sampled to estimate RenderedScan::unseen_share. This is the
-/// share of rays through space that the log did not observe. The error of the estimate is
-/// one or two percent.
+/// Number of rays that are sampled to estimate the share of rays through space that the
+/// log did not observe. With this number, the error of the estimate is one or two
+/// percent.
 inline constexpr std::size_t kAskedRays = 1024;
 
 /// Options for computing the points of a scan.
@@ -48,7 +48,8 @@ public:
     explicit PointsOnDevice(Device& device);
     /// Records GPU commands that compute the points of a measured scan and copy them to
     /// the host.
-    /// @param n_capped see ForwardPass::pass_cap_count()
+    /// @param n_capped device counter of the rays that reached the maximum number of
+    /// traversal passes
     /// @return host buffers that receive the points; they are reused when the caller
     /// releases them
     std::shared_ptr<Slot> record(Stream& stream, const SensorRays& rays, const PointMaking& how,

@@ -35,7 +35,8 @@ struct RenderLane {
     explicit RenderLane(Device& device) : known_rays{std::make_shared<SensorRays>(device)}, points(device) {}
     /// Returns the rays of a sensor as arrays on the device. Keeps these rays on the
     /// device for the next scans of the same sensor.
-    /// @param never_seen see SensorRays::take()
+    /// @param never_seen returns the probability that the sensor never gets a return
+    /// along a ray
     std::shared_ptr<SensorRays> upload(Device& device, const SensorChoice& sensor, const RayTable& table,
                                        const std::function<float(std::size_t)>& never_seen);
 };

@@ -18,7 +18,8 @@ struct ScanSettings {
     Weather weather = {};
 };
 
-/// Steps of a scan. Rays are always traced and measured on the device.
+/// Describes which steps the rendering of a scan consists of. In every scan, the device
+/// traces the rays.
 struct ScanPlan {
     /// Number of sub-rays and number of returns of each beam. The host joins the sub-rays
     /// of a beam.

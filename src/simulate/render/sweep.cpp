@@ -24,17 +24,18 @@ void check_track(const PoseTrack& track, const std::string& thing) {
     };
     const std::size_t n = track.pose.size();
     if (n == 0 || n != track.time_s.size())
-        fail(fmt::format("{} poses at {} times", n, track.time_s.size()),
-             "the same number of both, and at least one");
+        fail(fmt::format("{} poses and {} times", n, track.time_s.size()),
+             "the same number of poses and times, and at least one");
     for (std::size_t i = 0; i < n; ++i) {
         const auto& [q, t] = track.pose[i];
         bool is_pose = std::abs(glm::length(q) - 1.0) < 1e-3;
         for (const double x : {t.x, t.y, t.z, track.time_s[i]}) is_pose = is_pose && std::abs(x) <= kFarthest;
         if (!is_pose)
             fail(fmt::format("an invalid pose at entry {}", i),
-                 "a unit quaternion, and metres and seconds of at most 1e10");
+                 "a unit quaternion, and coordinates and times of at most 1e10");
         if (i > 0 && !(track.time_s[i] > track.time_s[i - 1])) {
-            fail(fmt::format("time {} after {}", track.time_s[i], track.time_s[i - 1]), "increasing times");
+            fail(fmt::format("the time {} s after the time {} s", track.time_s[i], track.time_s[i - 1]),
+                 "increasing times");
         }
     }
 }

@@ -15,9 +15,9 @@ namespace {
 
 // Latest time of a ROS time stamp, whose seconds have 31 bits.
 constexpr double kLatest_s = 2147483647.0;
-// Interval between recorded poses in seconds. Readers interpolate between two poses. The
-// interpolation error is 0.03 mm for a sensor that is 2 m from the vehicle's origin and
-// turns with 1 rad/s.
+// Interval between recorded poses in seconds. Readers interpolate between two recorded
+// poses. For a sensor that is 2 m from the vehicle's origin and turns with 1 rad/s, the
+// interpolation error is 0.03 mm.
 constexpr double kPoseStep_s = 0.01;
 constexpr double kVelocityStep_s = 0.005;
 

@@ -21,7 +21,7 @@ struct PlacedScan {
     const ScanFormat& format;
     int frame;                                 ///< frame number of the dataset
     std::vector<glm::vec3> origin, direction;  ///< [n] in the frame of the file
-    /// [n] end points of the rays in the frame of the file (see PointsOf::rays)
+    /// [n] end points of the rays in the frame of the file
     std::vector<glm::vec3> end_m;
     /// optional channels with [n] values each; vectors are in the frame of the file
     std::vector<ScanChannel> channels;

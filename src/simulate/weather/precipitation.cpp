@@ -33,9 +33,9 @@ Particles drops_of(const Weather& weather) {
     return {PointSource::rain, 8000.0, 4.1 * std::pow(weather.rain_mm_h, -0.21), 1.0, 0.02};
 }
 
-/// Returns the size distribution of snowflakes by melted diameter (Gunn and Marshall
-/// 1958). A flake is wider than its melted drop, because its density is a tenth of the
-/// density of water.
+/// Returns the size distribution of snowflakes by the diameter of the melted flake (Gunn
+/// and Marshall 1958). A flake is wider than its melted drop, because the density of a
+/// flake is a tenth of the density of water.
 Particles flakes_of(const Weather& weather) {
     return {PointSource::snow, 3.8e3 * std::pow(weather.snow_mm_h, -0.87),
             2.55 * std::pow(weather.snow_mm_h, -0.48), std::cbrt(10.0), 0.25};

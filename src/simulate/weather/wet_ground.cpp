@@ -152,7 +152,7 @@ double mean_mirrored() {
     return sum;
 }
 
-/// What wet ground changes for a ray that hits the ground.
+/// Effect of wet ground on a ray that hits the ground.
 struct WetRay {
     double through_water = 1.0;  // brightness of the wet ground relative to the dry ground
     Echo mirrored{};  // return of the object that the ray hits after the water has mirrored the ray

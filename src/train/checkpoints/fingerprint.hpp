@@ -26,7 +26,7 @@ struct Mark {
 /// so that the first difference explains best why two logs differ.
 std::vector<Mark> marks_of(const Sequence& sequence, const Split& split);
 /// Returns a hash of all surfels of a scene, including its blocks.
-/// @throws DataError like read_block()
+/// @throws DataError if the file of a block is invalid
 Mark mark_of(const Scene& scene);
 
 /// Adds a setting or a hash to the texts that a checkpoint stores.

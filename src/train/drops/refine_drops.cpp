@@ -35,8 +35,8 @@ SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame
     return sensor;
 }
 
-/// Rotates each ray towards the next column by a fraction of the column spacing. Returns
-/// the rotated rays. The surfels are fitted to the original rays, so images along these
+/// Returns the rays after a rotation towards the next column by a fraction of the column
+/// spacing. The surfels are fitted to the original rays, so images along the original
 /// rays are more accurate than images of held-out frames. Images along the rotated rays
 /// do not have this advantage.
 RayTable rotate_rays(RayTable rays, float share) {

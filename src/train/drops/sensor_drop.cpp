@@ -18,9 +18,9 @@ constexpr int kNeighbours = 2;
 // Minimum number of rays for a drop rate. With fewer rays, a blind spot of the sensor and
 // a hole in the scene cannot be distinguished.
 constexpr std::uint32_t kCertainRays = 60;
-// Weight of the prior, as a number of rays. This many returned rays are added to the
-// expected drop rate. This many rays with the expected rate are added to the drop rate of
-// a bin.
+// Weight of the prior, as a number of rays. To compute the expected drop rate of a bin,
+// this many returned rays are added to its neighbours. The drop rate of the bin itself is
+// computed with this many additional rays that have the expected rate.
 constexpr double kPriorRays = 8.0;
 // smallest sector without returns, as a share of the circle
 constexpr double kLeastSector = 10.0 / 360.0;
@@ -154,8 +154,8 @@ void add_unseen_sectors(DropTable& drops, const DropTable& observed, const Seque
             },
             [&](int first, int n) {
                 for (const std::size_t row : rows) {
-                    // Widens the sector for each beam to neighbouring blind bins, because
-                    // beams have different azimuth offsets.
+                    // Extends the sector of each beam to neighbouring bins that have
+                    // hardly any returns, because azimuth offsets differ between beams.
                     int begin = first, end = first + n;
                     while (first - begin < spread && is_blind_at(row, begin - 1)) --begin;
                     while (end - first - n < spread && is_blind_at(row, end)) ++end;

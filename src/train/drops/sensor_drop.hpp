@@ -29,10 +29,9 @@ public:
     /// has fewer than 60 rays in total, its drop rate is 0. The drop rate is 1 in a
     /// sector of at least 10 degrees in which the beam never fires.
     DropTable persistent() const;
-    /// Returns the drop rate of each bin. Also works for short logs, because the rate of
-    /// each bin is mixed with the rate of its neighbours. The neighbours' rate counts
-    /// like 8 more rays of the bin. To compute the neighbours' rate, 8 returned rays are
-    /// added.
+    /// Returns the drop rate of each bin, also for short logs. The rate of a bin is mixed
+    /// with the rate of the neighbouring bins, which counts like 8 more rays. The rate of
+    /// the neighbours is computed with 8 additional returned rays.
     DropTable shrunk() const;
     std::size_t bins() const { return rays_.size(); }
 

@@ -145,9 +145,9 @@ SampledBatch BatchSampler::take(Stream& stream, const FrameData& frame, std::uin
              .first_column = first,
              .column_stride = columns.stride,
              .n_columns = columns.n});
-        // Scales the counts of the full frame instead of counting in the batch. This
-        // makes the loss unbiased. With counts of the batch, a sector with few returns
-        // would get a higher weight.
+        // Scales the counts of the full frame instead of counting in the batch, because
+        // this makes the loss unbiased. With the counts of the batch, a sector with few
+        // returns would get a higher weight than other sectors.
         const double share = double(n) / frame.n_rays;
         return {{&b.rays, 0, 1, n, columns.n, &b.targets},
                 {&b.targets,

@@ -23,9 +23,9 @@ namespace relidar {
 struct FrameArrays {
     Array<DeviceRay> rays;        ///< [n] rays, computed from the poses at the start of training
     Array<DeviceTarget> targets;  ///< [n] measurements
-    /// [n] time of each ray on the vehicle's track. The time is stored as the index of
-    /// the last pose before the ray, and the fraction to the next pose. The index counts
-    /// from FrameData::first_knot. Empty if poses are not corrected.
+    /// [n] time of each ray on the vehicle's track, as the index of the last pose before
+    /// the ray and the fraction of the way to the next pose. The index counts from
+    /// FrameData::first_knot. Empty if poses are not corrected.
     Array<shared::RayPlace> places;
 };
 
@@ -66,14 +66,14 @@ struct Unknown {
     /// tracks of actors; their points are used for training, because the scene has a
     /// model for these actors
     std::vector<std::string> actors;
-    /// Measured drop rates. Rays whose directions are blind (is_blind()) are not trained.
-    /// If the table is empty, no direction is blind.
+    /// Measured drop rates. Rays are not trained in blind directions, in which at least
+    /// 95 % of the rays were dropped. If the table is empty, no direction is blind.
     DropTable observed_drops;
 };
 
-/// Computes the rays and target values of a frame on the host. Some rays get weight 0,
-/// because the background must not learn them. These are rays that returned from inside a
-/// moving box, and dropped rays that may have hit such a box.
+/// Computes the rays and target values of a frame on the host. A ray gets weight 0 if it
+/// returned from inside a moving box, or if it is dropped and may have hit such a box.
+/// The background must not learn these rays.
 void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& unknown,
                   std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets);
 

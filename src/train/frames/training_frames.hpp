@@ -21,7 +21,7 @@ struct FrameUse {
     Unknown unknown;
     bool moves_rays = false;  ///< true if vehicle poses are corrected; FrameArrays::places is then needed
     std::uint64_t resident_bytes = ~0ull;  ///< maximum device memory for frames that stay on the device
-    /// If set, the rays are the cells of this grid (see on_grid()) instead of the fired
+    /// If set, training uses one ray for each cell of this grid instead of the fired
     /// rays.
     std::optional<RangeGrid> grid = {};
 };

@@ -31,10 +31,10 @@ public:
     /// The frame must be on the device. Then `frame` refers to the new rays, which are
     /// valid until the next call.
     void move(Stream& stream, const TrackCorrection& sensor, FrameData& frame);
-    /// Records GPU commands that convert the ray gradients dL/d(ray) of a backward pass
-    /// to gradients of the poses. Each ray was fired between two poses. move() must be
-    /// called for the same frame before. The direction in which spherical harmonics are
-    /// evaluated is treated as constant.
+    /// Records GPU commands that convert the gradients of rays from a backward pass to
+    /// gradients of the sensor poses. Each ray was fired between two poses. The caller
+    /// must have called move() for the same frame. The direction in which spherical
+    /// harmonics are evaluated is treated as a constant.
     void sum_gradients(Stream& stream, const FrameData& frame, const SampledBatch& batch,
                        const Array<float, shared::DeviceRayGradients>& d_rays);
     /// Returns the partial sums [kRows, maximum poses of a frame, 6] that the last

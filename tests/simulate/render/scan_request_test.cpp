@@ -119,9 +119,9 @@ TEST_F(ScanRequests, ActorsAreWhereTheCallerHasThem) {
 }
 
 TEST_F(ScanRequests, WhatMakesNoSenseIsRefused) {
-    EXPECT_NE(refusal({0.0, {}}).find("poses of the sensor: found 0 poses at 0 times"), std::string::npos);
-    EXPECT_NE(refusal({0.0, {{0.0, 1.0}, {at_x(0)}}}).find("found 1 poses at 2 times"), std::string::npos);
-    EXPECT_NE(refusal({0.0, {{1.0, 1.0}, {at_x(0), at_x(1)}}}).find("found time 1 after 1"),
+    EXPECT_NE(refusal({0.0, {}}).find("poses of the sensor: found 0 poses and 0 times"), std::string::npos);
+    EXPECT_NE(refusal({0.0, {{0.0, 1.0}, {at_x(0)}}}).find("found 1 poses and 2 times"), std::string::npos);
+    EXPECT_NE(refusal({0.0, {{1.0, 1.0}, {at_x(0), at_x(1)}}}).find("found the time 1 s after the time 1 s"),
               std::string::npos);
     EXPECT_NE(refusal({0.0, {{0.0}, {at_x(kNan)}}}).find("found an invalid pose at entry 0"),
               std::string::npos);

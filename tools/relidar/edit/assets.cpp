@@ -53,8 +53,9 @@ std::string reason_against(const AssetFacts& facts, const ActorObservations& sig
     if (sightings.points_m.empty()) return "no ray of the training frames hits this actor";
     if (facts.score() >= least) return "";
     return fmt::format(
-        "its score is {:.2f}; expected at least {:.2f} (--least); it was seen {}{}", facts.score(), least,
-        sides_text(facts),
+        "the score of the actor is {:.2f}, expected at least {:.2f} (--least); the observed shares of its "
+        "sides are {}{}",
+        facts.score(), least, sides_text(facts),
         facts.completed > 0.0
             ? fmt::format("; its mirror image completed a share of {:.2f} of the surface", facts.completed)
             : "");

@@ -285,7 +285,9 @@ void follow(const TypedEdit& edit, const ScenarioEntity& entity, const std::stri
     const BoxTrack before = copy_of_box(driving, what);
     if (!is_known) {
         if (what.find('#') == std::string::npos && !std::filesystem::exists(what))
-            refuse(edit, fmt::format("{}=TRACK of the run, RUN#TRACK or ASSET", entity.name));
+            refuse(edit, fmt::format("{}=TRACK (a track of the run), RUN#TRACK (a track of another run) or "
+                                     "an asset",
+                                     entity.name));
         const ExternalActor actor = load_external_actor(edit, what);
         join_note(applied.note, sensor_note(actor, driving));
         driving = insert_track(std::move(driving), actor.owner, actor.track, {});

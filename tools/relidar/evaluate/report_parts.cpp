@@ -64,7 +64,8 @@ std::vector<ReportKeyMetric> key_metrics() {
          "root mean square error, dominated by missed edges; less is better"},
         {"moving_boxes/depth_medae_m", "Typical range error on moving objects, m",
          "inside boxes of moving cars and people; less is better"},
-        {"range_40_80_m/depth_medae_m", "Typical range error far away, m", "from 40 to 80 m; less is better"},
+        {"range_40_80_m/depth_medae_m", "Typical range error far away, m",
+         "median error of ranges from 40 to 80 m; less is better"},
         {"strict/intensity_mae", "Intensity error",
          "mean over rays that return in both scans, for intensities from 0 to 1; less is better"},
         {"strict/drop_accuracy", "Rays that return or drop as in the real scan",
@@ -76,8 +77,7 @@ std::vector<ReportKeyMetric> key_metrics() {
          "mean distance to the nearest point of the other cloud, summed over both directions; less is "
          "better"},
         {"points/f_22cm", "Points with a real point within 22 cm",
-         "F-score of this share and of the share of real points with a simulated point within 22 "
-         "cm; 1 is best"},
+         "F-score: also counts the real points with a simulated point within 22 cm; 1 is best"},
         {"peer/depth_psnr_db", "Range image, PSNR as in publications, dB",
          "peak signal to noise, dropped rays as 0 m; more is better"}};
 }

@@ -11,7 +11,8 @@
 
 namespace relidar::cli {
 
-/// Prepares a log for training (see prepare_log()) and shows the progress.
+/// Prepares a log for training: registers scans, calibrates beams and finds moving
+/// objects, as the settings require. Shows the progress.
 /// @throws Error with exit code 130 after Ctrl-C
 void prepare_log_with_progress(Sequence& sequence, const Split& split, const Config& config, bool quiet,
                                const ProcessGroup& group = {}, StageTimes* stages = nullptr);

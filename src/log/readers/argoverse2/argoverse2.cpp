@@ -266,9 +266,9 @@ Sequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& optio
     sequence.name = "Argoverse 2 " + folder.filename().string();
     sequence.source = log_folder.string();
     sequence.conventions =
-        "vehicle x forward, y left, z up, origin at the rear axle; metres; time = file name of "
-        "the sweep, in seconds after the first sweep; world: the city's frame; motion "
-        "compensation is removed; boxes in all directions";
+        "Vehicle frame: x forward, y left, z up, in metres, with the origin at the rear axle. Times are "
+        "seconds after the first sweep, from the file names. The world frame is that of the city. The "
+        "motion compensation of the points is removed. Boxes are labelled in all directions.";
     sequence.lidars = read_lidars(folder / "calibration" / "egovehicle_SE3_sensor.feather");
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
     if (path_exists(folder / "annotations.feather"))

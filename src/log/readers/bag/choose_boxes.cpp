@@ -26,10 +26,9 @@ BoxChoice choose_boxes(const Bag& bag, const Survey& survey) {
                                                    : fmt::format("; {} boxes without a track id are skipped",
                                                                  boxes.n_boxes - boxes.n_named)));
         else if (boxes.n_named > 0)
-            choice.notes.push_back(
-                fmt::format("the boxes of {} are ignored: {} of them have a track id, which is not more "
-                            "than the {} of {}",
-                            name, boxes.n_named, choice.topic->n_named, excerpt(name_of(*choice.topic))));
+            choice.notes.push_back(fmt::format(
+                "the boxes of {} are ignored: {} boxes have a track id, but {} boxes of {} have one", name,
+                boxes.n_named, choice.topic->n_named, excerpt(name_of(*choice.topic))));
         else if (boxes.n_boxes > 0)
             choice.notes.push_back(
                 fmt::format("the boxes of {} are ignored, because none of the {} boxes has a track id", name,

@@ -71,10 +71,9 @@ std::string broken_text(const Bag& bag, const Survey& survey) {
     return text;
 }
 
-/// Returns a score. A higher score means that a topic more probably contains raw LiDAR
-/// measurements. Packets have the highest score. The score of clouds depends on the
-/// presence of times, rings and return numbers. If these are equal, it depends on the
-/// number of points.
+/// Returns a score for a topic. A topic with a higher score more probably contains raw
+/// measurements of a LiDAR. Packets have the highest score. The score of clouds depends
+/// on the presence of times, rings and return numbers, and then on the number of points.
 double rawness(const CloudTopic& clouds) {
     if (!clouds.packets.empty()) return 200.0;
     const bool timed = clouds.has_field(folder::PointValue::time);

@@ -23,9 +23,9 @@ struct PoseSource {
     std::string about;
 };
 
-/// Returns the frame of the vehicle that carries a sensor. It is the first frame on the
-/// path from the sensor to `outer` that moves relative to its parent. If no frame moves,
-/// returns the sensor's frame.
+/// Returns the name of the vehicle's frame. On the path from the sensor's frame to the
+/// frame `outer`, it is the first frame that moves relative to its parent. If no frame
+/// moves, returns the sensor's frame.
 std::string find_vehicle_frame(const FrameTree& frames, const std::vector<std::string>& way,
                                const std::string& outer) {
     for (const std::string& frame : way) {

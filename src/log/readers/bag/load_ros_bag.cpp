@@ -296,8 +296,8 @@ private:
                 "the recording has no poses; they must be estimated from the scans, like with "
                 "dataset.poses=none");
         sequence_.conventions = fmt::format(
-            "ROS: x forward, y left, z up; 0 s is {}.{:09} s of the {}; frames are numbered by the clouds "
-            "of {}",
+            "ROS frames: x forward, y left, z up, in metres. The time 0 s is {}.{:09} s of the {}. Frames "
+            "are numbered by the clouds of {}.",
             poses_.zero_ns / kSecond_ns, std::abs(poses_.zero_ns % kSecond_ns),
             poses_.clock == Clock::stamps ? "stamps" : "recorder's clock", name_of(main()));
         add_boxes();

@@ -179,8 +179,10 @@ public:
         char why[PCAP_ERRBUF_SIZE] = "";
         pcap_.reset(pcap_open_offline_with_tstamp_precision(path.c_str(), PCAP_TSTAMP_PRECISION_NANO, why));
         if (!pcap_)
-            throw DataError(fmt::format("{}: {}, expected a capture of packets (pcap or pcapng)",
-                                        path.string(), excerpt(why)));
+            throw DataError(
+                fmt::format("{}: cannot read the capture ({}), expected packets in the format "
+                            "pcap or pcapng",
+                            path.string(), excerpt(why)));
         link_ = pcap_datalink(pcap_.get());
         const std::vector<int> known = {DLT_EN10MB, DLT_LINUX_SLL, DLT_LINUX_SLL2, DLT_NULL,
                                         DLT_LOOP,   DLT_RAW,       DLT_IPV4};

@@ -21,9 +21,10 @@ constexpr double kMostOfPart = 300.0 * kPi / 180.0;
 // If all clouds together leave an azimuth range of this size empty, the LiDAR does not
 // rotate. It scans a window.
 constexpr double kLeastGap_rad = kPi / 3.0;
-// Limits for the azimuth steps from cloud to cloud. kTogether is the minimum length of
-// the mean of the steps' unit vectors. kAbut is the maximum difference between the step
-// and the azimuth range of a cloud, relative to the step.
+// kTogether: Each azimuth step from one cloud to the next is written as a unit vector.
+// The mean of these vectors must have at least this length; it is 1 if all steps are
+// equal. kAbut: A step and the azimuth range of a cloud may differ at most by this share
+// of the step.
 constexpr double kTogether = 0.8, kAbut = 0.4;
 // A time step longer than this multiple of the usual time step means that a part is
 // missing.
@@ -79,8 +80,8 @@ double gap_of_all(const std::vector<TurnPart>& clouds) {
 /// Azimuth range of a part of a revolution, and step from one part to the next.
 struct Parts {
     /// Median azimuth range of a part, and mean azimuth step to the next part. The step
-    /// is negative for a clockwise rotation. It is also negative for halves, because
-    /// their direction of rotation is unknown.
+    /// is negative for a clockwise rotation. For halves of a revolution, the direction of
+    /// rotation is unknown, and the step is negative, too.
     double extent_rad, step_rad;
     double step_s;
     /// Azimuth at which a revolution begins. It is a boundary between two parts, near the

@@ -158,9 +158,9 @@ Sequence load_boreas(const fs::path& log_folder, const DatasetOptions& options) 
             "the forward direction of the vehicle is unknown; the x axis of the LiDAR is used");
     turn_to_front(log.world_from_vehicle, forward.azimuth_rad());
     sequence.conventions = fmt::format(
-        "LiDAR x forward, y left, z up (Boreas: rotated about z by {:.2f} degrees); metres; "
-        "seconds after the first scan of the log; time = middle of the sweep; points as "
-        "measured; world: East-North-Up",
+        "LiDAR frame: x forward, y left, z up, in metres (rotated about z by {:.2f} degrees relative to "
+        "Boreas). Times are seconds after the first scan. The time of a frame is the middle of its sweep. "
+        "Points are not motion-compensated. World frame: x east, y north, z up.",
         -forward.azimuth_rad() * 180.0 / kPi);
     sequence.lidars[0].sensor.name = "VLS-128 fitted to " + sequence.name;
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;

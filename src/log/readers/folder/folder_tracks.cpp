@@ -162,7 +162,8 @@ std::vector<PoseReading> with_inverses(std::vector<PoseReading> readings) {
     return readings;
 }
 
-/// Returns all possible meanings of the rows. The documented meaning is the first one.
+/// Returns all ways in which the rows of a pose file can be read. The documented way is
+/// first.
 std::vector<PoseReading> readings_of(const PoseRows& rows) {
     using Row = std::vector<double>;
     const auto angles = [](const Row& row, double unit) {

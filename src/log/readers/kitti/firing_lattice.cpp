@@ -24,7 +24,8 @@ namespace {
 constexpr int kEncoderTicks = 4000;
 // maximum azimuth offset of a beam; HDL-64E calibrations have at most 0.16 rad
 constexpr double kMaxOffset_rad = 0.35;
-// A tick is a firing if at least this many beams have a return. Stray points have fewer.
+// An encoder tick counts as a firing if at least this many beams have a return at this
+// tick. Stray points occur in fewer beams.
 constexpr int kMinLasers = 4;
 
 /// Azimuth and inverse distance from the spin axis, for each point of one beam.
@@ -159,8 +160,8 @@ Ticks ticks_of(const RawScan& scan, const FiringLattice& lattice) {
     return ticks;
 }
 
-/// Returns for each scan and tick whether at least `at_least` beams have a return. First
-/// shifts the ticks of each beam by `shift`.
+/// Returns for each scan and each tick (step of the firing grid) whether at least
+/// `at_least` beams have a return. The ticks of each beam are first shifted by `shift`.
 std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std::vector<int>& shift,
                                      int n_ticks, int at_least) {
     std::vector<std::vector<char>> pattern;
@@ -177,8 +178,8 @@ std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std:
 }
 
 /// Returns the shift of a beam, in full ticks, for which most of its ticks are also ticks
-/// of the other beams. Returns 0 unless another shift matches at least 1 % more of the
-/// ticks. If several shifts are equally good, returns the one nearest to 0.
+/// of other beams. Returns 0 unless another shift matches at least 1 % more of the ticks.
+/// If several shifts are equally good, returns the shift that is nearest to 0.
 /// @param pattern  [scans][ticks] true if other beams have returns at the tick
 int best_shift(const std::vector<Ticks>& ticks, std::size_t ring,
                const std::vector<std::vector<char>>& pattern, int n_ticks, int reach) {
@@ -250,8 +251,9 @@ std::vector<Beam> FiringLattice::beams(const Cones& cones) const {
 }
 
 FiringLattice fit_lattice(const std::vector<const RawScan*>& scans) {
-    // Minimum mean concentration of a valid fit. It is 0.98 on KITTI. For evenly
-    // distributed azimuths, it is near 0.
+    // Minimum concentration of the azimuths around the encoder ticks for a valid fit, as
+    // a mean over the beams. It is 0.98 on KITTI, and near 0 for evenly distributed
+    // azimuths.
     constexpr double kFound = 0.8;
     const std::array<Polar, kRings> polar = polar_of(scans);
     FiringLattice lattice;

@@ -31,9 +31,10 @@ struct Cone {
 };
 using Cones = std::array<Cone, kRings>;
 
-/// Splits the points of a scan into rings. The file stores one ring after another. In a
-/// ring, the azimuth increases from the forward direction. So a new ring begins where the
-/// azimuth changes from the 4th to the 1st quadrant. Ring numbers are limited to 63.
+/// Splits the points of a scan into rings. The file stores one ring after another, and in
+/// a ring the azimuth increases from the forward direction. Therefore a new ring begins
+/// where the azimuth changes from the 4th to the 1st quadrant. Ring numbers are limited
+/// to 63.
 RawScan split_rings(std::vector<glm::vec4> points);
 
 /// Fits the cone of each ring to several scans by least squares. Ignores outliers.
@@ -41,9 +42,10 @@ RawScan split_rings(std::vector<glm::vec4> points);
 /// @throws DataError if no scan has 64 rings
 Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& where);
 
-/// Corrects wrong ring numbers by comparing points with the fitted cones. The order in
-/// the file gives a wrong ring in two cases: a beam has no returns, or the last point of
-/// a ring was rounded to azimuth 0 and appears to start the next ring.
+/// Corrects wrong ring numbers by comparing points with the fitted cones. The order of
+/// the points in the file gives a wrong ring number in two cases. Either a beam has no
+/// returns, or the last point of a ring was rounded to azimuth 0 and appears to start the
+/// next ring.
 void correct_rings(RawScan& scan, const Cones& cones);
 
 }  // namespace relidar::kitti

@@ -162,9 +162,9 @@ Sequence load_kitti_360(const fs::path& log_folder, const DatasetOptions& option
     sequence.name = drive.name;
     sequence.source = log_folder.string();
     sequence.conventions =
-        "sensor x forward, y left, z up; metres; time = head faces forward, seconds after the drive's first "
-        "sweep; world: x east, y north, "
-        "z up (Mercator); scans not motion-compensated";
+        "Sensor frame: x forward, y left, z up, in metres. Times are seconds after the first sweep of the "
+        "drive. At the time of a frame, the head faces forward. World frame: x east, y north, z up "
+        "(Mercator). Scans are not motion-compensated.";
     sequence.notes = drive.notes;
     sequence.test_frames = drive.test_frames;
     const std::string gaps = note_gaps(points / "data", frames, options.allow_missing_scans);

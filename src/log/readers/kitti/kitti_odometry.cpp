@@ -75,8 +75,8 @@ Sequence load_kitti_odometry(const fs::path& log_folder, const DatasetOptions& o
     sequence.name = "KITTI odometry " + folder.filename().string();
     sequence.source = log_folder.string();
     sequence.conventions =
-        "sensor x forward, y left, z up; metres; seconds of times.txt; world: the LiDAR of frame 0; scans "
-        "motion-compensated; no boxes";
+        "Sensor frame: x forward, y left, z up, in metres. Times are the seconds in times.txt. The world "
+        "frame is the LiDAR frame of frame 0. Scans are motion-compensated. The dataset has no boxes.";
     sequence.notes = {"this log has no labels",
                       "the scans are motion-compensated, so all rays start at the position of the sensor "
                       "at the time of the frame"};

@@ -27,7 +27,7 @@ PoseTrack read_drive_poses(const fs::path& drive, const std::vector<int>& frames
 }
 
 std::string describe_poses(const fs::path& poses_file) {
-    if (poses_file == kNoPoses) return "without poses, so the sensor is at the origin in every frame";
+    if (poses_file == kNoPoses) return "no poses, so the sensor is at the origin in every frame";
     return "poses from " + (poses_file.empty() ? "OXTS (Mercator)" : poses_file.string());
 }
 
@@ -65,8 +65,9 @@ Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     sequence.name = drive.filename().string();
     sequence.source = folder.string();
     sequence.conventions = fmt::format(
-        "sensor x forward, y left, z up; metres; time = head faces forward, seconds after the log's first "
-        "sweep; {}; scans not motion-compensated; boxes in the front camera's view only",
+        "Sensor frame: x forward, y left, z up, in metres. Times are seconds after the first sweep of the "
+        "log. At the time of a frame, the head faces forward. The log has {}. Scans are not "
+        "motion-compensated. Boxes are labelled only in the view of the front camera.",
         describe_poses(options.poses_file));
     sequence.notes = collect_notes(drive, frames, options);
     sequence.lidars[0].sensor.name = "HDL-64E fitted to " + sequence.name;

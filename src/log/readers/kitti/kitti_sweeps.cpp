@@ -64,8 +64,8 @@ public:
     }
 
     /// Returns the reason why scan i is incomplete, or an empty string if it is complete.
-    /// A scan is incomplete if it has no return. Compared with neighbouring scans, it is
-    /// also incomplete if it has far fewer points or rings, or if its last ring ends much
+    /// A scan without returns is incomplete. A scan is also incomplete if it has far
+    /// fewer points or rings than the neighbouring scans, or if its last ring ends much
     /// earlier.
     std::string why_incomplete(std::size_t i, const std::string& file) const {
         // one missing ring is accepted, because a single beam may have no returns

@@ -28,7 +28,8 @@ constexpr double kMostGap_s = 0.5;
 // Minimum range of points that are used to identify a beam by elevation. A beam starts
 // about a centimetre from the spin axis, which changes the elevation of nearer points.
 constexpr double kLeastRange_m = 2.0;
-// maximum spread of the elevations of one beam, if the assumed order is right
+// If the assumed order of the points is right, the elevations of one beam differ by at
+// most this angle.
 constexpr double kMostSpread_rad = kPi / 180.0;
 // Minimum forward component of the mean driving direction. It is at most 1.
 constexpr double kForward = 0.9;
@@ -176,9 +177,9 @@ Sequence load_mulran(const fs::path& log_folder, const DatasetOptions& options) 
     sequence.source = log_folder.string();
     sequence.notes = {"this log has no labels"};
     sequence.conventions =
-        "vehicle and LiDAR x forward, y left, z up (MulRan: LiDAR x backward); metres; seconds "
-        "after the first scan of the log; time = middle of the sweep; points as measured; world: "
-        "that of global_pose.csv";
+        "Frames of vehicle and LiDAR: x forward, y left, z up, in metres (in MulRan's files, the LiDAR's x "
+        "axis points backward). Times are seconds after the first scan. The time of a frame is the middle "
+        "of its sweep. Points are not motion-compensated. The world frame is that of global_pose.csv.";
     stamped::StampedLog log{kNanosecond, stamped::list_scans(scans_folder(folder)),
                             {},          folder / "global_pose.csv",
                             kMostGap_s,  0.5 * kTurn_s};

@@ -51,16 +51,17 @@ struct Format {
 };
 constexpr Format kFormats[] = {
     {".pcd.bin", "nuScenes",
-     "LiDAR x forward, y left, z up (nuScenes: x right, y forward); time = end of the sweep; "
-     "world: the map's frame; motion compensation is removed",
+     "LiDAR frame: x forward, y left, z up (in nuScenes' files, x points right and y forward). The time of "
+     "a frame is the end of its sweep. The world frame is that of the map. The motion compensation of the "
+     "points is removed.",
      true, false},
     {".pcd", "TruckScenes",
-     "each LiDAR in its own frame; points as measured; time = stamp of the first LiDAR; "
-     "world: UTM 32U",
+     "Each LiDAR has its own frame. Points are not motion-compensated. The time of a frame is the stamp of "
+     "the first LiDAR. World frame: UTM 32U.",
      false, true},
     {".bin", "Lyft Level 5",
-     "each LiDAR in its own frame; points as stored; time = stamp of the first LiDAR; world: "
-     "the map's frame",
+     "Each LiDAR has its own frame. Points are as in the files. The time of a frame is the stamp of the "
+     "first LiDAR. The world frame is that of the map.",
      false, false},
 };
 
@@ -68,7 +69,8 @@ constexpr Format kFormats[] = {
 /// several LiDARs may be merged.
 constexpr Format kT4 = {
     ".pcd.bin", "T4",
-    "points in the vehicle's frame, motion-compensated; time = stamp of the sweep; world: the map's frame",
+    "Points are motion-compensated and in the frame of the vehicle. The time of a frame is the stamp of "
+    "its sweep. The world frame is that of the map.",
     false, false};
 constexpr const char* kTablesOfT4 = "annotation";  // name of the folder that contains the tables
 
@@ -154,8 +156,8 @@ public:
         sequence_.name = fmt::format("{} {}", format_.dataset, scene_.name);
         sequence_.source = folder_.string();
         sequence_.conventions = fmt::format(
-            "vehicle x forward, y left, z up; metres; seconds after the scene's first sweep; boxes "
-            "interpolated between keyframes; {}",
+            "Vehicle frame: x forward, y left, z up, in metres. Times are seconds after the first sweep of "
+            "the scene. Boxes are interpolated between keyframes. {}",
             format_.conventions);
         choose_lidars();
         find_frames();

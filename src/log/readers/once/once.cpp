@@ -133,8 +133,9 @@ Sequence load_once(const fs::path& log_folder, const DatasetOptions& options) {
     sequence.name = "ONCE " + folder.filename().string();
     sequence.source = log_folder.string();
     sequence.conventions =
-        "LiDAR x forward, y left, z up (ONCE: x left, y back); metres; seconds after the first "
-        "scan of the log; points as stored; world: the LiDAR of the first frame, x left, y back";
+        "LiDAR frame: x forward, y left, z up, in metres (in ONCE's files, x points left and y back). "
+        "Times are seconds after the first scan. Points are as in the files. The world frame is the LiDAR "
+        "frame of the first scan, with x left and y back.";
     sequence.notes = {
         content.n_boxes == 0
             ? std::string("this log has no labels")

@@ -54,9 +54,9 @@ struct MovingCar {
 
     Pose world_from_box(double t_s) const;
     /// Returns the distance that the person has walked at a time. Without a track, it is
-    /// 0 at time 0. With a track, the distance starts at the forward distance from
-    /// `start_m` to the first pose. So the feet of two persons on the same path touch the
-    /// ground at the same places, even if their speeds differ.
+    /// 0 at time 0. With a track, it starts at the forward distance from `start_m` to the
+    /// first pose. Therefore the feet of two persons on the same path touch the ground at
+    /// the same places, even at different speeds.
     double walked_m(double t_s) const;
 };
 
@@ -125,8 +125,8 @@ private:
     /// misses the bounding sphere, the shapes are not tested.
     struct Cluster {
         Sphere around;
-        /// index after the last shape; the first shape follows the last shape of the
-        /// previous cluster
+        /// index after the last shape of the cluster; its first shape follows the last
+        /// shape of the previous cluster
         std::size_t end;
     };
     class Walk;

@@ -232,8 +232,8 @@ Sequence make_synthetic_frames(const SyntheticOptions& options, int begin, int e
     sequence.name = fmt::format("synthetic street {}", options.seed);
     sequence.source = "synthetic";
     sequence.conventions =
-        "sensor x forward, y left, z up; metres; time = head faces forward, in seconds after "
-        "frame 0; exact poses; each ray is cast at its own time";
+        "Sensor frame: x forward, y left, z up, in metres. Times are seconds after frame 0. At the time of "
+        "a frame, the head faces forward. Poses are exact, and each ray is cast at its firing time.";
     sequence.lidars.clear();
     for (const MountedSensor& mounted : rig) sequence.lidars.push_back(lidar_of(mounted));
     for (int frame = begin; frame < end; ++frame)

@@ -57,8 +57,8 @@ void use_poses_file(Sequence& sequence, const fs::path& poses_file) {
     }
     set_vehicle_poses(sequence, std::move(track));
     sequence.conventions += poses_file == kNoPoses
-                                ? "; without poses, so the sensor is at the origin in every frame"
-                                : "; with poses from " + poses_file.string();
+                                ? " No poses are read, so the sensor is at the origin in every frame."
+                                : " Poses are read from " + poses_file.string();
 }
 
 SyntheticOptions read_options(const fs::path& path) {

@@ -362,11 +362,11 @@ Sequence load_waymo(const fs::path& path, const DatasetOptions& options) {
     sequence.name = segment.file.stem().string();
     sequence.source = path.string();
     sequence.conventions =
-        "vehicle x forward, y left, z up; metres; time = head of TOP faces forward, in seconds "
-        "after the first firing of the segment; intensity is " +
+        "Vehicle frame: x forward, y left, z up, in metres. Times are seconds after the first firing. At "
+        "the time of a frame, the head of TOP faces forward. The intensity is " +
         std::string(options.waymo.clamp_intensity ? "Waymo's value clamped at 1"
                                                   : "the tanh of Waymo's value") +
-        "; rays of TOP have individual firing times, all rays of another LiDAR have the same time";
+        ". Rays of TOP have individual firing times. All rays of another LiDAR have the same time.";
     sequence.notes = segment.notes;
     sequence.test_frames = segment.test_frames;
     add_frames(sequence, records, heads, begin, segment.top_alone);

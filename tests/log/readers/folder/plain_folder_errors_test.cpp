@@ -180,7 +180,7 @@ TEST_F(FolderDamage, OfPosesAndBoxes) {
     expect("boxes.json", replaced(good, "\"yaw_deg\": 0", "\"yaw\": 0"),
            "boxes[0]: found the unknown member 'yaw', expected only track, category, time_s, frame, size, "
            "position, yaw_deg, quaternion");
-    expect("boxes.json", replaced(good, "[4, 2, 1]", "[4, 2, 0]"), "box 'a': a size of 4 x 2 x 0 m");
+    expect("boxes.json", replaced(good, "[4, 2, 1]", "[4, 2, 0]"), "box 'a': found the box size 4 x 2 x 0 m");
     expect("boxes.json", replaced(good, "\"time_s\": 0", "\"frame\": 9"),
            "frame: found 9, expected the number of a frame");
 }

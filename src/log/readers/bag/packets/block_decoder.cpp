@@ -55,9 +55,8 @@ struct BlockBeam {
     double offset_us = 0.0;
 };
 
-/// Adds a return of a ray, which can store two returns. A third return replaces the
-/// darker one of the first two, if the third return is brighter and has a different
-/// range.
+/// Stores a return of a ray. A ray keeps at most two returns. A third return replaces the
+/// darker of the two if it is brighter and has another range than both.
 /// @param number  number of the return in the packet, from 0
 void add_echo(std::array<Echo, 2>& echoes, std::size_t number, const Echo& echo) {
     if (number < 2) {

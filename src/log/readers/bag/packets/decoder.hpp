@@ -54,7 +54,7 @@ struct Packet {
     std::vector<std::array<Echo, 2>> echoes;
 };
 
-/// Constants that describe when the lasers of a sensor fire.
+/// Firing times of the lasers of a sensor.
 struct Timing {
     double cycle_us = 0.0;  ///< time between firings
     /// Number of firing sequences between which the sensor alternates. Each sequence has
@@ -69,9 +69,9 @@ struct Timing {
     /// neighbouring firings. If false, the head is assumed to rotate at a constant rate.
     bool interpolates = false;
     /// [columns per revolution] true if the sensor fires at this column. Column 0 is at
-    /// 180 degrees. Used for sensors that fire at fixed azimuths. For these sensors, the
-    /// sensor's clock defines all times. Empty if the sensor fires at any azimuth. Then
-    /// the time stamps of the packets define the times.
+    /// 180 degrees. Empty if the sensor fires at any azimuth. If the list is not empty,
+    /// the sensor's clock defines all times. If it is empty, the time stamps of the
+    /// packets define them.
     std::vector<bool> fires = {};
     /// True if intensities can exceed 1. The intensity that is scaled to 1 is then
     /// estimated from all intensities of the topic.

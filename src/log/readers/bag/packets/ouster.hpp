@@ -61,8 +61,8 @@ bool is_ouster_metadata(std::string_view text);
 /// @throws DataError if the metadata is invalid
 std::shared_ptr<const OusterFormat> read_ouster_metadata(const std::string& text, const std::string& where);
 /// Reads the metadata files in the folder of a recording. If the recording is X.pcap and
-/// X.json exists, reads X.json and X*.json. Otherwise, reads all files that do not belong
-/// to another recording.
+/// X.json exists, reads X.json and all other files X*.json. Otherwise, reads all metadata
+/// files that do not belong to another recording.
 /// @param broken  output: error messages about files that cannot be read
 OusterFormats find_ouster_metadata(const std::filesystem::path& recording, std::vector<std::string>& broken);
 

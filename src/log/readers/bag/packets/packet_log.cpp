@@ -231,8 +231,8 @@ std::size_t PacketLog::steps_to(std::size_t packet) const {
     return std::size_t(std::clamp(std::round(n), 1.0, 1e9));
 }
 
-/// Returns the number of firings in the packets that were lost before this packet. Does
-/// not count the sector that the sensor skips. Valid only for a sensor that fires at any
+/// Returns the number of firings in the packets that were lost before this packet. The
+/// sector that the sensor skips has no firings. Valid only for a sensor that fires at any
 /// azimuth.
 double PacketLog::slots_to(std::size_t packet) const {
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
@@ -419,8 +419,8 @@ double PacketLog::brightest() const {
     return most > 0 ? double(most - 1) : 0.0;
 }
 
-/// Returns the intensity that is scaled to 1. Applies the same rule as for point clouds
-/// (see cloud_units.cpp).
+/// Returns the intensity that is scaled to 1. The rule is the same as for the intensities
+/// of point clouds.
 double PacketLog::intensity_max() const {
     if (brightest() <= 255.0) return 1.0;
     std::uint64_t n = 0, left = 0;
@@ -495,7 +495,7 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
             const Firing& firing = packet.firings[f];
             azimuth += f > begin ? step : 0.0;
             if (f + 1 < end) step = degrees_on(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
-            // from the first firing sequence of this column to this firing
+            // time from the first firing sequence of this column to this firing
             const double late_us = timing.cycle_us * double(firing.part);
             const double start_deg = azimuth - late_us * mean_deg_us;
             const int slot = int(before) + firing.slot - entry.first_slot;

@@ -12,9 +12,10 @@
 
 namespace relidar::packets {
 
-/// Types of the topics that are created from a network capture. A message of the type
-/// kDatagrams contains LiDAR packets: time stamp (64 bits), length (32 bits) and bytes of
-/// each packet. kOtherDatagrams contains datagrams that are not LiDAR packets.
+/// Message types of the topics that are created from a network capture. A message of the
+/// type kDatagrams contains LiDAR packets. For each packet, it has the time stamp (64
+/// bits), the length (32 bits) and the bytes. A message of the type kOtherDatagrams
+/// contains other datagrams.
 inline constexpr const char *kDatagrams = "LiDAR packets", *kOtherDatagrams = "other UDP";
 
 /// Returns true if the messages of a topic contain LiDAR packets. The type of the topic

@@ -21,9 +21,9 @@ bool is_repeat(const PacketEntry& a, const PacketEntry& b) {
     return a.hash == b.hash && a.first_slot == b.first_slot;
 }
 
-/// Unwraps the azimuth of a packet, starting from the previous packet. The encoder angle
-/// does not show how many revolutions were lost in between. This number is computed from
-/// the rotation rate and the time.
+/// Unwraps the azimuth of a packet, starting from the previous packet. The azimuths alone
+/// do not show how many revolutions were lost in between. This number is computed from
+/// the time between the packets and the rotation rate.
 void follow(PacketEntry& entry, const PacketEntry& before, double passed_us, double deg_us) {
     const double azimuth =
         before.azimuth_deg + degrees_on(std::fmod(before.azimuth_deg, 360.0), entry.azimuth_deg);
