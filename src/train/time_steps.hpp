@@ -12,7 +12,7 @@
 
 namespace relidar {
 
-/// Mean times of the training steps at the end of a run's training.
+/// Mean times per training step, measured by training a finished run for more steps.
 struct StepTimes {
     /// Mean number of launches and mean time of a kernel in one step.
     struct Kernel {

@@ -102,18 +102,19 @@ std::vector<float> distances(const Place& place, const RayEnds& points,
 struct Count {
     std::size_t points = 0, in_air = 0, far_out = 0, at_another_range = 0;
 
-    /// Adds the points of a scan to the counts.
-    /// @param scan scan that determines which rays have a return
-    void add(const Place& place, const RayEnds& of, const RenderedScan& scan) {
-        const std::vector<float>& range_m = of.range_m;
+    /// Counts the points of a scan: all points, and points in empty space.
+    /// @param ends  simulated and true ranges of the rays
+    /// @param scan  the same scan; its drop probabilities select the rays with a return
+    void add(const Place& place, const RayEnds& ends, const RenderedScan& scan) {
+        const std::vector<float>& range_m = ends.range_m;
         std::vector<std::size_t> doubtful;
         for (std::size_t i = 0; i < range_m.size(); ++i) {
             if (!returned(scan.image.drop_prob[i], range_m[i])) continue;
             ++points;
-            if (std::abs(range_m[i] - of.truth.range_m[i]) > kOnSurface_m) doubtful.push_back(i);
+            if (std::abs(range_m[i] - ends.truth.range_m[i]) > kOnSurface_m) doubtful.push_back(i);
         }
         at_another_range += doubtful.size();
-        for (const float d : distances(place, of, doubtful)) {
+        for (const float d : distances(place, ends, doubtful)) {
             in_air += d > kOnSurface_m;
             far_out += d > kFar_m;
         }

@@ -108,8 +108,9 @@ struct ParameterGroup {
     double LearningRates::*rate;
     bool harmonics;  ///< True if the last dimension holds spherical harmonics (SH) coefficients.
     bool scales;     ///< True if the group holds standard deviations, which may have upper bounds.
-    /// Selects the surfels that have this group: all surfels, only primitives with a
-    /// third scale, or only surfels of scenes with actors whose shape changes (`bends`).
+    /// Scenes in which the surfels have this group of parameters: all scenes (`all`),
+    /// scenes of 3D primitives (`third_scale`), or scenes with actors that change their
+    /// shape (`bends`).
     enum class Of { all, third_scale, bends } of;
     const Array<float>& (*device)(const SurfelArrays&);  ///< Returns the device array, [n, floats()].
     /// Returns the device array for writing, [n, floats()].

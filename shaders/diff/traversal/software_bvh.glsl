@@ -257,7 +257,8 @@ void enter_tree(TraceScene scene, Ray ray, uint instance, inout BoxRay walked) {
 /// Visits a node: tests its leaf entries and pushes its inner children onto the stack.
 /// @param tree instance whose model contains the node, or RELIDAR_BVH_NO_NODE for the
 /// top-level tree
-/// @param full_subgroup result of shares_loads()
+/// @param full_subgroup true if all lanes of the subgroup are active, so that they can
+/// load the node together
 /// @return number of tested surfels
 uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, bool full_subgroup,
                inout BoxRay walked) {

@@ -57,7 +57,8 @@ Driving find_driving(const PoseTrack& world_from_rider);
 /// @param forward  component of Driving::mean in the forward direction
 void warn_unless_forward(std::vector<std::string>& notes, double forward);
 
-/// Scans and poses of a log, collected before the scans are read.
+/// List of a log's scan files with their time stamps, and the log's poses. The points of
+/// the scans are read later.
 struct StampedLog {
     double unit_s = 1.0;               ///< unit of the time stamps in seconds
     std::vector<StampedScan> scans;    ///< all scans of the log; the time of the first scan is 0 s

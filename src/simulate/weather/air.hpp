@@ -18,8 +18,8 @@
 
 namespace relidar {
 
-// Minimum range in metres at which the receiver sees the air that the laser beam
-// illuminates (Hahner et al. 2021).
+// Range in metres from which the laser beam lies in the receiver's field of view. Air that
+// is nearer returns no light to the receiver (Hahner et al. 2021).
 inline constexpr double kOverlap_m = 1.0;
 inline constexpr double kLight_m_s = 299792458.0;
 

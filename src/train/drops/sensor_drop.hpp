@@ -47,8 +47,8 @@ private:
     }
     /// Sets the drop rate to 1 in sectors in which a beam never fires.
     void add_skipped_sectors(DropTable& table, int channel) const;
-    /// Returns the drop rate of a bin and its neighbours together. Adds some returned
-    /// rays as a prior.
+    /// Returns the drop rate of a bin, computed from this bin and its neighbours. A fixed
+    /// number of returned rays is added, so that bins with few rays get a low rate.
     double expected(int channel, int bin) const;
 };
 
