@@ -21,7 +21,7 @@ except relidar.DeviceError as error:
         sys.exit(77)   # exit code with which ctest marks a test as skipped
     raise
 
-SETTINGS = {"train.iterations": 60, "train.log_every": 10, "init.voxel_m": 0.3, "dataset.test_every": 4}
+SETTINGS = {"train.iterations": 30, "train.log_every": 5, "init.voxel_m": 0.3, "dataset.test_every": 4}
 WORK = tempfile.TemporaryDirectory(prefix="relidar-python-")
 FOLDER = pathlib.Path(WORK.name)
 

@@ -29,16 +29,17 @@ rm -rf "$work" && mkdir -p "$work/street" && cd "$work" || exit 1
 failures=0
 fail() { printf 'FAILED: %s\n' "$*"; failures=$((failures + 1)); }
 
-# check NAME "SUBFOLDER=TOPIC=FRAME ..." FLAGS... -- ONLY_FLAGS...: renders NAME in the
-# sensor frame, deskewed and in the world with FLAGS. Renderings with recordings also use
-# ONLY_FLAGS. Then reads the recordings.
+# check NAME "SUBFOLDER=TOPIC=FRAME ..." FLAGS... -- ONLY_FLAGS...: renders NAME in each of
+# $frames (the sensor frame, deskewed, the world) with FLAGS. Renderings with recordings
+# also use ONLY_FLAGS. Then reads the recordings.
+frames=("sensor" "deskewed --deskew" "world --frame world")
 check() {
     local name=$1 sensors=$2 flags=() recording=() frame code
     shift 2
     while (($#)) && [[ $1 != -- ]]; do flags+=("$1"); shift; done
     recording=("${@:2}")
     "$relidar" render "$run" --out "$name/truth" --format ply --frame world --quiet "${flags[@]}" || { fail "$name: render"; return; }
-    for frame in "sensor" "deskewed --deskew" "world --frame world"; do
+    for frame in "${frames[@]}"; do
         local folder=$name/${frame%% *} how=()
         [[ $frame == sensor ]] || read -ra how <<<"${frame#* }"
         "$relidar" render "$run" --out "$folder" --format mcap,rosbag,ply --quiet "${flags[@]}" "${recording[@]}" "${how[@]}" || fail "$folder: render"
@@ -80,8 +81,6 @@ check at_once "$alone" --trajectory lane.csv --times 0.2:0.4:0.1 --sensor VLP-16
 check rig "$rig" --trajectory lane.csv --times 0.2:0.5:0.1 --sensor rig.json --channels spread,normal
 check bend "$rig" --trajectory bend.csv --times 0.2:1:0.1 --sensor rig.json --offset 0,1,0,10
 check rig_of_log "$rig" --frames 3:6 --sensor rig.json
-check rig_named "front=/sensing/front/points=front_link 2nd-rear=/sensing/_2nd_rear/points=2nd-rear_link" --frames 3:5 --sensor rig.json \
-    -- --topic "/sensing/{name}/points" --frame-id "{name}_link"
 check merged "$alone" --trajectory bend.csv --times 0.2:0.4:0.1 --sensor rig.json --merge --channels normal
 
 # Tests a log of several LiDARs. They are mounted in base_link, and topics have their
@@ -90,7 +89,12 @@ mkdir two && printf 'seed = 5\nn_frames = 6\nrig = "../rig.json"\n' >two/street.
 train two run_of_two
 run=run_of_two
 check first .=/lidar/front/points=front --frames 1:4
+# The deskewed and world frames are tested above with the same kinds of sensors and names.
+frames=("sensor")
 check second .=/lidar/_2nd_rear/points=2nd-rear --frames 1:4 --lidar 2nd-rear --sensor VLP-16:300x10
+run=run
+check rig_named "front=/sensing/front/points=front_link 2nd-rear=/sensing/_2nd_rear/points=2nd-rear_link" --frames 3:5 --sensor rig.json \
+    -- --topic "/sensing/{name}/points" --frame-id "{name}_link"
 
 # A rig has a single recording for all its sensors, and a new rendering must replace the
 # recording.

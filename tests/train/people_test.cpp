@@ -50,7 +50,7 @@ TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
     const Split split = split_frames(street, 6);
     Config config = make_preset("quick");
     config.train.iterations = 110;
-    config.train.rays_per_iteration = 8192;
+    config.train.rays_per_iteration = 4096;
     config.train.refine_poses = "none";
     const TrainResult result =
         train(device(), street, split, config, [](const TrainProgress&) { return true; });

@@ -18,11 +18,11 @@ class PlaceHeldOut : public test::DeviceTest {};
 Run trained_run(Device& device) {
     Run run;
     run.sequence =
-        make_synthetic_street({.seed = 7, .n_frames = 12, .rows = 48, .columns = 512, .range_noise_m = 0.01});
+        make_synthetic_street({.seed = 7, .n_frames = 12, .rows = 32, .columns = 512, .range_noise_m = 0.01});
     run.split = split_frames(run.sequence, 4);
     run.config = make_preset("quick");
     run.config.train.iterations = 60;
-    run.config.train.rays_per_iteration = 8192;
+    run.config.train.rays_per_iteration = 4096;
     run.config.train.refine_poses = "none";
     run.scene =
         train(device, run.sequence, run.split, run.config, [](const TrainProgress&) { return true; }).scene;

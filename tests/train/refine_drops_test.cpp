@@ -37,7 +37,7 @@ bool is_well_inside(const glm::vec3& direction) { return direction.z < -0.02f; }
 /// surfaces have returns when they are nearer, so the effect is a property of the sensor.
 Sequence weak_street() {
     Sequence street = make_synthetic_street(
-        {.seed = 5, .n_frames = 16, .rows = 32, .columns = 512, .range_noise_m = 0.01, .speed_mps = 10.0});
+        {.seed = 5, .n_frames = 11, .rows = 32, .columns = 512, .range_noise_m = 0.01, .speed_mps = 10.0});
     for (Frame& frame : street.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (is_weak(frame.scan.rays.direction[i]) && frame.scan.range_m[i] > kReach_m)
@@ -51,7 +51,7 @@ Run trained(Device& device, Sequence street) {
     run.split = split_frames(run.sequence, 5);
     run.config = make_preset("quick");
     run.config.train.iterations = 80;
-    run.config.train.rays_per_iteration = 8192;
+    run.config.train.rays_per_iteration = 4096;
     run.config.train.refine_poses = "none";
     // Avoids discs that face the sensor, because they would reduce the effect that the
     // network can learn in so few steps.
@@ -144,7 +144,7 @@ double exact_accuracy(ScanRenderer& renderer, const SyntheticOptions& options, c
 
 TEST_F(RefineDrops, AnotherSensorIsNotWorse) {
     const SyntheticOptions options{
-        .seed = 6, .n_frames = 16, .rows = 48, .columns = 512, .speed_mps = 4.0, .people = true};
+        .seed = 6, .n_frames = 11, .rows = 32, .columns = 512, .speed_mps = 4.0, .people = true};
     relidar::Run run = trained(device(), make_synthetic_street(options));
     run.config.refine.epochs = 6;
     const SensorChoice sensor = choose_sensor("VLP-32C", run.config, run.sequence);

@@ -219,7 +219,7 @@ TEST_F(Train, ActorsBeatMasking) {
         Config config = small_config();
         config.init.actor_classes = classes;
         config.init.actor_min_points = 20;
-        config.train.rays_per_iteration = 8192;
+        config.train.rays_per_iteration = 4096;
         // a car has a few hundred points, so a factor of 0.4 would leave holes between
         // its surfels
         config.init.scale_factor = 0.8;

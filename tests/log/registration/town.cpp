@@ -107,7 +107,7 @@ SpinningSensor sensor() {
     for (int i = 0; i < 32; ++i)
         sensor.beams.push_back(
             {.elevation_rad = (3.0 - 28.0 / 31.0 * (i + 0.2 * std::sin(2.1 * i))) * kPi / 180.0});
-    sensor.columns = 256;
+    sensor.columns = 128;
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     return sensor;
 }

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers complete drives with exact poses: around a block with a stop, from poses with
-// drift and jumps, and without poses. 300 sweeps are processed as a single segment, 400
-// sweeps as two segments.
-#include <map>
-
+// Registers a complete drive around a block with a stop: from exact poses, from poses
+// with drift and jumps, and without poses. Odometry divides the 400 sweeps into two
+// sections.
 #include <gtest/gtest.h>
 
 #include <relidar/log/registration.hpp>
@@ -14,12 +12,12 @@
 namespace relidar {
 namespace {
 
-class WholeDrive : public testing::TestWithParam<int> {
+constexpr int kSweeps = 400;
+
+class WholeDrive : public testing::Test {
 protected:
     static const Sequence& drive() {
-        static std::map<int, Sequence> drives;
-        Sequence& drive = drives[GetParam()];
-        if (drive.frames.empty()) drive = test::drive_around_block(GetParam());
+        static const Sequence drive = test::drive_around_block(kSweeps);
         return drive;
     }
 
@@ -47,9 +45,9 @@ protected:
     }
 };
 
-TEST_P(WholeDrive, FindsPosesBackFromDriftAndJumps) {
+TEST_F(WholeDrive, FindsPosesBackFromDriftAndJumps) {
     const PoseTrack initial_poses = test::with_drift_and_jumps(drive().world_from_vehicle);
-    const int last = GetParam() - 1;
+    const int last = kSweeps - 1;
     EXPECT_GT(
         test::error_of(initial_poses, drive().world_from_vehicle, {0, last / 3, 2 * last / 3, last}).worst_m,
         1.0)
@@ -57,14 +55,11 @@ TEST_P(WholeDrive, FindsPosesBackFromDriftAndJumps) {
     expect_registered(registered(initial_poses, true, split_frames(drive(), 10)), "drift and jumps");
 }
 
-// RegisterScans.LongStreetStaysWhereItIs covers several segments.
-class WholeDriveExact : public WholeDrive {};
-
-TEST_P(WholeDriveExact, Stays) {
+TEST_F(WholeDrive, StaysWithExactPoses) {
     expect_registered(registered(drive().world_from_vehicle, true, split_frames(drive(), 10)), "exact");
 }
 
-TEST_P(WholeDrive, NeedsNoPoses) {
+TEST_F(WholeDrive, NeedsNoPoses) {
     PoseTrack none = drive().world_from_vehicle;
     for (Pose& pose : none.pose) pose = {};
     const Registration registration = registered(none, false, split_frames(drive(), 10));
@@ -75,9 +70,6 @@ TEST_P(WholeDrive, NeedsNoPoses) {
         glm::dvec3(0.0))
         << "the middle pose stays";
 }
-
-INSTANTIATE_TEST_SUITE_P(Sweeps, WholeDrive, testing::Values(300, 400));
-INSTANTIATE_TEST_SUITE_P(Sweeps, WholeDriveExact, testing::Values(300));
 
 }  // namespace
 }  // namespace relidar
