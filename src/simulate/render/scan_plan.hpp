@@ -16,6 +16,7 @@ struct ScanSettings {
     Coverage coverage = {};
     std::vector<IntensityScatter> scatter = {};  ///< [lidars]
     Weather weather = {};
+    bool has_views = false;  ///< if true, scans have RenderedScan::actor_views
 };
 
 /// Steps of a scan. Rays are always traced and measured on the device.
