@@ -34,6 +34,15 @@ struct UnseenSide {
     std::size_t n_rays = 0;
 };
 
+/// Counts the rays of a scan that hit an actor. A ray counts if surfaces absorb at least
+/// half of its light, and if it returns according to the drop logits of the surfels.
+struct ActorView {
+    std::string track;
+    std::size_t n_rays = 0;  ///< rays that hit the actor first
+    /// rays that would hit the actor if the scene contained only this actor
+    std::size_t n_rays_alone = 0;
+};
+
 /// A simulated scan: a range image with the ray of each pixel. Each ray is expressed in
 /// the sensor's frame at the firing time of that ray.
 struct RenderedScan {
@@ -71,6 +80,9 @@ struct RenderedScan {
     /// Sides of actors that the log did not observe, but that rays of the scan meet. The
     /// command `relidar render` sets this field. ScanRenderer leaves it empty.
     std::vector<UnseenSide> unseen_sides = {};
+    /// Visibility of the actors that at least one ray would hit. Empty unless
+    /// ScanRenderer::compute_views() was called.
+    std::vector<ActorView> actor_views = {};
     Pose world_from_sensor;  ///< pose of the sensor at the reference time, in the dataset's world frame
     /// Poses of the sensor during the scan, in the dataset's world frame. The track has a
     /// single pose if all rays are fired from the same pose.
@@ -283,6 +295,9 @@ public:
     /// @throws UsageError for an unknown channel, and for a channel that needs normals if
     /// the primitives have none
     void enable_channels(const std::string& names);
+    /// Computes RenderedScan::actor_views in all following scans. Traces the rays near
+    /// each actor a second time, without all other surfaces.
+    void compute_views();
     /// Sets the space that the log observed. All following scans are compared with this
     /// space to set RenderedScan::unseen_share. An empty coverage switches the comparison
     /// off.

@@ -62,6 +62,10 @@ const std::vector<ChannelInfo>& optional_channels() {
         {.name = "velocity",
          .unit = "m/s",
          .meaning = "rate at which the range of the surface grows, from the motion of sensor and actor"},
+        {.name = "class",
+         .meaning =
+             "kind of the surface: 0 background, 1 vehicle, 2 cyclist, 3 person, 4 other actor, -1 no hit",
+         .none = -1.0},
         {.name = "spread", .unit = "m", .meaning = "distance between mean and median range"},
         {.name = "seen",
          .meaning = "share of the path of the ray that the log observed, 0 to 1",

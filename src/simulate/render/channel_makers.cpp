@@ -69,6 +69,13 @@ ChannelValues velocities(const RenderedScan& scan, const ScanContext& context) {
     return velocity;
 }
 
+ChannelValues classes(const RenderedScan& scan, const ScanContext& context) {
+    std::vector<std::int32_t> of_rays;
+    for (const std::int32_t instance : scan.instance)
+        of_rays.push_back(instance < 0 ? -1 : context.classes[std::size_t(instance)]);
+    return of_rays;
+}
+
 ChannelValues seen(const RenderedScan& scan, const ScanContext& context) {
     const SeenByLog& log = context.log;
     if (log.coverage.empty()) return {};
@@ -94,9 +101,13 @@ struct Maker {
     ChannelValues (*of_scan)(const RenderedScan&, const ScanContext&);
 };
 constexpr Maker kMakers[] = {
-    {"normal", normals, nullptr, nullptr},      {kIncidence, nullptr, incidence, nullptr},
-    {"velocity", nullptr, nullptr, velocities}, {"spread", nullptr, nullptr, spread},
-    {"seen", nullptr, nullptr, seen},           {"surfel_drop_prob", nullptr, nullptr, surfel_drop_prob},
+    {"normal", normals, nullptr, nullptr},
+    {kIncidence, nullptr, incidence, nullptr},
+    {"velocity", nullptr, nullptr, velocities},
+    {"spread", nullptr, nullptr, spread},
+    {"class", nullptr, nullptr, classes},
+    {"seen", nullptr, nullptr, seen},
+    {"surfel_drop_prob", nullptr, nullptr, surfel_drop_prob},
     {"source", nullptr, nullptr, surfaces},
 };
 
@@ -108,6 +119,18 @@ Maker maker_of(const ChannelInfo& channel) {
 }
 
 }  // namespace
+
+std::vector<std::int32_t> instance_classes(const Scene& scene, const Sequence& sequence) {
+    std::vector<std::int32_t> classes;
+    for (const Instance& instance : scene.instances) {
+        // A copy of an actor has no box, but its model has the name of the actor's box.
+        const BoxTrack* box = find_box(sequence, instance.track);
+        if (!box) box = find_box(sequence, scene.models[instance.model].name);
+        const ObjectKind kind = box ? object_kind(box->category) : ObjectKind::other;
+        classes.push_back(instance.track.empty() ? 0 : 1 + std::int32_t(kind));
+    }
+    return classes;
+}
 
 bool needs_rendering(const std::vector<ChannelInfo>& wanted) {
     return std::ranges::any_of(

@@ -2,6 +2,7 @@
 // Computes the optional channels of a scan. Private to render.
 #pragma once
 
+#include <cstdint>
 #include <span>
 #include <vector>
 
@@ -23,6 +24,8 @@ struct ScanContext {
     PoseTrack world_from_sensor;
     /// [instances] poses and motions during the scan
     std::vector<InstancePose> placed;
+    /// [instances] values of the channel "class", see instance_classes()
+    std::vector<std::int32_t> classes = {};
 };
 
 /// Minimum blending weight of a ray. A ray with a smaller weight counts as having hit
@@ -31,6 +34,10 @@ inline constexpr float kMinWeight = 1e-3f;
 /// Name of the channel "incidence". Ray-drop networks also read this channel.
 inline constexpr const char* kIncidence = "incidence";
 
+/// Returns the class of each instance: 0 for the background, otherwise 1 + ObjectKind. An
+/// actor without a box has the kind `other`.
+/// @return [instances]
+std::vector<std::int32_t> instance_classes(const Scene& scene, const Sequence& sequence);
 /// Returns true if any of the channels needs the full rendering result of the rays.
 bool needs_rendering(const std::vector<ChannelInfo>& wanted);
 /// Adds the optional channels that are computed for each traced ray.

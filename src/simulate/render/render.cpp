@@ -273,17 +273,25 @@ RenderedScan ScanRenderer::Impl::render(const Sweep& sweep, std::optional<std::u
     auto [scan, drops] = plan.splits_beams() ? TracedScan{trace_beams(sweep, plan.beams), {}}
                                              : trace(sweep, sweep.rays(), plan.network == Network::device);
     add_scan_channels(scan,
-                      {seen_by_log(sensor), sweeps.log().world_from_sensor(sensor.lidar), sweep.instances},
+                      {seen_by_log(sensor), sweeps.log().world_from_sensor(sensor.lidar), sweep.instances,
+                       has_channel("class") ? instance_classes(sweeps.layout(), sweeps.log())
+                                            : std::vector<std::int32_t>{}},
                       settings.channels);
     set_unseen_share(scan, seen_by_log(sensor));
+    std::vector<ActorView> views;
+    if (settings.has_views) views = count_first_hits(scan);
     if (plan.network == Network::cells) scan = project_scan(scan, *sensor.grid);
     if (plan.network == Network::device) replace_drops(scan, drops);
     else if (plan.network != Network::none) correct_drops(scan);
+    // Traces more rays, so `drops` is invalid afterwards.
+    if (settings.has_views) count_hits_alone(sweep, plan, views);
     if (!has_channel(kIncidence))
         std::erase_if(scan.channels,
                       [](const ScanChannel& channel) { return channel.info.name == kIncidence; });
     measure(scan, sweep, sample);
-    return sensor.grid && plan.network != Network::cells ? project_scan(scan, *sensor.grid) : scan;
+    if (sensor.grid && plan.network != Network::cells) scan = project_scan(scan, *sensor.grid);
+    scan.actor_views = std::move(views);
+    return scan;
 }
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
@@ -327,6 +335,8 @@ int ScanRenderer::default_side_by_side(const Device& device) {
 int ScanRenderer::side_by_side() const {
     return impl_->sweeps.layout().blocks.empty() ? impl_->lanes->most() : 1;
 }
+
+void ScanRenderer::compute_views() { impl_->settings.has_views = true; }
 
 void ScanRenderer::compare_with(const Coverage& coverage) { impl_->settings.coverage = coverage; }
 

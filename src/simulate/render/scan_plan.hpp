@@ -16,6 +16,7 @@ struct ScanSettings {
     Coverage coverage = {};
     std::vector<IntensityScatter> scatter = {};  ///< [lidars]
     Weather weather = {};
+    bool has_views = false;  ///< if true, scans have RenderedScan::actor_views
 };
 
 /// Describes which steps the rendering of a scan consists of. In every scan, the device

@@ -63,6 +63,8 @@ struct ScanRenderer::Impl {
                                        bool corrects_drops);
     TracedScan trace(const Sweep& sweep, const RayTable& table, bool corrects_drops = false);
     RenderedScan trace_beams(const Sweep& sweep, SensorConfig beams);
+    std::vector<ActorView> count_first_hits(const RenderedScan& scan) const;
+    void count_hits_alone(const Sweep& sweep, const ScanPlan& plan, std::vector<ActorView>& views);
     void correct_drops(RenderedScan& scan);
     void measure(RenderedScan& scan, const Sweep& sweep, std::optional<std::uint64_t> sample);
     RenderedScan render(const Sweep& sweep, std::optional<std::uint64_t> sample);

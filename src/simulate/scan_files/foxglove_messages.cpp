@@ -315,6 +315,9 @@ std::string boxes(std::uint64_t stamp_ns, const std::vector<RecordedActor>& acto
             6, key_value("velocity_mps", vector_text(world_from_box.rotation * velocity.linear_mps)));
         entity.add_message(6, key_value("angular_velocity_radps",
                                         vector_text(world_from_box.rotation * velocity.angular_radps)));
+        entity.add_message(6, key_value("points", fmt::format("{}", actor.n_points)));
+        if (actor.visible_share)
+            entity.add_message(6, key_value("visible_share", fmt::format("{:.6g}", *actor.visible_share)));
         entity.add_message(8, box(actor));
         writer.add_message(2, of_actor);
     }

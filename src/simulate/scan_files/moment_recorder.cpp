@@ -9,6 +9,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/simulate/place_points.hpp>
 #include "placed_scan.hpp"
+#include "seen_actors.hpp"
 
 namespace relidar::scan_files {
 namespace {
@@ -19,61 +20,6 @@ constexpr double kLatest_s = 2147483647.0;
 // poses. For a sensor that is 2 m from the vehicle's origin and turns with 1 rad/s, the
 // interpolation error is 0.03 mm.
 constexpr double kPoseStep_s = 0.01;
-constexpr double kVelocityStep_s = 0.005;
-
-/// Returns the pose of the sensor at time `time_s` of the log, in the world frame of the
-/// dataset.
-Pose sensor_pose(const RenderedScan& scan, double time_s) {
-    return scan.track.pose.empty() ? scan.world_from_sensor : scan.track.at(time_s);
-}
-
-/// Returns the velocity of an object, computed by central differences of its poses.
-/// @param world_from_thing returns the pose of the object at a given time
-template <class PoseAt>
-Velocity velocity_of(const PoseAt& world_from_thing, double time_s) {
-    const Twist twist =
-        twist_between(world_from_thing(time_s - kVelocityStep_s), world_from_thing(time_s + kVelocityStep_s));
-    const glm::dquat thing_from_world = glm::conjugate(world_from_thing(time_s).rotation);
-    const double span_s = 2.0 * kVelocityStep_s;
-    return {thing_from_world * glm::dvec3(twist[0], twist[1], twist[2]) / span_s,
-            thing_from_world * glm::dvec3(twist[3], twist[4], twist[5]) / span_s};
-}
-
-/// A subset of the rays of a scan. The rays are spread evenly over the scan.
-class SampledRays {
-public:
-    explicit SampledRays(const RenderedScan& scan) : scan_(scan) {
-        constexpr std::size_t kMost = 4096;
-        // The step is odd, so that the selected columns differ between the rows.
-        const std::size_t n = scan.image.direction.size(), step = (n / kMost) | 1;
-        for (std::size_t i = 0; i < n; i += step)
-            rays_.push_back({scan.image.direction[i], scan.time_offset_s[i]});
-    }
-    /// Returns the firing time of the ray that passes closest to a moving point.
-    /// @param place_m returns the position of the point at a given time, in the world
-    /// frame of the dataset
-    template <class PlaceAt>
-    double faced_at(const PlaceAt& place_m) const {
-        // Number of iterations. Each new firing time changes the positions of the point
-        // and the sensor, so the search is repeated.
-        constexpr int kRounds = 3;
-        double time_s = scan_.time_s;
-        for (int round = 0; round < kRounds && !rays_.empty(); ++round) {
-            const glm::vec3 towards(glm::normalize(inverse(sensor_pose(scan_, time_s)) * place_m(time_s)));
-            const auto cosine = [&](const Ray& ray) { return glm::dot(ray.direction, towards); };
-            time_s = scan_.time_s + double(std::ranges::max_element(rays_, {}, cosine)->time_offset_s);
-        }
-        return time_s;
-    }
-
-private:
-    struct Ray {
-        glm::vec3 direction;
-        float time_offset_s;
-    };
-    const RenderedScan& scan_;
-    std::vector<Ray> rays_;
-};
 
 /// Adds times from `first_s` to `last_s` at intervals of kPoseStep_s. Also adds the times
 /// of all poses of a track between these limits.
@@ -167,19 +113,14 @@ Points MomentRecorder::cloud(const RenderedScan& scan, const ScanFormat& format,
 /// Returns the boxes of the actors that are present during a scan, in the world frame of
 /// the dataset.
 std::vector<RecordedActor> MomentRecorder::actors(const RenderedScan& scan, double stamp_s) const {
-    const SampledRays rays(scan);
     std::vector<RecordedActor> actors;
-    for (const BoxTrack& box : sensors_.front().actors) {
-        if (!box.present(scan.time_s)) continue;
-        const auto world_from_box = [&](double t_s) {
-            const Pose pose = box.world_from_box.at(t_s);
-            return Pose{pose.rotation, pose.translation + sensors_.front().world_offset_m};
-        };
+    for (const SeenActor& actor : find_actors(scan, sensors_.front())) {
         const auto state = [&](double t_s) {
-            return BoxState{stamp(t_s), world_from_box(t_s), velocity_of(world_from_box, t_s)};
+            return BoxState{stamp(t_s), actor.world_from_box(t_s), velocity_of(actor.world_from_box, t_s)};
         };
-        const double faced_s = rays.faced_at([&](double t_s) { return world_from_box(t_s).translation; });
-        actors.push_back({box.id, box.category, box.size_m, !box.moves(), state(faced_s), state(stamp_s)});
+        const BoxTrack& box = *actor.box;
+        actors.push_back({box.id, box.category, box.size_m, !box.moves(), state(actor.faced_s),
+                          state(stamp_s), actor.n_points, actor.visible_share});
     }
     return actors;
 }

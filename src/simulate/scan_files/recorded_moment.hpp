@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -52,7 +53,9 @@ struct RecordedActor {
     /// State at the time when the sensor points at the actor. The box of a moving actor
     /// matches its points only at this time.
     BoxState faced;
-    BoxState at_stamp;  ///< state at the time stamp of the point cloud
+    BoxState at_stamp;                    ///< state at the time stamp of the point cloud
+    std::size_t n_points;                 ///< first returns of the scan on the actor
+    std::optional<double> visible_share;  ///< see SeenActor; no value if it was not computed
 };
 
 /// Converts a time in seconds to a time stamp in nanoseconds.

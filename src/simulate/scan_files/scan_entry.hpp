@@ -3,19 +3,19 @@
 // rendering.
 #pragma once
 
-#include <cstddef>
 #include <filesystem>
 #include <string>
 #include <vector>
 
-#include <relidar/simulate/render.hpp>
+#include <relidar/simulate/scan_files.hpp>
 
 namespace relidar::scan_files {
 
-/// Returns the JSON object that describes one scan in scans.json.
+/// Returns the JSON object that describes one scan in scans.json. The object has the
+/// boxes of the actors only if the scan has views of its actors.
 /// @param frame frame number
 /// @param files names of the scan's files in the folder
-std::string entry_json(int frame, const RenderedScan& scan, std::size_t n_points,
+std::string entry_json(int frame, const RenderedScan& scan, const ScanFormat& format,
                        const std::vector<std::string>& files);
 
 /// Removes the scan files of an earlier rendering from a folder. Also removes

@@ -189,8 +189,7 @@ void ScanFolder::write(int frame, const RenderedScan& scan) {
     for (const ScanChannel& channel : scan.channels)
         if (std::ranges::find(channels_, channel.info.name, &ChannelInfo::name) == channels_.end())
             channels_.push_back(channel.info);
-    entries_.push_back(
-        scan_files::entry_json(frame, scan, scan_files::count_points(scan, format_.config), files));
+    entries_.push_back(scan_files::entry_json(frame, scan, format_, files));
 }
 
 }  // namespace relidar

@@ -16,6 +16,7 @@
 #include "simulate/scan_files/packet_files.hpp"
 #include "simulate/scan_files/recording_format.hpp"
 #include "simulate/scan_files/scan_entry.hpp"
+#include "simulate/scan_files/seen_actors.hpp"
 
 namespace relidar {
 namespace {
@@ -146,8 +147,36 @@ void ScanFolder::summarise() const {
     write_text(folder_ / kSummary, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
 }
 
-std::string scan_files::entry_json(int frame, const RenderedScan& scan, std::size_t n_points,
+namespace {
+
+/// Returns the boxes of the actors that at least one ray of the scan would hit. Each box
+/// has its pose at the time at which the sensor faces the actor.
+Json boxes_json(const RenderedScan& scan, const ScanFormat& format) {
+    Json boxes = Json::array();
+    for (const scan_files::SeenActor& actor : scan_files::find_actors(scan, format)) {
+        if (!actor.visible_share) continue;
+        const BoxTrack& box = *actor.box;
+        const Pose pose = actor.world_from_box(actor.faced_s);
+        const glm::dvec3 velocity_mps =
+            pose.rotation * scan_files::velocity_of(actor.world_from_box, actor.faced_s).linear_mps;
+        boxes.push_back({{"track", box.id},
+                         {"category", box.category},
+                         {"class", name_of(object_kind(box.category))},
+                         {"size_m", {box.size_m.x, box.size_m.y, box.size_m.z}},
+                         {"time_s", actor.faced_s},
+                         {"world_from_box", matrix_json(pose)},
+                         {"velocity_mps", {velocity_mps.x, velocity_mps.y, velocity_mps.z}},
+                         {"points", actor.n_points},
+                         {"visible_share", *actor.visible_share}});
+    }
+    return boxes;
+}
+
+}  // namespace
+
+std::string scan_files::entry_json(int frame, const RenderedScan& scan, const ScanFormat& format,
                                    const std::vector<std::string>& files) {
+    const std::size_t n_points = count_points(scan, format.config);
     Json sides = Json::array();
     for (const UnseenSide& unseen : scan.unseen_sides)
         sides.push_back({{"track", unseen.track}, {"side", name_of(unseen.side)}, {"rays", unseen.n_rays}});
@@ -159,6 +188,7 @@ std::string scan_files::entry_json(int frame, const RenderedScan& scan, std::siz
                         {"dropped", scan.image.range_m.size() - n_points},
                         {"unseen", scan.unseen_share ? Json(*scan.unseen_share) : Json()},
                         {"unseen_sides", sides},
+                        {"boxes", scan.actor_views.empty() ? Json::array() : boxes_json(scan, format)},
                         {"files", files}};
     return entry.dump(-1, ' ', false, Json::error_handler_t::replace);
 }

@@ -175,6 +175,48 @@ TEST_F(MovingActors, WithoutRollingShutterActorsStand) {
     EXPECT_NEAR(last_m, 8.0, 1e-3);
 }
 
+/// A wall ends straight ahead of the sensor, so it hides the left half of a van. Half of
+/// the light passes the edge of a surfel. The edge is sqrt(2 ln(2 opacity)) standard
+/// deviations from the middle of the surfel.
+TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
+    const double edge = std::sqrt(2.0 * std::log(2.0 / (1.0 + std::exp(-6.0))));
+    Surfels rear;
+    add_wall(rear, {-2.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(1.0f));
+    const PoseAt sensor = [](double) { return Pose{}; };
+    const PoseAt van = [](double) { return Pose{{1, 0, 0, 0}, {12.0, 0.0, 0.0}}; };
+    Sequence log = drive(7200, sensor, van, {4.0, 2.0, 2.0});
+    log.boxes[0].category = "Pedestrian";
+    const auto expect_share = [&](double wall_x_m, double share) {
+        Scene scene = one_actor(rear, {4.0, 2.0, 2.0});
+        scene.surfels = {};
+        // Three narrow surfels in a row, so that the wall has a sharp edge at y = 0.
+        for (int k = 0; k < 3; ++k)
+            add_wall(scene.surfels, {float(wall_x_m), float(0.25 * edge + 0.45 * k), 0.0f},
+                     glm::quat(0, 0, 0, 1), {2.0f, 0.25f});
+        scene.models[0].count = scene.models[1].first = 3;
+        scene.surfels.append(rear);
+        Config config;
+        config.render.channels = "class";
+        ScanRenderer renderer(device(), scene, config, log);
+        EXPECT_TRUE(renderer.render(configured_sensor(config, log), 0.5).actor_views.empty());
+        renderer.compute_views();
+        const RenderedScan scan = renderer.render(configured_sensor(config, log), 0.5);
+        ASSERT_EQ(scan.actor_views.size(), 1u);
+        const ActorView& view = scan.actor_views[0];
+        EXPECT_EQ(view.track, "actor");
+        // The van's rear is 10 m ahead. A column is 2 pi / 7200 wide.
+        EXPECT_NEAR(double(view.n_rays_alone), 2.0 * std::atan(edge / 10.0) / (2.0 * kPi) * 7200.0, 3.0);
+        EXPECT_NEAR(double(view.n_rays) / double(view.n_rays_alone), share, 0.015);
+        // 0 is the background, 3 is a person, and -1 means that the ray hits nothing.
+        const auto& classes = *find_values<std::int32_t>(scan.channels, "class");
+        for (std::size_t i = 0; i < classes.size(); ++i)
+            EXPECT_EQ(classes[i], scan.instance[i] == 1 ? 3 : scan.instance[i]);
+        EXPECT_GE(std::ranges::count(classes, 3), std::ptrdiff_t(view.n_rays));
+    };
+    expect_share(5.0, 0.5);
+    expect_share(20.0, 1.0);
+}
+
 /// A van drives ahead of the sensor in a bend, next to a static wall. The radial velocity
 /// of a point must be the time derivative of its distance, computed from differences of
 /// exact positions.

@@ -89,6 +89,33 @@ TEST_F(Recordings, AppearWhenTheyAreFinished) {
     EXPECT_EQ(scans_in(folder).size(), 3u) << "the next rendering knows them";
 }
 
+/// The sensor faces the car with its second ray, 62.5 ms after the time of the scan. At
+/// this time, the car has driven 0.625 m.
+TEST_F(Recordings, ScansJsonHasTheBoxesAtTheTimeOfTheirRay) {
+    format.instance_names = {"background", "car"};
+    format.actors = {{.id = "car",
+                      .category = "Van",
+                      .size_m = {4.0, 2.0, 1.5},
+                      .world_from_box = {
+                          {0.0, 2.0}, {{{1, 0, 0, 0}, {0.0, -5.0, 0.0}}, {{1, 0, 0, 0}, {0.0, 15.0, 0.0}}}}}};
+    ScanFolder scans(folder, format);
+    RenderedScan scan = two_rays(1.0);
+    scan.time_offset_s = {-0.0625f, 0.0625f};
+    scan.image.direction[1] = {0.0f, 1.0f, 0.0f};
+    scan.actor_views = {{"car", 3, 4}};
+    scans.write(0, scan);
+    scan.actor_views.clear();
+    scans.write(1, scan);
+    scans.finish();
+    std::string text = contents(folder / "scans.json");
+    std::erase_if(text, [](char c) { return c == ' ' || c == '\n'; });
+    EXPECT_THAT(text, HasSubstr(R"("boxes":[{"track":"car","category":"Van","class":"vehicle",)"
+                                R"("size_m":[4.0,2.0,1.5],"time_s":1.0625,"world_from_box":[[1.0,0.0,0.0,)"
+                                R"(0.0],[0.0,1.0,0.0,5.625],[0.0,0.0,1.0,0.0],[0.0,0.0,0.0,1.0]],)"));
+    EXPECT_THAT(text, HasSubstr(R"("points":1,"visible_share":0.75}])"));
+    EXPECT_THAT(text, HasSubstr(R"("boxes":[])")) << "views were not computed";
+}
+
 TEST_F(Recordings, LeaveNothingWhereTheRenderingWasInterrupted) {
     {
         ScanFolder scans(folder, format);

@@ -25,6 +25,7 @@
 #include "render/choose_frames.hpp"
 #include "render/packet_sender.hpp"
 #include "render/recording_names.hpp"
+#include "render/render_help.hpp"
 #include "render/render_notes.hpp"
 #include "render/target_sensors.hpp"
 #include "render/trajectory.hpp"
@@ -50,6 +51,7 @@ struct RenderOptions {
     std::string point_frame = "sensor";
     std::optional<std::uint64_t> sample;
     std::string weather;
+    bool boxes = false;
     bool deskew = false;
     bool merge = false;
     bool overwrite = false;
@@ -387,6 +389,7 @@ void run_render(const RenderOptions& typed_options) {
     Device device(device_options(options.device));
     ScanRenderer renderer(device, run);
     if (!options.only.empty()) renderer.show_only(shown);
+    if (options.boxes) renderer.compute_views();
     renderer.set_weather(parse_weather(options.weather));
     Output output = make_output(options, run, targets, offset, ranks);
 
@@ -442,6 +445,9 @@ void add_file_options(CLI::App& command, RenderOptions& options) {
                     "dataset's (default: sensor)")
         ->type_name("WHAT");
     add_channels_option(command, options.channels);
+    command.add_flag("--boxes", options.boxes,
+                     "write the boxes of actors that a ray would hit to scans.json, with class, points and "
+                     "visible share; traces the rays near each actor a second time");
     command.add_flag("--deskew", options.deskew,
                      "transform all points of a scan to the sensor's frame at the scan's time, as in a "
                      "motion-compensated log; in mcap and rosbag to the frame at the stamp");
@@ -451,37 +457,6 @@ void add_file_options(CLI::App& command, RenderOptions& options) {
                      "merge the scans of a rig's sensors into one scan in the frame of the rig (default: a "
                      "folder for each sensor)");
     command.add_flag("--force", options.overwrite, "replace the rendering in DIR");
-}
-
-constexpr const char* kFilesHelp =
-    R"(Files are named DIR/frame_000123.npz and so on, by the dataset's frame number; with --trajectory
-they are counted from 0. DIR/scans.json holds run, sensor, offset, poses, times and settings, and
-`unseen`: the share of rays that cross mainly space that the log has not seen. `unseen_sides`: sides
-of actors that rays meet and the log has not seen.
-npz: range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions,
-origin [rows,columns,3]; pose [4,4], sensor to the dataset's world at time_s. Metres, seconds.
-ply, pcd, bin: points of rays with drop_prob < 0.5, on the dominant surface. With --set
-render.points=range they use the mean range, which lies between two surfaces at edges. The
-VIEWPOINT of a pcd is the pose in the dataset's world.
-ring: beam, 0 is the highest. time: firing time of the ray, seconds from time_s.
-instance (npz, exr, ply, pcd): surface that the ray hits first, the number in `relidar info RUN`;
-0 background, -1 nothing. npz also has instance_names.
-mcap: DIR/scans.mcap, one file with all scans of all sensors, for Foxglove. rosbag:
-DIR/rosbag.mcap, a ROS 2 bag. Both contain the transforms of world, base_link (the log's vehicle)
-and sensors, and the boxes of actors. --deskew moves points to the time of the first ray.
-pcap: DIR/packets.pcap, the packets that the sensor sends, with its rounding and timing; with
-packets.csv (Hesai) or packets.json (Ouster), the calibration for its driver.
-)";
-
-/// Returns the help text of the option --channels.
-std::string channels_help() {
-    std::string text =
-        "Channels of --channels, one value per ray in npz and exr, one per point in ply, pcd, mcap and "
-        "rosbag:\n";
-    for (const ChannelInfo& channel : optional_channels())
-        text += fmt::format("  {:<17} {}{}\n", channel.name, channel.meaning,
-                            channel.unit.empty() ? "" : " [" + channel.unit + "]");
-    return text;
 }
 
 }  // namespace
@@ -533,7 +508,7 @@ void add_render(CLI::App& app, Call& call) {
     command->add_flag("--no-refine", options->no_refine,
                       "use the ray-drop of the surfels, without the run's network");
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(std::string(kFilesHelp) + channels_help() + sensor_file_help() +
+    command->footer(files_help() + channels_help() + sensor_file_help() +
                     "\n"
                     "Examples:\n"
                     "  relidar render run --out scans\n"

@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "seen_actors.hpp"
+
+#include <algorithm>
+
+#include <relidar/simulate/render.hpp>
+
+namespace relidar::scan_files {
+namespace {
+
+constexpr double kVelocityStep_s = 0.005;
+
+/// A subset of the rays of a scan. The rays are spread evenly over the scan.
+class SampledRays {
+public:
+    explicit SampledRays(const RenderedScan& scan) : scan_(scan) {
+        constexpr std::size_t kMost = 4096;
+        // The step is odd, so that the selected columns differ between the rows.
+        const std::size_t n = scan.image.direction.size(), step = (n / kMost) | 1;
+        for (std::size_t i = 0; i < n; i += step)
+            rays_.push_back({scan.image.direction[i], scan.time_offset_s[i]});
+    }
+    /// Returns the firing time of the ray that passes closest to a moving point.
+    /// @param place_m returns the position of the point at a given time, in the world
+    /// frame of the dataset
+    template <class PlaceAt>
+    double faced_at(const PlaceAt& place_m) const {
+        // Number of iterations. Each new firing time changes the positions of the point
+        // and the sensor, so the search is repeated.
+        constexpr int kRounds = 3;
+        double time_s = scan_.time_s;
+        for (int round = 0; round < kRounds && !rays_.empty(); ++round) {
+            const glm::vec3 towards(glm::normalize(inverse(sensor_pose(scan_, time_s)) * place_m(time_s)));
+            const auto cosine = [&](const Ray& ray) { return glm::dot(ray.direction, towards); };
+            time_s = scan_.time_s + double(std::ranges::max_element(rays_, {}, cosine)->time_offset_s);
+        }
+        return time_s;
+    }
+
+private:
+    struct Ray {
+        glm::vec3 direction;
+        float time_offset_s;
+    };
+    const RenderedScan& scan_;
+    std::vector<Ray> rays_;
+};
+
+/// Counts the first returns of a scan on an actor.
+std::size_t count_points_on(const RenderedScan& scan, const ScanFormat& format, const std::string& track) {
+    const auto instance = std::ranges::find(format.instance_names, track) - format.instance_names.begin();
+    const std::vector<float>& range_m = point_ranges(scan, format.config);
+    std::size_t n = 0;
+    for (std::size_t i = 0; i < range_m.size(); ++i)
+        n += scan.instance[i] == instance && returned(scan.image.drop_prob[i], range_m[i]);
+    return n;
+}
+
+std::optional<double> visible_share(const RenderedScan& scan, const std::string& track) {
+    const auto view = std::ranges::find(scan.actor_views, track, &ActorView::track);
+    if (view == scan.actor_views.end()) return {};
+    return std::min(1.0, double(view->n_rays) / double(view->n_rays_alone));
+}
+
+}  // namespace
+
+Pose sensor_pose(const RenderedScan& scan, double time_s) {
+    return scan.track.pose.empty() ? scan.world_from_sensor : scan.track.at(time_s);
+}
+
+Velocity velocity_of(const std::function<Pose(double)>& world_from_thing, double time_s) {
+    const Twist twist =
+        twist_between(world_from_thing(time_s - kVelocityStep_s), world_from_thing(time_s + kVelocityStep_s));
+    const glm::dquat thing_from_world = glm::conjugate(world_from_thing(time_s).rotation);
+    const double span_s = 2.0 * kVelocityStep_s;
+    return {thing_from_world * glm::dvec3(twist[0], twist[1], twist[2]) / span_s,
+            thing_from_world * glm::dvec3(twist[3], twist[4], twist[5]) / span_s};
+}
+
+std::vector<SeenActor> find_actors(const RenderedScan& scan, const ScanFormat& format) {
+    const SampledRays rays(scan);
+    std::vector<SeenActor> actors;
+    for (const BoxTrack& box : format.actors) {
+        if (!box.present(scan.time_s)) continue;
+        const auto world_from_box = [&box, &format](double t_s) {
+            const Pose pose = box.world_from_box.at(t_s);
+            return Pose{pose.rotation, pose.translation + format.world_offset_m};
+        };
+        const double faced_s = rays.faced_at([&](double t_s) { return world_from_box(t_s).translation; });
+        actors.push_back({&box, world_from_box, faced_s, count_points_on(scan, format, box.id),
+                          visible_share(scan, box.id)});
+    }
+    return actors;
+}
+
+}  // namespace relidar::scan_files

@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+// Finds the boxes of the actors in a scan, the time at which the sensor faces each box,
+// and how much of each actor the scan shows.
+#pragma once
+
+#include <functional>
+#include <optional>
+#include <vector>
+
+#include <relidar/simulate/scan_files.hpp>
+#include "recorded_moment.hpp"
+
+namespace relidar::scan_files {
+
+/// An actor that is present during a scan.
+struct SeenActor {
+    const BoxTrack* box;
+    /// Pose of the box at a time of the log, in the world frame of the dataset.
+    std::function<Pose(double)> world_from_box;
+    /// Time at which the sensor points at the actor, in the time of the log.
+    double faced_s;
+    std::size_t n_points;  ///< first returns of the scan on the actor
+    /// Rays that hit the actor first, divided by the rays that would hit it if the scene
+    /// contained only this actor. No value if ScanRenderer::compute_views() was not
+    /// called, or if no ray would hit the actor.
+    std::optional<double> visible_share;
+};
+
+/// Returns the actors of `format` that are present during a scan.
+/// @param format must outlive the result
+std::vector<SeenActor> find_actors(const RenderedScan& scan, const ScanFormat& format);
+
+/// Returns the pose of the sensor at time `time_s` of the log, in the world frame of the
+/// dataset.
+Pose sensor_pose(const RenderedScan& scan, double time_s);
+
+/// Returns the velocity of an object, computed by central differences of its poses.
+/// @param world_from_thing returns the pose of the object at a given time
+Velocity velocity_of(const std::function<Pose(double)>& world_from_thing, double time_s);
+
+}  // namespace relidar::scan_files

@@ -1,0 +1,14 @@
+// SPDX-License-Identifier: Apache-2.0
+// Texts at the end of `relidar render --help`.
+#pragma once
+
+#include <string>
+
+namespace relidar::cli {
+
+/// Returns the description of the output files.
+std::string files_help();
+/// Returns the help text of the option --channels.
+std::string channels_help();
+
+}  // namespace relidar::cli
