@@ -7,6 +7,7 @@
 #include <cstring>
 #include <filesystem>
 #include <map>
+#include <ostream>
 #include <set>
 
 #include <gtest/gtest.h>
@@ -144,6 +145,11 @@ struct WrittenProduct {
     int returns;
     double quantum_m;
 };
+
+/// Prints a product in messages of failed tests.
+void PrintTo(const WrittenProduct& product, std::ostream* out) {
+    *out << product.sensor << ' ' << product.profile << ", returns " << product.returns;
+}
 
 /// Writes two turns of a scan as a capture, and reads the capture as a log.
 Sequence written_log(const SpinningSensor& sensor, const PacketOptions& options, const Scan& scan) {
