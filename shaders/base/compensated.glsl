@@ -6,7 +6,7 @@
 
 /// Adds x to `sum`. Stores the rounding error in `lost`. The next call corrects the sum
 /// by this error.
-void add_compensated(inout float sum, inout float lost, float x) {
+void add_with_compensation(inout float sum, inout float lost, float x) {
     precise float y = x - lost;
     precise float t = sum + y;
     precise float rest = (t - sum) - y;

@@ -10,7 +10,7 @@ layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer Fix
 const float kFixedSteps = 1048576.0, kFixedWord = 4294967296.0;
 
 /// Returns -x for a 64-bit number of two words (two's complement).
-uvec2 negated(uvec2 x) { return uvec2(~x.x + 1u, ~x.y + uint(x.x == 0u)); }
+uvec2 negate(uvec2 x) { return uvec2(~x.x + 1u, ~x.y + uint(x.x == 0u)); }
 
 /// Adds x to the fixed-point number sums[entry]. The number consists of two words, the
 /// low word first. x must be finite and its absolute value below 1e12.
@@ -19,7 +19,7 @@ void add_fixed(Uints sums, uint entry, float x) {
     // only 24 significant bits.
     float steps = trunc(abs(x) * kFixedSteps), high = floor(steps / kFixedWord);
     uvec2 amount = uvec2(uint(steps - high * kFixedWord), uint(high));
-    if (x < 0.0) amount = negated(amount);
+    if (x < 0.0) amount = negate(amount);
     FixedWords words = FixedWords(uvec2(sums));
     uint before = atomicAdd(words.at[2u * entry], amount.x);
     atomicAdd(words.at[2u * entry + 1u], amount.y + uint(before + amount.x < before));
@@ -30,7 +30,7 @@ float read_fixed(Uints sums, uint entry) {
     bool negative = (sum.y & 0x80000000u) != 0u;
     // Negates the integer instead of the float, because converting a negative integer to
     // float would round its low word first.
-    if (negative) sum = negated(sum);
+    if (negative) sum = negate(sum);
     float steps = float(sum.y) * kFixedWord + float(sum.x);
     return (negative ? -steps : steps) / kFixedSteps;
 }

@@ -24,7 +24,7 @@ uvec4 pcg4d(uvec4 v) {
 /// @param key key of the launch
 /// @param item index of the item that needs the numbers
 /// @param draw index of the pair for this item
-vec2 random_normal2(uint key, uint item, uint draw) {
+vec2 draw_normal_pair(uint key, uint item, uint draw) {
     uvec4 bits = pcg4d(uvec4(key, item, draw, 0u));
     float radius = sqrt(-2.0 * log((float(bits.x >> 8u) + 1.0) * (1.0 / 16777216.0)));
     float angle = 6.283185307179586 * float(bits.y >> 8u) * (1.0 / 16777216.0);

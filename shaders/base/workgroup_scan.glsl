@@ -1,20 +1,19 @@
-// SPDX-License-Identifier: Apache-2.0
-// Prefix sums over a workgroup of at most 64 subgroups. scan_thread() numbers the threads
-// subgroup by subgroup, so that the sums are the same in every run. A shader must assign
-// its elements to threads by this number.
+// SPDX-License-Identifier: Apache-2.0 Prefix sums over a workgroup of at most 64
+// subgroups. get_scan_thread() numbers the threads subgroup by subgroup, so that the sums
+// are the same in every run. A shader must assign its elements to threads by this number.
 #ifndef RELIDAR_INCLUDED_BASE_WORKGROUP_SCAN_GLSL
 #define RELIDAR_INCLUDED_BASE_WORKGROUP_SCAN_GLSL
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 shared uvec2 scan_sums[64];
 
-uint scan_thread() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
+uint get_scan_thread() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
 
 /// Returns the sum over all subgroups before this subgroup. Every thread of the workgroup
 /// must call this function.
 /// @param sum sum of this subgroup
 /// @param total output: sum of all subgroups
-uvec2 subgroups_before(uvec2 sum, out uvec2 total) {
+uvec2 sum_earlier_subgroups(uvec2 sum, out uvec2 total) {
     if (subgroupElect()) scan_sums[gl_SubgroupID] = sum;
     barrier();
     total = uvec2(0u);
@@ -32,8 +31,8 @@ uvec2 subgroups_before(uvec2 sum, out uvec2 total) {
 /// Returns the sum of x over all threads before this thread. Every thread of the
 /// workgroup must call this function.
 /// @param total output: sum over all threads
-uvec2 workgroup_exclusive_add(uvec2 x, out uvec2 total) {
-    uvec2 before = subgroupExclusiveAdd(x);
-    return before + subgroups_before(subgroupAdd(x), total);
+uvec2 compute_exclusive_sum(uvec2 value, out uvec2 total) {
+    uvec2 before = subgroupExclusiveAdd(value);
+    return before + sum_earlier_subgroups(subgroupAdd(value), total);
 }
 #endif

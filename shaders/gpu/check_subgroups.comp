@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes the results of subgroup operations, so that the host can check them. The value
-// of a thread depends only on its number from scan_thread(), so the host knows every
+// of a thread depends only on its number from get_scan_thread(), so the host knows every
 // correct result. Output: results.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -13,13 +13,13 @@
 RELIDAR_PARAMS(CheckSubgroupsParams);
 
 void main() {
-    uint lane = gl_SubgroupInvocationID, thread = scan_thread();
-    uint global = workgroup_index() * gl_WorkGroupSize.x + thread;
+    uint lane = gl_SubgroupInvocationID, thread = get_scan_thread();
+    uint global = get_workgroup_index() * gl_WorkGroupSize.x + thread;
     uint x = check_value(global);
     bool odd = (x & 1u) != 0u;
     uint first = global * RELIDAR_CHECK_RESULTS;
     uint sum = subgroupAdd(params.fault != 0u && lane == 0u ? 0u : x);
-    uvec2 total, before = workgroup_exclusive_add(uvec2(x, 1u), total);
+    uvec2 total, before = compute_exclusive_sum(uvec2(x, 1u), total);
     uvec4 ballot = subgroupBallot(odd);
     params.results.at[first] = gl_SubgroupSize;
     params.results.at[first + 1u] = sum;

@@ -32,13 +32,13 @@ shared uint digit_start[RELIDAR_SORT_DIGITS];
 uint rank[ROUNDS];  // Ranks of this lane's keys. The lane ranks one key per round.
 
 /// Returns the number of neighbouring subgroups that share a row of counters.
-uint n_sharing() { return (gl_NumSubgroups + ROWS - 1u) / ROWS; }
+uint count_sharing_subgroups() { return (gl_NumSubgroups + ROWS - 1u) / ROWS; }
 
-uint half_word(uint word, uint digit) { return (word >> (16u * (digit & 1u))) & 0xffffu; }
+uint extract_half_word(uint word, uint digit) { return (word >> (16u * (digit & 1u))) & 0xffffu; }
 
 /// Returns a bit mask of the lanes of this subgroup whose keys have the same digit as
 /// this lane's key. Lanes without a key form a separate group.
-uvec2 peers_of(bool valid, uint digit) {
+uvec2 find_lanes_with_same_digit(bool valid, uint digit) {
     uvec2 with_key = subgroupBallot(valid).xy;
     uvec2 peers = valid ? with_key : ~with_key;
     for (uint bit = 1u; bit < RELIDAR_SORT_DIGITS; bit <<= 1) {
@@ -54,17 +54,17 @@ uvec2 peers_of(bool valid, uint digit) {
 /// the keys. Every subgroup must call this function, because a subgroup barrier waits for
 /// all subgroups on lavapipe.
 /// @param run first key of this lane
-/// @param n total number of keys
+/// @param count total number of keys
 /// @param row row of counters
 /// @param in_turn true if this subgroup ranks its keys in this call
-void rank_run(uint run, uint n, uint row, bool in_turn) {
+void rank_keys(uint run, uint count, uint row, bool in_turn) {
     for (uint r = 0u; r < ROUNDS; ++r) {
         uint i = run + r * gl_SubgroupSize;
-        bool valid = in_turn && i < n;
-        uint digit = valid ? digit_of(i) : 0u;
-        uvec2 peers = peers_of(valid, digit), before = peers & gl_SubgroupLtMask.xy;
+        bool valid = in_turn && i < count;
+        uint digit = valid ? get_digit(i) : 0u;
+        uvec2 peers = find_lanes_with_same_digit(valid, digit), before = peers & gl_SubgroupLtMask.xy;
         uint smaller = bitCount(before.x) + bitCount(before.y);
-        if (in_turn) rank[r] = half_word(counters[row + digit / 2u], digit) + smaller;
+        if (in_turn) rank[r] = extract_half_word(counters[row + digit / 2u], digit) + smaller;
         subgroupMemoryBarrierShared();
         subgroupBarrier();
         if (valid && smaller == 0u)
@@ -77,9 +77,9 @@ void rank_run(uint run, uint n, uint row, bool in_turn) {
 
 /// Replaces the counts of each row by their sums over all earlier rows.
 void sum_counters(uint n_rows) {
-    if (scan_thread() >= WORDS) return;
+    if (get_scan_thread() >= WORDS) return;
     uint sum = 0u;
-    for (uint at = scan_thread(); at < n_rows * WORDS; at += WORDS) {
+    for (uint at = get_scan_thread(); at < n_rows * WORDS; at += WORDS) {
         uint word = counters[at];
         counters[at] = sum;
         sum += word;
@@ -87,17 +87,18 @@ void sum_counters(uint n_rows) {
 }
 
 void main() {
-    uint tile = workgroup_index(), thread = scan_thread(), n = n_keys();
+    uint tile = get_workgroup_index(), thread = get_scan_thread(), n = n_keys();
     if (tile >= n_tiles()) return;
-    uint sharing = n_sharing(), n_rows = gl_NumSubgroups / sharing, row = gl_SubgroupID / sharing * WORDS;
+    uint sharing = count_sharing_subgroups(), n_rows = gl_NumSubgroups / sharing,
+         row = gl_SubgroupID / sharing * WORDS;
     uint run = tile * RELIDAR_TILE_SIZE + gl_SubgroupID * gl_SubgroupSize * ROUNDS + gl_SubgroupInvocationID;
     uvec2 unused;
-    digit_start[thread] = workgroup_exclusive_add(uvec2(params.totals.at[thread], 0u), unused).x +
+    digit_start[thread] = compute_exclusive_sum(uvec2(params.totals.at[thread], 0u), unused).x +
                           params.counts.at[thread * n_tiles() + tile];
     for (uint i = thread; i < n_rows * WORDS; i += RELIDAR_TILE_THREADS) counters[i] = 0u;
     barrier();
     for (uint turn = 0u; turn < sharing; ++turn) {
-        rank_run(run, n, row, gl_SubgroupID % sharing == turn);
+        rank_keys(run, n, row, gl_SubgroupID % sharing == turn);
         barrier();
     }
     sum_counters(n_rows);
@@ -105,8 +106,8 @@ void main() {
     for (uint r = 0u; r < ROUNDS; ++r) {
         uint i = run + r * gl_SubgroupSize;
         if (i >= n) continue;
-        uint digit = digit_of(i);
-        uint to = digit_start[digit] + half_word(counters[row + digit / 2u], digit) + rank[r];
+        uint digit = get_digit(i);
+        uint to = digit_start[digit] + extract_half_word(counters[row + digit / 2u], digit) + rank[r];
         for (uint word = 0u; word < KEY_WORDS; ++word)
             params.sorted_keys.at[to * KEY_WORDS + word] = params.keys.at[i * KEY_WORDS + word];
         params.sorted_order.at[to] = !is_null(params.order) ? params.order.at[i] : i;

@@ -25,17 +25,17 @@ RELIDAR_PARAMS(ActivateParams);
 /// must call this function. Checks the coefficients for NaN, because max(NaN, 0) is 0 and
 /// hides a NaN.
 /// @return true if all active coefficients are finite
-bool channels(uint surfel, bool is_surfel, vec3 direction, out vec3 values) {
+bool compute_channels(uint surfel, bool is_surfel, vec3 direction, out vec3 values) {
     float basis[16];
-    sh_basis(direction, params.sh_degree, basis);
-    uint n = sh_count(params.sh_degree);
+    evaluate_sh_basis(direction, params.sh_degree, basis);
+    uint n = count_sh_coefficients(params.sh_degree);
     float size = 0.0;
-    choose_moves(is_surfel, false);
+    select_transfers(is_surfel, false);
     for (uint c = 0u; c < 3u; ++c) {
         load_channel(params.surfels.sh, surfel, c, n);
         float value = 0.5;
         for (uint k = 0u; k < n; ++k) {
-            float x = coefficient(params.surfels.sh, surfel, c, k);
+            float x = load_coefficient(params.surfels.sh, surfel, c, k);
             value += basis[k] * x;
             size += abs(x);
         }
@@ -44,10 +44,10 @@ bool channels(uint surfel, bool is_surfel, vec3 direction, out vec3 values) {
     return !isnan(size) && !isinf(size);
 }
 
-bool finite3(vec3 v) { return !any(isnan(v)) && !any(isinf(v)); }
+bool is_finite_vector(vec3 vector) { return !any(isnan(vector)) && !any(isinf(vector)); }
 
 void main() {
-    uint i = thread_index();
+    uint i = get_thread_index();
     bool is_surfel = i < params.n_surfels;
     // If STAGED is set, threads without a surfel continue, because they load data for
     // other threads.
@@ -57,7 +57,7 @@ void main() {
            log_scale = params.surfels.log_scale;
     uint model = find_model(params.models, params.n_models, surfel);
     Gait gait =
-        gait_of(params.surfels.gait, surfel, is_null(params.surfels.gait) ? -1.0 : params.phases.at[model]);
+        load_gait(params.surfels.gait, surfel, is_null(params.surfels.gait) ? -1.0 : params.phases.at[model]);
     SurfelRecord s;
     s.mean =
         vec3(mean.at[3 * surfel], mean.at[3 * surfel + 1], mean.at[3 * surfel + 2]) + gait.sine * gait.swing;
@@ -66,7 +66,7 @@ void main() {
     // Rejects quaternions whose squared length is outside 1e-30 ... 1e30. Their rotation
     // matrix would be wrong because of underflow or overflow.
     float q_length2 = dot(q, q);
-    mat3 r = rotation_matrix(q);
+    mat3 r = make_rotation_matrix(q);
     s.axis_u = r[0] * exp(-log_scale.at[2 * surfel]);
     s.axis_v = r[1] * exp(-log_scale.at[2 * surfel + 1]);
     s.normal = r[2];
@@ -74,7 +74,8 @@ void main() {
     if (!is_null(params.surfels.log_scale_w)) s.normal *= exp(-params.surfels.log_scale_w.at[surfel]);
     s.opacity = gait.presence / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
     vec3 values;
-    bool finite_sh = channels(i, is_surfel, normalize(s.mean - params.view_origins.at[model]), values);
+    bool finite_sh =
+        compute_channels(i, is_surfel, normalize(s.mean - params.view_origins.at[model]), values);
     bool evaluate = params.sh_per_surfel != 0u;
     s.intensity = evaluate ? max(values.x, 0.0) : 0.0;
     s.hit_logit = evaluate ? values.y : 0.0;
@@ -82,10 +83,11 @@ void main() {
     // Rejects surfels with a scale outside 1e-6 m ... 1e6 m.
     vec3 inverse_scale = vec3(length(s.axis_u), length(s.axis_v), length(s.normal));
     bool finite = q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(inverse_scale, vec3(1e-6))) &&
-                  all(lessThan(inverse_scale, vec3(1e6))) && finite3(s.mean) && finite3(s.axis_u) &&
-                  finite3(s.axis_v) && finite3(s.normal) && finite_sh;
+                  all(lessThan(inverse_scale, vec3(1e6))) && is_finite_vector(s.mean) &&
+                  is_finite_vector(s.axis_u) && is_finite_vector(s.axis_v) && is_finite_vector(s.normal) &&
+                  finite_sh;
     if (!finite || !(s.opacity > params.alpha_min)) {
-        bool placed = finite3(s.mean);
+        bool placed = is_finite_vector(s.mean);
         s = SurfelRecord(placed ? s.mean : vec3(0.0), 0.0, vec3(1.0, 0.0, 0.0), 0.0, vec3(0.0, 1.0, 0.0), 0.0,
                          vec3(0.0, 0.0, 1.0), 0.0);
     }

@@ -23,10 +23,10 @@ RELIDAR_PARAMS(ActivateVjpParams);
 /// is zero if the record gradient is zero. Every thread of the workgroup must call this
 /// function.
 /// @return dL/d(direction)
-vec3 channels_vjp(uint surfel, bool any_gradient, vec3 direction, vec3 d_channel) {
+vec3 backpropagate_channels(uint surfel, bool any_gradient, vec3 direction, vec3 d_channel) {
     float basis[16], d_basis[16];
-    uint n = sh_count(params.sh_degree);
-    sh_basis(direction, params.sh_degree, basis);
+    uint n = count_sh_coefficients(params.sh_degree);
+    evaluate_sh_basis(direction, params.sh_degree, basis);
     for (uint k = 0u; k < 16u; ++k) d_basis[k] = 0.0;
     Floats sh = params.surfels.sh, d_sh = params.d_surfels.sh;
     for (uint c = 0u; c < 3u; ++c) {
@@ -34,24 +34,24 @@ vec3 channels_vjp(uint surfel, bool any_gradient, vec3 direction, vec3 d_channel
         float d = d_channel[c];
         if (c == 0u) {
             float intensity = 0.5;
-            for (uint k = 0u; k < n; ++k) intensity += basis[k] * coefficient(sh, surfel, c, k);
+            for (uint k = 0u; k < n; ++k) intensity += basis[k] * load_coefficient(sh, surfel, c, k);
             // The forward pass clamps negative intensities to 0, so their gradient is 0.
             if (intensity < 0.0) d = 0.0;
         }
         for (uint k = 0u; k < n; ++k) {
-            d_basis[k] += d * coefficient(sh, surfel, c, k);
+            d_basis[k] += d * load_coefficient(sh, surfel, c, k);
             set_coefficient(d_sh, surfel, c, k, any_gradient ? d * basis[k] : 0.0);
         }
         store_channel(d_sh, surfel, c, n);
     }
-    return sh_basis_vjp(direction, params.sh_degree, d_basis);
+    return backpropagate_sh_basis(direction, params.sh_degree, d_basis);
 }
 
-vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1], a.at[i + 2]); }
+vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1], array.at[row + 2]); }
 
-void store_view(uint surfel, vec3 g) {
+void store_view(uint surfel, vec3 gradient) {
     if (is_null(params.d_view)) return;
-    for (uint k = 0u; k < 3u; ++k) params.d_view.at[3 * surfel + k] = g[k];
+    for (uint k = 0u; k < 3u; ++k) params.d_view.at[3 * surfel + k] = gradient[k];
 }
 
 /// Loads the record gradient of a surfel, summed over all instances of its model.
@@ -91,11 +91,11 @@ void store_geometry(uint surfel, Gait gait, vec3 d_mean, float row[16]) {
     vec3 d_normal = vec3(row[12], row[13], row[14]);
     vec4 q = vec4(params.surfels.rotation.at[4 * surfel], params.surfels.rotation.at[4 * surfel + 1],
                   params.surfels.rotation.at[4 * surfel + 2], params.surfels.rotation.at[4 * surfel + 3]);
-    mat3 r = rotation_matrix(q);
+    mat3 r = make_rotation_matrix(q);
     vec3 inverse_scale =
         exp(-vec3(params.surfels.log_scale.at[2 * surfel], params.surfels.log_scale.at[2 * surfel + 1],
                   has_third_scale() ? params.surfels.log_scale_w.at[surfel] : 0.0));
-    vec4 d_q = rotation_matrix_vjp(
+    vec4 d_q = backpropagate_rotation_matrix(
         q, mat3(d_axis_u * inverse_scale.x, d_axis_v * inverse_scale.y, d_normal * inverse_scale.z));
     float opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
     for (uint k = 0u; k < 3u; ++k) params.d_surfels.mean.at[3 * surfel + k] = d_mean[k];
@@ -107,28 +107,29 @@ void store_geometry(uint surfel, Gait gait, vec3 d_mean, float row[16]) {
     params.d_surfels.opacity_logit.at[surfel] = row[3] * gait.presence * opacity * (1.0 - opacity);
     if (!has_gait()) return;
     float d_gait[5];
-    gait_vjp(gait, d_mean, row[3] * opacity, d_gait);
+    backpropagate_gait(gait, d_mean, row[3] * opacity, d_gait);
     for (uint k = 0u; k < 5u; ++k) params.d_surfels.gait.at[5 * surfel + k] = d_gait[k];
 }
 
 /// Computes the parameter gradients of a surfel. If STAGED is set, every thread of the
 /// workgroup must call this function.
-void chain_rule(uint surfel, bool is_surfel) {
+void apply_chain_rule(uint surfel, bool is_surfel) {
     uint model = find_model(params.models, params.n_models, surfel);
     float row[16];
     bool any_gradient = is_surfel && load_row(surfel, params.models.at[model], row);
     if (is_surfel) params.touched.at[surfel] = any_gradient ? 1u : 0u;
 
     Gait gait =
-        gait_of(params.surfels.gait, is_surfel ? surfel : 0u, has_gait() ? params.phases.at[model] : -1.0);
+        load_gait(params.surfels.gait, is_surfel ? surfel : 0u, has_gait() ? params.phases.at[model] : -1.0);
     vec3 d_to_mean = vec3(0.0);
     if (params.sh_per_surfel != 0u && (STAGED || any_gradient)) {
-        vec3 mean = load3(params.surfels.mean, 3 * (is_surfel ? surfel : 0u)) + gait.sine * gait.swing;
+        vec3 mean = load_vec3(params.surfels.mean, 3 * (is_surfel ? surfel : 0u)) + gait.sine * gait.swing;
         vec3 to_mean = any_gradient ? mean - params.view_origins.at[model] : vec3(1.0);
         float inverse_length = inversesqrt(dot(to_mean, to_mean));
         vec3 direction = to_mean * inverse_length;
-        choose_moves(any_gradient, is_surfel && (any_gradient || params.zero_untouched != 0u));
-        vec3 d_direction = channels_vjp(surfel, any_gradient, direction, vec3(row[7], row[11], row[15]));
+        select_transfers(any_gradient, is_surfel && (any_gradient || params.zero_untouched != 0u));
+        vec3 d_direction =
+            backpropagate_channels(surfel, any_gradient, direction, vec3(row[7], row[11], row[15]));
         d_to_mean = (d_direction - direction * dot(direction, d_direction)) * inverse_length;
     }
     if (any_gradient) {
@@ -141,14 +142,14 @@ void chain_rule(uint surfel, bool is_surfel) {
 }
 
 void main() {
-    uint i = thread_index(), n = is_null(params.rows) ? params.n_surfels : params.n_listed.at[0];
+    uint i = get_thread_index(), n = is_null(params.rows) ? params.n_surfels : params.n_listed.at[0];
     if (STAGED) {
-        chain_rule(i, i < n);  // threads without a surfel copy data of other threads
+        apply_chain_rule(i, i < n);  // threads without a surfel copy data of other threads
         return;
     }
     if (i >= n) return;
     do {
-        chain_rule(is_null(params.rows) ? i : params.rows.at[i], true);
-        i += thread_count();
+        apply_chain_rule(is_null(params.rows) ? i : params.rows.at[i], true);
+        i += get_thread_count();
     } while (i < n);
 }

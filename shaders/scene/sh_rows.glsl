@@ -22,14 +22,14 @@ shared bool staged_loads[gl_WorkGroupSize.x], staged_stores[gl_WorkGroupSize.x];
 /// Sets whether this thread loads and stores the spherical-harmonic coefficients of its
 /// surfel. Every thread of the workgroup must call this function, load_channel() and
 /// store_channel().
-void choose_moves(bool loads, bool stores) {
+void select_transfers(bool loads, bool stores) {
     if (!STAGED) return;
     staged_loads[gl_LocalInvocationIndex] = loads;
     staged_stores[gl_LocalInvocationIndex] = stores;
 }
 
-/// Loads the first n coefficients of a channel of a surfel.
-void load_channel(Floats sh, uint surfel, uint channel, uint n) {
+/// Loads the first `count` coefficients of a channel of a surfel.
+void load_channel(Floats sh, uint surfel, uint channel, uint count) {
     if (!STAGED) return;
     barrier();  // Waits until all threads have stored the previous channel.
     uint first = surfel - gl_LocalInvocationIndex, k = gl_LocalInvocationIndex % 16u;
@@ -37,7 +37,7 @@ void load_channel(Floats sh, uint surfel, uint channel, uint n) {
     [[unroll]] for (uint m = 0u; m < 16u; ++m) {
         uint s = (m * gl_WorkGroupSize.x + gl_LocalInvocationIndex) / 16u;
         moved[m] =
-            k < n && staged_loads[s] ? sh.at[(first + s) * RELIDAR_SH_FLOATS + channel * 16u + k] : 0.0;
+            k < count && staged_loads[s] ? sh.at[(first + s) * RELIDAR_SH_FLOATS + channel * 16u + k] : 0.0;
     }
     [[unroll]] for (uint m = 0u; m < 16u; ++m)
         staged_channel[(m * gl_WorkGroupSize.x + gl_LocalInvocationIndex) / 16u * kChannelPitch + k] =
@@ -46,26 +46,26 @@ void load_channel(Floats sh, uint surfel, uint channel, uint n) {
 }
 
 /// Stores the coefficients that set_coefficient() has written.
-void store_channel(Floats sh, uint surfel, uint channel, uint n) {
+void store_channel(Floats sh, uint surfel, uint channel, uint count) {
     if (!STAGED) return;
     barrier();
     uint first = surfel - gl_LocalInvocationIndex;
     for (uint e = gl_LocalInvocationIndex; e < 16u * gl_WorkGroupSize.x; e += gl_WorkGroupSize.x) {
         uint s = e / 16u, k = e % 16u;
-        if (k < n && staged_stores[s])
+        if (k < count && staged_stores[s])
             sh.at[(first + s) * RELIDAR_SH_FLOATS + channel * 16u + k] =
                 staged_channel[s * kChannelPitch + k];
     }
 }
 
-/// Returns SH coefficient k of the channel that was loaded last.
-float coefficient(Floats sh, uint surfel, uint channel, uint k) {
-    return STAGED ? staged_channel[gl_LocalInvocationIndex * kChannelPitch + k]
-                  : sh.at[surfel * RELIDAR_SH_FLOATS + channel * 16u + k];
+/// Returns SH coefficient `index` of the channel that was loaded last.
+float load_coefficient(Floats sh, uint surfel, uint channel, uint index) {
+    return STAGED ? staged_channel[gl_LocalInvocationIndex * kChannelPitch + index]
+                  : sh.at[surfel * RELIDAR_SH_FLOATS + channel * 16u + index];
 }
 
-void set_coefficient(Floats sh, uint surfel, uint channel, uint k, float value) {
-    if (STAGED) staged_channel[gl_LocalInvocationIndex * kChannelPitch + k] = value;
-    else sh.at[surfel * RELIDAR_SH_FLOATS + channel * 16u + k] = value;
+void set_coefficient(Floats sh, uint surfel, uint channel, uint index, float value) {
+    if (STAGED) staged_channel[gl_LocalInvocationIndex * kChannelPitch + index] = value;
+    else sh.at[surfel * RELIDAR_SH_FLOATS + channel * 16u + index] = value;
 }
 #endif

@@ -17,34 +17,35 @@
 RELIDAR_PARAMS(KnotGradientsParams);
 shared vec3 forces[RELIDAR_KNOT_WORKGROUP], torques[RELIDAR_KNOT_WORKGROUP];
 
-/// Returns the index in the frame of batch ray k.
-uint frame_ray(uint k) {
-    if (params.columns == 0u) return params.first_ray + k * params.ray_stride;
-    return k / params.n_columns * params.columns +
-           frame_column(k % params.n_columns, params.first_column, params.column_stride, params.columns);
+/// Returns the index in the frame of batch ray `index`.
+uint get_frame_ray(uint index) {
+    if (params.columns == 0u) return params.first_ray + index * params.ray_stride;
+    return index / params.n_columns * params.columns + get_frame_column(index % params.n_columns,
+                                                                        params.first_column,
+                                                                        params.column_stride, params.columns);
 }
 
-vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1u], a.at[i + 2u]); }
+vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1u], array.at[row + 2u]); }
 
 /// Sums the gradients of every n-th ray, starting with the ray whose index is the thread
 /// index.
 void sum_rays(uint thread, uint n_threads, uint knot, out vec3 force, out vec3 torque) {
     force = torque = vec3(0.0);
     for (uint k = thread; k < params.n_rays; k += n_threads) {
-        RayPlace place = params.places.at[frame_ray(k)];
+        RayPlace place = params.places.at[get_frame_ray(k)];
         float share = knot == place.left ? 1.0 - place.s : knot == place.left + 1u ? place.s : 0.0;
         if (share == 0.0) continue;
-        PoseKnot here = knot_at(params.knots, place);
+        PoseKnot here = interpolate_knot(params.knots, place);
         DeviceRay ray = params.moved.at[params.first_ray + k * params.ray_stride];
-        vec3 d_origin = load3(params.d_rays, 6u * k);
+        vec3 d_origin = load_vec3(params.d_rays, 6u * k);
         force += share * d_origin;
         torque += share * (cross(ray.origin - here.position - here.translation, d_origin) +
-                           cross(ray.direction, load3(params.d_rays, 6u * k + 3u)));
+                           cross(ray.direction, load_vec3(params.d_rays, 6u * k + 3u)));
     }
 }
 
 void main() {
-    uint group = workgroup_index(), local = gl_LocalInvocationID.x;
+    uint group = get_workgroup_index(), local = gl_LocalInvocationID.x;
     uint row = group / params.n_knots, knot = group % params.n_knots;
     sum_rays(row * RELIDAR_KNOT_WORKGROUP + local, params.n_rows * RELIDAR_KNOT_WORKGROUP, knot,
              forces[local], torques[local]);

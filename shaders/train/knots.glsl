@@ -4,7 +4,7 @@
 #ifndef RELIDAR_INCLUDED_TRAIN_KNOTS_GLSL
 #define RELIDAR_INCLUDED_TRAIN_KNOTS_GLSL
 
-PoseKnot knot_at(PoseKnots knots, RayPlace place) {
+PoseKnot interpolate_knot(PoseKnots knots, RayPlace place) {
     PoseKnot a = knots.at[place.left];
     // Returns early if the next pose has weight 0, because then it may not exist.
     if (place.s == 0.0) return a;

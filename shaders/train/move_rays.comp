@@ -13,11 +13,11 @@
 RELIDAR_PARAMS(MoveRaysParams);
 
 void main() {
-    uint i = thread_index();
+    uint i = get_thread_index();
     if (i >= params.n_rays) return;
-    PoseKnot knot = knot_at(params.knots, params.places.at[i]);
+    PoseKnot knot = interpolate_knot(params.knots, params.places.at[i]);
     DeviceRay ray = params.rays.at[i];
     params.moved.at[i] =
-        DeviceRay(knot.position + turned(knot.rotation, ray.origin - knot.position) + knot.translation,
-                  normalize(turned(knot.rotation, ray.direction)), ray.time_s);
+        DeviceRay(knot.position + rotate_point(knot.rotation, ray.origin - knot.position) + knot.translation,
+                  normalize(rotate_point(knot.rotation, ray.direction)), ray.time_s);
 }

@@ -14,7 +14,7 @@ namespace relidar {
 /// origin.
 /// @param point_m [3] metres
 /// @param cell_m edge length of the cells, metres
-inline std::uint64_t cell_key(const glm::dvec3& point_m, double cell_m) {
+inline std::uint64_t make_cell_key(const glm::dvec3& point_m, double cell_m) {
     std::uint64_t key = 0;
     for (int axis = 0; axis < 3; ++axis)
         key = key << 21 | (std::uint64_t(std::int64_t(std::floor(point_m[axis] / cell_m))) & 0x1FFFFFu);

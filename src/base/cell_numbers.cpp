@@ -26,7 +26,7 @@ std::vector<ItemsByPart> distribute_items(std::span<const std::uint64_t> key) {
     parallel_for(static_cast<int>(blocks.size()), [&](int s) {
         const std::size_t begin = std::size_t(s) * kItemsPerBlock;
         for (std::size_t i = begin; i < std::min(key.size(), begin + kItemsPerBlock); ++i)
-            blocks[std::size_t(s)][hash64(key[i]) % kParts].push_back(static_cast<std::uint32_t>(i));
+            blocks[std::size_t(s)][combine_hashes(key[i]) % kParts].push_back(static_cast<std::uint32_t>(i));
     });
     return blocks;
 }
@@ -48,7 +48,7 @@ CellNumbers number_cells(std::span<const std::uint64_t> key) {
     std::vector<std::uint32_t> number(key.size());
     for (std::uint32_t i = 0; i < key.size(); ++i)
         if (first[i] == i) number[i] = static_cast<std::uint32_t>(numbers.n_cells++);
-    for_each_block(key.size(), [&](std::size_t i) { numbers.of[i] = number[first[i]]; });
+    for_each_block(key.size(), [&](std::size_t index) { numbers.of[index] = number[first[index]]; });
     return numbers;
 }
 

@@ -20,12 +20,12 @@ struct CellNumbers {
 /// Assigns consecutive numbers to the cells that contain items.
 /// @param key [items] key of the cell that contains each item
 CellNumbers number_cells(std::span<const std::uint64_t> key);
-/// Assigns consecutive numbers to the cells that contain n items.
+/// Assigns consecutive numbers to the cells that contain `count` items.
 /// @param key_of function that returns the key of the cell that contains an item
 template <class KeyOf>
-CellNumbers number_cells(std::size_t n, const KeyOf& key_of) {
-    std::vector<std::uint64_t> keys(n);
-    for_each_block(n, [&](std::size_t i) { keys[i] = key_of(i); });
+CellNumbers number_cells(std::size_t count, const KeyOf& key_of) {
+    std::vector<std::uint64_t> keys(count);
+    for_each_block(count, [&](std::size_t index) { keys[index] = key_of(index); });
     return number_cells(keys);
 }
 

@@ -10,14 +10,14 @@ namespace relidar {
 
 /// Splits a line at its commas and removes blanks at both ends of each cell. Returns at
 /// least one cell.
-std::vector<std::string_view> csv_cells(std::string_view line);
+std::vector<std::string_view> split_csv_cells(std::string_view line);
 
 /// Returns the index of each known column in the header, or -1 if the column is missing.
-/// @param where file and line of the header, for error messages
+/// @param location file and line of the header, for error messages
 /// @throws DataError for an unknown column, because a misspelt column would otherwise be
 /// read as 0. The message suggests the most similar name
 /// @throws DataError for a duplicate column
 std::vector<int> find_columns(const std::vector<std::string_view>& header,
-                              const std::vector<std::string>& known, const std::string& where);
+                              const std::vector<std::string>& known_names, const std::string& location);
 
 }  // namespace relidar

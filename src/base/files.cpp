@@ -19,30 +19,30 @@ namespace fs = std::filesystem;
 
 namespace {
 
-DataError unreadable(const fs::path& path, const std::error_code& failed) {
+DataError make_unreadable_error(const fs::path& path, const std::error_code& failed) {
     return DataError(fmt::format("cannot read {}: {}", path.string(), failed.message()));
 }
 
 /// Returns the file status of a path. Returns file_type::not_found if nothing exists at
 /// the path.
-fs::file_status status_of(const fs::path& path) {
+fs::file_status get_file_status(const fs::path& path) {
     std::error_code failed;
     const fs::file_status status = fs::status(path, failed);
     if (fs::status_known(status)) return status;
-    throw unreadable(path, failed);
+    throw make_unreadable_error(path, failed);
 }
 
 }  // namespace
 
 std::string read_file(const fs::path& path) {
-    const fs::file_status status = status_of(path);
+    const fs::file_status status = get_file_status(path);
     if (!fs::exists(status)) throw DataError(fmt::format("{}: no such file", path.string()));
     if (!fs::is_regular_file(status)) throw DataError(fmt::format("{}: not a file", path.string()));
     std::ifstream in(path, std::ios::binary);
-    if (!in) throw unreadable(path, {errno, std::generic_category()});
+    if (!in) throw make_unreadable_error(path, {errno, std::generic_category()});
     std::error_code failed;
     const std::uintmax_t n_bytes = fs::file_size(path, failed);
-    if (failed) throw unreadable(path, failed);
+    if (failed) throw make_unreadable_error(path, failed);
     std::string text(n_bytes, '\0');
     in.read(text.data(), static_cast<std::streamsize>(text.size()));
     if (in.gcount() != static_cast<std::streamsize>(text.size())) {
@@ -60,10 +60,10 @@ std::string read_text(const fs::path& path) {
     return text;
 }
 
-bool path_exists(const fs::path& path) { return fs::exists(status_of(path)); }
+bool does_path_exist(const fs::path& path) { return fs::exists(get_file_status(path)); }
 
 void check_folder(const fs::path& path, const std::string& expected) {
-    const fs::file_status status = status_of(path);
+    const fs::file_status status = get_file_status(path);
     if (!fs::is_directory(status))
         throw DataError(fmt::format("{}: {}, expected {}", path.string(),
                                     fs::exists(status) ? "not a folder" : "no such folder", expected));
@@ -72,16 +72,16 @@ void check_folder(const fs::path& path, const std::string& expected) {
 std::vector<fs::path> list_folder(const fs::path& folder) {
     std::error_code failed;
     std::vector<fs::path> paths;
-    if (!fs::is_directory(status_of(folder)))
+    if (!fs::is_directory(get_file_status(folder)))
         throw DataError(fmt::format("{}: no such folder", folder.string()));
     for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed))
         paths.push_back(entry->path());
-    if (failed) throw unreadable(folder, failed);
+    if (failed) throw make_unreadable_error(folder, failed);
     std::sort(paths.begin(), paths.end());
     return paths;
 }
 
-std::optional<int> file_number(const std::string& stem) {
+std::optional<int> parse_file_number(const std::string& stem) {
     const std::size_t first = std::min(stem.find_first_not_of('0'), stem.size());
     if (stem.empty() || stem.size() - first > 8 || stem.find_first_not_of("0123456789") != std::string::npos)
         return std::nullopt;
@@ -90,7 +90,7 @@ std::optional<int> file_number(const std::string& stem) {
     return number;
 }
 
-std::string excerpt(std::string_view text) {
+std::string make_excerpt(std::string_view text) {
     constexpr std::size_t kMost = 80;
     const bool cut = text.size() > kMost;
     std::size_t n = cut ? kMost - 3 : text.size();
@@ -98,7 +98,8 @@ std::string excerpt(std::string_view text) {
     while (cut && n > 0 && (static_cast<unsigned char>(text[n]) & 0xC0) == 0x80) --n;
     std::string result(text.substr(0, n));
     std::replace_if(
-        result.begin(), result.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, '?');
+        result.begin(), result.end(), [](unsigned char character) { return std::iscntrl(character) != 0; },
+        '?');
     return cut ? result + "..." : result;
 }
 
@@ -114,7 +115,7 @@ std::vector<std::string> split_lines(const std::string& text) {
     return lines;
 }
 
-std::string_view trimmed(std::string_view text) {
+std::string_view trim_spaces(std::string_view text) {
     constexpr std::string_view kBlank = " \t\r\n";
     const std::size_t begin = text.find_first_not_of(kBlank);
     if (begin == std::string_view::npos) return {};
@@ -131,7 +132,7 @@ std::optional<double> parse_number(std::string_view text) {
 
 std::optional<std::vector<double>> parse_numbers(std::string_view text) {
     std::vector<double> numbers;
-    for (text = trimmed(text); !text.empty(); text = trimmed(text)) {
+    for (text = trim_spaces(text); !text.empty(); text = trim_spaces(text)) {
         const std::size_t end = std::min(text.find_first_of(" \t\r\n"), text.size());
         const std::optional<double> number = parse_number(text.substr(0, end));
         if (!number) return std::nullopt;

@@ -24,7 +24,7 @@ std::string read_text(const std::filesystem::path& path);
 /// Returns true if a file or folder exists at the path.
 /// @throws DataError if the system reports an error, for example missing permission, a
 /// loop of links or a name that is too long
-bool path_exists(const std::filesystem::path& path);
+bool does_path_exist(const std::filesystem::path& path);
 
 /// Checks that a path is a folder.
 /// @param expected description of the expected folder, for the error message
@@ -38,18 +38,18 @@ std::vector<std::filesystem::path> list_folder(const std::filesystem::path& fold
 /// Returns the number that a file name without its extension represents. The name must
 /// consist of digits, and the number must be below 10^8 so that it fits into an int.
 /// Returns nullopt for other names.
-std::optional<int> file_number(const std::string& stem);
+std::optional<int> parse_file_number(const std::string& stem);
 
 /// Shortens a text to at most 80 characters for an error message, and replaces control
 /// characters.
-std::string excerpt(std::string_view text);
+std::string make_excerpt(std::string_view text);
 
 /// Splits a text into lines without "\n" or "\r\n". A line break at the end of the text
 /// does not produce an empty line.
 std::vector<std::string> split_lines(const std::string& text);
 
 /// Returns the text without blanks at both ends.
-std::string_view trimmed(std::string_view text);
+std::string_view trim_spaces(std::string_view text);
 
 /// Converts a text that consists of one number. Accepts "nan" and "inf". Returns nullopt
 /// if the text is not a number.

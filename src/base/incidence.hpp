@@ -18,37 +18,38 @@ struct ImageRays {
     std::span<const glm::vec3> origin, direction;
     std::span<const float> range_m;  ///< Measured ranges, [rows*columns]. 0 for rays without a return.
 
-    glm::dvec3 point(std::size_t i) const {
-        return glm::dvec3(origin[i]) + double(range_m[i]) * glm::dvec3(direction[i]);
+    glm::dvec3 point(std::size_t index) const {
+        return glm::dvec3(origin[index]) + double(range_m[index]) * glm::dvec3(direction[index]);
     }
 };
 
-/// Distance in columns between a pixel and the neighbours that incidence_cosine() uses.
+/// Distance in columns between a pixel and the neighbours that compute_incidence_cosine()
+/// uses.
 inline constexpr std::size_t kIncidenceColumns = 4;
 
-/// Returns the cosine of the angle of incidence at pixel i. Uses the points one row above
-/// and below, and the points four columns to the left and right. Four columns are used
-/// because a larger distance reduces the effect of range noise. Returns a negative value
-/// if a point is missing or on another surface.
-inline double incidence_cosine(const ImageRays& image, std::size_t i) {
+/// Returns the cosine of the angle of incidence at pixel `index`. Uses the points one row
+/// above and below, and the points four columns to the left and right. Four columns are
+/// used because a larger distance reduces the effect of range noise. Returns a negative
+/// value if a point is missing or on another surface.
+inline double compute_incidence_cosine(const ImageRays& image, std::size_t index) {
     constexpr std::size_t kColumns = kIncidenceColumns;
     // Maximum relative difference between the ranges of two pixels on the same surface.
     constexpr double kSameSurface = 0.2;
-    const auto columns = std::size_t(image.columns), row = i / columns, column = i % columns;
+    const auto columns = std::size_t(image.columns), row = index / columns, column = index % columns;
     if (columns < 2 * kColumns + 1 || row == 0 || row + 1 >= std::size_t(image.rows) ||
-        !(image.range_m[i] > 0.0f))
+        !(image.range_m[index] > 0.0f))
         return -1.0;
     const std::size_t left = row * columns + (column + columns - kColumns) % columns,
                       right = row * columns + (column + kColumns) % columns;
-    const std::size_t around[] = {right, left, i - columns, i + columns};
+    const std::size_t around[] = {right, left, index - columns, index + columns};
     for (const std::size_t k : around)
         if (!(image.range_m[k] > 0.0f) ||
-            std::abs(image.range_m[k] - image.range_m[i]) > kSameSurface * double(image.range_m[i]))
+            std::abs(image.range_m[k] - image.range_m[index]) > kSameSurface * double(image.range_m[index]))
             return -1.0;
     const glm::dvec3 normal = glm::cross(image.point(around[0]) - image.point(around[1]),
                                          image.point(around[2]) - image.point(around[3]));
     const double length = glm::length(normal);
-    return length > 0.0 ? std::abs(glm::dot(normal / length, glm::dvec3(image.direction[i]))) : -1.0;
+    return length > 0.0 ? std::abs(glm::dot(normal / length, glm::dvec3(image.direction[index]))) : -1.0;
 }
 
 }  // namespace relidar

@@ -41,8 +41,8 @@ const nlohmann::json* collect_numbers(const nlohmann::json& value, int depth, st
 
 std::string JsonField::where() const { return name_.empty() ? *file_ : *file_ + ": " + name_; }
 
-void JsonField::fail(const std::string& found, const std::string& expected) const {
-    throw DataError(fmt::format("{}: {}, {}", where(), found, expected));
+void JsonField::fail(const std::string& found_value, const std::string& expected) const {
+    throw DataError(fmt::format("{}: {}, {}", where(), found_value, expected));
 }
 
 bool JsonField::has(const std::string& key) const { return value_->is_object() && value_->contains(key); }
@@ -64,7 +64,7 @@ std::size_t JsonField::size() const {
     return value_->size();
 }
 
-std::vector<double> JsonField::nested_numbers(int depth) const {
+std::vector<double> JsonField::read_nested_numbers(int depth) const {
     std::vector<double> numbers;
     if (const nlohmann::json* wrong = collect_numbers(*value_, depth, numbers))
         fail(wrong->is_array() ? "found lists that are nested too deeply"
@@ -77,12 +77,12 @@ bool JsonField::is_text() const { return value_->is_string(); }
 
 bool JsonField::is_array() const { return value_->is_array(); }
 
-void JsonField::check_members(const std::vector<std::string>& known) const {
+void JsonField::check_members(const std::vector<std::string>& known_names) const {
     if (!value_->is_object()) fail(describe_value(*value_), "expected an object");
     for (const auto& [key, value] : value_->items())
-        if (std::find(known.begin(), known.end(), key) == known.end())
-            fail(fmt::format("found the unknown member '{}'", excerpt(key)),
-                 fmt::format("expected only {}", fmt::join(known, ", ")));
+        if (std::find(known_names.begin(), known_names.end(), key) == known_names.end())
+            fail(fmt::format("found the unknown member '{}'", make_excerpt(key)),
+                 fmt::format("expected only {}", fmt::join(known_names, ", ")));
 }
 
 double JsonField::number() const {
@@ -118,12 +118,12 @@ std::string JsonField::text() const {
     return value_->get<std::string>();
 }
 
-std::string JsonField::text(std::size_t most) const {
+std::string JsonField::text(std::size_t max_count) const {
     const std::string value_text = text();
-    const auto is_control = [](unsigned char c) { return c < 0x20 || c == 0x7F; };
-    if (value_text.size() > most || std::any_of(value_text.begin(), value_text.end(), is_control))
+    const auto is_control = [](unsigned char character) { return character < 0x20 || character == 0x7F; };
+    if (value_text.size() > max_count || std::any_of(value_text.begin(), value_text.end(), is_control))
         fail(fmt::format("found {} bytes of text", value_text.size()),
-             fmt::format("expected one line of at most {} bytes", most));
+             fmt::format("expected one line of at most {} bytes", max_count));
     return value_text;
 }
 

@@ -30,19 +30,19 @@ public:
     bool is_array() const;
     /// Checks that a JSON object has only known members.
     /// @throws DataError if the object has an unknown member
-    void check_members(const std::vector<std::string>& known) const;
+    void check_members(const std::vector<std::string>& known_names) const;
     double number() const;  ///< Returns a finite number.
     double number(double low, double high) const;
     std::int64_t integer(std::int64_t low, std::int64_t high) const;
     bool boolean() const;
     std::string text() const;
-    /// Returns the value as a text. Throws an error if the text has more than `most`
+    /// Returns the value as a text. Throws an error if the text has more than `max_count`
     /// bytes or contains line breaks.
-    std::string text(std::size_t most) const;
+    std::string text(std::size_t max_count) const;
     std::vector<double> numbers() const;
     /// Returns all numbers of nested lists as one list.
     /// @param depth maximum nesting depth
-    std::vector<double> nested_numbers(int depth) const;
+    std::vector<double> read_nested_numbers(int depth) const;
     /// Returns the numbers of a list. The list must contain exactly n numbers.
     template <std::size_t n>
     std::array<double, n> numbers() const {
@@ -56,7 +56,7 @@ public:
     std::string where() const;  ///< Returns "file: field" for error messages.
     /// Throws a DataError with a message like "file: field: found null, expected a
     /// number".
-    [[noreturn]] void fail(const std::string& found, const std::string& expected) const;
+    [[noreturn]] void fail(const std::string& found_value, const std::string& expected) const;
 
 private:
     const nlohmann::json* value_;

@@ -11,17 +11,17 @@
 
 namespace relidar {
 
-/// Formats numbers as "3, 4, 7". If the list has more than `most` numbers, shortens it:
-/// "3, 4, 7, ... 91 (78 in all)".
-inline std::string list_text(const std::vector<int>& numbers, std::size_t most = 6) {
-    if (numbers.size() <= most) return fmt::format("{}", fmt::join(numbers, ", "));
+/// Formats numbers as "3, 4, 7". If the list has more than `max_count` numbers, shortens
+/// it: "3, 4, 7, ... 91 (78 in all)".
+inline std::string list_text(const std::vector<int>& numbers, std::size_t max_count = 6) {
+    if (numbers.size() <= max_count) return fmt::format("{}", fmt::join(numbers, ", "));
     return fmt::format("{}, ... {} ({} in total)",
-                       fmt::join(numbers.begin(), numbers.begin() + std::ptrdiff_t(most) - 1, ", "),
+                       fmt::join(numbers.begin(), numbers.begin() + std::ptrdiff_t(max_count) - 1, ", "),
                        numbers.back(), numbers.size());
 }
 
 /// Splits a list such as "a, b,c" at its commas. Returns the words without blanks.
-inline std::vector<std::string> words_of(const std::string& list) {
+inline std::vector<std::string> split_words(const std::string& list) {
     std::vector<std::string> words{""};
     for (const char c : list) {
         if (c == ',') words.emplace_back();

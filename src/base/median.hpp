@@ -12,7 +12,7 @@ namespace relidar {
 /// two middle values.
 /// @param values at least one value
 template <class Value>
-Value median_of(std::vector<Value> values) {
+Value compute_median(std::vector<Value> values) {
     const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
     std::ranges::nth_element(values, middle);
     return *middle;

@@ -15,61 +15,63 @@
 namespace relidar {
 namespace {
 
-bool same_letter(char a, char b) {
-    return std::tolower(static_cast<unsigned char>(a)) == std::tolower(static_cast<unsigned char>(b));
+bool is_same_letter(char first, char second) {
+    return std::tolower(static_cast<unsigned char>(first)) ==
+           std::tolower(static_cast<unsigned char>(second));
 }
 
-std::size_t edit_distance(std::string_view a, std::string_view b) {
-    std::vector<std::size_t> before, row(b.size() + 1), next(b.size() + 1);
+std::size_t compute_edit_distance(std::string_view first, std::string_view second) {
+    std::vector<std::size_t> before, row(second.size() + 1), next(second.size() + 1);
     std::iota(row.begin(), row.end(), std::size_t{0});
-    for (std::size_t i = 1; i <= a.size(); ++i) {
+    for (std::size_t i = 1; i <= first.size(); ++i) {
         next[0] = i;
-        for (std::size_t j = 1; j <= b.size(); ++j) {
-            const std::size_t replaced = row[j - 1] + (same_letter(a[i - 1], b[j - 1]) ? 0 : 1);
+        for (std::size_t j = 1; j <= second.size(); ++j) {
+            const std::size_t replaced = row[j - 1] + (is_same_letter(first[i - 1], second[j - 1]) ? 0 : 1);
             next[j] = std::min({row[j] + 1, next[j - 1] + 1, replaced});
-            const bool swapped =
-                i > 1 && j > 1 && same_letter(a[i - 1], b[j - 2]) && same_letter(a[i - 2], b[j - 1]);
+            const bool swapped = i > 1 && j > 1 && is_same_letter(first[i - 1], second[j - 2]) &&
+                                 is_same_letter(first[i - 2], second[j - 1]);
             if (swapped) next[j] = std::min(next[j], before[j - 2] + 1);
         }
         before = std::exchange(row, next);
     }
-    return row[b.size()];
+    return row[second.size()];
 }
 
 bool contains(std::string_view text, std::string_view part) {
     return part.size() >= 3 &&
-           std::search(text.begin(), text.end(), part.begin(), part.end(), same_letter) != text.end();
+           std::search(text.begin(), text.end(), part.begin(), part.end(), is_same_letter) != text.end();
 }
 
 /// Returns true if two names are similar: at most two of five letters differ, or one name
 /// contains the other.
 bool is_similar(std::string_view query, std::string_view name) {
     const std::size_t most = std::max<std::size_t>(1, 2 * std::max(query.size(), name.size()) / 5);
-    return edit_distance(query, name) <= most || contains(query, name) || contains(name, query);
+    return compute_edit_distance(query, name) <= most || contains(query, name) || contains(name, query);
 }
 
 }  // namespace
 
-std::string nearest_name(std::string_view query, const std::vector<std::string>& known_names) {
-    const auto best = std::min_element(known_names.begin(), known_names.end(),
-                                       [&](const std::string& a, const std::string& b) {
-                                           return edit_distance(query, a) < edit_distance(query, b);
-                                       });
+std::string find_nearest_name(std::string_view query, const std::vector<std::string>& known_names) {
+    const auto best = std::min_element(
+        known_names.begin(), known_names.end(), [&](const std::string& first, const std::string& second) {
+            return compute_edit_distance(query, first) < compute_edit_distance(query, second);
+        });
     return best == known_names.end() ? std::string() : *best;
 }
 
-std::string did_you_mean(std::string_view query, const std::vector<std::string>& known_names,
+std::string suggest_name(std::string_view query, const std::vector<std::string>& known_names,
                          std::string_view quote, std::string_view otherwise) {
     std::vector<std::string> similar_names;
     for (const std::string& name : known_names)
         if (is_similar(query, name)) similar_names.push_back(name);
     if (similar_names.empty()) return std::string(otherwise);
-    return fmt::format(", did you mean {}{}{}?", quote, nearest_name(query, similar_names), quote);
+    return fmt::format(", did you mean {}{}{}?", quote, find_nearest_name(query, similar_names), quote);
 }
 
-std::optional<std::string> known_name(std::string_view query, const std::vector<std::string>& known_names) {
+std::optional<std::string> find_known_name(std::string_view query,
+                                           const std::vector<std::string>& known_names) {
     for (const std::string& name : known_names)
-        if (std::equal(query.begin(), query.end(), name.begin(), name.end(), same_letter)) return name;
+        if (std::equal(query.begin(), query.end(), name.begin(), name.end(), is_same_letter)) return name;
     return std::nullopt;
 }
 

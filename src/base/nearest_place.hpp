@@ -34,7 +34,9 @@ private:
     struct Places {
         std::vector<Point> all;
         std::size_t kdtree_get_point_count() const { return all.size(); }
-        Scalar kdtree_get_pt(std::size_t i, std::size_t axis) const { return all[i][static_cast<int>(axis)]; }
+        Scalar kdtree_get_pt(std::size_t index, std::size_t axis) const {
+            return all[index][static_cast<int>(axis)];
+        }
         template <class Box>
         bool kdtree_get_bbox(Box&) const {
             return false;

@@ -11,9 +11,9 @@ namespace relidar {
 /// a point or an exponent, so that TOML and JSON read it as a real number: "8.0",
 /// "1e-09", "-0.0". Values that are not finite become "nan", "inf" or "-inf", which TOML
 /// accepts but JSON does not.
-std::string number_text(double value);
+std::string format_number_text(double value);
 /// Returns the shortest decimal text that converts back to the same float. A float needs
 /// fewer digits than a double.
-std::string number_text(float value);
+std::string format_number_text(float value);
 
 }  // namespace relidar

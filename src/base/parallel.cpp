@@ -16,27 +16,27 @@ std::size_t max_concurrency() {
     return std::clamp<std::size_t>(std::size_t(tbb::this_task_arena::max_concurrency()), 1, limit);
 }
 
-void parallel_for(int n, const std::function<void(int)>& task) {
-    if (n <= 0) return;
+void parallel_for(int count, const std::function<void(int)>& task) {
+    if (count <= 0) return;
     std::mutex mutex;
     std::exception_ptr failure;
-    int failed = n;
+    int failed = count;
     std::atomic<int> next{0};
     // Reads task indices from a shared counter, so that tasks start in ascending order.
     // If a task fails, all earlier tasks have already started. The loops of oneTBB do not
-    // guarantee this order, because they split [0, n) in the middle.
+    // guarantee this order, because they split [0, count) in the middle.
     const auto run_tasks = [&] {
-        for (int i = next++; i < n; i = next++) {
+        for (int i = next++; i < count; i = next++) {
             try {
                 task(i);
             } catch (...) {
                 const std::scoped_lock lock(mutex);
                 if (i < failed) failure = std::current_exception(), failed = i;
-                next = n;
+                next = count;
             }
         }
     };
-    const std::size_t n_threads = std::min(std::size_t(n), max_concurrency());
+    const std::size_t n_threads = std::min(std::size_t(count), max_concurrency());
     if (n_threads == 1) {
         run_tasks();
     } else {

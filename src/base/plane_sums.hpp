@@ -22,13 +22,14 @@ struct PlaneSums {
     glm::dvec3 sum{0.0}, squares{0.0}, products{0.0};
 
     /// Adds a point to the sums.
-    /// @param d point relative to an origin near all points, because the squares of large
-    /// coordinates would lose precision
-    void add(const glm::dvec3& d) {
+    /// @param direction point relative to an origin near all points, because the squares
+    /// of large coordinates would lose precision
+    void add(const glm::dvec3& direction) {
         n += 1.0;
-        sum += d;
-        squares += d * d;
-        products += glm::dvec3(d.y * d.z, d.x * d.z, d.x * d.y);
+        sum += direction;
+        squares += direction * direction;
+        products +=
+            glm::dvec3(direction.y * direction.z, direction.x * direction.z, direction.x * direction.y);
     }
 
     /// Returns the plane with the smallest squared distances to the points, relative to

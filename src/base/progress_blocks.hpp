@@ -13,39 +13,39 @@
 
 namespace relidar {
 
-/// Runs task(i) for every i in [0, n) in parallel, and reports progress. Before each of
-/// its items, the calling thread calls `progress` with the finished fraction. At the end,
-/// it reports 1, because other threads may process the last items. The loop stops if
+/// Runs task(i) for every i in [0, count) in parallel, and reports progress. Before each
+/// of its items, the calling thread calls `progress` with the finished fraction. At the
+/// end, it reports 1, because other threads may process the last items. The loop stops if
 /// `progress` throws.
 template <class Task>
-void for_each_with_progress(std::size_t n, const Progress& progress, std::string_view what,
+void for_each_with_progress(std::size_t count, const Progress& progress, std::string_view description,
                             const Task& task) {
-    if (progress) progress(what, 0.0);
+    if (progress) progress(description, 0.0);
     const std::thread::id caller = std::this_thread::get_id();
     std::atomic<std::size_t> done{0};
     std::atomic<bool> is_ended{false};
-    parallel_for(static_cast<int>(n), [&](int i) {
+    parallel_for(static_cast<int>(count), [&](int index) {
         if (is_ended) return;
         if (progress && std::this_thread::get_id() == caller) try {
-                progress(what, double(done) / double(n));
+                progress(description, double(done) / double(count));
             } catch (...) {
                 is_ended = true;
                 throw;
             }
-        task(std::size_t(i));
+        task(std::size_t(index));
         ++done;
     });
-    if (progress) progress(what, 1.0);
+    if (progress) progress(description, 1.0);
 }
 
-/// Runs task(i) for every i in [0, n) in parallel, and reports progress. Each thread
+/// Runs task(i) for every i in [0, count) in parallel, and reports progress. Each thread
 /// processes blocks of consecutive items.
 template <class Task>
-void for_each_block_with_progress(std::size_t n, const Progress& progress, std::string_view what,
+void for_each_block_with_progress(std::size_t count, const Progress& progress, std::string_view description,
                                   const Task& task) {
-    const std::size_t size = block_size(n);
-    for_each_with_progress((n + size - 1) / size, progress, what, [&](std::size_t block) {
-        for (std::size_t i = block * size; i < std::min(n, (block + 1) * size); ++i) task(i);
+    const std::size_t size = compute_block_size(count);
+    for_each_with_progress((count + size - 1) / size, progress, description, [&](std::size_t block) {
+        for (std::size_t i = block * size; i < std::min(count, (block + 1) * size); ++i) task(i);
     });
 }
 

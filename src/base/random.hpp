@@ -10,24 +10,24 @@
 namespace relidar {
 
 /// Returns a 64-bit hash of x, computed with the output function of SplitMix64.
-inline std::uint64_t hash64(std::uint64_t x) {
-    x += 0x9E3779B97F4A7C15ull;
-    x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9ull;
-    x = (x ^ (x >> 27)) * 0x94D049BB133111EBull;
-    return x ^ (x >> 31);
+inline std::uint64_t combine_hashes(std::uint64_t value) {
+    value += 0x9E3779B97F4A7C15ull;
+    value = (value ^ (value >> 30)) * 0xBF58476D1CE4E5B9ull;
+    value = (value ^ (value >> 27)) * 0x94D049BB133111EBull;
+    return value ^ (value >> 31);
 }
 
 /// Returns a hash of two numbers. The hash depends on their order.
-inline std::uint64_t hash64(std::uint64_t a, std::uint64_t b) {
-    return hash64(hash64(a) ^ (b * 0xD6E8FEB86659FD93ull));
+inline std::uint64_t combine_hashes(std::uint64_t first, std::uint64_t second) {
+    return combine_hashes(combine_hashes(first) ^ (second * 0xD6E8FEB86659FD93ull));
 }
 
 /// Random number generator.
 class Random {
 public:
-    explicit Random(std::uint64_t seed) : state_(hash64(seed)) {}
+    explicit Random(std::uint64_t seed) : state_(combine_hashes(seed)) {}
 
-    std::uint64_t next() { return hash64(state_ += 0x9E3779B97F4A7C15ull); }
+    std::uint64_t next() { return combine_hashes(state_ += 0x9E3779B97F4A7C15ull); }
 
     /// Returns the state of the generator, so that callers can save and restore it.
     std::uint64_t& state() { return state_; }

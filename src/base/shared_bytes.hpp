@@ -25,13 +25,13 @@ inline SharedBytes share_bytes(std::string bytes) {
     return {memory, *memory};
 }
 
-/// Allocates n bytes and calls fill(std::span<char>) to write them. The bytes are
+/// Allocates `count` bytes and calls fill(std::span<char>) to write them. The bytes are
 /// uninitialised before this call.
 template <class Fill>
-SharedBytes make_shared_bytes(std::size_t n, const Fill& fill) {
-    const std::shared_ptr<char[]> memory(new char[n]);
-    fill(std::span<char>(memory.get(), n));
-    return {memory, {memory.get(), n}};
+SharedBytes make_shared_bytes(std::size_t count, const Fill& fill) {
+    const std::shared_ptr<char[]> memory(new char[count]);
+    fill(std::span<char>(memory.get(), count));
+    return {memory, {memory.get(), count}};
 }
 
 }  // namespace relidar

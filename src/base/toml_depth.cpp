@@ -16,12 +16,14 @@ constexpr int kMostParts = 8, kDeepest = 8;
 
 /// Returns the position after a quoted text. If the closing quote is missing, returns the
 /// end of the line.
-std::size_t skip_quoted(std::string_view text, std::size_t at) {
-    const char quote = text[at++];
-    for (; at < text.size() && text[at] != quote && text[at] != '\n'; ++at) {
-        if (text[at] == '\\' && quote == '"' && at + 1 < text.size() && text[at + 1] != '\n') ++at;
+std::size_t skip_quoted(std::string_view text, std::size_t position) {
+    const char quote = text[position++];
+    for (; position < text.size() && text[position] != quote && text[position] != '\n'; ++position) {
+        if (text[position] == '\\' && quote == '"' && position + 1 < text.size() &&
+            text[position + 1] != '\n')
+            ++position;
     }
-    return at < text.size() && text[at] == quote ? at + 1 : at;
+    return position < text.size() && text[position] == quote ? position + 1 : position;
 }
 
 }  // namespace

@@ -17,47 +17,47 @@ namespace relidar {
 
 namespace {
 
-double mib(std::uint64_t bytes) { return double(bytes) / 1048576.0; }
+double to_mib(std::uint64_t bytes) { return double(bytes) / 1048576.0; }
 
-[[noreturn]] void fail_allocation(const Device::Impl& device, std::size_t size, const std::string& what,
-                                  VkResult result) {
-    const gpu::MemoryBudget budget = gpu::memory_budget(device.physical);
+[[noreturn]] void fail_allocation(const Device::Impl& device, std::size_t size,
+                                  const std::string& description, VkResult result) {
+    const gpu::MemoryBudget budget = gpu::query_memory_budget(device.physical);
     gpu::fail(result,
               fmt::format("cannot allocate {:.1f} MiB for {} on {}: the driver returned {}; relidar uses "
                           "{:.1f} MiB, and {:.1f} MiB of the budget of {:.1f} MiB are free; use fewer "
                           "frames or a device with more memory",
-                          mib(size), what, device.info.name, gpu::result_name(result), mib(device.allocated),
-                          mib(budget.n_free()), mib(budget.n_bytes)));
+                          to_mib(size), description, device.info.name, gpu::get_result_name(result),
+                          to_mib(device.allocated), to_mib(budget.n_free()), to_mib(budget.n_bytes)));
 }
 
-void check_size(const Device::Impl& device, std::size_t size, const std::string& what) {
+void check_size(const Device::Impl& device, std::size_t size, const std::string& description) {
     const auto& [limit, name] = device.largest_buffer;
     if (size <= limit) return;
     throw DeviceError(
         fmt::format("cannot allocate {:.1f} MiB for {} on {}: the array is larger than {} = {:.1f} MiB, the "
                     "limit of the driver",
-                    mib(size), what, device.info.name, name, mib(limit)));
+                    to_mib(size), description, device.info.name, name, to_mib(limit)));
 }
 
-void check_budget(const Device::Impl& device, std::size_t size, const std::string& what) {
+void check_budget(const Device::Impl& device, std::size_t size, const std::string& description) {
     if (device.memory_limit_bytes == 0 || device.allocated + size <= device.memory_limit_bytes) return;
     throw DeviceError(
         fmt::format("cannot allocate {:.1f} MiB for {}: {:.1f} MiB are in use, and the memory limit is "
                     "{:.1f} MiB (RELIDAR_MEMORY_LIMIT_MIB)",
-                    mib(size), what, mib(device.allocated), mib(device.memory_limit_bytes)));
+                    to_mib(size), description, to_mib(device.allocated), to_mib(device.memory_limit_bytes)));
 }
 
 }  // namespace
 
-Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::MemoryUse used, const std::string& what)
+Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::MemoryUse used, const std::string& description)
     : device(&owner), use(used), n_bytes(size) {
     // A driver without hardware can compile kernels but cannot allocate memory.
     if (owner.compile_only) return;
     owner.free_orphans();
-    check_size(owner, size, what);
+    check_size(owner, size, description);
     // Checks the budget only for device memory, because all other buffers use host
     // memory.
-    if (use == gpu::MemoryUse::device) check_budget(owner, size, what);
+    if (use == gpu::MemoryUse::device) check_budget(owner, size, description);
     VkBufferCreateInfo info{VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
     info.size = size;
     info.usage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT |
@@ -68,14 +68,14 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::MemoryUse used, c
         info.usage |= VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_BUILD_INPUT_READ_ONLY_BIT_KHR |
                       VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_STORAGE_BIT_KHR;
     const VkResult created = vkCreateBuffer(owner.device, &info, nullptr, &handle);
-    if (created != VK_SUCCESS) fail_allocation(owner, size, what, created);
-    gpu::name_object(owner.device, VK_OBJECT_TYPE_BUFFER, handle, what);
+    if (created != VK_SUCCESS) fail_allocation(owner, size, description, created);
+    gpu::name_object(owner.device, VK_OBJECT_TYPE_BUFFER, handle, description);
     VkMemoryRequirements needs;
     vkGetBufferMemoryRequirements(owner.device, handle, &needs);
     const VkResult result = owner.memory->take(needs, use, memory);
     if (result != VK_SUCCESS) {
         vkDestroyBuffer(owner.device, handle, nullptr);
-        fail_allocation(owner, size, what, result);
+        fail_allocation(owner, size, description, result);
     }
     vkBindBufferMemory(owner.device, handle, memory.block->memory, memory.offset);
     VkBufferDeviceAddressInfo address_info{VK_STRUCTURE_TYPE_BUFFER_DEVICE_ADDRESS_INFO};
@@ -93,8 +93,8 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::MemoryUse used, c
 Buffer::Impl::~Impl() {
     if (!handle) return;
     // Usually the code that frees a buffer has waited for the commands that use it. An
-    // exception skips this wait. Therefore waits here for the commands that are submitted,
-    // and keeps the buffer if there are commands that are recorded only.
+    // exception skips this wait. Therefore waits here for the commands that are
+    // submitted, and keeps the buffer if there are commands that are recorded only.
     if (std::uncaught_exceptions() > 0) {
         const std::lock_guard lock(device->orphans_mutex);
         if (device->n_recording > 0) {
@@ -120,11 +120,11 @@ void Device::Impl::free_orphans() {
     orphans.clear();
 }
 
-Buffer::Buffer(Device& device, std::size_t n_bytes, const std::string& what)
-    : impl_(std::make_unique<Impl>(impl_of(device), n_bytes, gpu::MemoryUse::device, what)) {}
+Buffer::Buffer(Device& device, std::size_t n_bytes, const std::string& description)
+    : impl_(std::make_unique<Impl>(get_impl(device), n_bytes, gpu::MemoryUse::device, description)) {}
 Buffer::Buffer() = default;
 Buffer::~Buffer() = default;
-Buffer::Impl& impl_of(const Buffer& buffer) { return *buffer.impl_; }
+Buffer::Impl& get_impl(const Buffer& buffer) { return *buffer.impl_; }
 Buffer::Buffer(Buffer&&) noexcept = default;
 Buffer& Buffer::operator=(Buffer&&) noexcept = default;
 std::uint64_t Buffer::address() const { return impl_ ? impl_->address : 0; }

@@ -23,15 +23,15 @@ namespace {
 
 using Words = std::vector<std::uint32_t>;
 
-/// Lets `n` threads add integers to `n_sums` sums on the device. Returns the largest
+/// Lets `count` threads add integers to `n_sums` sums on the device. Returns the largest
 /// relative error of a sum.
-double error_of_sums(Stream& stream, const Kernel<shared::CheckAtomicsParams>& kernel, std::uint32_t n,
-                     std::uint32_t n_sums, bool fault, double* seconds = nullptr) {
+double measure_sum_error(Stream& stream, const Kernel<shared::CheckAtomicsParams>& kernel,
+                         std::uint32_t count, std::uint32_t n_sums, bool fault, double* seconds = nullptr) {
     std::vector<double> expected(n_sums, 0.0);
-    for (std::uint32_t i = 0; i < n; ++i) expected[i % n_sums] += 1.0 + i % RELIDAR_CHECK_AMOUNTS;
+    for (std::uint32_t i = 0; i < count; ++i) expected[i % n_sums] += 1.0 + i % RELIDAR_CHECK_AMOUNTS;
     const Array<float> sums(stream.device(), std::vector<float>(n_sums, 0.0f), "sums");
     const auto start = std::chrono::steady_clock::now();
-    run(stream, kernel, n, {.sums = sums.address(), .n = n, .n_sums = n_sums, .fault = fault});
+    run(stream, kernel, count, {.sums = sums.address(), .n = count, .n_sums = n_sums, .fault = fault});
     stream.finish();
     if (seconds) *seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     const std::vector<float> actual = sums.download();
@@ -61,8 +61,10 @@ constexpr std::uint32_t kCheckWorkgroup = 256;
 /// @param lane index of the thread in the subgroup
 /// @param before sum of all earlier subgroups of the workgroup
 /// @param total sum of the workgroup
-std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> right_results(const Words& values, std::size_t lane,
-                                                               std::uint32_t before, std::uint32_t total) {
+std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> compute_expected_results(const Words& values,
+                                                                          std::size_t lane,
+                                                                          std::uint32_t before,
+                                                                          std::uint32_t total) {
     std::uint32_t sum = 0, earlier = 0, largest = 0, n_odd = 0, odd_sum = 0;
     for (std::size_t i = 0; i < values.size(); ++i) {
         const std::uint32_t x = values[i];
@@ -85,7 +87,7 @@ std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> right_results(const Words& valu
             total};
 }
 
-std::string wrong_operations(Device& device) {
+std::string find_wrong_operations(Device& device) {
     const Kernel<shared::CheckSubgroupsParams> kernel(
         device, "gpu/check_subgroups", {{ConstantId::WORKGROUP_SIZE, kCheckWorkgroup}}, Subgroups::full);
     constexpr std::uint32_t kThreads = 16 * kCheckWorkgroup;
@@ -103,10 +105,10 @@ std::string wrong_operations(Device& device) {
             Words values;
             for (std::uint32_t i = 0; i < lanes; ++i) values.push_back(shared::check_value(first + i));
             for (std::uint32_t lane = 0; lane < lanes; ++lane) {
-                const auto expected = right_results(values, lane, before, total);
+                const auto expected = compute_expected_results(values, lane, before, total);
                 const std::uint32_t* found = actual.data() + (first + lane) * RELIDAR_CHECK_RESULTS;
                 for (std::size_t k = 0; k < expected.size(); ++k)
-                    if (found[k] != expected[k] && (k != kInBranch || reconverges(device)))
+                    if (found[k] != expected[k] && (k != kInBranch || does_reconverge(device)))
                         return fmt::format("{}: found {} in lane {}, expected {}", kOperations[k], found[k],
                                            lane, expected[k]);
             }
@@ -117,7 +119,7 @@ std::string wrong_operations(Device& device) {
 }
 
 /// Sorts 5000 keys on the device. Returns an empty text if the order is correct.
-std::string wrong_sort(Device& device) {
+std::string find_wrong_sort(Device& device) {
     if (!device.info().has_known_subgroups) return {};
     constexpr std::uint32_t kKeys = 5000;
     Words keys(kKeys);
@@ -142,30 +144,30 @@ std::string wrong_sort(Device& device) {
 
 }  // namespace
 
-double sum_error(Device& device, bool swaps) {
+double compute_sum_error(Device& device, bool swaps) {
     const Kernel<shared::CheckAtomicsParams> kernel(device, "gpu/check_atomics",
                                                     KernelVariant(swaps ? "@_swap" : "@_atomics"));
     const bool fault = gpu::has_fault(swaps ? "float_swaps" : "float_atomics");
     Stream stream(device);
-    return std::max(error_of_sums(stream, kernel, 1u << 18, 1024, fault),
-                    error_of_sums(stream, kernel, 1u << 14, 1, fault));
+    return std::max(measure_sum_error(stream, kernel, 1u << 18, 1024, fault),
+                    measure_sum_error(stream, kernel, 1u << 14, 1, fault));
 }
 
-double sum_error_of(Device& device, std::uint32_t n_threads, double& seconds) {
+double measure_sum_error_of_kernel(Device& device, std::uint32_t n_threads, double& seconds) {
     const Kernel<shared::CheckAtomicsParams> kernel(device, "gpu/check_atomics", KernelVariant("@_swap"));
     Stream stream(device);
-    const double piece_s = std::exchange(impl_of(device).launch_limit.piece_s, 0.0);
-    const double error = error_of_sums(stream, kernel, n_threads, 1024, false, &seconds);
-    impl_of(device).launch_limit.piece_s = piece_s;
+    const double piece_s = std::exchange(get_impl(device).launch_limit.piece_s, 0.0);
+    const double error = measure_sum_error(stream, kernel, n_threads, 1024, false, &seconds);
+    get_impl(device).launch_limit.piece_s = piece_s;
     return error;
 }
 
-std::vector<int> subgroup_sizes(const Device& device) {
+std::vector<int> list_subgroup_sizes(const Device& device) {
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &sizes};
-    vkGetPhysicalDeviceProperties2(impl_of(device).physical, &properties);
-    if (!impl_of(device).optional.subgroup_size) return {device.info().subgroup_size};
+    vkGetPhysicalDeviceProperties2(get_impl(device).physical, &properties);
+    if (!get_impl(device).optional.subgroup_size) return {device.info().subgroup_size};
     std::vector<int> result;
     for (std::uint32_t lanes = 4; lanes <= 64; lanes *= 2)
         if (lanes >= sizes.minSubgroupSize && lanes <= sizes.maxSubgroupSize)
@@ -173,9 +175,9 @@ std::vector<int> subgroup_sizes(const Device& device) {
     return result;
 }
 
-std::string wrong_subgroups(Device& device) {
-    const std::string wrong = wrong_operations(device);
-    return wrong.empty() ? wrong_sort(device) : wrong;
+std::string find_wrong_subgroups(Device& device) {
+    const std::string wrong = find_wrong_operations(device);
+    return wrong.empty() ? find_wrong_sort(device) : wrong;
 }
 
 }  // namespace relidar

@@ -22,8 +22,8 @@ namespace relidar::gpu {
 
 void check(VkResult result, const char* call) {
     if (result >= 0) return;
-    fail(result,
-         fmt::format("{} failed: the driver returned {}, expected VK_SUCCESS", call, result_name(result)));
+    fail(result, fmt::format("{} failed: the driver returned {}, expected VK_SUCCESS", call,
+                             get_result_name(result)));
 }
 
 void fail(VkResult result, const std::string& message) {
@@ -31,7 +31,7 @@ void fail(VkResult result, const std::string& message) {
     throw DeviceError(message);
 }
 
-std::string result_name(VkResult result) {
+std::string get_result_name(VkResult result) {
     switch (result) {
         case VK_ERROR_OUT_OF_HOST_MEMORY:
             return "VK_ERROR_OUT_OF_HOST_MEMORY";
@@ -65,7 +65,7 @@ VkBool32 on_message(VkDebugUtilsMessageSeverityFlagBitsEXT, VkDebugUtilsMessageT
     return VK_FALSE;
 }
 
-VkDebugUtilsMessengerCreateInfoEXT messenger_info(Instance* instance) {
+VkDebugUtilsMessengerCreateInfoEXT make_messenger_info(Instance* instance) {
     VkDebugUtilsMessengerCreateInfoEXT info{VK_STRUCTURE_TYPE_DEBUG_UTILS_MESSENGER_CREATE_INFO_EXT};
     info.messageSeverity =
         VK_DEBUG_UTILS_MESSAGE_SEVERITY_WARNING_BIT_EXT | VK_DEBUG_UTILS_MESSAGE_SEVERITY_ERROR_BIT_EXT;
@@ -98,7 +98,7 @@ Instance::Instance(bool validation) {
     const char* extension = VK_EXT_DEBUG_UTILS_EXTENSION_NAME;
     VkInstanceCreateInfo info{VK_STRUCTURE_TYPE_INSTANCE_CREATE_INFO};
     info.pApplicationInfo = &app;
-    VkDebugUtilsMessengerCreateInfoEXT debug = messenger_info(this);
+    VkDebugUtilsMessengerCreateInfoEXT debug = make_messenger_info(this);
     // Every instance enables VK_EXT_debug_utils if it is available, so that debuggers
     // always show object names.
     if (validation || has_debug_utils()) {
@@ -171,7 +171,7 @@ int choose(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
         const bool runs = options.traversal == Traversal::ray_query ? d.ray_query
                           : options.traversal == Traversal::software
                               ? d.software
-                              : best_traversal(d) != Traversal::automatic;
+                              : choose_best_traversal(d) != Traversal::automatic;
         const int score = (d.why_not_usable.empty() ? 8 : 0) + (runs ? 4 : 0) + (d.type != "CPU" ? 2 : 0) +
                           (d.ray_query ? 1 : 0);
         if (score > best_score) {
@@ -199,7 +199,8 @@ void require(const DeviceInfo& info, Traversal traversal) {
     // Accepts SwiftShader although it cannot run the tracing kernels, because tests run
     // all other kernels on it.
     const bool runs_the_rest = gpu::is_swiftshader(info);
-    if (traversal == Traversal::automatic && best_traversal(info) == Traversal::automatic && !runs_the_rest)
+    if (traversal == Traversal::automatic && choose_best_traversal(info) == Traversal::automatic &&
+        !runs_the_rest)
         throw DeviceError(fmt::format(
             "cannot open device {} ({}): for ray query it lacks {}, and for software traversal it "
             "lacks {}; expected support for one of the two",
@@ -214,7 +215,7 @@ std::vector<DeviceInfo> list_devices() {
 }
 
 Traversal find_traversal(const std::string& name) {
-    const std::optional<std::string> known = known_name(name, {"auto", "ray_query", "software"});
+    const std::optional<std::string> known = find_known_name(name, {"auto", "ray_query", "software"});
     if (!known)
         throw UsageError(fmt::format("traversal: found \"{}\", expected auto, ray_query or software", name));
     return known == "auto"       ? Traversal::automatic
@@ -222,7 +223,7 @@ Traversal find_traversal(const std::string& name) {
                                  : Traversal::ray_query;
 }
 
-Traversal best_traversal(const DeviceInfo& info) {
+Traversal choose_best_traversal(const DeviceInfo& info) {
     // Chooses the faster method. docs/performance.md has the measurements.
     if (info.software && (info.type == "CPU" || !info.ray_query)) return Traversal::software;
     return info.ray_query ? Traversal::ray_query : Traversal::automatic;
@@ -236,19 +237,19 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     impl_->info = infos[static_cast<std::size_t>(index)];
     require(impl_->info, options.traversal);
     impl_->traversal =
-        options.traversal == Traversal::automatic ? best_traversal(impl_->info) : options.traversal;
+        options.traversal == Traversal::automatic ? choose_best_traversal(impl_->info) : options.traversal;
     // Falls back to the software traversal if the device supports no method. The
     // constructors of the acceleration structures then reject the device.
     if (impl_->traversal == Traversal::automatic) impl_->traversal = Traversal::software;
     impl_->physical = physical[static_cast<std::size_t>(index)];
     impl_->memory_limit_bytes = options.memory_limit_bytes;
     impl_->compile_only = options.compile_only;
-    gpu::distrust(*impl_, gpu::find_trust(*impl_, options));
+    gpu::replace_faulty_methods(*impl_, gpu::find_trust(*impl_, options));
     impl_->open(options.pipeline_cache);
 }
 
 Device::~Device() = default;
-Device::Impl& impl_of(const Device& device) { return *device.impl_; }
+Device::Impl& get_impl(const Device& device) { return *device.impl_; }
 const DeviceInfo& Device::info() const { return impl_->info; }
 Traversal Device::traversal() const { return impl_->traversal; }
 std::uint64_t Device::allocated_bytes() const { return impl_->allocated; }
@@ -333,7 +334,7 @@ void Device::Impl::make_device() {
     v12.hostQueryReset = VK_TRUE;
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
 
-    optional = gpu::optional_features(physical);
+    optional = gpu::query_optional_features(physical);
     v13.subgroupSizeControl = optional.subgroup_size;
     v13.computeFullSubgroups = optional.full_subgroups;
     void** tail = &v13.pNext;

@@ -33,7 +33,7 @@ void check(VkResult result, const char* call);
 /// @throws DeviceLost if the driver has lost the device
 /// @throws DeviceError for all other results
 [[noreturn]] void fail(VkResult result, const std::string& message);
-std::string result_name(VkResult result);
+std::string get_result_name(VkResult result);
 
 /// Vulkan instance and its debug messenger, which exists only if validation is enabled.
 struct Instance {
@@ -79,30 +79,31 @@ struct Missing {
 /// Optional device features for subgroups. Kernels rely on this subgroup behaviour.
 /// Without these features, the Vulkan specification does not guarantee it.
 struct OptionalFeatures {
-    /// True if a kernel can request subgroups of exactly DeviceInfo::subgroup_size lanes.
+    /// True if a kernel can request subgroups of exactly DeviceInfo::get_subgroup_size
+    /// lanes.
     bool subgroup_size = false;
     /// True if a kernel can request full subgroups, which have no inactive lanes.
     bool full_subgroups = false;
     bool subgroup_uniform_control_flow = false;
     bool maximal_reconvergence = false;
 };
-OptionalFeatures optional_features(VkPhysicalDevice physical);
+OptionalFeatures query_optional_features(VkPhysicalDevice physical);
 
 /// Returns true if kernels can request full subgroups of exactly
-/// DeviceInfo::subgroup_size lanes.
+/// DeviceInfo::get_subgroup_size lanes.
 bool has_known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                          const OptionalFeatures& optional);
 /// Lists the features that the software traversal needs and the device lacks. Returns an
 /// empty text if no feature is missing.
-std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
-                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                                 const OptionalFeatures& optional);
+std::string list_missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
+                                      const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                                      const OptionalFeatures& optional);
 
 /// Lists the features that neural networks need and the device lacks. Returns an empty
 /// text if no feature is missing.
-std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
-                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                                 const OptionalFeatures& optional);
+std::string list_missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
+                                      const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                                      const OptionalFeatures& optional);
 
 /// Cache of compute pipelines. The key is the kernel name, its specialisation constants
 /// and its subgroup requirements. Kernels with equal keys share one pipeline until the
@@ -169,8 +170,8 @@ struct Device::Impl {
     /// True if both methods of adding floats (float atomics and compare-and-swap) gave
     /// wrong sums on this device.
     bool wrong_sums = false;
-    /// True if every kernel must request DeviceInfo::subgroup_size, because the device
-    /// check found wrong results with the driver's default size.
+    /// True if every kernel must request DeviceInfo::get_subgroup_size, because the
+    /// device check found wrong results with the driver's default size.
     bool forced_lanes = false;
     ForcedWays forced;  ///< Behaviour that a test selects instead of the default.
     /// If true (GPU), pipelines are compiled when their kernels are created. If false
@@ -200,7 +201,8 @@ struct Device::Impl {
     Impl();
     ~Impl();
     /// Opens the Vulkan device.
-    /// @param cache_folder folder of the pipeline cache. If empty, no cache file is used
+    /// @param find_cache_folder folder of the pipeline cache. If empty, no cache file is
+    /// used
     void open(const std::filesystem::path& cache_folder);
     void find_compute_queues();
     void make_device();

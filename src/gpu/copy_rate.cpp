@@ -16,7 +16,8 @@
 namespace relidar {
 namespace {
 
-/// Copies n vectors several times. Returns the duration of the fastest copy in seconds.
+/// Copies `count` vectors several times. Returns the duration of the fastest copy in
+/// seconds.
 ///
 /// Alternates between a copy kernel and the driver's copy command, because either can be
 /// faster. A GPU's driver may use only a part of the GPU. A CPU's driver moves larger
@@ -24,9 +25,9 @@ namespace {
 ///
 /// A GPU raises its clock only under load, so the copies run without pauses. A CPU runs
 /// each kind of copy only once, because each copy takes seconds there.
-double seconds_of_copy(Device& device, std::size_t n) {
-    const Array<glm::vec4, shared::CopySource> from(device, n, "source of the copy");
-    const Array<glm::vec4, shared::CopyTarget> to(device, n, "target of the copy");
+double measure_copy_seconds(Device& device, std::size_t count) {
+    const Array<glm::vec4, shared::CopySource> from(device, count, "source of the copy");
+    const Array<glm::vec4, shared::CopyTarget> to(device, count, "target of the copy");
     const Kernel<shared::CopyParams> copy(device, "gpu/copy", {{ConstantId::WORKGROUP_SIZE, 256u}});
     Stream stream(device, true);
     stream.fill(from);
@@ -40,9 +41,9 @@ double seconds_of_copy(Device& device, std::size_t n) {
         if (i > 1 && std::chrono::duration<double>(start - begin).count() > kLong_s) break;
         for (int k = 0; k < kCopies; ++k) {
             if (i % 2 == 0)
-                run(stream, copy, n,
-                    {.from = from.address(), .to = to.address(), .n = static_cast<std::uint32_t>(n)});
-            else stream.copy(from.buffer(), to.buffer(), n * sizeof(glm::vec4));
+                run(stream, copy, count,
+                    {.from = from.address(), .to = to.address(), .n = static_cast<std::uint32_t>(count)});
+            else stream.copy(from.buffer(), to.buffer(), count * sizeof(glm::vec4));
         }
         stream.finish();
         best = std::min(
@@ -59,7 +60,8 @@ std::optional<double> copy_bytes_per_s(Device& device) {
     constexpr std::size_t kMiB = std::size_t(1) << 20;
     for (std::size_t n_bytes = 256 * kMiB; n_bytes >= kMiB; n_bytes /= 4) {
         try {
-            return 2.0 * static_cast<double>(n_bytes) / seconds_of_copy(device, n_bytes / sizeof(glm::vec4));
+            return 2.0 * static_cast<double>(n_bytes) /
+                   measure_copy_seconds(device, n_bytes / sizeof(glm::vec4));
             // The device has too little memory for this size, so the loop tries a smaller
             // size.
         } catch (const DeviceError&) {}

@@ -15,7 +15,7 @@ namespace relidar::gpu {
 
 namespace {
 
-std::vector<VkExtensionProperties> extensions_of(VkPhysicalDevice physical) {
+std::vector<VkExtensionProperties> list_extensions(VkPhysicalDevice physical) {
     std::uint32_t n = 0;
     check(vkEnumerateDeviceExtensionProperties(physical, nullptr, &n, nullptr),
           "vkEnumerateDeviceExtensionProperties");
@@ -25,7 +25,7 @@ std::vector<VkExtensionProperties> extensions_of(VkPhysicalDevice physical) {
     return extensions;
 }
 
-const char* type_name(VkPhysicalDeviceType type) {
+const char* get_type_name(VkPhysicalDeviceType type) {
     switch (type) {
         case VK_PHYSICAL_DEVICE_TYPE_DISCRETE_GPU:
             return "discrete GPU";
@@ -40,7 +40,7 @@ const char* type_name(VkPhysicalDeviceType type) {
     }
 }
 
-std::uint64_t largest_local_heap(VkPhysicalDevice physical) {
+std::uint64_t find_largest_local_heap(VkPhysicalDevice physical) {
     VkPhysicalDeviceMemoryProperties memory;
     vkGetPhysicalDeviceMemoryProperties(physical, &memory);
     std::uint64_t largest = 0;
@@ -50,7 +50,7 @@ std::uint64_t largest_local_heap(VkPhysicalDevice physical) {
     return largest;
 }
 
-std::string version_text(std::uint32_t v) {
+std::string format_version(std::uint32_t v) {
     return fmt::format("{}.{}.{}", VK_API_VERSION_MAJOR(v), VK_API_VERSION_MINOR(v), VK_API_VERSION_PATCH(v));
 }
 
@@ -65,7 +65,7 @@ bool has_extension(const std::vector<VkExtensionProperties>& extensions, const c
 
 }  // namespace
 
-OptionalFeatures optional_features(VkPhysicalDevice physical) {
+OptionalFeatures query_optional_features(VkPhysicalDevice physical) {
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &sizes};
@@ -76,7 +76,7 @@ OptionalFeatures optional_features(VkPhysicalDevice physical) {
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_FEATURES, &uniform};
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &control};
     OptionalFeatures optional;
-    const std::vector<VkExtensionProperties> extensions = extensions_of(physical);
+    const std::vector<VkExtensionProperties> extensions = list_extensions(physical);
 #ifdef VK_KHR_shader_maximal_reconvergence
     VkPhysicalDeviceShaderMaximalReconvergenceFeaturesKHR maximal{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_MAXIMAL_RECONVERGENCE_FEATURES_KHR};
@@ -114,9 +114,9 @@ bool is_old_lavapipe(const VkPhysicalDeviceDriverProperties& driver) {
 
 constexpr const char* kNoCompiler = "a driver that can compile the tracing kernels (SwiftShader cannot)";
 
-std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
-                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                                 const OptionalFeatures& optional) {
+std::string list_missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
+                                      const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                                      const OptionalFeatures& optional) {
     const auto operations = [&](VkSubgroupFeatureFlags required) {
         return (subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
                (subgroup.supportedOperations & required) == required;
@@ -132,9 +132,9 @@ std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgr
     return groups.text;
 }
 
-std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
-                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                                 const OptionalFeatures& optional) {
+std::string list_missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
+                                      const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                                      const OptionalFeatures& optional) {
     Missing groups;
     groups.need(subgroup.supportedOperations & VK_SUBGROUP_FEATURE_SHUFFLE_BIT,
                 "subgroup shuffles in compute");
@@ -144,18 +144,18 @@ std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgr
 }
 
 bool has_extension(VkPhysicalDevice physical, const char* name) {
-    return has_extension(extensions_of(physical), name);
+    return has_extension(list_extensions(physical), name);
 }
 
 namespace {
 
 /// Lists the features that every kernel needs and the device lacks. Returns an empty text
 /// if no feature is missing.
-std::string missing_for_kernels(const VkPhysicalDeviceProperties& properties,
-                                const VkPhysicalDeviceDriverProperties& driver,
-                                const VkPhysicalDeviceVulkan12Features& v12,
-                                const VkPhysicalDeviceVulkan13Features& v13,
-                                const VkPhysicalDeviceSubgroupProperties& subgroup) {
+std::string list_missing_for_kernels(const VkPhysicalDeviceProperties& properties,
+                                     const VkPhysicalDeviceDriverProperties& driver,
+                                     const VkPhysicalDeviceVulkan12Features& v12,
+                                     const VkPhysicalDeviceVulkan13Features& v13,
+                                     const VkPhysicalDeviceSubgroupProperties& subgroup) {
     Missing base;
     base.need(properties.apiVersion >= VK_API_VERSION_1_3, "Vulkan 1.3");
     base.need(!is_old_lavapipe(driver), "lavapipe from Mesa 24.1 or newer");
@@ -173,9 +173,9 @@ std::string missing_for_kernels(const VkPhysicalDeviceProperties& properties,
 
 /// Lists the features that ray queries need and the device lacks. Returns an empty text
 /// if no feature is missing.
-std::string missing_for_ray_query(const std::vector<VkExtensionProperties>& extensions,
-                                  const VkPhysicalDeviceAccelerationStructureFeaturesKHR& accel,
-                                  const VkPhysicalDeviceRayQueryFeaturesKHR& query) {
+std::string list_missing_for_ray_query(const std::vector<VkExtensionProperties>& extensions,
+                                       const VkPhysicalDeviceAccelerationStructureFeaturesKHR& accel,
+                                       const VkPhysicalDeviceRayQueryFeaturesKHR& query) {
     Missing rays;
     for (const char* name : {VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME,
                              VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME, VK_KHR_RAY_QUERY_EXTENSION_NAME})
@@ -188,7 +188,7 @@ std::string missing_for_ray_query(const std::vector<VkExtensionProperties>& exte
 }  // namespace
 
 DeviceInfo describe(VkPhysicalDevice physical, int index) {
-    const std::vector<VkExtensionProperties> extensions = extensions_of(physical);
+    const std::vector<VkExtensionProperties> extensions = list_extensions(physical);
     VkPhysicalDeviceDriverProperties driver{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DRIVER_PROPERTIES};
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES, &driver};
@@ -208,26 +208,26 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
     const bool is_13 = properties.properties.apiVersion >= VK_API_VERSION_1_3;
     if (is_13) vkGetPhysicalDeviceFeatures2(physical, &features);
-    const OptionalFeatures optional = is_13 ? optional_features(physical) : OptionalFeatures();
+    const OptionalFeatures optional = is_13 ? query_optional_features(physical) : OptionalFeatures();
 
     DeviceInfo info;
     info.index = index;
     info.name = properties.properties.deviceName;
-    info.type = type_name(properties.properties.deviceType);
+    info.type = get_type_name(properties.properties.deviceType);
     info.driver = fmt::format("{} {}", driver.driverName, driver.driverInfo);
-    info.api_version = version_text(properties.properties.apiVersion);
-    info.memory_bytes = largest_local_heap(physical);
+    info.api_version = format_version(properties.properties.apiVersion);
+    info.memory_bytes = find_largest_local_heap(physical);
     info.subgroup_size = static_cast<int>(subgroup.subgroupSize);
     info.timestamps = properties.properties.limits.timestampComputeAndGraphics != 0;
     info.float_atomics = has_extension(extensions, VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME) &&
                          atomics.shaderBufferFloat32AtomicAdd;
 
-    info.why_not_usable = missing_for_kernels(properties.properties, driver, v12, v13, subgroup);
-    info.why_not_ray_query = missing_for_ray_query(extensions, accel, query);
+    info.why_not_usable = list_missing_for_kernels(properties.properties, driver, v12, v13, subgroup);
+    info.why_not_ray_query = list_missing_for_ray_query(extensions, accel, query);
     info.ray_query = info.why_not_ray_query.empty() && info.why_not_usable.empty();
     info.has_known_subgroups = has_known_subgroups(sizes, optional);
     info.why_not_software =
-        is_swiftshader(info) ? kNoCompiler : missing_for_software(subgroup, sizes, optional);
+        is_swiftshader(info) ? kNoCompiler : list_missing_for_software(subgroup, sizes, optional);
     info.software = info.why_not_software.empty() && info.why_not_usable.empty();
     return info;
 }

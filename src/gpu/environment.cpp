@@ -16,12 +16,12 @@ namespace relidar {
 
 namespace {
 
-std::string value_of(const char* name) {
+std::string read_variable(const char* name) {
     const char* text = std::getenv(name);
     return text ? text : "";
 }
 
-std::uint64_t memory_limit(const std::string& text) {
+std::uint64_t read_memory_limit(const std::string& text) {
     std::uint64_t mib = 0;
     const char* end = text.data() + text.size();
     const auto [parsed, failed] = std::from_chars(text.data(), end, mib);
@@ -32,9 +32,9 @@ std::uint64_t memory_limit(const std::string& text) {
     return mib << 20;
 }
 
-std::filesystem::path cache_folder() {
-    const std::string relidar_cache = value_of("RELIDAR_PIPELINE_CACHE"), cache = value_of("XDG_CACHE_HOME"),
-                      home = value_of("HOME");
+std::filesystem::path find_cache_folder() {
+    const std::string relidar_cache = read_variable("RELIDAR_PIPELINE_CACHE"),
+                      cache = read_variable("XDG_CACHE_HOME"), home = read_variable("HOME");
     if (relidar_cache == "0") return {};
     if (!relidar_cache.empty()) return relidar_cache;
     if (!cache.empty()) return std::filesystem::path(cache) / "relidar";
@@ -44,12 +44,13 @@ std::filesystem::path cache_folder() {
 }  // namespace
 
 DeviceOptions from_environment(DeviceOptions options) {
-    if (value_of("RELIDAR_VALIDATION") == "1") options.validation = true;
-    const std::string limit = value_of("RELIDAR_MEMORY_LIMIT_MIB");
-    if (!limit.empty() && options.memory_limit_bytes == 0) options.memory_limit_bytes = memory_limit(limit);
-    if (options.pipeline_cache.empty()) options.pipeline_cache = cache_folder();
+    if (read_variable("RELIDAR_VALIDATION") == "1") options.validation = true;
+    const std::string limit = read_variable("RELIDAR_MEMORY_LIMIT_MIB");
+    if (!limit.empty() && options.memory_limit_bytes == 0)
+        options.memory_limit_bytes = read_memory_limit(limit);
+    if (options.pipeline_cache.empty()) options.pipeline_cache = find_cache_folder();
 #ifdef RELIDAR_ASSERTS
-    gpu::set_faults(value_of("RELIDAR_FAULTS"));
+    gpu::set_faults(read_variable("RELIDAR_FAULTS"));
 #endif
     return options;
 }

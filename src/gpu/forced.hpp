@@ -11,7 +11,7 @@ namespace relidar {
 
 /// Returns the number of warnings and errors that the Vulkan validation layer has
 /// reported. Returns 0 if validation is disabled.
-std::size_t validation_messages(const Device& device);
+std::size_t count_validation_messages(const Device& device);
 
 /// Device behaviour that a test selects instead of the default behaviour.
 struct ForcedWays {

@@ -37,7 +37,7 @@ constexpr std::array<std::string_view, 3> kReconverging{"diff/accel/bvh_cluster"
 
 /// Returns true for lavapipe 25.0 and older. These versions skip a load inside a branch
 /// if no lane takes the branch.
-bool loads_by_mask(const std::string& driver) {
+bool loads_through_mask(const std::string& driver) {
     int major = 0, minor = 0;
     const std::size_t version = driver.find("Mesa ");
     if (version == std::string::npos ||
@@ -47,21 +47,21 @@ bool loads_by_mask(const std::string& driver) {
 }
 
 /// Returns the SPIR-V module of a kernel after the edits that this device needs.
-std::vector<std::uint32_t> module_words(const Device::Impl& device, std::string_view name,
-                                        std::string_view stem, const std::vector<Constant>& constants) {
+std::vector<std::uint32_t> load_module_words(const Device::Impl& device, std::string_view name,
+                                             std::string_view stem, const std::vector<Constant>& constants) {
     std::map<std::uint32_t, std::uint32_t> values;
     for (const Constant& c : constants) values[static_cast<std::uint32_t>(c.id)] = c.value;
     std::vector<std::uint32_t> words =
         gpu::make_parameters_read_only(gpu::resolve_branches(find_words(name), values));
     if (device.info.driver.starts_with("llvmpipe")) {
-        if (!loads_by_mask(device.info.driver)) words = gpu::with_indices_by_lane(words);
+        if (!loads_through_mask(device.info.driver)) words = gpu::use_lane_indices(words);
         words = gpu::move_parameters_first(words);
     }
     if (std::find(kReconverging.begin(), kReconverging.end(), stem) != kReconverging.end()) {
         if (device.optional.maximal_reconvergence)
-            return gpu::with_execution_mode(words, gpu::kMaximallyReconverges);
+            return gpu::add_execution_mode(words, gpu::kMaximallyReconverges);
         if (device.optional.subgroup_uniform_control_flow)
-            return gpu::with_execution_mode(words, gpu::kSubgroupUniformControlFlow);
+            return gpu::add_execution_mode(words, gpu::kSubgroupUniformControlFlow);
     }
     return words;
 }
@@ -111,7 +111,8 @@ gpu::Pipelines::Made make_pipeline(Device::Impl& device, std::span<const std::ui
     return made;
 }
 
-std::string key_of(std::string_view name, const std::vector<Constant>& constants, Subgroups subgroups) {
+std::string make_pipeline_key(std::string_view name, const std::vector<Constant>& constants,
+                              Subgroups subgroups) {
     std::string key = fmt::format("{} {}", name, subgroups == Subgroups::full);
     for (const Constant& c : constants)
         key += fmt::format(" {}={}", static_cast<std::uint32_t>(c.id), c.value);
@@ -129,34 +130,34 @@ private:
     std::counting_semaphore<>& compilers_;
 };
 
-std::string constants_text(std::span<const std::uint32_t> words, std::vector<Constant> constants) {
+std::string format_constants(std::span<const std::uint32_t> words, std::vector<Constant> constants) {
     std::sort(constants.begin(), constants.end(),
-              [](const Constant& a, const Constant& b) { return a.id < b.id; });
-    const std::set<std::uint32_t> of_module = gpu::constant_ids(words);
+              [](const Constant& first, const Constant& second) { return first.id < second.id; });
+    const std::set<std::uint32_t> of_module = gpu::list_constant_ids(words);
     std::string text;
     for (const Constant& c : constants) {
         if (c.id == ConstantId::WORKGROUP_SIZE || !of_module.contains(static_cast<std::uint32_t>(c.id)))
             continue;
-        text += fmt::format("{}{}={}", text.empty() ? "" : " ", name_of(c.id), c.value);
+        text += fmt::format("{}{}={}", text.empty() ? "" : " ", get_name(c.id), c.value);
     }
     return text;
 }
 
 /// Returns the pipeline of a kernel from the cache, or creates it if the cache has none.
-/// @param how whether the pipeline is created at its first use or immediately in another
-/// thread
+/// @param launch_mode whether the pipeline is created at its first use or immediately in
+/// another thread
 std::shared_future<gpu::Pipelines::Made> find_or_begin_pipeline(Device::Impl& device,
                                                                 const KernelBase::Impl& kernel,
-                                                                std::launch how) {
+                                                                std::launch launch_mode) {
     const std::scoped_lock lock(device.pipelines.mutex);
     std::shared_future<gpu::Pipelines::Made>& made =
-        device.pipelines.by_key[key_of(kernel.module, kernel.constants, kernel.subgroups)];
+        device.pipelines.by_key[make_pipeline_key(kernel.module, kernel.constants, kernel.subgroups)];
     if (!made.valid())
-        made = std::async(how, [&device, module = kernel.module, stem = kernel.name,
-                                constants = kernel.constants, subgroups = kernel.subgroups] {
+        made = std::async(launch_mode, [&device, module = kernel.module, stem = kernel.name,
+                                        constants = kernel.constants, subgroups = kernel.subgroups] {
             const Turn turn(device.pipelines.compilers);
-            const std::string constants_shown = constants_text(find_words(module), constants);
-            return make_pipeline(device, module_words(device, module, stem, constants),
+            const std::string constants_shown = format_constants(find_words(module), constants);
+            return make_pipeline(device, load_module_words(device, module, stem, constants),
                                  constants_shown.empty() ? module : module + " " + constants_shown, constants,
                                  subgroups);
         });
@@ -165,7 +166,7 @@ std::shared_future<gpu::Pipelines::Made> find_or_begin_pipeline(Device::Impl& de
 
 }  // namespace
 
-const char* name_of(ConstantId id) {
+const char* get_name(ConstantId id) {
     switch (id) {
 #define RELIDAR_CONSTANT_ID(name, number) \
     case ConstantId::name:                \
@@ -179,7 +180,7 @@ const char* name_of(ConstantId id) {
 KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<Constant>& constants,
                        Subgroups subgroups)
     : impl_(std::make_unique<Impl>()) {
-    Device::Impl& device = impl_of(owner);
+    Device::Impl& device = get_impl(owner);
     impl_->device = &device;
     impl_->module = std::string(name);
     impl_->name = std::string(name.substr(0, name.find('@')));
@@ -190,7 +191,7 @@ KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<C
                                    [](const Constant& c) { return c.id == ConstantId::WORKGROUP_SIZE; });
     impl_->workgroup_size = size == all.end() ? device.workgroup_size : size->value;
     if (size == all.end()) all.push_back({ConstantId::WORKGROUP_SIZE, device.workgroup_size});
-    impl_->addresses = gpu::parameter_addresses(find_words(name));
+    impl_->addresses = gpu::list_parameter_addresses(find_words(name));
     if (gpu::can_cut(impl_->name)) impl_->speed = &device.launch_limit.speed(impl_->name);
     impl_->made_ = find_or_begin_pipeline(device, *impl_,
                                           device.compiles_ahead ? std::launch::async : std::launch::deferred);
@@ -203,7 +204,7 @@ VkPipeline KernelBase::Impl::pipeline() {
     if (made.result != VK_SUCCESS)
         gpu::fail(made.result,
                   fmt::format("cannot create kernel {} on {}: the driver returned {}, expected VK_SUCCESS",
-                              module, device->info.name, gpu::result_name(made.result)));
+                              module, device->info.name, gpu::get_result_name(made.result)));
     return pipeline_ = made.pipeline;
 }
 
@@ -211,7 +212,7 @@ void KernelBase::compile_only() {
     Device::Impl& device = *impl_->device;
     PipelineStatistics s;
     s.kernel = impl_->module;
-    s.constants = constants_text(find_words(impl_->module), impl_->constants);
+    s.constants = format_constants(find_words(impl_->module), impl_->constants);
     s.workgroup_size = static_cast<int>(impl_->workgroup_size);
     const auto is_same = [&](const PipelineStatistics& known) {
         return known.kernel == s.kernel && known.constants == s.constants &&
@@ -219,30 +220,30 @@ void KernelBase::compile_only() {
     };
     if (std::any_of(device.compiled.begin(), device.compiled.end(), is_same)) return;
     const gpu::Pipelines::Made made = impl_->made_.get();
-    if (made.result != VK_SUCCESS) s.failure = gpu::result_name(made.result);
+    if (made.result != VK_SUCCESS) s.failure = gpu::get_result_name(made.result);
     else if (device.pipeline_statistics) gpu::read_statistics(device.device, made.pipeline, s);
     device.compiled.push_back(s);
 }
 
 KernelBase::~KernelBase() = default;
 
-bool reconverges(const Device& device) {
-    const gpu::OptionalFeatures& optional = impl_of(device).optional;
+bool does_reconverge(const Device& device) {
+    const gpu::OptionalFeatures& optional = get_impl(device).optional;
     return optional.maximal_reconvergence || optional.subgroup_uniform_control_flow;
 }
 
-std::string missing_for_networks(const Device& device) {
+std::string list_missing_for_networks(const Device& device) {
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
     VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES,
                                                 &sizes};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
-    vkGetPhysicalDeviceProperties2(impl_of(device).physical, &properties);
-    return gpu::missing_for_networks(subgroup, sizes, impl_of(device).optional);
+    vkGetPhysicalDeviceProperties2(get_impl(device).physical, &properties);
+    return gpu::list_missing_for_networks(subgroup, sizes, get_impl(device).optional);
 }
 
-KernelVariant accumulating_variant(const Device& device, const KernelVariant& variant) {
-    if (impl_of(device).wrong_sums)
+KernelVariant choose_accumulating_variant(const Device& device, const KernelVariant& variant) {
+    if (get_impl(device).wrong_sums)
         throw DeviceError(
             fmt::format("cannot add gradients on {}: the device gives wrong sums of floats; `relidar check` "
                         "shows details",

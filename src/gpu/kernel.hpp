@@ -31,7 +31,7 @@ enum class ConstantId : std::uint32_t {
     RELIDAR_CONSTANTS(RELIDAR_CONSTANT_ID)
 #undef RELIDAR_CONSTANT_ID
 };
-const char* name_of(ConstantId id);
+const char* get_name(ConstantId id);
 
 struct Constant {
     ConstantId id;
@@ -39,13 +39,13 @@ struct Constant {
 };
 
 /// Requirements of a kernel on subgroups. `full` means that every subgroup has exactly
-/// DeviceInfo::subgroup_size active lanes. Kernels that compute thread indices from
+/// DeviceInfo::get_subgroup_size active lanes. Kernels that compute thread indices from
 /// subgroups need `full`, because some compilers choose smaller subgroups.
 enum class Subgroups { any, full };
 
 /// Returns the name of the parameter struct of a kernel. Returns an empty text if the
 /// kernel is unknown.
-constexpr std::string_view params_of_kernel(std::string_view name) {
+constexpr std::string_view find_params_of_kernel(std::string_view name) {
     for (const auto& [kernel, params] : kKernelParams)
         if (kernel == name) return params;
     return {};
@@ -53,7 +53,7 @@ constexpr std::string_view params_of_kernel(std::string_view name) {
 
 /// Returns the name of a struct without its namespaces.
 template <class Struct>
-consteval std::string_view name_of_struct() {
+consteval std::string_view get_struct_name() {
     // Compiler-generated text that contains the struct's name, for example "... [with
     // Struct = relidar::shared::AdamParams; ...]".
     std::string_view text = __PRETTY_FUNCTION__;
@@ -94,7 +94,7 @@ class KernelName {
 public:
     template <std::size_t n>
     consteval KernelName(const char (&name)[n]) : name_(name) {
-        if (params_of_kernel(name_) != name_of_struct<Params>())
+        if (find_params_of_kernel(name_) != get_struct_name<Params>())
             throw "the kernel with this name has another parameter struct than Params";
     }
     std::string_view text() const { return name_; }
@@ -128,23 +128,24 @@ public:
 /// needs more threads or shared memory. On a GPU this is faster, because a subgroup loads
 /// complete cache lines. On a CPU, one thread per row is faster, because each core loads
 /// its own cache lines.
-bool coalesces(const Device& device);
+bool prefers_coalesced_access(const Device& device);
 /// Returns true if rays must test every surfel instead of searching an acceleration
 /// structure. Only tests set this mode.
-bool tests_every_surfel(const Device& device);
+bool must_test_every_surfel(const Device& device);
 
 /// Returns true if the device guarantees that the lanes of a subgroup reconverge after a
 /// branch or loop. The guarantee needs a Vulkan extension.
-bool reconverges(const Device& device);
+bool does_reconverge(const Device& device);
 
 /// Lists the features that neural networks need and the device lacks. Returns an empty
 /// text if no feature is missing.
-std::string missing_for_networks(const Device& device);
+std::string list_missing_for_networks(const Device& device);
 
 /// Returns the variant of a kernel that adds floats to memory atomically. The variant
 /// uses float atomics if the device has them, otherwise compare-and-swap.
 /// @param variant variant of a tracing kernel, for example "@ray_query". The suffix for
 /// atomics is appended to it
-KernelVariant accumulating_variant(const Device& device, const KernelVariant& variant = KernelVariant("@"));
+KernelVariant choose_accumulating_variant(const Device& device,
+                                          const KernelVariant& variant = KernelVariant("@"));
 
 }  // namespace relidar

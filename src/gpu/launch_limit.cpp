@@ -7,19 +7,19 @@
 
 namespace relidar::gpu {
 
-std::uint32_t KernelSpeed::groups_per_piece(double piece_s) const {
+std::uint32_t KernelSpeed::choose_groups_per_piece(double piece_s) const {
     const double s_per_group = s_per_group_;
     if (!(s_per_group > 0.0)) return kUnknownGroups;
     return static_cast<std::uint32_t>(std::clamp(piece_s / s_per_group, 1.0, 4e9));
 }
 
-double KernelSpeed::expected_s(std::uint32_t n_groups) const { return s_per_group_ * n_groups; }
+double KernelSpeed::estimate_seconds(std::uint32_t n_groups) const { return s_per_group_ * n_groups; }
 
 bool KernelSpeed::should_measure(double piece_s, std::uint32_t n_groups) {
     constexpr std::uint64_t kFirst = 8, kEvery = 64;
     // Skips small launches, because their fixed cost would make the kernel look slow.
     // A kernel whose pieces are small is still measured, because it may become faster.
-    if (n_groups < std::min(kUnknownGroups / 4, groups_per_piece(piece_s) / 2)) return false;
+    if (n_groups < std::min(kUnknownGroups / 4, choose_groups_per_piece(piece_s) / 2)) return false;
     const std::uint64_t n = n_dispatches_++;
     return n < kFirst || n % kEvery == 0;
 }

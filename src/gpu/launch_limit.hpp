@@ -22,10 +22,10 @@ public:
 
     /// Returns the number of workgroups that one dispatch should have.
     /// @param piece_s target duration of a dispatch in seconds
-    std::uint32_t groups_per_piece(double piece_s) const;
+    std::uint32_t choose_groups_per_piece(double piece_s) const;
     /// Returns the expected duration of `n_groups` workgroups in seconds. Returns 0 if
     /// the speed is unknown.
-    double expected_s(std::uint32_t n_groups) const;
+    double estimate_seconds(std::uint32_t n_groups) const;
     /// Returns true if the next dispatch should be measured. The first 8 dispatches of a
     /// kernel are measured, and then every 64th.
     bool should_measure(double piece_s, std::uint32_t n_groups);

@@ -19,7 +19,7 @@ namespace {
 constexpr std::uint64_t kAlignment = 256;
 
 /// Returns the memory properties to request, best first.
-std::vector<VkMemoryPropertyFlags> preferred_properties(MemoryUse use) {
+std::vector<VkMemoryPropertyFlags> list_preferred_properties(MemoryUse use) {
     constexpr VkMemoryPropertyFlags kHost =
         VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT;
     switch (use) {
@@ -37,7 +37,7 @@ std::vector<VkMemoryPropertyFlags> preferred_properties(MemoryUse use) {
 
 }  // namespace
 
-MemoryBudget memory_budget(VkPhysicalDevice physical) {
+MemoryBudget query_memory_budget(VkPhysicalDevice physical) {
     VkPhysicalDeviceMemoryBudgetPropertiesEXT budgets{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MEMORY_BUDGET_PROPERTIES_EXT};
     VkPhysicalDeviceMemoryProperties2 memory{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MEMORY_PROPERTIES_2};
@@ -106,7 +106,7 @@ std::uint64_t MemoryPools::shared_bytes(std::uint32_t type) const {
 /// use device memory that the host can access. Other device buffers do not use it.
 std::vector<std::uint32_t> MemoryPools::types(const VkMemoryRequirements& needs, MemoryUse use) const {
     std::vector<std::uint32_t> suitable_types;
-    for (const VkMemoryPropertyFlags properties_mask : preferred_properties(use))
+    for (const VkMemoryPropertyFlags properties_mask : list_preferred_properties(use))
         for (std::uint32_t type = 0; type < properties_.memoryTypeCount; ++type) {
             if (!(needs.memoryTypeBits >> type & 1u) ||
                 (properties_.memoryTypes[type].propertyFlags & properties_mask) != properties_mask)

@@ -41,7 +41,7 @@ struct MemoryBudget {
 /// Returns the current memory budget. With VK_EXT_memory_budget, the driver considers the
 /// memory that other programs use. Otherwise the budget is the size of the heap, and
 /// n_used is 0.
-MemoryBudget memory_budget(VkPhysicalDevice physical);
+MemoryBudget query_memory_budget(VkPhysicalDevice physical);
 
 /// Free ranges of a memory block.
 class FreeRanges {

@@ -28,16 +28,16 @@ struct FileHeader {
 
 /// Returns the FNV-1a hash of the bytes, which detects damaged files. A damaged file may
 /// crash the driver, because drivers check only the header of their data.
-std::uint64_t hash_of(std::string_view bytes) {
+std::uint64_t compute_hash(std::string_view bytes) {
     std::uint64_t hash = 0xcbf29ce484222325u;
     for (const char byte : bytes) hash = (hash ^ static_cast<unsigned char>(byte)) * 0x100000001b3u;
     return hash;
 }
 
-FileHeader header_of(std::string_view bytes) {
+FileHeader make_file_header(std::string_view bytes) {
     FileHeader header;
     header.n_bytes = bytes.size();
-    header.hash = hash_of(bytes);
+    header.hash = compute_hash(bytes);
     return header;
 }
 
@@ -53,7 +53,7 @@ std::string read_file(const std::filesystem::path& path, const VkPhysicalDeviceP
     VkPipelineCacheHeaderVersionOne driver{};
     if (bytes.size() < sizeof driver || !file.read(bytes.data(), static_cast<std::streamsize>(bytes.size())))
         return {};
-    const FileHeader expected = header_of(bytes);
+    const FileHeader expected = make_file_header(bytes);
     std::memcpy(&driver, bytes.data(), sizeof driver);
     const bool same_driver =
         driver.headerVersion == VK_PIPELINE_CACHE_HEADER_VERSION_ONE && driver.vendorID == device.vendorID &&
@@ -79,7 +79,7 @@ void replace_file(const std::filesystem::path& path, std::string_view bytes) {
     if (!file || failed) std::filesystem::remove(temporary, failed);
 }
 
-std::string device_key(const VkPhysicalDeviceProperties& properties) {
+std::string make_device_key(const VkPhysicalDeviceProperties& properties) {
     std::string uuid;
     for (const std::uint8_t byte : properties.pipelineCacheUUID) uuid += fmt::format("{:02x}", byte);
     return fmt::format("{:04x}_{:04x}_{}", properties.vendorID, properties.deviceID, uuid);
@@ -89,7 +89,7 @@ PipelineCache::PipelineCache(VkPhysicalDevice physical, VkDevice device, const s
     : device_(device) {
     VkPhysicalDeviceProperties properties;
     vkGetPhysicalDeviceProperties(physical, &properties);
-    if (!folder.empty()) path_ = folder / ("pipelines_" + device_key(properties));
+    if (!folder.empty()) path_ = folder / ("pipelines_" + make_device_key(properties));
 
     const std::string bytes = path_.empty() ? std::string() : read_file(path_, properties);
     read_bytes_ = bytes.size();
@@ -114,7 +114,7 @@ void PipelineCache::save() const {
     std::string bytes(n_bytes, '\0');
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, bytes.data()) != VK_SUCCESS) return;
     bytes.resize(n_bytes);
-    const FileHeader header = header_of(bytes);
+    const FileHeader header = make_file_header(bytes);
     replace_file(path_, std::string(reinterpret_cast<const char*>(&header), sizeof header) + bytes);
 }
 

@@ -19,7 +19,7 @@ namespace relidar::gpu {
 void replace_file(const std::filesystem::path& path, std::string_view bytes);
 
 /// Returns a file name that is unique for the device and its driver version.
-std::string device_key(const VkPhysicalDeviceProperties& properties);
+std::string make_device_key(const VkPhysicalDeviceProperties& properties);
 
 class PipelineCache {
 public:

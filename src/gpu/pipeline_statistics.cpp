@@ -8,16 +8,16 @@
 namespace relidar::gpu {
 namespace {
 
-double as_double(const VkPipelineExecutableStatisticKHR& s) {
-    switch (s.format) {
+double as_double(const VkPipelineExecutableStatisticKHR& statistic) {
+    switch (statistic.format) {
         case VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_BOOL32_KHR:
-            return s.value.b32 ? 1.0 : 0.0;
+            return statistic.value.b32 ? 1.0 : 0.0;
         case VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_INT64_KHR:
-            return double(s.value.i64);
+            return double(statistic.value.i64);
         case VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_UINT64_KHR:
-            return double(s.value.u64);
+            return double(statistic.value.u64);
         default:
-            return s.value.f64;
+            return statistic.value.f64;
     }
 }
 

@@ -13,23 +13,23 @@ PrefixSum::PrefixSum(Device& device)
     : sums_(device, "gpu/scan_sums", {kTileWorkgroup}, Subgroups::full),
       write_(device, "gpu/scan_write", {kTileWorkgroup}, Subgroups::full) {}
 
-void PrefixSum::reserve(Device& device, std::size_t n) {
-    for (std::size_t level = 0; n > RELIDAR_TILE_SIZE; ++level) {
-        n = tiles_of(n);
+void PrefixSum::reserve(Device& device, std::size_t count) {
+    for (std::size_t level = 0; count > RELIDAR_TILE_SIZE; ++level) {
+        count = count_tiles(count);
         if (levels_.size() == level) levels_.emplace_back();
-        levels_[level].reserve(device, n, "sums of tiles");
+        levels_[level].reserve(device, count, "sums of tiles");
     }
 }
 
 void PrefixSum::run(Stream& stream, const StridedCounts& counts,
-                    Address<std::uint32_t, shared::ScanPrefix> prefix, std::uint32_t n,
+                    Address<std::uint32_t, shared::ScanPrefix> prefix, std::uint32_t count,
                     Address<std::uint32_t, shared::ScanTotal> total) const {
     run_level(stream,
               {.counts = counts.address,
                .tile_sums = {},
                .prefix = prefix,
                .total = total,
-               .n = n,
+               .n = count,
                .offset = counts.offset,
                .stride = counts.stride},
               0);
@@ -37,7 +37,7 @@ void PrefixSum::run(Stream& stream, const StridedCounts& counts,
 
 void PrefixSum::run_level(Stream& stream, shared::ScanParams params, std::size_t level) const {
     if (params.n == 0) return;
-    const std::size_t n_tiles = tiles_of(params.n), n_threads = n_tiles * RELIDAR_TILE_THREADS;
+    const std::size_t n_tiles = count_tiles(params.n), n_threads = n_tiles * RELIDAR_TILE_THREADS;
     if (n_tiles > 1) {
         RELIDAR_ASSERT_LE(level + 1, levels_.size());
         RELIDAR_ASSERT_LE(n_tiles, levels_[level].size());

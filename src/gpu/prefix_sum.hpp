@@ -17,16 +17,16 @@ struct StridedCounts {
 class PrefixSum {
 public:
     explicit PrefixSum(Device& device);
-    /// Allocates scratch memory for n counts. No pending submission may use this object,
-    /// because the old memory is freed.
-    void reserve(Device& device, std::size_t n);
-    /// Submits kernels that compute prefix[i] for all i < n. prefix[i] is the sum of all
-    /// counts before count i. `prefix` may be the same array as the counts. The total
+    /// Allocates scratch memory for `count` counts. No pending submission may use this
+    /// object, because the old memory is freed.
+    void reserve(Device& device, std::size_t count);
+    /// Submits kernels that compute prefix[i] for all i < count. prefix[i] is the sum of
+    /// all counts before count i. `prefix` may be the same array as the counts. The total
     /// must fit into 32 bits.
-    /// @param total address that receives the total sum, or null. Nothing is written if n
-    /// is 0
+    /// @param total address that receives the total sum, or null. Nothing is written if
+    /// `count` is 0
     void run(Stream& stream, const StridedCounts& counts, Address<std::uint32_t, shared::ScanPrefix> prefix,
-             std::uint32_t n, Address<std::uint32_t, shared::ScanTotal> total = {}) const;
+             std::uint32_t count, Address<std::uint32_t, shared::ScanTotal> total = {}) const;
 
 private:
     Kernel<shared::ScanParams> sums_, write_;

@@ -29,7 +29,7 @@ RadixSort::RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_w
       scan_(device, "gpu/radix_scan", {kTileWorkgroup}, Subgroups::full),
       scatter_(device, "gpu/radix_scatter", {kTileWorkgroup, {ConstantId::KEY_WORDS, key_words}},
                Subgroups::full),
-      counts_(device, RELIDAR_SORT_DIGITS * tiles_of(capacity), "sort counts"),
+      counts_(device, RELIDAR_SORT_DIGITS * count_tiles(capacity), "sort counts"),
       totals_(device, RELIDAR_SORT_DIGITS, "sort totals") {
     if (const int lanes = device.info().subgroup_size; lanes < 4 || lanes > 64)
         throw DeviceError(
@@ -44,7 +44,7 @@ RadixSort::RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_w
 
 SortSet RadixSort::run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits,
                        Address<std::uint32_t, shared::SortCount> n_keys) const {
-    const std::size_t n_threads = tiles_of(capacity_) * RELIDAR_TILE_THREADS;
+    const std::size_t n_threads = count_tiles(capacity_) * RELIDAR_TILE_THREADS;
     for (std::uint32_t pass = 0; pass < passes(key_bits); ++pass) {
         const shared::RadixSortParams params{
             .n_keys = n_keys,

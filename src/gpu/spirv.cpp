@@ -14,7 +14,7 @@ namespace {
 constexpr std::uint32_t kOpMemberDecorate = 72, kOffset = 35, kNonWritable = 24;
 constexpr std::uint32_t kOpExtension = 10, kOpEntryPoint = 15, kOpExecutionMode = 16, kOpCapability = 17;
 
-std::vector<std::uint32_t> extension_instruction(std::string_view name) {
+std::vector<std::uint32_t> make_extension_instruction(std::string_view name) {
     // Adds space for the zero byte at the end of the name.
     std::vector<std::uint32_t> words(1 + name.size() / 4 + 1, 0u);
     std::memcpy(words.data() + 1, name.data(), name.size());
@@ -24,13 +24,13 @@ std::vector<std::uint32_t> extension_instruction(std::string_view name) {
 
 }  // namespace
 
-std::vector<std::uint32_t> with_execution_mode(std::span<const std::uint32_t> words,
-                                               const ExecutionMode& mode) {
+std::vector<std::uint32_t> add_execution_mode(std::span<const std::uint32_t> words,
+                                              const ExecutionMode& mode) {
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords), modes;
     bool extended = false;
     for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
         if (!extended && opcode != kOpCapability && opcode != kOpExtension) {
-            append(result, extension_instruction(mode.extension));
+            append(result, make_extension_instruction(mode.extension));
             extended = true;
         }
         if (opcode == kOpEntryPoint) {
@@ -50,7 +50,7 @@ std::vector<std::uint32_t> make_parameters_read_only(std::span<const std::uint32
     // decorations, so this loop has read the id before it reaches the decorations.
     std::uint32_t block = 0;
     for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
-        if (opcode == kOpName && std::strcmp(name_in(instruction), "ParamsBlock") == 0)
+        if (opcode == kOpName && std::strcmp(get_name_in(instruction), "ParamsBlock") == 0)
             block = instruction[1];
         append(result, instruction);
         if (opcode == kOpMemberDecorate && instruction[1] == block && instruction[3] == kOffset)
@@ -59,7 +59,7 @@ std::vector<std::uint32_t> make_parameters_read_only(std::span<const std::uint32
     return result;
 }
 
-std::set<std::uint32_t> constant_ids(std::span<const std::uint32_t> words) {
+std::set<std::uint32_t> list_constant_ids(std::span<const std::uint32_t> words) {
     std::set<std::uint32_t> ids;
     for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
         if (opcode == kOpDecorate && instruction[2] == kSpecId) ids.insert(instruction[3]);

@@ -28,8 +28,8 @@ inline constexpr ExecutionMode kMaximallyReconverges{6023, "SPV_KHR_maximal_reco
 
 /// Returns a copy of a module in which each entry point has an additional execution mode.
 /// @param words module with at least one entry point
-std::vector<std::uint32_t> with_execution_mode(std::span<const std::uint32_t> words,
-                                               const ExecutionMode& mode);
+std::vector<std::uint32_t> add_execution_mode(std::span<const std::uint32_t> words,
+                                              const ExecutionMode& mode);
 
 /// Returns a copy of a module whose parameter block (RELIDAR_PARAMS) is decorated as
 /// NonWritable.
@@ -48,7 +48,7 @@ std::vector<std::uint32_t> move_parameters_first(std::span<const std::uint32_t> 
 ///
 /// Call this function before move_parameters_first(), which moves the loads of
 /// parameters.
-std::vector<std::uint32_t> with_indices_by_lane(std::span<const std::uint32_t> words);
+std::vector<std::uint32_t> use_lane_indices(std::span<const std::uint32_t> words);
 
 /// Returns a copy of a module in which branches that depend only on specialisation
 /// constants are unconditional. Unreachable blocks stay in the module. A driver also
@@ -59,9 +59,9 @@ std::vector<std::uint32_t> resolve_branches(std::span<const std::uint32_t> words
                                             const std::map<std::uint32_t, std::uint32_t>& constants);
 
 /// Returns the byte offset of each device address in the parameter block of a module.
-std::vector<std::uint32_t> parameter_addresses(std::span<const std::uint32_t> words);
+std::vector<std::uint32_t> list_parameter_addresses(std::span<const std::uint32_t> words);
 
 /// Returns the ids of the module's specialisation constants.
-std::set<std::uint32_t> constant_ids(std::span<const std::uint32_t> words);
+std::set<std::uint32_t> list_constant_ids(std::span<const std::uint32_t> words);
 
 }  // namespace relidar::gpu

@@ -15,7 +15,8 @@ namespace {
 class ParameterTypes {
 public:
     explicit ParameterTypes(std::span<const std::uint32_t> words) {
-        for_each_instruction(words, [&](std::uint32_t op, Instruction i) { read(op, i); });
+        for_each_instruction(
+            words, [&](std::uint32_t opcode, Instruction instruction) { read(opcode, instruction); });
     }
 
     std::uint32_t block() const { return block_; }
@@ -59,18 +60,18 @@ private:
     /// Byte offset of each member. The key is the struct's id and the member's index.
     std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> offsets_;
 
-    void read(std::uint32_t op, Instruction i) {
-        if (op == kOpName && name_in(i) == std::string("ParamsBlock")) block_ = i[1];
-        if (op == type_pointer || op == type_array || op == type_struct) types_[i[1]] = i;
-        if (op == constant) constants_[i[2]] = i[3];
-        if (op == kOpDecorate && i[2] == array_stride) strides_[i[1]] = i[3];
-        if (op == member_decorate && i[3] == member_offset) offsets_[{i[1], i[2]}] = i[4];
+    void read(std::uint32_t opcode, Instruction i) {
+        if (opcode == kOpName && get_name_in(i) == std::string("ParamsBlock")) block_ = i[1];
+        if (opcode == type_pointer || opcode == type_array || opcode == type_struct) types_[i[1]] = i;
+        if (opcode == constant) constants_[i[2]] = i[3];
+        if (opcode == kOpDecorate && i[2] == array_stride) strides_[i[1]] = i[3];
+        if (opcode == member_decorate && i[3] == member_offset) offsets_[{i[1], i[2]}] = i[4];
     }
 };
 
 }  // namespace
 
-std::vector<std::uint32_t> parameter_addresses(std::span<const std::uint32_t> words) {
+std::vector<std::uint32_t> list_parameter_addresses(std::span<const std::uint32_t> words) {
     const ParameterTypes types(words);
     std::vector<std::uint32_t> offsets;
     types.collect(types.block(), 0, offsets);

@@ -19,7 +19,8 @@ namespace {
 class LaneIndices {
 public:
     explicit LaneIndices(std::span<const std::uint32_t> words) : words_(words), next_(words[3]) {
-        for_each_instruction(words, [&](std::uint32_t op, Instruction i) { read(op, i); });
+        for_each_instruction(
+            words, [&](std::uint32_t opcode, Instruction instruction) { read(opcode, instruction); });
         is_new_lane_ = lane_ == 0;
         for (std::uint32_t* id : {&input_pointer_, &private_pointer_, &push_pointer_, &zero_, &constant_0_,
                                   &constant_1_, &constant_255_})
@@ -29,7 +30,8 @@ public:
 
     std::vector<std::uint32_t> written() {
         result_.assign(words_.begin(), words_.begin() + kHeaderWords);
-        for_each_instruction(words_, [&](std::uint32_t op, Instruction i) { write(op, i); });
+        for_each_instruction(
+            words_, [&](std::uint32_t opcode, Instruction instruction) { write(opcode, instruction); });
         result_[3] = next_;
         return result_;
     }
@@ -71,15 +73,15 @@ private:
     std::set<std::uint32_t> storage_pointers_, parameters_;
     bool is_new_lane_ = false, decorated_ = false, declared_ = false, in_entry_ = false, filled_ = false;
 
-    void read(std::uint32_t op, Instruction i) {
-        if (op == kOpName && name_in(i) == std::string("ParamsBlock")) block_ = i[1];
-        if (op == entry_point) entry_ = i[2];
-        if (op == type_int && i[2] == 32 && i[3] == 0) uint_ = i[1];
-        if (op == type_pointer && i[2] == physical_storage) storage_pointers_.insert(i[1]);
-        if (op == type_pointer && i[2] == physical_storage && i[3] == block_) block_pointer_ = i[1];
-        if (op == variable && i[3] == push_constant) push_ = i[2];
-        if (op == decorate && i[2] == built_in && i[3] == local_invocation_index) lane_ = i[1];
-        if (op == load && i[1] == block_pointer_) parameters_.insert(i[2]);
+    void read(std::uint32_t opcode, Instruction i) {
+        if (opcode == kOpName && get_name_in(i) == std::string("ParamsBlock")) block_ = i[1];
+        if (opcode == entry_point) entry_ = i[2];
+        if (opcode == type_int && i[2] == 32 && i[3] == 0) uint_ = i[1];
+        if (opcode == type_pointer && i[2] == physical_storage) storage_pointers_.insert(i[1]);
+        if (opcode == type_pointer && i[2] == physical_storage && i[3] == block_) block_pointer_ = i[1];
+        if (opcode == variable && i[3] == push_constant) push_ = i[2];
+        if (opcode == decorate && i[2] == built_in && i[3] == local_invocation_index) lane_ = i[1];
+        if (opcode == load && i[1] == block_pointer_) parameters_.insert(i[2]);
     }
 
     void emit(Number op, std::initializer_list<std::uint32_t> operands) {
@@ -110,33 +112,34 @@ private:
         emit(store, {zero_, value});
     }
 
-    void write(std::uint32_t op, Instruction i) {
-        if (op == decorate && !decorated_) {
+    void write(std::uint32_t opcode, Instruction instruction) {
+        if (opcode == decorate && !decorated_) {
             if (is_new_lane_) emit(decorate, {lane_, built_in, local_invocation_index});
             decorated_ = true;
         }
-        if (op == function && !declared_) {
+        if (opcode == function && !declared_) {
             declare();
             declared_ = true;
         }
-        in_entry_ = in_entry_ || (op == function && i[2] == entry_);
-        const bool begins = op == function || op == label || op == variable || op == line || op == no_line;
+        in_entry_ = in_entry_ || (opcode == function && instruction[2] == entry_);
+        const bool begins = opcode == function || opcode == label || opcode == variable || opcode == line ||
+                            opcode == no_line;
         if (in_entry_ && !filled_ && !begins) {
             fill();
             filled_ = true;
         }
         const std::size_t at = result_.size();
-        if (op == access_chain && i.size() >= 6 && storage_pointers_.contains(i[1]) &&
-            !parameters_.contains(i[3])) {
+        if (opcode == access_chain && instruction.size() >= 6 && storage_pointers_.contains(instruction[1]) &&
+            !parameters_.contains(instruction[3])) {
             const std::uint32_t zero = next_++, index = next_++;
             emit(load, {uint_, zero, zero_});
-            emit(iadd, {uint_, index, i[5], zero});
-            append(result_, i);
-            result_[result_.size() - i.size() + 5] = index;
+            emit(iadd, {uint_, index, instruction[5], zero});
+            append(result_, instruction);
+            result_[result_.size() - instruction.size() + 5] = index;
             return;
         }
-        append(result_, i);
-        if (op != entry_point) return;
+        append(result_, instruction);
+        if (opcode != entry_point) return;
         result_.push_back(zero_);
         if (is_new_lane_) result_.push_back(lane_);
         result_[at] = std::uint32_t(result_.size() - at) << 16 | entry_point;
@@ -145,7 +148,7 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> with_indices_by_lane(std::span<const std::uint32_t> words) {
+std::vector<std::uint32_t> use_lane_indices(std::span<const std::uint32_t> words) {
     return LaneIndices(words).written();
 }
 

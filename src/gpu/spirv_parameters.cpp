@@ -62,38 +62,39 @@ struct Module {
     std::map<std::uint32_t, Path> places;
 
     explicit Module(std::span<const std::uint32_t> words) : bound(words[3]) {
-        for_each_instruction(words, [&](std::uint32_t op, Instruction i) { read(op, i); });
+        for_each_instruction(
+            words, [&](std::uint32_t opcode, Instruction instruction) { read(opcode, instruction); });
     }
 
 private:
     std::map<std::uint32_t, Words> chains_;
 
-    void read(std::uint32_t op, Instruction i) {
-        if (op == kOpName && name_in(i) == std::string("ParamsBlock")) block = i[1];
-        if (op == kEntryPoint) entry = i[2];
-        if (op >= 19 && op <= 39) types[i[1]] = Words(i.begin(), i.end());
-        if (op == kTypePointer && i[2] == kPhysicalStorage && i[3] == block) block_pointer = i[1];
-        if (op == kTypeInt && i[2] == 32 && !int_type) int_type = i[1];
-        if (op == kConstant && i.size() == 4 && types.contains(i[1]) &&
+    void read(std::uint32_t opcode, Instruction i) {
+        if (opcode == kOpName && get_name_in(i) == std::string("ParamsBlock")) block = i[1];
+        if (opcode == kEntryPoint) entry = i[2];
+        if (opcode >= 19 && opcode <= 39) types[i[1]] = Words(i.begin(), i.end());
+        if (opcode == kTypePointer && i[2] == kPhysicalStorage && i[3] == block) block_pointer = i[1];
+        if (opcode == kTypeInt && i[2] == 32 && !int_type) int_type = i[1];
+        if (opcode == kConstant && i.size() == 4 && types.contains(i[1]) &&
             (types.at(i[1])[0] & 0xffffu) == kTypeInt)
             constants[i[2]] = i[3];
-        if (op == kAccessChain) read_chain(i);
-        if (op == kLoad && i[1] == block_pointer && block_pointer) {
+        if (opcode == kAccessChain) read_chain(i);
+        if (opcode == kLoad && i[1] == block_pointer && block_pointer) {
             addresses.insert(i[2]);
             push_chain = chains_[i[3]];
         }
     }
-    void read_chain(Instruction i) {
-        if (!addresses.contains(i[3])) {
-            chains_[i[2]] = Words(i.begin(), i.end());
+    void read_chain(Instruction instruction) {
+        if (!addresses.contains(instruction[3])) {
+            chains_[instruction[2]] = Words(instruction.begin(), instruction.end());
             return;
         }
         Path path;
-        for (const std::uint32_t index : i.subspan(4)) {
+        for (const std::uint32_t index : instruction.subspan(4)) {
             if (!constants.contains(index)) return;
             path.push_back(constants.at(index));
         }
-        places[i[2]] = path;
+        places[instruction[2]] = path;
     }
 };
 
@@ -139,13 +140,14 @@ public:
         const Words first = fill();
         Words result(words.begin(), words.begin() + kHeaderWords);
         bool functions = false, decorated = false;
-        for_each_instruction(words, [&](std::uint32_t op, Instruction i) {
-            if (op == kFunction && !functions) append(result, globals_);
-            functions = functions || op == kFunction;
+        for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
+            if (opcode == kFunction && !functions) append(result, globals_);
+            functions = functions || opcode == kFunction;
             if (functions) return;
-            if (op == kDecorate && !decorated) append(result, decorations_);
-            decorated = decorated || op == kDecorate;
-            append(result, op == kEntryPoint ? entry_point(i) : Words(i.begin(), i.end()));
+            if (opcode == kDecorate && !decorated) append(result, decorations_);
+            decorated = decorated || opcode == kDecorate;
+            append(result, opcode == kEntryPoint ? entry_point(instruction)
+                                                 : Words(instruction.begin(), instruction.end()));
         });
         append_code(result, code, first);
         result[3] = next_;
@@ -178,9 +180,9 @@ private:
                 return std::nullopt;
         }
     }
-    std::uint32_t pointer(std::map<std::uint32_t, std::uint32_t>& known, std::uint32_t storage,
+    std::uint32_t pointer(std::map<std::uint32_t, std::uint32_t>& pointers, std::uint32_t storage,
                           std::uint32_t type) {
-        const auto [at, is_new] = known.try_emplace(type, next_);
+        const auto [at, is_new] = pointers.try_emplace(type, next_);
         if (is_new) append(globals_, instruction(kTypePointer, {next_++, storage, type}));
         return at->second;
     }
@@ -220,8 +222,8 @@ private:
         }
         return code;
     }
-    Words entry_point(Instruction i) const {
-        Words words(i.begin(), i.end());
+    Words entry_point(Instruction instruction) const {
+        Words words(instruction.begin(), instruction.end());
         for (const auto& [path, v] : variables_) words.push_back(v.id);
         words[0] = std::uint32_t(words.size()) << 16 | kEntryPoint;
         return words;
@@ -250,12 +252,13 @@ std::vector<std::uint32_t> move_parameters_first(std::span<const std::uint32_t> 
     ParametersFirst result(module);
     Words code;
     bool functions = false, any = false;
-    for_each_instruction(words, [&](std::uint32_t op, Instruction i) {
-        functions = functions || op == kFunction;
+    for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
+        functions = functions || opcode == kFunction;
         if (!functions) return;
-        const auto place = op == kLoad ? module.places.find(i[3]) : module.places.end();
-        if (place == module.places.end() || !result.can_store(i[1])) return append(code, i);
-        result.load(code, i[1], place->second, i[2]);
+        const auto place = opcode == kLoad ? module.places.find(instruction[3]) : module.places.end();
+        if (place == module.places.end() || !result.can_store(instruction[1]))
+            return append(code, instruction);
+        result.load(code, instruction[1], place->second, instruction[2]);
         any = true;
     });
     return any ? result.written(words, code) : Words(words.begin(), words.end());

@@ -15,18 +15,18 @@ inline constexpr std::uint32_t kOpName = 5, kOpDecorate = 71, kSpecId = 1;
 
 using Instruction = std::span<const std::uint32_t>;
 
-/// Calls f(opcode, instruction) for each instruction of a SPIR-V module, in the order of
-/// the module.
+/// Calls function(opcode, instruction) for each instruction of a SPIR-V module, in the
+/// order of the module.
 template <class F>
-void for_each_instruction(std::span<const std::uint32_t> words, const F& f) {
+void for_each_instruction(std::span<const std::uint32_t> words, const F& function) {
     for (std::size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16)
-        f(words[at] & 0xffffu, words.subspan(at, words[at] >> 16));
+        function(words[at] & 0xffffu, words.subspan(at, words[at] >> 16));
 }
 
 inline void append(std::vector<std::uint32_t>& words, Instruction instruction) {
     words.insert(words.end(), instruction.begin(), instruction.end());
 }
 
-inline const char* name_in(Instruction op_name) { return reinterpret_cast<const char*>(&op_name[2]); }
+inline const char* get_name_in(Instruction op_name) { return reinterpret_cast<const char*>(&op_name[2]); }
 
 }  // namespace relidar::gpu

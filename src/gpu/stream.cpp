@@ -14,7 +14,7 @@
 namespace relidar {
 
 Stream::Impl::Impl(Device& d, bool with_timing)
-    : owner(&d), device(&impl_of(d)), timing(with_timing && d.info().timestamps) {
+    : owner(&d), device(&get_impl(d)), timing(with_timing && d.info().timestamps) {
     if (device->compile_only) return;
     VkSemaphoreTypeCreateInfo type{VK_STRUCTURE_TYPE_SEMAPHORE_TYPE_CREATE_INFO};
     type.semaphoreType = VK_SEMAPHORE_TYPE_TIMELINE;
@@ -198,16 +198,16 @@ void Stream::Impl::write(const Buffer& buffer, const void* bytes, std::size_t n_
     if (device->compile_only || n_bytes == 0) return;
     const Stored from = store(bytes, n_bytes);
     record("write",
-           [from = from.buffer, to = impl_of(buffer).handle, region = VkBufferCopy{from.offset, 0, n_bytes}](
-               VkCommandBuffer c) { vkCmdCopyBuffer(c, from, to, 1, &region); });
+           [from = from.buffer, to = get_impl(buffer).handle, region = VkBufferCopy{from.offset, 0, n_bytes}](
+               VkCommandBuffer commands) { vkCmdCopyBuffer(commands, from, to, 1, &region); });
 }
 
-void Stream::Impl::read_back(const Buffer::Impl& from, const std::shared_ptr<const Buffer::Impl>& to,
+void Stream::Impl::read_back(const Buffer::Impl& source, const std::shared_ptr<const Buffer::Impl>& target,
                              const VkBufferCopy& region) {
     if (region.size == 0) return;
-    record("read back", [this, from = from.handle, to, region](VkCommandBuffer c) {
-        vkCmdCopyBuffer(c, from, to->handle, 1, &region);
-        slots[current].kept.push_back(to);
+    record("read back", [this, source = source.handle, target, region](VkCommandBuffer commands) {
+        vkCmdCopyBuffer(commands, source, target->handle, 1, &region);
+        slots[current].kept.push_back(target);
         host_reads = true;
     });
 }
@@ -232,11 +232,11 @@ struct Stream::Impl::Dispatch {
     std::array<std::uint64_t, 2> pushed;
     std::uint32_t rows, columns, rows_per_piece;
 
-    std::uint32_t rows_from(std::uint32_t row) const { return std::min(rows_per_piece, rows - row); }
-    void record(VkCommandBuffer c, VkPipelineLayout layout, std::uint32_t row) const {
-        vkCmdBindPipeline(c, VK_PIPELINE_BIND_POINT_COMPUTE, pipeline);
-        vkCmdPushConstants(c, layout, VK_SHADER_STAGE_COMPUTE_BIT, 0, sizeof(pushed), pushed.data());
-        vkCmdDispatchBase(c, 0, row, 0, columns, rows_from(row), 1);
+    std::uint32_t count_rows_from(std::uint32_t row) const { return std::min(rows_per_piece, rows - row); }
+    void record(VkCommandBuffer commands, VkPipelineLayout layout, std::uint32_t row) const {
+        vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, pipeline);
+        vkCmdPushConstants(commands, layout, VK_SHADER_STAGE_COMPUTE_BIT, 0, sizeof(pushed), pushed.data());
+        vkCmdDispatchBase(commands, 0, row, 0, columns, count_rows_from(row), 1);
     }
 };
 
@@ -271,22 +271,22 @@ void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, con
     const std::uint32_t n_groups = (n_threads - 1) / kernel.impl().workgroup_size + 1;
     const gpu::LaunchLimit& limit = device->launch_limit;
     const gpu::KernelSpeed* speed = limit.is_set() ? kernel.impl().speed : nullptr;
-    const Dispatch dispatch =
-        make_dispatch(pipeline, pushed, n_groups, speed ? speed->groups_per_piece(limit.piece_s) : n_groups);
+    const Dispatch dispatch = make_dispatch(pipeline, pushed, n_groups,
+                                            speed ? speed->choose_groups_per_piece(limit.piece_s) : n_groups);
     // Splits the launch only outside of concurrent sequences. The commands of concurrent
     // sequences are recorded later and in a single submission.
     if (speed && lanes.empty()) return record_pieces(kernel.impl(), dispatch);
-    record(name, [layout = device->pipeline_layout, dispatch](VkCommandBuffer c) {
+    record(name, [layout = device->pipeline_layout, dispatch](VkCommandBuffer commands) {
         for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece)
-            dispatch.record(c, layout, row);
+            dispatch.record(commands, layout, row);
     });
 }
 
 void Stream::Impl::record_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch) {
     const double piece_s = device->launch_limit.piece_s;
     for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece) {
-        const std::uint32_t n_groups = dispatch.rows_from(row) * dispatch.columns;
-        double expected_s = kernel.speed->expected_s(n_groups);
+        const std::uint32_t n_groups = dispatch.count_rows_from(row) * dispatch.columns;
+        double expected_s = kernel.speed->estimate_seconds(n_groups);
         // Each piece of a kernel with an unknown speed gets its own submission.
         if (expected_s == 0.0 && n_groups < dispatch.rows * dispatch.columns) expected_s = piece_s;
         commands();
@@ -312,7 +312,7 @@ void Stream::Impl::wait(std::uint64_t ticket) {
     if (result != VK_SUCCESS)
         gpu::fail(result,
                   fmt::format("waiting for {} failed: the driver returned {} (last recorded kernel: {})",
-                              device->info.name, gpu::result_name(result), last_kernel));
+                              device->info.name, gpu::get_result_name(result), last_kernel));
 }
 
 void Stream::Impl::collect_times(Slot& slot) {
@@ -337,46 +337,47 @@ void Stream::Impl::collect_times(Slot& slot) {
 
 Stream::Stream(Device& device, bool timing) : impl_(std::make_unique<Impl>(device, timing)) {}
 Stream::~Stream() = default;
-Stream::Impl& impl_of(const Stream& stream) { return *stream.impl_; }
+Stream::Impl& get_impl(const Stream& stream) { return *stream.impl_; }
 Device& Stream::device() const { return *impl_->owner; }
 void Stream::wait(std::uint64_t ticket) { impl_->wait(ticket); }
 
 void Stream::fill(const Buffer& buffer, std::uint32_t pattern) {
     if (impl_->device->compile_only) return;
-    impl_->record("fill", [to = impl_of(buffer).handle, pattern](VkCommandBuffer c) {
-        vkCmdFillBuffer(c, to, 0, VK_WHOLE_SIZE, pattern);
+    impl_->record("fill", [to = get_impl(buffer).handle, pattern](VkCommandBuffer commands) {
+        vkCmdFillBuffer(commands, to, 0, VK_WHOLE_SIZE, pattern);
     });
 }
 
-void Stream::copy(const Buffer& from, const Buffer& to, std::size_t n_bytes) {
+void Stream::copy(const Buffer& source, const Buffer& target, std::size_t n_bytes) {
     if (impl_->device->compile_only) return;
-    impl_->record("copy", [from = impl_of(from).handle, to = impl_of(to).handle, n_bytes](VkCommandBuffer c) {
+    impl_->record("copy", [source = get_impl(source).handle, target = get_impl(target).handle,
+                           n_bytes](VkCommandBuffer commands) {
         const VkBufferCopy region{0, 0, n_bytes};
-        vkCmdCopyBuffer(c, from, to, 1, &region);
+        vkCmdCopyBuffer(commands, source, target, 1, &region);
     });
 }
 
-Concurrent::Concurrent(Stream& stream) : stream_(stream) { ++impl_of(stream).n_concurrent; }
-Concurrent::~Concurrent() { impl_of(stream_).end_concurrent(); }
+Concurrent::Concurrent(Stream& stream) : stream_(stream) { ++get_impl(stream).n_concurrent; }
+Concurrent::~Concurrent() { get_impl(stream_).end_concurrent(); }
 
-StreamLanes::StreamLanes(Stream& stream, std::size_t n) : stream_(stream) {
-    Stream::Impl& s = impl_of(stream);
-    if (n == 0 || !s.lanes.empty() || s.n_concurrent > 0)
+StreamLanes::StreamLanes(Stream& stream, std::size_t count) : stream_(stream) {
+    Stream::Impl& s = get_impl(stream);
+    if (count == 0 || !s.lanes.empty() || s.n_concurrent > 0)
         throw Error(ExitCode::bug,
                     "cannot record in strands: expected at least one strand, no other strands and no open "
                     "Concurrent scope");
-    s.lanes.resize(n);
+    s.lanes.resize(count);
     s.lane = 0;
 }
 
 StreamLanes::~StreamLanes() {
-    Stream::Impl& s = impl_of(stream_);
+    Stream::Impl& s = get_impl(stream_);
     s.record_lanes();
     s.lanes.clear();
 }
 
 void StreamLanes::choose(std::size_t lane) {
-    Stream::Impl& s = impl_of(stream_);
+    Stream::Impl& s = get_impl(stream_);
     if (lane >= s.lanes.size() || s.n_concurrent > 0)
         throw Error(
             ExitCode::bug,

@@ -153,7 +153,7 @@ struct Stream::Impl {
     void write(const Buffer& buffer, const void* bytes, std::size_t n_bytes);
     /// Records a copy from a device buffer to host-readable memory. Keeps the
     /// host-readable memory alive until the submission is complete.
-    void read_back(const Buffer::Impl& from, const std::shared_ptr<const Buffer::Impl>& to,
+    void read_back(const Buffer::Impl& source, const std::shared_ptr<const Buffer::Impl>& target,
                    const VkBufferCopy& region);
     void launch(const KernelBase& kernel, std::uint32_t n_threads, const void* params, std::size_t n_bytes);
     void wait(std::uint64_t ticket);
@@ -192,7 +192,7 @@ private:
 template <class Params>
 void run(Stream& stream, const Kernel<Params>& kernel, std::size_t n_threads, const Params& params) {
     if (n_threads)
-        impl_of(stream).launch(kernel, static_cast<std::uint32_t>(n_threads), &params, sizeof(Params));
+        get_impl(stream).launch(kernel, static_cast<std::uint32_t>(n_threads), &params, sizeof(Params));
 }
 
 }  // namespace relidar

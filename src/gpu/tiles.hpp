@@ -11,6 +11,8 @@ namespace relidar {
 
 inline constexpr Constant kTileWorkgroup{ConstantId::WORKGROUP_SIZE, RELIDAR_TILE_THREADS};
 
-inline std::size_t tiles_of(std::size_t n) { return (n + RELIDAR_TILE_SIZE - 1) / RELIDAR_TILE_SIZE; }
+inline std::size_t count_tiles(std::size_t count) {
+    return (count + RELIDAR_TILE_SIZE - 1) / RELIDAR_TILE_SIZE;
+}
 
 }  // namespace relidar

@@ -44,42 +44,42 @@ Buffer::Impl& Transfers::staging(std::unique_ptr<Buffer::Impl>& buffer, MemoryUs
     return *buffer;
 }
 
-void Transfers::upload(const Buffer::Impl& to, const void* data, std::size_t n_bytes,
+void Transfers::upload(const Buffer::Impl& target, const void* data, std::size_t n_bytes,
                        std::size_t offset_bytes) {
     const std::lock_guard lock(mutex_);
     const Buffer::Impl& from = staging(upload_, MemoryUse::upload, n_bytes);
     for (std::size_t done = 0; done < n_bytes; done += kLargest) {
         const std::size_t n = std::min(kLargest, n_bytes - done);
         std::memcpy(from.mapped, static_cast<const std::byte*>(data) + done, n);
-        copy_and_wait(from.handle, to.handle, {0, offset_bytes + done, n});
+        copy_and_wait(from.handle, target.handle, {0, offset_bytes + done, n});
     }
 }
 
-void Transfers::download(const Buffer::Impl& from, void* data, std::size_t n_bytes,
+void Transfers::download(const Buffer::Impl& source, void* data, std::size_t n_bytes,
                          std::size_t offset_bytes) {
     const std::lock_guard lock(mutex_);
     const Buffer::Impl& to = staging(download_, MemoryUse::readback, n_bytes);
     for (std::size_t done = 0; done < n_bytes; done += kLargest) {
         const std::size_t n = std::min(kLargest, n_bytes - done);
-        copy_and_wait(from.handle, to.handle, {offset_bytes + done, 0, n});
+        copy_and_wait(source.handle, to.handle, {offset_bytes + done, 0, n});
         std::memcpy(static_cast<std::byte*>(data) + done, to.mapped, n);
     }
 }
 
-void Transfers::copy(const Buffer::Impl& from, const Buffer::Impl& to, std::size_t n_bytes) {
+void Transfers::copy(const Buffer::Impl& source, const Buffer::Impl& target, std::size_t n_bytes) {
     const std::lock_guard lock(mutex_);
-    copy_and_wait(from.handle, to.handle, {0, 0, n_bytes});
+    copy_and_wait(source.handle, target.handle, {0, 0, n_bytes});
 }
 
 /// Copies and waits until the copy is complete. Records no barrier before the copy,
 /// because every submission of a stream ends with a barrier.
-void Transfers::copy_and_wait(VkBuffer from, VkBuffer to, const VkBufferCopy& region) {
+void Transfers::copy_and_wait(VkBuffer source, VkBuffer target, const VkBufferCopy& region) {
     if (!done_) make_commands();
     check(vkResetCommandPool(device_.device, pool_, 0), "vkResetCommandPool");
     VkCommandBufferBeginInfo begin{VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO};
     begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
     check(vkBeginCommandBuffer(commands_, &begin), "vkBeginCommandBuffer");
-    vkCmdCopyBuffer(commands_, from, to, 1, &region);
+    vkCmdCopyBuffer(commands_, source, target, 1, &region);
     VkMemoryBarrier seen{VK_STRUCTURE_TYPE_MEMORY_BARRIER};
     seen.srcAccessMask = VK_ACCESS_TRANSFER_WRITE_BIT;
     seen.dstAccessMask = VK_ACCESS_HOST_READ_BIT | VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT;

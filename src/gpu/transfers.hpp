@@ -17,10 +17,10 @@ public:
     Transfers(const Transfers&) = delete;
     Transfers& operator=(const Transfers&) = delete;
 
-    void upload(const Buffer::Impl& to, const void* data, std::size_t n_bytes, std::size_t offset_bytes);
-    void download(const Buffer::Impl& from, void* data, std::size_t n_bytes, std::size_t offset_bytes);
-    /// Copies the first `n_bytes` bytes of the buffer `from` to the buffer `to`.
-    void copy(const Buffer::Impl& from, const Buffer::Impl& to, std::size_t n_bytes);
+    void upload(const Buffer::Impl& target, const void* data, std::size_t n_bytes, std::size_t offset_bytes);
+    void download(const Buffer::Impl& source, void* data, std::size_t n_bytes, std::size_t offset_bytes);
+    /// Copies the first `n_bytes` bytes of the buffer `source` to the buffer `target`.
+    void copy(const Buffer::Impl& source, const Buffer::Impl& target, std::size_t n_bytes);
 
 private:
     Device::Impl& device_;
@@ -34,7 +34,7 @@ private:
 
     void make_commands();
     Buffer::Impl& staging(std::unique_ptr<Buffer::Impl>& buffer, MemoryUse use, std::size_t n_bytes);
-    void copy_and_wait(VkBuffer from, VkBuffer to, const VkBufferCopy& region);
+    void copy_and_wait(VkBuffer source, VkBuffer target, const VkBufferCopy& region);
 };
 
 }  // namespace relidar::gpu

@@ -15,12 +15,12 @@
 namespace relidar {
 namespace {
 
-FirstUse& first_use() {
+FirstUse& get_first_use() {
     static FirstUse functions;
     return functions;
 }
 
-std::string& all_faults() {
+std::string& collect_all_faults() {
     static std::string faults;
     return faults;
 }
@@ -41,7 +41,7 @@ thread_local const DeviceTrust* fixed_trust = nullptr;
 
 /// Returns the text of a file with check results. A stored file is used only if it equals
 /// this text exactly, so that damaged files are ignored.
-std::string trust_text(const std::string& driver, const DeviceTrust& trust) {
+std::string format_trust(const std::string& driver, const DeviceTrust& trust) {
     return fmt::format(
         "relidar {} checked this device at its first use. Delete this file to repeat the check.\n"
         "driver {}\nfloat_atomics {}\nfloat_swaps {}\nsubgroup_size {}\nray_query {}\n",
@@ -65,13 +65,13 @@ std::optional<DeviceTrust> read_trust(const std::filesystem::path& path, const s
     trust.float_atomics = atomics != 0;
     trust.float_swaps = swaps != 0;
     trust.ray_query = Trust(ray_query);
-    return text == trust_text(driver, trust) ? std::optional(trust) : std::nullopt;
+    return text == format_trust(driver, trust) ? std::optional(trust) : std::nullopt;
 }
 
 }  // namespace
 
 void set_first_use(FirstUse functions) {
-    first_use() = std::move(functions);
+    get_first_use() = std::move(functions);
     const std::scoped_lock lock(unstored_trust().mutex);
     unstored_trust().by_device.clear();
 }
@@ -81,27 +81,27 @@ Trusting::~Trusting() { fixed_trust = before_; }
 
 namespace gpu {
 
-void set_faults(const std::string& faults) { all_faults() = faults; }
+void set_faults(const std::string& faults) { collect_all_faults() = faults; }
 bool has_fault(const std::string& fault) {
-    return ("," + all_faults() + ",").find("," + fault + ",") != std::string::npos;
+    return ("," + collect_all_faults() + ",").find("," + fault + ",") != std::string::npos;
 }
 
 DeviceTrust find_trust(const Device::Impl& device, const DeviceOptions& options) {
     if (fixed_trust) return *fixed_trust;
-    if (!first_use().check || options.compile_only) return {};
+    if (!get_first_use().check || options.compile_only) return {};
     VkPhysicalDeviceProperties properties;
     vkGetPhysicalDeviceProperties(device.physical, &properties);
     std::filesystem::path path;
     // Stores results only if no test has forced a fault, because a forced fault must not
     // affect later runs.
-    if (!options.pipeline_cache.empty() && all_faults().empty())
-        path = options.pipeline_cache / ("check_" + device_key(properties) + ".txt");
+    if (!options.pipeline_cache.empty() && collect_all_faults().empty())
+        path = options.pipeline_cache / ("check_" + make_device_key(properties) + ".txt");
     const auto is_complete = [&](const std::optional<DeviceTrust>& trust) {
         return trust && (trust->ray_query != Trust::unknown || device.traversal != Traversal::ray_query);
     };
     const std::optional<DeviceTrust> known = read_trust(path, device.info.driver);
     if (is_complete(known)) return *known;
-    const std::string key = device_key(properties) + " " + all_faults();
+    const std::string key = make_device_key(properties) + " " + collect_all_faults();
     UnstoredTrust& unstored = unstored_trust();
     const std::scoped_lock lock(unstored.mutex);
     const auto checked_before = unstored.by_device.find(key);
@@ -110,16 +110,17 @@ DeviceTrust find_trust(const Device::Impl& device, const DeviceOptions& options)
     DeviceOptions checked = options;
     checked.index = device.info.index;
     checked.traversal = device.traversal;
-    const DeviceTrust trust = first_use().check(checked);
-    if (!path.empty()) replace_file(path, trust_text(device.info.driver, trust));
+    const DeviceTrust trust = get_first_use().check(checked);
+    if (!path.empty()) replace_file(path, format_trust(device.info.driver, trust));
     if (!read_trust(path, device.info.driver)) unstored.by_device[key] = trust;
     return trust;
 }
 
-void distrust(Device::Impl& device, const DeviceTrust& trust) {
+void replace_faulty_methods(Device::Impl& device, const DeviceTrust& trust) {
     DeviceInfo& info = device.info;
     const auto note = [&](const std::string& text) {
-        if (first_use().note && !fixed_trust) first_use().note(fmt::format("{}: {}", info.name, text));
+        if (get_first_use().note && !fixed_trust)
+            get_first_use().note(fmt::format("{}: {}", info.name, text));
     };
     if (!trust.float_atomics && info.float_atomics) {
         info.float_atomics = false;

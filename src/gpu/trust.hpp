@@ -20,7 +20,7 @@ DeviceTrust find_trust(const Device::Impl& device, const DeviceOptions& options)
 
 /// Replaces the methods that gave wrong results, and prints one line for each. Call this
 /// function before the device is opened.
-void distrust(Device::Impl& device, const DeviceTrust& trust);
+void replace_faulty_methods(Device::Impl& device, const DeviceTrust& trust);
 
 /// Sets the checks that fail in a test, separated by commas: float_atomics, float_swaps,
 /// subgroups:N, ray_query. In builds with RELIDAR_ASSERTS, from_environment() reads them

@@ -43,15 +43,15 @@ void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<B
     for (std::size_t b = 0; b < boxes.size(); ++b)
         if (boxes[b].present(frame.time_s)) present.push_back(b);
     if (present.empty()) return;
-    for_each_return(sequence, frame, second_returns, [&](const WorldReturn& w) {
+    for_each_return(sequence, frame, second_returns, [&](const WorldReturn& world_return) {
         for (const std::size_t b : present) {
-            if (!boxes[b].holds(w.point_m, w.time_s, kPointMargin_m)) continue;
-            const Pose box_from_world = inverse(boxes[b].world_from_box.at(w.time_s));
-            const glm::dvec3 local = box_from_world * w.point_m;
+            if (!boxes[b].holds(world_return.point_m, world_return.time_s, kPointMargin_m)) continue;
+            const Pose box_from_world = inverse(boxes[b].world_from_box.at(world_return.time_s));
+            const glm::dvec3 local = box_from_world * world_return.point_m;
             if (local.z < -0.5 * boxes[b].size_m.z + kGround_m) continue;
-            samples[b].push_back({glm::vec3(local), w.intensity,
-                                  glm::vec3(box_from_world.rotation * w.direction),
-                                  static_cast<float>(walks[b].at(w.time_s)), frame.index});
+            samples[b].push_back({glm::vec3(local), world_return.intensity,
+                                  glm::vec3(box_from_world.rotation * world_return.direction),
+                                  static_cast<float>(walks[b].at(world_return.time_s)), frame.index});
         }
     });
 }
@@ -59,17 +59,18 @@ void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<B
 /// Returns the returns of the training frames that lie inside boxes. Stores each point in
 /// the frame of its box.
 /// @return [boxes]
-std::vector<std::vector<Sample>> box_samples(const Sequence& sequence, const std::vector<int>& train,
-                                             const std::vector<BoxTrack>& boxes,
-                                             const InitialiseOptions& options, const Progress& progress) {
+std::vector<std::vector<Sample>> collect_box_samples(const Sequence& sequence, const std::vector<int>& train,
+                                                     const std::vector<BoxTrack>& boxes,
+                                                     const InitialiseOptions& options,
+                                                     const Progress& progress) {
     std::vector<WalkedDistance> walks;
     for (const BoxTrack& box : boxes) walks.emplace_back(box.world_from_box);
     std::vector<std::vector<Sample>> samples(boxes.size());
     std::vector<std::vector<std::vector<Sample>>> of_frame(train.size(),
                                                            std::vector<std::vector<Sample>>(boxes.size()));
-    for_each_with_progress(train.size(), progress, "points of actors", [&](std::size_t i) {
-        add_frame(sequence, sequence.frames[std::size_t(train[i])], boxes, options.second_returns, walks,
-                  of_frame[i]);
+    for_each_with_progress(train.size(), progress, "points of actors", [&](std::size_t index) {
+        add_frame(sequence, sequence.frames[std::size_t(train[index])], boxes, options.second_returns, walks,
+                  of_frame[index]);
     });
     for (const std::vector<std::vector<Sample>>& frame : of_frame)
         for (std::size_t b = 0; b < boxes.size(); ++b)
@@ -77,31 +78,32 @@ std::vector<std::vector<Sample>> box_samples(const Sequence& sequence, const std
     return samples;
 }
 
-bool lists(const std::string& list, const std::string& word) {
-    const std::vector<std::string> words = words_of(list);
+bool contains_word_in_list(const std::string& list, const std::string& word) {
+    const std::vector<std::string> words = split_words(list);
     return std::find(words.begin(), words.end(), word) != words.end();
 }
 
 bool is_wanted(const BoxTrack& box, const InitialiseOptions& options) {
     if (options.unlabelled_movers == UnlabelledMovers::actors && box.category == kDiscoveredCategory)
         return true;
-    if (!options.actor_tracks.empty()) return lists(options.actor_tracks, box.id);
-    return options.actor_classes == kEveryClass || lists(options.actor_classes, box.category) ||
-           lists(options.actor_classes, name_of(object_kind(box.category)));
+    if (!options.actor_tracks.empty()) return contains_word_in_list(options.actor_tracks, box.id);
+    return options.actor_classes == kEveryClass ||
+           contains_word_in_list(options.actor_classes, box.category) ||
+           contains_word_in_list(options.actor_classes, get_name(parse_object_kind(box.category)));
 }
 
 /// Returns the kind of object in a box (person, cyclist, other). If a box has no label,
 /// guesses the kind from the size of the box.
-ObjectKind kind_in(const BoxTrack& box) {
-    if (box.category != kDiscoveredCategory) return object_kind(box.category);
+ObjectKind find_kind(const BoxTrack& box) {
+    if (box.category != kDiscoveredCategory) return parse_object_kind(box.category);
     const double length = std::max(box.size_m.x, box.size_m.y), width = std::min(box.size_m.x, box.size_m.y);
     if (width > 1.1 || box.size_m.z < 1.2) return ObjectKind::other;
     return length < 1.3 ? ObjectKind::person : length < 2.2 ? ObjectKind::cyclist : ObjectKind::other;
 }
 
-bool bends(const BoxTrack& box, const InitialiseOptions& options) {
-    return options.deform == kEveryClass || lists(options.deform, box.category) ||
-           lists(options.deform, name_of(kind_in(box)));
+bool has_bending_shape(const BoxTrack& box, const InitialiseOptions& options) {
+    return options.deform == kEveryClass || contains_word_in_list(options.deform, box.category) ||
+           contains_word_in_list(options.deform, get_name(find_kind(box)));
 }
 
 /// Checks that the size of a box is positive and that all its poses are finite.
@@ -123,20 +125,20 @@ void check_box(const BoxTrack& box) {
 void check_tracks(const Sequence& sequence, const std::string& tracks) {
     std::vector<std::string> known;
     for (const BoxTrack& box : sequence.boxes) known.push_back(box.id);
-    for (const std::string& track : words_of(tracks))
+    for (const std::string& track : split_words(tracks))
         if (std::find(known.begin(), known.end(), track) == known.end())
             throw UsageError(fmt::format("setting init.actor_tracks: found \"{}\"{} (tracks: {})", track,
-                                         did_you_mean(track, known, "\""), fmt::join(known, ", ")));
+                                         suggest_name(track, known, "\""), fmt::join(known, ", ")));
 }
 
-/// Adds random points inside the box until there are `n` samples. The new points have the
-/// mean intensity of the existing samples. Their viewing directions point from outside
-/// towards the box centre.
-void pad(std::vector<Sample>& samples, std::size_t n, const BoxTrack& box, std::uint64_t seed) {
+/// Adds random points inside the box until there are `count` samples. The new points have
+/// the mean intensity of the existing samples. Their viewing directions point from
+/// outside towards the box centre.
+void pad_samples(std::vector<Sample>& samples, std::size_t count, const BoxTrack& box, std::uint64_t seed) {
     double intensity = 0.0;
     for (const Sample& s : samples) intensity += s.intensity / double(samples.size());
-    Random random(hash64(seed, hash64(std::hash<std::string>{}(box.id))));
-    while (samples.size() < n) {
+    Random random(combine_hashes(seed, combine_hashes(std::hash<std::string>{}(box.id))));
+    while (samples.size() < count) {
         const glm::dvec3 p =
             box.size_m * (glm::dvec3(random.uniform(), random.uniform(), random.uniform()) - 0.5);
         samples.push_back(
@@ -147,17 +149,18 @@ void pad(std::vector<Sample>& samples, std::size_t n, const BoxTrack& box, std::
 /// Selects at most `actor_points` samples of an actor from the points in its box. If
 /// there are fewer, adds random points. If the box has fewer than `actor_min_points`,
 /// adds none.
-std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& box,
-                                  const InitialiseOptions& options) {
-    samples = thin_out(samples, std::size_t(options.actor_points));
+std::vector<Sample> prepare_actor_samples(std::vector<Sample> samples, const BoxTrack& box,
+                                          const InitialiseOptions& options) {
+    samples = thin_samples(samples, std::size_t(options.actor_points));
     if (samples.size() >= std::size_t(options.actor_min_points))
-        pad(samples, std::size_t(std::min(options.actor_pad_to, options.actor_points)), box, options.seed);
+        pad_samples(samples, std::size_t(std::min(options.actor_pad_to, options.actor_points)), box,
+                    options.seed);
     return samples;
 }
 
 /// For each side of a box, returns the share of its area that samples have hit from
 /// outside.
-SideShares seen_sides(const BoxTrack& box, const std::vector<Sample>& samples) {
+SideShares compute_visible_sides(const BoxTrack& box, const std::vector<Sample>& samples) {
     BoxSurface surface(box.size_m);
     for (const Sample& s : samples) surface.add(glm::dvec3(s.position), glm::dvec3(s.view));
     SideShares shares{};
@@ -176,13 +179,14 @@ struct ActorStart {
 void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& samples,
                const ActorStart& start) {
     const auto& [options, incidence, notes, progress] = start;
-    const std::optional<StrideRange> range = bends(box, options) ? stride_range(kind_in(box)) : std::nullopt;
+    const std::optional<StrideRange> range =
+        has_bending_shape(box, options) ? get_stride_range(find_kind(box)) : std::nullopt;
     const StrideEstimate found = range ? find_stride(samples, *range) : StrideEstimate{};
-    std::vector<Sample> rigid = actor_samples(samples, box, options);
+    std::vector<Sample> rigid = prepare_actor_samples(samples, box, options);
     if (rigid.size() < std::size_t(options.actor_min_points)) return;
     const auto most = std::size_t(options.actor_points);
     ChangingSurfels changing;
-    if (range && found.stride_m <= 0.0) changing = changing_surfels(samples, options, incidence, most);
+    if (range && found.stride_m <= 0.0) changing = make_changing_surfels(samples, options, incidence, most);
     const bool changes = changing.period_m > 0.0;
     if (notes && range)
         notes->push_back(
@@ -192,15 +196,16 @@ void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& sam
                             : (changes ? "changes its shape from frame to frame, but no gait was detected: "
                                        : "is rigid: ") +
                                   found.why_none));
-    const Surfels surfels =
-        found.stride_m > 0.0 ? surfels_that_walk(samples, found.stride_m, options, incidence, most, progress)
-        : changes            ? std::move(changing.surfels)
-                             : surfels_from_points(rigid, options, incidence);
+    const Surfels surfels = found.stride_m > 0.0 ? make_walking_surfels(samples, found.stride_m, options,
+                                                                        incidence, most, progress)
+                            : changes            ? std::move(changing.surfels)
+                                                 : make_surfels_from_points(rigid, options, incidence);
     scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
-    scene.models.push_back(
-        {box.id, static_cast<std::uint32_t>(scene.surfels.size()), static_cast<std::uint32_t>(surfels.size()),
-         glm::vec3(0.5 * box.size_m + kPointMargin_m),
-         static_cast<float>(changes ? changing.period_m : found.stride_m), seen_sides(box, samples)});
+    scene.models.push_back({box.id, static_cast<std::uint32_t>(scene.surfels.size()),
+                            static_cast<std::uint32_t>(surfels.size()),
+                            glm::vec3(0.5 * box.size_m + kPointMargin_m),
+                            static_cast<float>(changes ? changing.period_m : found.stride_m),
+                            compute_visible_sides(box, samples)});
     scene.surfels.append(surfels);
 }
 
@@ -208,13 +213,13 @@ void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& sam
 /// track, so that its steps match its position on this track. Finds the nearest pose on
 /// the recorded track of the actor. Adds the distance by which the new pose is ahead of
 /// this recorded pose.
-double start_distance_m(const BoxTrack& own, const PoseTrack& track) {
+double compute_start_distance_m(const BoxTrack& box, const PoseTrack& track) {
     const Pose& at = track.pose.front();
     const auto place_m = [&](const Pose& pose) { return glm::distance(pose.translation, at.translation); };
-    const auto nearest = std::ranges::min_element(own.world_from_box.pose, {}, place_m);
-    const double time_s = own.world_from_box.time_s[std::size_t(nearest - own.world_from_box.pose.begin())];
+    const auto nearest = std::ranges::min_element(box.world_from_box.pose, {}, place_m);
+    const double time_s = box.world_from_box.time_s[std::size_t(nearest - box.world_from_box.pose.begin())];
     const glm::dvec3 ahead = at.rotation * glm::dvec3(1.0, 0.0, 0.0);
-    return WalkedDistance(own.world_from_box).at(time_s) +
+    return WalkedDistance(box.world_from_box).at(time_s) +
            glm::dot(at.translation - nearest->translation, ahead);
 }
 
@@ -231,14 +236,15 @@ std::vector<InstancePose> place_instances_by(const Scene& scene, const Sequence&
         }
         const PoseTrack* track = track_of(instance.track);
         const Model& model = scene.models[instance.model];
-        placed.push_back(track ? pose_in_sweep(sequence, *track, model.half_size_m, sweep)
+        placed.push_back(track ? compute_pose_in_sweep(sequence, *track, model.half_size_m, sweep)
                                : InstancePose{{}, false});
         const double stride_m = double(model.stride_m);
         if (!track || stride_m <= 0.0) continue;
         const BoxTrack* own = find_box(sequence, instance.track);
         const bool is_own = own && &own->world_from_box == track;
-        const double before_m =
-            own && !is_own && !own->world_from_box.pose.empty() ? start_distance_m(*own, *track) : 0.0;
+        const double before_m = own && !is_own && !own->world_from_box.pose.empty()
+                                    ? compute_start_distance_m(*own, *track)
+                                    : 0.0;
         placed.back().phase = (before_m + WalkedDistance(*track).at(placed.back().time_s)) / stride_m;
     }
     return placed;
@@ -252,7 +258,7 @@ std::vector<BoxTrack> separate_boxes(const Sequence& sequence, const InitialiseO
     for (const BoxTrack& box : sequence.boxes) {
         check_box(box);
         if (!options.mask_others && !is_wanted(box, options)) continue;
-        if (box.moves() || lists(options.actor_tracks, box.id)) boxes.push_back(box);
+        if (box.moves() || contains_word_in_list(options.actor_tracks, box.id)) boxes.push_back(box);
     }
     return boxes;
 }
@@ -264,7 +270,7 @@ Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_p
     std::vector<BoxTrack> wanted = separate_boxes(sequence, options);
     std::erase_if(wanted, [&](const BoxTrack& box) { return !is_wanted(box, options); });
     std::vector<std::vector<Sample>> in_boxes =
-        box_samples(sequence, train_positions, wanted, options, progress);
+        collect_box_samples(sequence, train_positions, wanted, options, progress);
     for (std::size_t i = 0; i < wanted.size(); ++i) {
         if (progress) progress("actors", double(i) / double(wanted.size()));
         add_actor(scene, wanted[i], in_boxes[i],
@@ -273,8 +279,8 @@ Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_p
     return scene;
 }
 
-std::vector<BoxTrack> masked_boxes(const Scene& scene, const Sequence& sequence,
-                                   const InitialiseOptions& options) {
+std::vector<BoxTrack> find_masked_boxes(const Scene& scene, const Sequence& sequence,
+                                        const InitialiseOptions& options) {
     std::vector<BoxTrack> boxes = separate_boxes(sequence, options);
     std::erase_if(boxes, [&](const BoxTrack& box) {
         return std::any_of(scene.instances.begin(), scene.instances.end(),
@@ -283,7 +289,7 @@ std::vector<BoxTrack> masked_boxes(const Scene& scene, const Sequence& sequence,
     return boxes;
 }
 
-std::vector<BoxTrack> unselected_boxes(const Sequence& sequence, const InitialiseOptions& options) {
+std::vector<BoxTrack> find_unselected_boxes(const Sequence& sequence, const InitialiseOptions& options) {
     std::vector<BoxTrack> boxes = separate_boxes(sequence, options);
     std::erase_if(boxes, [&](const BoxTrack& box) { return is_wanted(box, options); });
     return boxes;
@@ -319,7 +325,7 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
         if (std::find(tracks.begin(), tracks.end(), track) == tracks.end())
             throw UsageError(fmt::format(
                 "cannot place actors: found a pose of \"{}\", expected a track of the scene{}", track,
-                tracks.empty() ? ", which has no actors" : did_you_mean(track, tracks, "\"")));
+                tracks.empty() ? ", which has no actors" : suggest_name(track, tracks, "\"")));
     return place_instances_by(scene, sequence, sweep, [&](const std::string& name) {
         const auto track = world_from_actor.find(name);
         return track == world_from_actor.end() ? nullptr : &track->second;

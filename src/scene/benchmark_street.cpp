@@ -102,7 +102,7 @@ void add_parked_cars(int side, LegacyRandom& random, std::vector<Rectangle>& rec
 
 /// Returns the rectangles of the ground, the facades and the parked cars. The seed is
 /// fixed, so the layout is always the same.
-std::vector<Rectangle> street_layout() {
+std::vector<Rectangle> make_street_layout() {
     LegacyRandom random(1);
     std::vector<Rectangle> rectangles{
         {{-kLength_m / 2, -kHalfWidth_m, 0}, {kLength_m, 0, 0}, {0, 2 * kHalfWidth_m, 0}, 0.2}};
@@ -115,13 +115,13 @@ std::vector<Rectangle> street_layout() {
 
 /// Picks a random rectangle for each surfel. The probability of a rectangle is
 /// proportional to its area.
-std::vector<std::uint16_t> pick_rectangles(std::size_t n, const std::vector<Rectangle>& rectangles,
+std::vector<std::uint16_t> pick_rectangles(std::size_t count, const std::vector<Rectangle>& rectangles,
                                            LegacyRandom& random) {
     std::vector<double> cumulative;
     double total = 0.0;
     for (const Rectangle& r : rectangles) cumulative.push_back(total += r.area);
     for (double& c : cumulative) c /= total;
-    std::vector<std::uint16_t> index(n);
+    std::vector<std::uint16_t> index(count);
     for (std::uint16_t& i : index) {
         const auto at =
             std::upper_bound(cumulative.begin(), cumulative.end(), random.uniform()) - cumulative.begin();
@@ -146,7 +146,7 @@ void draw_means(const std::vector<Rectangle>& rectangles, const std::vector<std:
 
 /// Returns the unit quaternion (w, x, y, z) of a rotation matrix with the columns x, y,
 /// z. The largest component of the quaternion is positive.
-glm::dvec4 quaternion_of(const glm::dvec3& x, const glm::dvec3& y, const glm::dvec3& z) {
+glm::dvec4 make_quaternion(const glm::dvec3& x, const glm::dvec3& y, const glm::dvec3& z) {
     const double trace = x.x + y.y + z.z;
     const std::array<glm::dvec4, 4> candidates{{{1 + trace, y.z - z.y, z.x - x.z, x.y - y.x},
                                                 {y.z - z.y, 1 + 2 * x.x - trace, x.y + y.x, z.x + x.z},
@@ -174,7 +174,7 @@ void draw_rotations(const std::vector<Rectangle>& rectangles, const std::vector<
         const glm::dvec3 x0 = glm::normalize(glm::cross(helper, z)), y0 = glm::cross(z, x0);
         const double phi = 2.0 * kPi * random.uniform();
         const glm::dvec3 x = std::cos(phi) * x0 + std::sin(phi) * y0;
-        surfels.rotation[i] = glm::vec4(quaternion_of(x, glm::cross(z, x), z));
+        surfels.rotation[i] = glm::vec4(make_quaternion(x, glm::cross(z, x), z));
     }
 }
 
@@ -193,9 +193,9 @@ void draw_scales_and_opacities(bool refine, LegacyRandom& random, Surfels& surfe
 /// (degree 0) or 1/256 (other degrees). Rounds half to even like numpy does.
 void draw_sh(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index,
              LegacyRandom& random, Surfels& surfels) {
-    const auto put_dc = [&](std::size_t i, int channel, double value) {
+    const auto put_dc = [&](std::size_t index, int channel, double value) {
         const double steps = std::clamp(std::nearbyint((value - 0.5) / kShC0 * 4096), -32000.0, 32000.0);
-        surfels.sh[i * kShFloats + std::size_t(channel) * kShCoefficients] = float(steps / 4096);
+        surfels.sh[index * kShFloats + std::size_t(channel) * kShCoefficients] = float(steps / 4096);
     };
     const std::size_t n = index.size();
     for (std::size_t i = 0; i < n; ++i)
@@ -212,12 +212,12 @@ void draw_sh(const std::vector<Rectangle>& rectangles, const std::vector<std::ui
 
 }  // namespace
 
-Surfels make_benchmark_street(std::uint32_t n, std::uint32_t seed, bool refine) {
-    const std::vector<Rectangle> rectangles = street_layout();
+Surfels make_benchmark_street(std::uint32_t count, std::uint32_t seed, bool refine) {
+    const std::vector<Rectangle> rectangles = make_street_layout();
     LegacyRandom random(seed);
     Surfels surfels;
-    surfels.resize(n);
-    const std::vector<std::uint16_t> index = pick_rectangles(n, rectangles, random);
+    surfels.resize(count);
+    const std::vector<std::uint16_t> index = pick_rectangles(count, rectangles, random);
     draw_means(rectangles, index, random, surfels);
     draw_rotations(rectangles, index, random, surfels);
     draw_scales_and_opacities(refine, random, surfels);

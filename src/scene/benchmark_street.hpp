@@ -13,7 +13,7 @@ namespace relidar {
 /// surfels. Makes benchmark scene A if `refine` is false, and scene B if it is true. The
 /// values equal the output of the Python generator, except for rounding in the last
 /// digit. The surfels are not sorted in kd-tree order.
-Surfels make_benchmark_street(std::uint32_t n, std::uint32_t seed = 20261120, bool refine = false);
+Surfels make_benchmark_street(std::uint32_t count, std::uint32_t seed = 20261120, bool refine = false);
 
 /// Returns the rays of the street's sensor at (0, -2, 1.8). The kind is "waymo" (64 x
 /// 2650 rays) or "kitti" (66 x 1030 rays). The second overload accepts any number of rays

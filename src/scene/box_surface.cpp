@@ -29,13 +29,13 @@ int count_patches(double length_m) {
     return 2 * int(std::clamp(std::round(length_m / (2.0 * kBoxPatch_m)), 1.0, kMostPairs));
 }
 
-int patch_at(double along, double half_m, int n) {
-    return std::clamp(int(std::floor((along / half_m + 1.0) * 0.5 * n)), 0, n - 1);
+int find_patch(double along, double half_m, int count) {
+    return std::clamp(int(std::floor((along / half_m + 1.0) * 0.5 * count)), 0, count - 1);
 }
 
 }  // namespace
 
-const char* name_of(BoxSide side) {
+const char* get_name(BoxSide side) {
     constexpr const char* kNames[] = {"front", "rear", "left", "right", "top"};
     return kNames[static_cast<int>(side)];
 }
@@ -56,8 +56,9 @@ bool BoxSurface::find(const glm::dvec3& point_m, Patch& patch) const {
     const int side = axis == 2 ? int(BoxSide::top) : 2 * axis + (share[axis] < 0.0 ? 1 : 0);
     const SideFrame& frame = kSideFrames[side];
     const glm::dvec3 on_surface = point_m / size[axis];
-    patch = {BoxSide(side), patch_at(on_surface[frame.first], half_m_[frame.first], n_[std::size_t(side)][0]),
-             patch_at(on_surface[frame.second], half_m_[frame.second], n_[std::size_t(side)][1])};
+    patch = {BoxSide(side),
+             find_patch(on_surface[frame.first], half_m_[frame.first], n_[std::size_t(side)][0]),
+             find_patch(on_surface[frame.second], half_m_[frame.second], n_[std::size_t(side)][1])};
     return counts(patch);
 }
 
@@ -138,7 +139,7 @@ double BoxSurface::mirrored() const { return share(true); }
 std::string list_unseen_sides(const SideShares& shares) {
     std::string names;
     for (std::size_t s = 0; s < kBoxSides; ++s)
-        if (shares[s] < kUnseenSide) names += (names.empty() ? "" : ", ") + std::string(name_of(BoxSide(s)));
+        if (shares[s] < kUnseenSide) names += (names.empty() ? "" : ", ") + std::string(get_name(BoxSide(s)));
     return names;
 }
 

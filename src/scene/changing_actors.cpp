@@ -47,11 +47,11 @@ struct FrameSamples {
         for (const std::uint32_t i : index.cloud.of)
             walked_m += double(samples[i].walked_m) / double(index.cloud.of.size());
     }
-    bool has_point_at(const glm::vec3& p) const { return index.distance_m(p, 1.0) < kNearPlace_m; }
+    bool has_point_at(const glm::vec3& point) const { return index.distance_m(point, 1.0) < kNearPlace_m; }
 };
 using Frames = std::vector<std::unique_ptr<FrameSamples>>;
 
-Frames frames_of(const std::vector<Sample>& samples) {
+Frames group_samples_by_frame(const std::vector<Sample>& samples) {
     Frames frames;
     for (auto& [frame, of_frame] : group_by_frame(samples))
         frames.push_back(std::make_unique<FrameSamples>(samples, std::move(of_frame)));
@@ -65,9 +65,9 @@ Frames frames_of(const std::vector<Sample>& samples) {
 }
 
 /// Makes one surfel for each sample, all with the same visibility.
-Surfels surfels_at(const std::vector<Sample>& samples, const Gait& gait, const InitialiseOptions& options,
-                   double incidence) {
-    Surfels surfels = surfels_from_points(samples, options, incidence);
+Surfels make_surfels_at(const std::vector<Sample>& samples, const Gait& gait,
+                        const InitialiseOptions& options, double incidence) {
+    Surfels surfels = make_surfels_from_points(samples, options, incidence);
     surfels.add_gait();
     std::ranges::fill(surfels.gait, gait);
     return surfels;
@@ -75,27 +75,28 @@ Surfels surfels_at(const std::vector<Sample>& samples, const Gait& gait, const I
 
 }  // namespace
 
-ChangingSurfels changing_surfels(const std::vector<Sample>& samples, const InitialiseOptions& options,
-                                 double incidence, std::size_t most) {
-    const Frames frames = frames_of(samples);
+ChangingSurfels make_changing_surfels(const std::vector<Sample>& samples, const InitialiseOptions& options,
+                                      double incidence, std::size_t max_count) {
+    const Frames frames = group_samples_by_frame(samples);
     if (frames.size() < kFewestChanging) return {};
     const double recorded_m = frames.back()->walked_m - frames.front()->walked_m;
     if (recorded_m < kFewestWalked_m) return {};
     ChangingSurfels actor;
     actor.period_m = recorded_m * (1.0 + kFramesBetween / double(frames.size() - 1));
     std::vector<char> rests(samples.size());
-    for_each_block(samples.size(), [&](std::size_t i) {
+    for_each_block(samples.size(), [&](std::size_t index) {
         const std::size_t step = frames.size() / kCompared + 1;
         std::size_t n_seen = 0, n_frames = 0;
         for (std::size_t k = 0; k < frames.size(); k += step, ++n_frames)
-            n_seen += frames[k]->has_point_at(samples[i].position);
-        rests[i] = double(n_seen) >= kResting * double(n_frames);
+            n_seen += frames[k]->has_point_at(samples[index].position);
+        rests[index] = double(n_seen) >= kResting * double(n_frames);
     });
     std::vector<Sample> resting;
     for (std::size_t i = 0; i < samples.size(); ++i)
         if (rests[i]) resting.push_back(samples[i]);
-    if (!resting.empty()) actor.surfels = surfels_at(thin_out(resting, most / 2), {}, options, incidence);
-    const std::size_t most_in_frame = std::max((most - actor.surfels.size()) / frames.size(), kInFrame);
+    if (!resting.empty())
+        actor.surfels = make_surfels_at(thin_samples(resting, max_count / 2), {}, options, incidence);
+    const std::size_t most_in_frame = std::max((max_count - actor.surfels.size()) / frames.size(), kInFrame);
     for (const std::unique_ptr<FrameSamples>& frame : frames) {
         std::vector<Sample> changing;
         for (const std::uint32_t i : frame->index.cloud.of)
@@ -106,9 +107,10 @@ ChangingSurfels changing_surfels(const std::vector<Sample>& samples, const Initi
         // deviation.
         const Gait gait{float(frame->walked_m / actor.period_m),
                         float(actor.period_m / (2.0 * kPi * frame->spacing_m)), glm::vec3(0.0f)};
-        actor.surfels.append(surfels_at(thin_out(changing, most_in_frame), gait, options, incidence));
+        actor.surfels.append(
+            make_surfels_at(thin_samples(changing, most_in_frame), gait, options, incidence));
     }
-    actor.surfels = actor.surfels.permuted(kd_order(actor.surfels.mean));
+    actor.surfels = actor.surfels.reorder(compute_kd_order(actor.surfels.mean));
     return actor;
 }
 

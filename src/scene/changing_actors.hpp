@@ -20,10 +20,10 @@ struct ChangingSurfels {
 /// have a point at a position, the surfel there is always visible.
 /// @param samples  points in the frame of the box, each with the distance that the actor
 /// had walked
-/// @param most  maximum number of surfels, but at least 200 per frame are allowed
+/// @param max_count  maximum number of surfels, but at least 200 per frame are allowed
 /// @return surfels and their period. The result is empty, with period 0, if there are
 /// fewer than three frames. It is also empty if the actor walks less than half a metre.
-ChangingSurfels changing_surfels(const std::vector<Sample>& samples, const InitialiseOptions& options,
-                                 double incidence, std::size_t most);
+ChangingSurfels make_changing_surfels(const std::vector<Sample>& samples, const InitialiseOptions& options,
+                                      double incidence, std::size_t max_count);
 
 }  // namespace relidar

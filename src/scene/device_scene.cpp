@@ -24,12 +24,12 @@ static_assert(sizeof(shared::SurfelRecord) == 64 && sizeof(shared::InstanceEntry
 
 namespace {
 
-void check_primitive(Primitive found, const ImageModel& model) {
-    if (found == model.primitive) return;
+void check_primitive(Primitive primitive, const ImageModel& model) {
+    if (primitive == model.primitive) return;
     throw UsageError(
         fmt::format("cannot use image.primitive={}: the scene consists of {}; use image.primitive={}, "
                     "because the primitive cannot change after training",
-                    kind_of(model.primitive).name, kind_of(found).label, kind_of(found).name));
+                    kind_of(model.primitive).name, kind_of(primitive).label, kind_of(primitive).name));
 }
 
 void check_layout(const Scene& scene) {
@@ -54,7 +54,7 @@ void check_layout(const Scene& scene) {
                 instance.model, scene.models.size()));
 }
 
-std::vector<Constant> activation_constants(bool stage_harmonics) {
+std::vector<Constant> make_activation_constants(bool stage_harmonics) {
     std::vector<Constant> all{{ConstantId::STAGED, stage_harmonics ? 1u : 0u}};
     // Uses workgroups of 64 threads, so that one workgroup needs 4.4 kB of shared memory.
     // Such a workgroup has one or two subgroups, depending on the device.
@@ -102,7 +102,7 @@ struct Placements {
     }
 };
 
-std::vector<shared::ModelEntry> model_table(const Scene& scene, const Placements& placements) {
+std::vector<shared::ModelEntry> make_model_table(const Scene& scene, const Placements& placements) {
     std::vector<shared::ModelEntry> entries;
     for (std::size_t i = 0; i < scene.models.size(); ++i) {
         const Model& model = scene.models[i];
@@ -134,16 +134,16 @@ struct DeviceScene::Impl {
     std::optional<TouchedList> list;
 
     Impl(Device& device, const Scene& scene, bool stage_harmonics)
-        : layout(layout_of(scene)),
+        : layout(copy_layout(scene)),
           placements(scene, static_cast<std::uint32_t>(scene.surfels.size())),
-          models(device, model_table(scene, placements), "model table"),
+          models(device, make_model_table(scene, placements), "model table"),
           more_rows(device, placements.more, "rows of further placements"),
           parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel",
                      scene.surfels.parameters()),
           records(device, scene.surfels.size(), "surfel records"),
           instances(device, scene.instances.size(), "instance table"),
-          activate(device, "scene/activate", activation_constants(stage_harmonics)),
-          activate_vjp(device, "scene/activate_vjp", activation_constants(stage_harmonics)) {
+          activate(device, "scene/activate", make_activation_constants(stage_harmonics)),
+          activate_vjp(device, "scene/activate_vjp", make_activation_constants(stage_harmonics)) {
         if (!stage_harmonics) list.emplace(device);
     }
 
@@ -153,7 +153,7 @@ struct DeviceScene::Impl {
     /// device.
     /// @return the transform from the world frame to the model frame for each instance.
     /// The entry of an absent instance has no surfels.
-    std::vector<shared::InstanceEntry> instance_table(const std::vector<InstancePose>& placed) {
+    std::vector<shared::InstanceEntry> make_instance_table(const std::vector<InstancePose>& placed) {
         if (placed.size() != layout.instances.size())
             throw DataError(fmt::format("cannot place the instances: found {} poses, expected {}",
                                         placed.size(), layout.instances.size()));
@@ -188,7 +188,7 @@ struct DeviceScene::Impl {
             origins.push_back(i < 0 ? world
                                     : glm::vec3(inverse(poses[static_cast<std::size_t>(i)].world_from_model) *
                                                 glm::dvec3(world)));
-        return impl_of(stream).values(origins);
+        return get_impl(stream).values(origins);
     }
 
     /// Returns the gait phase of each model. Uses the first instance of the model.
@@ -203,13 +203,13 @@ struct DeviceScene::Impl {
             all.push_back(layout.models[m].stride_m > 0.0f ? static_cast<float>(turns - std::floor(turns))
                                                            : -1.0f);
         }
-        return impl_of(stream).values(all);
+        return get_impl(stream).values(all);
     }
 };
 
 DeviceScene::DeviceScene(Device& device, const Scene& scene, std::optional<bool> stage_harmonics) {
     check_layout(scene);
-    impl_ = std::make_unique<Impl>(device, scene, stage_harmonics.value_or(coalesces(device)));
+    impl_ = std::make_unique<Impl>(device, scene, stage_harmonics.value_or(prefers_coalesced_access(device)));
     impl_->parameters.upload(scene.surfels);
     set_poses(std::vector<Pose>(scene.instances.size()));
 }
@@ -223,12 +223,12 @@ void DeviceScene::set_poses(const std::vector<Pose>& world_from_instance) {
 }
 
 void DeviceScene::set_poses(const std::vector<InstancePose>& placed) {
-    impl_->instances.upload(impl_->instance_table(placed));
+    impl_->instances.upload(impl_->make_instance_table(placed));
 }
 
 void DeviceScene::place(Stream& stream, const std::vector<InstancePose>& placed) {
-    const std::vector<shared::InstanceEntry> entries = impl_->instance_table(placed);
-    impl_of(stream).write(impl_->instances.buffer(), entries.data(), entries.size() * sizeof(entries[0]));
+    const std::vector<shared::InstanceEntry> entries = impl_->make_instance_table(placed);
+    get_impl(stream).write(impl_->instances.buffer(), entries.data(), entries.size() * sizeof(entries[0]));
 }
 
 void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m) {
@@ -236,7 +236,7 @@ void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::v
     if (size() == 0) return;
     check_primitive(primitive(), model);
     run(stream, impl_->activate, size(),
-        {.surfels = pointers_of(impl_->parameters),
+        {.surfels = get_surfel_pointers(impl_->parameters),
          .records = impl_->records.address(),
          .models = impl_->models.address(),
          .view_origins = impl_->view_origins(stream, view_origin_m),
@@ -251,27 +251,27 @@ void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::v
 bool DeviceScene::lists_touched() const { return impl_->list.has_value(); }
 
 void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m,
-                               const ActivationGradients& g) {
+                               const ActivationGradients& gradients) {
     if (size() == 0) return;
-    const bool listed = g.touched_is_marked && lists_touched() && !g.zero_untouched;
-    if (listed) impl_->list->find(stream, g.touched->address(), size());
+    const bool listed = gradients.touched_is_marked && lists_touched() && !gradients.zero_untouched;
+    if (listed) impl_->list->find(stream, gradients.touched->address(), size());
     run(stream, impl_->activate_vjp, listed ? impl_->list->threads(size()) : size(),
-        {.surfels = pointers_of(impl_->parameters),
-         .d_records = g.d_records->address(),
+        {.surfels = get_surfel_pointers(impl_->parameters),
+         .d_records = gradients.d_records->address(),
          .models = impl_->models.address(),
          .more_rows = impl_->more_rows.address(),
          .view_origins = impl_->view_origins(stream, view_origin_m),
          .phases = impl_->phases(stream).as<shared::GaitPhases>(),
-         .d_surfels = pointers_of(*g.d_surfels),
-         .touched = g.touched->address(),
+         .d_surfels = get_surfel_pointers(*gradients.d_surfels),
+         .touched = gradients.touched->address(),
          .rows = listed ? impl_->list->rows() : Address<std::uint32_t, shared::TouchedRows>{},
          .n_listed = listed ? impl_->list->count() : Address<std::uint32_t, shared::TouchedCount>{},
-         .d_view = address_of(g.d_view),
+         .d_view = get_address(gradients.d_view),
          .n_surfels = size(),
          .n_models = impl_->n_models(),
          .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
          .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u,
-         .zero_untouched = g.zero_untouched ? 1u : 0u});
+         .zero_untouched = gradients.zero_untouched ? 1u : 0u});
 }
 
 void DeviceScene::reserve(Device& device, std::uint32_t capacity) {
@@ -288,7 +288,7 @@ void DeviceScene::set_models(const std::vector<Model>& models) {
     // The number of instances does not change, so the new tables are as long as the old
     // tables. They can be uploaded into the same buffers.
     impl_->placements = Placements(impl_->layout, n);
-    impl_->models.upload(model_table(impl_->layout, impl_->placements));
+    impl_->models.upload(make_model_table(impl_->layout, impl_->placements));
     impl_->more_rows.upload(impl_->placements.more);
 }
 
@@ -311,7 +311,7 @@ const Array<shared::InstanceEntry>& DeviceScene::instances() const { return impl
 float DeviceScene::alpha_min() const { return impl_->alpha_min; }
 Primitive DeviceScene::primitive() const { return impl_->parameters.primitive; }
 std::uint32_t DeviceScene::size() const { return impl_->parameters.n; }
-std::uint32_t DeviceScene::first_gradient_row(std::size_t instance) const {
+std::uint32_t DeviceScene::get_first_gradient_row(std::size_t instance) const {
     return impl_->placements.first_row[instance];
 }
 std::uint32_t DeviceScene::gradient_rows() const { return impl_->placements.n_rows; }

@@ -44,7 +44,7 @@ constexpr double kTurnPer_m = 0.4, kTurn_rad = 0.5;
 struct Travel {
     double net_m = 0.0, path_m = 0.0, turned_rad = 0.0;
 };
-Travel travel_of(const PoseTrack& track) {
+Travel measure_travel(const PoseTrack& track) {
     Travel travel;
     for (std::size_t i = 1; i < track.pose.size(); ++i) {
         travel.path_m += glm::distance(track.pose[i - 1].translation, track.pose[i].translation);
@@ -58,10 +58,10 @@ Travel travel_of(const PoseTrack& track) {
 /// Returns true if the size, the speed and the motion of a box are plausible. The box
 /// must move farther than a changing view of a static object can explain.
 bool is_plausible(const BoxTrack& box) {
-    const std::vector<double> speeds = speeds_mps(box);
+    const std::vector<double> speeds = compute_speeds_mps(box);
     const double fastest = speeds.empty() ? 0.0 : std::ranges::max(speeds),
                  longest = std::max(box.size_m.x, box.size_m.y);
-    const Travel travel = travel_of(box.world_from_box);
+    const Travel travel = measure_travel(box.world_from_box);
     const bool turns_on_the_spot =
         longest > kVehicle_m && travel.turned_rad > kTurn_rad + kTurnPer_m * travel.path_m;
     return box.size_m.x < kLongest_m && box.size_m.y < kWidest_m && box.size_m.z < kTallest_m &&
@@ -75,13 +75,15 @@ bool is_plausible(const BoxTrack& box) {
 /// Removes the returns that other frames prove to be static. Then fits a box to the
 /// remaining returns of the track. Returns nothing if other frames do not prove that the
 /// track moved.
-std::optional<BoxTrack> proven_box(const Visibility& visibility, MoverTrack& track) {
+std::optional<BoxTrack> find_proven_box(const Visibility& visibility, MoverTrack& track) {
     EvidenceSum sum;
     const BoxTrack box = box_of(track);
-    for (Observation& o : track.seen) sum += sift(visibility, o.cluster, box);
-    if (!sum.proves_motion()) return std::nullopt;
-    std::erase_if(track.seen, [](const Observation& o) { return o.cluster.points_m.size() < kFewestPoints; });
-    if (!moves_far(track)) return std::nullopt;
+    for (Observation& o : track.seen) sum += remove_static_returns(visibility, o.cluster, box);
+    if (!sum.has_proof_of_motion()) return std::nullopt;
+    std::erase_if(track.seen, [](const Observation& observation) {
+        return observation.cluster.points_m.size() < kFewestPoints;
+    });
+    if (!has_moved_far(track)) return std::nullopt;
     BoxTrack result = box_of(track);
     if (!is_plausible(result)) return std::nullopt;
     complete_size(result, track);
@@ -91,20 +93,24 @@ std::optional<BoxTrack> proven_box(const Visibility& visibility, MoverTrack& tra
 /// Extends a labelled box to the times before and after its labels. Uses only those parts
 /// of the track for which other frames prove motion. Returns nothing if no part is
 /// proven.
-std::optional<BoxTrack> proven_continuation(const Visibility& visibility, MoverTrack& track,
-                                            const BoxTrack& label) {
-    const BoxTrack box = continued_box(track, label);
+std::optional<BoxTrack> find_proven_continuation(const Visibility& visibility, MoverTrack& track,
+                                                 const BoxTrack& label) {
+    const BoxTrack box = make_continued_box(track, label);
     const double first_s = label.world_from_box.time_s.front();
     EvidenceSum before, after;
-    const auto is_labelled = [](const Observation& o) { return o.cluster.label != kNoLabel; };
+    const auto is_labelled = [](const Observation& observation) {
+        return observation.cluster.label != kNoLabel;
+    };
     for (Observation& o : track.seen)
-        if (!is_labelled(o)) (o.frame_time_s < first_s ? before : after) += sift(visibility, o.cluster, box);
-    std::erase_if(track.seen, [&](const Observation& o) {
-        return !is_labelled(o) && (o.cluster.points_m.size() < kFewestPoints ||
-                                   !(o.frame_time_s < first_s ? before : after).proves_motion());
+        if (!is_labelled(o))
+            (o.frame_time_s < first_s ? before : after) += remove_static_returns(visibility, o.cluster, box);
+    std::erase_if(track.seen, [&](const Observation& observation) {
+        return !is_labelled(observation) &&
+               (observation.cluster.points_m.size() < kFewestPoints ||
+                !(observation.frame_time_s < first_s ? before : after).has_proof_of_motion());
     });
     if (std::ranges::all_of(track.seen, is_labelled)) return std::nullopt;
-    return continued_box(track, label);
+    return make_continued_box(track, label);
 }
 
 /// Fixed-size data of a box, which the processes of a group exchange.
@@ -133,9 +139,9 @@ std::vector<BoxTrack> joined(const ProcessGroup& group, const std::vector<MoverT
         times_s.insert(times_s.end(), track.time_s.begin(), track.time_s.end());
         poses.insert(poses.end(), track.pose.begin(), track.pose.end());
     }
-    heads = group.all_gathered(std::move(heads));
-    times_s = group.all_gathered(std::move(times_s));
-    poses = group.all_gathered(std::move(poses));
+    heads = group.gather_all(std::move(heads));
+    times_s = group.gather_all(std::move(times_s));
+    poses = group.gather_all(std::move(poses));
     std::vector<BoxTrack> boxes;
     std::ptrdiff_t at = 0;
     for (const BoxHead& head : heads) {
@@ -156,32 +162,33 @@ std::vector<BoxTrack> joined(const ProcessGroup& group, const std::vector<MoverT
 
 /// Returns the boxes of all tracks that are proven to have moved. Each process of a
 /// process group checks its share of the tracks.
-std::vector<BoxTrack> proven_boxes(Visibility& visibility, std::vector<MoverTrack>& tracks,
-                                   const Sequence& sequence, const Progress& progress,
-                                   const ProcessGroup& group) {
+std::vector<BoxTrack> find_proven_boxes(Visibility& visibility, std::vector<MoverTrack>& tracks,
+                                        const Sequence& sequence, const Progress& progress,
+                                        const ProcessGroup& group) {
     const ProcessGroup::Share share = group.share(tracks.size());
     for (std::size_t i = share.begin; i < share.end; ++i)
-        for (const Observation& o : tracks[i].seen) visibility.announce(o.cluster.points_m);
+        for (const Observation& o : tracks[i].seen) visibility.request_images(o.cluster.points_m);
     std::vector<std::optional<BoxTrack>> found(share.end - share.begin);
-    for_each_with_progress(found.size(), progress, "paths of movers", [&](std::size_t i) {
-        MoverTrack& track = tracks[share.begin + i];
-        found[i] = track.label == kNoLabel
-                       ? proven_box(visibility, track)
-                       : proven_continuation(visibility, track, sequence.boxes[std::size_t(track.label)]);
+    for_each_with_progress(found.size(), progress, "paths of movers", [&](std::size_t index) {
+        MoverTrack& track = tracks[share.begin + index];
+        found[index] =
+            track.label == kNoLabel
+                ? find_proven_box(visibility, track)
+                : find_proven_continuation(visibility, track, sequence.boxes[std::size_t(track.label)]);
     });
     return joined(group, tracks, found, share.begin, sequence);
 }
 
-/// Returns true if the centre of `part` is inside the box `whole` for more than half of
+/// Returns true if the centre of `part` is inside the box `box` for more than half of
 /// the time. In this case both boxes belong to the same object. The returns of `part`
 /// formed a separate cluster for a while.
-bool is_part_of(const BoxTrack& part, const BoxTrack& whole) {
+bool is_part_of(const BoxTrack& part, const BoxTrack& box) {
     const double margin =
-        std::max(whole.size_m.x, whole.size_m.y) < kVehicle_m ? kFragment_m : kVehicleFragment_m;
+        std::max(box.size_m.x, box.size_m.y) < kVehicle_m ? kFragment_m : kVehicleFragment_m;
     std::size_t inside = 0;
     for (std::size_t i = 0; i < part.world_from_box.time_s.size(); ++i) {
         const double t_s = part.world_from_box.time_s[i];
-        inside += whole.present(t_s) && whole.holds(part.world_from_box.pose[i].translation, t_s, margin);
+        inside += box.present(t_s) && box.holds(part.world_from_box.pose[i].translation, t_s, margin);
     }
     return 2 * inside > part.world_from_box.time_s.size();
 }
@@ -190,10 +197,10 @@ bool is_continued(const BoxTrack& box) { return !box.id.empty(); }
 
 /// Removes duplicate boxes of the same object. Keeps the box with the most observations.
 /// A box that continues a label is removed only if the kept box has the same label.
-std::vector<BoxTrack> without_parts(std::vector<BoxTrack> boxes) {
-    std::ranges::stable_sort(boxes, [](const BoxTrack& a, const BoxTrack& b) {
-        return std::pair(is_continued(a), a.world_from_box.time_s.size()) >
-               std::pair(is_continued(b), b.world_from_box.time_s.size());
+std::vector<BoxTrack> remove_parts(std::vector<BoxTrack> boxes) {
+    std::ranges::stable_sort(boxes, [](const BoxTrack& first, const BoxTrack& second) {
+        return std::pair(is_continued(first), first.world_from_box.time_s.size()) >
+               std::pair(is_continued(second), second.world_from_box.time_s.size());
     });
     std::vector<BoxTrack> kept;
     for (const BoxTrack& box : boxes)
@@ -207,13 +214,15 @@ std::vector<BoxTrack> without_parts(std::vector<BoxTrack> boxes) {
 /// Returns true if a box should be fitted to a track. The track must either move by
 /// itself, or extend a labelled track beyond its labels.
 bool should_add_box(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
-    if (track.label == kNoLabel) return moves_far(track) && !is_fixed_to_vehicle(track, world_from_vehicle);
-    return !std::ranges::all_of(track.seen, [](const Observation& o) { return o.cluster.label != kNoLabel; });
+    if (track.label == kNoLabel)
+        return has_moved_far(track) && !is_fixed_to_vehicle(track, world_from_vehicle);
+    return !std::ranges::all_of(
+        track.seen, [](const Observation& observation) { return observation.cluster.label != kNoLabel; });
 }
 
 /// Returns the boxes of the moving objects that one LiDAR observed.
-std::vector<BoxTrack> discovered_by(int lidar, const Sequence& sequence, std::vector<int> positions,
-                                    const Progress& progress, const ProcessGroup& group) {
+std::vector<BoxTrack> discover_with_lidar(int lidar, const Sequence& sequence, std::vector<int> positions,
+                                          const Progress& progress, const ProcessGroup& group) {
     std::erase_if(positions,
                   [&](int position) { return sequence.frames[std::size_t(position)].lidar != lidar; });
     std::vector<double> times;
@@ -224,7 +233,7 @@ std::vector<BoxTrack> discovered_by(int lidar, const Sequence& sequence, std::ve
     std::erase_if(
         tracks, [&](const MoverTrack& track) { return !should_add_box(track, sequence.world_from_vehicle); });
     join_parts(tracks);
-    return without_parts(proven_boxes(visibility, tracks, sequence, progress, group));
+    return remove_parts(find_proven_boxes(visibility, tracks, sequence, progress, group));
 }
 
 /// Adds the boxes that another LiDAR found. If both LiDARs found the same object, usually
@@ -255,7 +264,7 @@ std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vecto
     // Processes each LiDAR separately. If two LiDARs scan at the same time, joint
     // processing would add an object twice to one track.
     for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
-        add_movers(boxes, discovered_by(lidar, sequence, train_positions, progress, group));
+        add_movers(boxes, discover_with_lidar(lidar, sequence, train_positions, progress, group));
     std::stable_partition(boxes.begin(), boxes.end(), [](const BoxTrack& box) { return !is_continued(box); });
     int n = 0;
     for (BoxTrack& box : boxes)

@@ -20,9 +20,9 @@ using Basis = std::array<double, kShCoefficients>;
 /// Evaluates the real spherical harmonics up to degree 3, which are orthonormal on the
 /// sphere. Computes the same values as shaders/scene/gaussian/sh.glsl, but in double
 /// precision.
-/// @param d [3] unit
-Basis harmonics(const glm::dvec3& d) {
-    const double x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
+/// @param direction [3] unit
+Basis evaluate_harmonics(const glm::dvec3& direction) {
+    const double x = direction.x, y = direction.y, z = direction.z, xx = x * x, yy = y * y, zz = z * z;
     const auto root = [](double part) { return std::sqrt(part / kPi); };
     return {root(0.25),
             -root(0.75) * y,
@@ -48,7 +48,7 @@ using Turn = std::array<std::array<double, kShCoefficients>, kShCoefficients>;
 /// frame. An element is the integral of Y_i(R d) Y_j(d) over the sphere. The quadrature
 /// uses four Gauss-Legendre heights and eight azimuths. It is exact, because the
 /// integrands have degree 6.
-Turn turn_of(const glm::dquat& world_from_model) {
+Turn make_turn(const glm::dquat& world_from_model) {
     constexpr std::array<std::array<double, 2>, 4> kHeights{{{-0.8611363115940526, 0.3478548451374538},
                                                              {-0.3399810435848563, 0.6521451548625461},
                                                              {0.3399810435848563, 0.6521451548625461},
@@ -61,7 +61,7 @@ Turn turn_of(const glm::dquat& world_from_model) {
         for (int a = 0; a < kAzimuths; ++a) {
             const double angle = 2.0 * kPi * a / kAzimuths, r = std::sqrt(1.0 - z * z);
             const glm::dvec3 d(r * std::cos(angle), r * std::sin(angle), z);
-            const Basis in_model = harmonics(d), in_world = harmonics(world_from_model * d);
+            const Basis in_model = evaluate_harmonics(d), in_world = evaluate_harmonics(world_from_model * d);
             for (std::size_t i = 0; i < kShCoefficients; ++i)
                 for (std::size_t j = 0; j < kShCoefficients; ++j)
                     turn[i][j] += weight * 2.0 * kPi / kAzimuths * in_world[i] * in_model[j];
@@ -69,7 +69,7 @@ Turn turn_of(const glm::dquat& world_from_model) {
     return turn;
 }
 
-void turn_harmonics(const Turn& turn, float* channel) {
+void rotate_harmonics(const Turn& turn, float* channel) {
     std::array<float, kShCoefficients> turned;
     for (std::size_t i = 0; i < kShCoefficients; ++i) {
         double sum = 0.0;
@@ -82,27 +82,28 @@ void turn_harmonics(const Turn& turn, float* channel) {
 /// Moves a surfel to its position at a phase of the gait. Reduces the surfel's opacity by
 /// the distance between this phase and the surfel's phase
 /// (shaders/scene/gaussian/gait.glsl).
-void bend(Surfels& s, std::size_t i, double phase) {
-    const Gait& gait = s.gait[i];
+void bend(Surfels& surfels, std::size_t index, double phase) {
+    const Gait& gait = surfels.gait[index];
     const double angle = 2.0 * kPi * (phase - double(gait.phase)), sharpness = double(gait.sharpness);
-    s.mean[i] = glm::vec3(glm::dvec3(s.mean[i]) + std::sin(angle) * glm::dvec3(gait.swing));
+    surfels.mean[index] =
+        glm::vec3(glm::dvec3(surfels.mean[index]) + std::sin(angle) * glm::dvec3(gait.swing));
     const double presence = std::exp(sharpness * sharpness * (std::cos(angle) - 1.0));
     if (presence == 1.0) return;
-    const double opacity = presence / (1.0 + std::exp(-double(s.opacity_logit[i])));
+    const double opacity = presence / (1.0 + std::exp(-double(surfels.opacity_logit[index])));
     constexpr double kFaintest = 1e-30;
-    s.opacity_logit[i] = float(std::log(std::max(opacity, kFaintest) / (1.0 - opacity)));
+    surfels.opacity_logit[index] = float(std::log(std::max(opacity, kFaintest) / (1.0 - opacity)));
 }
 
-void place(Surfels& s, const Pose& world_from_model) {
-    const Turn turn = turn_of(world_from_model.rotation);
-    for_each_block(s.size(), [&](std::size_t i) {
-        s.mean[i] = glm::vec3(world_from_model * glm::dvec3(s.mean[i]));
-        const glm::dquat q(double(s.rotation[i].x), double(s.rotation[i].y), double(s.rotation[i].z),
-                           double(s.rotation[i].w));
+void place(Surfels& surfels, const Pose& world_from_model) {
+    const Turn turn = make_turn(world_from_model.rotation);
+    for_each_block(surfels.size(), [&](std::size_t index) {
+        surfels.mean[index] = glm::vec3(world_from_model * glm::dvec3(surfels.mean[index]));
+        const glm::dquat q(double(surfels.rotation[index].x), double(surfels.rotation[index].y),
+                           double(surfels.rotation[index].z), double(surfels.rotation[index].w));
         const glm::dquat turned = world_from_model.rotation * q;
-        s.rotation[i] = glm::vec4(turned.w, turned.x, turned.y, turned.z);
+        surfels.rotation[index] = glm::vec4(turned.w, turned.x, turned.y, turned.z);
         for (std::size_t c = 0; c < kShChannels; ++c)
-            turn_harmonics(turn, &s.sh[i * kShFloats + c * kShCoefficients]);
+            rotate_harmonics(turn, &surfels.sh[index * kShFloats + c * kShCoefficients]);
     });
 }
 

@@ -24,8 +24,9 @@ constexpr double kAverage_s = 1.0;
 constexpr double kStands_mps = 0.2;
 
 double turn(double turns) { return turns - std::floor(turns); }
-/// Returns the shortest signed difference b - a of two phases, -0.5 .. 0.5 strides.
-double apart(double a, double b) { return b - a - std::round(b - a); }
+/// Returns the shortest signed difference second - first of two phases, -0.5 .. 0.5
+/// strides.
+double apart(double first, double second) { return second - first - std::round(second - first); }
 
 }  // namespace
 
@@ -56,7 +57,7 @@ double WalkedDistance::at(double t_s) const {
     return walked_m_[i - 1] + s * (walked_m_[i] - walked_m_[i - 1]);
 }
 
-std::optional<StrideRange> stride_range(ObjectKind kind) {
+std::optional<StrideRange> get_stride_range(ObjectKind kind) {
     if (kind == ObjectKind::person) return StrideRange{0.7, 2.4};
     // A bicycle travels this many metres per turn of the pedals.
     if (kind == ObjectKind::cyclist) return StrideRange{2.0, 9.0};
@@ -80,7 +81,7 @@ struct FrameGaps {
     std::vector<char> varies;
 };
 
-FrameGaps frame_gaps(const std::vector<Sample>& samples) {
+FrameGaps compute_frame_gaps(const std::vector<Sample>& samples) {
     constexpr std::size_t kMost = 3000;
     std::vector<std::unique_ptr<SampleIndex>> frames;
     FrameGaps gaps;
@@ -114,7 +115,7 @@ FrameGaps frame_gaps(const std::vector<Sample>& samples) {
 /// gait phase, divided by the mean distance between points of different phases. The ratio
 /// is about 1 for a wrong stride, and smaller for the right stride. Returns 2 if too few
 /// frames have the same phase.
-double misfit_share(const FrameGaps& gaps, double stride_m) {
+double compute_misfit_share(const FrameGaps& gaps, double stride_m) {
     // Two phases count as equal if they differ by less than kSame. They count as
     // different if they differ by more than kOther. Unit: strides.
     constexpr double kSame = 0.06, kOther = 0.15;
@@ -158,7 +159,7 @@ StrideEstimate find_stride(const std::vector<Sample>& samples, const StrideRange
         return {0.0, fmt::format("the actor walked only {:.1f} m, but detecting a gait needs at least "
                                  "{:.1f} m",
                                  walked, kTurns * range.least_m)};
-    const FrameGaps gaps = frame_gaps(samples);
+    const FrameGaps gaps = compute_frame_gaps(samples);
     if (gaps.walked_m.size() < kFewestFrames)
         return {0.0, fmt::format("the actor is observed in only {} frames, but detecting a gait needs at "
                                  "least {} frames",
@@ -166,8 +167,9 @@ StrideEstimate find_stride(const std::vector<Sample>& samples, const StrideRange
     std::vector<double> strides;
     for (double stride = range.least_m; stride <= most; stride *= kStep) strides.push_back(stride);
     std::vector<double> shares(strides.size()), smooth;
-    parallel_for(int(strides.size()),
-                 [&](int i) { shares[std::size_t(i)] = misfit_share(gaps, strides[std::size_t(i)]); });
+    parallel_for(int(strides.size()), [&](int index) {
+        shares[std::size_t(index)] = compute_misfit_share(gaps, strides[std::size_t(index)]);
+    });
     // Each share is the error of one candidate for the length of a stride. Averages the
     // shares of neighbouring candidates, because a single low error can be a coincidence.
     for (std::size_t i = kBeside; i + kBeside < shares.size(); ++i)
@@ -205,30 +207,30 @@ struct Phases {
         for (std::vector<std::uint32_t>& of_bin : numbers)
             bins.push_back(std::make_unique<SampleIndex>(samples, std::move(of_bin)));
     }
-    double of(std::size_t i) const { return turn(samples[i].walked_m / stride_m); }
+    double of(std::size_t index) const { return turn(samples[index].walked_m / stride_m); }
     static int bin(double turns) { return std::min(kBins - 1, int(turn(turns) * kBins)); }
     const SampleIndex& at(int bin) const { return *bins[std::size_t((bin + kBins) % kBins)]; }
 };
 
-/// Returns true if at least three quarters of the gait phases have points near `p`. Such
-/// a position does not move with the gait.
-bool rests(const Phases& phases, const glm::vec3& p) {
+/// Returns true if at least three quarters of the gait phases have points near `point`.
+/// Such a position does not move with the gait.
+bool is_at_rest(const Phases& phases, const glm::vec3& point) {
     int seen = 0, filled = 0;
     for (int bin = 0; bin < kBins; ++bin) {
         if (phases.at(bin).cloud.of.empty()) continue;
         ++filled;
-        if (phases.at(bin).distance_m(p, 2.0 * kSame_m) < kSame_m) ++seen;
+        if (phases.at(bin).distance_m(point, 2.0 * kSame_m) < kSame_m) ++seen;
     }
     return 4 * seen >= 3 * filled;
 }
 
 /// Estimates the velocity of the surface at a sample, in metres per stride. This velocity
 /// moves the points around the sample onto the points of earlier and later phases.
-glm::vec3 velocity_at(const Phases& phases, std::size_t i) {
+glm::vec3 estimate_velocity_at(const Phases& phases, std::size_t index) {
     constexpr double kPatch_m = 0.12, kFar_m = 0.15;
     constexpr std::size_t kOfPatch = 6;
-    const glm::vec3 p = phases.samples[i].position;
-    const int bin = Phases::bin(phases.of(i));
+    const glm::vec3 p = phases.samples[index].position;
+    const int bin = Phases::bin(phases.of(index));
     const std::vector<std::uint32_t> patch = phases.at(bin).within(p, kPatch_m, kOfPatch);
     glm::vec3 best(0.0f);
     double least = 1e9;
@@ -253,27 +255,27 @@ glm::vec3 velocity_at(const Phases& phases, std::size_t i) {
 
 /// Estimates the velocity at each sample. Replaces each velocity by the median of the
 /// velocities nearby.
-/// @param wanted true for each sample whose velocity is computed
+/// @param is_selected true for each sample whose velocity is computed
 /// @return [samples] metres per stride
-std::vector<glm::vec3> velocities(const Phases& phases, const std::vector<char>& wanted,
-                                  const Progress& progress) {
+std::vector<glm::vec3> estimate_velocities(const Phases& phases, const std::vector<char>& is_selected,
+                                           const Progress& progress) {
     constexpr double kAround_m = 0.15;
     constexpr std::size_t kMost = 9;
-    const int n = int(wanted.size());
-    std::vector<glm::vec3> each(wanted.size(), glm::vec3(0.0f)), middle = each;
-    for_each_block_with_progress(wanted.size(), progress, "steps of actors", [&](std::size_t i) {
-        if (wanted[i]) each[i] = velocity_at(phases, i);
+    const int n = int(is_selected.size());
+    std::vector<glm::vec3> each(is_selected.size(), glm::vec3(0.0f)), middle = each;
+    for_each_block_with_progress(is_selected.size(), progress, "steps of actors", [&](std::size_t index) {
+        if (is_selected[index]) each[index] = estimate_velocity_at(phases, index);
     });
     parallel_for(n, [&](int number) {
         const std::size_t i = std::size_t(number);
-        if (!wanted[i]) return;
+        if (!is_selected[i]) return;
         const int bin = Phases::bin(phases.of(i));
         std::array<std::vector<float>, 3> around;
         for (const int beside : {-1, 0, 1})
             for (const std::uint32_t j :
                  phases.at(bin + beside).within(phases.samples[i].position, kAround_m, kMost))
                 for (int k = 0; k < 3; ++k)
-                    if (wanted[j]) around[std::size_t(k)].push_back(each[j][k]);
+                    if (is_selected[j]) around[std::size_t(k)].push_back(each[j][k]);
         for (int k = 0; k < 3; ++k) {
             std::vector<float>& values = around[std::size_t(k)];
             const auto half = values.begin() + std::ptrdiff_t(values.size() / 2);
@@ -286,10 +288,10 @@ std::vector<glm::vec3> velocities(const Phases& phases, const std::vector<char>&
 
 /// Makes one surfel for each sample. A surfel is visible around the gait phase of its
 /// sample. If the sample does not move with the gait, its surfel is always visible.
-Surfels with_gait(const std::vector<Sample>& samples, const std::vector<Gait>& gait,
-                  const InitialiseOptions& options, double incidence) {
+Surfels make_surfels_with_gait(const std::vector<Sample>& samples, const std::vector<Gait>& gait,
+                               const InitialiseOptions& options, double incidence) {
     std::vector<std::uint32_t> order;
-    Surfels surfels = surfels_from_points(samples, options, incidence, {}, &order);
+    Surfels surfels = make_surfels_from_points(samples, options, incidence, {}, &order);
     surfels.add_gait();
     for (std::size_t i = 0; i < order.size(); ++i) surfels.gait[i] = gait[order[i]];
     return surfels;
@@ -297,23 +299,24 @@ Surfels with_gait(const std::vector<Sample>& samples, const std::vector<Gait>& g
 
 }  // namespace
 
-Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m,
-                          const InitialiseOptions& options, double incidence, std::size_t most,
-                          const Progress& progress) {
+Surfels make_walking_surfels(const std::vector<Sample>& samples, double stride_m,
+                             const InitialiseOptions& options, double incidence, std::size_t max_count,
+                             const Progress& progress) {
     const Phases phases(samples, stride_m);
     std::vector<char> at_rest(samples.size());
-    parallel_for(int(samples.size()),
-                 [&](int i) { at_rest[std::size_t(i)] = rests(phases, samples[std::size_t(i)].position); });
+    parallel_for(int(samples.size()), [&](int index) {
+        at_rest[std::size_t(index)] = is_at_rest(phases, samples[std::size_t(index)].position);
+    });
     std::vector<char> moves(at_rest);
     for (char& one : moves) one = !one;
-    const std::vector<glm::vec3> velocity = velocities(phases, moves, progress);
+    const std::vector<glm::vec3> velocity = estimate_velocities(phases, moves, progress);
     std::vector<Sample> resting;
     for (std::size_t i = 0; i < samples.size(); ++i)
         if (at_rest[i]) resting.push_back(samples[i]);
     Surfels surfels;
     if (!resting.empty()) {
-        resting = thin_out(resting, most / 2);
-        surfels = with_gait(resting, std::vector<Gait>(resting.size()), options, incidence);
+        resting = thin_samples(resting, max_count / 2);
+        surfels = make_surfels_with_gait(resting, std::vector<Gait>(resting.size()), options, incidence);
     }
     // number of neighbouring bins whose points are merged into one set of surfels
     constexpr int kTogether = 4;
@@ -336,13 +339,13 @@ Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m,
             gait[k].phase = float(middle);
         }
         std::vector<std::uint32_t> kept;
-        const std::vector<Sample> thin = thin_out(moving, most / 2 * kTogether / kBins, &kept);
+        const std::vector<Sample> thin = thin_samples(moving, max_count / 2 * kTogether / kBins, &kept);
         if (thin.empty()) continue;
         std::vector<Gait> of_kept;
         for (const std::uint32_t k : kept) of_kept.push_back(gait[k]);
-        surfels.append(with_gait(thin, of_kept, options, incidence));
+        surfels.append(make_surfels_with_gait(thin, of_kept, options, incidence));
     }
-    return surfels.permuted(kd_order(surfels.mean));
+    return surfels.reorder(compute_kd_order(surfels.mean));
 }
 
 }  // namespace relidar

@@ -34,7 +34,7 @@ struct StrideRange {
 };
 /// Returns the possible stride lengths of people or cyclists. Returns nothing for rigid
 /// objects.
-std::optional<StrideRange> stride_range(ObjectKind kind);
+std::optional<StrideRange> get_stride_range(ObjectKind kind);
 
 /// Stride of an actor, or the reason why no stride was found.
 struct StrideEstimate {
@@ -53,10 +53,10 @@ StrideEstimate find_stride(const std::vector<Sample>& samples, const StrideRange
 /// around the phase of the point. Such a surfel moves with the velocity of the points
 /// nearby.
 /// @param samples must not be empty
-/// @param most maximum number of surfels
+/// @param max_count maximum number of surfels
 /// @param progress called during the work; if it throws an exception, the function stops
-Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m,
-                          const InitialiseOptions& options, double incidence, std::size_t most,
-                          const Progress& progress = {});
+Surfels make_walking_surfels(const std::vector<Sample>& samples, double stride_m,
+                             const InitialiseOptions& options, double incidence, std::size_t max_count,
+                             const Progress& progress = {});
 
 }  // namespace relidar

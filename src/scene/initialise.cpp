@@ -48,34 +48,37 @@ struct Cell {
 };
 struct CellHash {
     std::size_t operator()(const Cell& c) const {
-        return hash64(hash64(std::uint64_t(std::uint32_t(c.x)) << 32 | std::uint32_t(c.y)) ^
-                      (std::uint64_t(std::uint32_t(c.z)) << 8 | std::uint32_t(c.level)));
+        return combine_hashes(combine_hashes(std::uint64_t(std::uint32_t(c.x)) << 32 | std::uint32_t(c.y)) ^
+                              (std::uint64_t(std::uint32_t(c.z)) << 8 | std::uint32_t(c.level)));
     }
 };
 
 /// Returns the points of one frame in the world frame. Each point has the direction from
 /// the sensor at its firing time. Skips points inside the boxes `separate`.
-std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame,
-                                  const std::vector<BoxTrack>& separate, const InitialiseOptions& options) {
+std::vector<Sample> collect_frame_samples(const Sequence& sequence, const Frame& frame,
+                                          const std::vector<BoxTrack>& separate,
+                                          const InitialiseOptions& options) {
     std::vector<Sample> samples;
-    for_each_return(sequence, frame, options.second_returns, [&](const WorldReturn& w) {
+    for_each_return(sequence, frame, options.second_returns, [&](const WorldReturn& world_return) {
         const auto is_in = [&](const BoxTrack& box) {
-            return box.present(w.time_s) && box.holds(w.point_m, w.time_s, kMoverMargin_m);
+            return box.present(world_return.time_s) &&
+                   box.holds(world_return.point_m, world_return.time_s, kMoverMargin_m);
         };
         if (std::ranges::any_of(separate, is_in)) return;
-        samples.push_back({glm::vec3(w.point_m), w.intensity, glm::vec3(w.direction)});
+        samples.push_back(
+            {glm::vec3(world_return.point_m), world_return.intensity, glm::vec3(world_return.direction)});
     });
     return samples;
 }
 
 /// Returns the position of the sensor in each of the given frames.
 /// @return [positions] world
-std::vector<glm::vec3> sensor_positions(const Sequence& sequence, const std::vector<int>& positions) {
+std::vector<glm::vec3> list_sensor_positions(const Sequence& sequence, const std::vector<int>& positions) {
     std::vector<glm::vec3> places;
     for (const int position : positions) {
         const Frame& frame = sequence.frames[std::size_t(position)];
         places.emplace_back(
-            sequence.world_from_vehicle.at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor)
+            sequence.world_from_vehicle.at(frame.time_s, sequence.get_lidar(frame).vehicle_from_sensor)
                 .translation);
     }
     return places;
@@ -84,15 +87,16 @@ std::vector<glm::vec3> sensor_positions(const Sequence& sequence, const std::vec
 /// Returns the voxel that contains a point. The edge of a voxel is `voxel_m`. If
 /// `voxel_growth` is positive, the edge is doubled for points far from all sensor
 /// positions.
-Cell cell_of(const glm::vec3& p, const NearestPlace<float>& sensors, const InitialiseOptions& options) {
+Cell find_cell(const glm::vec3& point, const NearestPlace<float>& sensors, const InitialiseOptions& options) {
     int level = 0;
     if (options.voxel_growth > 0.0) {
-        const float nearest2 = sensors.squared_distance(p);
+        const float nearest2 = sensors.squared_distance(point);
         const double edge = std::max(options.voxel_m, options.voxel_growth * std::sqrt(double(nearest2)));
         level = std::max(0, static_cast<int>(std::floor(std::log2(edge / options.voxel_m) + 0.5)));
     }
     const double edge = options.voxel_m * std::exp2(level);
-    return {level, int(std::floor(p.x / edge)), int(std::floor(p.y / edge)), int(std::floor(p.z / edge))};
+    return {level, int(std::floor(point.x / edge)), int(std::floor(point.y / edge)),
+            int(std::floor(point.z / edge))};
 }
 
 /// A sample with its voxel and its index among the samples of its frame.
@@ -112,8 +116,8 @@ PlacedByPart collect_samples(const Sequence& sequence, const Frame& frame,
                              const InitialiseOptions& options) {
     PlacedByPart placed;
     std::uint32_t number = 0;
-    for (const Sample& s : frame_samples(sequence, frame, separate, options)) {
-        const Cell cell = cell_of(s.position, sensors, options);
+    for (const Sample& s : collect_frame_samples(sequence, frame, separate, options)) {
+        const Cell cell = find_cell(s.position, sensors, options);
         placed[CellHash{}(cell) % kParts].push_back({s, cell, number++});
     }
     return placed;
@@ -138,18 +142,18 @@ struct Voxels {
 /// Returns the mean sample of each voxel, sorted by the first sample of the voxel. This
 /// order does not depend on the threads. Reads only a few frames at a time, so that the
 /// memory does not grow with the number of frames.
-std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>& train,
-                                const InitialiseOptions& options, const Progress& progress) {
+std::vector<Sample> compute_voxel_means(const Sequence& sequence, const std::vector<int>& train,
+                                        const InitialiseOptions& options, const Progress& progress) {
     constexpr std::size_t kFrames = 16;
     const std::vector<BoxTrack> separate = separate_boxes(sequence, options);
-    const NearestPlace<float> sensors(sensor_positions(sequence, train));
+    const NearestPlace<float> sensors(list_sensor_positions(sequence, train));
     std::vector<Voxels> parts(kParts);
     for (std::size_t begin = 0; begin < train.size(); begin += kFrames) {
         if (progress) progress("points of the background", double(begin) / double(train.size()));
         std::vector<PlacedByPart> frames(std::min(kFrames, train.size() - begin));
-        parallel_for(static_cast<int>(frames.size()), [&](int i) {
-            frames[std::size_t(i)] =
-                collect_samples(sequence, sequence.frames[std::size_t(train[begin + std::size_t(i)])],
+        parallel_for(static_cast<int>(frames.size()), [&](int index) {
+            frames[std::size_t(index)] =
+                collect_samples(sequence, sequence.frames[std::size_t(train[begin + std::size_t(index)])],
                                 separate, sensors, options);
         });
         parallel_for(kParts, [&](int part) {
@@ -164,7 +168,7 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
         voxels.insert(voxels.end(), part.voxels.begin(), part.voxels.end());
         part = {};
     }
-    parallel_sort(voxels, [](const Voxel& a, const Voxel& b) { return a.first < b.first; });
+    parallel_sort(voxels, [](const Voxel& first, const Voxel& second) { return first.first < second.first; });
     std::vector<Sample> means;
     for (const Voxel& v : voxels)
         means.push_back({glm::vec3(v.position / double(v.count)), static_cast<float>(v.intensity / v.count),
@@ -174,15 +178,15 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
 
 /// Removes samples at positions where other frames observe empty space. Such samples
 /// belong to moving objects.
-std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Sequence& sequence,
-                                   const std::vector<int>& train, const Progress& progress) {
+std::vector<Sample> remove_movers(const std::vector<Sample>& samples, const Sequence& sequence,
+                                  const std::vector<int>& train, const Progress& progress) {
     Visibility visibility(sequence, train);
     std::vector<glm::vec3> points;
     for (const Sample& sample : samples) points.push_back(sample.position);
-    visibility.announce(points);
+    visibility.request_images(points);
     std::vector<char> keep(samples.size());
-    for_each_block_with_progress(samples.size(), progress, "removing moving points", [&](std::size_t i) {
-        keep[i] = !visibility.votes(samples[i].position).is_seen_through(kGoneShare);
+    for_each_block_with_progress(samples.size(), progress, "removing moving points", [&](std::size_t index) {
+        keep[index] = !visibility.count_votes(samples[index].position).is_seen_through(kGoneShare);
     });
     std::vector<Sample> kept;
     for (std::size_t i = 0; i < samples.size(); ++i)
@@ -194,15 +198,15 @@ std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Seq
 
 Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions,
                               const InitialiseOptions& options, const Progress& progress) {
-    std::vector<Sample> samples = voxel_means(sequence, train_positions, options, progress);
+    std::vector<Sample> samples = compute_voxel_means(sequence, train_positions, options, progress);
     if (options.unlabelled_movers != UnlabelledMovers::background)
-        samples = without_movers(samples, sequence, train_positions, progress);
+        samples = remove_movers(samples, sequence, train_positions, progress);
     if (samples.empty())
         throw DataError(
             fmt::format("cannot initialise the background of {}: none of its {} training frames has a return "
                         "outside moving boxes",
                         sequence.name, train_positions.size()));
-    return surfels_from_points(samples, options, sequence.intensity_response.incidence, progress);
+    return make_surfels_from_points(samples, options, sequence.intensity_response.incidence, progress);
 }
 
 }  // namespace relidar

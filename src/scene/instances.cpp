@@ -41,7 +41,7 @@ std::vector<bool> select_instances(const Scene& scene, const std::vector<std::st
     for (const std::string& name : names) {
         if (std::find(known.begin(), known.end(), name) == known.end())
             throw UsageError(fmt::format("cannot select the part \"{}\" of the scene{} (known parts: {})",
-                                         name, did_you_mean(name, known, "\""), fmt::join(known, ", ")));
+                                         name, suggest_name(name, known, "\""), fmt::join(known, ", ")));
         for (std::size_t i = 0; i < selected.size(); ++i) {
             const std::string& track = scene.instances[i].track;
             if (track.empty() ? name == "background" : name == "actors" || name == track) selected[i] = true;

@@ -48,19 +48,19 @@ struct Placement {
     }
 };
 
-double yaw_of(const Pose& pose) {
+double get_yaw(const Pose& pose) {
     const glm::dvec3 forward = pose.rotation * glm::dvec3(1.0, 0.0, 0.0);
     return std::atan2(forward.y, forward.x);
 }
 
-std::vector<glm::dvec3> positions_of(const std::vector<PathState>& path) {
+std::vector<glm::dvec3> list_positions(const std::vector<PathState>& path) {
     std::vector<glm::dvec3> positions;
     for (const PathState& state : path) positions.push_back(state.position_m);
     return positions;
 }
 
 std::vector<Placement> find_placements_along(const std::vector<glm::dvec3>& path) {
-    const std::vector<double> yaw = headings_along(path);
+    const std::vector<double> yaw = compute_headings_along(path);
     std::vector<Placement> placed;
     for (std::size_t k = 0; k < path.size(); ++k) placed.push_back({path[k], yaw[k]});
     return placed;
@@ -80,7 +80,7 @@ std::vector<Placement> find_placements_at_frames(const MoverTrack& track,
 struct Extent {
     double low, high;
 };
-Extent extent_along(const MoverCluster& cluster, const glm::dvec3& axis) {
+Extent compute_extent_along(const MoverCluster& cluster, const glm::dvec3& axis) {
     std::vector<double> values;
     for (const glm::dvec3& p : cluster.points_m) values.push_back(glm::dot(axis, p));
     std::sort(values.begin(), values.end());
@@ -90,10 +90,10 @@ Extent extent_along(const MoverCluster& cluster, const glm::dvec3& axis) {
 
 /// Returns half the visible length of an object along the axes. Uses the 90th percentile
 /// over all observations.
-double visible_half_length_m(const MoverTrack& track, const std::vector<glm::dvec3>& axes) {
+double estimate_visible_half_length_m(const MoverTrack& track, const std::vector<glm::dvec3>& axes) {
     std::vector<double> lengths;
     for (std::size_t k = 0; k < axes.size(); ++k) {
-        const auto [low, high] = extent_along(track.seen[k].cluster, axes[k]);
+        const auto [low, high] = compute_extent_along(track.seen[k].cluster, axes[k]);
         lengths.push_back(high - low);
     }
     std::sort(lengths.begin(), lengths.end());
@@ -102,10 +102,11 @@ double visible_half_length_m(const MoverTrack& track, const std::vector<glm::dve
 
 /// Returns the centre of an object along each axis. Computes it from the end near the
 /// sensor and half the size of the object.
-std::vector<double> centres_along(const MoverTrack& track, const std::vector<glm::dvec3>& axes, double half) {
+std::vector<double> compute_centres_along(const MoverTrack& track, const std::vector<glm::dvec3>& axes,
+                                          double half) {
     std::vector<double> centres;
     for (std::size_t k = 0; k < axes.size(); ++k) {
-        const auto [low, high] = extent_along(track.seen[k].cluster, axes[k]);
+        const auto [low, high] = compute_extent_along(track.seen[k].cluster, axes[k]);
         const double sensor = glm::dot(axes[k], track.seen[k].sensor_m);
         centres.push_back(sensor > high ? high - half : sensor < low ? low + half : 0.5 * (low + high));
     }
@@ -114,9 +115,10 @@ std::vector<double> centres_along(const MoverTrack& track, const std::vector<glm
 
 /// Returns the height of the object's top for each observation. Beams can miss the top of
 /// a distant object. Therefore the function returns the maximum over one second.
-std::vector<double> tops(const MoverTrack& track) {
+std::vector<double> list_tops(const MoverTrack& track) {
     std::vector<double> own, result;
-    for (const Observation& o : track.seen) own.push_back(extent_along(o.cluster, {0.0, 0.0, 1.0}).high);
+    for (const Observation& o : track.seen)
+        own.push_back(compute_extent_along(o.cluster, {0.0, 0.0, 1.0}).high);
     for (const Observation& o : track.seen) {
         double top = -1e30;
         for (std::size_t j = 0; j < own.size(); ++j)
@@ -130,15 +132,15 @@ std::vector<double> tops(const MoverTrack& track) {
 /// Returns the position of the object in each observation. Computes the horizontal
 /// position from the end near the sensor. The vertical position is the top of the object.
 /// @param size_m length and width; if null, the visible size is used
-std::vector<glm::dvec3> near_end_positions(const MoverTrack& track, const std::vector<Placement>& placed,
-                                           const glm::dvec3* size_m) {
+std::vector<glm::dvec3> find_near_end_positions(const MoverTrack& track, const std::vector<Placement>& placed,
+                                                const glm::dvec3* size_m) {
     std::vector<glm::dvec3> along, across, places;
     for (const Placement& p : placed) along.push_back(p.along()), across.push_back(p.across());
-    const std::vector<double> x =
-        centres_along(track, along, size_m ? 0.5 * size_m->x : visible_half_length_m(track, along));
-    const std::vector<double> y =
-        centres_along(track, across, size_m ? 0.5 * size_m->y : visible_half_length_m(track, across));
-    const std::vector<double> top = tops(track);
+    const std::vector<double> x = compute_centres_along(
+        track, along, size_m ? 0.5 * size_m->x : estimate_visible_half_length_m(track, along));
+    const std::vector<double> y = compute_centres_along(
+        track, across, size_m ? 0.5 * size_m->y : estimate_visible_half_length_m(track, across));
+    const std::vector<double> top = list_tops(track);
     for (std::size_t k = 0; k < placed.size(); ++k)
         places.push_back(x[k] * along[k] + y[k] * across[k] + glm::dvec3(0.0, 0.0, top[k]));
     return places;
@@ -149,7 +151,7 @@ std::vector<glm::dvec3> near_end_positions(const MoverTrack& track, const std::v
 struct Corners {
     glm::dvec3 low, high;
 };
-Corners corners_of(const MoverTrack& track, const std::vector<Placement>& placed) {
+Corners find_corners(const MoverTrack& track, const std::vector<Placement>& placed) {
     std::vector<double> along[3];
     for (std::size_t k = 0; k < track.seen.size(); ++k)
         for (const glm::dvec3& p : track.seen[k].cluster.points_m) {
@@ -200,7 +202,7 @@ const Kind* kind_of(const glm::dvec3& size_m, double speed_mps) {
 
 /// Returns on which side of a box the sensor was most of the time, along one axis. The
 /// result is -1 or 1. Returns 0 if the sensor was next to the box or on both sides.
-double side_of_sensor(const BoxTrack& box, const MoverTrack& track, int axis) {
+double find_side_of_sensor(const BoxTrack& box, const MoverTrack& track, int axis) {
     std::ptrdiff_t low = 0, high = 0;
     for (std::size_t k = 0; k < track.seen.size(); ++k) {
         const double at = (inverse(box.world_from_box.pose[k]) * track.seen[k].sensor_m)[axis];
@@ -210,7 +212,7 @@ double side_of_sensor(const BoxTrack& box, const MoverTrack& track, int axis) {
     return low > most ? -1.0 : high > most ? 1.0 : 0.0;
 }
 
-bool is_labelled(const Observation& o) { return o.cluster.label != kNoLabel; }
+bool is_labelled(const Observation& observation) { return observation.cluster.label != kNoLabel; }
 
 double median(std::vector<double> values) {
     std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(values.size() / 2), values.end());
@@ -225,15 +227,15 @@ struct Offset {
 };
 /// Returns the median offset between a labelled box and the visible points of its object.
 /// @param members indices of the labelled observations to use
-Offset offset_of(const MoverTrack& track, const std::vector<std::size_t>& members,
-                 const std::vector<Placement>& placed, const std::vector<glm::dvec3>& places,
-                 const BoxTrack& label) {
+Offset estimate_offset(const MoverTrack& track, const std::vector<std::size_t>& members,
+                       const std::vector<Placement>& placed, const std::vector<glm::dvec3>& places,
+                       const BoxTrack& label) {
     std::vector<double> values[4];
     for (const std::size_t k : members) {
         const Pose pose = label.world_from_box.at(track.seen[k].cluster.time_s);
         const glm::dvec3 local = Placement{places[k], placed[k].yaw}.to_local(pose.translation);
         for (int axis = 0; axis < 3; ++axis) values[axis].push_back(local[axis]);
-        values[3].push_back(std::remainder(yaw_of(pose) - placed[k].yaw, 2.0 * kPi));
+        values[3].push_back(std::remainder(get_yaw(pose) - placed[k].yaw, 2.0 * kPi));
     }
     return {{median(values[0]), median(values[1]), median(values[2])}, median(values[3])};
 }
@@ -258,9 +260,9 @@ BoxTrack box_of(const MoverTrack& track) {
     for (const Observation& o : track.seen) places.push_back(o.cluster.centre_m);
     std::vector<PathState> path = smooth_path(times, places);
     for (int round = 0; round < kRounds; ++round)
-        path =
-            smooth_path(times, near_end_positions(track, find_placements_along(positions_of(path)), nullptr));
-    const auto [low, high] = corners_of(track, find_placements_along(positions_of(path)));
+        path = smooth_path(
+            times, find_near_end_positions(track, find_placements_along(list_positions(path)), nullptr));
+    const auto [low, high] = find_corners(track, find_placements_along(list_positions(path)));
     const std::vector<Placement> at_frames = find_placements_at_frames(track, path);
     BoxTrack box;
     box.category = kDiscoveredCategory;
@@ -274,7 +276,7 @@ BoxTrack box_of(const MoverTrack& track) {
 }
 
 void complete_size(BoxTrack& box, const MoverTrack& track) {
-    const std::vector<double> speeds = speeds_mps(box);
+    const std::vector<double> speeds = compute_speeds_mps(box);
     const Kind* kind = speeds.empty() ? nullptr : kind_of(box.size_m, median(speeds));
     if (!kind) return;
     glm::dvec3 grown = box.size_m, shift(0.0);
@@ -282,25 +284,25 @@ void complete_size(BoxTrack& box, const MoverTrack& track) {
     if (box.size_m.y < kind->least_width_m) grown.y = kind->width_m;
     if (grown == box.size_m) return;
     for (int axis = 0; axis < 2; ++axis)
-        shift[axis] = -0.5 * side_of_sensor(box, track, axis) * (grown[axis] - box.size_m[axis]);
+        shift[axis] = -0.5 * find_side_of_sensor(box, track, axis) * (grown[axis] - box.size_m[axis]);
     box.size_m = grown;
     box.size_guess = kind->name;
     for (Pose& pose : box.world_from_box.pose) pose.translation += pose.rotation * shift;
 }
 
-BoxTrack continued_box(const MoverTrack& track, const BoxTrack& label) {
+BoxTrack make_continued_box(const MoverTrack& track, const BoxTrack& label) {
     const std::vector<double> times = track.times();
     const NearLabels near = collect_near_labels(track);
-    const auto is_before = [&](std::size_t k) { return k < near.first.front(); };
+    const auto is_before = [&](std::size_t index) { return index < near.first.front(); };
     std::vector<glm::dvec3> places;
     for (const Observation& o : track.seen) places.push_back(o.cluster.centre_m);
     std::vector<PathState> path = smooth_path(times, places);
     Offset before, after;
     for (int round = 0; round < kRounds; ++round) {
-        const std::vector<Placement> placed = find_placements_along(positions_of(path));
-        places = near_end_positions(track, placed, &label.size_m);
-        before = offset_of(track, near.first, placed, places, label),
-        after = offset_of(track, near.last, placed, places, label);
+        const std::vector<Placement> placed = find_placements_along(list_positions(path));
+        places = find_near_end_positions(track, placed, &label.size_m);
+        before = estimate_offset(track, near.first, placed, places, label),
+        after = estimate_offset(track, near.last, placed, places, label);
         for (std::size_t k = 0; k < places.size(); ++k)
             places[k] =
                 is_labelled(track.seen[k])
@@ -327,7 +329,7 @@ BoxTrack continued_box(const MoverTrack& track, const BoxTrack& label) {
     return box;
 }
 
-std::vector<double> speeds_mps(const BoxTrack& box) {
+std::vector<double> compute_speeds_mps(const BoxTrack& box) {
     const PoseTrack& track = box.world_from_box;
     std::vector<double> speeds;
     for (std::size_t i = 0, j = 0; j < track.pose.size(); ++j) {

@@ -23,10 +23,10 @@ void complete_size(BoxTrack& box, const MoverTrack& track);
 /// Returns a labelled box with additional poses. The additional poses are for the times
 /// when the object was observed without a label. The box keeps its size. The offset
 /// between the box and the visible points is computed from the nearest labels.
-BoxTrack continued_box(const MoverTrack& track, const BoxTrack& label);
+BoxTrack make_continued_box(const MoverTrack& track, const BoxTrack& label);
 
 /// Returns the speeds of a box in m/s. Each speed is measured over at least half a second
 /// before a pose. Returns an empty vector if the track is shorter than half a second.
-std::vector<double> speeds_mps(const BoxTrack& box);
+std::vector<double> compute_speeds_mps(const BoxTrack& box);
 
 }  // namespace relidar

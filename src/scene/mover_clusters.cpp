@@ -70,7 +70,7 @@ struct LabelledBox {
 /// Returns the labelled boxes at a given time. A moving box is returned only while it has
 /// labels. A static box is returned at all times. If an object is parked during its
 /// labels, it was also parked before and after them.
-std::vector<LabelledBox> labelled_at(const Sequence& sequence, double time_s) {
+std::vector<LabelledBox> find_labelled_boxes_at(const Sequence& sequence, double time_s) {
     std::vector<LabelledBox> boxes;
     for (std::size_t i = 0; i < sequence.boxes.size(); ++i) {
         const BoxTrack& box = sequence.boxes[i];
@@ -97,19 +97,19 @@ struct Returns {
 /// Converts sums to means: divides the time and the centre of a cluster by its number of
 /// points.
 /// @param sum cluster whose time and centre are sums over all points
-MoverCluster averaged(MoverCluster sum) {
+MoverCluster average_cluster(MoverCluster sum) {
     sum.time_s /= double(sum.points_m.size());
     sum.centre_m /= double(sum.points_m.size());
     return sum;
 }
 
 Returns returns_of(const Sequence& sequence, const Frame& frame) {
-    const std::vector<LabelledBox> labelled = labelled_at(sequence, frame.time_s);
+    const std::vector<LabelledBox> labelled = find_labelled_boxes_at(sequence, frame.time_s);
     std::vector<MoverCluster> of_boxes(labelled.size());
     Returns result;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
         if (!(frame.scan.range_m[ray] > 0.0f && frame.scan.range_m[ray] < kMaxRange_m)) continue;
-        const WorldReturn w = world_return(sequence, frame, ray);
+        const WorldReturn w = compute_world_return(sequence, frame, ray);
         const auto in = std::ranges::find_if(
             labelled, [&](const LabelledBox& l) { return l.box.holds(w.point_m, w.time_s, kMoverMargin_m); });
         if (in == labelled.end()) {
@@ -125,7 +125,7 @@ Returns returns_of(const Sequence& sequence, const Frame& frame) {
         }
     }
     for (MoverCluster& cluster : of_boxes)
-        if (!cluster.points_m.empty()) result.of_labels.push_back(averaged(std::move(cluster)));
+        if (!cluster.points_m.empty()) result.of_labels.push_back(average_cluster(std::move(cluster)));
     return result;
 }
 
@@ -135,10 +135,11 @@ std::vector<glm::vec3> merge_into_cells(std::vector<Returns>& frames) {
     std::vector<Return*> all;
     for (Returns& frame : frames)
         for (Return& r : frame.others) all.push_back(&r);
-    const CellNumbers numbers = number_cells(
-        all.size(), [&](std::size_t i) { return cell_key(glm::dvec3(all[i]->point_m), kCell_m); });
+    const CellNumbers numbers = number_cells(all.size(), [&](std::size_t index) {
+        return make_cell_key(glm::dvec3(all[index]->point_m), kCell_m);
+    });
     const ItemsOfCells items(numbers);
-    for_each_block(all.size(), [&](std::size_t i) { all[i]->cell = numbers.of[i]; });
+    for_each_block(all.size(), [&](std::size_t index) { all[index]->cell = numbers.of[index]; });
     std::vector<glm::vec3> means(items.size());
     for_each_block(items.size(), [&](std::size_t cell) {
         glm::dvec3 sum(0.0);
@@ -153,7 +154,7 @@ std::vector<glm::vec3> merge_into_cells(std::vector<Returns>& frames) {
 /// moved returns.
 /// @param heights_m heights of the moved returns of a cluster, at least one
 /// @return lowest and highest point of the object, metres
-std::pair<double, double> heights_of_one(std::vector<double> heights_m) {
+std::pair<double, double> find_heights_of_one_object(std::vector<double> heights_m) {
     std::sort(heights_m.begin(), heights_m.end());
     std::size_t best = 0, n_best = 0;
     for (std::size_t first = 0, end; first < heights_m.size(); first = end) {
@@ -167,9 +168,11 @@ std::pair<double, double> heights_of_one(std::vector<double> heights_m) {
 /// Groups returns that are close to each other on the ground. Some returns lie in cells
 /// that few frames observe. Such a return joins a group only if it is near a moved
 /// return.
-std::vector<MoverCluster> group(const std::vector<Return>& returns) {
+std::vector<MoverCluster> group_returns(const std::vector<Return>& returns) {
     std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> squares;
-    const auto square_of = [](const glm::dvec3& p) { return cell_key({p.x, p.y, 0.0}, kSquare_m); };
+    const auto square_of = [](const glm::dvec3& point) {
+        return make_cell_key({point.x, point.y, 0.0}, kSquare_m);
+    };
     for (std::uint32_t i = 0; i < returns.size(); ++i)
         squares[square_of(glm::dvec3(returns[i].point_m))].push_back(i);
     std::vector<char> taken(returns.size(), 0);
@@ -197,7 +200,7 @@ std::vector<MoverCluster> group(const std::vector<Return>& returns) {
                     near->second.clear();  // all returns of this square have been added
                 }
         }
-        const auto [bottom_m, top_m] = heights_of_one(std::move(moved_at_m));
+        const auto [bottom_m, top_m] = find_heights_of_one_object(std::move(moved_at_m));
         glm::dvec3 low(1e30), high(-1e30);
         double n_moved = 0.0;
         for (const std::uint32_t member : members) {
@@ -211,7 +214,7 @@ std::vector<MoverCluster> group(const std::vector<Return>& returns) {
         }
         if (n_moved >= kMinPoints && n_moved >= kMovedShare * double(cluster.points_m.size()) &&
             glm::length(glm::dvec2(high - low)) < kMaxLength_m)
-            clusters.push_back(averaged(std::move(cluster)));
+            clusters.push_back(average_cluster(std::move(cluster)));
     }
     return clusters;
 }
@@ -230,28 +233,29 @@ namespace {
 using Clusters = std::vector<std::vector<MoverCluster>>;  // [frames]
 
 /// Returns the clusters of moved returns in some consecutive frames.
-Clusters clusters_of(const Sequence& sequence, std::span<const int> positions, Visibility& visibility) {
+Clusters find_clusters_of_frames(const Sequence& sequence, std::span<const int> positions,
+                                 Visibility& visibility) {
     std::vector<Returns> frames(positions.size());
-    parallel_for(static_cast<int>(positions.size()), [&](int i) {
-        frames[std::size_t(i)] =
-            returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])]);
+    parallel_for(static_cast<int>(positions.size()), [&](int index) {
+        frames[std::size_t(index)] =
+            returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(index)])]);
     });
     const std::vector<glm::vec3> cells = merge_into_cells(frames);
-    visibility.announce(cells);
+    visibility.request_images(cells);
     std::vector<Motion> motion(cells.size());
-    for_each_block(cells.size(), [&](std::size_t i) {
-        const Visibility::Votes votes = visibility.votes(cells[i]);
-        motion[i] = votes.is_seen_through(kSeenThroughShare) ? Motion::moved
-                    : votes.seen <= kSeldomSeen              ? Motion::seldom_seen
-                                                             : Motion::rests;
+    for_each_block(cells.size(), [&](std::size_t index) {
+        const Visibility::Votes votes = visibility.count_votes(cells[index]);
+        motion[index] = votes.is_seen_through(kSeenThroughShare) ? Motion::moved
+                        : votes.seen <= kSeldomSeen              ? Motion::seldom_seen
+                                                                 : Motion::rests;
     });
     Clusters clusters(frames.size());
-    parallel_for(static_cast<int>(frames.size()), [&](int i) {
-        Returns& frame = frames[std::size_t(i)];
+    parallel_for(static_cast<int>(frames.size()), [&](int index) {
+        Returns& frame = frames[std::size_t(index)];
         for (Return& r : frame.others) r.motion = motion[r.cell];
         std::erase_if(frame.others, [](const Return& r) { return r.motion == Motion::rests; });
-        clusters[std::size_t(i)] = group(frame.others);
-        std::ranges::move(frame.of_labels, std::back_inserter(clusters[std::size_t(i)]));
+        clusters[std::size_t(index)] = group_returns(frame.others);
+        std::ranges::move(frame.of_labels, std::back_inserter(clusters[std::size_t(index)]));
     });
     return clusters;
 }
@@ -275,9 +279,9 @@ Clusters join_clusters(const ProcessGroup& group, const Clusters& own) {
             points.insert(points.end(), cluster.points_m.begin(), cluster.points_m.end());
         }
     }
-    n_clusters = group.all_gathered(std::move(n_clusters));
-    heads = group.all_gathered(std::move(heads));
-    points = group.all_gathered(std::move(points));
+    n_clusters = group.gather_all(std::move(n_clusters));
+    heads = group.gather_all(std::move(heads));
+    points = group.gather_all(std::move(points));
     Clusters all;
     auto head = heads.begin();
     auto point = points.begin();
@@ -306,7 +310,7 @@ std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& seque
         if (progress) progress("what moved", double(s - share.begin) / double(share.end - share.begin));
         const std::span<const int> stretch =
             std::span(positions).subspan(first_of(s), first_of(s + 1) - first_of(s));
-        Clusters found = clusters_of(sequence, stretch, visibility);
+        Clusters found = find_clusters_of_frames(sequence, stretch, visibility);
         std::move(found.begin(), found.end(), std::back_inserter(own));
     }
     return join_clusters(group, own);

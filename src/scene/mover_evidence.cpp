@@ -42,24 +42,24 @@ void EvidenceSum::operator+=(const EvidenceSum& other) {
     frames += other.frames, frames_moved += other.frames_moved;
 }
 
-bool EvidenceSum::proves_motion() const {
-    return looks.proves_motion() && double(moved) >= kToldShare * double(returns) &&
+bool EvidenceSum::has_proof_of_motion() const {
+    return looks.has_proof_of_motion() && double(moved) >= kToldShare * double(returns) &&
            double(moved) >= kLeftShare * double(told) &&
            double(frames_moved) >= kProvenShare * double(frames);
 }
 
-EvidenceSum sift(const Visibility& visibility, MoverCluster& cluster, const BoxTrack& box) {
+EvidenceSum remove_static_returns(const Visibility& visibility, MoverCluster& cluster, const BoxTrack& box) {
     EvidenceSum sum;
     std::vector<glm::dvec3> kept;
     for (const glm::dvec3& p : cluster.points_m) {
         const Evidence evidence = collect_evidence(visibility, p, box);
         sum.looks += evidence;
         sum.told += evidence.is_any();
-        sum.moved += evidence.proves_motion();
-        if (!evidence.proves_rest()) kept.push_back(p);
+        sum.moved += evidence.has_proof_of_motion();
+        if (!evidence.has_proof_of_rest()) kept.push_back(p);
     }
     sum.returns = cluster.points_m.size();
-    sum.frames = 1, sum.frames_moved = sum.looks.proves_motion();
+    sum.frames = 1, sum.frames_moved = sum.looks.has_proof_of_motion();
     cluster.points_m = std::move(kept);
     cluster.centre_m = glm::dvec3(0.0);
     for (const glm::dvec3& p : cluster.points_m) cluster.centre_m += p / double(cluster.points_m.size());

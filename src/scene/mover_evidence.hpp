@@ -19,8 +19,8 @@ struct Evidence {
     std::size_t left = 0;  ///< frames that observe an empty space at the position
     void operator+=(const Evidence& other) { stayed += other.stayed, left += other.left; }
     bool is_any() const { return stayed + left > 0; }
-    bool proves_rest() const { return stayed > 0 && stayed >= left; }
-    bool proves_motion() const { return left > kMuchMore * stayed; }
+    bool has_proof_of_rest() const { return stayed > 0 && stayed >= left; }
+    bool has_proof_of_motion() const { return left > kMuchMore * stayed; }
     /// The counts prove motion only if `left` is more than this factor times `stayed`.
     /// `stayed` can be above zero for a moving object, because other objects pass behind
     /// or near it.
@@ -41,7 +41,7 @@ struct EvidenceSum {
     /// positions of a moving object, other frames observe empty space. For a static
     /// object, they observe empty space only at its edges. The counts prove little for a
     /// box that hardly moves.
-    bool proves_motion() const;
+    bool has_proof_of_motion() const;
 };
 
 /// Counts the frames that show whether the object at a point moved. Skips frames in which
@@ -53,6 +53,6 @@ Evidence collect_evidence(const Visibility& visibility, const glm::dvec3& point_
 
 /// Removes the returns of a cluster that other frames prove to be static.
 /// @return counts for all returns of the cluster, including the removed returns
-EvidenceSum sift(const Visibility& visibility, MoverCluster& cluster, const BoxTrack& box);
+EvidenceSum remove_static_returns(const Visibility& visibility, MoverCluster& cluster, const BoxTrack& box);
 
 }  // namespace relidar

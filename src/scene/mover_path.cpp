@@ -36,17 +36,17 @@ struct Estimate {
     glm::dmat3 covariance{0.0};
 };
 
-glm::dmat3 transition(double dt) { return {1.0, 0.0, 0.0, dt, 1.0, 0.0, 0.5 * dt * dt, dt, 1.0}; }
+glm::dmat3 make_transition_matrix(double dt) { return {1.0, 0.0, 0.0, dt, 1.0, 0.0, 0.5 * dt * dt, dt, 1.0}; }
 
-glm::dmat3 jerk_noise(double dt) {
+glm::dmat3 make_jerk_noise(double dt) {
     const double d2 = dt * dt, d3 = d2 * dt, d4 = d3 * dt;
     return kJerk * glm::dmat3(d4 * dt / 20.0, d4 / 8.0, d3 / 6.0, d4 / 8.0, d3 / 3.0, d2 / 2.0, d3 / 6.0,
                               d2 / 2.0, dt);
 }
 
-Estimate predicted(const Estimate& from, double dt) {
-    const glm::dmat3 f = transition(dt);
-    return {f * from.state, f * from.covariance * glm::transpose(f) + jerk_noise(dt)};
+Estimate predict_state(const Estimate& from, double dt) {
+    const glm::dmat3 f = make_transition_matrix(dt);
+    return {f * from.state, f * from.covariance * glm::transpose(f) + make_jerk_noise(dt)};
 }
 
 void correct(Estimate& estimate, const glm::dvec3& place_m, double weight) {
@@ -57,14 +57,15 @@ void correct(Estimate& estimate, const glm::dvec3& place_m, double weight) {
     estimate.covariance -= glm::outerProduct(gain, column);
 }
 
-std::vector<PathState> smooth_once(const std::vector<double>& time_s, const std::vector<glm::dvec3>& place_m,
-                                   const std::vector<double>& weights) {
+std::vector<PathState> smooth_path_once(const std::vector<double>& time_s,
+                                        const std::vector<glm::dvec3>& place_m,
+                                        const std::vector<double>& weights) {
     const std::size_t n = time_s.size();
     std::vector<Estimate> filtered(n), before(n);
     before[0].covariance = glm::dmat3(1e3, 0.0, 0.0, 0.0, 1e3, 0.0, 0.0, 0.0, 10.0);
     for (int axis = 0; axis < 3; ++axis) before[0].state[axis][0] = place_m[0][axis];
     for (std::size_t k = 0; k < n; ++k) {
-        if (k > 0) before[k] = predicted(filtered[k - 1], time_s[k] - time_s[k - 1]);
+        if (k > 0) before[k] = predict_state(filtered[k - 1], time_s[k] - time_s[k - 1]);
         filtered[k] = before[k];
         correct(filtered[k], place_m[k], weights[k]);
     }
@@ -73,7 +74,7 @@ std::vector<PathState> smooth_once(const std::vector<double>& time_s, const std:
     for (std::size_t k = n; k-- > 0;) {
         if (k + 1 < n) {
             const glm::dmat3 back = filtered[k].covariance *
-                                    glm::transpose(transition(time_s[k + 1] - time_s[k])) *
+                                    glm::transpose(make_transition_matrix(time_s[k + 1] - time_s[k])) *
                                     glm::inverse(before[k + 1].covariance);
             state = filtered[k].state + back * (state - before[k + 1].state);
         }
@@ -106,7 +107,7 @@ std::vector<PathState> smooth_path(const std::vector<double>& time_s,
     std::vector<double> weights(time_s.size(), 1.0);
     std::vector<PathState> path;
     for (int round = 0; round < kPathRounds; ++round) {
-        path = smooth_once(time_s, place_m, weights);
+        path = smooth_path_once(time_s, place_m, weights);
         for (std::size_t k = 0; k < path.size(); ++k) {
             const double off = glm::length(glm::dvec2(place_m[k] - path[k].position_m)) / kFarFromPath_m;
             weights[k] = 1.0 / (1.0 + off * off);
@@ -115,7 +116,7 @@ std::vector<PathState> smooth_path(const std::vector<double>& time_s,
     return path;
 }
 
-std::vector<double> headings_along(const std::vector<glm::dvec3>& path_m) {
+std::vector<double> compute_headings_along(const std::vector<glm::dvec3>& path_m) {
     std::vector<double> result;
     for (std::size_t k = 0; k < path_m.size(); ++k) {
         const glm::dvec2 from = end_of_chord(path_m, k, -1), here(path_m[k]);

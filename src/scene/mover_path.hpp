@@ -30,6 +30,6 @@ std::vector<PathState> smooth_path(const std::vector<double>& time_s, const std:
 /// Because it is measured by distance, a stopped object keeps its last heading.
 /// @param path_m [positions]
 /// @return [positions]
-std::vector<double> headings_along(const std::vector<glm::dvec3>& path_m);
+std::vector<double> compute_headings_along(const std::vector<glm::dvec3>& path_m);
 
 }  // namespace relidar

@@ -48,43 +48,43 @@ constexpr double kBesides_m = 1.5;  // maximum distance between the parts of one
 // offset varies because the visible side of the vehicle changes.
 constexpr double kRigid_m = 0.5;
 
-glm::dvec3 velocity_between(const MoverCluster& from, const MoverCluster& to) {
+glm::dvec3 compute_velocity_between(const MoverCluster& from, const MoverCluster& to) {
     return (to.centre_m - from.centre_m) / std::max(to.time_s - from.time_s, 1e-3);
 }
-glm::dvec3 last_velocity(const MoverTrack& track, std::size_t most) {
-    return velocity_between(track.seen[track.seen.size() - std::min(track.seen.size(), most)].cluster,
-                            track.last());
+glm::dvec3 estimate_last_velocity(const MoverTrack& track, std::size_t max_count) {
+    return compute_velocity_between(
+        track.seen[track.seen.size() - std::min(track.seen.size(), max_count)].cluster, track.last());
 }
-glm::dvec3 first_velocity(const MoverTrack& track, std::size_t most) {
-    return velocity_between(track.seen.front().cluster,
-                            track.seen[std::min(track.seen.size(), most) - 1].cluster);
+glm::dvec3 estimate_first_velocity(const MoverTrack& track, std::size_t max_count) {
+    return compute_velocity_between(track.seen.front().cluster,
+                                    track.seen[std::min(track.seen.size(), max_count) - 1].cluster);
 }
 
 /// Returns the distance between a cluster and the predicted position of a track, divided
 /// by the largest allowed distance. A value above 1 means that the cluster is another
 /// object.
-double mismatch(const MoverTrack& track, const MoverCluster& cluster) {
+double compute_mismatch(const MoverTrack& track, const MoverCluster& cluster) {
     const double dt = cluster.time_s - track.last().time_s;
     if (!(dt > 0.0 && dt < kMaxGap_s)) return 2.0;
     const double ratio = double(cluster.points_m.size()) / double(track.last().points_m.size());
     if (ratio > kMaxRatio || ratio < 1.0 / kMaxRatio) return 2.0;
     const double gate = track.seen.size() < 2 ? kAcceleration_m + kFirstSpeed_mps * dt
                                               : kAcceleration_m + kAcceleration_mps * dt;
-    return glm::length(
-               glm::dvec2(cluster.centre_m - track.last().centre_m - dt * last_velocity(track, kNext))) /
+    return glm::length(glm::dvec2(cluster.centre_m - track.last().centre_m -
+                                  dt * estimate_last_velocity(track, kNext))) /
            gate;
 }
 
 /// Returns how badly a cluster matches a track, if both can have labels. While an object
 /// has a label, its track accepts only clusters with the same label. A value above 1
 /// means that the cluster is another object.
-double mismatch(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s,
-                const Sequence& sequence) {
-    if (track.label == kNoLabel) return mismatch(track, cluster);
+double compute_mismatch(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s,
+                        const Sequence& sequence) {
+    if (track.label == kNoLabel) return compute_mismatch(track, cluster);
     if (cluster.label != kNoLabel) return cluster.label == track.label ? 0.0 : 2.0;
     return sequence.boxes[std::size_t(track.label)].world_from_box.covers(frame_time_s)
                ? 2.0
-               : mismatch(track, cluster);
+               : compute_mismatch(track, cluster);
 }
 
 /// Collects tracks frame by frame. Keeps a list of the open tracks, which clusters of the
@@ -131,10 +131,12 @@ private:
         std::vector<Fit> result;
         for (const std::size_t t : open_)
             for (std::size_t c = 0; c < clusters.size(); ++c)
-                if (const double m = mismatch(tracks_[t], clusters[c], frame_time_s, sequence_); m < 1.0)
+                if (const double m = compute_mismatch(tracks_[t], clusters[c], frame_time_s, sequence_);
+                    m < 1.0)
                     result.push_back({m, t, c});
-        std::sort(result.begin(), result.end(), [](const Fit& a, const Fit& b) {
-            return std::tie(a.mismatch, a.track, a.cluster) < std::tie(b.mismatch, b.track, b.cluster);
+        std::sort(result.begin(), result.end(), [](const Fit& first, const Fit& second) {
+            return std::tie(first.mismatch, first.track, first.cluster) <
+                   std::tie(second.mismatch, second.track, second.cluster);
         });
         return result;
     }
@@ -146,28 +148,29 @@ private:
 };
 
 /// Returns the longer side of the rectangle around a cluster, in the view from above.
-double visible_width_m(const MoverCluster& cluster) {
+double compute_visible_width_m(const MoverCluster& cluster) {
     glm::dvec2 low(1e30), high(-1e30);
     for (const glm::dvec3& p : cluster.points_m)
         low = glm::min(low, glm::dvec2(p)), high = glm::max(high, glm::dvec2(p));
     return std::max(high.x - low.x, high.y - low.y);
 }
 
-double gap_between(const MoverCluster& a, const MoverCluster& b) {
+double compute_gap_between(const MoverCluster& first, const MoverCluster& second) {
     double nearest = 1e30;
-    for (const glm::dvec3& p : a.points_m)
-        for (const glm::dvec3& q : b.points_m)
+    for (const glm::dvec3& p : first.points_m)
+        for (const glm::dvec3& q : second.points_m)
             nearest = std::min(nearest, glm::distance(glm::dvec2(p), glm::dvec2(q)));
     return nearest;
 }
 
 /// Returns the observations of two tracks that are in the same frame, as pairs of
 /// indices.
-std::vector<std::pair<std::size_t, std::size_t>> in_common(const MoverTrack& a, const MoverTrack& b) {
+std::vector<std::pair<std::size_t, std::size_t>> list_common_frames(const MoverTrack& first,
+                                                                    const MoverTrack& second) {
     std::vector<std::pair<std::size_t, std::size_t>> pairs;
-    for (std::size_t i = 0, j = 0; i < a.seen.size() && j < b.seen.size();) {
-        if (a.seen[i].frame_time_s < b.seen[j].frame_time_s) ++i;
-        else if (b.seen[j].frame_time_s < a.seen[i].frame_time_s) ++j;
+    for (std::size_t i = 0, j = 0; i < first.seen.size() && j < second.seen.size();) {
+        if (first.seen[i].frame_time_s < second.seen[j].frame_time_s) ++i;
+        else if (second.seen[j].frame_time_s < first.seen[i].frame_time_s) ++j;
         else pairs.push_back({i++, j++});
     }
     return pairs;
@@ -175,18 +178,18 @@ std::vector<std::pair<std::size_t, std::size_t>> in_common(const MoverTrack& a, 
 
 /// Returns true if two tracks are parts of one vehicle. Example: if the beams miss the
 /// roof of a van, its tail and its cabin form separate clusters.
-bool move_as_one(const MoverTrack& whole, const MoverTrack& part) {
+bool move_as_one(const MoverTrack& track, const MoverTrack& part) {
     if (part.label != kNoLabel) return false;
-    const auto common = in_common(whole, part);
+    const auto common = list_common_frames(track, part);
     if (2 * common.size() < part.seen.size() || common.size() < 4) return false;
     const auto& [i, j] = common[common.size() / 2];
-    if (std::min(visible_width_m(whole.seen[i].cluster), visible_width_m(part.seen[j].cluster)) <
-            kVehiclePart_m ||
-        gap_between(whole.seen[i].cluster, part.seen[j].cluster) > kBesides_m)
+    if (std::min(compute_visible_width_m(track.seen[i].cluster),
+                 compute_visible_width_m(part.seen[j].cluster)) < kVehiclePart_m ||
+        compute_gap_between(track.seen[i].cluster, part.seen[j].cluster) > kBesides_m)
         return false;
     glm::dvec3 sum(0.0), squares(0.0);
     for (const auto& [a, b] : common) {
-        const glm::dvec3 apart = part.seen[b].cluster.centre_m - whole.seen[a].cluster.centre_m;
+        const glm::dvec3 apart = part.seen[b].cluster.centre_m - track.seen[a].cluster.centre_m;
         sum += apart, squares += apart * apart;
     }
     const double n = double(common.size());
@@ -197,12 +200,13 @@ bool move_as_one(const MoverTrack& whole, const MoverTrack& part) {
 /// Returns how badly one track continues another track after a gap. Predicts the position
 /// across the gap from both sides. A value above 1 means that the tracks are different
 /// objects.
-double mismatch_over_gap(const MoverTrack& before, const MoverTrack& after) {
+double compute_mismatch_over_gap(const MoverTrack& before, const MoverTrack& after) {
     if (before.label != kNoLabel && after.label != kNoLabel) return 2.0;
     if (std::min(before.seen.size(), after.seen.size()) < kEndsOfGap) return 2.0;
     const double dt = after.seen.front().cluster.time_s - before.last().time_s;
     if (!(dt > 0.0 && dt < kLongestGap_s)) return 2.0;
-    const glm::dvec3 from_velocity = last_velocity(before, kFar), to_velocity = first_velocity(after, kFar);
+    const glm::dvec3 from_velocity = estimate_last_velocity(before, kFar),
+                     to_velocity = estimate_first_velocity(after, kFar);
     const glm::dvec3 way = after.seen.front().cluster.centre_m - before.last().centre_m;
     const double off = std::max(glm::length(glm::dvec2(way - dt * from_velocity)),
                                 glm::length(glm::dvec2(way - dt * to_velocity)));
@@ -217,7 +221,7 @@ struct GapFit {
 };
 // Returns the pairs of tracks that may be joined across a gap, sorted from best to worst.
 // @param tracks sorted by their first frames
-std::vector<GapFit> fits_over_gaps(const std::vector<MoverTrack>& tracks) {
+std::vector<GapFit> find_fits_over_gaps(const std::vector<MoverTrack>& tracks) {
     std::vector<GapFit> fits;
     const auto starts_s = [&](std::size_t t) { return tracks[t].seen.front().frame_time_s; };
     std::vector<std::size_t> all(tracks.size());
@@ -226,11 +230,12 @@ std::vector<GapFit> fits_over_gaps(const std::vector<MoverTrack>& tracks) {
         const double end_s = tracks[a].seen.back().frame_time_s;
         for (auto b = std::ranges::upper_bound(all, end_s, {}, starts_s);
              b != all.end() && starts_s(*b) < end_s + kLongestGap_s; ++b)
-            if (const double m = mismatch_over_gap(tracks[a], tracks[*b]); m < 1.0)
+            if (const double m = compute_mismatch_over_gap(tracks[a], tracks[*b]); m < 1.0)
                 fits.push_back({m, a, *b});
     }
-    std::sort(fits.begin(), fits.end(), [](const GapFit& a, const GapFit& b) {
-        return std::tie(a.mismatch, a.before, a.after) < std::tie(b.mismatch, b.before, b.after);
+    std::sort(fits.begin(), fits.end(), [](const GapFit& first, const GapFit& second) {
+        return std::tie(first.mismatch, first.before, first.after) <
+               std::tie(second.mismatch, second.before, second.after);
     });
     return fits;
 }
@@ -240,7 +245,7 @@ std::vector<GapFit> fits_over_gaps(const std::vector<MoverTrack>& tracks) {
 std::vector<MoverTrack> join_across_gaps(std::vector<MoverTrack> tracks) {
     std::vector<std::size_t> next(tracks.size(), tracks.size());
     std::vector<char> follows(tracks.size(), 0);
-    for (const GapFit& fit : fits_over_gaps(tracks))
+    for (const GapFit& fit : find_fits_over_gaps(tracks))
         if (next[fit.before] == tracks.size() && !follows[fit.after])
             next[fit.before] = fit.after, follows[fit.after] = 1;
     std::vector<MoverTrack> joined;
@@ -275,7 +280,7 @@ std::vector<MoverTrack> link_clusters(const std::vector<std::vector<MoverCluster
     return join_across_gaps(std::move(open).all());
 }
 
-bool moves_far(const MoverTrack& track) {
+bool has_moved_far(const MoverTrack& track) {
     if (track.seen.size() < kMinObservations) return false;
     std::vector<glm::dvec3> centres;
     for (const Observation& o : track.seen) centres.push_back(o.cluster.centre_m * glm::dvec3(1.0, 1.0, 0.0));
@@ -291,20 +296,21 @@ bool is_fixed_to_vehicle(const MoverTrack& track, const PoseTrack& world_from_ve
     std::vector<glm::dvec3> places;
     for (const Observation& o : track.seen)
         places.push_back(inverse(world_from_vehicle.at(o.cluster.time_s)) * o.cluster.centre_m);
-    const auto is_near = [&](const glm::dvec3& p) {
-        return glm::distance(p, places[places.size() / 2]) < kRides_m;
+    const auto is_near = [&](const glm::dvec3& point) {
+        return glm::distance(point, places[places.size() / 2]) < kRides_m;
     };
     return glm::length(places[places.size() / 2]) < kOwnVehicle_m &&
            std::count_if(places.begin(), places.end(), is_near) > std::ptrdiff_t(places.size() * 3 / 4);
 }
 
 void join_parts(std::vector<MoverTrack>& tracks) {
-    std::stable_sort(tracks.begin(), tracks.end(),
-                     [](const MoverTrack& a, const MoverTrack& b) { return a.seen.size() > b.seen.size(); });
+    std::stable_sort(tracks.begin(), tracks.end(), [](const MoverTrack& first, const MoverTrack& second) {
+        return first.seen.size() > second.seen.size();
+    });
     for (std::size_t a = 0; a < tracks.size(); ++a)
         for (std::size_t b = a + 1; b < tracks.size(); ++b) {
             if (!move_as_one(tracks[a], tracks[b])) continue;
-            for (const auto& [i, j] : in_common(tracks[a], tracks[b]))
+            for (const auto& [i, j] : list_common_frames(tracks[a], tracks[b]))
                 tracks[a].seen[i].cluster.merge(tracks[b].seen[j].cluster);
             tracks.erase(tracks.begin() + std::ptrdiff_t(b--));
         }

@@ -44,16 +44,17 @@ bool has(std::span<const std::string_view> words, std::string_view word) {
 
 }  // namespace
 
-ObjectKind object_kind(std::string_view category) {
+ObjectKind parse_object_kind(std::string_view category) {
     std::string word(category);
-    std::ranges::transform(word, word.begin(), [](unsigned char c) { return char(std::tolower(c)); });
+    std::ranges::transform(word, word.begin(),
+                           [](unsigned char character) { return char(std::tolower(character)); });
     return has(kVehicles, word)   ? ObjectKind::vehicle
            : has(kCyclists, word) ? ObjectKind::cyclist
            : has(kPersons, word)  ? ObjectKind::person
                                   : ObjectKind::other;
 }
 
-const char* name_of(ObjectKind kind) {
+const char* get_name(ObjectKind kind) {
     constexpr const char* kNames[] = {"vehicle", "cyclist", "person", "other"};
     return kNames[static_cast<int>(kind)];
 }

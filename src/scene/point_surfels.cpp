@@ -30,8 +30,8 @@ constexpr double kGap = 2.5;
 struct Cloud {
     const std::vector<Sample>& samples;
     std::size_t kdtree_get_point_count() const { return samples.size(); }
-    float kdtree_get_pt(std::size_t i, std::size_t axis) const {
-        return samples[i].position[static_cast<int>(axis)];
+    float kdtree_get_pt(std::size_t index, std::size_t axis) const {
+        return samples[index].position[static_cast<int>(axis)];
     }
     template <class Box>
     bool kdtree_get_bbox(Box&) const {
@@ -86,14 +86,14 @@ Plane fit_plane(const std::vector<Sample>& samples, const std::vector<std::size_
 
 /// Returns a unit vector perpendicular to a normal. The angle selects one of these
 /// vectors by rotating it about the normal.
-glm::dvec3 direction_within(const glm::dvec3& normal, double angle) {
+glm::dvec3 is_direction_within(const glm::dvec3& normal, double angle) {
     const glm::dvec3 helper = std::abs(normal.x) < 0.9 ? glm::dvec3(1, 0, 0) : glm::dvec3(0, 1, 0);
     const glm::dvec3 x = glm::normalize(glm::cross(helper, normal));
     return std::cos(angle) * x + std::sin(angle) * glm::cross(normal, x);
 }
 
 /// Returns the rotation (w, x, y, z) whose first and third columns are `x` and `normal`.
-glm::vec4 rotation_of(const glm::dvec3& x, const glm::dvec3& normal) {
+glm::vec4 make_normal_rotation(const glm::dvec3& x, const glm::dvec3& normal) {
     const glm::dquat q = glm::quat_cast(glm::dmat3(x, glm::cross(normal, x), normal));
     return {float(q.w), float(q.x), float(q.y), float(q.z)};
 }
@@ -112,8 +112,8 @@ struct Gap {
 /// Measures the distance from a point to the next scan line on each side.
 /// @param neighbours indices of points on the surface, sorted by distance; the first is
 /// the point itself
-Gap gap_between_lines(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours,
-                      const glm::dvec3& normal) {
+Gap measure_gap_between_lines(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours,
+                              const glm::dvec3& normal) {
     // The four nearest neighbours of a point are on the same scan line.
     constexpr std::size_t kOnLine = 4;
     // Minimum cosine between `across` and the direction to a neighbour. With a smaller
@@ -121,7 +121,7 @@ Gap gap_between_lines(const std::vector<Sample>& samples, const std::vector<std:
     constexpr double kAcross = 0.7071;
     // maximum distance from the plane: a share of the horizontal distance, and a constant
     constexpr double kSlope = 0.1, kNoise_m = 0.05;
-    const glm::dvec3 point(samples[neighbours[0]].position), x = direction_within(normal, 0.0),
+    const glm::dvec3 point(samples[neighbours[0]].position), x = is_direction_within(normal, 0.0),
                                                              y = glm::cross(normal, x);
     // Sums the cosine and the sine of twice the angle. Opposite directions along a line
     // then count as the same direction.
@@ -131,7 +131,7 @@ Gap gap_between_lines(const std::vector<Sample>& samples, const std::vector<std:
         const double u = glm::dot(d, x), v = glm::dot(d, y), length2 = std::max(u * u + v * v, 1e-12);
         even += (u * u - v * v) / length2, odd += 2.0 * u * v / length2;
     }
-    Gap gap{direction_within(normal, 0.5 * std::atan2(odd, even) + 0.5 * kPi)};
+    Gap gap{is_direction_within(normal, 0.5 * std::atan2(odd, even) + 0.5 * kPi)};
     for (std::size_t j = 1; j < neighbours.size() && gap.is_open(); ++j) {
         const glm::dvec3 d = glm::dvec3(samples[neighbours[j]].position) - point;
         const double length = glm::length(d), across = glm::dot(d, gap.across);
@@ -143,7 +143,7 @@ Gap gap_between_lines(const std::vector<Sample>& samples, const std::vector<std:
     return gap;
 }
 
-glm::dvec3 random_direction(Random& random) {
+glm::dvec3 draw_random_direction(Random& random) {
     const glm::dvec3 d(random.normal(), random.normal(), random.normal());
     return d / std::max(glm::length(d), 1e-12);
 }
@@ -172,8 +172,8 @@ struct Neighbours {
     std::vector<std::size_t> samples;
     std::vector<float> distance2;
 
-    Neighbours(const Tree& tree, const Sample& sample, std::size_t n) : samples(n), distance2(n) {
-        samples.resize(tree.knnSearch(&sample.position.x, n, samples.data(), distance2.data()));
+    Neighbours(const Tree& tree, const Sample& sample, std::size_t count) : samples(count), distance2(count) {
+        samples.resize(tree.knnSearch(&sample.position.x, count, samples.data(), distance2.data()));
     }
     /// Returns the mean distance to the nearest other samples, or 0 if there are no other
     /// samples.
@@ -197,27 +197,27 @@ struct Place {
 /// If all neighbours lie on one scan line or on one side of a gap, searches again with
 /// more neighbours. Points of a single line do not determine the rotation of the plane
 /// about this line.
-Place place_of(const Tree& tree, const std::vector<Sample>& samples, std::size_t i,
+Place place_of(const Tree& tree, const std::vector<Sample>& samples, std::size_t index,
                std::vector<std::size_t> nearest, const InitialiseOptions& options) {
     constexpr int kWider = 2;  // maximum number of repeated searches with more neighbours
-    Place place{fit_plane(samples, nearest, samples[i].view, options.flatness), {}};
+    Place place{fit_plane(samples, nearest, samples[index].view, options.flatness), {}};
     if (options.max_gap_m <= 0.0) return place;
     const auto widen = [&] {
-        nearest = Neighbours(tree, samples[i], std::min(4 * nearest.size(), samples.size())).samples;
+        nearest = Neighbours(tree, samples[index], std::min(4 * nearest.size(), samples.size())).samples;
     };
     const bool is_line = place.plane.is_line;
     for (int k = 0; is_line && !place.plane.is_surface && k < kWider; ++k) {
         widen();
-        const Plane wider = fit_plane(samples, nearest, samples[i].view, options.flatness);
+        const Plane wider = fit_plane(samples, nearest, samples[index].view, options.flatness);
         // Uses only the normal of the wider plane. The plane itself is too coarse, so the
         // point is not moved onto it.
-        if (wider.is_surface) place.plane = {samples[i].position, wider.normal, true, true};
+        if (wider.is_surface) place.plane = {samples[index].position, wider.normal, true, true};
     }
     if (!place.plane.is_surface) return place;
-    place.gap = gap_between_lines(samples, nearest, place.plane.normal);
+    place.gap = measure_gap_between_lines(samples, nearest, place.plane.normal);
     if (is_line || !place.gap.is_open()) return place;
     widen();
-    place.gap = gap_between_lines(samples, nearest, place.plane.normal);
+    place.gap = measure_gap_between_lines(samples, nearest, place.plane.normal);
     return place;
 }
 
@@ -228,9 +228,9 @@ void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& sam
         std::min<std::size_t>(std::max(options.normal_neighbours, kScaleNeighbours) + 1, samples.size());
     Neighbours nearest(tree, samples[i], k);
     const double spacing = nearest.samples.size() > 1 ? nearest.spacing_m() : options.voxel_m;
-    Random random(hash64(options.seed, i));
+    Random random(combine_hashes(options.seed, i));
     nearest.samples.resize(std::min(nearest.samples.size(), std::size_t(options.normal_neighbours) + 1));
-    Place place{{{}, random_direction(random)}, {}};
+    Place place{{{}, draw_random_direction(random)}, {}};
     if (options.normals && nearest.samples.size() >= 3)
         place = place_of(tree, samples, i, std::move(nearest.samples), options);
     const Plane& plane = place.plane;
@@ -238,12 +238,12 @@ void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& sam
     if (options.flatness < 1.0 && plane.is_surface)
         surfels.mean[i] -=
             glm::vec3(glm::dot(glm::dvec3(samples[i].position) - plane.point, plane.normal) * plane.normal);
-    glm::dvec3 x = direction_within(plane.normal, random.uniform(0.0, 2.0 * kPi));
+    glm::dvec3 x = is_direction_within(plane.normal, random.uniform(0.0, 2.0 * kPi));
     const double width = place.gap.width_m(),
                  round = std::min(spacing * options.scale_factor, options.max_scale_m);
     const bool reaches = !place.gap.is_open() && width > kGap * spacing && width < options.max_gap_m;
     if (reaches) x = place.gap.across;
-    surfels.rotation[i] = rotation_of(x, plane.normal);
+    surfels.rotation[i] = make_normal_rotation(x, plane.normal);
     const auto log_scale = [](double m) { return static_cast<float>(std::log(std::max(m, 1e-3))); };
     surfels.log_scale[i] = {log_scale(reaches ? width * options.scale_factor : round), log_scale(round)};
     surfels.opacity_logit[i] = static_cast<float>(std::log(options.opacity / (1.0 - options.opacity)));
@@ -257,23 +257,24 @@ void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& sam
 
 }  // namespace
 
-Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options,
-                            double incidence, const Progress& progress, std::vector<std::uint32_t>* order) {
+Surfels make_surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options,
+                                 double incidence, const Progress& progress,
+                                 std::vector<std::uint32_t>* order) {
     const Cloud cloud{samples};
     const Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(16));
     Surfels surfels;
     surfels.resize(samples.size());
     std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
-    for_each_block_with_progress(samples.size(), progress, "normals", [&](std::size_t i) {
-        fill_surfel(surfels, i, samples, tree, options, incidence);
+    for_each_block_with_progress(samples.size(), progress, "normals", [&](std::size_t index) {
+        fill_surfel(surfels, index, samples, tree, options, incidence);
     });
-    const std::vector<std::uint32_t> sorted = kd_order(surfels.mean);
+    const std::vector<std::uint32_t> sorted = compute_kd_order(surfels.mean);
     if (order) *order = sorted;
-    return surfels.permuted(sorted);
+    return surfels.reorder(sorted);
 }
 
-std::vector<Sample> thin_out(const std::vector<Sample>& samples, std::size_t most,
-                             std::vector<std::uint32_t>* kept) {
+std::vector<Sample> thin_samples(const std::vector<Sample>& samples, std::size_t max_count,
+                                 std::vector<std::uint32_t>* kept) {
     // edge length of a voxel; smaller details are blurred by the jitter of labels
     constexpr double kVoxel_m = 0.06;
     std::unordered_set<std::uint64_t> seen;
@@ -284,15 +285,15 @@ std::vector<Sample> thin_out(const std::vector<Sample>& samples, std::size_t mos
                                   std::uint64_t(cell.z & 1023);
         if (seen.insert(key).second) first.push_back(static_cast<std::uint32_t>(i));
     }
-    if (first.size() > most) {
-        const auto order = [&](std::uint32_t i) {
-            const glm::vec3& p = samples[i].position;
-            return hash64(std::uint64_t(std::int64_t(p.x * 1e4f)),
-                          std::uint64_t(std::int64_t(p.y * 1e4f + p.z * 1e7f)));
+    if (first.size() > max_count) {
+        const auto order = [&](std::uint32_t index) {
+            const glm::vec3& p = samples[index].position;
+            return combine_hashes(std::uint64_t(std::int64_t(p.x * 1e4f)),
+                                  std::uint64_t(std::int64_t(p.y * 1e4f + p.z * 1e7f)));
         };
         std::sort(first.begin(), first.end(),
-                  [&](std::uint32_t a, std::uint32_t b) { return order(a) < order(b); });
-        first.resize(most);
+                  [&](std::uint32_t first, std::uint32_t second) { return order(first) < order(second); });
+        first.resize(max_count);
     }
     std::vector<Sample> thin;
     for (const std::uint32_t i : first) thin.push_back(samples[i]);

@@ -26,9 +26,10 @@ void for_each_return(const Sequence& sequence, const Frame& frame, bool second_r
     const Scan& scan = frame.scan;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         if (!(scan.range_m[ray] > 0.0f)) continue;
-        work(world_return(sequence, frame, ray));
+        work(compute_world_return(sequence, frame, ray));
         for (std::size_t k = 0; second_returns && k < scan.second_returns.size(); ++k)
-            if (scan.second_returns[k].range_m[ray] > 0.0f) work(world_return(sequence, frame, ray, k + 1));
+            if (scan.second_returns[k].range_m[ray] > 0.0f)
+                work(compute_world_return(sequence, frame, ray, k + 1));
     }
 }
 
@@ -38,15 +39,15 @@ void for_each_return(const Sequence& sequence, const Frame& frame, bool second_r
 /// @param samples must not be empty
 /// @param incidence coefficient of IntensityResponse
 /// @param order output [n]: the index of each surfel's sample
-Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options,
-                            double incidence, const Progress& progress = {},
-                            std::vector<std::uint32_t>* order = nullptr);
+Surfels make_surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options,
+                                 double incidence, const Progress& progress = {},
+                                 std::vector<std::uint32_t>* order = nullptr);
 
 /// Divides the samples of an actor into voxels, and returns the first sample of each
-/// voxel. Returns at most `most` samples. The samples of a voxel are not averaged: labels
-/// jitter, so averages would shrink the actor.
+/// voxel. Returns at most `max_count` samples. The samples of a voxel are not averaged:
+/// labels jitter, so averages would shrink the actor.
 /// @param kept output: indices of the returned samples
-std::vector<Sample> thin_out(const std::vector<Sample>& samples, std::size_t most,
-                             std::vector<std::uint32_t>* kept = nullptr);
+std::vector<Sample> thin_samples(const std::vector<Sample>& samples, std::size_t max_count,
+                                 std::vector<std::uint32_t>* kept = nullptr);
 
 }  // namespace relidar

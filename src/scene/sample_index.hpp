@@ -30,7 +30,9 @@ struct SampleCloud {
     std::vector<std::uint32_t> of;  ///< indices of the samples
 
     std::size_t kdtree_get_point_count() const { return of.size(); }
-    float kdtree_get_pt(std::size_t i, std::size_t axis) const { return samples[of[i]].position[int(axis)]; }
+    float kdtree_get_pt(std::size_t index, std::size_t axis) const {
+        return samples[of[index]].position[int(axis)];
+    }
     template <class Box>
     bool kdtree_get_bbox(Box&) const {
         return false;
@@ -47,20 +49,20 @@ struct SampleIndex {
         : cloud{samples, std::move(of)}, tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
 
     /// Returns the distance to the nearest sample, limited to `most_m`.
-    double distance_m(const glm::vec3& p, double most_m) const {
+    double distance_m(const glm::vec3& point, double most_m) const {
         if (cloud.of.empty()) return most_m;
         std::size_t nearest;
         float distance2;
-        tree.knnSearch(&p.x, 1, &nearest, &distance2);
+        tree.knnSearch(&point.x, 1, &nearest, &distance2);
         return std::min(most_m, std::sqrt(double(distance2)));
     }
-    /// Returns the indices of at most `most` samples within a radius around `p`, sorted
-    /// by distance.
-    std::vector<std::uint32_t> within(const glm::vec3& p, double radius_m, std::size_t most) const {
-        std::vector<std::size_t> found(most);
-        std::vector<float> distance2(most);
+    /// Returns the indices of at most `max_count` samples within a radius around `point`,
+    /// sorted by distance.
+    std::vector<std::uint32_t> within(const glm::vec3& point, double radius_m, std::size_t max_count) const {
+        std::vector<std::size_t> found(max_count);
+        std::vector<float> distance2(max_count);
         if (cloud.of.empty()) return {};
-        found.resize(tree.knnSearch(&p.x, most, found.data(), distance2.data()));
+        found.resize(tree.knnSearch(&point.x, max_count, found.data(), distance2.data()));
         std::vector<std::uint32_t> numbers;
         for (std::size_t k = 0; k < found.size() && double(distance2[k]) < radius_m * radius_m; ++k)
             numbers.push_back(cloud.of[found[k]]);

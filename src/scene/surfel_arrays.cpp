@@ -17,14 +17,14 @@ namespace relidar {
 
 static_assert(RELIDAR_SH_COEFFICIENTS == kShCoefficients && RELIDAR_SH_FLOATS == kShFloats);
 
-std::vector<std::size_t> ParameterGroup::shape(std::size_t n) const {
-    if (row[1] > 1) return {n, row[0], row[1]};
-    if (row[0] > 1) return {n, row[0]};
-    return {n};
+std::vector<std::size_t> ParameterGroup::shape(std::size_t count) const {
+    if (row[1] > 1) return {count, row[0], row[1]};
+    if (row[0] > 1) return {count, row[0]};
+    return {count};
 }
 
-ParameterSet stored_parameters(const std::map<std::string, std::string>& texts, const std::string& key,
-                               const std::function<bool(const char*)>& has_array) {
+ParameterSet read_parameter_set(const std::map<std::string, std::string>& texts, const std::string& key,
+                                const std::function<bool(const char*)>& has_array) {
     std::vector<std::string> names;
     for (const PrimitiveKind& kind : kPrimitives) names.emplace_back(kind.name);
     const auto text = texts.find(key);
@@ -37,29 +37,30 @@ ParameterSet stored_parameters(const std::map<std::string, std::string>& texts, 
                                 fmt::join(names, ", ")));
 }
 
-SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& what, ParameterSet of)
-    : n(count), primitive(of.primitive), bends(of.bends) {
-    for (const ParameterGroup& group : groups_of(of))
-        group.mutable_device(*this) =
-            Array<float>(device, std::size_t(group.floats()) * count, fmt::format("{} {}", what, group.name));
+SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& description,
+                           ParameterSet parameter_set)
+    : n(count), primitive(parameter_set.primitive), bends(parameter_set.bends) {
+    for (const ParameterGroup& group : list_parameter_groups(parameter_set))
+        group.mutable_device(*this) = Array<float>(device, std::size_t(group.floats()) * count,
+                                                   fmt::format("{} {}", description, group.name));
 }
 
-void SurfelArrays::upload(const Surfels& s) {
-    s.check_shapes();
-    if (s.size() > 0 && s.primitive != primitive)
+void SurfelArrays::upload(const Surfels& surfels) {
+    surfels.check_shapes();
+    if (surfels.size() > 0 && surfels.primitive != primitive)
         throw DataError(fmt::format("cannot upload surfels: found {}, expected {} like in the arrays",
-                                    kind_of(s.primitive).label, kind_of(primitive).label));
-    if (s.size() > 0 && s.bends != bends)
+                                    kind_of(surfels.primitive).label, kind_of(primitive).label));
+    if (surfels.size() > 0 && surfels.bends != bends)
         throw DataError(fmt::format("cannot upload surfels: found {}, expected {} like in the arrays",
-                                    s.bends ? "a gait" : "no gait", bends ? "a gait" : "no gait"));
-    for (const ParameterGroup& group : groups_of(parameters()))
-        group.mutable_device(*this).upload(group.values(s));
+                                    surfels.bends ? "a gait" : "no gait", bends ? "a gait" : "no gait"));
+    for (const ParameterGroup& group : list_parameter_groups(parameters()))
+        group.mutable_device(*this).upload(group.values(surfels));
 }
 
 Surfels SurfelArrays::download() const {
     Surfels s;
     s.resize(n, parameters());
-    for (const ParameterGroup& group : groups_of(parameters())) {
+    for (const ParameterGroup& group : list_parameter_groups(parameters())) {
         const std::span<float> values = group.mutable_values(s);
         if (n > 0) group.device(*this).buffer().download(values.data(), values.size_bytes());
     }
@@ -68,29 +69,29 @@ Surfels SurfelArrays::download() const {
 
 std::uint32_t SurfelArrays::capacity() const {
     std::size_t least = std::numeric_limits<std::uint32_t>::max();
-    for (const ParameterGroup& group : groups_of(parameters()))
+    for (const ParameterGroup& group : list_parameter_groups(parameters()))
         least = std::min(least, group.device(*this).size() / group.floats());
     return static_cast<std::uint32_t>(least);
 }
 
-void SurfelArrays::reserve(Device& device, std::uint32_t count, const std::string& what) {
-    for (const ParameterGroup& group : groups_of(parameters()))
+void SurfelArrays::reserve(Device& device, std::uint32_t count, const std::string& description) {
+    for (const ParameterGroup& group : list_parameter_groups(parameters()))
         group.mutable_device(*this).reserve(device, std::size_t(group.floats()) * count,
-                                            fmt::format("{} {}", what, group.name));
+                                            fmt::format("{} {}", description, group.name));
 }
 
 void SurfelArrays::fill_zero(Stream& stream) {
-    for (const ParameterGroup& group : groups_of(parameters())) stream.fill(group.device(*this));
+    for (const ParameterGroup& group : list_parameter_groups(parameters())) stream.fill(group.device(*this));
 }
 
-shared::SurfelPointers pointers_of(const SurfelArrays& a) {
-    return {.mean = a.mean.address(),
-            .rotation = a.rotation.address(),
-            .log_scale = a.log_scale.address(),
-            .opacity_logit = a.opacity_logit.address(),
-            .sh = a.sh.address(),
-            .log_scale_w = a.log_scale_w.address(),
-            .gait = a.gait.address()};
+shared::SurfelPointers get_surfel_pointers(const SurfelArrays& arrays) {
+    return {.mean = arrays.mean.address(),
+            .rotation = arrays.rotation.address(),
+            .log_scale = arrays.log_scale.address(),
+            .opacity_logit = arrays.opacity_logit.address(),
+            .sh = arrays.sh.address(),
+            .log_scale_w = arrays.log_scale_w.address(),
+            .gait = arrays.gait.address()};
 }
 
 }  // namespace relidar

@@ -48,11 +48,11 @@ struct Property {
     enum Kind { parameter, normal, thickness, model } kind = parameter;
 };
 
-std::vector<Property> properties(ParameterSet of) {
+std::vector<Property> list_properties(ParameterSet parameter_set) {
     std::vector<Property> list;
-    const auto add = [&](const std::string& prefix, std::uint32_t n, const ParameterGroup& group,
+    const auto add = [&](const std::string& prefix, std::uint32_t count, const ParameterGroup& group,
                          std::uint32_t first) {
-        for (std::uint32_t k = 0; k < n; ++k)
+        for (std::uint32_t k = 0; k < count; ++k)
             list.push_back({fmt::format("{}{}", prefix, k), &group, first + k});
     };
     for (std::uint32_t k = 0; k < 3; ++k) list.push_back({std::string(1, "xyz"[k]), &kMean, k});
@@ -63,19 +63,19 @@ std::vector<Property> properties(ParameterSet of) {
         list.push_back({fmt::format("f_rest_{}", k), &kSh, k % kRest + 1, k < kRest});
     list.push_back({"opacity", &kOpacityLogit});
     add("scale_", 2, kLogScale, 0);
-    if (kind_of(of.primitive).third_scale) list.push_back({"scale_2", &kLogScaleW});
+    if (kind_of(parameter_set.primitive).third_scale) list.push_back({"scale_2", &kLogScaleW});
     else list.push_back({"scale_2", nullptr, 0, false, Property::thickness});
     add("rot_", 4, kRotation, 0);
     add("hit_", kShCoefficients, kSh, kShCoefficients);
     add("drop_", kShCoefficients, kSh, 2 * kShCoefficients);
-    if (of.bends) add("gait_", kGait.floats(), kGait, 0);
+    if (parameter_set.bends) add("gait_", kGait.floats(), kGait, 0);
     list.push_back({"model", nullptr, 0, true, Property::model});
     return list;
 }
 
 /// Returns the third column of the rotation matrix. Returns zero if the quaternion is
 /// zero or not a number.
-glm::vec3 normal_of(const glm::vec4& wxyz) {
+glm::vec3 compute_normal(const glm::vec4& wxyz) {
     const float length = glm::length(wxyz);
     if (!(length > 0.0f)) return glm::vec3(0.0f);
     const glm::vec4 q = wxyz / length;
@@ -83,12 +83,13 @@ glm::vec3 normal_of(const glm::vec4& wxyz) {
             1.0f - 2.0f * (q.y * q.y + q.z * q.z)};
 }
 
-float property_value(const Property& p, const Surfels& s, std::size_t i, std::size_t model) {
-    switch (p.kind) {
+float get_property_value(const Property& property, const Surfels& surfels, std::size_t index,
+                         std::size_t model) {
+    switch (property.kind) {
         case Property::parameter:
-            return p.group->values(s)[i * p.group->floats() + p.index];
+            return property.group->values(surfels)[index * property.group->floats() + property.index];
         case Property::normal:
-            return normal_of(s.rotation[i])[static_cast<int>(p.index)];
+            return compute_normal(surfels.rotation[index])[static_cast<int>(property.index)];
         case Property::thickness:
             return kFlat;
         case Property::model:
@@ -97,12 +98,13 @@ float property_value(const Property& p, const Surfels& s, std::size_t i, std::si
     return 0.0f;
 }
 
-/// Stores the value of a property in surfel i. If the property is the model index, stores
-/// the value in `model` instead.
-/// @param p a property that the reader uses
-void set_value(const Property& p, Surfels& s, std::size_t i, std::uint32_t& model, float value) {
-    if (p.kind == Property::model) model = static_cast<std::uint32_t>(value);
-    else p.group->mutable_values(s)[i * p.group->floats() + p.index] = value;
+/// Stores the value of a property in surfel `index`. If the property is the model index,
+/// stores the value in `model` instead.
+/// @param property a property that the reader uses
+void set_value(const Property& property, Surfels& surfels, std::size_t index, std::uint32_t& model,
+               float value) {
+    if (property.kind == Property::model) model = static_cast<std::uint32_t>(value);
+    else property.group->mutable_values(surfels)[index * property.group->floats() + property.index] = value;
 }
 
 /// Layout of the records in a PLY file, parsed from its header. Holds the number of
@@ -118,7 +120,7 @@ struct Layout {
     std::vector<Field> fields;
 };
 
-std::size_t size_of_type(const std::string& type) {
+std::size_t get_size_of_type(const std::string& type) {
     for (const char* t : {"char", "uchar", "int8", "uint8"})
         if (type == t) return 1;
     for (const char* t : {"short", "ushort", "int16", "uint16"})
@@ -127,8 +129,9 @@ std::size_t size_of_type(const std::string& type) {
         if (type == t) return 4;
     for (const char* t : {"double", "float64"})
         if (type == t) return 8;
-    throw DataError(fmt::format(
-        "found a property of type \"{}\", expected a number type (lists are not supported)", excerpt(type)));
+    throw DataError(
+        fmt::format("found a property of type \"{}\", expected a number type (lists are not supported)",
+                    make_excerpt(type)));
 }
 
 std::size_t parse_count(const std::string& text) {
@@ -136,16 +139,16 @@ std::size_t parse_count(const std::string& text) {
     const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), count);
     if (error != std::errc() || stop != text.data() + text.size() || count > kMaxSurfels)
         throw DataError(fmt::format("found \"element vertex {}\", expected a count of at most {}",
-                                    excerpt(text), kMaxSurfels));
+                                    make_excerpt(text), kMaxSurfels));
     return count;
 }
 
 void add_field(Layout& layout, const std::string& type, const std::string& name) {
     if (std::any_of(layout.fields.begin(), layout.fields.end(),
                     [&](const Layout::Field& f) { return f.name == name; }))
-        throw DataError(fmt::format("property {} occurs twice, expected it once", excerpt(name)));
+        throw DataError(fmt::format("property {} occurs twice, expected it once", make_excerpt(name)));
     layout.fields.push_back({name, type == "float" || type == "float32", layout.stride});
-    layout.stride += size_of_type(type);
+    layout.stride += get_size_of_type(type);
 }
 
 Layout parse_ply_header(const std::string& header) {
@@ -162,19 +165,20 @@ Layout parse_ply_header(const std::string& header) {
         if (what == "format") {
             has_format = true;
             if (first != "binary_little_endian")
-                throw DataError(fmt::format(
-                    "found format {}, expected binary_little_endian (export as binary PLY)", excerpt(first)));
+                throw DataError(
+                    fmt::format("found format {}, expected binary_little_endian (export as binary PLY)",
+                                make_excerpt(first)));
         } else if (what == "element") {
             if (first != "vertex" || has_vertex)
                 throw DataError(fmt::format("found the PLY element {}, expected only one element, vertex",
-                                            excerpt(first)));
+                                            make_excerpt(first)));
             has_vertex = true;
             layout.count = parse_count(second);
         } else if (what == "property") {
             if (!has_vertex)
                 throw DataError(
                     fmt::format("the PLY property {} comes before the element vertex, expected after it",
-                                excerpt(second)));
+                                make_excerpt(second)));
             add_field(layout, first, second);
         }
     }
@@ -189,9 +193,9 @@ struct Columns {
     std::vector<std::size_t> offset;
 };
 
-Columns find_columns(const Layout& layout, ParameterSet of) {
+Columns find_columns(const Layout& layout, ParameterSet parameter_set) {
     Columns columns;
-    for (const Property& p : properties(of)) {
+    for (const Property& p : list_properties(parameter_set)) {
         if (!p.read) continue;
         const auto it = std::find_if(layout.fields.begin(), layout.fields.end(),
                                      [&](const Layout::Field& f) { return f.name == p.name; });
@@ -206,10 +210,12 @@ Columns find_columns(const Layout& layout, ParameterSet of) {
     return columns;
 }
 
-float checked(float value, const Property& p, std::size_t row, std::size_t n_models) {
+float checked(float value, const Property& property, std::size_t row, std::size_t n_models) {
     if (!std::isfinite(value))
-        throw DataError(fmt::format("vertex {}: {} is {}, expected a finite number", row, p.name, value));
-    if (p.kind == Property::model && (value < 0.0f || value != std::floor(value) || value >= float(n_models)))
+        throw DataError(
+            fmt::format("vertex {}: {} is {}, expected a finite number", row, property.name, value));
+    if (property.kind == Property::model &&
+        (value < 0.0f || value != std::floor(value) || value >= float(n_models)))
         throw DataError(
             fmt::format("vertex {}: model is {}, expected an index below {}, the number of models in the run",
                         row, value, n_models));
@@ -217,13 +223,14 @@ float checked(float value, const Property& p, std::size_t row, std::size_t n_mod
 }
 
 /// Sorts the surfels by model. Keeps the order of the file within each model.
-Scene grouped(const Surfels& surfels, const std::vector<std::uint32_t>& model, const Scene& layout) {
+Scene group_surfels_by_model(const Surfels& surfels, const std::vector<std::uint32_t>& model,
+                             const Scene& layout) {
     std::vector<std::uint32_t> order(model.size());
     std::iota(order.begin(), order.end(), 0u);
     std::stable_sort(order.begin(), order.end(),
-                     [&](std::uint32_t a, std::uint32_t b) { return model[a] < model[b]; });
-    Scene scene = layout_of(layout);
-    scene.surfels = surfels.permuted(order);
+                     [&](std::uint32_t first, std::uint32_t second) { return model[first] < model[second]; });
+    Scene scene = copy_layout(layout);
+    scene.surfels = surfels.reorder(order);
     std::uint32_t first = 0;
     for (std::size_t k = 0; k < scene.models.size(); ++k) {
         const auto count =
@@ -247,7 +254,8 @@ std::size_t find_end_of_header(const std::string& start) {
     return at;
 }
 
-Scene parse_surfels(const std::vector<std::byte>& file, const Scene& scene_layout, ParameterSet of) {
+Scene parse_surfels(const std::vector<std::byte>& file, const Scene& scene_layout,
+                    ParameterSet parameter_set) {
     const std::string start(reinterpret_cast<const char*>(file.data()), std::min(file.size(), kMaxPlyHeader));
     const std::size_t end = find_end_of_header(start);
     if (!start.starts_with("ply")) throw DataError("the file does not begin with \"ply\"");
@@ -255,12 +263,12 @@ Scene parse_surfels(const std::vector<std::byte>& file, const Scene& scene_layou
         throw DataError(fmt::format("end_header is missing in the first {} bytes", start.size()));
     const Layout layout = parse_ply_header(start.substr(0, end));
     const std::size_t data = start.find('\n', end + 1) + 1, n_bytes = file.size() - data;
-    const Columns columns = find_columns(layout, of);
+    const Columns columns = find_columns(layout, parameter_set);
     if (n_bytes / layout.stride != layout.count || n_bytes % layout.stride != 0)
         throw DataError(fmt::format("found {} bytes of data, expected {} vertices of {} bytes", n_bytes,
                                     layout.count, layout.stride));
     Surfels surfels;
-    surfels.resize(layout.count, of);
+    surfels.resize(layout.count, parameter_set);
     std::vector<std::uint32_t> model(layout.count);
     for (std::size_t i = 0; i < layout.count; ++i)
         for (std::size_t k = 0; k < columns.property.size(); ++k) {
@@ -269,18 +277,18 @@ Scene parse_surfels(const std::vector<std::byte>& file, const Scene& scene_layou
             set_value(columns.property[k], surfels, i, model[i],
                       checked(value, columns.property[k], i, scene_layout.models.size()));
         }
-    return grouped(surfels, model, scene_layout);
+    return group_surfels_by_model(surfels, model, scene_layout);
 }
 
 /// Returns the header of a PLY file.
 /// @param frame name of the frame of the positions
-std::string header_of(const Surfels& surfels, const std::vector<Property>& list, const char* frame,
-                      const FileNotes& notes = {}) {
+std::string make_ply_header_text(const Surfels& surfels, const std::vector<Property>& list, const char* frame,
+                                 const FileNotes& notes = {}) {
     std::string text = "ply\nformat binary_little_endian 1.0\ncomment relidar ";
     const PrimitiveKind& kind = kind_of(surfels.primitive);
     text += fmt::format("{}: metres, {}{}\n", kind.label, frame,
                         kind.third_scale ? "" : "; scale_2 only makes them flat");
-    for (const auto& note : notes) text += fmt::format("comment {}\n", report_detail::note_line(note));
+    for (const auto& note : notes) text += fmt::format("comment {}\n", report_detail::format_note_line(note));
     text += fmt::format("element vertex {}\n", surfels.size());
     for (const Property& p : list) text += fmt::format("property float {}\n", p.name);
     return text + "end_header\n";
@@ -290,7 +298,8 @@ void write_records(report_detail::OutputFile& file, const Surfels& surfels, cons
                    const Model& model, std::size_t number) {
     std::vector<float> record(list.size());
     for (std::size_t i = model.first; i < std::size_t(model.first) + model.count; ++i) {
-        for (std::size_t k = 0; k < list.size(); ++k) record[k] = property_value(list[k], surfels, i, number);
+        for (std::size_t k = 0; k < list.size(); ++k)
+            record[k] = get_property_value(list[k], surfels, i, number);
         file.write(record.data(), record.size() * sizeof(float));
     }
 }
@@ -314,9 +323,9 @@ void write_surfel_ply(const std::filesystem::path& path, const Scene& scene) {
     write_atomically(path, [&](const std::filesystem::path& temporary) {
         scene.surfels.check_shapes();
         check_models(scene);
-        const std::vector<Property> list = properties(scene.surfels.parameters());
+        const std::vector<Property> list = list_properties(scene.surfels.parameters());
         report_detail::OutputFile file(temporary);
-        file.write(header_of(scene.surfels, list, "frame of each model"));
+        file.write(make_ply_header_text(scene.surfels, list, "frame of each model"));
         for (std::size_t model = 0; model < scene.models.size(); ++model)
             write_records(file, scene.surfels, list, scene.models[model], model);
         file.close();
@@ -326,10 +335,10 @@ void write_surfel_ply(const std::filesystem::path& path, const Scene& scene) {
 void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels, const FileNotes& notes) {
     write_atomically(path, [&](const std::filesystem::path& temporary) {
         surfels.check_shapes();
-        std::vector<Property> list = properties(surfels.parameters());
-        std::erase_if(list, [](const Property& p) { return p.kind == Property::model; });
+        std::vector<Property> list = list_properties(surfels.parameters());
+        std::erase_if(list, [](const Property& property) { return property.kind == Property::model; });
         report_detail::OutputFile file(temporary);
-        file.write(header_of(surfels, list, "world", notes));
+        file.write(make_ply_header_text(surfels, list, "world", notes));
         write_records(file, surfels, list, {"", 0, static_cast<std::uint32_t>(surfels.size())}, 0);
         file.close();
     });
@@ -339,7 +348,7 @@ Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout, Pr
     const std::vector<std::byte> file = report_detail::read_file(path);
     try {
         const bool walks =
-            std::ranges::any_of(layout.models, [](const Model& m) { return m.stride_m > 0.0f; });
+            std::ranges::any_of(layout.models, [](const Model& model) { return model.stride_m > 0.0f; });
         return parse_surfels(file, layout, {primitive, walks});
     } catch (const DataError& error) {
         throw DataError(fmt::format("cannot read PLY '{}': {}", path.string(), error.what()));

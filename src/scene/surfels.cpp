@@ -16,20 +16,20 @@ namespace relidar {
 
 namespace {
 
-constexpr bool are_in_order() {
+constexpr bool are_terms_in_order() {
     for (std::size_t i = 0; i < kPrimitives.size(); ++i)
         if (kPrimitives[i].primitive != static_cast<Primitive>(i)) return false;
     return true;
 }
-static_assert(are_in_order(), "the numbers of primitives count up from 0");
+static_assert(are_terms_in_order(), "the numbers of primitives count up from 0");
 
 /// Returns true if surfels of this kind need the parameter group.
-bool have(ParameterSet of, const ParameterGroup& group) {
+bool has_group(ParameterSet parameter_set, const ParameterGroup& group) {
     switch (group.of) {
         case ParameterGroup::Of::third_scale:
-            return kind_of(of.primitive).third_scale;
+            return kind_of(parameter_set.primitive).third_scale;
         case ParameterGroup::Of::bends:
-            return of.bends;
+            return parameter_set.bends;
         default:
             return true;
     }
@@ -37,11 +37,11 @@ bool have(ParameterSet of, const ParameterGroup& group) {
 
 }  // namespace
 
-void Surfels::resize(std::size_t n, ParameterSet of) {
-    primitive = of.primitive;
-    bends = of.bends;
+void Surfels::resize(std::size_t count, ParameterSet parameter_set) {
+    primitive = parameter_set.primitive;
+    bends = parameter_set.bends;
     for (const ParameterGroup& group : kParameterGroups)
-        group.resize(*this, have(of, group) ? n * group.floats() : 0);
+        group.resize(*this, has_group(parameter_set, group) ? count * group.floats() : 0);
 }
 
 void Surfels::add_gait() {
@@ -51,7 +51,7 @@ void Surfels::add_gait() {
 
 void Surfels::check_shapes() const {
     for (const ParameterGroup& group : kParameterGroups) {
-        const bool is_there = have(parameters(), group);
+        const bool is_there = has_group(parameters(), group);
         const std::size_t found = group.values(*this).size(),
                           expected = is_there ? size() * group.floats() : 0;
         if (found != expected)
@@ -80,10 +80,10 @@ void Surfels::append(const Surfels& other) {
     if (bends) gait.resize(n);  // if the appended surfels have no gait, adds gaits without motion
 }
 
-Surfels Surfels::permuted(const std::vector<std::uint32_t>& order) const {
+Surfels Surfels::reorder(const std::vector<std::uint32_t>& order) const {
     Surfels result;
     result.resize(order.size(), parameters());
-    for (const ParameterGroup& group : groups_of(parameters())) {
+    for (const ParameterGroup& group : list_parameter_groups(parameters())) {
         const std::span<const float> from = group.values(*this);
         const std::span<float> to = group.mutable_values(result);
         const std::size_t n = group.floats();
@@ -96,7 +96,7 @@ Surfels Surfels::permuted(const std::vector<std::uint32_t>& order) const {
 Surfels Surfels::slice(std::size_t first, std::size_t count) const {
     std::vector<std::uint32_t> order(count);
     std::iota(order.begin(), order.end(), static_cast<std::uint32_t>(first));
-    return permuted(order);
+    return reorder(order);
 }
 
 void make_primitive(Surfels& surfels, Primitive primitive, double thickness) {
@@ -107,12 +107,12 @@ void make_primitive(Surfels& surfels, Primitive primitive, double thickness) {
         surfels.log_scale_w.push_back(0.5f * (s.x + s.y) + static_cast<float>(std::log(thickness)));
 }
 
-Scene with_background(const Scene& scene, const Surfels& background) {
+Scene add_background(const Scene& scene, const Surfels& background) {
     const std::uint32_t before = scene.models.front().count,
                         n = static_cast<std::uint32_t>(background.size());
-    Scene other = layout_of(scene);
+    Scene other = copy_layout(scene);
     other.blocks.clear();
-    other.surfels = background.permuted(kd_order(background.mean));
+    other.surfels = background.reorder(compute_kd_order(background.mean));
     other.models.front().count = n;
     // Subtracts modulo 2^32. The result is therefore also right if the new background is
     // smaller than the old background.
@@ -121,7 +121,7 @@ Scene with_background(const Scene& scene, const Surfels& background) {
     return other;
 }
 
-Scene layout_of(const Scene& scene) {
+Scene copy_layout(const Scene& scene) {
     return {{}, scene.models, scene.instances, scene.sensor_drop, scene.blocks};
 }
 
@@ -139,7 +139,7 @@ Scene make_background_scene(Surfels surfels) {
     return scene;
 }
 
-std::vector<std::uint32_t> kd_order(const std::vector<glm::vec3>& points) {
+std::vector<std::uint32_t> compute_kd_order(const std::vector<glm::vec3>& points) {
     std::vector<std::uint32_t> order(points.size());
     std::iota(order.begin(), order.end(), 0u);
     std::vector<std::pair<std::size_t, std::size_t>> ranges{{0, order.size()}};
@@ -158,19 +158,21 @@ std::vector<std::uint32_t> kd_order(const std::vector<glm::vec3>& points) {
         std::nth_element(order.begin() + static_cast<std::ptrdiff_t>(first),
                          order.begin() + static_cast<std::ptrdiff_t>(middle),
                          order.begin() + static_cast<std::ptrdiff_t>(last),
-                         [&](std::uint32_t a, std::uint32_t b) { return points[a][axis] < points[b][axis]; });
+                         [&](std::uint32_t first, std::uint32_t second) {
+                             return points[first][axis] < points[second][axis];
+                         });
         ranges.push_back({first, middle});
         ranges.push_back({middle, last});
     }
     return order;
 }
 
-double box_extent(const glm::vec3& half_size_m) { return 8.0 * double(glm::length(half_size_m)); }
+double compute_box_extent(const glm::vec3& half_size_m) { return 8.0 * double(glm::length(half_size_m)); }
 
-double model_extent(const Scene& scene, std::size_t model) {
+double compute_model_extent(const Scene& scene, std::size_t model) {
     if (model >= scene.models.size() || scene.models[model].count == 0) return 1.0;
     const Model& range = scene.models[model];
-    if (range.half_size_m.x > 0.0f) return box_extent(range.half_size_m);
+    if (range.half_size_m.x > 0.0f) return compute_box_extent(range.half_size_m);
     const auto first = scene.surfels.mean.begin() + range.first, last = first + range.count;
     glm::dvec3 centre(0.0);
     for (auto p = first; p != last; ++p) centre += glm::dvec3(*p);
@@ -182,6 +184,6 @@ double model_extent(const Scene& scene, std::size_t model) {
     return 3.0 * *q90;
 }
 
-double background_extent(const Scene& scene) { return model_extent(scene, 0); }
+double compute_background_extent(const Scene& scene) { return compute_model_extent(scene, 0); }
 
 }  // namespace relidar

@@ -38,11 +38,11 @@ void TouchedList::find(Stream& stream, Address<std::uint32_t, shared::TouchedSur
 Address<std::uint32_t, shared::TouchedRows> TouchedList::rows() const { return impl_->rows.address(); }
 Address<std::uint32_t, shared::TouchedCount> TouchedList::count() const { return impl_->count.address(); }
 
-std::size_t TouchedList::threads(std::size_t most) const {
+std::size_t TouchedList::threads(std::size_t max_count) const {
     // Uses fewer threads on a CPU than on a GPU, because each CPU thread should process
     // more surfels.
-    const bool is_cpu = !coalesces(impl_->device);
-    return std::min(most, is_cpu ? std::size_t(1) << 12 : std::size_t(1) << 17);
+    const bool is_cpu = !prefers_coalesced_access(impl_->device);
+    return std::min(max_count, is_cpu ? std::size_t(1) << 12 : std::size_t(1) << 17);
 }
 
 }  // namespace relidar

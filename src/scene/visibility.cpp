@@ -39,22 +39,23 @@ constexpr double kNear_m = 40.0;
 constexpr double kHardlyFarther = 1.25;
 constexpr std::size_t kMostViews = 64;
 
-double elevation_rad(const glm::vec3& direction) {
+double compute_elevation_rad(const glm::vec3& direction) {
     return std::asin(std::clamp(double(direction.z), -1.0, 1.0));
 }
 
 /// Returns the elevations of the rows of a scan, descending. If the rays have no rows,
 /// returns evenly spaced elevations over the field of view.
-std::vector<double> row_elevations(const RayTable& rays) {
+std::vector<double> compute_row_elevations(const RayTable& rays) {
     std::vector<double> rows;
     if (rays.rows > 1) {
         rows.resize(std::size_t(rays.rows));
         for (std::size_t ray = 0; ray < rays.size(); ++ray)
-            rows[ray / std::size_t(rays.columns)] += elevation_rad(rays.direction[ray]) / rays.columns;
+            rows[ray / std::size_t(rays.columns)] +=
+                compute_elevation_rad(rays.direction[ray]) / rays.columns;
     } else {
         double low = 1e9, high = -1e9;
         for (const glm::vec3& d : rays.direction)
-            low = std::min(low, elevation_rad(d)), high = std::max(high, elevation_rad(d));
+            low = std::min(low, compute_elevation_rad(d)), high = std::max(high, compute_elevation_rad(d));
         for (int k = 0; k < kEvenRows; ++k) rows.push_back(high + (low - high) * k / (kEvenRows - 1));
     }
     std::sort(rows.begin(), rows.end(), std::greater<>());
@@ -63,7 +64,7 @@ std::vector<double> row_elevations(const RayTable& rays) {
 
 /// Returns the number of columns of the range image per turn. Each column is a little
 /// narrower than the spacing between the rays of a row.
-int columns_of(const RayTable& rays) {
+int count_columns(const RayTable& rays) {
     if (rays.rows <= 1 || rays.columns <= 1) return kMostColumns;
     const auto azimuth = [&](int column) {
         const glm::vec3 d =
@@ -77,12 +78,12 @@ int columns_of(const RayTable& rays) {
     return static_cast<int>(std::clamp(std::round(columns), double(kFewestColumns), double(kMostColumns)));
 }
 
-glm::dvec3 tile_centre(const glm::dvec3& p) {
-    return kTile_m * (glm::floor(glm::dvec3(p.x, p.y, 0.0) / kTile_m) + glm::dvec3(0.5, 0.5, 0.0));
+glm::dvec3 compute_tile_centre(const glm::dvec3& point) {
+    return kTile_m * (glm::floor(glm::dvec3(point.x, point.y, 0.0) / kTile_m) + glm::dvec3(0.5, 0.5, 0.0));
 }
 
 /// Removes views until at most kMostViews remain. The remaining views are evenly spaced.
-void thin_out(std::vector<std::uint32_t>& views) {
+void thin_list(std::vector<std::uint32_t>& views) {
     if (views.size() <= kMostViews) return;
     std::vector<std::uint32_t> kept;
     for (std::size_t k = 0; k < kMostViews; ++k) kept.push_back(views[k * views.size() / kMostViews]);
@@ -93,8 +94,8 @@ void thin_out(std::vector<std::uint32_t>& views) {
 
 BeamGrid::BeamGrid(const Scan& scan) {
     if (scan.rays.direction.empty()) return;
-    columns_ = columns_of(scan.rays);
-    const std::vector<double> elevations = row_elevations(scan.rays);
+    columns_ = count_columns(scan.rays);
+    const std::vector<double> elevations = compute_row_elevations(scan.rays);
     const double least_height = (elevations.front() - elevations.back()) / kMostRows;
     for (auto first = elevations.begin(); first != elevations.end();) {
         const auto end = std::find_if(first, elevations.end(),
@@ -121,7 +122,7 @@ std::optional<BeamGrid::Place> BeamGrid::place(const glm::dvec3& point_m) const 
     return place;
 }
 
-std::vector<float> BeamGrid::nearest_m(const Scan& scan) const {
+std::vector<float> BeamGrid::compute_nearest_m(const Scan& scan) const {
     std::vector<float> nearest(std::size_t(rows()) * std::size_t(columns_));
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         if (!(scan.range_m[ray] > 0.0f)) continue;
@@ -149,8 +150,8 @@ Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positio
     sort_by_tile();
 }
 
-void Visibility::want(const glm::dvec3& point_m) {
-    const auto tile = tiles_.find(cell_key(tile_centre(point_m), kTile_m));
+void Visibility::request_point(const glm::dvec3& point_m) {
+    const auto tile = tiles_.find(make_cell_key(compute_tile_centre(point_m), kTile_m));
     if (tile == tiles_.end() || std::exchange(tile->second.wanted, true)) return;
     for (const std::uint32_t view : tile->second.views)
         if (views_[view].sensor_from_world.empty()) wanted_.push_back(view);
@@ -159,22 +160,24 @@ void Visibility::want(const glm::dvec3& point_m) {
 void Visibility::make_requested_images() {
     std::sort(wanted_.begin(), wanted_.end());
     wanted_.erase(std::unique(wanted_.begin(), wanted_.end()), wanted_.end());
-    parallel_for(static_cast<int>(wanted_.size()), [&](int i) {
-        const std::uint32_t view = wanted_[std::size_t(i)];
+    parallel_for(static_cast<int>(wanted_.size()), [&](int index) {
+        const std::uint32_t view = wanted_[std::size_t(index)];
         make(views_[view], sequence_.frames[std::size_t(positions_[view])]);
     });
     wanted_.clear();
 }
 
 void Visibility::make(View& view, const Frame& frame) const {
-    const Pose& mounted = sequence_.lidar_of(frame).vehicle_from_sensor;
+    const Pose& mounted = sequence_.get_lidar(frame).vehicle_from_sensor;
     const int n_sectors = sequence_.rolling_shutter ? kSectors : 1;
     for (int sector = 0; sector < n_sectors; ++sector) {
         const double azimuth = 2.0 * kPi * ((sector + 0.5) / n_sectors - 0.5);
         view.sensor_from_world.push_back(inverse(sequence_.world_from_vehicle.at(
-            facing_time(sequence_, {std::cos(azimuth), std::sin(azimuth), 0.0}, moment_of(frame)), mounted)));
+            compute_facing_time(sequence_, {std::cos(azimuth), std::sin(azimuth), 0.0},
+                                get_sweep_moment(frame)),
+            mounted)));
     }
-    view.range_m = grids_[std::size_t(frame.lidar)].nearest_m(frame.scan);
+    view.range_m = grids_[std::size_t(frame.lidar)].compute_nearest_m(frame.scan);
 }
 
 void Visibility::sort_by_tile() {
@@ -191,29 +194,30 @@ void Visibility::sort_by_tile() {
         sensor.z = 0.0;
         for (double dx = -farthest; dx <= farthest; dx += kTile_m)
             for (double dy = -farthest; dy <= farthest; dy += kTile_m) {
-                const glm::dvec3 tile = tile_centre(sensor + glm::dvec3(dx, dy, 0.0));
+                const glm::dvec3 tile = compute_tile_centre(sensor + glm::dvec3(dx, dy, 0.0));
                 if (const double distance = glm::distance(tile, sensor); distance < farthest)
-                    all[cell_key(tile, kTile_m)].push_back({v, distance});
+                    all[make_cell_key(tile, kTile_m)].push_back({v, distance});
             }
     }
     for (const auto& [key, seen] : all) {
-        const double nearest = std::min_element(seen.begin(), seen.end(), [](const Seen& a, const Seen& b) {
-                                   return a.distance_m < b.distance_m;
-                               })->distance_m;
+        const double nearest =
+            std::min_element(seen.begin(), seen.end(), [](const Seen& first, const Seen& second) {
+                return first.distance_m < second.distance_m;
+            })->distance_m;
         std::vector<std::uint32_t>& views = tiles_[key].views;
         for (const Seen& s : seen)
             if (s.distance_m <= std::max(kNear_m, kHardlyFarther * nearest)) views.push_back(s.view);
-        thin_out(views);
+        thin_list(views);
     }
 }
 
 const std::vector<std::uint32_t>& Visibility::find_views_near(const glm::dvec3& point_m) const {
     static const std::vector<std::uint32_t> none;
-    const auto tile = tiles_.find(cell_key(tile_centre(point_m), kTile_m));
+    const auto tile = tiles_.find(make_cell_key(compute_tile_centre(point_m), kTile_m));
     return tile == tiles_.end() ? none : tile->second.views;
 }
 
-Visibility::Surroundings Visibility::around(const View& view, const glm::dvec3& point_m) const {
+Visibility::Surroundings Visibility::find_surroundings(const View& view, const glm::dvec3& point_m) const {
     const int n_sectors = static_cast<int>(view.sensor_from_world.size());
     const glm::dvec3 roughly = view.sensor_from_world[std::size_t(n_sectors / 2)] * point_m;
     const int sector = static_cast<int>((0.5 + std::atan2(roughly.y, roughly.x) / (2.0 * kPi)) * n_sectors);
@@ -233,7 +237,7 @@ Visibility::Surroundings Visibility::around(const View& view, const glm::dvec3& 
 }
 
 Sight Visibility::look(std::uint32_t view, const glm::dvec3& point_m) const {
-    const Surroundings here = around(views_[view], point_m);
+    const Surroundings here = find_surroundings(views_[view], point_m);
     if (here.n < kMinReturns) return Sight::nothing;
     const auto [nearest, farthest] = std::minmax_element(here.returned_m, here.returned_m + here.n);
     const double range = here.range_m, margin = 0.3 + 0.02 * range;
@@ -242,12 +246,12 @@ Sight Visibility::look(std::uint32_t view, const glm::dvec3& point_m) const {
 }
 
 bool Visibility::has_return_at(std::uint32_t view, const glm::dvec3& point_m, double tolerance_m) const {
-    const Surroundings here = around(views_[view], point_m);
+    const Surroundings here = find_surroundings(views_[view], point_m);
     return std::any_of(here.returned_m, here.returned_m + here.n,
                        [&](float returned) { return std::abs(returned - here.range_m) < tolerance_m; });
 }
 
-Visibility::Votes Visibility::votes(const glm::vec3& point_m) const {
+Visibility::Votes Visibility::count_votes(const glm::vec3& point_m) const {
     Votes votes;
     for (const std::uint32_t view : find_views_near(glm::dvec3(point_m))) {
         const Sight sight = look(view, glm::dvec3(point_m));

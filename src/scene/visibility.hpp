@@ -41,7 +41,7 @@ public:
     /// Returns the range of the nearest return in each cell.
     /// @param scan scan in the sensor's frame
     /// @return [rows * columns] metres, 0 if a cell has no return
-    std::vector<float> nearest_m(const Scan& scan) const;
+    std::vector<float> compute_nearest_m(const Scan& scan) const;
 
 private:
     std::vector<double> row_rad_;  ///< [rows] elevations, descending
@@ -50,9 +50,9 @@ private:
 
 /// Range images of selected frames. Looks up a point in at most 64 frames, to limit the
 /// time per point. Uses frames whose sensor was within 40 m, or almost as near as the
-/// nearest sensor. These frames are evenly spaced in time. announce() creates the images
-/// that the given points need. Therefore a process that handles a part of a log creates
-/// only the images of this part.
+/// nearest sensor. These frames are evenly spaced in time. request_images() creates the
+/// images that the given points need. Therefore a process that handles a part of a log
+/// creates only the images of this part.
 class Visibility {
 public:
     /// Selects the frames for each tile of the ground, but creates no images. Keeps a
@@ -63,8 +63,8 @@ public:
     /// points may be looked up.
     /// @param points_m [points] vectors of 3, world
     template <class Points>
-    void announce(const Points& points_m) {
-        for (const auto& point_m : points_m) want(glm::dvec3(point_m));
+    void request_images(const Points& points_m) {
+        for (const auto& point_m : points_m) request_point(glm::dvec3(point_m));
         make_requested_images();
     }
 
@@ -81,7 +81,7 @@ public:
     /// Counts the frames that have a return at a point, and the frames that observe empty
     /// space there.
     /// @param point_m [3] world
-    Votes votes(const glm::vec3& point_m) const;
+    Votes count_votes(const glm::vec3& point_m) const;
 
     /// Returns the frames in which a point is looked up, ascending.
     /// @param point_m [3] world
@@ -129,11 +129,11 @@ private:
     /// indices of the views whose images must still be created; can contain duplicates
     std::vector<std::uint32_t> wanted_;
 
-    void want(const glm::dvec3& point_m);
+    void request_point(const glm::dvec3& point_m);
     void make_requested_images();
     void make(View& view, const Frame& frame) const;
     void sort_by_tile();
-    Surroundings around(const View& view, const glm::dvec3& point_m) const;
+    Surroundings find_surroundings(const View& view, const glm::dvec3& point_m) const;
 };
 
 }  // namespace relidar

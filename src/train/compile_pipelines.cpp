@@ -36,7 +36,7 @@ constexpr Setting kSettings[] = {{"image.sh_direction", "ray"},
                                  {"trace.chunk", "64"},
                                  {"densify.strategy", "adaptive"}};
 
-Scene smallest_scene(const Sequence& street, Primitive primitive) {
+Scene make_smallest_scene(const Sequence& street, Primitive primitive) {
     Scene scene;
     scene.surfels.resize(2, primitive);
     scene.models = {{"background", 0, 1}, {"actor", 1, 1}};
@@ -44,8 +44,8 @@ Scene smallest_scene(const Sequence& street, Primitive primitive) {
     return scene;
 }
 
-void compile(Device& device, const Sequence& street, const Config& config) {
-    const Scene scene = smallest_scene(street, config.image.primitive);
+void compile_for(Device& device, const Sequence& street, const Config& config) {
+    const Scene scene = make_smallest_scene(street, config.image.primitive);
     Split split;
     split.train = {0, 1};
     const TrainLoop loop(device, street, split, scene, config);
@@ -56,10 +56,10 @@ void compile(Device& device, const Sequence& street, const Config& config) {
 /// which depends on the type of the device.
 void compile_searches(Device& device, const Sequence& street) {
     const Config config = make_preset("default");
-    const Scene scene = smallest_scene(street, config.image.primitive);
+    const Scene scene = make_smallest_scene(street, config.image.primitive);
     for (const Walk walk : {Walk::lane, Walk::subgroup})
         for (const Proxy proxy : {Proxy::triangles, Proxy::boxes}) {
-            RendererOptions options{.accel = {.proxy = proxy}, .trace = training_trace_options(config)};
+            RendererOptions options{.accel = {.proxy = proxy}, .trace = make_training_trace_options(config)};
             options.trace.walk = walk;
             for (const HitOrder order : {HitOrder::chunks, HitOrder::lists}) {
                 options.trace.order = order;
@@ -75,12 +75,12 @@ void compile_searches(Device& device, const Sequence& street) {
 
 void compile_pipelines(Device& device, const std::function<void(const std::string&)>& progress) {
     const Sequence street = make_synthetic_street({.n_frames = 2, .rows = 2, .columns = 16});
-    const auto report = [&](const std::string& what) {
-        if (progress) progress(what);
+    const auto report = [&](const std::string& description) {
+        if (progress) progress(description);
     };
     for (const char* preset : {"paper", "released", "default", "quick"}) {
         report(preset);
-        compile(device, street, make_preset(preset));
+        compile_for(device, street, make_preset(preset));
     }
     std::vector<Setting> settings(std::begin(kSettings), std::end(kSettings));
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) \
@@ -92,7 +92,7 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
         report(std::string(setting.key) + "=" + setting.value);
         Config config = make_preset("default");
         set_key(config, setting.key, setting.value);
-        compile(device, street, config);
+        compile_for(device, street, config);
     }
     report("nearest-neighbour search and summation kernels");
     compile_searches(device, street);

@@ -26,9 +26,9 @@ IterationReports::IterationReports(Device& device)
 void IterationReports::close(Stream& stream, const DeviceCounts& counts, const std::optional<LogLine>& line) {
     if (iterations_.empty()) return;
     Slot& slot = slots_[std::size_t(iterations_.back().step) % kReadbackLag];
-    const auto take = [&](Readback& readback, const Buffer& from, std::size_t n_bytes) {
-        readback.record(stream, from, n_bytes);
-        stream.fill(from);
+    const auto take = [&](Readback& readback, const Buffer& source, std::size_t n_bytes) {
+        readback.record(stream, source, n_bytes);
+        stream.fill(source);
     };
     take(slot.terms, terms_.buffer(), iterations_.size() * kLossTerms * sizeof(float));
     take(slot.pass_cap, counts.pass_cap->buffer(), sizeof(std::uint32_t));

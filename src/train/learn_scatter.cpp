@@ -21,9 +21,10 @@ std::vector<int> frames_of(const Run& run, int lidar) {
     return spread(frames, kMostFrames);
 }
 
-std::vector<float> measured_intensities(const Sequence& sequence, const Frame& frame, const Unknown& masks) {
+std::vector<float> collect_measured_intensities(const Sequence& sequence, const Frame& frame,
+                                                const Unknown& masks) {
     std::vector<float> measured;
-    const std::vector<float> dropped = measured_drops(sequence, frame, masks);
+    const std::vector<float> dropped = find_measured_drops(sequence, frame, masks);
     for (std::size_t i = 0; i < dropped.size(); ++i)
         measured.push_back(dropped[i] == 0.0f ? frame.scan.intensity[i] : kNoIntensity);
     return measured;
@@ -35,7 +36,7 @@ std::vector<IntensityScatter> learn_scatter(Device& device, const Run& run, cons
     Config config = run.config;
     config.sensor.sub_rays = config.sensor.returns = 1;
     ScanRenderer renderer(device, run.scene, config, run.sequence);
-    const Unknown masks = masks_of(config, run.scene);
+    const Unknown masks = make_masks(config, run.scene);
     std::vector<IntensityScatter> result;
     for (int lidar = 0; lidar < int(run.sequence.lidars.size()); ++lidar) {
         const std::vector<int> positions = frames_of(run, lidar);
@@ -47,8 +48,9 @@ std::vector<IntensityScatter> learn_scatter(Device& device, const Run& run, cons
                                  double(images.size()) / double(positions.size()));
             const Frame& frame = run.sequence.frames[std::size_t(position)];
             const RenderedScan scan =
-                renderer.render(nominal_rays_of(config, run.sequence, frame), frame.time_s);
-            images.push_back({rendered_intensities(scan), measured_intensities(run.sequence, frame, masks)});
+                renderer.render(make_nominal_rays_of_frame(config, run.sequence, frame), frame.time_s);
+            images.push_back(
+                {get_rendered_intensities(scan), collect_measured_intensities(run.sequence, frame, masks)});
         }
         result.push_back(fit_scatter(images));
         if (session.progress) session.progress("learning the scatter of intensities", 1.0);

@@ -23,7 +23,7 @@ namespace relidar {
 Sequence load_log(const Config& config, const Progress& progress, int max_scans) {
     DatasetOptions options;
     options.sequence = config.dataset.sequence;
-    options.lidars = words_of(config.dataset.lidars);
+    options.lidars = split_words(config.dataset.lidars);
     options.frames = {config.dataset.frames_begin, config.dataset.frames_end};
     options.poses_file = config.dataset.poses;
     options.skip_broken = config.dataset.skip_broken;
@@ -90,14 +90,14 @@ struct PoseCorrections {
     }
 };
 
-std::string path_text(const PoseTrack& track) {
+std::string describe_path(const PoseTrack& track) {
     double metres = 0.0;
     for (std::size_t k = 1; k < track.pose.size(); ++k)
         metres += glm::distance(track.pose[k].translation, track.pose[k - 1].translation);
     return fmt::format("{:.1f} m driven", metres);
 }
 
-std::string loops_text(const Registration& registration) {
+std::string describe_loops(const Registration& registration) {
     if (registration.n_loop_closures == 0) return "";
     return fmt::format(
         "; {} loops closed, where the vehicle returned to the same position, with corrections of "
@@ -115,7 +115,7 @@ void report_lost_scans(const Sequence& sequence, const Registration& registratio
     if (registration.lost.empty()) return;
     std::vector<int> frames;
     for (const Frame& frame : sequence.frames) {
-        const bool is_lost = std::ranges::binary_search(registration.lost, sequence.pose_of(frame));
+        const bool is_lost = std::ranges::binary_search(registration.lost, sequence.get_pose_index(frame));
         if (is_lost && (frames.empty() || frames.back() != frame.index)) frames.push_back(frame.index);
     }
     const std::size_t n = sequence.world_from_vehicle.pose.size();
@@ -155,8 +155,8 @@ Registration register_log(Sequence& sequence, const Split& split, const Config& 
         "scans registered: {:.0f} % of the points are on planes that several scans have "
         "observed, with a mean distance of {:.3f} m from these planes; {}{}",
         100.0 * registration.on_planes, registration.rounds.back().residual_m,
-        has_poses(sequence, config) ? corrections.text() : path_text(registration.world_from_vehicle),
-        loops_text(registration)));
+        has_poses(sequence, config) ? corrections.text() : describe_path(registration.world_from_vehicle),
+        describe_loops(registration)));
     if (const std::string warning = corrections.warning(); has_poses(sequence, config) && !warning.empty()) {
         session.tell(warning);
         sequence.notes.push_back(warning);  // stored as a note, so that the command `info` shows it
@@ -253,7 +253,7 @@ void calibrate(Sequence& sequence, const Split& split, const SensorConfig& confi
 }
 
 /// Returns a text with the id, size and speed of a box.
-std::string box_text(const BoxTrack& box) {
+std::string describe_box(const BoxTrack& box) {
     const PoseTrack& track = box.world_from_box;
     const double seconds = track.time_s.back() - track.time_s.front();
     return fmt::format(
@@ -266,7 +266,7 @@ std::string box_text(const BoxTrack& box) {
 
 /// Returns a text about a labelled object that was also observed outside its labels. The
 /// text contains the id, and the numbers of frames before and after the labels.
-std::string continuation_text(const BoxTrack& box) {
+std::string describe_continuation(const BoxTrack& box) {
     std::vector<std::string> sides;
     if (box.n_before > 0) sides.push_back(fmt::format("{} frames before the first label", box.n_before));
     if (box.n_after > 0) sides.push_back(fmt::format("{} frames after the last label", box.n_after));
@@ -275,16 +275,16 @@ std::string continuation_text(const BoxTrack& box) {
 
 void add_discovered(Sequence& sequence, const Split& split, const PrepareSession& session) {
     std::vector<std::string> movers, extended;
-    const Progress progress = [&](std::string_view what, double done) {
+    const Progress progress = [&](std::string_view description, double done) {
         throw_if_interrupted(session);
-        if (session.progress) session.progress(what, done);
+        if (session.progress) session.progress(description, done);
     };
     for (BoxTrack& box : discover_tracks(sequence, split.train, progress, session.group)) {
         if (box.n_before + box.n_after > 0) {
-            extended.push_back(continuation_text(box));
+            extended.push_back(describe_continuation(box));
             *std::ranges::find(sequence.boxes, box.id, &BoxTrack::id) = std::move(box);
         } else {
-            movers.push_back(box_text(box));
+            movers.push_back(describe_box(box));
             sequence.boxes.push_back(std::move(box));
         }
     }
@@ -301,9 +301,9 @@ void add_discovered(Sequence& sequence, const Split& split, const PrepareSession
 void register_boxes(Sequence& sequence, const Split& split, const PrepareSession& session) {
     ActorRegistration registration;
     if (session.group.is_first())
-        registration = register_actors(sequence, split.train, [&](std::string_view what, double done) {
+        registration = register_actors(sequence, split.train, [&](std::string_view description, double done) {
             throw_if_interrupted(session);
-            if (session.progress) session.progress(what, done);
+            if (session.progress) session.progress(description, done);
         });
     for (BoxTrack& box : sequence.boxes)
         box.world_from_box.pose = session.group.broadcast(std::move(box.world_from_box.pose));
@@ -328,17 +328,17 @@ RegisterOptions register_options(const Sequence& sequence, const Config& config)
 
 void prepare_log(Sequence& sequence, const Split& split, const Config& config, PrepareSession session) {
     if (!session.tell || !session.group.is_first()) session.tell = [](const std::string&) {};
-    if (!has_poses(sequence, config) && !registers_sensor(config.train))
+    if (!has_poses(sequence, config) && !should_register_sensor(config.train))
         throw UsageError(
             "the log has no poses, or dataset.poses=none is set, so the poses must be estimated from "
             "the scans; use train.refine_poses=sensor");
     begin_stage(session.stages, "register");
-    if (registers_sensor(config.train)) register_sensor(sequence, split, config, session);
+    if (should_register_sensor(config.train)) register_sensor(sequence, split, config, session);
     begin_stage(session.stages, "calibrate");
     calibrate(sequence, split, config.sensor, session);
     begin_stage(session.stages, "movers");
     if (config.init.unlabelled_movers == UnlabelledMovers::actors) add_discovered(sequence, split, session);
-    if (registers_sensor(config.train)) register_boxes(sequence, split, session);
+    if (should_register_sensor(config.train)) register_boxes(sequence, split, session);
 }
 
 }  // namespace relidar

@@ -29,13 +29,13 @@ StepTimes time_steps(Device& device, const Run& run, int n_steps, const std::fun
                                      n_steps, kMostTimedSteps));
     TrainLoop loop(device, run.sequence, run.split, run.scene, run.config);
     const int first = std::max(1, run.config.train.iterations - n_steps - kWarmUp + 1);
-    for (int k = 0; k < kWarmUp; ++k) loop.iterate(first + k);
+    for (int k = 0; k < kWarmUp; ++k) loop.run_iteration(first + k);
     loop.settle();
     const std::map<std::string, KernelTimes::Total> before = loop.times().totals;
     StepTimes result;
     const auto start = std::chrono::steady_clock::now();
     for (; result.n_steps < n_steps && !(stop && stop()); ++result.n_steps)
-        loop.iterate(first + kWarmUp + result.n_steps);
+        loop.run_iteration(first + kWarmUp + result.n_steps);
     loop.settle();
     if (result.n_steps == 0) return result;
     result.wall_ms = 1e3 * std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() /
@@ -49,7 +49,7 @@ StepTimes time_steps(Device& device, const Run& run, int n_steps, const std::fun
         result.kernels_ms += result.kernels[kernel].ms;
     }
     result.surfels = loop.n_surfels();
-    result.rays = loop.rays_of_last_batch();
+    result.rays = loop.count_rays_of_last_batch();
     result.kept_hits = loop.kept_hits();
     return result;
 }

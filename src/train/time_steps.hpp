@@ -25,7 +25,7 @@ struct StepTimes {
     std::size_t surfels = 0, rays = 0;  ///< surfels in the scene; rays in the last batch
     std::uint32_t kept_hits = 0;        ///< maximum number of stored hits per ray after the last step
 
-    double between_ms() const { return wall_ms - kernels_ms; }  ///< time in which no kernel runs
+    double compute_interval_ms() const { return wall_ms - kernels_ms; }  ///< time in which no kernel runs
 };
 
 /// Maximum number of timed steps. The limit is needed because the times of all launches

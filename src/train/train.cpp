@@ -22,7 +22,7 @@ namespace relidar {
 namespace {
 
 using Clock = std::chrono::steady_clock;
-double seconds_since(Clock::time_point start) {
+double measure_seconds_since(Clock::time_point start) {
     return std::chrono::duration<double>(Clock::now() - start).count();
 }
 
@@ -50,7 +50,7 @@ Scene start_scene(const Sequence& sequence, const Split& split, const Config& co
 /// Prints which moving boxes have no surfels, because training ignores their returns.
 void report_masked_boxes(const Scene& scene, const Sequence& sequence, const Config& config,
                          const TrainSession& session) {
-    const std::vector<BoxTrack> masked = masked_boxes(scene, sequence, config.init);
+    const std::vector<BoxTrack> masked = find_masked_boxes(scene, sequence, config.init);
     if (masked.empty() || !session.note) return;
     session.note(
         fmt::format("points and losses in {} moving boxes are ignored: {}. Only classes in "
@@ -71,8 +71,8 @@ void report_sent_frames(const TrainingFrames& frames, const Config& config, cons
 /// Returns the settings, and disables pose refinement if the poses cannot be determined.
 /// If all training frames belong to one sweep, nothing constrains the pose of this sweep.
 /// The pose and the scene would then drift away from the poses of all other sweeps.
-Config with_findable_poses(Config config, const Sequence& sequence, const Split& split, const Scene& initial,
-                           const TrainSession& session) {
+Config disable_undetermined_poses(Config config, const Sequence& sequence, const Split& split,
+                                  const Scene& initial, const TrainSession& session) {
     const auto frame = [&](int position) -> const Frame& { return sequence.frames[std::size_t(position)]; };
     const auto of_first_sweep = [&](int position) {
         return frame(position).index == frame(split.train[0]).index;
@@ -91,7 +91,7 @@ Config with_findable_poses(Config config, const Sequence& sequence, const Split&
     return config;
 }
 
-bool logs_at(int step, const TrainConfig& config) {
+bool should_log_at(int step, const TrainConfig& config) {
     return step == 1 || step % std::max(1, config.log_every) == 0 || step == config.iterations;
 }
 
@@ -101,14 +101,14 @@ void read_scene(TrainLoop& loop, Device& device, const Sequence& sequence, const
                 const Config& config, const TrainSession& session, TrainResult& result) {
     result.interrupted = result.iterations < config.train.iterations;
     result.scene = loop.download();
-    result.poses = loop.refined_poses();
+    result.poses = loop.copy_refined_poses();
     begin_stage(session.stages, "drops");
     if (config.train.sensor_drop && !result.interrupted)
         result.scene.sensor_drop = loop.estimate_sensor_drop(device, sequence);
     begin_stage(session.stages, "coverage");
     result.coverage =
         find_coverage(sequence, result.poses ? result.poses->world_from_vehicle : sequence.world_from_vehicle,
-                      split.train, with_farthest(config, sequence).dataset.max_range_m);
+                      split.train, use_farthest_return(config, sequence).dataset.max_range_m);
 }
 
 }  // namespace
@@ -123,13 +123,13 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     const Clock::time_point begin = Clock::now();
     begin_stage(session.stages, "initialise");
     const Scene initial =
-        session.start ? scene_of(*session.start) : start_scene(sequence, split, config, session);
-    result.initialise_s = seconds_since(begin);
+        session.start ? read_scene(*session.start) : start_scene(sequence, split, config, session);
+    result.initialise_s = measure_seconds_since(begin);
     report_masked_boxes(initial, sequence, config, session);
 
     begin_stage(session.stages, "train");
     // Keeps the settings in a variable, because the loop stores a reference to them.
-    const Config findable = with_findable_poses(config, sequence, split, initial, session);
+    const Config findable = disable_undetermined_poses(config, sequence, split, initial, session);
     if (session.progress) session.progress("allocating memory and loading kernels", 0.0);
     TrainLoop loop(device, sequence, split, initial, findable);
     if (session.progress) session.progress("allocating memory and loading kernels", 1.0);
@@ -141,7 +141,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     CheckpointKeeper checkpoints(sequence, split, config, session);
     const Clock::time_point start = Clock::now();
     const double trained_before_s = result.train_s;
-    const auto trained_s = [&] { return trained_before_s + seconds_since(start); };
+    const auto trained_s = [&] { return trained_before_s + measure_seconds_since(start); };
     bool stop = false;
     const auto collect_lines = [&] {
         for (const LogLine& line : loop.collect_lines()) {
@@ -151,7 +151,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     };
     while (result.iterations < config.train.iterations && !stop) {
         const int step = ++result.iterations;
-        loop.iterate(step, logs_at(step, config.train));
+        loop.run_iteration(step, should_log_at(step, config.train));
         collect_lines();
         stop = stop || (session.stop && session.stop());
         if (!stop && !checkpoints.due(step)) continue;

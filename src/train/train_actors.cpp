@@ -45,7 +45,7 @@ struct Sight {
     bool is_hit_by(const WorldRay& ray, double after_s) const { return meets(ray, after_s, kBeside_m); }
     /// Returns true if a ray that hits the actor's box can also hit this sphere. The
     /// sphere can be in front of the actor or behind it.
-    bool may_show(const glm::dvec3& point_m, double reach_m) const {
+    bool can_observe(const glm::dvec3& point_m, double reach_m) const {
         const double driven_length_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
         return meets({sensor_m, glm::normalize(point_m - sensor_m)}, placed.motion.middle_s,
                      kBeside_m + kSweep_m + driven_length_m + reach_m);
@@ -54,7 +54,7 @@ struct Sight {
 private:
     bool meets(const WorldRay& ray, double after_s, double grown_m) const {
         const PlacedBox box{inverse(placed.motion.at(placed.world_from_model, after_s)), half_size_m};
-        const glm::dvec2 inside = box.interval(ray, grown_m);
+        const glm::dvec2 inside = box.compute_ray_interval(ray, grown_m);
         return inside.x <= inside.y;
     }
 };
@@ -80,7 +80,7 @@ struct Stretch {
 
 /// Returns the track of each LiDAR. Compute the tracks only once, because each track has
 /// as many poses as the log has sweeps.
-std::vector<PoseTrack> sensor_tracks(const Sequence& sequence) {
+std::vector<PoseTrack> list_sensor_tracks(const Sequence& sequence) {
     std::vector<PoseTrack> tracks;
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
         tracks.push_back(sequence.world_from_sensor(static_cast<int>(l)));
@@ -88,10 +88,11 @@ std::vector<PoseTrack> sensor_tracks(const Sequence& sequence) {
 }
 
 /// Returns a frame together with the actors that are within the range of its returns.
-SightedFrame sighted(const Run& run, int position, const std::vector<PoseTrack>& tracks) {
+SightedFrame find_visible_actors(const Run& run, int position, const std::vector<PoseTrack>& tracks) {
     const Frame& frame = run.sequence.frames[std::size_t(position)];
     const PoseTrack& world_from_sensor = tracks[std::size_t(frame.lidar)];
-    const std::vector<InstancePose> placed = place_instances(run.scene, run.sequence, moment_of(frame));
+    const std::vector<InstancePose> placed =
+        place_instances(run.scene, run.sequence, get_sweep_moment(frame));
     SightedFrame result{position, world_from_sensor.at(frame.time_s).translation, 0.0, {}};
     for (const float range_m : frame.scan.range_m) result.reach_m = std::max(result.reach_m, double(range_m));
     for (std::size_t i = 0; i < placed.size(); ++i) {
@@ -107,10 +108,10 @@ SightedFrame sighted(const Run& run, int position, const std::vector<PoseTrack>&
 
 /// Divides the training frames into sections. Starts a new section if the blocks of the
 /// current section would exceed kTogether surfels. Each section has at least one frame.
-std::vector<Stretch> stretches_of(const Run& run, const std::vector<PoseTrack>& tracks) {
+std::vector<Stretch> divide_into_stretches(const Run& run, const std::vector<PoseTrack>& tracks) {
     std::vector<Stretch> stretches(1);
     for (const int position : run.split.train) {
-        SightedFrame frame = sighted(run, position, tracks);
+        SightedFrame frame = find_visible_actors(run, position, tracks);
         if (frame.sights.empty()) continue;
         std::set<std::size_t> reached, together = stretches.back().blocks;
         for (std::size_t i = 0; i < run.scene.blocks.size(); ++i)
@@ -134,54 +135,55 @@ Scan select_rays_near(const Run& run, const Frame& frame, const PoseTrack& world
     Scan scan;
     for (std::size_t i = 0; i < all.range_m.size(); ++i) {
         const WorldRay ray =
-            world_ray(world_from_sensor, frame.time_s, all.rays, i, run.sequence.rolling_shutter);
+            make_world_ray(world_from_sensor, frame.time_s, all.rays, i, run.sequence.rolling_shutter);
         const double after_s = run.sequence.rolling_shutter ? double(all.rays.time_offset_s[i]) : 0.0;
         if (std::none_of(sights.begin(), sights.end(),
                          [&](const Sight& sight) { return sight.is_hit_by(ray, after_s); }))
             continue;
-        const auto beam = run.sequence.beam_number(frame.lidar, all.rays.channel[i]);
+        const auto beam = run.sequence.find_beam_number(frame.lidar, all.rays.channel[i]);
         if (beam && run.scene.sensor_drop.at(*beam, all.rays.direction[i]) > kBlind) continue;
         near.push_back(i);
         scan.range_m.push_back(all.range_m[i]);
         scan.intensity.push_back(all.intensity[i]);
     }
-    scan.rays = some_rays(all.rays, near);
+    scan.rays = select_rays(all.rays, near);
     return scan;
 }
 
 /// Returns the log of a section. Its frames contain only the rays near actors.
 Sequence log_of(const Run& run, const Stretch& stretch, const std::vector<PoseTrack>& tracks) {
     std::vector<Frame> frames(stretch.frames.size());
-    parallel_for(static_cast<int>(frames.size()), [&](int i) {
-        const SightedFrame& sighted = stretch.frames[std::size_t(i)];
+    parallel_for(static_cast<int>(frames.size()), [&](int index) {
+        const SightedFrame& sighted = stretch.frames[std::size_t(index)];
         const Frame& from = run.sequence.frames[std::size_t(sighted.position)];
         const PoseTrack& world_from_sensor = tracks[std::size_t(from.lidar)];
-        frames[std::size_t(i)] = {from.index, from.time_s,
-                                  select_rays_near(run, from, world_from_sensor, sighted.sights), from.lidar,
-                                  from.start};
+        frames[std::size_t(index)] = {from.index, from.time_s,
+                                      select_rays_near(run, from, world_from_sensor, sighted.sights),
+                                      from.lidar, from.start};
     });
-    Sequence log = without_frames(run.sequence);
+    Sequence log = copy_without_frames(run.sequence);
     for (Frame& frame : frames)
         if (frame.scan.rays.columns > 0) log.frames.push_back(std::move(frame));
     return log;
 }
 
 /// Returns the surfels on the rays that pass near actors.
-Surfels along_rays(const Surfels& surfels, const std::vector<const SightedFrame*>& frames) {
+Surfels select_surfels_along_rays(const Surfels& surfels, const std::vector<const SightedFrame*>& frames) {
     std::vector<std::uint8_t> kept(surfels.size(), 0);
-    for_each_block(surfels.size(), [&](std::size_t i) {
-        const glm::dvec3 mean = surfels.mean[i];
+    for_each_block(surfels.size(), [&](std::size_t index) {
+        const glm::dvec3 mean = surfels.mean[index];
         const double reach_m =
-            kReach_sigmas * std::exp(double(std::max(surfels.log_scale[i].x, surfels.log_scale[i].y)));
-        kept[i] = std::any_of(frames.begin(), frames.end(), [&](const SightedFrame* frame) {
+            kReach_sigmas *
+            std::exp(double(std::max(surfels.log_scale[index].x, surfels.log_scale[index].y)));
+        kept[index] = std::any_of(frames.begin(), frames.end(), [&](const SightedFrame* frame) {
             return std::any_of(frame->sights.begin(), frame->sights.end(),
-                               [&](const Sight& s) { return s.may_show(mean, reach_m); });
+                               [&](const Sight& s) { return s.can_observe(mean, reach_m); });
         });
     });
     std::vector<std::uint32_t> order;
     for (std::uint32_t i = 0; i < kept.size(); ++i)
         if (kept[i]) order.push_back(i);
-    return surfels.permuted(order);
+    return surfels.reorder(order);
 }
 
 /// Scene in which the actors of a section are trained. `extent_m` is the mean extent of
@@ -191,25 +193,26 @@ struct StretchScene {
     double extent_m = 1.0;
 };
 
-StretchScene scene_of(const Run& run, const Stretch& stretch) {
+StretchScene make_scene_of_stretch(const Run& run, const Stretch& stretch) {
     std::vector<const SightedFrame*> all;
     for (const SightedFrame& frame : stretch.frames) all.push_back(&frame);
-    Surfels background = along_rays(run.scene.surfels.slice(0, run.scene.models.front().count), all);
-    double extent_m = stretch.blocks.empty() ? background_extent(run.scene) : 0.0;
+    Surfels background =
+        select_surfels_along_rays(run.scene.surfels.slice(0, run.scene.models.front().count), all);
+    double extent_m = stretch.blocks.empty() ? compute_background_extent(run.scene) : 0.0;
     for (const std::size_t i : stretch.blocks) {
         const Scene block = make_background_scene(read_block(run.scene.blocks[i]));
         std::vector<const SightedFrame*> near;
         for (const SightedFrame& frame : stretch.frames)
             if (frame.reaches(run.scene.blocks[i])) near.push_back(&frame);
-        background.append(along_rays(block.surfels, near));
-        extent_m += background_extent(block) / double(stretch.blocks.size());
+        background.append(select_surfels_along_rays(block.surfels, near));
+        extent_m += compute_background_extent(block) / double(stretch.blocks.size());
     }
-    return {with_background(run.scene, background), extent_m};
+    return {add_background(run.scene, background), extent_m};
 }
 
 /// Returns the settings for training actors. Keeps the schedule and uses all rays. Does
 /// not refine poses or change the number of surfels.
-Config settings_of(const Config& config, std::size_t n_frames) {
+Config make_settings(const Config& config, std::size_t n_frames) {
     Config c = config;
     TrainConfig& t = c.train;
     t.iterations = static_cast<int>(
@@ -228,8 +231,8 @@ Config settings_of(const Config& config, std::size_t n_frames) {
 
 bool train_actors(Device& device, Run& run, const ActorSession& session) {
     if (run.config.blocks.actor_epochs == 0 || run.scene.instances.size() < 2) return true;
-    const std::vector<PoseTrack> tracks = sensor_tracks(run.sequence);
-    const std::vector<Stretch> stretches = stretches_of(run, tracks);
+    const std::vector<PoseTrack> tracks = list_sensor_tracks(run.sequence);
+    const std::vector<Stretch> stretches = divide_into_stretches(run, tracks);
     const std::uint32_t n_before = run.scene.models.front().count;
     const std::size_t n_actors = run.scene.surfels.size() - n_before;
     std::size_t n_frames = 0, done = 0;
@@ -239,11 +242,11 @@ bool train_actors(Device& device, Run& run, const ActorSession& session) {
         if (log.frames.empty()) continue;
         Split split;
         for (std::size_t i = 0; i < log.frames.size(); ++i) split.train.push_back(static_cast<int>(i));
-        const auto [scene, extent_m] = scene_of(run, stretch);
-        const Config config = settings_of(run.config, log.frames.size());
+        const auto [scene, extent_m] = make_scene_of_stretch(run, stretch);
+        const Config config = make_settings(run.config, log.frames.size());
         TrainLoop loop(device, log, split, scene, config, scene.models.front().count, extent_m);
         for (int step = 1; step <= config.train.iterations; ++step) {
-            loop.iterate(step);
+            loop.run_iteration(step);
             if (session.step)
                 session.step(static_cast<int>(done) + step,
                              run.config.blocks.actor_epochs * static_cast<int>(n_frames));

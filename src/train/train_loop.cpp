@@ -20,7 +20,7 @@
 
 namespace relidar {
 
-FrameSampler::FrameSampler(std::size_t n, std::uint64_t seed) : order_(n), random_(seed) {
+FrameSampler::FrameSampler(std::size_t count, std::uint64_t seed) : order_(count), random_(seed) {
     std::iota(order_.begin(), order_.end(), std::uint64_t(0));
 }
 
@@ -32,15 +32,15 @@ std::size_t FrameSampler::next() {
     return frame;
 }
 
-std::optional<std::size_t> FrameSampler::coming() const {
+std::optional<std::size_t> FrameSampler::peek_next_frame() const {
     return position_ == 0 ? std::nullopt : std::optional(std::size_t(order_[position_]));
 }
 
-bool FrameSampler::is_sound(std::size_t n) const {
-    std::vector<std::uint64_t> sorted = order_, all(n);
+bool FrameSampler::is_sound(std::size_t count) const {
+    std::vector<std::uint64_t> sorted = order_, all(count);
     std::sort(sorted.begin(), sorted.end());
     std::iota(all.begin(), all.end(), std::uint64_t(0));
-    return sorted == all && position_ < n;
+    return sorted == all && position_ < count;
 }
 
 namespace {
@@ -54,16 +54,18 @@ constexpr double kShRestFactor = 0.05;
 // structure has grown.
 constexpr int kGrowthEvery = 32;
 
-LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
-    const double decay = exponential_schedule(1.0, c.rate_decay, step, c.iterations);
-    return {.mean = exponential_schedule(c.mean_rate, c.mean_rate_final, step, c.iterations) * extent_m,
-            .rotation = c.rotation_rate * decay,
-            .log_scale = c.scale_rate * decay,
-            .opacity_logit = c.opacity_rate * decay,
-            .sh = c.sh_rate * decay,
-            .sh_rest_factor = kShRestFactor,
-            .gait = LearningRates{}.gait * decay,
-            .intensity_factor = c.intensity_factor};
+LearningRates compute_learning_rates(const TrainConfig& config, double extent_m, int step) {
+    const double decay = interpolate_exponentially(1.0, config.rate_decay, step, config.iterations);
+    return {
+        .mean = interpolate_exponentially(config.mean_rate, config.mean_rate_final, step, config.iterations) *
+                extent_m,
+        .rotation = config.rotation_rate * decay,
+        .log_scale = config.scale_rate * decay,
+        .opacity_logit = config.opacity_rate * decay,
+        .sh = config.sh_rate * decay,
+        .sh_rest_factor = kShRestFactor,
+        .gait = LearningRates{}.gait * decay,
+        .intensity_factor = config.intensity_factor};
 }
 
 /// Returns the learning rate of the surfel positions for each model, relative to the rate
@@ -72,19 +74,20 @@ LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
 /// surfels are cloned and split by fractions of this extent, as in the paper. A dense
 /// initialisation uses a tenth of the paper's rate.
 /// @return [models] factors
-std::vector<float> mean_factors(const Scene& layout, double background_extent_m) {
+std::vector<float> compute_mean_factors(const Scene& layout, double background_extent_m) {
     std::vector<float> factors;
     for (const Model& model : layout.models)
-        factors.push_back(model.half_size_m.x > 0.0f
-                              ? static_cast<float>(box_extent(model.half_size_m) / background_extent_m)
-                              : 1.0f);
+        factors.push_back(
+            model.half_size_m.x > 0.0f
+                ? static_cast<float>(compute_box_extent(model.half_size_m) / background_extent_m)
+                : 1.0f);
     return factors;
 }
 
 /// Returns the highest active degree of the spherical harmonics. The image model can
 /// limit it to a lower degree.
-int sh_degree_at(const TrainConfig& c, int step) {
-    return c.sh_degree_start + std::max(step - 1, 0) / std::max(1, c.sh_degree_interval);
+int get_sh_degree_at(const TrainConfig& config, int step) {
+    return config.sh_degree_start + std::max(step - 1, 0) / std::max(1, config.sh_degree_interval);
 }
 
 /// Describes how often the acceleration structures are refitted to the surfels. Surfels
@@ -100,7 +103,7 @@ struct TreeFits {
 /// the interval is longer, because refitting for few trained surfels would take most of
 /// the time. Without per-surfel harmonics, every iteration refits, because only a refit
 /// updates the hit records.
-TreeFits tree_fits(const Config& config, std::uint32_t n_fixed) {
+TreeFits choose_tree_fits(const Config& config, std::uint32_t n_fixed) {
     if (config.image.sh_direction == ShDirection::ray) return {};
     if (n_fixed > 0) return {4, {.margin_scale = 1.1f, .margin_m = 0.01f}};
     return {2, {.margin_scale = 1.05f, .margin_m = 0.003f}};
@@ -113,14 +116,15 @@ bool should_fit_tree(const TreeFits& fits, const TrainConfig& config, int step) 
     // Surfels may grow by this fraction of the tree's margin before a refit. The
     // remainder is reserved for growing opacities, which also enlarge surfels.
     constexpr double kShare = 0.9;
-    const double growth = (fits.every - 1) * rates_at(config, 1.0, step).log_scale;
+    const double growth = (fits.every - 1) * compute_learning_rates(config, 1.0, step).log_scale;
     return growth > kShare * std::log(fits.accel.margin_scale) || (step - 1) % fits.every == 0;
 }
 
-RendererOptions renderer_options(const Config& config, const TrainingFrames& frames, std::uint32_t n_fixed) {
-    return {.accel = tree_fits(config, n_fixed).accel,
-            .trace = training_trace_options(config),
-            .n_rays = max_rays(frames.all()),
+RendererOptions make_renderer_options(const Config& config, const TrainingFrames& frames,
+                                      std::uint32_t n_fixed) {
+    return {.accel = choose_tree_fits(config, n_fixed).accel,
+            .trace = make_training_trace_options(config),
+            .n_rays = find_max_rays(frames.all()),
             .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)};
 }
 
@@ -139,11 +143,12 @@ std::vector<float> scale_bounds(const Surfels& surfels, double max_growth) {
 
 /// Returns true if every surfel gets a gradient in each iteration, even if no ray hits
 /// it. The box loss causes such gradients, because it depends only on the surfels.
-bool all_have_gradients(const Config& config) { return config.loss.box > 0.0f && !config.train.only_touched; }
+bool have_all_gradients(const Config& config) { return config.loss.box > 0.0f && !config.train.only_touched; }
 
 Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene, const Config& config) {
-    Unknown masks{
-        config.init, {}, config.train.sensor_drop ? observed_drops(sequence, split.train) : DropTable{}};
+    Unknown masks{config.init,
+                  {},
+                  config.train.sensor_drop ? estimate_observed_drops(sequence, split.train) : DropTable{}};
     for (const Instance& instance : scene.instances)
         if (!instance.track.empty()) masks.actors.push_back(instance.track);
     return masks;
@@ -152,7 +157,7 @@ Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene
 /// Returns the grid whose cells are used as training rays. Returns nothing if training
 /// uses the rays of the sensor.
 /// @throws UsageError if another setting requires the rays of the sensor
-std::optional<RangeGrid> trained_grid(const Config& config) {
+std::optional<RangeGrid> get_trained_grid(const Config& config) {
     if (config.train.grid == "native") return std::nullopt;
     const std::pair<bool, const char*> needs_sensor_rays[] = {
         {config.train.sensor_drop, "train.sensor_drop"}, {config.blocks.length_m > 0.0, "blocks.length_m"}};
@@ -165,11 +170,12 @@ std::optional<RangeGrid> trained_grid(const Config& config) {
     return find_grid(config.train.grid);
 }
 
-FrameUse frame_use(const Sequence& sequence, const Split& split, const Scene& scene, const Config& config) {
+FrameUse choose_frame_use(const Sequence& sequence, const Split& split, const Scene& scene,
+                          const Config& config) {
     return {.unknown = unknown(sequence, split, scene, config),
             .moves_rays = config.train.refines("sensor"),
             .resident_bytes = std::uint64_t(config.train.frame_memory_mib) << 20,
-            .grid = trained_grid(config)};
+            .grid = get_trained_grid(config)};
 }
 
 }  // namespace
@@ -178,23 +184,23 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
                      const Config& config, std::uint32_t n_fixed, std::optional<double> extent_m)
     : config_(config),
       n_fixed_(n_fixed),
-      frames_(device, sequence, split.train, frame_use(sequence, split, initial, config)),
+      frames_(device, sequence, split.train, choose_frame_use(sequence, split, initial, config)),
       batches_(device, config, frames_.all()),
       refiner_(device, sequence, initial, config.train, frames_),
-      renderer_(device, initial, config.image, renderer_options(config, frames_, n_fixed),
-                {backward_options(config), refiner_.wanted(), all_have_gradients(config)}),
+      renderer_(device, initial, config.image, make_renderer_options(config, frames_, n_fixed),
+                {make_backward_options(config), refiner_.wanted(), have_all_gradients(config)}),
       stream_(renderer_.stream()),
-      losses_(make_losses(device, config.loss, max_rays(frames_.all()))),
+      losses_(make_losses(device, config.loss, find_max_rays(frames_.all()))),
       adam_(device, n_surfels(), {.only_touched = config.train.only_touched, .n_fixed = n_fixed},
             initial.surfels.parameters()),
       densifier_(device, initial, config.densify, config.image.alpha_min,
                  static_cast<std::uint32_t>(frames_.all().size()), config.train.seed),
       reports_(device),
-      extent_m_(extent_m ? *extent_m : background_extent(initial)),
+      extent_m_(extent_m ? *extent_m : compute_background_extent(initial)),
       sampler_(frames_.all().size(), config.train.seed) {
     for (std::size_t i = 0; i < frames_.all().size(); ++i)
-        frames_[i].placed =
-            place_instances(initial, sequence, moment_of(sequence.frames[std::size_t(frames_[i].position)]));
+        frames_[i].placed = place_instances(
+            initial, sequence, get_sweep_moment(sequence.frames[std::size_t(frames_[i].position)]));
     // Limits the size of surfels only if densification is off. Densification splits large
     // surfels, so it needs no limit.
     if (config.densify.strategy == DensifyStrategy::none)
@@ -212,8 +218,8 @@ TrainLoop::~TrainLoop() {
     }
 }
 
-const FrameData& TrainLoop::bring(std::size_t frame_index, bool surfels_changed) {
-    FrameData& frame = frames_.bring(stream_, frame_index);
+const FrameData& TrainLoop::make_resident(std::size_t frame_index, bool surfels_changed) {
+    FrameData& frame = frames_.make_resident(stream_, frame_index);
     refiner_.place(stream_, frame);
     if (surfels_changed) renderer_.place(frame.placed, frame.sensor_position_m);
     else renderer_.move(frame.placed, frame.sensor_position_m);
@@ -221,11 +227,12 @@ const FrameData& TrainLoop::bring(std::size_t frame_index, bool surfels_changed)
 }
 
 const FrameData& TrainLoop::place(std::size_t frame_index, int step) {
-    renderer_.set_sh_degree(sh_degree_at(config_.train, step));
-    return bring(frame_index, should_fit_tree(tree_fits(config_, n_fixed_), config_.train, step));
+    renderer_.set_sh_degree(get_sh_degree_at(config_.train, step));
+    return make_resident(frame_index,
+                         should_fit_tree(choose_tree_fits(config_, n_fixed_), config_.train, step));
 }
 
-void TrainLoop::learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms) {
+void TrainLoop::record_batch(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms) {
     renderer_.record_forward(rays);  // renders the batch (equations 2-4)
     // Computes the losses (equations 10-11).
     for (const std::unique_ptr<Loss>& loss : losses_)
@@ -233,17 +240,17 @@ void TrainLoop::learn_from(const RayBatch& rays, const TargetBatch& targets, con
     renderer_.record_backward();  // computes the gradients (equation 9)
 }
 
-void TrainLoop::iterate(int step, bool ends_line) {
-    look_at_reports(step - kReadbackLag);
+void TrainLoop::run_iteration(int step, bool ends_line) {
+    check_reports(step - kReadbackLag);
     refiner_.apply_steps(stream_, step - kReadbackLag);
     const std::size_t frame_index = sampler_.next();
     DeviceScene& scene = renderer_.scene();
 
     const FrameData& frame = place(frame_index, step);
-    if (const std::optional<std::size_t> coming = sampler_.coming()) frames_.expect(*coming);
+    if (const std::optional<std::size_t> coming = sampler_.peek_next_frame()) frames_.expect(*coming);
     const SampledBatch batch = batches_.sample(stream_, frame, sampler_.random());
     const TermRow terms = reports_.row();
-    learn_from(batch.rays, batch.targets, terms);
+    record_batch(batch.rays, batch.targets, terms);
     Gradients& gradients = renderer_.gradients();
     refiner_.record(stream_, frame_index, frame, batch, gradients, step);
     for (const std::unique_ptr<Loss>& loss : losses_)
@@ -254,11 +261,11 @@ void TrainLoop::iterate(int step, bool ends_line) {
     densifier_.observe(
         stream_, scene,
         {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), is_full_frame});
-    LearningRates rates = rates_at(config_.train, extent_m_, step);
+    LearningRates rates = compute_learning_rates(config_.train, extent_m_, step);
     if (config_.densify.strategy == DensifyStrategy::adaptive)
-        rates.models = &scene.models(), rates.mean_factors = mean_factors(scene.layout(), extent_m_);
+        rates.models = &scene.models(), rates.mean_factors = compute_mean_factors(scene.layout(), extent_m_);
     const Array<std::uint32_t, shared::TouchedSurfels>* touched =
-        all_have_gradients(config_) ? nullptr : &gradients.touched;
+        have_all_gradients(config_) ? nullptr : &gradients.touched;
     adam_.step(stream_, scene.parameters(), gradients.surfels, touched, rates, step,
                renderer_.model().sh_degree);
     reports_.add(step, frame.index);
@@ -287,7 +294,7 @@ void TrainLoop::close_report(int step, bool ends_line) {
                              : std::nullopt);
 }
 
-void TrainLoop::look_at_reports(int last) {
+void TrainLoop::check_reports(int last) {
     while (const std::optional<IterationReports::Report> report = reports_.take(stream_, last)) {
         if (report->pass_cap > 0)
             throw DeviceError(fmt::format(
@@ -316,7 +323,7 @@ void TrainLoop::keep_more_hits(const IterationReports::Report& report) {
     // Ignores reports of iterations from before the last increase of the number of stored
     // hits.
     if (report.kept_hits != renderer_.kept_hits() || no_room_to_keep_more_) return;
-    const std::uint32_t n_hits = recommended_kept_hits(report.kept_hits, report.overfull);
+    const std::uint32_t n_hits = recommend_kept_hits(report.kept_hits, report.overfull);
     if (n_hits == report.kept_hits) return;
     // finishes the report of the iterations that used the current number of stored hits
     close_report(last_step_, false);
@@ -326,7 +333,7 @@ void TrainLoop::keep_more_hits(const IterationReports::Report& report) {
 void TrainLoop::settle() {
     close_report(last_step_, false);
     submitted_ = stream_.submit();
-    look_at_reports(last_step_);
+    check_reports(last_step_);
     refiner_.fetch(stream_);
     stream_.wait(submitted_);
 }
@@ -373,13 +380,13 @@ DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequen
     some_rays.loss.intensity_ssim = 0.0f;
     BatchSampler batches(device, some_rays, frames_.all());
     DropCounts counts(sequence);
-    renderer_.set_sh_degree(sh_degree_at(config_.train, config_.train.iterations));
+    renderer_.set_sh_degree(get_sh_degree_at(config_.train, config_.train.iterations));
     // number of rays to use from each frame
     const std::size_t rays_of_frame =
         kRaysPerBin * counts.bins() / std::max<std::size_t>(1, frames_.all().size());
     for (std::size_t k = 0; k < frames_.all().size(); ++k) {
         // Refits before the first frame, because the last iteration moved the surfels.
-        const FrameData& frame = bring(k, k == 0);
+        const FrameData& frame = make_resident(k, k == 0);
         if (k + 1 < frames_.all().size()) frames_.expect(k + 1);
         const std::uint32_t first = batches.draw_first(frame, sampler_.random());
         const auto passes = static_cast<std::uint32_t>(
@@ -387,7 +394,7 @@ DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequen
         for (std::uint32_t pass = 0; pass < passes; ++pass)
             count_drops(counts, sequence, frame, batches.take(stream_, frame, first, pass));
     }
-    DropTable drops = counts.shrunk();
+    DropTable drops = counts.estimate_drop_rate();
     add_unseen_sectors(drops, frames_.unknown().observed_drops, sequence);
     return drops;
 }
@@ -403,7 +410,7 @@ void TrainLoop::count_drops(DropCounts& counts, const Sequence& sequence, const 
     stream_.finish();
     const Rendering r = to_rendering(renderer_.rendered().rendered->download(batch.rays.n_rays));
     for (std::uint32_t j = 0; j < batch.rays.n_rays; ++j) {
-        const std::size_t ray = batch.ray_of_frame(j);
+        const std::size_t ray = batch.get_ray_of_frame(j);
         if (r.hit_logit[j] > r.drop_logit[j] &&
             (r.weight[j] > kSolid || is_blind(observed, sequence, sweep, ray)))
             counts.add(sweep, ray);

@@ -30,7 +30,7 @@ public:
     std::size_t next();
     /// Returns the frame that next() will return. Returns nothing at the end of an epoch,
     /// because the order of the next epoch is not drawn yet.
-    std::optional<std::size_t> coming() const;
+    std::optional<std::size_t> peek_next_frame() const;
     Random& random() { return random_; }
 
     template <class Visitor>
@@ -40,7 +40,7 @@ public:
         visit("sampler/random", random_.state());
     }
     /// Returns true if a state that was read from a checkpoint is valid.
-    bool is_sound(std::size_t n) const;
+    bool is_sound(std::size_t count) const;
 
 private:
     std::vector<std::uint64_t> order_;
@@ -69,7 +69,7 @@ public:
     /// @param ends_line  true if a log line ends with this iteration
     /// @throws DataError naming iteration, frame and term if a loss was not finite in the
     /// last 64 + kReadbackLag iterations
-    void iterate(int step, bool ends_line = false);
+    void run_iteration(int step, bool ends_line = false);
     /// Returns the log lines that became available since the last call. The line of an
     /// iteration becomes available kReadbackLag iterations later, or after settle().
     std::vector<LogLine> collect_lines() { return reports_.collect_lines(); }
@@ -91,14 +91,14 @@ public:
     /// which the current scene predicts a return. Waits for the device.
     DropTable estimate_sensor_drop(Device& device, const Sequence& sequence);
     /// Returns the current poses, or nothing if no poses are refined.
-    std::optional<RefinedPoses> refined_poses() const {
+    std::optional<RefinedPoses> copy_refined_poses() const {
         return refiner_.is_active() ? std::optional(refiner_.poses()) : std::nullopt;
     }
     /// Downloads the current scene. Waits for the device.
     Scene download() { return renderer_.download(); }
     const KernelTimes& times() { return renderer_.stream().times(); }
     std::uint32_t n_surfels() const { return renderer_.scene().size(); }
-    std::uint32_t rays_of_last_batch() const { return renderer_.rendered().rays.n_rays; }
+    std::uint32_t count_rays_of_last_batch() const { return renderer_.rendered().rays.n_rays; }
     /// Returns the number of hits that are currently stored for each ray.
     std::uint32_t kept_hits() const { return renderer_.kept_hits(); }
     const TrainingFrames& frames() const { return frames_; }
@@ -154,11 +154,11 @@ private:
     /// Uploads a frame to the device if the frame is not there yet. Moves the instances
     /// to their poses in this frame.
     /// @param surfels_changed  true if surfels have changed since the last frame
-    const FrameData& bring(std::size_t frame_index, bool surfels_changed);
+    const FrameData& make_resident(std::size_t frame_index, bool surfels_changed);
     /// Records GPU commands that render a batch, and compute its losses and gradients.
-    void learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms);
+    void record_batch(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms);
     /// Checks the losses and counters of all iterations up to `last`.
-    void look_at_reports(int last);
+    void check_reports(int last);
     void close_report(int step, bool ends_line);
     /// Compares the number of hits in a report with the capacity of the hit buffer.
     /// Increases the capacity if the hits used more than half of it.

@@ -44,22 +44,25 @@ TEST_F(Files, WhatCannotBeReadIsToldApartFromWhatIsMissing) {
     for (const auto& read :
          {std::function<void(const fs::path&)>([](const fs::path& p) { read_file(p); }),
           std::function<void(const fs::path&)>([](const fs::path& p) { list_folder(p); }),
-          std::function<void(const fs::path&)>([](const fs::path& p) { path_exists(p); })}) {
-        EXPECT_THAT(data_error([&] { read(locked / "inside"); }),
+          std::function<void(const fs::path&)>([](const fs::path& p) { does_path_exist(p); })}) {
+        EXPECT_THAT(get_data_error_message([&] { read(locked / "inside"); }),
                     testing::HasSubstr("inside: Permission denied"));
-        EXPECT_THAT(data_error([&] { read(loop); }), testing::HasSubstr("loop: Too many levels"));
-        EXPECT_THAT(data_error([&] { read(long_name); }), testing::HasSubstr("File name too long"));
+        EXPECT_THAT(get_data_error_message([&] { read(loop); }), testing::HasSubstr("loop: Too many levels"));
+        EXPECT_THAT(get_data_error_message([&] { read(long_name); }),
+                    testing::HasSubstr("File name too long"));
     }
-    EXPECT_THAT(data_error([&] { read_file(file); }), testing::HasSubstr("file: Permission denied"));
-    EXPECT_THAT(data_error([&] { list_folder(locked); }), testing::HasSubstr("locked: Permission denied"));
-    EXPECT_THAT(data_error([&] { read_file(folder / "nothing"); }),
+    EXPECT_THAT(get_data_error_message([&] { read_file(file); }),
+                testing::HasSubstr("file: Permission denied"));
+    EXPECT_THAT(get_data_error_message([&] { list_folder(locked); }),
+                testing::HasSubstr("locked: Permission denied"));
+    EXPECT_THAT(get_data_error_message([&] { read_file(folder / "nothing"); }),
                 testing::HasSubstr("nothing: no such file"));
-    EXPECT_THAT(data_error([&] { list_folder(folder / "nothing"); }),
+    EXPECT_THAT(get_data_error_message([&] { list_folder(folder / "nothing"); }),
                 testing::HasSubstr("nothing: no such folder"));
-    EXPECT_THAT(data_error([&] { read_file(folder); }), testing::HasSubstr("not a file"));
-    EXPECT_FALSE(path_exists(folder / "nothing"));
-    EXPECT_FALSE(path_exists(file / "below"));
-    EXPECT_TRUE(path_exists(file));
+    EXPECT_THAT(get_data_error_message([&] { read_file(folder); }), testing::HasSubstr("not a file"));
+    EXPECT_FALSE(does_path_exist(folder / "nothing"));
+    EXPECT_FALSE(does_path_exist(file / "below"));
+    EXPECT_TRUE(does_path_exist(file));
 }
 
 TEST_F(Files, AByteOrderMarkIsNoText) {
@@ -67,29 +70,30 @@ TEST_F(Files, AByteOrderMarkIsNoText) {
     put(folder / "unicode.csv", std::string("\xFF\xFEx\0", 4));
     EXPECT_EQ(read_text(folder / "excel.csv"), "x,y\n");
     EXPECT_EQ(read_file(folder / "excel.csv").size(), 7u) << "bytes stay as they are";
-    EXPECT_THAT(data_error([&] { read_text(folder / "unicode.csv"); }),
+    EXPECT_THAT(get_data_error_message([&] { read_text(folder / "unicode.csv"); }),
                 testing::HasSubstr("found text in UTF-16, expected UTF-8"));
 }
 
 TEST_F(Files, NumbersInNames) {
-    EXPECT_EQ(file_number("0000000012"), 12);
-    EXPECT_EQ(file_number("00000000000000000007"), 7);
-    EXPECT_EQ(file_number("99999999"), 99999999);
+    EXPECT_EQ(parse_file_number("0000000012"), 12);
+    EXPECT_EQ(parse_file_number("00000000000000000007"), 7);
+    EXPECT_EQ(parse_file_number("99999999"), 99999999);
     for (const char* none : {"", "100000000", "9999999999", "nan", "1e3", "-1", "1.5", " 1"})
-        EXPECT_FALSE(file_number(none)) << none;
+        EXPECT_FALSE(parse_file_number(none)) << none;
 }
 
 TEST_F(Files, ExcerptsAreShortAndPrintable) {
-    EXPECT_EQ(excerpt("a\tb\n"), "a?b?");
-    EXPECT_EQ(excerpt(std::string(80, 'x')), std::string(80, 'x'));
-    EXPECT_EQ(excerpt(std::string(1 << 20, 'x')), std::string(77, 'x') + "...");
+    EXPECT_EQ(make_excerpt("a\tb\n"), "a?b?");
+    EXPECT_EQ(make_excerpt(std::string(80, 'x')), std::string(80, 'x'));
+    EXPECT_EQ(make_excerpt(std::string(1 << 20, 'x')), std::string(77, 'x') + "...");
     // must not cut a multi-byte character
-    EXPECT_EQ(excerpt(std::string(76, 'x') + "\u00e9" + std::string(9, 'x')), std::string(76, 'x') + "...");
+    EXPECT_EQ(make_excerpt(std::string(76, 'x') + "\u00e9" + std::string(9, 'x')),
+              std::string(76, 'x') + "...");
 }
 
 TEST(TomlDepth, DeepKeysAndBracketsAreRefused) {
     const auto refused = [](const std::string& text) {
-        return data_error([&] { check_toml_depth(text, "f.toml"); });
+        return get_data_error_message([&] { check_toml_depth(text, "f.toml"); });
     };
     std::string dots = "a";
     for (int i = 0; i < 40000; ++i) dots += ".a";

@@ -27,17 +27,17 @@
 namespace relidar {
 namespace {
 
-/// Runs task() with n threads, even if the machine has fewer cores.
+/// Runs task() with `count` threads, even if the machine has fewer cores.
 template <class Task>
-void with_threads(int n, const Task& task) {
-    const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, std::size_t(n));
-    tbb::task_arena(n).execute(task);
+void with_threads(int count, const Task& task) {
+    const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, std::size_t(count));
+    tbb::task_arena(count).execute(task);
 }
 
 TEST(ParallelFor, RunsEveryItemOnce) {
     for (const int n : {0, 1, 2, 1000}) {
         std::vector<std::atomic<int>> runs(std::size_t(n) + 1);
-        parallel_for(n, [&](int i) { ++runs[std::size_t(i)]; });
+        parallel_for(n, [&](int index) { ++runs[std::size_t(index)]; });
         for (int i = 0; i < n; ++i) EXPECT_EQ(runs[std::size_t(i)], 1) << i << " of " << n;
         EXPECT_EQ(runs[std::size_t(n)], 0);
     }
@@ -58,11 +58,11 @@ TEST(ParallelFor, ThrowsTheFirstFailureAndBeginsNothingElse) {
     for (int repeat = 0; repeat < 50; ++repeat) {
         std::atomic<int> n_begun{0}, n_ended{0};
         try {
-            parallel_for(100000, [&](int i) {
+            parallel_for(100000, [&](int index) {
                 ++n_begun;
-                if (i == 7) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+                if (index == 7) std::this_thread::sleep_for(std::chrono::milliseconds(1));
                 ++n_ended;
-                if (i >= 7) throw std::runtime_error(std::to_string(i));
+                if (index >= 7) throw std::runtime_error(std::to_string(index));
             });
             FAIL() << "nothing was thrown";
         } catch (const std::runtime_error& error) {
@@ -92,8 +92,8 @@ TEST(ParallelFor, RunsOnTheCallingThreadWhereOneIsAllowed) {
     EXPECT_EQ(max_concurrency(), 1u);
     std::vector<int> order;
     std::vector<std::thread::id> threads;
-    parallel_for(1000, [&](int i) {
-        order.push_back(i);
+    parallel_for(1000, [&](int index) {
+        order.push_back(index);
         threads.push_back(std::this_thread::get_id());
     });
     std::vector<int> ascending(1000);
@@ -135,7 +135,7 @@ TEST(ParallelFor, IsCompleteInACancelledTaskOfTheCaller) {
 TEST(ForEachBlock, MeetsEveryItemOnce) {
     for (const std::size_t n : {0, 1, 127, 128, 129, 5000, 1000003}) {
         std::vector<std::atomic<char>> met(n);
-        for_each_block(n, [&](std::size_t i) { ++met[i]; });
+        for_each_block(n, [&](std::size_t index) { ++met[index]; });
         EXPECT_TRUE(std::ranges::all_of(met, [](const std::atomic<char>& m) { return m == 1; })) << n;
     }
 }
@@ -162,7 +162,7 @@ TEST(ParallelReduce, IsTheSameForAnyNumberOfThreads) {
     constexpr std::size_t kItems = 100003, kPart = 128;
     std::vector<float> values;
     for (std::size_t i = 0; i < kItems; ++i)
-        values.push_back(static_cast<float>(hash64(i) % 1000003) / (1.0f + float(i % 97)));
+        values.push_back(static_cast<float>(combine_hashes(i) % 1000003) / (1.0f + float(i % 97)));
     const auto sum = [&](std::size_t begin, std::size_t end) {
         return std::accumulate(values.begin() + std::ptrdiff_t(begin), values.begin() + std::ptrdiff_t(end),
                                0.0f);
@@ -181,7 +181,7 @@ TEST(ParallelReduce, IsTheSameForAnyNumberOfThreads) {
 
 TEST(ParallelSort, SortsAsSortDoes) {
     std::vector<std::uint64_t> values;
-    for (std::uint64_t i = 0; i < 300000; ++i) values.push_back(hash64(i) % 100000);
+    for (std::uint64_t i = 0; i < 300000; ++i) values.push_back(combine_hashes(i) % 100000);
     std::vector<std::uint64_t> expected = values;
     std::sort(expected.begin(), expected.end());
     parallel_sort(values, std::less<>());
@@ -194,8 +194,8 @@ TEST(ForEachTold, TellsFromTheCallingThreadAndEndsWhereThatThrows) {
     std::atomic<int> n{0};
     for_each_with_progress(
         200,
-        [&](std::string_view what, double done) {
-            EXPECT_EQ(what, "counting");
+        [&](std::string_view description, double done) {
+            EXPECT_EQ(description, "counting");
             EXPECT_EQ(std::this_thread::get_id(), caller);
             EXPECT_TRUE(done >= last && done <= 1.0) << done;
             last = done;
@@ -217,7 +217,7 @@ TEST(ForEachTold, TellsFromTheCallingThreadAndEndsWhereThatThrows) {
 
 TEST(CellNumbers, CountCellsAsTheyAreFirstNamed) {
     std::vector<std::uint64_t> keys;
-    for (std::uint64_t i = 0; i < 200000; ++i) keys.push_back(hash64(hash64(i) % 30000));
+    for (std::uint64_t i = 0; i < 200000; ++i) keys.push_back(combine_hashes(combine_hashes(i) % 30000));
     std::map<std::uint64_t, std::uint32_t> numbers;
     const CellNumbers cells = number_cells(keys);
     const ItemsOfCells items(cells);

@@ -15,14 +15,14 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::vector<std::string> feather_seeds(const fs::path&) {
+std::vector<std::string> make_feather_seeds(const fs::path&) {
     const std::vector<std::int64_t> times{315966265259836000, 7, -1};
     std::vector<std::string> seeds;
     for (const test::FeatherCodec codec :
          {test::FeatherCodec::none, test::FeatherCodec::lz4, test::FeatherCodec::zstd})
-        seeds.push_back(test::feather_bytes(
-            {test::number_column("a", times), test::half_column("b", {1.0f, -2.0f, 3.0f}),
-             test::text_column("c", {"up_lidar", "", "x"}), test::text_column("d", {"y", "y", "z"}, true)},
+        seeds.push_back(test::make_feather_bytes(
+            {test::make_numbers("a", times), test::make_halves("b", {1.0f, -2.0f, 3.0f}),
+             test::make_texts("c", {"up_lidar", "", "x"}), test::make_texts("d", {"y", "y", "z"}, true)},
             codec, 2));
     return seeds;
 }
@@ -63,7 +63,9 @@ const Log& log_in(const fs::path& folder) {
     return log;
 }
 
-std::vector<std::string> log_seeds(const fs::path& folder) { return log_in(folder).files.seeds_of_one(); }
+std::vector<std::string> make_log_seeds(const fs::path& folder) {
+    return log_in(folder).files.make_seeds_of_one();
+}
 
 void read_log(std::string_view input, const fs::path& folder) {
     const Log& log = log_in(folder);
@@ -72,8 +74,8 @@ void read_log(std::string_view input, const fs::path& folder) {
 
 }  // namespace
 
-std::vector<Harness> argoverse2_harnesses() {
-    return {{"feather", feather_seeds, read_feather, false}, {"argoverse2", log_seeds, read_log}};
+std::vector<Harness> list_argoverse2_harnesses() {
+    return {{"feather", make_feather_seeds, read_feather, false}, {"argoverse2", make_log_seeds, read_log}};
 }
 
 }  // namespace relidar::fuzz

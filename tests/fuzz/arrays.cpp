@@ -18,20 +18,20 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::vector<NamedArray> some_arrays() {
+std::vector<NamedArray> make_example_arrays() {
     const float values[6] = {1.0f, -2.0f, 0.5f, 1e-20f, 3e38f, 0.0f};
     const std::int32_t counts[3] = {1, 2, -3};
     return {make_array("a", {2, 3}, values, 6), make_array("count", {3}, counts, 3),
             make_array("none", {0, 4}, values, 0), make_text_array("names", {"background", "mover-1"})};
 }
 
-Scene small_scene() { return make_background_scene(example_surfels(3)); }
+Scene make_small_scene() { return make_background_scene(make_example_surfels(3)); }
 
 /// Calls a function that writes a file, and returns the bytes of the file.
 template <class Write>
 std::vector<std::string> written(const fs::path& folder, const Write& write) {
     write(folder / "seed");
-    return {contents(folder / "seed")};
+    return {read_contents(folder / "seed")};
 }
 
 /// Reads the input as a file.
@@ -47,25 +47,25 @@ std::vector<std::byte> bytes_of(std::string_view input) {
     return bytes;
 }
 
-std::vector<std::string> npy_seeds(const fs::path&) {
+std::vector<std::string> make_npy_seeds(const fs::path&) {
     std::vector<std::string> seeds;
-    for (const NamedArray& array : some_arrays())
-        seeds.push_back(report_detail::npy_header(array) +
+    for (const NamedArray& array : make_example_arrays())
+        seeds.push_back(report_detail::make_npy_header(array) +
                         std::string(reinterpret_cast<const char*>(array.bytes.data()), array.bytes.size()));
     return seeds;
 }
 
-std::vector<std::string> checkpoint_seeds(const fs::path& folder) {
+std::vector<std::string> make_checkpoint_seeds(const fs::path& folder) {
     return written(folder, [](const fs::path& file) {
-        auto arrays = some_arrays();
+        auto arrays = make_example_arrays();
         arrays.pop_back();  // safetensors does not support texts
         write_checkpoint(file, {7, {{"seed", "1"}, {"config", "x = 1"}}, arrays});
     });
 }
 
-std::vector<std::string> safetensors_seeds(const fs::path& folder) {
+std::vector<std::string> make_safetensors_seeds(const fs::path& folder) {
     return written(folder, [](const fs::path& file) {
-        auto arrays = some_arrays();
+        auto arrays = make_example_arrays();
         arrays.pop_back();
         write_safetensors(file, arrays, {{"k", "v"}});
     });
@@ -73,41 +73,42 @@ std::vector<std::string> safetensors_seeds(const fs::path& folder) {
 
 }  // namespace
 
-std::vector<Harness> array_harnesses() {
+std::vector<Harness> list_array_harnesses() {
     return {
         {"npz",
          [](const fs::path& folder) {
-             return written(folder, [](const fs::path& file) { write_npz(file, some_arrays()); });
+             return written(folder, [](const fs::path& file) { write_npz(file, make_example_arrays()); });
          },
          [](std::string_view input, const fs::path& folder) {
              read_as_file(input, folder, [](const fs::path& file) { read_npz(file); });
          }},
-        {"npy", npy_seeds,
+        {"npy", make_npy_seeds,
          [](std::string_view input, const fs::path&) { report_detail::parse_npy("a", bytes_of(input)); }},
-        {"safetensors", safetensors_seeds,
+        {"safetensors", make_safetensors_seeds,
          [](std::string_view input, const fs::path& folder) {
              read_as_file(input, folder, [](const fs::path& file) { read_safetensors(file); });
          }},
         {"model",
          [](const fs::path& folder) {
-             return written(folder, [](const fs::path& file) { save_model(file, small_scene()); });
+             return written(folder, [](const fs::path& file) { save_model(file, make_small_scene()); });
          },
          [](std::string_view input, const fs::path& folder) {
              read_as_file(input, folder, [](const fs::path& file) { load_model(file); });
          }},
-        {"checkpoint", checkpoint_seeds,
+        {"checkpoint", make_checkpoint_seeds,
          [](std::string_view input, const fs::path& folder) {
              read_as_file(input, folder, [](const fs::path& file) { read_checkpoint(file); });
          }},
         {"ply",
          [](const fs::path& folder) {
-             return written(folder, [](const fs::path& file) { write_surfel_ply(file, small_scene()); });
+             return written(folder, [](const fs::path& file) { write_surfel_ply(file, make_small_scene()); });
          },
          [](std::string_view input, const fs::path& folder) {
-             read_as_file(input, folder, [](const fs::path& file) { read_surfel_ply(file, small_scene()); });
+             read_as_file(input, folder,
+                          [](const fs::path& file) { read_surfel_ply(file, make_small_scene()); });
          }},
         // complete weights would have 10 MB
-        {"lpips", safetensors_seeds,
+        {"lpips", make_safetensors_seeds,
          [](std::string_view input, const fs::path& folder) {
              read_as_file(input, folder, [](const fs::path& file) { Lpips{read_lpips_weights(file)}; });
          },

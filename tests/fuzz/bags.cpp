@@ -98,15 +98,15 @@ std::string cloud(bool is_ros1, std::uint64_t stamp_ns) {
     return draft.add(std::uint8_t(1)).take();
 }
 
-std::string transform(bool is_ros1, std::uint64_t stamp_ns, double x) {
+std::string transform(bool is_ros1, std::uint64_t stamp_ns, double value) {
     Draft draft(is_ros1);
     draft.add(std::uint32_t(1)).add_header(stamp_ns, "map").add_text("lidar");
-    for (const double v : {x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0}) draft.add(v);
+    for (const double v : {value, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0}) draft.add(v);
     return draft.take();
 }
 
 /// Returns a packet of a VLP-16. Each packet covers half a turn.
-std::string packet(int number) {
+std::string make_packet(int number) {
     std::string bytes;
     for (int b = 0; b < 12; ++b) {
         append(bytes, std::uint16_t(0xEEFF)),
@@ -117,11 +117,11 @@ std::string packet(int number) {
     return bytes;
 }
 
-std::string packets(std::uint64_t stamp_ns) {
+std::string make_packets(std::uint64_t stamp_ns) {
     Draft draft(false);
     draft.add_header(stamp_ns, "velodyne").add(std::uint32_t(2));
     for (int k = 0; k < 2; ++k) {
-        const std::string bytes = packet(k);
+        const std::string bytes = make_packet(k);
         draft.add(std::uint32_t(stamp_ns / kSecond_ns)).add(std::uint32_t(stamp_ns % kSecond_ns));
         for (const char byte : bytes) draft.add(byte);
     }
@@ -137,7 +137,7 @@ constexpr const char* kTopics[] = {"/points", "/tf", "/packets"};
 constexpr const char* kTypes[] = {"sensor_msgs/PointCloud2", "tf2_msgs/TFMessage",
                                   "velodyne_msgs/VelodyneScan"};
 
-std::vector<SeedMessage> seed_messages(bool is_ros1) {
+std::vector<SeedMessage> make_seed_messages(bool is_ros1) {
     std::vector<SeedMessage> messages;
     for (int k = 0; k < 3; ++k) {
         const std::uint64_t time_ns = kStart_ns + std::uint64_t(k) * 100000000;
@@ -147,28 +147,28 @@ std::vector<SeedMessage> seed_messages(bool is_ros1) {
     return messages;
 }
 
-std::string mcap_record(std::uint8_t code, std::string_view body) {
+std::string make_mcap_record(std::uint8_t code, std::string_view body) {
     std::string bytes(1, char(code));
     append(bytes, std::uint64_t(body.size()));
     return bytes.append(body);
 }
 
-std::string mcap(const std::string& compression) {
+std::string make_mcap(const std::string& compression) {
     std::string records;
     for (int t = 0; t < 2; ++t) {
         std::string id, channel;
         append(id, std::uint16_t(t + 1));
-        records += mcap_record(3, id + sized(kTypes[t]) + sized("ros2msg") + sized(""));
-        records += mcap_record(4, id + id + sized(kTopics[t]) + sized("cdr") + sized(""));
+        records += make_mcap_record(3, id + sized(kTypes[t]) + sized("ros2msg") + sized(""));
+        records += make_mcap_record(4, id + id + sized(kTopics[t]) + sized("cdr") + sized(""));
     }
-    for (const SeedMessage& message : seed_messages(false)) {
+    for (const SeedMessage& message : make_seed_messages(false)) {
         std::string body;
         append(body, std::uint16_t(message.topic + 1)), append(body, std::uint32_t(0));
         append(body, message.time_ns), append(body, message.time_ns);
-        records += mcap_record(5, body + message.bytes);
+        records += make_mcap_record(5, body + message.bytes);
     }
     const std::string magic("\x89MCAP0\r\n", 8);
-    if (compression == "no chunk") return magic + records + mcap_record(15, std::string(4, '\0'));
+    if (compression == "no chunk") return magic + records + make_mcap_record(15, std::string(4, '\0'));
     std::string packed = records;
     if (compression == "lz4") {
         packed.resize(LZ4F_compressFrameBound(records.size(), nullptr));
@@ -182,47 +182,49 @@ std::string mcap(const std::string& compression) {
     append(chunk, std::uint64_t(records.size())), append(chunk, std::uint32_t(0));
     chunk += sized(compression);
     append(chunk, std::uint64_t(packed.size()));
-    return magic + mcap_record(6, chunk + packed);
+    return magic + make_mcap_record(6, chunk + packed);
 }
 
-std::vector<std::string> mcap_seeds(const fs::path&) {
-    return {mcap("no chunk"), mcap(""), mcap("lz4"), mcap("zstd")};
+std::vector<std::string> make_mcap_seeds(const fs::path&) {
+    return {make_mcap("no chunk"), make_mcap(""), make_mcap("lz4"), make_mcap("zstd")};
 }
 
-std::string ros1_record(const std::vector<std::pair<std::string, std::string>>& fields,
-                        std::string_view data) {
+std::string make_ros1_record(const std::vector<std::pair<std::string, std::string>>& fields,
+                             std::string_view data) {
     std::string header;
     for (const auto& [name, value] : fields) header += sized(name + "=" + value);
     return sized(header) + sized(data);
 }
 
-std::string four(std::uint32_t value) {
+std::string pack_four_bytes(std::uint32_t value) {
     std::string bytes;
     append(bytes, value);
     return bytes;
 }
 
-std::vector<std::string> ros1_seeds(const fs::path&) {
+std::vector<std::string> make_ros1_seeds(const fs::path&) {
     std::string records;
     for (std::uint32_t t = 0; t < 2; ++t) {
         const std::string about =
             sized(std::string("topic=") + kTopics[t]) + sized(std::string("type=") + kTypes[t]);
-        records += ros1_record({{"op", "\x07"}, {"conn", four(t)}, {"topic", kTopics[t]}}, about);
-    }
-    for (const SeedMessage& m : seed_messages(true)) {
-        const std::string time =
-            four(std::uint32_t(m.time_ns / kSecond_ns)) + four(std::uint32_t(m.time_ns % kSecond_ns));
         records +=
-            ros1_record({{"op", "\x02"}, {"conn", four(std::uint32_t(m.topic))}, {"time", time}}, m.bytes);
+            make_ros1_record({{"op", "\x07"}, {"conn", pack_four_bytes(t)}, {"topic", kTopics[t]}}, about);
+    }
+    for (const SeedMessage& m : make_seed_messages(true)) {
+        const std::string time = pack_four_bytes(std::uint32_t(m.time_ns / kSecond_ns)) +
+                                 pack_four_bytes(std::uint32_t(m.time_ns % kSecond_ns));
+        records += make_ros1_record(
+            {{"op", "\x02"}, {"conn", pack_four_bytes(std::uint32_t(m.topic))}, {"time", time}}, m.bytes);
     }
     const std::string magic = "#ROSBAG V2.0\n";
-    return {magic + records, magic + ros1_record({{"op", "\x05"},
-                                                  {"compression", "none"},
-                                                  {"size", four(std::uint32_t(records.size()))}},
-                                                 records)};
+    return {magic + records,
+            magic + make_ros1_record({{"op", "\x05"},
+                                      {"compression", "none"},
+                                      {"size", pack_four_bytes(std::uint32_t(records.size()))}},
+                                     records)};
 }
 
-std::vector<std::string> db3_seeds(const fs::path& folder) {
+std::vector<std::string> make_db3_seeds(const fs::path& folder) {
     const fs::path file = folder / "seed.db3";
     fs::remove(file);
     sqlite3* base = nullptr;
@@ -234,7 +236,7 @@ std::vector<std::string> db3_seeds(const fs::path& folder) {
                  "INSERT INTO topics VALUES (0,'/points','sensor_msgs/msg/PointCloud2','cdr','');"
                  "INSERT INTO topics VALUES (1,'/tf','tf2_msgs/msg/TFMessage','cdr','')",
                  nullptr, nullptr, nullptr);
-    for (const SeedMessage& m : seed_messages(false)) {
+    for (const SeedMessage& m : make_seed_messages(false)) {
         sqlite3_stmt* row = nullptr;
         sqlite3_prepare_v2(base, "INSERT INTO messages(topic_id,timestamp,data) VALUES (?,?,?)", -1, &row,
                            nullptr);
@@ -245,7 +247,7 @@ std::vector<std::string> db3_seeds(const fs::path& folder) {
         sqlite3_finalize(row);
     }
     sqlite3_close(base);
-    const std::string bytes = contents(file);
+    const std::string bytes = read_contents(file);
     fs::remove(file);
     return {bytes};
 }
@@ -260,7 +262,7 @@ void read_ros1(std::string_view input, const fs::path& folder) { read_bag(input,
 void read_db3(std::string_view input, const fs::path& folder) { read_bag(input, folder, "input.db3"); }
 
 /// Returns seed messages. The first byte is the message type and a flag for ROS 1.
-std::vector<std::string> message_seeds(const fs::path&) {
+std::vector<std::string> make_message_seeds(const fs::path&) {
     std::string livox = Draft(false)
                             .add_header(kStart_ns, "l")
                             .add(std::uint64_t(0))
@@ -297,11 +299,11 @@ std::vector<std::string> message_seeds(const fs::path&) {
             '\1' + cloud(true, kStart_ns),
             '\2' + transform(false, kStart_ns, 1.0),
             '\3' + transform(true, kStart_ns, 1.0),
-            '\4' + packets(kStart_ns),
+            '\4' + make_packets(kStart_ns),
             '\6' + livox,
             '\x12' + detections.take(),
             '\x14' + objects.take(),
-            '\x1b' + sized(packet(0)),
+            '\x1b' + sized(make_packet(0)),
             '\x1c' + Draft(false).add_text("{}").take()};
 }
 
@@ -342,7 +344,7 @@ void read_message(std::string_view input, const fs::path&) {
     const std::string_view bytes = input.substr(1);
     if (bag::use_of(topic) == bag::Use::cloud) {
         const SharedBytes message = share_bytes(std::string(bytes));
-        bag::table_of(bag::read_cloud(topic, message.bytes), message);
+        bag::make_point_table(bag::read_cloud(topic, message.bytes), message);
     } else if (bag::use_of(topic) == bag::Use::packets) {
         bag::Header header;
         packets::PacketLog log;
@@ -361,7 +363,7 @@ void read_message(std::string_view input, const fs::path&) {
 /// Returns seeds for an Ouster sensor: the length of the metadata, the metadata, and the
 /// contents of packets. The sensor has two beams, four columns per turn and two columns
 /// per packet.
-std::vector<std::string> ouster_seeds(const fs::path&) {
+std::vector<std::string> make_ouster_seeds(const fs::path&) {
     struct Profile {
         const char* name;
         std::size_t pixel_bytes;
@@ -420,7 +422,7 @@ struct BlockPacket {
 
 /// Returns inputs with eight packets of a sensor product: the size of a packet (16 bits),
 /// then the packets.
-std::vector<std::string> block_seeds(const fs::path&) {
+std::vector<std::string> make_block_seeds(const fs::path&) {
     using namespace std::string_view_literals;
     constexpr BlockPacket kPackets[] = {
         {"\xee\xff\x06\x01\0\0\x10\x08\0\x04\x01\x01"sv, 568},   // XT16
@@ -455,7 +457,7 @@ void read_blocks(std::string_view input, const fs::path&) {
         append(run, stamp_ns);
         run += sized(views.back().bytes);
     }
-    packets::livox_cloud(run, "livox");
+    packets::decode_livox_cloud(run, "livox");
     packets::PacketLog log;
     log.add(views, 0, {}, {});
     read_turns(log, views);
@@ -463,10 +465,10 @@ void read_blocks(std::string_view input, const fs::path&) {
 
 }  // namespace
 
-std::vector<Harness> bag_harnesses() {
-    return {{"mcap", mcap_seeds, read_mcap},        {"ros1", ros1_seeds, read_ros1},
-            {"db3", db3_seeds, read_db3},           {"message", message_seeds, read_message},
-            {"ouster", ouster_seeds, read_ousters}, {"blocks", block_seeds, read_blocks, false}};
+std::vector<Harness> list_bag_harnesses() {
+    return {{"mcap", make_mcap_seeds, read_mcap},        {"ros1", make_ros1_seeds, read_ros1},
+            {"db3", make_db3_seeds, read_db3},           {"message", make_message_seeds, read_message},
+            {"ouster", make_ouster_seeds, read_ousters}, {"blocks", make_block_seeds, read_blocks, false}};
 }
 
 }  // namespace relidar::fuzz

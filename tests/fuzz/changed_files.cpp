@@ -9,7 +9,7 @@
 namespace relidar::fuzz {
 
 ChangedFiles::ChangedFiles(std::vector<std::filesystem::path> files) : files_(std::move(files)) {
-    for (const std::filesystem::path& file : files_) usual_.push_back(contents(file));
+    for (const std::filesystem::path& file : files_) usual_.push_back(read_contents(file));
 }
 
 void ChangedFiles::read(std::string_view input, const std::function<void(unsigned options)>& read) const {
@@ -21,8 +21,8 @@ void ChangedFiles::read(std::string_view input, const std::function<void(unsigne
         }
     } restore{*this};
     for (std::size_t at = 1; at + 3 <= input.size();) {
-        const auto byte = [&](std::size_t i) {
-            return static_cast<std::size_t>(static_cast<unsigned char>(input[i]));
+        const auto byte = [&](std::size_t index) {
+            return static_cast<std::size_t>(static_cast<unsigned char>(input[index]));
         };
         const std::size_t file = byte(at) % files_.size(), length = byte(at + 1) + 256 * byte(at + 2);
         const std::string_view bytes = input.substr(at + 3, length);
@@ -60,7 +60,7 @@ void ChangedFiles::read_one(std::string_view input, const std::function<void()>&
     read();
 }
 
-std::vector<std::string> ChangedFiles::seeds_of_one() const {
+std::vector<std::string> ChangedFiles::make_seeds_of_one() const {
     std::vector<std::string> seeds;
     for (std::size_t file = 0; file < files_.size(); ++file)
         seeds.push_back(static_cast<char>(file) + usual_[file]);

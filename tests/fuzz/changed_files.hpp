@@ -28,7 +28,7 @@ public:
     /// remainder replaces. For an empty input, changes and reads no file.
     void read_one(std::string_view input, const std::function<void()>& read) const;
     /// Returns inputs in the simpler format: each file with its original contents.
-    std::vector<std::string> seeds_of_one() const;
+    std::vector<std::string> make_seeds_of_one() const;
 
 private:
     std::vector<std::filesystem::path> files_;

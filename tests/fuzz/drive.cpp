@@ -27,7 +27,7 @@ constexpr unsigned kPosesFile = 1, kNone = 2, kAllScans = 4, kAllFrames = 8;  //
 
 /// Removes six of seven points of a scan, so that reading a sweep takes milliseconds.
 void thin(const fs::path& scan) {
-    const std::string whole = contents(scan);
+    const std::string whole = read_contents(scan);
     std::string some;
     for (std::size_t at = 0; at + 16 <= whole.size(); at += 7 * 16) some += whole.substr(at, 16);
     put(scan, some);
@@ -42,11 +42,12 @@ public:
             "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n1 0 0 2 0 1 0 0 0 0 1 0\n");
         for (int frame = 0; frame < 3; ++frame) {
             fs::create_directories(odometry() / "velodyne");
-            put(odometry() / "velodyne" / fmt::format("{:06d}.bin", frame), contents(drive_.scan(frame)));
+            put(odometry() / "velodyne" / fmt::format("{:06d}.bin", frame),
+                read_contents(drive_.scan(frame)));
         }
         put(odometry() / "calib.txt", "P0: 1 0 0 0 0 1 0 0 0 0 1 0\nTr: 0 -1 0 0 0 0 -1 -0.1 1 0 0 -0.3\n");
         put(odometry() / "times.txt", "0.0e+00\n1.0e-01\n2.0e-01\n");
-        put(odometry() / "poses.txt", contents(drive_.file("poses.txt")));
+        put(odometry() / "poses.txt", read_contents(drive_.file("poses.txt")));
         files_.emplace({drive_.file("velodyne_points/timestamps.txt"),
                         drive_.file("velodyne_points/timestamps_start.txt"),
                         drive_.file("velodyne_points/timestamps_end.txt"),
@@ -67,7 +68,7 @@ private:
     std::optional<ChangedFiles> files_;
 };
 
-const Drive& drive_in(const fs::path& folder) {
+const Drive& make_drive_in(const fs::path& folder) {
     static const Drive drive(folder);
     return drive;
 }
@@ -118,12 +119,12 @@ void read_odometry(const Drive& drive, unsigned options) {
 
 void read_changed(std::string_view input, const fs::path& folder,
                   void (*read)(const Drive& drive, unsigned options)) {
-    const Drive& drive = drive_in(folder);
+    const Drive& drive = make_drive_in(folder);
     drive.files().read(input, [&](unsigned options) { read(drive, options); });
 }
 
-std::vector<std::string> drive_seeds(const fs::path& folder) {
-    return drive_in(folder).files().seeds({0u, kNone, kAllFrames}, {0u, kPosesFile});
+std::vector<std::string> make_drive_seeds(const fs::path& folder) {
+    return make_drive_in(folder).files().seeds({0u, kNone, kAllFrames}, {0u, kPosesFile});
 }
 
 struct Kitti360 {
@@ -144,13 +145,13 @@ struct Kitti360 {
     }
 };
 
-const Kitti360& kitti_360_in(const fs::path& folder) {
+const Kitti360& make_kitti_360_in(const fs::path& folder) {
     static const Kitti360 kitti(folder);
     return kitti;
 }
 
 void read_kitti_360(std::string_view input, const fs::path& folder) {
-    const Kitti360& kitti = kitti_360_in(folder);
+    const Kitti360& kitti = make_kitti_360_in(folder);
     kitti.files.read(input, [&](unsigned options) {
         DatasetOptions dataset;
         if (options & kNone) dataset.poses_file = kNoPoses;
@@ -160,7 +161,7 @@ void read_kitti_360(std::string_view input, const fs::path& folder) {
 }
 
 void read_kitti_360_texts(std::string_view input, const fs::path& folder) {
-    const Kitti360& kitti = kitti_360_in(folder);
+    const Kitti360& kitti = make_kitti_360_in(folder);
     static const std::vector<Frame> frames{{0, 0.0, {}, 0}, {1, 0.1, {}, 0}, {2, 0.2, {}, 0}};
     kitti.files.read(input, [&](unsigned) {
         attempt_all({[&] { kitti::read_step(kitti.folder.raw() / "timestamps.txt"); },
@@ -169,29 +170,29 @@ void read_kitti_360_texts(std::string_view input, const fs::path& folder) {
     });
 }
 
-std::vector<std::string> kitti_360_seeds(const fs::path& folder) {
-    return kitti_360_in(folder).files.seeds({0u, kAllFrames}, {kAllFrames, kNone});
+std::vector<std::string> make_kitti_360_seeds(const fs::path& folder) {
+    return make_kitti_360_in(folder).files.seeds({0u, kAllFrames}, {kAllFrames, kNone});
 }
 
 }  // namespace
 
 /// Returns the harnesses. Reading the full drive takes a hundred times as long as reading
 /// its texts.
-std::vector<Harness> drive_harnesses() {
+std::vector<Harness> list_drive_harnesses() {
     return {
         // The seeds are not valid logs, because a part of a scan cannot be read as a
         // scan.
-        {"drive_texts", drive_seeds,
+        {"drive_texts", make_drive_seeds,
          [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_texts); },
          false},
-        {"drive", drive_seeds,
+        {"drive", make_drive_seeds,
          [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_all_frames); },
          false},
-        {"odometry", drive_seeds,
+        {"odometry", make_drive_seeds,
          [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_odometry); },
          false},
-        {"kitti360_texts", kitti_360_seeds, read_kitti_360_texts, false},
-        {"kitti360", kitti_360_seeds, read_kitti_360, false},
+        {"kitti360_texts", make_kitti_360_seeds, read_kitti_360_texts, false},
+        {"kitti360", make_kitti_360_seeds, read_kitti_360, false},
     };
 }
 

@@ -27,7 +27,7 @@ constexpr const char* kEndings[] = {"pcd", "ply", "bin", "npy", "csv"};
 constexpr std::string_view kParting = "\n=====\n";
 
 /// Returns 16 beams x 40 columns on a cylinder.
-test::FilePoints cylinder() {
+test::FilePoints make_cylinder() {
     test::FilePoints points;
     for (int b = 0; b < 16; ++b)
         for (int c = 0; c < 40; ++c) {
@@ -38,13 +38,14 @@ test::FilePoints cylinder() {
     return points;
 }
 
-std::vector<std::string> point_seeds(const fs::path&) {
-    test::FilePoints some = cylinder();
+std::vector<std::string> make_point_seeds(const fs::path&) {
+    test::FilePoints some = make_cylinder();
     some.resize(12);
     std::vector<std::string> seeds;
     const auto add = [&](char format, const std::string& bytes) { seeds.push_back(format + bytes); };
-    add(0, test::pcd_text(some)), add(0, test::pcd_binary(some)), add(0, test::pcd_compressed(some));
-    add(1, test::ply_text(some)), add(1, test::ply_binary(some));
+    add(0, test::make_pcd_text(some)), add(0, test::make_pcd_binary(some)),
+        add(0, test::make_pcd_compressed(some));
+    add(1, test::make_ply_text(some)), add(1, test::make_ply_binary(some));
     add(2, test::bin(some)), add(3, test::npy(some));
     std::string fields =
         "{'descr': [('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('', '|V2'), ('ring', '<u2'), ('n', '<f4', "
@@ -63,26 +64,26 @@ void read_points(std::string_view input, const fs::path& folder) {
     put(file, input.substr(1));
     std::vector<std::string> columns = {"x", "y", "z", "intensity", "ring"};
     if (ending == kEndings[3]) columns.push_back("timestamp");
-    folder::points_of(folder::read_point_file(file, columns), {}, 0.0, "scan");
+    folder::make_points(folder::read_point_file(file, columns), {}, 0.0, "scan");
 }
 
 fs::path log_in(const fs::path& folder) {
     static const fs::path log = [&] {
         fs::create_directories(folder / "log/scans");
-        put(folder / "log/scans/0.pcd", test::pcd_binary(cylinder()));
-        put(folder / "log/scans/1.bin", test::bin(cylinder()));
-        put(folder / "log/scans/2.npy", test::npy(cylinder()));
+        put(folder / "log/scans/0.pcd", test::make_pcd_binary(make_cylinder()));
+        put(folder / "log/scans/1.bin", test::bin(make_cylinder()));
+        put(folder / "log/scans/2.npy", test::npy(make_cylinder()));
         return folder / "log";
     }();
     return log;
 }
 
-std::vector<std::string> folder_seeds(const fs::path& folder) {
+std::vector<std::string> make_folder_seeds(const fs::path& folder) {
     const Sequence street = make_synthetic_street({.n_frames = 2, .rows = 4, .columns = 16});
     save_folder(street, folder / "saved", {.overwrite = true});
     std::string saved;
     for (const char* name : {"sequence.json", "poses.txt", "boxes.json"})
-        saved += contents(folder / "saved" / name) + std::string(kParting);
+        saved += read_contents(folder / "saved" / name) + std::string(kParting);
     return {
         saved,
         R"({"format": "relidar log", "version": 1, "columns": ["x", "y", "z", "intensity", "ring"], "intensity_max": 255, "frames":
@@ -108,7 +109,7 @@ void read_folder(std::string_view input, const fs::path& folder) {
 }
 
 /// Writes a log with a range image of 4 beams x 16 columns and returns its folder.
-fs::path image_log_in(const fs::path& folder) {
+fs::path make_image_log_in(const fs::path& folder) {
     static const fs::path log = [&] {
         fs::create_directories(folder / "images/scans");
         put(folder / "images/sequence.json",
@@ -120,7 +121,7 @@ fs::path image_log_in(const fs::path& folder) {
     return log;
 }
 
-std::vector<std::string> exr_seeds(const fs::path& folder) {
+std::vector<std::string> make_exr_seeds(const fs::path& folder) {
     constexpr int kRows = 4, kColumns = 16;
     std::map<std::string, std::vector<float>> channels;
     for (int i = 0; i < kRows * kColumns; ++i) {
@@ -143,7 +144,7 @@ std::vector<std::string> exr_seeds(const fs::path& folder) {
     std::vector<std::string> seeds;
     const auto add = [&](const FileNotes& notes) {
         write_exr(folder / "seed.exr", kRows, kColumns, channels, notes);
-        seeds.push_back(contents(folder / "seed.exr"));
+        seeds.push_back(read_contents(folder / "seed.exr"));
     };
     add({{"points_in", "sensor at each ray's firing time"}, {"sensor", "VLP-16"}});
     std::erase_if(channels, [](const auto& channel) {
@@ -154,17 +155,17 @@ std::vector<std::string> exr_seeds(const fs::path& folder) {
 }
 
 void read_exr_scan(std::string_view input, const fs::path& folder) {
-    const fs::path log = image_log_in(folder);
+    const fs::path log = make_image_log_in(folder);
     put(log / "scans/0.exr", input);
     load_sequence("folder:" + log.string(), {});
 }
 
 }  // namespace
 
-std::vector<Harness> folder_harnesses() {
-    return {{"points", point_seeds, read_points},
-            {"folder", folder_seeds, read_folder, false},
-            {"exr", exr_seeds, read_exr_scan}};
+std::vector<Harness> list_folder_harnesses() {
+    return {{"points", make_point_seeds, read_points},
+            {"folder", make_folder_seeds, read_folder, false},
+            {"exr", make_exr_seeds, read_exr_scan}};
 }
 
 }  // namespace relidar::fuzz

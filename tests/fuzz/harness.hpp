@@ -23,24 +23,24 @@ struct Harness {
 };
 
 /// Returns the harnesses that a file defines. main.cpp combines them.
-std::vector<Harness> array_harnesses();
-std::vector<Harness> text_harnesses();
-std::vector<Harness> drive_harnesses();
-std::vector<Harness> waymo_harnesses();
-std::vector<Harness> folder_harnesses();
-std::vector<Harness> argoverse2_harnesses();
-std::vector<Harness> nuscenes_harnesses();
-std::vector<Harness> stamped_harnesses();
-std::vector<Harness> sensor_harnesses();
+std::vector<Harness> list_array_harnesses();
+std::vector<Harness> list_text_harnesses();
+std::vector<Harness> list_drive_harnesses();
+std::vector<Harness> list_waymo_harnesses();
+std::vector<Harness> list_folder_harnesses();
+std::vector<Harness> list_argoverse2_harnesses();
+std::vector<Harness> list_nuscenes_harnesses();
+std::vector<Harness> list_stamped_harnesses();
+std::vector<Harness> list_sensor_harnesses();
 std::vector<Harness> run_harnesses();
-std::vector<Harness> request_harnesses();
+std::vector<Harness> list_request_harnesses();
 #ifdef RELIDAR_FUZZ_BAGS
-std::vector<Harness> bag_harnesses();
+std::vector<Harness> list_bag_harnesses();
 #else
-inline std::vector<Harness> bag_harnesses() { return {}; }
+inline std::vector<Harness> list_bag_harnesses() { return {}; }
 #endif
 
 void put(const std::filesystem::path& file, std::string_view bytes);
-std::string contents(const std::filesystem::path& file);
+std::string read_contents(const std::filesystem::path& file);
 
 }  // namespace relidar::fuzz

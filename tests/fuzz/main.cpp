@@ -38,17 +38,18 @@ void on_free(const volatile void* bytes) {
     if (bytes) bytes_held -= static_cast<long long>(__sanitizer_get_allocated_size(bytes));
 }
 
-std::vector<Harness> all_harnesses() {
-    std::vector<Harness> all = array_harnesses();
-    for (const auto& more : {text_harnesses(), drive_harnesses(), argoverse2_harnesses(), folder_harnesses(),
-                             nuscenes_harnesses(), sensor_harnesses(), stamped_harnesses(), waymo_harnesses(),
-                             run_harnesses(), request_harnesses(), bag_harnesses()})
+std::vector<Harness> list_all_harnesses() {
+    std::vector<Harness> all = list_array_harnesses();
+    for (const auto& more :
+         {list_text_harnesses(), list_drive_harnesses(), list_argoverse2_harnesses(), list_folder_harnesses(),
+          list_nuscenes_harnesses(), list_sensor_harnesses(), list_stamped_harnesses(),
+          list_waymo_harnesses(), run_harnesses(), list_request_harnesses(), list_bag_harnesses()})
         all.insert(all.end(), more.begin(), more.end());
     return all;
 }
 
 /// Returns a new folder in TMPDIR, which tools/dev/fuzz creates in memory and removes.
-fs::path scratch_folder() {
+fs::path get_scratch_folder() {
     static const fs::path folder = [] {
         std::string pattern = fs::temp_directory_path() / "fuzz-XXXXXX";
         if (!::mkdtemp(pattern.data())) std::abort();
@@ -62,9 +63,9 @@ Harness chosen;
 [[noreturn]] void write_seeds(const fs::path& folder) {
     fs::create_directories(folder);
     std::size_t n = 0;
-    for (const std::string& seed : chosen.seeds(scratch_folder())) {
+    for (const std::string& seed : chosen.seeds(get_scratch_folder())) {
         // does not catch exceptions, because a rejected seed is of little use
-        if (chosen.seeds_are_good) chosen.read(seed, scratch_folder());
+        if (chosen.seeds_are_good) chosen.read(seed, get_scratch_folder());
         put(folder / ("seed_" + std::to_string(n++)), seed);
     }
     std::exit(0);
@@ -74,13 +75,13 @@ void initialise(const std::vector<std::string>& arguments) {
     std::string name, seeds;
     for (const std::string& argument : arguments) {
         if (argument == "--list") {
-            for (const Harness& harness : all_harnesses()) std::puts(harness.name);
+            for (const Harness& harness : list_all_harnesses()) std::puts(harness.name);
             std::exit(0);
         }
         if (argument.starts_with("--harness=")) name = argument.substr(10);
         if (argument.starts_with("--seeds=")) seeds = argument.substr(8);
     }
-    for (const Harness& harness : all_harnesses()) {
+    for (const Harness& harness : list_all_harnesses()) {
         if (name == harness.name) chosen = harness;
     }
     if (!chosen.read) {
@@ -101,7 +102,7 @@ void check_memory(std::size_t n_input) {
 
 void read(std::string_view input) {
     try {
-        chosen.read(input, scratch_folder());
+        chosen.read(input, get_scratch_folder());
         // any other type of exception ends the process, and libFuzzer saves the input
     } catch (const Error& error) {
         const std::string message = error.what();
@@ -120,7 +121,7 @@ void put(const fs::path& file, std::string_view bytes) {
     if (!out.write(bytes.data(), static_cast<std::streamsize>(bytes.size())).flush()) std::abort();
 }
 
-std::string contents(const fs::path& file) {
+std::string read_contents(const fs::path& file) {
     std::ifstream in(file, std::ios::binary);
     return {std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
 }

@@ -31,15 +31,17 @@ struct Folder {
     }
 };
 
-const Folder& folder_in(const fs::path& scratch) {
+const Folder& make_folder_in(const fs::path& scratch) {
     static const Folder folder(scratch);
     return folder;
 }
 
-std::vector<std::string> seeds_of(const fs::path& scratch) { return folder_in(scratch).files.seeds_of_one(); }
+std::vector<std::string> make_seeds(const fs::path& scratch) {
+    return make_folder_in(scratch).files.make_seeds_of_one();
+}
 
 void read(std::string_view input, const fs::path& scratch) {
-    const Folder& folder = folder_in(scratch);
+    const Folder& folder = make_folder_in(scratch);
     folder.files.read_one(input, [&] {
         DatasetOptions options;
         options.sequence = "scene-0103";
@@ -49,6 +51,6 @@ void read(std::string_view input, const fs::path& scratch) {
 
 }  // namespace
 
-std::vector<Harness> nuscenes_harnesses() { return {{"nuscenes", seeds_of, read}}; }
+std::vector<Harness> list_nuscenes_harnesses() { return {{"nuscenes", make_seeds, read}}; }
 
 }  // namespace relidar::fuzz

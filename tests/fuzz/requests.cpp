@@ -30,7 +30,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::vector<std::string> request_seeds(const fs::path&) {
+std::vector<std::string> make_request_seeds(const fs::path&) {
     const std::string edits =
         R"({"copies": [{"of": "7", "at": [1, 2, 0, 90, 5]}], "moves": {"8": [1, 0, 0, 10]},
         "removed": ["9"], "hidden": ["7"]})";
@@ -46,7 +46,7 @@ void read_request(std::string_view input, const fs::path&) { (void)view::parse_r
 
 #ifdef RELIDAR_FUZZ_VIEW
 
-std::vector<std::string> head_seeds(const fs::path&) {
+std::vector<std::string> make_head_seeds(const fs::path&) {
     return {
         "localhost:8080\nhttp://localhost:8080\na=1; "
         "relidar_8080=0123456789abcdef\ntoken=0123456789abcdef&b=2",
@@ -63,7 +63,7 @@ void read_head(std::string_view input, const fs::path&) {
     (void)view::is_local_host(lines[0], "machine");
     (void)view::is_same_origin(lines[1], lines[0]);
     const bool shown =
-        view::shows_token({lines[0], lines[1], lines[2], lines[3]}, "0123456789abcdef", "relidar_8080");
+        view::has_valid_token({lines[0], lines[1], lines[2], lines[3]}, "0123456789abcdef", "relidar_8080");
     const bool there =
         (std::string(lines[2]) + std::string(lines[3])).find("0123456789abcdef") != std::string::npos;
     // aborts if access is granted although the request does not contain the token
@@ -81,7 +81,7 @@ struct Served {
     serve::SpawnedActors spawned{1};
 
     explicit Served(const fs::path& folder) : sources{{"town", folder}} {
-        Run run = example_run(folder);
+        Run run = make_example_run(folder);
         run.scene = make_background_scene({});
         for (const BoxTrack& box : run.sequence.boxes) {
             Instance instance;
@@ -93,7 +93,7 @@ struct Served {
 };
 
 template <class Message>
-Message message_of(std::string_view bytes) {
+Message parse_message(std::string_view bytes) {
     Message message;
     if (!message.ParseFromArray(bytes.data(), int(bytes.size()))) throw DataError("no message of that kind");
     return message;
@@ -128,11 +128,11 @@ void read_call(std::string_view input, const fs::path& folder) {
     const unsigned call = static_cast<unsigned char>(input[0]) % 4u;
     input.remove_prefix(1);
     const grpc::Status status = serve::answered([&] {
-        if (call == 0) (void)reader.read(message_of<v1::RenderLidarRequest>(input));
-        if (call == 1) (void)reader.read(message_of<v1::RenderRigRequest>(input));
-        if (call == 2) (void)reader.upload(message_of<v1::UploadSensorRequest>(input).sensor());
+        if (call == 0) (void)reader.read(parse_message<v1::RenderLidarRequest>(input));
+        if (call == 1) (void)reader.read(parse_message<v1::RenderRigRequest>(input));
+        if (call == 2) (void)reader.upload(parse_message<v1::UploadSensorRequest>(input).sensor());
         if (call == 3) {
-            const auto request = message_of<v1::GetTracksRequest>(input);
+            const auto request = parse_message<v1::GetTracksRequest>(input);
             const std::size_t scene = reader.find_scene(request.scene());
             v1::GetTracksResponse answer;
             serve::write_tracks(served.outlines[scene], reader.find_lidar(scene, request.lidar()),
@@ -148,11 +148,11 @@ void read_frame(std::string_view input, const fs::path& folder) {
     static const serve::RequestReader scenes(served.outlines, served.sources, served.assets, served.spawned);
     static serve::SensorsimReader reader(served.outlines, scenes, serve::PoseOrder::translation_first);
     silence_protobuf();
-    check_status(
-        serve::answered([&] { (void)reader.read(message_of<serve::sensorsim::LidarRenderRequest>(input)); }));
+    check_status(serve::answered(
+        [&] { (void)reader.read(parse_message<serve::sensorsim::LidarRenderRequest>(input)); }));
 }
 
-std::vector<std::string> frame_seeds(const fs::path&) {
+std::vector<std::string> make_frame_seeds(const fs::path&) {
     serve::sensorsim::LidarRenderRequest request;
     request.set_scene_id("town");
     request.mutable_lidar()->set_lidar_type(serve::sensorsim::AT128);
@@ -186,7 +186,7 @@ v1::RenderLidarRequest scan_request(const char* sensor) {
     return request;
 }
 
-std::vector<v1::SensorSpec> sensor_specs() {
+std::vector<v1::SensorSpec> make_sensor_specs() {
     std::vector<v1::SensorSpec> specs(4);
     auto& spinning = *specs[0].mutable_spinning();
     spinning.add_beams()->set_elevation_rad(0.1);
@@ -205,7 +205,7 @@ std::vector<v1::SensorSpec> sensor_specs() {
     return specs;
 }
 
-std::vector<std::string> call_seeds(const fs::path&) {
+std::vector<std::string> make_call_seeds(const fs::path&) {
     const auto seed = [](char call, const auto& message) { return call + message.SerializeAsString(); };
     std::vector<std::string> seeds{seed(0, scan_request("VLP-16:16x10"))};
     v1::RenderRigRequest rig;
@@ -213,7 +213,7 @@ std::vector<std::string> call_seeds(const fs::path&) {
     rig.add_sensors()->mutable_sensor()->set_name("VLP-16:16x10");
     rig.mutable_sensors(0)->mutable_rig_from_sensor()->mutable_translation()->set_z(1.5);
     seeds.push_back(seed(1, rig));
-    for (const v1::SensorSpec& spec : sensor_specs()) {
+    for (const v1::SensorSpec& spec : make_sensor_specs()) {
         v1::UploadSensorRequest upload;
         *upload.mutable_sensor() = spec;
         seeds.push_back(seed(2, upload));
@@ -232,14 +232,14 @@ std::vector<std::string> call_seeds(const fs::path&) {
 
 }  // namespace
 
-std::vector<Harness> request_harnesses() {
-    return {{"wish", request_seeds, read_request},
+std::vector<Harness> list_request_harnesses() {
+    return {{"wish", make_request_seeds, read_request},
 #ifdef RELIDAR_FUZZ_VIEW
-            {"head", head_seeds, read_head},
+            {"head", make_head_seeds, read_head},
 #endif
 #ifdef RELIDAR_FUZZ_SERVE
-            {"call", call_seeds, read_call},
-            {"frame", frame_seeds, read_frame}
+            {"call", make_call_seeds, read_call},
+            {"frame", make_frame_seeds, read_frame}
 #endif
     };
 }

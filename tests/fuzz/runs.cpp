@@ -17,11 +17,11 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::vector<std::string> coverage_seeds(const fs::path& folder) {
+std::vector<std::string> make_coverage_seeds(const fs::path& folder) {
     Coverage coverage;
     coverage.add(glm::dvec3(-9.5, 0.25, 1.5), glm::dvec3(20.0, -3.0, 2.0));
     run_detail::save_coverage(folder / "seed", coverage);
-    return {contents(folder / "seed")};
+    return {read_contents(folder / "seed")};
 }
 
 /// Reads a coverage file. For any content, the observed share of a line must be between 0
@@ -37,18 +37,18 @@ void read_coverage(std::string_view input, const fs::path& folder) {
     }
 }
 
-std::vector<std::string> sweeps_seeds(const fs::path& folder) {
-    run_detail::save_sweeps(folder / "seed", example_run(folder).sequence);
-    return {contents(folder / "seed")};
+std::vector<std::string> make_sweeps_seeds(const fs::path& folder) {
+    run_detail::save_sweeps(folder / "seed", make_example_run(folder).sequence);
+    return {read_contents(folder / "seed")};
 }
 
 void read_sweeps(std::string_view input, const fs::path& folder) {
     put(folder / "input", input);
-    Sequence sequence = example_run(folder).sequence;
+    Sequence sequence = make_example_run(folder).sequence;
     run_detail::load_sweeps(folder / "input", sequence);
 }
 
-std::vector<std::string> network_seeds(const fs::path& folder) {
+std::vector<std::string> make_network_seeds(const fs::path& folder) {
     DropNetwork network;
     network.inputs = {"range", "drop"};
     network.widths = {4, 8};
@@ -56,7 +56,7 @@ std::vector<std::string> network_seeds(const fs::path& folder) {
     network.parameters.assign(40, 0.125f);
     network.running = {0.0f, 1.0f};
     save_drop_network(folder / "seed", network);
-    return {contents(folder / "seed")};
+    return {read_contents(folder / "seed")};
 }
 
 void read_network(std::string_view input, const fs::path& folder) {
@@ -64,12 +64,12 @@ void read_network(std::string_view input, const fs::path& folder) {
     load_drop_network(folder / "input");
 }
 
-std::vector<std::string> scatter_seeds(const fs::path& folder) {
+std::vector<std::string> make_scatter_seeds(const fs::path& folder) {
     IntensityScatter scatter;
     scatter.nodes = {{3, 0.5f, 1, 0, 4}, {-1, 0.0f, 0, 0, 2}, {-1, 0.0f, 0, 2, 2}};
     scatter.values = {0.0f, 0.1f, 0.2f, 0.4f};
     run_detail::save_scatter(folder / "seed", {scatter});
-    return {contents(folder / "seed")};
+    return {read_contents(folder / "seed")};
 }
 
 void read_scatter(std::string_view input, const fs::path& folder) {
@@ -83,10 +83,10 @@ void read_scatter(std::string_view input, const fs::path& folder) {
 }  // namespace
 
 std::vector<Harness> run_harnesses() {
-    return {{"coverage", coverage_seeds, read_coverage},
-            {"sweeps", sweeps_seeds, read_sweeps},
-            {"network", network_seeds, read_network},
-            {"scatter", scatter_seeds, read_scatter}};
+    return {{"coverage", make_coverage_seeds, read_coverage},
+            {"sweeps", make_sweeps_seeds, read_sweeps},
+            {"network", make_network_seeds, read_network},
+            {"scatter", make_scatter_seeds, read_scatter}};
 }
 
 }  // namespace relidar::fuzz

@@ -30,15 +30,15 @@ void read_sensors(std::string_view input, const fs::path& folder) {
     make(find_sensor(file.string()));
 }
 
-std::string npz_seed(const fs::path& folder) {
+std::string make_npz_seed(const fs::path& folder) {
     const float directions[6] = {1.0f, 0.0f, 0.0f, 0.0f, 1.0f, 0.0f}, times[2] = {0.0f, 0.01f};
     const std::uint16_t ring[2] = {0, 1};
     write_npz(folder / "seed.npz", {make_array("directions", {2, 3}, directions, 6),
                                     make_array("time", {2}, times, 2), make_array("ring", {2}, ring, 2)});
-    return contents(folder / "seed.npz");
+    return read_contents(folder / "seed.npz");
 }
 
-std::vector<std::string> sensor_seeds(const fs::path& folder) {
+std::vector<std::string> make_sensor_seeds(const fs::path& folder) {
     const auto seed = [](char ending, const std::string& bytes) { return ending + bytes; };
     return {
         seed(0, "elevation_deg,azimuth_offset_deg,firing_offset_us\n2.0,-1.5,3\n-3,0.5,0\n"),
@@ -55,7 +55,7 @@ std::vector<std::string> sensor_seeds(const fs::path& folder) {
             R"({"window": {"rows": 3, "columns": 5, "left_deg": 40, "right_deg": -40, "top_deg": 10, "bottom_deg": -10,
                         "period_s": 0.05, "divergence_mrad": 2, "min_range_m": 1, "max_range_m": 90}})"),
         seed(1, R"({"rosette": {"rays": 100, "deflection_deg": 9, "first_hz": 3, "second_hz": -2}})"),
-        seed(2, npz_seed(folder))};
+        seed(2, make_npz_seed(folder))};
 }
 
 void read_rig(std::string_view input, const fs::path& folder) {
@@ -65,7 +65,7 @@ void read_rig(std::string_view input, const fs::path& folder) {
     for (std::size_t i = 0; rig && i < std::min<std::size_t>(rig->size(), 3); ++i) make((*rig)[i].sensor);
 }
 
-std::vector<std::string> rig_seeds(const fs::path&) {
+std::vector<std::string> make_rig_seeds(const fs::path&) {
     return {
         R"({"sensors": [{"name": "top", "sensor": "VLP-16:90x20"}, {"name": "left", "sensor": "near.csv:36x10", "returns": 2,
                 "translation_m": [1, 2, 3], "yaw_pitch_roll_deg": [90, 0, 180]}]})"};
@@ -73,8 +73,8 @@ std::vector<std::string> rig_seeds(const fs::path&) {
 
 }  // namespace
 
-std::vector<Harness> sensor_harnesses() {
-    return {{"sensors", sensor_seeds, read_sensors}, {"rig", rig_seeds, read_rig}};
+std::vector<Harness> list_sensor_harnesses() {
+    return {{"sensors", make_sensor_seeds, read_sensors}, {"rig", make_rig_seeds, read_rig}};
 }
 
 }  // namespace relidar::fuzz

@@ -28,28 +28,28 @@ struct Sequences {
           of_once({once.json(), once.scan(1)}) {}
 };
 
-const Sequences& sequences_in(const fs::path& scratch) {
+const Sequences& make_sequences_in(const fs::path& scratch) {
     static const Sequences sequences(scratch);
     return sequences;
 }
 
-std::vector<std::string> boreas_seeds(const fs::path& scratch) {
-    return sequences_in(scratch).of_boreas.seeds_of_one();
+std::vector<std::string> make_boreas_seeds(const fs::path& scratch) {
+    return make_sequences_in(scratch).of_boreas.make_seeds_of_one();
 }
-std::vector<std::string> mulran_seeds(const fs::path& scratch) {
-    return sequences_in(scratch).of_mulran.seeds_of_one();
+std::vector<std::string> make_mulran_seeds(const fs::path& scratch) {
+    return make_sequences_in(scratch).of_mulran.make_seeds_of_one();
 }
-std::vector<std::string> once_seeds(const fs::path& scratch) {
-    return sequences_in(scratch).of_once.seeds_of_one();
+std::vector<std::string> make_once_seeds(const fs::path& scratch) {
+    return make_sequences_in(scratch).of_once.make_seeds_of_one();
 }
 
 void read_boreas(std::string_view input, const fs::path& scratch) {
-    const Sequences& in = sequences_in(scratch);
+    const Sequences& in = make_sequences_in(scratch);
     in.of_boreas.read_one(input, [&] { load_sequence("boreas:" + in.boreas.folder.string(), {}); });
 }
 
 void read_mulran(std::string_view input, const fs::path& scratch) {
-    const Sequences& in = sequences_in(scratch);
+    const Sequences& in = make_sequences_in(scratch);
     in.of_mulran.read_one(input, [&] {
         DatasetOptions options;
         options.frames = {1, 2};  // only two frames, because a scan has 65536 points
@@ -58,16 +58,16 @@ void read_mulran(std::string_view input, const fs::path& scratch) {
 }
 
 void read_once(std::string_view input, const fs::path& scratch) {
-    const Sequences& in = sequences_in(scratch);
+    const Sequences& in = make_sequences_in(scratch);
     in.of_once.read_one(input, [&] { load_sequence("once:" + in.once.folder.string(), {}); });
 }
 
 }  // namespace
 
-std::vector<Harness> stamped_harnesses() {
-    return {{"boreas", boreas_seeds, read_boreas},
-            {"mulran", mulran_seeds, read_mulran},
-            {"once", once_seeds, read_once}};
+std::vector<Harness> list_stamped_harnesses() {
+    return {{"boreas", make_boreas_seeds, read_boreas},
+            {"mulran", make_mulran_seeds, read_mulran},
+            {"once", make_once_seeds, read_once}};
 }
 
 }  // namespace relidar::fuzz

@@ -38,7 +38,7 @@ void read_street(std::string_view input, const fs::path& folder) {
 /// Returns a run without the file of sweep azimuths, because this file depends on the
 /// sensor that an input changes. The harness "sweeps" reads the file.
 Run run_without_sweeps(const fs::path& folder) {
-    Run run = example_run(folder);
+    Run run = make_example_run(folder);
     for (Frame& frame : run.sequence.frames) frame.azimuth_shift_rad.clear();
     return run;
 }
@@ -55,20 +55,20 @@ void read_scene(std::string_view input, const fs::path& folder) {
     if (!sensor.beams.empty() && sensor.beams.size() * std::size_t(sensor.columns) < 10000) make_rays(sensor);
     for (const BoxTrack& box : read.sequence.boxes) (void)box.present(read.sequence.frames[0].time_s);
     for (const Lidar& lidar : read.sequence.lidars)  // creates the rays only if their number is small
-        if (lidar.pattern && std::holds_alternative<RayTable>(*lidar.pattern)) nominal_rays(lidar, 0.0);
+        if (lidar.pattern && std::holds_alternative<RayTable>(*lidar.pattern)) make_nominal_rays(lidar, 0.0);
     split_frames(read.sequence, 10);
 }
 
-std::vector<std::string> scene_seeds(const fs::path& folder) {
+std::vector<std::string> make_scene_seeds(const fs::path& folder) {
     save_run(run_without_sweeps(folder / "seed_run"));
-    std::vector<std::string> seeds{contents(folder / "seed_run/scene.json")};
+    std::vector<std::string> seeds{read_contents(folder / "seed_run/scene.json")};
     Run fixed = run_without_sweeps(folder / "seed_run");
     fixed.sequence.lidars[0].sensor.beams.clear();
     fixed.sequence.lidars[0].sensor.columns = 0;
     for (const char* name : {"window-128", "rosette"}) {
-        fixed.sequence.lidars[0].pattern = fixed_pattern(find_sensor(name));
+        fixed.sequence.lidars[0].pattern = get_fixed_pattern(find_sensor(name));
         save_run(fixed);
-        seeds.push_back(contents(folder / "seed_run/scene.json"));
+        seeds.push_back(read_contents(folder / "seed_run/scene.json"));
     }
     return seeds;
 }
@@ -90,11 +90,11 @@ void read_entities(std::string_view input, const fs::path& folder) {
     put(folder / "s.xosc", input);
     for (const ScenarioEntity& entity : read_scenario(folder / "s.xosc"))
         if (!entity.world_from_reference.pose.empty() && entity.world_from_reference.pose.size() < 100)
-            box_track(entity, 0.0, {4, 2, 1.5});
+            make_box_track(entity, 0.0, {4, 2, 1.5});
 }
 
 /// Builds TOML text from tokens. Each byte of the input selects a token.
-std::string toml_of(std::string_view input) {
+std::string format_toml(std::string_view input) {
     static const std::vector<std::string> tokens = [] {
         std::vector<std::string> all{"\n",
                                      "\n",
@@ -143,7 +143,7 @@ std::string toml_of(std::string_view input) {
                                      "speed_mps",
                                      "moving_cars",
                                      "a"};
-        for (const ConfigKey& key : config_keys({})) all.push_back(key.key);
+        for (const ConfigKey& key : list_config_keys({})) all.push_back(key.key);
         return all;
     }();
     std::string text;
@@ -156,7 +156,7 @@ std::string toml_of(std::string_view input) {
 }
 
 void read_tokens(std::string_view input, const fs::path& folder) {
-    const std::string text = toml_of(input);
+    const std::string text = format_toml(input);
     try {
         read_config(text, folder);
     } catch (const Error& error) {
@@ -186,7 +186,7 @@ constexpr const char* kScenario =
 
 }  // namespace
 
-std::vector<Harness> text_harnesses() {
+std::vector<Harness> list_text_harnesses() {
     return {
         {"scenario", [](const fs::path&) { return std::vector<std::string>{kScenario}; }, read_entities},
         {"config",
@@ -209,7 +209,7 @@ std::vector<Harness> text_harnesses() {
                                              std::string("\x06\x30\x07\x00\x2e\x02\x16", 7)};
          },
          read_tokens, false},
-        {"scene", scene_seeds, read_scene},
+        {"scene", make_scene_seeds, read_scene},
         {"sensor",
          [](const fs::path&) {
              return std::vector<std::string>{

@@ -21,11 +21,11 @@
 namespace relidar {
 namespace {
 
-static_assert(name_of_struct<shared::ImageLossParams>() == "ImageLossParams");
-static_assert(params_of_kernel("diff/loss/image_loss") == "ImageLossParams", "as its shader declares");
-static_assert(params_of_kernel("diff/loss/surfel_loss") != "ImageLossParams",
+static_assert(get_struct_name<shared::ImageLossParams>() == "ImageLossParams");
+static_assert(find_params_of_kernel("diff/loss/image_loss") == "ImageLossParams", "as its shader declares");
+static_assert(find_params_of_kernel("diff/loss/surfel_loss") != "ImageLossParams",
               "so Kernel<ImageLossParams> of it does not compile");
-static_assert(params_of_kernel("loss/image_los").empty(), "nor does a name that no kernel has");
+static_assert(find_params_of_kernel("loss/image_los").empty(), "nor does a name that no kernel has");
 
 template <class Rendered, class Targets>
 concept FillParameters = requires(Rendered rendered, Targets targets) {
@@ -49,38 +49,40 @@ static_assert(sizeof(Address<float>) == 8 && std::is_trivially_copyable_v<Addres
 /// Returns true if either of two members of a parameter struct can be assigned to the
 /// other member. A call with swapped members would then compile.
 template <class Struct, class A, class B>
-consteval bool take_each_other(A Struct::*, B Struct::*) {
+consteval bool are_interchangeable(A Struct::*, B Struct::*) {
     return std::is_assignable_v<A&, B> || std::is_assignable_v<B&, A>;
 }
 
 // Tests two pointers to the same type of number from each parameter header. They must not
 // be assignable to each other. tests/structure checks that no struct has two pointers
 // that can be exchanged.
-static_assert(!take_each_other(&shared::ProxyParams::vertices, &shared::ProxyParams::boxes));
-static_assert(!take_each_other(&shared::GatherParams::parts, &shared::GatherParams::d_records));
-static_assert(!take_each_other(&shared::GatherParams::d_sh, &shared::GatherParams::d_records));
-static_assert(!take_each_other(&shared::GatherParams::rows, &shared::GatherParams::slots));
-static_assert(!take_each_other(&shared::PoseBlocksParams::d_view, &shared::PoseBlocksParams::sums));
-static_assert(!take_each_other(&shared::BvhPointers::order, &shared::BvhPointers::roots));
-static_assert(!take_each_other(&shared::BvhWideParams::queue, &shared::BvhWideParams::slots));
-static_assert(!take_each_other(&shared::ClassifyParams::action, &shared::ClassifyParams::weight));
-static_assert(!take_each_other(&shared::MoveParams::from, &shared::MoveParams::to));
-static_assert(!take_each_other(&shared::ScanParams::counts, &shared::ScanParams::prefix));
-static_assert(!take_each_other(&shared::RadixSortParams::keys, &shared::RadixSortParams::order));
-static_assert(!take_each_other(&shared::ConvParams::weights, &shared::ConvParams::bias));
-static_assert(!take_each_other(&shared::NormFinishParams::moments, &shared::NormFinishParams::scale_shift));
-static_assert(!take_each_other(&shared::SsimParams::statistics, &shared::SsimParams::terms));
-static_assert(!take_each_other(&shared::ChamferParams::simulated, &shared::ChamferParams::measured));
-static_assert(!take_each_other(&shared::ChamferBoxesParams::low, &shared::ChamferBoxesParams::high));
-static_assert(!take_each_other(&shared::AdamParams::values, &shared::AdamParams::gradients));
-static_assert(!take_each_other(&shared::AdamParams::moment1, &shared::AdamParams::moment2));
-static_assert(!take_each_other(&shared::DropLossParams::start, &shared::DropLossParams::target));
-static_assert(!take_each_other(&shared::DropLossParams::logit, &shared::DropLossParams::d_logit));
-static_assert(!take_each_other(&shared::SurfelPointers::log_scale, &shared::SurfelPointers::log_scale_w));
-static_assert(!take_each_other(&shared::ActivateVjpParams::d_records, &shared::ActivateVjpParams::d_view));
-static_assert(!take_each_other(&shared::TraceScene::pass_cap_count, &shared::TraceScene::visits));
-static_assert(!take_each_other(&shared::CollectHitsParams::instance, &shared::CollectHitsParams::surfel));
-static_assert(take_each_other(&shared::ActivateVjpParams::surfels, &shared::ActivateVjpParams::d_surfels),
+static_assert(!are_interchangeable(&shared::ProxyParams::vertices, &shared::ProxyParams::boxes));
+static_assert(!are_interchangeable(&shared::GatherParams::parts, &shared::GatherParams::d_records));
+static_assert(!are_interchangeable(&shared::GatherParams::d_sh, &shared::GatherParams::d_records));
+static_assert(!are_interchangeable(&shared::GatherParams::rows, &shared::GatherParams::slots));
+static_assert(!are_interchangeable(&shared::PoseBlocksParams::d_view, &shared::PoseBlocksParams::sums));
+static_assert(!are_interchangeable(&shared::BvhPointers::order, &shared::BvhPointers::roots));
+static_assert(!are_interchangeable(&shared::BvhWideParams::queue, &shared::BvhWideParams::slots));
+static_assert(!are_interchangeable(&shared::ClassifyParams::action, &shared::ClassifyParams::weight));
+static_assert(!are_interchangeable(&shared::MoveParams::from, &shared::MoveParams::to));
+static_assert(!are_interchangeable(&shared::ScanParams::counts, &shared::ScanParams::prefix));
+static_assert(!are_interchangeable(&shared::RadixSortParams::keys, &shared::RadixSortParams::order));
+static_assert(!are_interchangeable(&shared::ConvParams::weights, &shared::ConvParams::bias));
+static_assert(!are_interchangeable(&shared::NormFinishParams::moments,
+                                   &shared::NormFinishParams::scale_shift));
+static_assert(!are_interchangeable(&shared::SsimParams::statistics, &shared::SsimParams::terms));
+static_assert(!are_interchangeable(&shared::ChamferParams::simulated, &shared::ChamferParams::measured));
+static_assert(!are_interchangeable(&shared::ChamferBoxesParams::low, &shared::ChamferBoxesParams::high));
+static_assert(!are_interchangeable(&shared::AdamParams::values, &shared::AdamParams::gradients));
+static_assert(!are_interchangeable(&shared::AdamParams::moment1, &shared::AdamParams::moment2));
+static_assert(!are_interchangeable(&shared::DropLossParams::start, &shared::DropLossParams::target));
+static_assert(!are_interchangeable(&shared::DropLossParams::logit, &shared::DropLossParams::d_logit));
+static_assert(!are_interchangeable(&shared::SurfelPointers::log_scale, &shared::SurfelPointers::log_scale_w));
+static_assert(!are_interchangeable(&shared::ActivateVjpParams::d_records,
+                                   &shared::ActivateVjpParams::d_view));
+static_assert(!are_interchangeable(&shared::TraceScene::pass_cap_count, &shared::TraceScene::visits));
+static_assert(!are_interchangeable(&shared::CollectHitsParams::instance, &shared::CollectHitsParams::surfel));
+static_assert(are_interchangeable(&shared::ActivateVjpParams::surfels, &shared::ActivateVjpParams::d_surfels),
               "gradients are arranged alike");
 
 // The meaning of an array is declared when it is created. Only address_as() and as() can
@@ -99,9 +101,9 @@ TEST_F(AddressTest, NowhereIsWhatNoArrayHas) {
     const Array<glm::vec3> array(device(), 4, "test");
     const Address<glm::vec3> nowhere;
     EXPECT_NE(array.address(), nowhere);
-    EXPECT_EQ(address_of(&array), array.address());
+    EXPECT_EQ(get_address(&array), array.address());
     const Array<glm::vec3>* none = nullptr;
-    EXPECT_EQ(address_of(none), nowhere);
+    EXPECT_EQ(get_address(none), nowhere);
     EXPECT_EQ(Array<glm::vec3>().address(), nowhere);
     EXPECT_EQ(array.address_as<float>(1), array.address_as<float>(1));
     EXPECT_NE(array.address_as<float>(1), array.address_as<float>()) << "a part";

@@ -140,7 +140,7 @@ TEST_F(Gpu, ImpossibleRequestsSayWhatWasAsked) {
 
 TEST_F(Gpu, ExtensionsOfRayQueryAreEnabledForRayQueryAlone) {
     const auto has_ray_tracing = [](const Device& d) {
-        const auto& enabled = impl_of(d).extensions;
+        const auto& enabled = get_impl(d).extensions;
         return std::any_of(enabled.begin(), enabled.end(), [](const char* name) {
             const std::string text = name;
             return text.find("acceleration_structure") != std::string::npos ||
@@ -172,41 +172,41 @@ TEST_F(Gpu, SubgroupsOfVaryingSizeMustBeControlled) {
     sizes.minSubgroupSize = 8;
     sizes.maxSubgroupSize = 32;
     gpu::OptionalFeatures optional;
-    EXPECT_EQ(gpu::missing_for_software(subgroup, sizes, optional),
+    EXPECT_EQ(gpu::list_missing_for_software(subgroup, sizes, optional),
               "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     optional.subgroup_size = true;
     EXPECT_FALSE(gpu::has_known_subgroups(sizes, optional)) << "some lanes may be missing";
     optional.full_subgroups = true;
-    EXPECT_EQ(gpu::missing_for_software(subgroup, sizes, optional), "");
+    EXPECT_EQ(gpu::list_missing_for_software(subgroup, sizes, optional), "");
     sizes.maxSubgroupSize = 8;
-    EXPECT_EQ(gpu::missing_for_software(subgroup, sizes, {}), "") << "one size";
+    EXPECT_EQ(gpu::list_missing_for_software(subgroup, sizes, {}), "") << "one size";
     subgroup.supportedOperations &= ~VkSubgroupFeatureFlags(VK_SUBGROUP_FEATURE_SHUFFLE_BIT);
-    EXPECT_EQ(gpu::missing_for_software(subgroup, sizes, {}), "subgroup shuffles in compute");
+    EXPECT_EQ(gpu::list_missing_for_software(subgroup, sizes, {}), "subgroup shuffles in compute");
 }
 
 TEST_F(Gpu, NetworksNeedShufflesInKnownSubgroups) {
     VkPhysicalDeviceSubgroupProperties subgroup{};
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{};
     sizes.minSubgroupSize = sizes.maxSubgroupSize = 8;
-    EXPECT_EQ(gpu::missing_for_networks(subgroup, sizes, {}), "subgroup shuffles in compute");
+    EXPECT_EQ(gpu::list_missing_for_networks(subgroup, sizes, {}), "subgroup shuffles in compute");
     subgroup.supportedOperations = VK_SUBGROUP_FEATURE_SHUFFLE_BIT;
-    EXPECT_EQ(gpu::missing_for_networks(subgroup, sizes, {}), "");
+    EXPECT_EQ(gpu::list_missing_for_networks(subgroup, sizes, {}), "");
     sizes.maxSubgroupSize = 32;
-    EXPECT_NE(gpu::missing_for_networks(subgroup, sizes, {}), "") << "lanes of one size are not known";
+    EXPECT_NE(gpu::list_missing_for_networks(subgroup, sizes, {}), "") << "lanes of one size are not known";
 }
 
 TEST_F(Gpu, BestTraversalFollowsWhatADeviceHas) {
     DeviceInfo d;
     d.type = "discrete GPU";
-    EXPECT_EQ(best_traversal(d), Traversal::automatic) << "neither";
+    EXPECT_EQ(choose_best_traversal(d), Traversal::automatic) << "neither";
     d.software = true;
-    EXPECT_EQ(best_traversal(d), Traversal::software);
+    EXPECT_EQ(choose_best_traversal(d), Traversal::software);
     d.ray_query = true;
-    EXPECT_EQ(best_traversal(d), Traversal::ray_query);
+    EXPECT_EQ(choose_best_traversal(d), Traversal::ray_query);
     d.type = "CPU";
-    EXPECT_EQ(best_traversal(d), Traversal::software);
+    EXPECT_EQ(choose_best_traversal(d), Traversal::software);
     d.software = false;
-    EXPECT_EQ(best_traversal(d), Traversal::ray_query);
+    EXPECT_EQ(choose_best_traversal(d), Traversal::ray_query);
 }
 
 }  // namespace

@@ -21,8 +21,8 @@ TEST(FreeRanges, NeverOverlapAndMergeAgain) {
     gpu::FreeRanges free(kBytes);
     std::vector<bool> used(kBytes, false);
     std::map<std::uint64_t, std::uint64_t> taken;
-    const auto mark = [&](std::uint64_t offset, std::uint64_t n, bool value) {
-        for (std::uint64_t i = offset; i < offset + n; ++i) {
+    const auto mark = [&](std::uint64_t offset, std::uint64_t count, bool value) {
+        for (std::uint64_t i = offset; i < offset + count; ++i) {
             ASSERT_EQ(used[i], !value) << "byte " << i;
             used[i] = value;
         }
@@ -58,7 +58,7 @@ TEST(FreeRanges, NeverOverlapAndMergeAgain) {
 
 class GpuMemory : public test::DeviceTest {
 protected:
-    std::size_t n_blocks() { return impl_of(device()).memory->n_blocks(); }
+    std::size_t n_blocks() { return get_impl(device()).memory->n_blocks(); }
 };
 
 TEST_F(GpuMemory, MoreArraysThanAllocations) {
@@ -93,7 +93,7 @@ TEST_F(GpuMemory, EmptyBlocksAreGivenBack) {
 }
 
 TEST_F(GpuMemory, WhatNoArrayCanHaveIsRefusedByName) {
-    const auto& [limit, name] = impl_of(device()).largest_buffer;
+    const auto& [limit, name] = get_impl(device()).largest_buffer;
     for (const std::uint64_t n_bytes : {limit + 1, std::uint64_t(1) << 46}) {
         try {
             const Buffer buffer(device(), n_bytes, "a test of the impossible");

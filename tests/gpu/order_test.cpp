@@ -23,8 +23,8 @@ using Words = std::vector<std::uint32_t>;
 class PrefixSums : public test::DeviceTest {
 protected:
     std::mt19937 random{7};
-    Words numbers(std::size_t n, std::uint32_t below) {
-        Words result(n);
+    Words numbers(std::size_t count, std::uint32_t below) {
+        Words result(count);
         for (std::uint32_t& x : result) x = random() % below;
         return result;
     }
@@ -72,8 +72,8 @@ TEST_F(PrefixSums, InPlace) {
 class Sort : public test::DeviceTest {
 protected:
     std::mt19937_64 random{1};
-    std::vector<std::uint64_t> numbers(std::size_t n) {
-        std::vector<std::uint64_t> result(n);
+    std::vector<std::uint64_t> numbers(std::size_t count) {
+        std::vector<std::uint64_t> result(count);
         for (std::uint64_t& x : result) x = random();
         return result;
     }
@@ -106,8 +106,8 @@ protected:
             key_bits == 64 ? ~std::uint64_t(0) : (std::uint64_t(1) << (key_bits + 7) / 8 * 8) - 1;
         Words order(n), sorted;
         std::iota(order.begin(), order.end(), 0u);
-        std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) {
-            return (keys[a] & mask) < (keys[b] & mask);
+        std::stable_sort(order.begin(), order.end(), [&](std::uint32_t first, std::uint32_t second) {
+            return (keys[first] & mask) < (keys[second] & mask);
         });
         for (const std::uint32_t i : order)
             sorted.insert(sorted.end(), words.begin() + key_words * i, words.begin() + key_words * (i + 1));

@@ -22,14 +22,14 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::string contents(const fs::path& path) {
+std::string read_contents(const fs::path& path) {
     std::ifstream file(path, std::ios::binary);
     return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
 }
 
 /// Recomputes the hash of the driver's bytes (FNV-1a). The file stores the hash after the
 /// magic number and the size.
-std::string rehashed(std::string bytes) {
+std::string update_hash(std::string bytes) {
     std::uint64_t hash = 0xcbf29ce484222325u;
     for (std::size_t i = 24; i < bytes.size(); ++i)
         hash = (hash ^ static_cast<unsigned char>(bytes[i])) * 0x100000001b3u;
@@ -68,14 +68,14 @@ protected:
     static Opened open() {
         Device opened(from_environment());
         const PrefixSum prefix_sum(opened);
-        return {impl_of(opened).pipeline_cache->path(), impl_of(opened).pipeline_cache->read_bytes()};
+        return {get_impl(opened).pipeline_cache->path(), get_impl(opened).pipeline_cache->read_bytes()};
     }
     /// Returns true if the driver stores pipelines, which means that its cache is longer
     /// than the Vulkan header.
-    static bool driver_keeps_pipelines() {
+    static bool is_cached_by_driver() {
         Device opened(from_environment());
         std::size_t n_bytes = 0;
-        const Device::Impl& impl = impl_of(opened);
+        const Device::Impl& impl = get_impl(opened);
         vkGetPipelineCacheData(impl.device, impl.pipeline_cache->handle(), &n_bytes, nullptr);
         return n_bytes >= sizeof(VkPipelineCacheHeaderVersionOne);
     }
@@ -92,9 +92,9 @@ TEST_F(PipelineCacheFile, IsFoundByTheNextDevice) {
     const Opened first = open();
     EXPECT_EQ(first.path.parent_path(), folder / "made" / "for it");
     EXPECT_EQ(first.read_bytes, 0u);
-    if (!driver_keeps_pipelines()) GTEST_SKIP() << "the driver returns no header of a pipeline cache";
+    if (!is_cached_by_driver()) GTEST_SKIP() << "the driver returns no header of a pipeline cache";
     ASSERT_TRUE(fs::is_regular_file(first.path));
-    const std::string bytes = contents(first.path);
+    const std::string bytes = read_contents(first.path);
     const auto written = fs::last_write_time(first.path);
     const Opened second = open();
     EXPECT_EQ(second.path, first.path);
@@ -104,23 +104,24 @@ TEST_F(PipelineCacheFile, IsFoundByTheNextDevice) {
 }
 
 TEST_F(PipelineCacheFile, DamagedAndForeignOnesAreIgnoredAndReplaced) {
-    if (!driver_keeps_pipelines()) GTEST_SKIP() << "the driver returns no header of a pipeline cache";
+    if (!is_cached_by_driver()) GTEST_SKIP() << "the driver returns no header of a pipeline cache";
     const fs::path path = open().path;
-    const std::string good = contents(path);
+    const std::string good = read_contents(path);
     const auto changed = [&](std::size_t at) {
         std::string bytes = good;
         bytes[at] = static_cast<char>(bytes[at] ^ 0x40);
         return bytes;
     };
-    ASSERT_EQ(rehashed(good), good);
+    ASSERT_EQ(update_hash(good), good);
     constexpr std::size_t kVendor = 24 + 8, kUuid = 24 + 16;
     for (const std::string& bad :
          {std::string(), std::string("garbage"), std::string(1000, '\xff'), good.substr(0, 20),
           good.substr(0, good.size() - 1), good + "x", good.substr(24), changed(0), changed(8), changed(16),
-          changed(24), rehashed(changed(kVendor)), rehashed(changed(kUuid)), changed(good.size() - 1)}) {
+          changed(24), update_hash(changed(kVendor)), update_hash(changed(kUuid)),
+          changed(good.size() - 1)}) {
         put(path, bad);
         EXPECT_EQ(open().read_bytes, 0u) << bad.size() << " bytes";
-        EXPECT_EQ(contents(path).size(), good.size()) << "written anew";
+        EXPECT_EQ(read_contents(path).size(), good.size()) << "written anew";
     }
 }
 
@@ -129,7 +130,7 @@ TEST_F(PipelineCacheFile, UnwritableFoldersAreNoError) {
     // permissions would not prevent root from writing
     ::setenv("RELIDAR_PIPELINE_CACHE", (folder / "a file").c_str(), 1);
     EXPECT_EQ(open().read_bytes, 0u);
-    EXPECT_EQ(contents(folder / "a file"), "x");
+    EXPECT_EQ(read_contents(folder / "a file"), "x");
     ::setenv("RELIDAR_PIPELINE_CACHE", "/proc/relidar", 1);
     EXPECT_EQ(open().read_bytes, 0u);
 }
@@ -152,7 +153,7 @@ TEST_F(PipelineCacheFile, TheEnvironmentSaysWhere) {
 /// later. Kernels with any difference must have separate pipelines.
 TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
     Device opened(from_environment());
-    const auto n_made = [&] { return impl_of(opened).pipelines.by_key.size(); };
+    const auto n_made = [&] { return get_impl(opened).pipelines.by_key.size(); };
     const std::vector<Constant> of_64{{ConstantId::WORKGROUP_SIZE, 64}},
         of_32{{ConstantId::WORKGROUP_SIZE, 32}};
     const auto pipeline_of = [&](const std::vector<Constant>& constants,
@@ -181,7 +182,7 @@ TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
 /// on a GPU. A kernel may be destroyed before its pipeline is ready, or may never run.
 TEST_F(PipelinesOfADevice, AreBegunWithTheirKernels) {
     Device opened(from_environment());
-    impl_of(opened).compiles_ahead = true;
+    get_impl(opened).compiles_ahead = true;
     const auto begin = [&](std::uint32_t size) {
         return std::make_unique<Kernel<shared::ListTouchedParams>>(
             opened, KernelName<shared::ListTouchedParams>("scene/list_touched"),
@@ -189,10 +190,10 @@ TEST_F(PipelinesOfADevice, AreBegunWithTheirKernels) {
     };
     const auto used = begin(32), alike = begin(32), unused = begin(64);
     begin(128);
-    EXPECT_EQ(impl_of(opened).pipelines.by_key.size(), 3u);
+    EXPECT_EQ(get_impl(opened).pipelines.by_key.size(), 3u);
     EXPECT_NE(used->impl().pipeline(), VK_NULL_HANDLE);
     EXPECT_EQ(used->impl().pipeline(), alike->impl().pipeline());
-    for (const auto& [key, made] : impl_of(opened).pipelines.by_key)
+    for (const auto& [key, made] : get_impl(opened).pipelines.by_key)
         EXPECT_EQ(made.get().result, VK_SUCCESS) << key;
 }
 

@@ -75,7 +75,7 @@ TEST(SpirvModes, AreAllThatIsAddedToAModule) {
         for (const gpu::ExecutionMode& mode :
              {gpu::kSubgroupUniformControlFlow, gpu::kMaximallyReconverges}) {
             const std::vector<Words> before = instructions(kernel.words),
-                                     after = instructions(gpu::with_execution_mode(kernel.words, mode));
+                                     after = instructions(gpu::add_execution_mode(kernel.words, mode));
             ASSERT_FALSE(after.empty()) << kernel.name;
             int n_extensions = 0, n_modes = 0, last = 0;
             std::vector<Words> rest;
@@ -99,7 +99,7 @@ TEST(SpirvModes, AreAllThatIsAddedToAModule) {
 
 /// Counts loads from the parameter block before and after the first branch of the entry
 /// point. Loads in other functions count as loads after the branch.
-std::pair<int, int> parameter_loads(std::span<const std::uint32_t> words) {
+std::pair<int, int> count_parameter_loads(std::span<const std::uint32_t> words) {
     enum : std::uint32_t {
         name = 5,
         type_pointer = 32,
@@ -134,9 +134,9 @@ std::pair<int, int> parameter_loads(std::span<const std::uint32_t> words) {
 TEST(SpirvParameters, AreReadWhereAModuleBegins) {
     int n_before = 0, n_later = 0;
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
-        const auto [first, later] = parameter_loads(gpu::move_parameters_first(kernel.words));
+        const auto [first, later] = count_parameter_loads(gpu::move_parameters_first(kernel.words));
         EXPECT_GE(first, 1) << kernel.name;
-        n_before += parameter_loads(kernel.words).second;
+        n_before += count_parameter_loads(kernel.words).second;
         n_later += later;
     }
     EXPECT_LT(n_later, n_before / 100) << "of " << n_before;
@@ -170,7 +170,7 @@ void expect_valid(const std::function<Words(std::span<const std::uint32_t>)>& ch
 
 TEST(SpirvModes, AreAcceptedBySpirvVal) {
     expect_valid([](std::span<const std::uint32_t> words) {
-        return gpu::with_execution_mode(words, gpu::kSubgroupUniformControlFlow);
+        return gpu::add_execution_mode(words, gpu::kSubgroupUniformControlFlow);
     });
 }
 
@@ -182,7 +182,7 @@ TEST(SpirvParameters, AreAcceptedBySpirvVal) {
 
 TEST(SpirvLanes, AreAcceptedBySpirvVal) {
     expect_valid([](std::span<const std::uint32_t> words) {
-        return gpu::move_parameters_first(gpu::with_indices_by_lane(words));
+        return gpu::move_parameters_first(gpu::use_lane_indices(words));
     });
 }
 
@@ -194,7 +194,7 @@ TEST(SpirvLanes, AreInEveryIndex) {
         std::uint32_t block = 0, block_pointer = 0;
         std::set<std::uint32_t> addresses, parameters, sums;
         int n_indices = 0;
-        for (const Words& i : instructions(gpu::with_indices_by_lane(kernel.words))) {
+        for (const Words& i : instructions(gpu::use_lane_indices(kernel.words))) {
             const std::uint32_t opcode = i[0] & 0xffffu;
             if (opcode == name && std::string(reinterpret_cast<const char*>(&i[2])) == "ParamsBlock")
                 block = i[1];
@@ -212,10 +212,10 @@ TEST(SpirvLanes, AreInEveryIndex) {
 
 /// Returns a value for each constant that differs from its default, except for the
 /// workgroup size.
-std::map<std::uint32_t, std::uint32_t> other_constants(std::span<const std::uint32_t> words) {
+std::map<std::uint32_t, std::uint32_t> change_constants(std::span<const std::uint32_t> words) {
     const auto id_of = [](ConstantId id) { return static_cast<std::uint32_t>(id); };
     std::map<std::uint32_t, std::uint32_t> constants;
-    for (const std::uint32_t id : gpu::constant_ids(words))
+    for (const std::uint32_t id : gpu::list_constant_ids(words))
         constants[id] = id == id_of(ConstantId::CHUNK) ? 16u : 1u;
     constants.erase(id_of(ConstantId::WORKGROUP_SIZE));
     return constants;
@@ -224,14 +224,14 @@ std::map<std::uint32_t, std::uint32_t> other_constants(std::span<const std::uint
 TEST(SpirvBranches, AreAcceptedBySpirvVal) {
     expect_valid([](std::span<const std::uint32_t> words) { return gpu::resolve_branches(words, {}); });
     expect_valid([](std::span<const std::uint32_t> words) {
-        return gpu::resolve_branches(words, other_constants(words));
+        return gpu::resolve_branches(words, change_constants(words));
     });
 }
 
 /// Returns the module after spirv-opt has replaced the specialization constants by values
 /// and removed unreachable code.
-std::string optimised(std::span<const std::uint32_t> words,
-                      const std::map<std::uint32_t, std::uint32_t>& constants) {
+std::string optimise_words(std::span<const std::uint32_t> words,
+                           const std::map<std::uint32_t, std::uint32_t>& constants) {
     const fs::path file =
         fs::temp_directory_path() / ("relidar-branches-" + std::to_string(::getpid()) + ".spv");
     write_module(file, words);
@@ -257,10 +257,11 @@ TEST(SpirvBranches, LeaveWhatSpirvOptLeaves) {
     if (std::system("command -v spirv-opt > /dev/null") != 0) GTEST_SKIP() << "no spirv-opt";
     std::size_t n_shorter = 0;
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
-        const std::map<std::uint32_t, std::uint32_t> constants = other_constants(kernel.words);
+        const std::map<std::uint32_t, std::uint32_t> constants = change_constants(kernel.words);
         if (constants.empty()) continue;
         const Words taken = gpu::resolve_branches(kernel.words, constants);
-        EXPECT_TRUE(optimised(taken, constants) == optimised(kernel.words, constants)) << kernel.name;
+        EXPECT_TRUE(optimise_words(taken, constants) == optimise_words(kernel.words, constants))
+            << kernel.name;
         n_shorter += taken.size() < kernel.words.size();
     }
     EXPECT_GT(n_shorter, 20u);

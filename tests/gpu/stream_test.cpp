@@ -42,7 +42,7 @@ TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
     for (std::uint32_t s = 0; s < kSubmissions; ++s) {
         Words values(kWords);
         std::iota(values.begin(), values.end(), 1000u * s);
-        impl_of(stream).write(words.buffer(), values.data(), 4 * kWords);
+        get_impl(stream).write(words.buffer(), values.data(), 4 * kWords);
         sums.emplace_back(device(), kLaunches, "sums");
         for (std::uint32_t i = 0; i < kLaunches; ++i)
             prefix_sum.run(stream, {words.address(), i, 1}, prefix.address(), 1, sums.back().address(i));
@@ -170,10 +170,10 @@ TEST_F(StreamHazards, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
     stream.copy(a.buffer(), b.buffer(), 400);
     stream.fill(a, 4u);
     stream.finish();
-    EXPECT_EQ(validation_messages(watched), 0u) << "every launch but those of the scope waits";
+    EXPECT_EQ(count_validation_messages(watched), 0u) << "every launch but those of the scope waits";
     EXPECT_EQ(b.download(), Words(100, 1u));
     EXPECT_EQ(c.download(), Words(100, 3u));
-    EXPECT_EQ(validation_messages(watched), 0u);
+    EXPECT_EQ(count_validation_messages(watched), 0u);
     EXPECT_EQ(stream.times().milliseconds.at("fill").size(), device().info().timestamps ? 4u : 0u);
     {
         const Concurrent scope(stream);
@@ -182,7 +182,7 @@ TEST_F(StreamHazards, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
         EXPECT_THROW(stream.submit(), Error) << "in an open scope";
     }
     stream.finish();
-    EXPECT_GT(validation_messages(watched), 0u) << "no barrier inside the scope";
+    EXPECT_GT(count_validation_messages(watched), 0u) << "no barrier inside the scope";
 }
 
 TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
@@ -207,11 +207,11 @@ TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
         copy(stream, 0, 1);
         copy(stream, 1, 2);
         lanes.choose(1);
-        impl_of(stream).write(arrays[3].buffer(), Words(50, 7u).data(), 200);
+        get_impl(stream).write(arrays[3].buffer(), Words(50, 7u).data(), 200);
     }
     copy(stream, 5, 0);
     stream.finish();
-    EXPECT_EQ(validation_messages(watched), 0u);
+    EXPECT_EQ(count_validation_messages(watched), 0u);
     for (const auto& [array, value] :
          std::map<std::size_t, std::uint32_t>{{0, 2u}, {1, 1u}, {2, 1u}, {4, 3u}, {5, 2u}})
         EXPECT_EQ(arrays[array].download(), Words(100, value)) << array;
@@ -228,7 +228,7 @@ TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
         stream.fill(arrays[0], 6u);  // deliberate hazard: an array that the other lane writes
     }
     stream.finish();
-    EXPECT_GT(validation_messages(watched), 0u) << "no barrier between strands";
+    EXPECT_GT(count_validation_messages(watched), 0u) << "no barrier between strands";
 }
 
 TEST_F(StreamTest, LanesMayBeSubmittedBeforeTheirEnd) {
@@ -280,7 +280,7 @@ protected:
         from.reset(), copy.reset();
         StreamTest::TearDown();
     }
-    gpu::LaunchLimit& limit() { return impl_of(device()).launch_limit; }
+    gpu::LaunchLimit& limit() { return get_impl(device()).launch_limit; }
     Array<glm::vec4, shared::CopyTarget> target() {
         return {device(), std::vector<glm::vec4>(kValues, glm::vec4(-1.0f)), "target"};
     }
@@ -292,8 +292,8 @@ protected:
 /// Together, the pieces of a launch must do all the work. The measured times must count a
 /// launch once, not once per piece.
 TEST_F(CutLaunches, DoTheSameWork) {
-    EXPECT_EQ(limit().speed("gpu/copy").groups_per_piece(0.1), 100u);
-    EXPECT_EQ(limit().speed("unknown").groups_per_piece(0.1), gpu::KernelSpeed::kUnknownGroups);
+    EXPECT_EQ(limit().speed("gpu/copy").choose_groups_per_piece(0.1), 100u);
+    EXPECT_EQ(limit().speed("unknown").choose_groups_per_piece(0.1), gpu::KernelSpeed::kUnknownGroups);
     Stream stream(device(), true);
     for (const bool in_strand : {false, true}) {
         const auto to = target();
@@ -301,7 +301,7 @@ TEST_F(CutLaunches, DoTheSameWork) {
             StreamLanes lanes(stream, 1);
             launch(stream, to);
         } else launch(stream, to);
-        EXPECT_EQ(impl_of(stream).slots[impl_of(stream).current].n_buffers, in_strand ? 1u : 10u);
+        EXPECT_EQ(get_impl(stream).slots[get_impl(stream).current].n_buffers, in_strand ? 1u : 10u);
         stream.finish();
         EXPECT_EQ(to.download(), values);
     }
@@ -344,10 +344,10 @@ TEST(LaunchLimit, ForgetsOldSpeeds) {
     EXPECT_FALSE(limit.is_set());
     gpu::KernelSpeed& speed = limit.speed("kernel");
     speed.add(10, 10.0);
-    EXPECT_EQ(speed.groups_per_piece(1.0), 1u);
+    EXPECT_EQ(speed.choose_groups_per_piece(1.0), 1u);
     for (int i = 0; i < 50; ++i) speed.add(10, 0.1);
-    EXPECT_EQ(speed.groups_per_piece(1.0), 100u);
-    EXPECT_DOUBLE_EQ(speed.expected_s(200), 2.0);
+    EXPECT_EQ(speed.choose_groups_per_piece(1.0), 100u);
+    EXPECT_DOUBLE_EQ(speed.estimate_seconds(200), 2.0);
 }
 
 /// Launches of kernels that read the total number of workgroups must not be cut, because

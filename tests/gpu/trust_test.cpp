@@ -57,11 +57,11 @@ protected:
 
 TEST_F(TrustTest, SumsAndSubgroupsOfThisDeviceAreRight) {
     if (device().info().float_atomics) {
-        EXPECT_EQ(sum_error(device(), false), 0.0);
+        EXPECT_EQ(compute_sum_error(device(), false), 0.0);
     }
-    EXPECT_EQ(sum_error(device(), true), 0.0);
-    EXPECT_EQ(wrong_subgroups(device()), "");
-    EXPECT_THAT(subgroup_sizes(device()), testing::Contains(device().info().subgroup_size));
+    EXPECT_EQ(compute_sum_error(device(), true), 0.0);
+    EXPECT_EQ(find_wrong_subgroups(device()), "");
+    EXPECT_THAT(list_subgroup_sizes(device()), testing::Contains(device().info().subgroup_size));
 }
 
 /// Simulates additions without atomics, which must lose some of the 256 additions to each
@@ -69,14 +69,14 @@ TEST_F(TrustTest, SumsAndSubgroupsOfThisDeviceAreRight) {
 TEST_F(TrustTest, ForcedFaultsAreFound) {
     gpu::set_faults("float_atomics");
     if (device().info().float_atomics) {
-        EXPECT_GT(sum_error(device(), false), 0.1);
+        EXPECT_GT(compute_sum_error(device(), false), 0.1);
     }
-    EXPECT_EQ(sum_error(device(), true), 0.0);
+    EXPECT_EQ(compute_sum_error(device(), true), 0.0);
     gpu::set_faults("float_swaps,subgroups:" + std::to_string(device().info().subgroup_size));
-    EXPECT_GT(sum_error(device(), true), 0.1);
-    EXPECT_THAT(wrong_subgroups(device()), HasSubstr("subgroupAdd: found"));
+    EXPECT_GT(compute_sum_error(device(), true), 0.1);
+    EXPECT_THAT(find_wrong_subgroups(device()), HasSubstr("subgroupAdd: found"));
     gpu::set_faults("subgroups:128");
-    EXPECT_EQ(wrong_subgroups(device()), "");
+    EXPECT_EQ(find_wrong_subgroups(device()), "");
 }
 
 TEST_F(TrustTest, DeviceIsCheckedOncePerDriver) {
@@ -120,14 +120,14 @@ TEST_F(TrustTest, WrongAtomicsAreReplacedAndReported) {
     check_gives({.float_atomics = false, .ray_query = Trust::right});
     const Device opened(options);
     EXPECT_FALSE(opened.info().float_atomics);
-    EXPECT_EQ(accumulating_variant(opened).suffix, "@_swap");
+    EXPECT_EQ(choose_accumulating_variant(opened).suffix, "@_swap");
     EXPECT_THAT(notes, ElementsAre(HasSubstr("float atomics give wrong sums; gradients are gathered")));
 }
 
 TEST_F(TrustTest, WrongSumsAllowNoTraining) {
     check_gives({.float_atomics = false, .float_swaps = false, .ray_query = Trust::right});
     const Device opened(options);
-    EXPECT_THROW(accumulating_variant(opened), DeviceError);
+    EXPECT_THROW(choose_accumulating_variant(opened), DeviceError);
     EXPECT_THAT(notes.back(), HasSubstr("but does not train"));
 }
 

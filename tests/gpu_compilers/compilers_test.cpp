@@ -29,17 +29,17 @@ std::string family() {
 /// tracing kernels need 84 to 128. On RDNA2 (128 registers) and RDNA3 (192) it is 4. The
 /// kernel that sums hits with harmonics along the ray may have a wave less, because it
 /// holds 64 harmonics in registers.
-int least_waves(const PipelineStatistics& p) {
+int find_min_waves(const PipelineStatistics& statistics) {
     const bool gcn = family().starts_with("vega");
-    const bool sums_harmonics = p.kernel.starts_with("diff/backward/gather@") &&
-                                p.constants.find("SH_PER_SURFEL=0") != std::string::npos;
+    const bool sums_harmonics = statistics.kernel.starts_with("diff/backward/gather@") &&
+                                statistics.constants.find("SH_PER_SURFEL=0") != std::string::npos;
     return (gcn ? 2 : 4) - (sums_harmonics ? 1 : 0);
 }
 
 /// Returns the number of waves of 64 lanes that a SIMD holds at the same time. On RDNA
 /// the driver counts waves of 32 lanes.
-double waves_of_64(const PipelineStatistics& p) {
-    const double waves = p.values.at("Subgroups per SIMD");
+double count_waves_of_64(const PipelineStatistics& statistics) {
+    const double waves = statistics.values.at("Subgroups per SIMD");
     return family().starts_with("vega") ? waves : waves / 2.0;
 }
 
@@ -77,8 +77,9 @@ protected:
         GTEST_SKIP() << "Mesa's AMD driver (radeon_icd) is not installed";
     }
 
-    static std::string name(const PipelineStatistics& p) {
-        return fmt::format("{} [{}], {} threads", p.kernel, p.constants, p.workgroup_size);
+    static std::string name(const PipelineStatistics& statistics) {
+        return fmt::format("{} [{}], {} threads", statistics.kernel, statistics.constants,
+                           statistics.workgroup_size);
     }
 };
 
@@ -120,7 +121,8 @@ TEST_F(GpuCompilers, NoKernelSpillsRegisters) {
 
 TEST_F(GpuCompilers, WavesHideLatency) {
     for (const PipelineStatistics& p : pipelines_)
-        EXPECT_GE(waves_of_64(p), least_waves(p)) << name(p) << ": " << p.values.at("VGPRs") << " registers";
+        EXPECT_GE(count_waves_of_64(p), find_min_waves(p))
+            << name(p) << ": " << p.values.at("VGPRs") << " registers";
 }
 
 TEST_F(GpuCompilers, SharedMemoryFitsTheSmallestDevices) {

@@ -21,10 +21,10 @@ class Table {
 public:
     /// Appends a row of doubles to an array whose rows have this shape.
     template <class Vector>
-    void add(const std::string& name, const Vector& row, std::size_t n) {
+    void add(const std::string& name, const Vector& row, std::size_t count) {
         Column& column = columns_[name];
-        column.width = n;
-        for (std::size_t k = 0; k < n; ++k) column.values.push_back(double(row[static_cast<int>(k)]));
+        column.width = count;
+        for (std::size_t k = 0; k < count; ++k) column.values.push_back(double(row[static_cast<int>(k)]));
     }
     void add(const std::string& name, double value) { columns_[name].values.push_back(value); }
     std::vector<NamedArray> arrays() const {
@@ -46,32 +46,32 @@ private:
     std::map<std::string, Column> columns_;
 };
 
-void add_surfel(Table& table, const std::string& prefix, const reference::Surfel& s) {
-    table.add(prefix + "mean", s.mean, 3);
-    table.add(prefix + "rotation", s.rotation, 4);
-    table.add(prefix + "log_scale", s.log_scale, 2);
-    table.add(prefix + "opacity_logit", s.opacity_logit);
-    table.add(prefix + "sh", s.sh.data(), kShFloats);
+void add_surfel(Table& table, const std::string& prefix, const reference::Surfel& surfel) {
+    table.add(prefix + "mean", surfel.mean, 3);
+    table.add(prefix + "rotation", surfel.rotation, 4);
+    table.add(prefix + "log_scale", surfel.log_scale, 2);
+    table.add(prefix + "opacity_logit", surfel.opacity_logit);
+    table.add(prefix + "sh", surfel.sh.data(), kShFloats);
 }
 
-void add_pixel(Table& table, const reference::Pixel& p) {
-    table.add("rendered/depth", p.depth);
-    table.add("rendered/weight", p.weight);
-    table.add("rendered/intensity", p.intensity);
-    table.add("rendered/hit_logit", p.hit_logit);
-    table.add("rendered/drop_logit", p.drop_logit);
-    table.add("rendered/transmittance", p.transmittance);
-    table.add("rendered/median_depth", p.median_depth);
-    table.add("rendered/hits", p.hits);
-    table.add("rendered/instance", double(p.instance));
+void add_pixel(Table& table, const reference::Pixel& pixel) {
+    table.add("rendered/depth", pixel.depth);
+    table.add("rendered/weight", pixel.weight);
+    table.add("rendered/intensity", pixel.intensity);
+    table.add("rendered/hit_logit", pixel.hit_logit);
+    table.add("rendered/drop_logit", pixel.drop_logit);
+    table.add("rendered/transmittance", pixel.transmittance);
+    table.add("rendered/median_depth", pixel.median_depth);
+    table.add("rendered/hits", pixel.hits);
+    table.add("rendered/instance", double(pixel.instance));
 }
 
-void add_upstream(Table& table, const reference::PixelGradient& g) {
-    table.add("upstream/depth", g.depth);
-    table.add("upstream/weight", g.weight);
-    table.add("upstream/intensity", g.intensity);
-    table.add("upstream/hit_logit", g.hit_logit);
-    table.add("upstream/drop_logit", g.drop_logit);
+void add_upstream(Table& table, const reference::PixelGradient& gradient) {
+    table.add("upstream/depth", gradient.depth);
+    table.add("upstream/weight", gradient.weight);
+    table.add("upstream/intensity", gradient.intensity);
+    table.add("upstream/hit_logit", gradient.hit_logit);
+    table.add("upstream/drop_logit", gradient.drop_logit);
 }
 
 /// Adds the scene in the form in which Python must create it. The surfels are in the
@@ -103,7 +103,7 @@ void write_fixture(const std::string& path, ShDirection direction) {
     const test::SceneAndPoses placed =
         test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
     const std::vector<reference::PixelGradient> upstream =
-        test::random_upstream(scene.rays.size(), options.seed);
+        test::make_random_upstream(scene.rays.size(), options.seed);
     const reference::BruteForce hits(scene.world, settings.image, reference::Precision::double_record);
 
     Table table;

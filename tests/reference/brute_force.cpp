@@ -9,11 +9,11 @@
 
 namespace relidar::reference {
 
-std::vector<Hit> all_hits(const HitProvider& provider, const Ray& ray, int chunk) {
+std::vector<Hit> list_all_hits(const HitProvider& provider, const Ray& ray, int chunk) {
     std::vector<Hit> all, part;
     HitKey after;
     do {
-        provider.next_hits(ray, after, chunk, part);
+        provider.find_next_hits(ray, after, chunk, part);
         if (int(part.size()) > chunk) throw std::logic_error("all_hits: more hits than asked for");
         for (const Hit& hit : part) {
             if (!(after < hit)) throw std::logic_error("all_hits: hits not strictly ascending");
@@ -26,7 +26,7 @@ std::vector<Hit> all_hits(const HitProvider& provider, const Ray& ray, int chunk
 
 BruteForce::BruteForce(const World& world, const ImageModel& model, Precision precision)
     : model_(model), precision_(precision), instances_(world.instances) {
-    for (const Placement& p : instances_) rows_.push_back(model_from_world_rows(p.world_from_model));
+    for (const Placement& p : instances_) rows_.push_back(make_model_from_world_rows(p.world_from_model));
     for (const Surfel& s : world.surfels) {
         if (precision == Precision::float_record) float_records_.push_back(make_float_record(s));
         else double_records_.push_back(make_record(s));
@@ -45,16 +45,17 @@ void BruteForce::collect(const Ray& ray, const HitKey& after, std::vector<Hit>& 
             const LocalRay<float> still = to_model(rows_[i], glm::vec3(ray.origin), glm::vec3(ray.direction));
             const LocalRay<float> local = follow(still, p.world_from_model, p.motion, ray.time_s);
             for (std::uint32_t s = p.first; s < p.first + p.count; ++s)
-                offer(float_hit(float_records_[s], local, model_), i, s);
+                offer(intersect_in_float(float_records_[s], local, model_), i, s);
         } else {
             const LocalRay<double> local = to_model(p.at(ray.time_s), ray);
             for (std::uint32_t s = p.first; s < p.first + p.count; ++s)
-                offer(double_hit(double_records_[s], local, model_), i, s);
+                offer(intersect_in_double(double_records_[s], local, model_), i, s);
         }
     }
 }
 
-void BruteForce::next_hits(const Ray& ray, const HitKey& after, int chunk, std::vector<Hit>& hits) const {
+void BruteForce::find_next_hits(const Ray& ray, const HitKey& after, int chunk,
+                                std::vector<Hit>& hits) const {
     hits.clear();
     collect(ray, after, hits);
     const std::size_t kept = std::min(hits.size(), std::size_t(chunk));

@@ -20,26 +20,26 @@ std::vector<Point> points(const std::vector<ChamferRay>& rays, double ChamferRay
     return result;
 }
 
-double squared(const glm::dvec3& v) { return glm::dot(v, v); }
+double squared(const glm::dvec3& vector) { return glm::dot(vector, vector); }
 
 const Point& nearest(const Point& query, const std::vector<Point>& cloud) {
-    return *std::min_element(cloud.begin(), cloud.end(), [&](const Point& a, const Point& b) {
-        return squared(a.position_m - query.position_m) < squared(b.position_m - query.position_m);
+    return *std::min_element(cloud.begin(), cloud.end(), [&](const Point& first, const Point& second) {
+        return squared(first.position_m - query.position_m) < squared(second.position_m - query.position_m);
     });
 }
 
 }  // namespace
 
-double chamfer_loss(const std::vector<ChamferRay>& rays, std::vector<double>* d_simulated) {
+double compute_chamfer_loss(const std::vector<ChamferRay>& rays, std::vector<double>* d_simulated) {
     const std::vector<Point> simulated = points(rays, &ChamferRay::simulated_m),
                              measured = points(rays, &ChamferRay::measured_m);
     std::vector<double> d(rays.size());
     double sum = 0.0;
     const double n = double(std::min(simulated.size(), measured.size()));
-    const auto add_pair = [&](const Point& a, const Point& b) {
-        const glm::dvec3 difference = a.position_m - b.position_m;
+    const auto add_pair = [&](const Point& first, const Point& second) {
+        const glm::dvec3 difference = first.position_m - second.position_m;
         sum += squared(difference);
-        d[a.ray] += 2.0 * glm::dot(difference, rays[a.ray].direction) / n;
+        d[first.ray] += 2.0 * glm::dot(difference, rays[first.ray].direction) / n;
     };
     if (n > 0.0) {
         for (const Point& a : simulated) add_pair(a, nearest(a, measured));

@@ -23,6 +23,6 @@ struct ChamferRay {
 /// empty.
 /// @param d_simulated if not null, receives the derivative with respect to the simulated
 /// ranges [n], with the nearest pairs fixed
-double chamfer_loss(const std::vector<ChamferRay>& rays, std::vector<double>* d_simulated = nullptr);
+double compute_chamfer_loss(const std::vector<ChamferRay>& rays, std::vector<double>* d_simulated = nullptr);
 
 }  // namespace relidar::reference

@@ -14,13 +14,13 @@ namespace {
 TEST(ReferenceChamfer, HandComputed) {
     const glm::dvec3 x(1, 0, 0), y(0, 1, 0);
     std::vector<double> d;
-    EXPECT_NEAR(chamfer_loss({{{}, x, 11.0, 10.0}, {{0, 0, 5}, y, 0.0, 7.0}}, &d),
+    EXPECT_NEAR(compute_chamfer_loss({{{}, x, 11.0, 10.0}, {{0, 0, 5}, y, 0.0, 7.0}}, &d),
                 1.0 + 1.0 + (121.0 + 49.0 + 25.0), 1e-12);
     EXPECT_NEAR(d[0], 2.0 + 2.0 + 2.0 * 11.0, 1e-12)
         << "as query, found by its own pixel, and found by the other";
     EXPECT_EQ(d[1], 0.0);
-    EXPECT_EQ(chamfer_loss({{{}, x, 11.0, 0.0}}, &d), 0.0) << "nothing measured";
-    EXPECT_EQ(chamfer_loss({{{}, x, 0.0, 3.0}}, &d), 0.0) << "nothing simulated";
+    EXPECT_EQ(compute_chamfer_loss({{{}, x, 11.0, 0.0}}, &d), 0.0) << "nothing measured";
+    EXPECT_EQ(compute_chamfer_loss({{{}, x, 0.0, 3.0}}, &d), 0.0) << "nothing simulated";
 }
 
 TEST(ReferenceChamfer, DerivativesAgreeWithDifferences) {
@@ -37,17 +37,18 @@ TEST(ReferenceChamfer, DerivativesAgreeWithDifferences) {
         rays.push_back(ray);
     }
     std::vector<double> d;
-    chamfer_loss(rays, &d);
+    compute_chamfer_loss(rays, &d);
     test::GradientTable table;
     for (std::size_t i = 0; i < rays.size(); ++i)
         if (rays[i].simulated_m > 0.0)
-            table.add_row("range",
-                          test::central_differences(&rays[i].simulated_m, 1,
-                                                    [&] { return std::vector<double>{chamfer_loss(rays)}; }),
-                          {d[i]});
+            table.add_row(
+                "range",
+                test::compute_central_differences(
+                    &rays[i].simulated_m, 1, [&] { return std::vector<double>{compute_chamfer_loss(rays)}; }),
+                {d[i]});
     table.print("Chamfer");
-    EXPECT_LE(table.worst_error(), test::kReferenceGradient);
-    EXPECT_EQ(table.groups().at("range").nonzero_rows(), 32u);
+    EXPECT_LE(table.compute_worst_error(), test::kReferenceGradient);
+    EXPECT_EQ(table.groups().at("range").count_nonzero_rows(), 32u);
 }
 
 }  // namespace

@@ -7,7 +7,7 @@
 
 namespace relidar::reference {
 
-glm::dvec2 random_normal2(std::uint32_t key, std::uint32_t item, std::uint32_t draw) {
+glm::dvec2 draw_normal_pair(std::uint32_t key, std::uint32_t item, std::uint32_t draw) {
     std::array<std::uint32_t, 4> v{key, item, draw, 0};
     for (std::uint32_t& x : v) x = x * 1664525u + 1013904223u;
     const auto mix = [&] {
@@ -24,27 +24,28 @@ glm::dvec2 random_normal2(std::uint32_t key, std::uint32_t item, std::uint32_t d
     return {radius * std::cos(angle), radius * std::sin(angle)};
 }
 
-glm::dvec3 point_of(const DensifiedSurfel& s, const glm::dvec2& z, double z_w) {
-    const glm::dvec4 q = s.rotation / glm::length(s.rotation);
+glm::dvec3 sample_point(const DensifiedSurfel& surfel, const glm::dvec2& z, double z_w) {
+    const glm::dvec4 q = surfel.rotation / glm::length(surfel.rotation);
     const double w = q.x, x = q.y, y = q.z, k = q.w;
     const glm::dvec3 a_u(w * w + x * x - y * y - k * k, 2.0 * (x * y + w * k), 2.0 * (x * k - w * y));
     const glm::dvec3 a_v(2.0 * (x * y - w * k), w * w - x * x + y * y - k * k, 2.0 * (y * k + w * x));
-    return s.mean + z.x * s.scale.x * a_u + z.y * s.scale.y * a_v +
-           z_w * s.scale_w.value_or(0.0) * glm::cross(a_u, a_v);
+    return surfel.mean + z.x * surfel.scale.x * a_u + z.y * surfel.scale.y * a_v +
+           z_w * surfel.scale_w.value_or(0.0) * glm::cross(a_u, a_v);
 }
 
-Fate fate_of(const DensifiedSurfel& s, double mean_gradient, const DensifyRules& rules, std::uint32_t item) {
-    if (!s.finite) return Fate::invalid;
-    if (s.opacity < rules.min_opacity) return Fate::faint;
+Fate decide_fate(const DensifiedSurfel& surfel, double mean_gradient, const DensifyRules& rules,
+                 std::uint32_t item) {
+    if (!surfel.finite) return Fate::invalid;
+    if (surfel.opacity < rules.min_opacity) return Fate::faint;
     const bool grows = mean_gradient > rules.gradient_threshold;
-    const double largest = std::max({s.scale.x, s.scale.y, s.scale_w.value_or(0.0)});
+    const double largest = std::max({surfel.scale.x, surfel.scale.y, surfel.scale_w.value_or(0.0)});
     const bool splits = grows && largest >= rules.clone_scale;
     if ((splits ? largest / 1.6 : largest) > rules.max_scale) return Fate::large;
     if (rules.half_size.x > 0.0) {
         bool outside[2];
         for (std::uint32_t draw = 0; draw < 2; ++draw) {
-            const glm::dvec3 p = glm::abs(point_of(s, random_normal2(rules.key, item, draw),
-                                                   random_normal2(rules.key, item, 4 + draw).x));
+            const glm::dvec3 p = glm::abs(sample_point(surfel, draw_normal_pair(rules.key, item, draw),
+                                                       draw_normal_pair(rules.key, item, 4 + draw).x));
             outside[draw] = p.x > rules.half_size.x || p.y > rules.half_size.y || p.z > rules.half_size.z;
         }
         if (outside[0] && outside[1]) return Fate::outside;
@@ -52,8 +53,8 @@ Fate fate_of(const DensifiedSurfel& s, double mean_gradient, const DensifyRules&
     return splits ? Fate::split : grows ? Fate::clone : Fate::keep;
 }
 
-std::vector<std::uint32_t> copies_of(const std::vector<std::uint32_t>& weight, std::uint32_t n_new,
-                                     std::uint32_t phase) {
+std::vector<std::uint32_t> count_copies(const std::vector<std::uint32_t>& weight, std::uint32_t n_new,
+                                        std::uint32_t phase) {
     std::vector<std::uint64_t> cumulative;
     std::uint64_t total = 0;
     for (const std::uint32_t w : weight) cumulative.push_back(total += w);

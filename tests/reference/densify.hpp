@@ -35,21 +35,21 @@ struct DensifyRules {
 /// @param mean_gradient mean gradient norm over the batches in which the surfel was
 /// visible; 0 if it was never visible
 /// @param item index for random numbers
-Fate fate_of(const DensifiedSurfel& surfel, double mean_gradient, const DensifyRules& rules,
-             std::uint32_t item);
+Fate decide_fate(const DensifiedSurfel& surfel, double mean_gradient, const DensifyRules& rules,
+                 std::uint32_t item);
 
 /// Returns two normal random numbers from PCG4D and Box-Muller.
-glm::dvec2 random_normal2(std::uint32_t key, std::uint32_t item, std::uint32_t draw);
+glm::dvec2 draw_normal_pair(std::uint32_t key, std::uint32_t item, std::uint32_t draw);
 
 /// Returns a point of a surfel from coordinates in units of the surfel's scales. `z_w` is
 /// used only for a 3D Gaussian.
-glm::dvec3 point_of(const DensifiedSurfel& surfel, const glm::dvec2& z, double z_w);
+glm::dvec3 sample_point(const DensifiedSurfel& surfel, const glm::dvec2& z, double z_w);
 
 /// Distributes the copies 0 ... n_new - 1 to surfels. Each copy is computed separately.
 /// Copy j belongs to the first surfel whose cumulative weight c satisfies c n_new + phase
 /// >= (j + 1) W.
 /// @return number of copies of each surfel
-std::vector<std::uint32_t> copies_of(const std::vector<std::uint32_t>& weight, std::uint32_t n_new,
-                                     std::uint32_t phase);
+std::vector<std::uint32_t> count_copies(const std::vector<std::uint32_t>& weight, std::uint32_t n_new,
+                                        std::uint32_t phase);
 
 }  // namespace relidar::reference

@@ -15,7 +15,7 @@ TEST(RandomNumbers, AreStandardNormal) {
     constexpr int kN = 200000;
     double sum[2]{}, square[2]{}, product = 0.0;
     for (std::uint32_t i = 0; i < kN; ++i) {
-        const glm::dvec2 z = random_normal2(77, i, i % 3);
+        const glm::dvec2 z = draw_normal_pair(77, i, i % 3);
         for (int k = 0; k < 2; ++k) sum[k] += z[k], square[k] += z[k] * z[k];
         product += z.x * z.y;
     }
@@ -32,7 +32,7 @@ TEST(Copies, AreExpectedNumbersRounded) {
     for (std::uint32_t i = 0; i < 500; ++i) weight.push_back(i % 7 == 0 ? 0 : (i * 37) % 256);
     const std::uint32_t total = std::accumulate(weight.begin(), weight.end(), 0u);
     for (const std::uint32_t n_new : {0u, 1u, 100u, 499u, 3000u}) {
-        const std::vector<std::uint32_t> copies = copies_of(weight, n_new, total / 3);
+        const std::vector<std::uint32_t> copies = count_copies(weight, n_new, total / 3);
         EXPECT_EQ(std::accumulate(copies.begin(), copies.end(), 0u), n_new);
         for (std::size_t i = 0; i < copies.size(); ++i)
             EXPECT_LT(std::abs(double(copies[i]) - double(weight[i]) * n_new / total), 1.0);

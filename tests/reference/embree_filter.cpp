@@ -49,16 +49,16 @@ using Device = Released<RTCDevice, rtcReleaseDevice>;
 using SceneHandle = Released<RTCScene, rtcReleaseScene>;
 using Geometry = Released<RTCGeometry, rtcReleaseGeometry>;
 
-void check(RTCDevice device, const char* what) {
+void check(RTCDevice device, const char* description) {
     const RTCError error = rtcGetDeviceError(device);
     if (error != RTC_ERROR_NONE)
-        throw std::runtime_error(std::string(what) + ": Embree error " + std::to_string(int(error)));
+        throw std::runtime_error(std::string(description) + ": Embree error " + std::to_string(int(error)));
 }
 
-bool all_finite(const FloatRecord& r) {
-    const float* values = &r.mean.x;
+bool all_finite(const FloatRecord& record) {
+    const float* values = &record.mean.x;
     static_assert(offsetof(FloatRecord, primitive) == 13 * sizeof(float));
-    return std::all_of(values, values + 13, [](float x) { return std::isfinite(x); });
+    return std::all_of(values, values + 13, [](float value) { return std::isfinite(value); });
 }
 
 /// Corners of a surfel's proxy in the order (-,-) (+,-) (+,+) (-,+).
@@ -123,7 +123,7 @@ struct Query {
     /// and among the nearest hits.
     void offer(std::uint32_t instance, std::uint32_t triangle) {
         const std::uint32_t surfel = (*ids[instance])[triangle / 2];
-        const auto hit = float_hit(records[surfel], local[instance], *model);
+        const auto hit = intersect_in_float(records[surfel], local[instance], *model);
         if (!hit) return;
         const Hit key{double(hit->t), instance, surfel};
         if (!(after < key)) return;
@@ -155,7 +155,7 @@ EmbreeFilter::State::State(const World& world, const ImageModel& image_model, co
     rtcSetSceneFlags(top.handle, RTC_SCENE_FLAG_ROBUST);
     for (std::uint32_t i = 0; i < world.instances.size(); ++i) {
         const Placement& p = world.instances[i];
-        rows.push_back(model_from_world_rows(p.world_from_model));
+        rows.push_back(make_model_from_world_rows(p.world_from_model));
         instances.push_back(p);
         models.push_back(build_model(world, p, margin));
         if (!models.back().ids.empty() && p.motion.is_none())
@@ -218,12 +218,12 @@ EmbreeFilter::~EmbreeFilter() = default;
 namespace {
 
 /// Traces a ray through a scene. Embree passes the candidate triangles to the query.
-void search(RTCScene scene, const LocalRay<float>& ray, float near, Query& query) {
+void search(RTCScene scene, const LocalRay<float>& ray, float near_m, Query& query) {
     RTCRayHit target{};
     target.ray.org_x = ray.origin.x, target.ray.org_y = ray.origin.y, target.ray.org_z = ray.origin.z;
     target.ray.dir_x = ray.direction.x, target.ray.dir_y = ray.direction.y,
     target.ray.dir_z = ray.direction.z;
-    target.ray.tnear = near;
+    target.ray.tnear = near_m;
     target.ray.tfar = std::numeric_limits<float>::infinity();
     target.ray.mask = ~0u;
     target.hit.geomID = RTC_INVALID_GEOMETRY_ID;
@@ -242,7 +242,8 @@ void search(RTCScene scene, const LocalRay<float>& ray, float near, Query& query
 
 }  // namespace
 
-void EmbreeFilter::next_hits(const Ray& ray, const HitKey& after, int chunk, std::vector<Hit>& hits) const {
+void EmbreeFilter::find_next_hits(const Ray& ray, const HitKey& after, int chunk,
+                                  std::vector<Hit>& hits) const {
     hits.clear();
     std::vector<LocalRay<float>> local;
     std::vector<const std::vector<std::uint32_t>*> ids;

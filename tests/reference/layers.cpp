@@ -7,12 +7,12 @@
 namespace relidar::reference {
 namespace {
 
-int ring(int x, int n) { return ((x % n) + n) % n; }
+int ring(int index, int size) { return ((index % size) + size) % size; }
 
 /// Calls visit(image, out, in, row, column, tap, source row, source column) for each
 /// product of a convolution. Here `tap` is the index of the kernel element.
 template <class Visit>
-void for_products(const ImageBatch& to, int n_in, int taps, Visit&& visit) {
+void for_each_product(const ImageBatch& to, int n_in, int taps, Visit&& visit) {
     const int reach = taps == 1 ? 0 : 1, side = 2 * reach + 1;
     for (int image = 0; image < to.n; ++image)
         for (int o = 0; o < to.channels; ++o)
@@ -26,8 +26,8 @@ void for_products(const ImageBatch& to, int n_in, int taps, Visit&& visit) {
                     }
 }
 
-std::size_t weight_index(int o, int i, int tap, int n_in, int taps) {
-    return (std::size_t(o) * n_in + i) * taps + tap;
+std::size_t get_weight_index(int o, int index, int tap, int n_in, int taps) {
+    return (std::size_t(o) * n_in + index) * taps + tap;
 }
 
 /// Calls visit(channel, index) for each value.
@@ -38,10 +38,11 @@ void for_values(const ImageBatch& images, Visit&& visit) {
             for (std::size_t i = 0; i < images.pixels(); ++i) visit(c, images.index(image, c, 0, 0) + i);
 }
 
-/// Returns the interpolation weights of the n_small source entries for entry `at` of
-/// n_large entries.
-std::vector<double> mixing(int at, int n_large, int n_small, bool circular) {
-    const double place = (at + 0.5) * n_small / n_large - 0.5, left = std::floor(place), share = place - left;
+/// Returns the interpolation weights of the n_small source entries for entry `position`
+/// of n_large entries.
+std::vector<double> compute_mixing_weights(int position, int n_large, int n_small, bool circular) {
+    const double place = (position + 0.5) * n_small / n_large - 0.5, left = std::floor(place),
+                 share = place - left;
     const auto entry = [&](int k) {
         return std::size_t(circular ? ring(k, n_small) : std::clamp(k, 0, n_small - 1));
     };
@@ -56,8 +57,9 @@ std::vector<double> mixing(int at, int n_large, int n_small, bool circular) {
 template <class Visit>
 void for_mixed(int rows, int columns, int small_rows, int small_columns, Visit&& visit) {
     std::vector<std::vector<double>> of_row, of_column;
-    for (int y = 0; y < rows; ++y) of_row.push_back(mixing(y, rows, small_rows, false));
-    for (int x = 0; x < columns; ++x) of_column.push_back(mixing(x, columns, small_columns, true));
+    for (int y = 0; y < rows; ++y) of_row.push_back(compute_mixing_weights(y, rows, small_rows, false));
+    for (int x = 0; x < columns; ++x)
+        of_column.push_back(compute_mixing_weights(x, columns, small_columns, true));
     for (int y = 0; y < rows; ++y)
         for (int v = 0; v < small_rows; ++v) {
             if (of_row[std::size_t(y)][std::size_t(v)] == 0.0) continue;
@@ -106,48 +108,51 @@ struct Head {
 ImageBatch convolve(const ImageBatch& from, const std::vector<double>& weights,
                     const std::vector<double>& bias, int n_out, int taps) {
     ImageBatch to(from.n, n_out, from.rows, from.columns);
-    if (!bias.empty()) for_values(to, [&](int c, std::size_t i) { to.values[i] = bias[std::size_t(c)]; });
-    for_products(to, from.channels, taps,
-                 [&](int image, int o, int i, int y, int x, int tap, int source_y, int source_x) {
-                     to.at(image, o, y, x) += weights[weight_index(o, i, tap, from.channels, taps)] *
-                                              from.at(image, i, source_y, source_x);
-                 });
+    if (!bias.empty())
+        for_values(to, [&](int c, std::size_t index) { to.values[index] = bias[std::size_t(c)]; });
+    for_each_product(to, from.channels, taps,
+                     [&](int image, int o, int index, int y, int x, int tap, int source_y, int source_x) {
+                         to.at(image, o, y, x) +=
+                             weights[get_weight_index(o, index, tap, from.channels, taps)] *
+                             from.at(image, index, source_y, source_x);
+                     });
     return to;
 }
 
-ImageBatch convolve_input_vjp(const ImageBatch& d_to, const std::vector<double>& weights, int n_in,
-                              int taps) {
+ImageBatch backpropagate_convolution_input(const ImageBatch& d_to, const std::vector<double>& weights,
+                                           int n_in, int taps) {
     ImageBatch d_from(d_to.n, n_in, d_to.rows, d_to.columns);
-    for_products(d_to, n_in, taps,
-                 [&](int image, int o, int i, int y, int x, int tap, int source_y, int source_x) {
-                     d_from.at(image, i, source_y, source_x) +=
-                         weights[weight_index(o, i, tap, n_in, taps)] * d_to.at(image, o, y, x);
-                 });
+    for_each_product(d_to, n_in, taps,
+                     [&](int image, int o, int index, int y, int x, int tap, int source_y, int source_x) {
+                         d_from.at(image, index, source_y, source_x) +=
+                             weights[get_weight_index(o, index, tap, n_in, taps)] * d_to.at(image, o, y, x);
+                     });
     return d_from;
 }
 
-std::vector<double> convolve_weights_vjp(const ImageBatch& from, const ImageBatch& d_to, int taps) {
+std::vector<double> backpropagate_convolution_weights(const ImageBatch& from, const ImageBatch& d_to,
+                                                      int taps) {
     std::vector<double> d(std::size_t(d_to.channels) * from.channels * taps, 0.0);
-    for_products(d_to, from.channels, taps,
-                 [&](int image, int o, int i, int y, int x, int tap, int source_y, int source_x) {
-                     d[weight_index(o, i, tap, from.channels, taps)] +=
-                         d_to.at(image, o, y, x) * from.at(image, i, source_y, source_x);
-                 });
+    for_each_product(d_to, from.channels, taps,
+                     [&](int image, int o, int index, int y, int x, int tap, int source_y, int source_x) {
+                         d[get_weight_index(o, index, tap, from.channels, taps)] +=
+                             d_to.at(image, o, y, x) * from.at(image, index, source_y, source_x);
+                     });
     return d;
 }
 
-std::vector<double> channel_sums(const ImageBatch& d_to) {
+std::vector<double> compute_channel_sums(const ImageBatch& d_to) {
     std::vector<double> sums(std::size_t(d_to.channels), 0.0);
-    for_values(d_to, [&](int c, std::size_t i) { sums[std::size_t(c)] += d_to.values[i]; });
+    for_values(d_to, [&](int c, std::size_t index) { sums[std::size_t(c)] += d_to.values[index]; });
     return sums;
 }
 
-Moments moments_of(const ImageBatch& from) {
+Moments compute_moments(const ImageBatch& from) {
     const double n = double(from.n) * double(from.pixels());
-    Moments moments{channel_sums(from), std::vector<double>(std::size_t(from.channels), 0.0)};
+    Moments moments{compute_channel_sums(from), std::vector<double>(std::size_t(from.channels), 0.0)};
     for (double& x : moments.mean) x /= n;
-    for_values(from, [&](int c, std::size_t i) {
-        const double off = from.values[i] - moments.mean[std::size_t(c)];
+    for_values(from, [&](int c, std::size_t index) {
+        const double off = from.values[index] - moments.mean[std::size_t(c)];
         moments.variance[std::size_t(c)] += off * off / n;
     });
     return moments;
@@ -155,37 +160,39 @@ Moments moments_of(const ImageBatch& from) {
 
 ImageBatch normalise(const ImageBatch& from, const Moments& moments, const NormLayer& layer) {
     ImageBatch to = from;
-    for_values(from, [&](int channel, std::size_t i) {
+    for_values(from, [&](int channel, std::size_t index) {
         const auto c = std::size_t(channel);
-        const double x = (from.values[i] - moments.mean[c]) / std::sqrt(moments.variance[c] + layer.epsilon);
-        to.values[i] =
-            std::max(layer.gamma[c] * x + layer.beta[c], 0.0) * (layer.gate.empty() ? 1.0 : layer.gate[i]);
+        const double x =
+            (from.values[index] - moments.mean[c]) / std::sqrt(moments.variance[c] + layer.epsilon);
+        to.values[index] = std::max(layer.gamma[c] * x + layer.beta[c], 0.0) *
+                           (layer.gate.empty() ? 1.0 : layer.gate[index]);
     });
     return to;
 }
 
-NormGradient normalise_vjp(const ImageBatch& from, const NormLayer& layer, const ImageBatch& d_to) {
-    const Moments moments = moments_of(from);
+NormGradient backpropagate_normalisation(const ImageBatch& from, const NormLayer& layer,
+                                         const ImageBatch& d_to) {
+    const Moments moments = compute_moments(from);
     const double n = double(from.n) * double(from.pixels());
     const std::vector<double> zeros(layer.beta.size(), 0.0);
     NormGradient d{from, zeros, zeros};
     std::vector<double> x = from.values, d_x = from.values, d_mean = zeros, d_variance = zeros;
-    for_values(from, [&](int channel, std::size_t i) {
+    for_values(from, [&](int channel, std::size_t index) {
         const auto c = std::size_t(channel);
         const double deviation = std::sqrt(moments.variance[c] + layer.epsilon);
-        x[i] = (from.values[i] - moments.mean[c]) / deviation;
-        const bool on = layer.gamma[c] * x[i] + layer.beta[c] > 0.0;
-        const double g = on ? d_to.values[i] * (layer.gate.empty() ? 1.0 : layer.gate[i]) : 0.0;
+        x[index] = (from.values[index] - moments.mean[c]) / deviation;
+        const bool on = layer.gamma[c] * x[index] + layer.beta[c] > 0.0;
+        const double g = on ? d_to.values[index] * (layer.gate.empty() ? 1.0 : layer.gate[index]) : 0.0;
         d.beta[c] += g;
-        d.gamma[c] += g * x[i];
-        d_x[i] = g * layer.gamma[c];
-        d_mean[c] -= d_x[i] / deviation;
-        d_variance[c] -= 0.5 * d_x[i] * x[i] / (deviation * deviation);
+        d.gamma[c] += g * x[index];
+        d_x[index] = g * layer.gamma[c];
+        d_mean[c] -= d_x[index] / deviation;
+        d_variance[c] -= 0.5 * d_x[index] * x[index] / (deviation * deviation);
     });
-    for_values(from, [&](int channel, std::size_t i) {
+    for_values(from, [&](int channel, std::size_t index) {
         const auto c = std::size_t(channel);
-        d.from.values[i] = d_x[i] / std::sqrt(moments.variance[c] + layer.epsilon) + d_mean[c] / n +
-                           d_variance[c] * 2.0 * (from.values[i] - moments.mean[c]) / n;
+        d.from.values[index] = d_x[index] / std::sqrt(moments.variance[c] + layer.epsilon) + d_mean[c] / n +
+                               d_variance[c] * 2.0 * (from.values[index] - moments.mean[c]) / n;
     });
     return d;
 }
@@ -202,7 +209,7 @@ ImageBatch pool(const ImageBatch& from) {
     return to;
 }
 
-ImageBatch pool_vjp(const ImageBatch& from, const ImageBatch& d_to) {
+ImageBatch backpropagate_pool(const ImageBatch& from, const ImageBatch& d_to) {
     const ImageBatch largest = pool(from);
     ImageBatch d_from(from.n, from.channels, from.rows, from.columns);
     for (int image = 0; image < d_to.n; ++image)
@@ -227,7 +234,7 @@ ImageBatch upsample(const ImageBatch& from, int rows, int columns) {
     return to;
 }
 
-ImageBatch upsample_vjp(const ImageBatch& d_to, int rows, int columns) {
+ImageBatch backpropagate_upsample(const ImageBatch& d_to, int rows, int columns) {
     ImageBatch d_from(d_to.n, d_to.channels, rows, columns);
     for_mixed(d_to.rows, d_to.columns, rows, columns, [&](int y, int x, int v, int u, double weight) {
         for (int image = 0; image < d_to.n; ++image)
@@ -253,11 +260,11 @@ ImageBatch attend(const ImageBatch& qkv, int heads) {
     return to;
 }
 
-ImageBatch attend_vjp(const ImageBatch& qkv, int heads, const ImageBatch& d_to) {
+ImageBatch backpropagate_attention(const ImageBatch& qkv, int heads, const ImageBatch& d_to) {
     const int channels = qkv.channels / 3;
     ImageBatch d(qkv.n, qkv.channels, qkv.rows, qkv.columns);
-    const auto add = [&](int image, int channel, std::size_t pixel, double x) {
-        d.values[d.index(image, channel, 0, 0) + pixel] += x;
+    const auto add = [&](int image, int channel, std::size_t pixel, double value) {
+        d.values[d.index(image, channel, 0, 0) + pixel] += value;
     };
     for (int job = 0; job < qkv.n * heads; ++job) {
         const Head head(job % heads, channels, heads, job / heads);
@@ -287,7 +294,7 @@ ImageBatch attend_vjp(const ImageBatch& qkv, int heads, const ImageBatch& d_to) 
     return d;
 }
 
-DropEntropy drop_entropy(const std::vector<double>& logit, const std::vector<double>& target) {
+DropEntropy compute_drop_entropy(const std::vector<double>& logit, const std::vector<double>& target) {
     DropEntropy result;
     const double known =
         double(std::count_if(target.begin(), target.end(), [](double t) { return t >= 0.0; }));

@@ -37,20 +37,22 @@ struct ImageBatch {
 /// @param bias [n_out], or empty
 ImageBatch convolve(const ImageBatch& from, const std::vector<double>& weights,
                     const std::vector<double>& bias, int n_out, int taps);
-ImageBatch convolve_input_vjp(const ImageBatch& d_to, const std::vector<double>& weights, int n_in, int taps);
+ImageBatch backpropagate_convolution_input(const ImageBatch& d_to, const std::vector<double>& weights,
+                                           int n_in, int taps);
 /// Returns the derivative of a convolution with respect to its weights.
 /// @return [d_to.channels, from.channels, number of kernel elements]
-std::vector<double> convolve_weights_vjp(const ImageBatch& from, const ImageBatch& d_to, int taps);
+std::vector<double> backpropagate_convolution_weights(const ImageBatch& from, const ImageBatch& d_to,
+                                                      int taps);
 /// Returns the sum of each channel over all images, which is the derivative with respect
 /// to a bias.
-std::vector<double> channel_sums(const ImageBatch& d_to);
+std::vector<double> compute_channel_sums(const ImageBatch& d_to);
 
 struct Moments {
     /// [channels] mean and variance over the full batch. The variance is the sum of
     /// squares divided by the batch size.
     std::vector<double> mean, variance;
 };
-Moments moments_of(const ImageBatch& from);
+Moments compute_moments(const ImageBatch& from);
 
 struct NormLayer {
     std::vector<double> beta, gamma;  ///< [channels]
@@ -66,22 +68,23 @@ struct NormGradient {
 };
 /// Returns the derivatives of normalise(), including the derivatives through the mean and
 /// the variance, which depend on `from`.
-NormGradient normalise_vjp(const ImageBatch& from, const NormLayer& layer, const ImageBatch& d_to);
+NormGradient backpropagate_normalisation(const ImageBatch& from, const NormLayer& layer,
+                                         const ImageBatch& d_to);
 
 /// Returns the maximum of each 2 x 2 block. Ignores the last row or column of odd sizes.
 ImageBatch pool(const ImageBatch& from);
 /// Adds the derivative of each block to the first pixel that has the maximum, in row
 /// order.
-ImageBatch pool_vjp(const ImageBatch& from, const ImageBatch& d_to);
+ImageBatch backpropagate_pool(const ImageBatch& from, const ImageBatch& d_to);
 /// Resizes images bilinearly, with pixel centres at half steps. Rows are clamped at the
 /// border. Columns wrap around.
 ImageBatch upsample(const ImageBatch& from, int rows, int columns);
-ImageBatch upsample_vjp(const ImageBatch& d_to, int rows, int columns);
+ImageBatch backpropagate_upsample(const ImageBatch& d_to, int rows, int columns);
 
 /// Applies attention. The channels of a pixel are the query, the key and the value.
 /// Within each of these, the channels of a head are contiguous.
 ImageBatch attend(const ImageBatch& qkv, int heads);
-ImageBatch attend_vjp(const ImageBatch& qkv, int heads, const ImageBatch& d_to);
+ImageBatch backpropagate_attention(const ImageBatch& qkv, int heads, const ImageBatch& d_to);
 
 struct DropEntropy {
     /// Loss and accuracy over pixels with a target. Both are 0 if no pixel has a target.
@@ -91,6 +94,6 @@ struct DropEntropy {
 };
 /// Computes the cross-entropy of ray drops.
 /// @param target 1 means dropped, 0 means returned. A negative value means unknown.
-DropEntropy drop_entropy(const std::vector<double>& logit, const std::vector<double>& target);
+DropEntropy compute_drop_entropy(const std::vector<double>& logit, const std::vector<double>& target);
 
 }  // namespace relidar::reference

@@ -13,17 +13,17 @@
 namespace relidar::reference {
 namespace {
 
-std::vector<double> random_values(std::size_t n, std::uint64_t seed) {
+std::vector<double> make_random_values(std::size_t count, std::uint64_t seed) {
     std::mt19937_64 random(seed);
     std::normal_distribution<double> normal;
-    std::vector<double> values(n);
+    std::vector<double> values(count);
     for (double& x : values) x = normal(random);
     return values;
 }
 
-ImageBatch random_images(int n, int channels, int rows, int columns, std::uint64_t seed) {
-    ImageBatch images(n, channels, rows, columns);
-    images.values = random_values(images.values.size(), seed);
+ImageBatch make_random_images(int count, int channels, int rows, int columns, std::uint64_t seed) {
+    ImageBatch images(count, channels, rows, columns);
+    images.values = make_random_values(images.values.size(), seed);
     return images;
 }
 
@@ -34,18 +34,19 @@ double dot(const std::vector<double>& a, const std::vector<double>& b) {
 }
 
 /// Compares `actual` with central differences of the inner product <asked, value()> with
-/// respect to each element of `x`. The function value() reads `x`.
-void expect_derivative(std::vector<double>& x, const std::vector<double>& actual,
-                       const std::vector<double>& asked, const std::function<std::vector<double>()>& value) {
-    ASSERT_EQ(x.size(), actual.size());
+/// respect to each element of `values`. The function value() reads `values`.
+void expect_derivative(std::vector<double>& values, const std::vector<double>& actual,
+                       const std::vector<double>& requested,
+                       const std::function<std::vector<double>()>& value) {
+    ASSERT_EQ(values.size(), actual.size());
     double largest = 0.0;
-    for (std::size_t i = 0; i < x.size(); ++i) {
-        const double start = x[i], h = test::kDifferenceStep;
-        x[i] = start + h;
-        const double above = dot(asked, value());
-        x[i] = start - h;
-        const double below = dot(asked, value());
-        x[i] = start;
+    for (std::size_t i = 0; i < values.size(); ++i) {
+        const double start = values[i], h = test::kDifferenceStep;
+        values[i] = start + h;
+        const double above = dot(requested, value());
+        values[i] = start - h;
+        const double below = dot(requested, value());
+        values[i] = start;
         EXPECT_NEAR(actual[i], (above - below) / (2.0 * h), 1e-7 * (1.0 + std::abs(actual[i]))) << i;
         largest = std::max(largest, std::abs(actual[i]));
     }
@@ -82,56 +83,56 @@ TEST(LayersReference, EvenAttentionIsTheMean) {
 
 TEST(LayersReference, ConvolutionDerivatives) {
     for (const int taps : {1, 9}) {
-        ImageBatch from = random_images(2, 3, 2, 5, 1);
-        std::vector<double> weights = random_values(std::size_t(2 * 3 * taps), 2);
-        const ImageBatch asked = random_images(2, 2, 2, 5, 3);
+        ImageBatch from = make_random_images(2, 3, 2, 5, 1);
+        std::vector<double> weights = make_random_values(std::size_t(2 * 3 * taps), 2);
+        const ImageBatch asked = make_random_images(2, 2, 2, 5, 3);
         const auto value = [&] { return convolve(from, weights, {}, 2, taps).values; };
-        expect_derivative(from.values, convolve_input_vjp(asked, weights, 3, taps).values, asked.values,
-                          value);
-        expect_derivative(weights, convolve_weights_vjp(from, asked, taps), asked.values, value);
+        expect_derivative(from.values, backpropagate_convolution_input(asked, weights, 3, taps).values,
+                          asked.values, value);
+        expect_derivative(weights, backpropagate_convolution_weights(from, asked, taps), asked.values, value);
     }
 }
 
 TEST(LayersReference, NormalisationDerivatives) {
-    ImageBatch from = random_images(2, 3, 2, 5, 4);
-    NormLayer layer{random_values(3, 5), random_values(3, 6), std::vector<double>(from.values.size(), 1.5),
-                    1e-2};
+    ImageBatch from = make_random_images(2, 3, 2, 5, 4);
+    NormLayer layer{make_random_values(3, 5), make_random_values(3, 6),
+                    std::vector<double>(from.values.size(), 1.5), 1e-2};
     for (std::size_t i = 0; i < layer.gate.size(); i += 3) layer.gate[i] = 0.0;
-    const ImageBatch asked = random_images(2, 3, 2, 5, 7);
-    const auto value = [&] { return normalise(from, moments_of(from), layer).values; };
-    const NormGradient d = normalise_vjp(from, layer, asked);
+    const ImageBatch asked = make_random_images(2, 3, 2, 5, 7);
+    const auto value = [&] { return normalise(from, compute_moments(from), layer).values; };
+    const NormGradient d = backpropagate_normalisation(from, layer, asked);
     expect_derivative(from.values, d.from.values, asked.values, value);
     expect_derivative(layer.beta, d.beta, asked.values, value);
     expect_derivative(layer.gamma, d.gamma, asked.values, value);
 }
 
 TEST(LayersReference, ResamplingDerivatives) {
-    ImageBatch from = random_images(2, 2, 3, 5, 8);
-    const ImageBatch small = random_images(2, 2, 1, 2, 9), large = random_images(2, 2, 7, 11, 10);
-    expect_derivative(from.values, pool_vjp(from, small).values, small.values,
+    ImageBatch from = make_random_images(2, 2, 3, 5, 8);
+    const ImageBatch small = make_random_images(2, 2, 1, 2, 9), large = make_random_images(2, 2, 7, 11, 10);
+    expect_derivative(from.values, backpropagate_pool(from, small).values, small.values,
                       [&] { return pool(from).values; });
-    expect_derivative(from.values, upsample_vjp(large, 3, 5).values, large.values,
+    expect_derivative(from.values, backpropagate_upsample(large, 3, 5).values, large.values,
                       [&] { return upsample(from, 7, 11).values; });
 }
 
 TEST(LayersReference, AttentionDerivative) {
-    ImageBatch qkv = random_images(2, 12, 2, 3, 11);
-    const ImageBatch asked = random_images(2, 4, 2, 3, 12);
-    expect_derivative(qkv.values, attend_vjp(qkv, 2, asked).values, asked.values,
+    ImageBatch qkv = make_random_images(2, 12, 2, 3, 11);
+    const ImageBatch asked = make_random_images(2, 4, 2, 3, 12);
+    expect_derivative(qkv.values, backpropagate_attention(qkv, 2, asked).values, asked.values,
                       [&] { return attend(qkv, 2).values; });
 }
 
 TEST(LayersReference, EntropyDerivative) {
     std::vector<double> logit{-3.0, -0.5, 0.2, 4.0, 900.0, -900.0};
     const std::vector<double> target{1.0, 0.0, -1.0, 1.0, 0.0, 0.0}, one{1.0};
-    const DropEntropy entropy = drop_entropy(logit, target);
+    const DropEntropy entropy = compute_drop_entropy(logit, target);
     EXPECT_NEAR(
         entropy.mean,
         (std::log1p(std::exp(3.0)) + std::log1p(std::exp(-0.5)) + std::log1p(std::exp(-4.0)) + 900.0) / 5.0,
         1e-12);
     EXPECT_NEAR(entropy.accuracy, 3.0 / 5.0, 1e-12);
     expect_derivative(logit, entropy.d_logit, one,
-                      [&] { return std::vector<double>{drop_entropy(logit, target).mean}; });
+                      [&] { return std::vector<double>{compute_drop_entropy(logit, target).mean}; });
 }
 
 }  // namespace

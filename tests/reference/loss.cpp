@@ -12,8 +12,8 @@
 namespace relidar::reference {
 namespace {
 
-double sign(double x) { return x > 0.0 ? 1.0 : x < 0.0 ? -1.0 : 0.0; }
-double softplus(double x) { return std::max(x, 0.0) + std::log1p(std::exp(-std::abs(x))); }
+double sign(double value) { return value > 0.0 ? 1.0 : value < 0.0 ? -1.0 : 0.0; }
+double softplus(double value) { return std::max(value, 0.0) + std::log1p(std::exp(-std::abs(value))); }
 
 }  // namespace
 
@@ -62,8 +62,8 @@ LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Targ
     return terms;
 }
 
-double likelihood_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, double floor,
-                       std::vector<PixelGradient>* d_pixels) {
+double compute_likelihood_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets,
+                               double floor, std::vector<PixelGradient>* d_pixels) {
     std::vector<PixelGradient> d(pixels.size());
     double sum = 0.0, n_returned = 0.0;
     for (const Target& target : targets) n_returned += target.range_m > 0.0 ? 1.0 : 0.0;

@@ -46,8 +46,8 @@ LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Targ
 /// Returns the mean of -ln(floor + (1 - floor) S) over the rays with a return, where S is
 /// the likelihood of the pixel (M12).
 /// @param d_pixels [n] if not null, receives the derivatives
-double likelihood_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, double floor,
-                       std::vector<PixelGradient>* d_pixels = nullptr);
+double compute_likelihood_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets,
+                               double floor, std::vector<PixelGradient>* d_pixels = nullptr);
 
 /// Returns the drop probability beta from the two blended logits (M6).
 double drop_probability(double hit_logit, double drop_logit);

@@ -48,17 +48,19 @@ TEST(ReferenceLoss, DerivativesAgreeWithDifferences) {
             return std::vector<double>{evaluate_loss(pixels, targets, weights, kind).total};
         };
         for (std::size_t i = 0; i < pixels.size(); ++i) {
-            table.add_row("depth", test::central_differences(&pixels[i].depth, 1, total), {d[i].depth});
-            table.add_row("weight", test::central_differences(&pixels[i].weight, 1, total), {d[i].weight});
-            table.add_row("intensity", test::central_differences(&pixels[i].intensity, 1, total),
+            table.add_row("depth", test::compute_central_differences(&pixels[i].depth, 1, total),
+                          {d[i].depth});
+            table.add_row("weight", test::compute_central_differences(&pixels[i].weight, 1, total),
+                          {d[i].weight});
+            table.add_row("intensity", test::compute_central_differences(&pixels[i].intensity, 1, total),
                           {d[i].intensity});
-            table.add_row("hit_logit", test::central_differences(&pixels[i].hit_logit, 1, total),
+            table.add_row("hit_logit", test::compute_central_differences(&pixels[i].hit_logit, 1, total),
                           {d[i].hit_logit});
-            table.add_row("drop_logit", test::central_differences(&pixels[i].drop_logit, 1, total),
+            table.add_row("drop_logit", test::compute_central_differences(&pixels[i].drop_logit, 1, total),
                           {d[i].drop_logit});
         }
         table.print(kind == DepthKind::blended ? "loss on D" : "loss on D / W");
-        EXPECT_LE(table.worst_error(), test::kReferenceGradient);
+        EXPECT_LE(table.compute_worst_error(), test::kReferenceGradient);
     }
 }
 
@@ -77,17 +79,17 @@ TEST(ReferenceLoss, Likelihood) {
     pixels[0].likelihood = 1.0, pixels[1].likelihood = 0.25, pixels[2].likelihood = 0.0,
     pixels[3].likelihood = 0.5;
     const std::vector<Target> targets{{17, 0}, {2.5, 0}, {3, 0}, {0, 0}};
-    EXPECT_NEAR(likelihood_loss(pixels, targets, 0.01), -(std::log(0.01 + 0.99 * 0.25) + std::log(0.01)) / 3,
-                1e-12)
+    EXPECT_NEAR(compute_likelihood_loss(pixels, targets, 0.01),
+                -(std::log(0.01 + 0.99 * 0.25) + std::log(0.01)) / 3, 1e-12)
         << "0 where the hits explain all of it, bounded where nothing does, nothing of a dropped ray";
     std::vector<PixelGradient> d;
-    likelihood_loss(pixels, targets, 0.01, &d);
+    compute_likelihood_loss(pixels, targets, 0.01, &d);
     test::GradientTable table;
-    const auto total = [&] { return std::vector<double>{likelihood_loss(pixels, targets, 0.01)}; };
+    const auto total = [&] { return std::vector<double>{compute_likelihood_loss(pixels, targets, 0.01)}; };
     for (std::size_t i = 0; i < pixels.size(); ++i)
-        table.add_row("likelihood", test::central_differences(&pixels[i].likelihood, 1, total),
+        table.add_row("likelihood", test::compute_central_differences(&pixels[i].likelihood, 1, total),
                       {d[i].likelihood});
-    EXPECT_LE(table.worst_error(), test::kReferenceGradient);
+    EXPECT_LE(table.compute_worst_error(), test::kReferenceGradient);
 }
 
 TEST(ReferenceLoss, ExtremeAndDegenerateInputsStayFinite) {

@@ -25,7 +25,7 @@
 namespace relidar::reference {
 namespace {
 
-std::filesystem::path shared_folder() {
+std::filesystem::path get_shared_folder() {
     if (const char* folder = std::getenv("RELIDAR_SHARED")) return folder;
     return std::filesystem::path(__FILE__).parent_path().parent_path().parent_path().parent_path() / "shared";
 }
@@ -51,17 +51,18 @@ struct Differences {
     double depth_m = 0.0, channel = 0.0;
     int outliers = 0;
 
-    void add(const Pixel& p, const PeerImage& peer, std::size_t i) {
-        const double depth_error = std::abs(p.depth - double(peer.depth[i]));
+    void add(const Pixel& pixel, const PeerImage& peer, std::size_t index) {
+        const double depth_error = std::abs(pixel.depth - double(peer.depth[index]));
         double channel_error = 0.0;
-        for (const auto& [mine, theirs] :
-             {std::pair{p.intensity, peer.intensity[i]}, std::pair{p.hit_logit, peer.hit_logit[i]},
-              std::pair{p.drop_logit, peer.drop_logit[i]}, std::pair{p.weight, peer.weight[i]},
-              std::pair{p.transmittance, peer.transmittance[i]}})
+        for (const auto& [mine, theirs] : {std::pair{pixel.intensity, peer.intensity[index]},
+                                           std::pair{pixel.hit_logit, peer.hit_logit[index]},
+                                           std::pair{pixel.drop_logit, peer.drop_logit[index]},
+                                           std::pair{pixel.weight, peer.weight[index]},
+                                           std::pair{pixel.transmittance, peer.transmittance[index]}})
             channel_error = std::max(channel_error, std::abs(mine - double(theirs)));
         if (depth_error > test::kPeerDepth_m || channel_error > test::kPeerChannel) {
             ++outliers;
-            std::printf("  ray %zu: depth differs by %.3e m, channels by %.3e\n", i, depth_error,
+            std::printf("  ray %zu: depth differs by %.3e m, channels by %.3e\n", index, depth_error,
                         channel_error);
             return;
         }
@@ -73,7 +74,7 @@ struct Differences {
 class PeerImageTest : public ::testing::Test {
 protected:
     void SetUp() override {
-        path = shared_folder() / "bench" / "peer_render_A100k_kitti.npz";
+        path = get_shared_folder() / "bench" / "peer_render_A100k_kitti.npz";
         if (!std::filesystem::exists(path)) GTEST_SKIP() << path << " is not there";
         surfels = test::to_reference(make_benchmark_street(100000));
         world = {surfels, {{0, std::uint32_t(surfels.size()), {}}}};

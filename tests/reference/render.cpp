@@ -17,20 +17,20 @@ public:
 
     /// Adds a surfel to the pixel. If the surfel would reduce the transmittance T below
     /// T_min, returns false and does not add it.
-    bool add(const ShadedHit& s) {
-        const double next = pixel_.transmittance * (1.0 - s.alpha);
+    bool add(const ShadedHit& hit) {
+        const double next = pixel_.transmittance * (1.0 - hit.alpha);
         if (next < transmittance_min_) return false;
-        const double w = s.alpha * pixel_.transmittance;  // M4
-        const BlendedValues c = values_of(settings_, ray_, s);
+        const double w = hit.alpha * pixel_.transmittance;  // M4
+        const BlendedValues c = values_of(settings_, ray_, hit);
 #define RELIDAR_ADD(name, built, value, input, slope, meaning) pixel_.name += w * c.name;
         RELIDAR_BLENDED_VALUES(RELIDAR_ADD)
 #undef RELIDAR_ADD
-        if (pixel_.hits == 0) pixel_.instance = s.hit.instance;
+        if (pixel_.hits == 0) pixel_.instance = hit.hit.instance;
         if (pixel_.transmittance > 0.5 && next <= 0.5) {
-            pixel_.median_depth = s.t;
-            pixel_.instance = s.hit.instance;
+            pixel_.median_depth = hit.t;
+            pixel_.instance = hit.hit.instance;
         }
-        pixel_.normal += w * s.normal;
+        pixel_.normal += w * hit.normal;
         pixel_.transmittance = next;
         pixel_.hits += 1;
         return true;
@@ -53,38 +53,38 @@ private:
 
 }  // namespace
 
-double inner_product(const PixelGradient& g, const Pixel& p) {
+double compute_inner_product(const PixelGradient& gradient, const Pixel& pixel) {
     double sum = 0.0;
-#define RELIDAR_ADD(name, built, value, input, slope, meaning) sum += g.name * p.name;
+#define RELIDAR_ADD(name, built, value, input, slope, meaning) sum += gradient.name * pixel.name;
     RELIDAR_BLENDED_VALUES(RELIDAR_ADD)
 #undef RELIDAR_ADD
     return sum;
 }
 
-BlendedValues values_of(const Settings& settings, const Ray& ray, const ShadedHit& s) {
-    return {.depth = s.t,
+BlendedValues values_of(const Settings& settings, const Ray& ray, const ShadedHit& hit) {
+    return {.depth = hit.t,
             .weight = 1.0,
-            .intensity = s.value[0],
-            .hit_logit = s.value[1],
-            .drop_logit = s.value[2],
-            .likelihood = range_kernel(settings, ray, s.t).value};
+            .intensity = hit.value[0],
+            .hit_logit = hit.value[1],
+            .drop_logit = hit.value[2],
+            .likelihood = evaluate_range_kernel(settings, ray, hit.t).value};
 }
 
-BlendedValues slopes_of(const Settings& settings, const Ray& ray, const ShadedHit& s) {
+BlendedValues compute_slopes(const Settings& settings, const Ray& ray, const ShadedHit& hit) {
     BlendedValues slopes;
     slopes.depth = 1.0;
-    slopes.likelihood = range_kernel(settings, ray, s.t).slope;
+    slopes.likelihood = evaluate_range_kernel(settings, ray, hit.t).slope;
     return slopes;
 }
 
-RangeKernel range_kernel(const Settings& settings, const Ray& ray, double t) {
+RangeKernel evaluate_range_kernel(const Settings& settings, const Ray& ray, double t) {
     if (!(ray.measured_m > 0.0)) return {};
     const double s = settings.likelihood_scale_m, d = t - ray.measured_m;
     const double both = s * s + d * d;
     return {s * s / both, -2.0 * d * s * s / (both * both)};
 }
 
-ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, const Hit& hit) {
+ShadedHit shade_hit(const World& world, const Settings& settings, const Ray& ray, const Hit& hit) {
     const Surfel& surfel = world.surfels[hit.surfel];
     const Pose pose = world.instances[hit.instance].at(ray.time_s);
     const Activated a = activate(surfel);
@@ -105,7 +105,7 @@ ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, co
             .origin;
     const glm::dvec3 direction =
         settings.image.sh_direction == ShDirection::ray ? local.direction : glm::normalize(a.mean - view);
-    s.value = sh_values(surfel, direction, settings.image.sh_degree);
+    s.value = evaluate_sh(surfel, direction, settings.image.sh_degree);
     s.raw_intensity = s.value[0];
     s.intensity_clamped = s.raw_intensity < 0.0;
     s.value[0] = std::max(s.raw_intensity, 0.0);
@@ -119,9 +119,9 @@ Pixel render(const World& world, const HitProvider& provider, const Settings& se
     std::vector<Hit> hits;
     HitKey after;
     do {
-        provider.next_hits(ray, after, chunk, hits);
+        provider.find_next_hits(ray, after, chunk, hits);
         for (const Hit& hit : hits) {
-            const ShadedHit s = shade(world, settings, ray, hit);
+            const ShadedHit s = shade_hit(world, settings, ray, hit);
             if (!blend.add(s)) return blend.finish();
             if (blended != nullptr) blended->push_back(s);
             after = hit;
@@ -134,9 +134,9 @@ Pixel render_all_at_once(const World& world, const HitProvider& provider, const 
                          const Ray& ray, std::vector<ShadedHit>* blended) {
     Blend blend(settings, ray);
     std::vector<Hit> hits;
-    provider.next_hits(ray, HitKey{}, std::numeric_limits<int>::max(), hits);
+    provider.find_next_hits(ray, HitKey{}, std::numeric_limits<int>::max(), hits);
     for (const Hit& hit : hits) {
-        const ShadedHit s = shade(world, settings, ray, hit);
+        const ShadedHit s = shade_hit(world, settings, ray, hit);
         if (!blend.add(s)) break;
         if (blended != nullptr) blended->push_back(s);
     }

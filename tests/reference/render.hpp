@@ -48,8 +48,8 @@ struct Pixel : BlendedValues {
 /// Gradient of the loss with respect to the blended values of a pixel.
 using PixelGradient = BlendedValues;
 /// Returns the sum of gradient times output over all outputs. The gradient of this sum
-/// with respect to the outputs is `g`.
-double inner_product(const PixelGradient& g, const Pixel& p);
+/// with respect to the outputs is `gradient`.
+double compute_inner_product(const PixelGradient& gradient, const Pixel& pixel);
 
 /// Weight of a range t around the measured range z of a ray (M12): s^2 / (s^2 + (t -
 /// z)^2). It is 0 if the ray has no measured range.
@@ -57,7 +57,7 @@ struct RangeKernel {
     double value = 0.0;
     double slope = 0.0;  ///< dk/dt
 };
-RangeKernel range_kernel(const Settings& settings, const Ray& ray, double t);
+RangeKernel evaluate_range_kernel(const Settings& settings, const Ray& ray, double t);
 
 /// A hit with all values needed for blending.
 struct ShadedHit {
@@ -77,8 +77,8 @@ struct ShadedHit {
 BlendedValues values_of(const Settings& settings, const Ray& ray, const ShadedHit& hit);
 /// Returns the derivative dc/dt of each blended value c, with the channels of the hit
 /// held fixed.
-BlendedValues slopes_of(const Settings& settings, const Ray& ray, const ShadedHit& hit);
-ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, const Hit& hit);
+BlendedValues compute_slopes(const Settings& settings, const Ray& ray, const ShadedHit& hit);
+ShadedHit shade_hit(const World& world, const Settings& settings, const Ray& ray, const Hit& hit);
 
 /// Renders a ray and fetches `chunk` hits at a time.
 /// @param blended if not null, receives the blended hits in order

@@ -23,37 +23,39 @@ struct LocalGradient {
 
 /// Computes the gradients of all hits front to back (M7). Uses the final pixel, the
 /// running sums, and T before each hit.
-std::vector<HitGradient> hit_gradients(const std::vector<ShadedHit>& hits, const Settings& settings,
-                                       const Ray& ray, const Pixel& pixel, const PixelGradient& g) {
+std::vector<HitGradient> compute_hit_gradients(const std::vector<ShadedHit>& hits, const Settings& settings,
+                                               const Ray& ray, const Pixel& pixel,
+                                               const PixelGradient& gradient) {
     std::vector<HitGradient> result(hits.size());
     double transmittance = 1.0;
     BlendedValues sum;  // C_{<=i} without the background
     for (std::size_t i = 0; i < hits.size(); ++i) {
         const ShadedHit& s = hits[i];
         const double w = s.alpha * transmittance;
-        const BlendedValues c = values_of(settings, ray, s), by_t = slopes_of(settings, ray, s);
-#define RELIDAR_VALUE(name, built, value, input, slope, meaning)                                      \
-    sum.name += w * c.name;                                                                           \
-    result[i].alpha += g.name * (transmittance * c.name - (pixel.name - sum.name) / (1.0 - s.alpha)); \
-    result[i].t += g.name * w * by_t.name;
+        const BlendedValues c = values_of(settings, ray, s), by_t = compute_slopes(settings, ray, s);
+#define RELIDAR_VALUE(name, built, value, input, slope, meaning)                                             \
+    sum.name += w * c.name;                                                                                  \
+    result[i].alpha += gradient.name * (transmittance * c.name - (pixel.name - sum.name) / (1.0 - s.alpha)); \
+    result[i].t += gradient.name * w * by_t.name;
         RELIDAR_BLENDED_VALUES(RELIDAR_VALUE)
 #undef RELIDAR_VALUE
         if (s.alpha_clamped) result[i].alpha = 0.0;
-        result[i].value = w * glm::dvec3(s.intensity_clamped ? 0.0 : g.intensity, g.hit_logit, g.drop_logit);
+        result[i].value = w * glm::dvec3(s.intensity_clamped ? 0.0 : gradient.intensity, gradient.hit_logit,
+                                         gradient.drop_logit);
         transmittance *= 1.0 - s.alpha;
     }
     return result;
 }
 
 /// Propagates the channel gradients to the SH coefficients and to the direction.
-void value_backward(const Surfel& surfel, const Settings& settings, const LocalRay<double>& ray,
-                    const glm::dvec3& view, const glm::dvec3& d_value, Surfel& d_surfel,
-                    LocalGradient& d_local) {
+void backpropagate_values(const Surfel& surfel, const Settings& settings, const LocalRay<double>& ray,
+                          const glm::dvec3& view, const glm::dvec3& d_value, Surfel& d_surfel,
+                          LocalGradient& d_local) {
     const bool along_ray = settings.image.sh_direction == ShDirection::ray;
     const glm::dvec3 to_mean = surfel.mean - view;
     const glm::dvec3 direction = along_ray ? ray.direction : glm::normalize(to_mean);
     const auto basis = sh_basis(direction, settings.image.sh_degree);
-    const auto slope = sh_basis_gradient(direction, settings.image.sh_degree);
+    const auto slope = compute_sh_basis_gradient(direction, settings.image.sh_degree);
     glm::dvec3 d_direction(0.0);
     for (int channel = 0; channel < kShChannels; ++channel)
         for (int k = 0; k < kShCoefficients; ++k) {
@@ -74,24 +76,26 @@ void value_backward(const Surfel& surfel, const Settings& settings, const LocalR
 /// Propagates gradients to opacity and geometry of a 3D Gaussian (M9). Uses its precision
 /// matrix M = R diag(1 / s^2) R^T and q = mean - origin:
 ///   t = d.Mq / d.Md,  p = t d - q,  alpha = sigma exp(-p.Mp / 2),  d.Mp = 0
-void gaussian_backward(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s,
-                       const HitGradient& g, Surfel& d_surfel, LocalGradient& d_local) {
+void backpropagate_gaussian(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s,
+                            const HitGradient& gradient, Surfel& d_surfel, LocalGradient& d_local) {
     const Activated a = activate(surfel);
-    d_surfel.opacity_logit += g.alpha * s.gauss * a.opacity * (1.0 - a.opacity);
+    d_surfel.opacity_logit += gradient.alpha * s.gauss * a.opacity * (1.0 - a.opacity);
     const glm::dvec3 scale(a.scale, *a.scale_w), inverse2 = 1.0 / (scale * scale), d = ray.direction,
                                                  q = a.mean - ray.origin;
     const glm::dmat3 diagonal(glm::dvec3(inverse2.x, 0, 0), glm::dvec3(0, inverse2.y, 0),
                               glm::dvec3(0, 0, inverse2.z));
     const glm::dmat3 precision = a.rotation * diagonal * glm::transpose(a.rotation);
     const glm::dvec3 p = s.t * d - q;
-    const double d_r2 = -0.5 * g.alpha * a.opacity * s.gauss, e = g.t / glm::dot(d, precision * d);
+    const double d_r2 = -0.5 * gradient.alpha * a.opacity * s.gauss,
+                 e = gradient.t / glm::dot(d, precision * d);
     const glm::dvec3 d_q = precision * (e * d - 2.0 * d_r2 * p);
     d_surfel.mean += d_q;
     d_local.origin -= d_q;
     d_local.direction += precision * (2.0 * d_r2 * s.t * p + e * (q - 2.0 * s.t * d));
     const glm::dmat3 d_precision =
         d_r2 * glm::outerProduct(p, p) - 0.5 * e * (glm::outerProduct(d, p) + glm::outerProduct(p, d));
-    d_surfel.rotation += rotation_matrix_vjp(surfel.rotation, 2.0 * d_precision * a.rotation * diagonal);
+    d_surfel.rotation +=
+        backpropagate_rotation_matrix(surfel.rotation, 2.0 * d_precision * a.rotation * diagonal);
     const auto d_log_scale = [&](int k) {
         return -2.0 * inverse2[k] * glm::dot(a.rotation[k], d_precision * a.rotation[k]);
     };
@@ -101,34 +105,34 @@ void gaussian_backward(const Surfel& surfel, const LocalRay<double>& ray, const 
 
 /// Propagates gradients to opacity and geometry of a surfel (M8), with q = mean - origin:
 ///   alpha = sigma exp(-(u^2 + v^2)/2),  p = t d - q,  t = n.q / n.d
-void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s,
-                       const HitGradient& g, Surfel& d_surfel, LocalGradient& d_local) {
+void backpropagate_geometry(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s,
+                            const HitGradient& gradient, Surfel& d_surfel, LocalGradient& d_local) {
     const Activated a = activate(surfel);
-    d_surfel.opacity_logit += g.alpha * s.gauss * a.opacity * (1.0 - a.opacity);
-    const double d_u = -g.alpha * a.opacity * s.gauss * s.u;
-    const double d_v = -g.alpha * a.opacity * s.gauss * s.v;
+    d_surfel.opacity_logit += gradient.alpha * s.gauss * a.opacity * (1.0 - a.opacity);
+    const double d_u = -gradient.alpha * a.opacity * s.gauss * s.u;
+    const double d_v = -gradient.alpha * a.opacity * s.gauss * s.v;
     d_surfel.log_scale += glm::dvec2(-s.u * d_u, -s.v * d_v);  // u is proportional to 1 / s_u
 
     const glm::dvec3 normal = a.rotation[2];
     const double facing = glm::dot(normal, ray.direction);
     const glm::dvec3 p = s.t * ray.direction - (a.mean - ray.origin);
     const glm::dvec3 d_p = a.rotation[0] * (d_u / a.scale.x) + a.rotation[1] * (d_v / a.scale.y);
-    const double d_t = g.t + glm::dot(ray.direction, d_p);  // dp/dt = d
-    const glm::dvec3 d_q = normal * (d_t / facing) - d_p;   // dt/dmean = n / (n.d)
+    const double d_t = gradient.t + glm::dot(ray.direction, d_p);  // dp/dt = d
+    const glm::dvec3 d_q = normal * (d_t / facing) - d_p;          // dt/dmean = n / (n.d)
     d_surfel.mean += d_q;
     d_local.origin -= d_q;
     d_local.direction += s.t * d_p - normal * (d_t * s.t / facing);
     // dt/dn = (mean - hit) / (n.d)
     const glm::dmat3 d_rotation(p * (d_u / a.scale.x), p * (d_v / a.scale.y), -p * (d_t / facing));
-    d_surfel.rotation += rotation_matrix_vjp(surfel.rotation, d_rotation);
+    d_surfel.rotation += backpropagate_rotation_matrix(surfel.rotation, d_rotation);
 }
 
 /// Transforms gradients from the model's frame to the world frame. The point is x_m = R^T
 /// (x_w - translation), and R -> exp([w]x) R changes x_m by -R^T (w cross ...).
 /// PoseGradient describes the convention for moving models.
-void pose_backward(const Placement& placed, const Ray& ray, const glm::dvec3& view_origin,
-                   const LocalGradient& d_local, PoseGradient& d_pose, RayGradient& d_ray,
-                   glm::dvec3& d_view) {
+void backpropagate_pose(const Placement& placed, const Ray& ray, const glm::dvec3& view_origin,
+                        const LocalGradient& d_local, PoseGradient& d_pose, RayGradient& d_ray,
+                        glm::dvec3& d_view) {
     const Pose pose = placed.at(ray.time_s), &viewed = placed.world_from_model;
     const glm::dvec3 origin = pose.rotation * d_local.origin, direction = pose.rotation * d_local.direction,
                      view = viewed.rotation * d_local.view;
@@ -156,7 +160,7 @@ RayGradient backward(const World& world, const HitProvider& provider, const Sett
                      const Ray& ray, int chunk, const PixelGradient& d_pixel, Gradients& gradients) {
     std::vector<ShadedHit> hits;
     const Pixel pixel = render(world, provider, settings, ray, chunk, &hits);
-    const std::vector<HitGradient> d_hits = hit_gradients(hits, settings, ray, pixel, d_pixel);
+    const std::vector<HitGradient> d_hits = compute_hit_gradients(hits, settings, ray, pixel, d_pixel);
     RayGradient d_ray;
     for (std::size_t i = 0; i < hits.size(); ++i) {
         const ShadedHit& s = hits[i];
@@ -170,11 +174,11 @@ RayGradient backward(const World& world, const HitProvider& provider, const Sett
         LocalGradient d_local;
         glm::dvec3 d_value = d_hits[i].value;
         if (settings.image.single_drop_logit) d_value[1] = 0.0;
-        value_backward(surfel, settings, local, view, d_value, d_surfel, d_local);
-        if (surfel.log_scale_w) gaussian_backward(surfel, local, s, d_hits[i], d_surfel, d_local);
-        else geometry_backward(surfel, local, s, d_hits[i], d_surfel, d_local);
-        pose_backward(placed, ray, settings.view_origin, d_local, gradients.instances[s.hit.instance], d_ray,
-                      gradients.view_origin);
+        backpropagate_values(surfel, settings, local, view, d_value, d_surfel, d_local);
+        if (surfel.log_scale_w) backpropagate_gaussian(surfel, local, s, d_hits[i], d_surfel, d_local);
+        else backpropagate_geometry(surfel, local, s, d_hits[i], d_surfel, d_local);
+        backpropagate_pose(placed, ray, settings.view_origin, d_local, gradients.instances[s.hit.instance],
+                           d_ray, gradients.view_origin);
     }
     return d_ray;
 }

@@ -14,7 +14,7 @@ namespace {
 constexpr double kC0 = 0.28209479177387814;
 
 /// Returns a surfel at (x, 0, 0) that faces the sensor, with constant channel values.
-Surfel facing_surfel(double x, double opacity, const glm::dvec3& value) {
+Surfel make_facing_surfel(double x, double opacity, const glm::dvec3& value) {
     Surfel s;
     s.mean = {x, 0, 0};
     s.rotation = {0.5, 0.5, 0.5, 0.5};
@@ -24,7 +24,7 @@ Surfel facing_surfel(double x, double opacity, const glm::dvec3& value) {
     return s;
 }
 
-World world_of(const std::vector<Surfel>& surfels) {
+World make_world(const std::vector<Surfel>& surfels) {
     return {surfels, {{0, std::uint32_t(surfels.size()), {}}}};
 }
 
@@ -34,15 +34,16 @@ struct Case {
     Ray ray{};
     BruteForce provider() const { return {world, settings.image, Precision::double_record}; }
     Pixel image(int chunk = 16) const { return render(world, provider(), settings, ray, chunk); }
-    Gradients gradient(const PixelGradient& g) const {
+    Gradients gradient(const PixelGradient& gradient) const {
         Gradients sum(world);
-        backward(world, provider(), settings, ray, 16, g, sum);
+        backward(world, provider(), settings, ray, 16, gradient, sum);
         return sum;
     }
 };
 
 TEST(ReferenceRender, EmptySceneIsBackground) {
-    for (const World& world : {World{}, world_of({}), world_of({facing_surfel(-5, 0.5, {1, 1, 1})})}) {
+    for (const World& world :
+         {World{}, make_world({}), make_world({make_facing_surfel(-5, 0.5, {1, 1, 1})})}) {
         const Pixel p = Case{world}.image();
         EXPECT_EQ(p.depth, 0.0);
         EXPECT_EQ(p.weight, 0.0);
@@ -56,7 +57,7 @@ TEST(ReferenceRender, EmptySceneIsBackground) {
 }
 
 TEST(ReferenceRender, OneSurfelHeadOn) {
-    const Pixel p = Case{world_of({facing_surfel(5, 0.8, {0.3, 2.0, -1.0})})}.image();
+    const Pixel p = Case{make_world({make_facing_surfel(5, 0.8, {0.3, 2.0, -1.0})})}.image();
     EXPECT_NEAR(p.depth, 4.0, 1e-12);
     EXPECT_NEAR(p.weight, 0.8, 1e-12);
     EXPECT_NEAR(p.intensity, 0.24, 1e-12);
@@ -68,7 +69,8 @@ TEST(ReferenceRender, OneSurfelHeadOn) {
 }
 
 TEST(ReferenceRender, LikelihoodOfTheMeasuredRange) {
-    Case c{world_of({facing_surfel(5, 0.8, glm::dvec3(1)), facing_surfel(7, 0.5, glm::dvec3(1))})};
+    Case c{
+        make_world({make_facing_surfel(5, 0.8, glm::dvec3(1)), make_facing_surfel(7, 0.5, glm::dvec3(1))})};
     EXPECT_EQ(c.image().likelihood, 0.0) << "nothing was measured";
     c.settings.likelihood_scale_m = 1.0;
     c.ray.measured_m = 7.0;  // the first surfel, 2 m in front, has the weight 1 / 5
@@ -79,14 +81,14 @@ TEST(ReferenceRender, LikelihoodOfTheMeasuredRange) {
 }
 
 TEST(ReferenceRender, MedianIsWhereTransmittanceCrossesHalf) {
-    const auto at = [](double x) { return facing_surfel(x, 0.4, glm::dvec3(1)); };
+    const auto at = [](double value) { return make_facing_surfel(value, 0.4, glm::dvec3(1)); };
     // T: 1, 0.6, 0.36, 0.216
-    EXPECT_NEAR((Case{world_of({at(6), at(4), at(8)})}.image().median_depth), 6.0, 1e-12);
-    EXPECT_EQ((Case{world_of({at(6)})}.image().median_depth), 0.0);
+    EXPECT_NEAR((Case{make_world({at(6), at(4), at(8)})}.image().median_depth), 6.0, 1e-12);
+    EXPECT_EQ((Case{make_world({at(6)})}.image().median_depth), 0.0);
 }
 
 TEST(ReferenceRender, EqualDepthIsOrderedByInstanceThenSurfel) {
-    const Surfel a = facing_surfel(5, 0.5, {1, 0, 0}), b = facing_surfel(5, 0.5, {0, 1, 0});
+    const Surfel a = make_facing_surfel(5, 0.5, {1, 0, 0}), b = make_facing_surfel(5, 0.5, {0, 1, 0});
     std::vector<ShadedHit> blended;
     const auto ids = [&](const World& world) {
         blended.clear();
@@ -99,17 +101,17 @@ TEST(ReferenceRender, EqualDepthIsOrderedByInstanceThenSurfel) {
         return result;
     };
     using Ids = std::vector<std::pair<std::uint32_t, std::uint32_t>>;
-    EXPECT_EQ(ids(world_of({a, b, a})), (Ids{{0, 0}, {0, 1}, {0, 2}}));
+    EXPECT_EQ(ids(make_world({a, b, a})), (Ids{{0, 0}, {0, 1}, {0, 2}}));
     EXPECT_EQ(ids({{a, b}, {{1, 1, {}}, {0, 1, {}}}}), (Ids{{0, 1}, {1, 0}}));
-    const Pixel p = Case{world_of({a, b})}.image();
+    const Pixel p = Case{make_world({a, b})}.image();
     EXPECT_NEAR(p.intensity, 0.5, 1e-12);
     EXPECT_NEAR(p.hit_logit, 0.25, 1e-12);
 }
 
 TEST(ReferenceRender, StopsBeforeTheSurfelThatGoesUnderTheMinimum) {
     std::vector<Surfel> surfels;
-    for (int i = 0; i < 6; ++i) surfels.push_back(facing_surfel(5 + i, 0.9, glm::dvec3(1)));
-    Case c{world_of(surfels)};
+    for (int i = 0; i < 6; ++i) surfels.push_back(make_facing_surfel(5 + i, 0.9, glm::dvec3(1)));
+    Case c{make_world(surfels)};
     c.settings.image.transmittance_min = 0.5e-3f;
     const Pixel p = c.image();
     // The fourth surfel is not blended, because it would reduce T from 1e-3 to 1e-4,
@@ -120,8 +122,8 @@ TEST(ReferenceRender, StopsBeforeTheSurfelThatGoesUnderTheMinimum) {
 }
 
 TEST(ReferenceRender, NearPlane) {
-    EXPECT_EQ((Case{world_of({facing_surfel(0.19, 0.5, glm::dvec3(1))})}.image().hits), 0u);
-    EXPECT_EQ((Case{world_of({facing_surfel(0.21, 0.5, glm::dvec3(1))})}.image().hits), 1u);
+    EXPECT_EQ((Case{make_world({make_facing_surfel(0.19, 0.5, glm::dvec3(1))})}.image().hits), 0u);
+    EXPECT_EQ((Case{make_world({make_facing_surfel(0.21, 0.5, glm::dvec3(1))})}.image().hits), 1u);
 }
 
 TEST(ReferenceRender, ChunkedEqualsAllAtOnce) {
@@ -146,7 +148,7 @@ TEST(ReferenceRender, ChunkedEqualsAllAtOnce) {
 }
 
 TEST(ReferenceRender, ShDirectionInTheModelsFrame) {
-    Surfel s = facing_surfel(0, 0.8, glm::dvec3(0.5));
+    Surfel s = make_facing_surfel(0, 0.8, glm::dvec3(0.5));
     s.sh[kShCoefficients + 3] = 1.0;  // hit logit: -C1 x
     // the model's x axis is the world's y axis
     const Pose turned{glm::angleAxis(kPi / 2, glm::dvec3(0, 0, 1)), {0, 5, 0}};
@@ -159,7 +161,7 @@ TEST(ReferenceRender, ShDirectionInTheModelsFrame) {
 }
 
 TEST(ReferenceBackward, OneSurfelClosedForm) {
-    Case c{world_of({facing_surfel(5, 0.8, {0.3, 2.0, -1.0})})};
+    Case c{make_world({make_facing_surfel(5, 0.8, {0.3, 2.0, -1.0})})};
     c.ray.origin = {0, 0.25, 0};  // u = 0.5
     const double gauss = std::exp(-0.125), alpha = 0.8 * gauss;
     const Gradients depth = c.gradient({1, 0, 0, 0, 0});
@@ -178,12 +180,12 @@ TEST(ReferenceBackward, OneSurfelClosedForm) {
 TEST(ReferenceBackward, BackgroundIsCountedOnce) {
     // drop = alpha c + (1 - alpha) * 1, so d drop / d alpha = c - 1. If the background
     // were counted twice, the derivative would be c - 2.
-    const Case one{world_of({facing_surfel(5, 0.8, {0.3, 2.0, 3.0})})};
+    const Case one{make_world({make_facing_surfel(5, 0.8, {0.3, 2.0, 3.0})})};
     EXPECT_NEAR(one.gradient({0, 0, 0, 0, 1}).surfels[0].opacity_logit, (3.0 - 1.0) * 0.8 * 0.2, 1e-12);
     // Two surfels: drop = a c + (1 - a) b e + (1 - a)(1 - b), so d/da = c - b e - (1 - b)
     // and d/db = (1 - a)(e - 1).
-    const Case two{
-        world_of({facing_surfel(5, 0.8, {0.3, 2.0, 3.0}), facing_surfel(6, 0.6, {0.3, 2.0, -2.0})})};
+    const Case two{make_world(
+        {make_facing_surfel(5, 0.8, {0.3, 2.0, 3.0}), make_facing_surfel(6, 0.6, {0.3, 2.0, -2.0})})};
     const Gradients d = two.gradient({0, 0, 0, 0, 1});
     EXPECT_NEAR(d.surfels[0].opacity_logit, (3.0 - 0.6 * -2.0 - 0.4) * 0.8 * 0.2, 1e-12);
     EXPECT_NEAR(d.surfels[1].opacity_logit, 0.2 * (-2.0 - 1.0) * 0.6 * 0.4, 1e-12);
@@ -192,7 +194,7 @@ TEST(ReferenceBackward, BackgroundIsCountedOnce) {
 }
 
 TEST(ReferenceBackward, ClampedAlphaHasNoGradient) {
-    Case c{world_of({facing_surfel(5, 0.995, {0.3, 2.0, 3.0})})};
+    Case c{make_world({make_facing_surfel(5, 0.995, {0.3, 2.0, 3.0})})};
     EXPECT_NEAR(c.image().weight, double(0.99f), 1e-12);
     const Gradients d = c.gradient({1, 1, 1, 1, 1});
     EXPECT_EQ(d.surfels[0].opacity_logit, 0.0);
@@ -202,7 +204,7 @@ TEST(ReferenceBackward, ClampedAlphaHasNoGradient) {
 }
 
 TEST(ReferenceBackward, ClampedIntensityHasNoGradient) {
-    const Case c{world_of({facing_surfel(5, 0.8, {-0.3, 2.0, 3.0})})};
+    const Case c{make_world({make_facing_surfel(5, 0.8, {-0.3, 2.0, 3.0})})};
     EXPECT_EQ(c.image().intensity, 0.0);
     const Gradients d = c.gradient({0, 0, 1, 0, 0});
     for (const double x : d.surfels[0].sh) EXPECT_EQ(x, 0.0);
@@ -211,8 +213,8 @@ TEST(ReferenceBackward, ClampedIntensityHasNoGradient) {
 
 TEST(ReferenceBackward, SurfelsBehindTheStopHaveNoGradient) {
     std::vector<Surfel> surfels;
-    for (int i = 0; i < 6; ++i) surfels.push_back(facing_surfel(5 + i, 0.95, glm::dvec3(1)));
-    const Case c{world_of(surfels)};
+    for (int i = 0; i < 6; ++i) surfels.push_back(make_facing_surfel(5 + i, 0.95, glm::dvec3(1)));
+    const Case c{make_world(surfels)};
     const Gradients d = c.gradient({1, 1, 1, 1, 1});
     for (std::size_t i = c.image().hits; i < surfels.size(); ++i) {
         EXPECT_EQ(d.surfels[i].mean, glm::dvec3(0.0));

@@ -56,7 +56,7 @@ double similarity(const Image& image, const std::vector<Neighbour>& neighbours, 
 
 }  // namespace
 
-double ssim_loss(const Image& image, std::vector<double>* d_x) {
+double compute_ssim_loss(const Image& image, std::vector<double>* d_x) {
     std::vector<double> d(image.x.size());
     double n_known = 0.0, loss = 0.0;
     for (const bool known : image.known) n_known += known;

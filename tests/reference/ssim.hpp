@@ -21,6 +21,6 @@ struct Image {
 /// @param d_x if not null, receives the derivative with respect to x [rows,columns]
 /// @return mean of 1 - S over the pixels with a known value, or 0 if no pixel has a known
 /// value
-double ssim_loss(const Image& image, std::vector<double>* d_x = nullptr);
+double compute_ssim_loss(const Image& image, std::vector<double>* d_x = nullptr);
 
 }  // namespace relidar::reference

@@ -11,7 +11,7 @@
 namespace relidar::reference {
 namespace {
 
-Image waves(bool circular) {
+Image make_waves(bool circular) {
     Image image{12, 15, circular, {}, {}, {}};
     for (int i = 0; i < 12; ++i)
         for (int j = 0; j < 15; ++j) {
@@ -26,36 +26,36 @@ Image waves(bool circular) {
 /// known value, with scipy.ndimage.correlate1d over columns ("wrap" or "constant") and
 /// rows ("constant"). The moments are divided by the mask after the same filter.
 TEST(ReferenceSsim, AgreesWithScipy) {
-    EXPECT_NEAR(ssim_loss(waves(true)), 0.0632199605965267, 1e-12);
-    EXPECT_NEAR(ssim_loss(waves(false)), 0.06353378196252815, 1e-12);
+    EXPECT_NEAR(compute_ssim_loss(make_waves(true)), 0.0632199605965267, 1e-12);
+    EXPECT_NEAR(compute_ssim_loss(make_waves(false)), 0.06353378196252815, 1e-12);
 }
 
 TEST(ReferenceSsim, KnownCases) {
-    Image image = waves(true);
+    Image image = make_waves(true);
     image.x = image.y;
-    EXPECT_NEAR(ssim_loss(image), 0.0, 1e-12) << "equal images";
+    EXPECT_NEAR(compute_ssim_loss(image), 0.0, 1e-12) << "equal images";
     image.known.assign(image.known.size(), false);
-    EXPECT_EQ(ssim_loss(image), 0.0) << "nothing known";
+    EXPECT_EQ(compute_ssim_loss(image), 0.0) << "nothing known";
     image.known[20] = true;
     image.x[20] = 0.2, image.y[20] = 0.6;
-    EXPECT_NEAR(ssim_loss(image), 1.0 - (2 * 0.12 + 1e-4) / (0.04 + 0.36 + 1e-4), 1e-12)
+    EXPECT_NEAR(compute_ssim_loss(image), 1.0 - (2 * 0.12 + 1e-4) / (0.04 + 0.36 + 1e-4), 1e-12)
         << "one pixel: its luminance alone";
 }
 
 TEST(ReferenceSsim, DerivativesAgreeWithDifferences) {
     for (const bool circular : {true, false}) {
-        Image image = waves(circular);
+        Image image = make_waves(circular);
         std::vector<double> d;
-        ssim_loss(image, &d);
+        compute_ssim_loss(image, &d);
         test::GradientTable table;
         for (std::size_t i = 0; i < image.x.size(); ++i)
             table.add_row("x",
-                          test::central_differences(&image.x[i], 1,
-                                                    [&] { return std::vector<double>{ssim_loss(image)}; }),
+                          test::compute_central_differences(
+                              &image.x[i], 1, [&] { return std::vector<double>{compute_ssim_loss(image)}; }),
                           {d[i]});
         table.print("structural similarity");
-        EXPECT_LE(table.worst_error(), test::kReferenceGradient);
-        EXPECT_EQ(table.groups().at("x").missing_rows(), 0u);
+        EXPECT_LE(table.compute_worst_error(), test::kReferenceGradient);
+        EXPECT_EQ(table.groups().at("x").count_missing_rows(), 0u);
     }
 }
 

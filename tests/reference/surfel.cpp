@@ -33,7 +33,7 @@ glm::dmat3 rotation_matrix(const glm::dvec4& quaternion) {
             glm::dvec3(2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y))};
 }
 
-glm::dvec4 rotation_matrix_vjp(const glm::dvec4& quaternion, const glm::dmat3& d_rotation) {
+glm::dvec4 backpropagate_rotation_matrix(const glm::dvec4& quaternion, const glm::dmat3& d_rotation) {
     const double length = glm::length(quaternion);
     const glm::dvec4 q = quaternion / length;
     const double w = q[0], x = q[1], y = q[2], z = q[3];
@@ -83,7 +83,7 @@ std::array<double, kShCoefficients> sh_basis(const glm::dvec3& direction, int de
     return b;
 }
 
-std::array<glm::dvec3, kShCoefficients> sh_basis_gradient(const glm::dvec3& direction, int degree) {
+std::array<glm::dvec3, kShCoefficients> compute_sh_basis_gradient(const glm::dvec3& direction, int degree) {
     const double x = direction.x, y = direction.y, z = direction.z;
     std::array<glm::dvec3, kShCoefficients> g{};
     g.fill(glm::dvec3(0.0));
@@ -108,7 +108,7 @@ std::array<glm::dvec3, kShCoefficients> sh_basis_gradient(const glm::dvec3& dire
     return g;
 }
 
-glm::dvec3 sh_values(const Surfel& surfel, const glm::dvec3& direction, int degree) {
+glm::dvec3 evaluate_sh(const Surfel& surfel, const glm::dvec3& direction, int degree) {
     const auto basis = sh_basis(direction, degree);
     glm::dvec3 value(0.5);
     for (int channel = 0; channel < kShChannels; ++channel)
@@ -117,7 +117,7 @@ glm::dvec3 sh_values(const Surfel& surfel, const glm::dvec3& direction, int degr
     return value;
 }
 
-Surfel at_phase(const Surfel& surfel, double turns) {
+Surfel move_to_phase(const Surfel& surfel, double turns) {
     const double angle = 2.0 * kPi * (turns - surfel.gait_phase);
     const double presence =
         std::exp(-surfel.gait_sharpness * surfel.gait_sharpness * (1.0 - std::cos(angle)));
@@ -159,10 +159,11 @@ Pose pose_at(const Pose& world_from_model, const Motion& motion, double time_s) 
 
 namespace {
 
-/// Rotates p about g by the angle 2 atan |g|: p + 2 / (1 + g.g) (g x p + g x (g x p)).
-glm::vec3 turned(const glm::vec3& g, const glm::vec3& p) {
-    const glm::vec3 q = glm::cross(g, p), r = glm::cross(g, q);
-    return p + 2.0f / (1.0f + glm::dot(g, g)) * (q + r);
+/// Rotates `point` about g by the angle 2 atan |g|: point + 2 / (1 + g.g) (g x point + g
+/// x (g x point)).
+glm::vec3 turned(const glm::vec3& g, const glm::vec3& point) {
+    const glm::vec3 q = glm::cross(g, point), r = glm::cross(g, q);
+    return point + 2.0f / (1.0f + glm::dot(g, g)) * (q + r);
 }
 
 }  // namespace
@@ -181,7 +182,7 @@ LocalRay<float> follow(LocalRay<float> local, const Pose& world_from_model, cons
     return {turned(-g, local.origin - since_s * velocity), turned(-g, local.direction)};
 }
 
-FloatRows model_from_world_rows(const Pose& world_from_model) {
+FloatRows make_model_from_world_rows(const Pose& world_from_model) {
     // the columns of this matrix are the rows of its inverse
     const glm::dmat3 world_rotation = glm::mat3_cast(world_from_model.rotation);
     FloatRows rows{};
@@ -204,14 +205,14 @@ LocalRay<float> to_model(const FloatRows& model_from_world, const glm::vec3& ori
     return local;
 }
 
-std::optional<PlaneHit<float>> float_hit(const FloatRecord& record, const LocalRay<float>& ray,
-                                         const ImageModel& model) {
-    return surfel_hit(record, ray, model);
+std::optional<PlaneHit<float>> intersect_in_float(const FloatRecord& record, const LocalRay<float>& ray,
+                                                  const ImageModel& model) {
+    return intersect_surfel_at_pose(record, ray, model);
 }
 
-std::optional<PlaneHit<double>> double_hit(const DoubleRecord& record, const LocalRay<double>& ray,
-                                           const ImageModel& model) {
-    return surfel_hit(record, ray, model);
+std::optional<PlaneHit<double>> intersect_in_double(const DoubleRecord& record, const LocalRay<double>& ray,
+                                                    const ImageModel& model) {
+    return intersect_surfel_at_pose(record, ray, model);
 }
 
 }  // namespace relidar::reference

@@ -1,10 +1,9 @@
-// SPDX-License-Identifier: Apache-2.0
-// Implements a surfel in double precision from docs/method.md: activations (section 2),
-// real spherical harmonics of degree 3, the ray-surfel intersection (M1) and its opacity
-// (M2), or the intersection and opacity of a 3D Gaussian (M9). As a part of the
-// reference, it must not include shaders/ or src/. `float_hit` is the same formula in
-// single precision, in the form of the shader, so that hit ids of any traversal can be
-// compared exactly.
+// SPDX-License-Identifier: Apache-2.0 Implements a surfel in double precision from
+// docs/method.md: activations (section 2), real spherical harmonics of degree 3, the
+// ray-surfel intersection (M1) and its opacity (M2), or the intersection and opacity of a
+// 3D Gaussian (M9). As a part of the reference, it must not include shaders/ or src/.
+// `intersect_in_float` is the same formula in single precision, in the form of the
+// shader, so that hit ids of any traversal can be compared exactly.
 #pragma once
 
 #include <algorithm>
@@ -52,18 +51,18 @@ Activated activate(const Surfel& surfel);
 glm::dmat3 rotation_matrix(const glm::dvec4& quaternion);
 /// Returns dL/d(quaternion) from dL/dR (same layout as R: [column][row]). The result is
 /// perpendicular to the quaternion.
-glm::dvec4 rotation_matrix_vjp(const glm::dvec4& quaternion, const glm::dmat3& d_rotation);
+glm::dvec4 backpropagate_rotation_matrix(const glm::dvec4& quaternion, const glm::dmat3& d_rotation);
 
 /// Returns the real SH basis of 3D Gaussian Splatting: order l, m = -l..l, with the
 /// Condon-Shortley sign (-1)^m. The values are homogeneous polynomials of the direction,
 /// which is not renormalised. Entries above `degree` are 0.
 std::array<double, kShCoefficients> sh_basis(const glm::dvec3& direction, int degree);
 /// Returns d basis / d direction of the same polynomials.
-std::array<glm::dvec3, kShCoefficients> sh_basis_gradient(const glm::dvec3& direction, int degree);
+std::array<glm::dvec3, kShCoefficients> compute_sh_basis_gradient(const glm::dvec3& direction, int degree);
 
 /// Returns the three channels 0.5 + basis . coefficients, before the intensity is
 /// clamped.
-glm::dvec3 sh_values(const Surfel& surfel, const glm::dvec3& direction, int degree);
+glm::dvec3 evaluate_sh(const Surfel& surfel, const glm::dvec3& direction, int degree);
 
 /// Precomputed data of a surfel for intersections in the model's frame: 13 numbers.
 template <typename Real>
@@ -83,7 +82,7 @@ using DoubleRecord = Record<double>;
 DoubleRecord make_record(const Surfel& surfel);
 /// Returns the surfel at a phase of its gait (M14), with the moved mean and the reduced
 /// opacity.
-Surfel at_phase(const Surfel& surfel, double turns);
+Surfel move_to_phase(const Surfel& surfel, double turns);
 FloatRecord make_float_record(const Surfel& surfel);
 
 /// Ray in a model's frame. Its direction has the same length as in the world frame, so
@@ -129,7 +128,7 @@ LocalRay<float> follow(LocalRay<float> local, const Pose& world_from_model, cons
 struct FloatRows {
     float row[3][4];
 };
-FloatRows model_from_world_rows(const Pose& world_from_model);
+FloatRows make_model_from_world_rows(const Pose& world_from_model);
 LocalRay<float> to_model(const FloatRows& model_from_world, const glm::vec3& origin,
                          const glm::vec3& direction);
 
@@ -145,36 +144,37 @@ struct PlaneHit {
 /// Intersects a ray with the plane of a surfel (M1, M2).
 /// @return t is not finite if the ray is parallel to the plane
 template <typename Real>
-PlaneHit<Real> meet_surfel(const Record<Real>& s, const LocalRay<Real>& ray) {
-    const glm::vec<3, Real> to_mean = s.mean - ray.origin;
-    const Real t = glm::dot(s.normal, to_mean) / glm::dot(s.normal, ray.direction);
+PlaneHit<Real> intersect_plane_of_surfel(const Record<Real>& record, const LocalRay<Real>& ray) {
+    const glm::vec<3, Real> to_mean = record.mean - ray.origin;
+    const Real t = glm::dot(record.normal, to_mean) / glm::dot(record.normal, ray.direction);
     const glm::vec<3, Real> p = t * ray.direction - to_mean;
-    const Real u = glm::dot(s.axis_u, p);
-    const Real v = glm::dot(s.axis_v, p);
-    return {t, u, v, Real(0), s.sigma * std::exp(Real(-0.5) * (u * u + v * v))};
+    const Real u = glm::dot(record.axis_u, p);
+    const Real v = glm::dot(record.axis_v, p);
+    return {t, u, v, Real(0), record.sigma * std::exp(Real(-0.5) * (u * u + v * v))};
 }
 
 /// Returns the point of largest density along the ray (M9), with a correction for
 /// rounding errors.
 template <typename Real>
-PlaneHit<Real> meet_gaussian(const Record<Real>& s, const LocalRay<Real>& ray) {
+PlaneHit<Real> intersect_gaussian_shape(const Record<Real>& record, const LocalRay<Real>& ray) {
     using Vector = glm::vec<3, Real>;
     const auto whitened = [&](const Vector& x) {
-        return Vector(glm::dot(s.axis_u, x), glm::dot(s.axis_v, x), glm::dot(s.normal, x));
+        return Vector(glm::dot(record.axis_u, x), glm::dot(record.axis_v, x), glm::dot(record.normal, x));
     };
-    const Vector to_mean = s.mean - ray.origin, b = whitened(ray.direction);
+    const Vector to_mean = record.mean - ray.origin, b = whitened(ray.direction);
     const Real length2 = glm::dot(b, b), t = glm::dot(whitened(to_mean), b) / length2;
     const Vector q = whitened(t * ray.direction - to_mean);
     const Real forgiven = Real(5e-5), off = glm::dot(q, b) / length2;
     const Vector r = q - std::min(std::max(off, -forgiven), forgiven) * b;
-    return {t, r.x, r.y, r.z, s.sigma * std::exp(Real(-0.5) * glm::dot(r, r))};
+    return {t, r.x, r.y, r.z, record.sigma * std::exp(Real(-0.5) * glm::dot(r, r))};
 }
 
 /// Returns position and strength of the intersection of a ray with a primitive, before
 /// the opacity and range limits are applied.
 template <typename Real>
-PlaneHit<Real> meet(const Record<Real>& s, const LocalRay<Real>& ray) {
-    return s.primitive == Primitive::gaussian ? meet_gaussian(s, ray) : meet_surfel(s, ray);
+PlaneHit<Real> meet(const Record<Real>& record, const LocalRay<Real>& ray) {
+    return record.primitive == Primitive::gaussian ? intersect_gaussian_shape(record, ray)
+                                                   : intersect_plane_of_surfel(record, ray);
 }
 
 /// Intersects a ray with a surfel (M1 and M2, or M9). Returns std::nullopt if the ray
@@ -182,22 +182,23 @@ PlaneHit<Real> meet(const Record<Real>& s, const LocalRay<Real>& ray) {
 /// ray is not parallel to the plane), t > near, sigma * exp(-r2 / 2) >= alpha_min, the
 /// record is finite, and sigma > alpha_min.
 template <typename Real>
-std::optional<PlaneHit<Real>> surfel_hit(const Record<Real>& s, const LocalRay<Real>& ray,
-                                         const ImageModel& model) {
-    const PlaneHit<Real> hit = meet(s, ray);
+std::optional<PlaneHit<Real>> intersect_surfel_at_pose(const Record<Real>& record, const LocalRay<Real>& ray,
+                                                       const ImageModel& model) {
+    const PlaneHit<Real> hit = meet(record, ray);
     if (!std::isfinite(hit.t) || !(hit.t > Real(model.near_m))) return std::nullopt;
     if (!(hit.alpha >= Real(model.alpha_min))) return std::nullopt;  // also true if alpha is NaN
     const auto finite = [](const glm::vec<3, Real>& x) {
         return std::isfinite(x.x) && std::isfinite(x.y) && std::isfinite(x.z);
     };
-    if (!finite(s.mean) || !finite(s.axis_u) || !finite(s.axis_v) || !finite(s.normal)) return std::nullopt;
-    if (!std::isfinite(s.sigma) || !(s.sigma > Real(model.alpha_min))) return std::nullopt;
+    if (!finite(record.mean) || !finite(record.axis_u) || !finite(record.axis_v) || !finite(record.normal))
+        return std::nullopt;
+    if (!std::isfinite(record.sigma) || !(record.sigma > Real(model.alpha_min))) return std::nullopt;
     return hit;
 }
 
-std::optional<PlaneHit<float>> float_hit(const FloatRecord& record, const LocalRay<float>& ray,
-                                         const ImageModel& model);
-std::optional<PlaneHit<double>> double_hit(const DoubleRecord& record, const LocalRay<double>& ray,
-                                           const ImageModel& model);
+std::optional<PlaneHit<float>> intersect_in_float(const FloatRecord& record, const LocalRay<float>& ray,
+                                                  const ImageModel& model);
+std::optional<PlaneHit<double>> intersect_in_double(const DoubleRecord& record, const LocalRay<double>& ray,
+                                                    const ImageModel& model);
 
 }  // namespace relidar::reference

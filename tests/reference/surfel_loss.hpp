@@ -22,7 +22,7 @@ struct BoxedSurfel {
 };
 
 /// Returns sum_xyz max(0, |mean| / half - 1) + sum over scales of max(0, scale / largest
-/// - 1). Adds scale * derivative to `d`.
-double box_loss(const BoxedSurfel& surfel, const Box& box, double scale, BoxedSurfel& d);
+/// - 1). Adds scale * derivative to `gradient`.
+double compute_box_loss(const BoxedSurfel& surfel, const Box& box, double scale, BoxedSurfel& gradient);
 
 }  // namespace relidar::reference

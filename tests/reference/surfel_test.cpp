@@ -15,7 +15,7 @@ namespace {
 
 /// Returns a surfel at x = 5 that faces the x axis: a_u = y, a_v = z, normal = x.
 /// Standard deviations 0.5 and 0.25 m, opacity 0.8.
-Surfel facing_surfel() {
+Surfel make_facing_surfel() {
     Surfel s;
     s.mean = {5, 0, 0};
     s.rotation = {0.5, 0.5, 0.5, 0.5};  // rotates x -> y -> z -> x
@@ -43,7 +43,7 @@ TEST(ReferenceSurfel, RotationAgreesWithGlm) {
 }
 
 TEST(ReferenceSurfel, ActivationsOfKnownValues) {
-    const Activated a = activate(facing_surfel());
+    const Activated a = activate(make_facing_surfel());
     EXPECT_DOUBLE_EQ(a.scale.x, 0.5);
     EXPECT_DOUBLE_EQ(a.scale.y, 0.25);
     EXPECT_DOUBLE_EQ(a.opacity, 0.8);
@@ -94,7 +94,7 @@ TEST(ReferenceSh, BasisIsOrthonormalOnTheSphere) {
 TEST(ReferenceSh, LowerDegreesAreZeroAbove) {
     for (int degree = 0; degree <= 3; ++degree) {
         const auto b = sh_basis({0.3, -0.5, 0.7}, degree);
-        const auto g = sh_basis_gradient({0.3, -0.5, 0.7}, degree);
+        const auto g = compute_sh_basis_gradient({0.3, -0.5, 0.7}, degree);
         for (int k = (degree + 1) * (degree + 1); k < 16; ++k) {
             EXPECT_EQ(b[k], 0.0);
             EXPECT_EQ(g[k], glm::dvec3(0.0));
@@ -104,47 +104,47 @@ TEST(ReferenceSh, LowerDegreesAreZeroAbove) {
 
 TEST(ReferenceSh, GradientAgreesWithDifferences) {
     glm::dvec3 d(0.31, -0.52, 0.83);
-    const auto gradient = sh_basis_gradient(d, 3);
+    const auto gradient = compute_sh_basis_gradient(d, 3);
     for (int k = 0; k < 16; ++k) {
-        const auto slope =
-            test::central_differences(&d.x, 3, [&] { return std::vector<double>{sh_basis(d, 3)[k]}; });
+        const auto slope = test::compute_central_differences(
+            &d.x, 3, [&] { return std::vector<double>{sh_basis(d, 3)[k]}; });
         for (int axis = 0; axis < 3; ++axis)
             EXPECT_NEAR(slope[axis], gradient[k][axis], 1e-9) << "coefficient " << k;
     }
 }
 
 TEST(ReferenceHit, HeadOnAndOffCentre) {
-    const DoubleRecord record = make_record(facing_surfel());
-    const auto centre = double_hit(record, {{0, 0, 0}, {1, 0, 0}}, {});
+    const DoubleRecord record = make_record(make_facing_surfel());
+    const auto centre = intersect_in_double(record, {{0, 0, 0}, {1, 0, 0}}, {});
     ASSERT_TRUE(centre);
     EXPECT_DOUBLE_EQ(centre->t, 5.0);
     EXPECT_DOUBLE_EQ(centre->alpha, 0.8);
-    const auto off = double_hit(record, {{0, 0.5, -0.5}, {1, 0, 0}}, {});
+    const auto off = intersect_in_double(record, {{0, 0.5, -0.5}, {1, 0, 0}}, {});
     ASSERT_TRUE(off);
     EXPECT_NEAR(off->u, 1.0, 1e-14);
     EXPECT_NEAR(off->v, -2.0, 1e-14);
     EXPECT_NEAR(off->alpha, 0.8 * std::exp(-2.5), 1e-14);
     // surfels are two-sided
-    const auto behind_the_back = double_hit(record, {{10, 0, 0}, {-1, 0, 0}}, {});
+    const auto behind_the_back = intersect_in_double(record, {{10, 0, 0}, {-1, 0, 0}}, {});
     ASSERT_TRUE(behind_the_back);
     EXPECT_DOUBLE_EQ(behind_the_back->t, 5.0);
 }
 
 TEST(ReferenceHit, Refusals) {
-    const DoubleRecord record = make_record(facing_surfel());
-    EXPECT_FALSE(double_hit(record, {{0, 0, 0}, {-1, 0, 0}}, {})) << "behind the origin";
-    EXPECT_FALSE(double_hit(record, {{4.85, 0, 0}, {1, 0, 0}}, {})) << "nearer than 0.2 m";
-    EXPECT_TRUE(double_hit(record, {{4.75, 0, 0}, {1, 0, 0}}, {}));
-    EXPECT_FALSE(double_hit(record, {{5, -3, 0}, {0, 1, 0}}, {})) << "in the plane";
+    const DoubleRecord record = make_record(make_facing_surfel());
+    EXPECT_FALSE(intersect_in_double(record, {{0, 0, 0}, {-1, 0, 0}}, {})) << "behind the origin";
+    EXPECT_FALSE(intersect_in_double(record, {{4.85, 0, 0}, {1, 0, 0}}, {})) << "nearer than 0.2 m";
+    EXPECT_TRUE(intersect_in_double(record, {{4.75, 0, 0}, {1, 0, 0}}, {}));
+    EXPECT_FALSE(intersect_in_double(record, {{5, -3, 0}, {0, 1, 0}}, {})) << "in the plane";
     const double k = std::sqrt(2.0 * std::log(0.8 / double(1.0f / 255.0f)));
-    EXPECT_TRUE(double_hit(record, {{0, 0.4999 * k, 0}, {1, 0, 0}}, {}));
-    EXPECT_FALSE(double_hit(record, {{0, 0.5001 * k, 0}, {1, 0, 0}}, {})) << "alpha under the cut";
+    EXPECT_TRUE(intersect_in_double(record, {{0, 0.4999 * k, 0}, {1, 0, 0}}, {}));
+    EXPECT_FALSE(intersect_in_double(record, {{0, 0.5001 * k, 0}, {1, 0, 0}}, {})) << "alpha under the cut";
 }
 
 TEST(ReferenceHit, DegenerateAndNonFiniteSurfelsAreNeverHit) {
     const double nan = std::numeric_limits<double>::quiet_NaN(),
                  inf = std::numeric_limits<double>::infinity();
-    std::vector<Surfel> bad(9, facing_surfel());
+    std::vector<Surfel> bad(9, make_facing_surfel());
     bad[0].mean.y = nan;
     bad[1].mean.x = inf;
     bad[2].rotation = {0, 0, 0, 0};
@@ -155,15 +155,16 @@ TEST(ReferenceHit, DegenerateAndNonFiniteSurfelsAreNeverHit) {
     bad[7].opacity_logit = std::log((1.0 / 255.0) / (1.0 - 1.0 / 255.0)) - 1e-6;
     bad[8].opacity_logit = -inf;
     for (std::size_t i = 0; i < bad.size(); ++i) {
-        EXPECT_FALSE(double_hit(make_record(bad[i]), {{0, 0, 0}, {1, 0, 0}}, {})) << "surfel " << i;
-        EXPECT_FALSE(float_hit(make_float_record(bad[i]), {{0, 0, 0}, {1, 0, 0}}, {})) << "surfel " << i;
+        EXPECT_FALSE(intersect_in_double(make_record(bad[i]), {{0, 0, 0}, {1, 0, 0}}, {})) << "surfel " << i;
+        EXPECT_FALSE(intersect_in_float(make_float_record(bad[i]), {{0, 0, 0}, {1, 0, 0}}, {}))
+            << "surfel " << i;
     }
-    Surfel tiny = facing_surfel();
+    Surfel tiny = make_facing_surfel();
     tiny.log_scale = {-100.0, -100.0};  // 1 / s overflows in float only
-    EXPECT_FALSE(float_hit(make_float_record(tiny), {{0, 0, 0}, {1, 0, 0}}, {}));
-    Surfel huge = facing_surfel();
+    EXPECT_FALSE(intersect_in_float(make_float_record(tiny), {{0, 0, 0}, {1, 0, 0}}, {}));
+    Surfel huge = make_facing_surfel();
     huge.log_scale = {80.0, 80.0};
-    EXPECT_TRUE(float_hit(make_float_record(huge), {{0, 3, 4}, {1, 0, 0}}, {}));
+    EXPECT_TRUE(intersect_in_float(make_float_record(huge), {{0, 3, 4}, {1, 0, 0}}, {}));
 }
 
 TEST(ReferenceHit, PoseMovesTheRayIntoTheModel) {
@@ -174,10 +175,10 @@ TEST(ReferenceHit, PoseMovesTheRayIntoTheModel) {
     EXPECT_NEAR(glm::length(back.origin - local.origin), 0.0, 1e-14);
     EXPECT_NEAR(glm::length(back.direction - local.direction), 0.0, 1e-14);
     const LocalRay<float> rounded =
-        to_model(model_from_world_rows(pose), glm::vec3(world.origin), glm::vec3(world.direction));
+        to_model(make_model_from_world_rows(pose), glm::vec3(world.origin), glm::vec3(world.direction));
     EXPECT_NEAR(glm::length(glm::dvec3(rounded.origin) - local.origin), 0.0, 2e-6);
-    const auto exact = double_hit(make_record(facing_surfel()), back, {});
-    const auto single = float_hit(make_float_record(facing_surfel()), rounded, {});
+    const auto exact = intersect_in_double(make_record(make_facing_surfel()), back, {});
+    const auto single = intersect_in_float(make_float_record(make_facing_surfel()), rounded, {});
     ASSERT_TRUE(exact && single);
     EXPECT_NEAR(exact->t, double(single->t), 5e-6);
     EXPECT_NEAR(exact->alpha, double(single->alpha), 5e-6);

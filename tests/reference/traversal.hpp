@@ -63,13 +63,14 @@ public:
     virtual ~HitProvider() = default;
     /// Replaces `hits` by at most `chunk` (>= 1) hits strictly after `after`, in
     /// ascending order. If it returns fewer than `chunk` hits, no further hits exist.
-    virtual void next_hits(const Ray& ray, const HitKey& after, int chunk, std::vector<Hit>& hits) const = 0;
+    virtual void find_next_hits(const Ray& ray, const HitKey& after, int chunk,
+                                std::vector<Hit>& hits) const = 0;
 };
 
 /// Returns all hits of a ray, fetched `chunk` at a time.
 /// @throws std::logic_error if the provider violates the contract: too many hits,
 /// unsorted, or not after the key
-std::vector<Hit> all_hits(const HitProvider& provider, const Ray& ray, int chunk);
+std::vector<Hit> list_all_hits(const HitProvider& provider, const Ray& ray, int chunk);
 
 enum class Precision { float_record, double_record };
 
@@ -77,7 +78,8 @@ enum class Precision { float_record, double_record };
 class BruteForce : public HitProvider {
 public:
     BruteForce(const World& world, const ImageModel& model, Precision precision);
-    void next_hits(const Ray& ray, const HitKey& after, int chunk, std::vector<Hit>& hits) const override;
+    void find_next_hits(const Ray& ray, const HitKey& after, int chunk,
+                        std::vector<Hit>& hits) const override;
 
 private:
     void collect(const Ray& ray, const HitKey& after, std::vector<Hit>& hits) const;
@@ -104,7 +106,8 @@ class EmbreeFilter : public HitProvider {
 public:
     EmbreeFilter(const World& world, const ImageModel& model, ProxyMargin margin = {});
     ~EmbreeFilter() override;
-    void next_hits(const Ray& ray, const HitKey& after, int chunk, std::vector<Hit>& hits) const override;
+    void find_next_hits(const Ray& ray, const HitKey& after, int chunk,
+                        std::vector<Hit>& hits) const override;
 
 private:
     struct State;

@@ -41,7 +41,7 @@ protected:
 
     /// Returns enough surfels for more than two workgroups of 64. If the actor walks, the
     /// background surfels have a gait too, which must be ignored.
-    std::vector<reference::Surfel> some_surfels() const {
+    std::vector<reference::Surfel> make_some_surfels() const {
         test::RandomSceneOptions options;
         options.seed = 8;
         options.background_surfels = 150;
@@ -58,8 +58,8 @@ protected:
     }
     /// Returns a surfel as it is in the scene of on_device(), for example at its phase of
     /// the gait.
-    reference::Surfel in_scene(const reference::Surfel& s, std::size_t i) const {
-        return bends() && i >= kOfBackground ? reference::at_phase(s, kPhase) : s;
+    reference::Surfel in_scene(const reference::Surfel& surfel, std::size_t index) const {
+        return bends() && index >= kOfBackground ? reference::move_to_phase(surfel, kPhase) : surfel;
     }
 
     ImageModel image_model(int sh_degree) const {
@@ -90,9 +90,10 @@ INSTANTIATE_TEST_SUITE_P(PrimitivesAndAccess, Activate,
 
 /// Returns the 16 floats of a record, computed in double, in the order of
 /// shaders/scene/shared/scene.h.
-std::vector<double> record_of(const reference::Surfel& s, const glm::dvec3& view_origin, int sh_degree) {
-    const reference::DoubleRecord r = reference::make_record(s);
-    const glm::dvec3 c = reference::sh_values(s, glm::normalize(s.mean - view_origin), sh_degree);
+std::vector<double> compute_record(const reference::Surfel& surfel, const glm::dvec3& view_origin,
+                                   int sh_degree) {
+    const reference::DoubleRecord r = reference::make_record(surfel);
+    const glm::dvec3 c = reference::evaluate_sh(surfel, glm::normalize(surfel.mean - view_origin), sh_degree);
     return {r.mean.x,   r.mean.y,           r.mean.z,   r.sigma,    r.axis_u.x, r.axis_u.y,
             r.axis_u.z, std::max(c.x, 0.0), r.axis_v.x, r.axis_v.y, r.axis_v.z, c.y,
             r.normal.x, r.normal.y,         r.normal.z, c.z};
@@ -100,29 +101,30 @@ std::vector<double> record_of(const reference::Surfel& s, const glm::dvec3& view
 
 /// Returns the tolerance of each element of a record. It contains Vulkan's error bounds
 /// of exp and division, the rounding of a rotation matrix, and 2e-6 of summed values.
-std::vector<double> record_tolerance(const reference::Surfel& s, const std::vector<double>& expected) {
+std::vector<double> compute_record_tolerance(const reference::Surfel& surfel,
+                                             const std::vector<double>& expected) {
     // An element of the matrix uses q / |q| twice in each of two products. q / |q| has
     // the error of an inverse square root (2 units) and of 6 roundings. The sum of the
     // products is at most 1. Twice the sum and 1 are added.
     constexpr double kElement =
         2.0 * 2.0 * (2.0 * test::kUnit + 6.0 * test::kRounding) + 4.0 * test::kRounding;
-    const double log_scale[] = {s.log_scale.x, s.log_scale.y, s.log_scale_w.value_or(0.0)};
+    const double log_scale[] = {surfel.log_scale.x, surfel.log_scale.y, surfel.log_scale_w.value_or(0.0)};
     std::vector<double> tolerance;
     for (const double value : expected) tolerance.push_back(2e-6 * (1.0 + std::abs(value)));
     for (std::size_t axis = 0; axis < 3; ++axis)
         for (std::size_t k = 4 * axis + 4; k < 4 * axis + 7; ++k)
             tolerance[k] = kElement * std::exp(-log_scale[axis]) +
-                           std::abs(expected[k]) * (test::exp_error(log_scale[axis]) + test::kUnit);
-    tolerance[3] = test::sigmoid_error(expected[3], s.opacity_logit) + test::kUnit;
+                           std::abs(expected[k]) * (test::compute_exp_error(log_scale[axis]) + test::kUnit);
+    tolerance[3] = test::compute_sigmoid_error(expected[3], surfel.opacity_logit) + test::kUnit;
     // Vulkan allows errors of 2^-11 in sine and cosine within half a turn, so the
     // tolerance of walking surfels is larger.
-    for (std::size_t k = 0; k < 3; ++k) tolerance[k] += std::abs(s.gait_swing[int(k)]) / 2048.0;
-    tolerance[3] += s.gait_sharpness * s.gait_sharpness / 2048.0;
+    for (std::size_t k = 0; k < 3; ++k) tolerance[k] += std::abs(surfel.gait_swing[int(k)]) / 2048.0;
+    tolerance[3] += surfel.gait_sharpness * surfel.gait_sharpness / 2048.0;
     return tolerance;
 }
 
 TEST_P(Activate, RecordsAgreeWithReference) {
-    const std::vector<reference::Surfel> surfels = some_surfels();
+    const std::vector<reference::Surfel> surfels = make_some_surfels();
     const glm::vec3 view(0.3f, -0.2f, 0.1f);
     const std::unique_ptr<DeviceScene> placed = on_device(test::to_surfels(surfels));
     DeviceScene& scene = *placed;
@@ -130,10 +132,11 @@ TEST_P(Activate, RecordsAgreeWithReference) {
         Stream stream(device());
         scene.activate(stream, image_model(degree), view);
         stream.finish();
-        const std::vector<float> actual = test::floats_of(scene.records().download());
+        const std::vector<float> actual = test::to_floats(scene.records().download());
         for (std::size_t i = 0; i < surfels.size(); ++i) {
-            const std::vector<double> expected = record_of(in_scene(surfels[i], i), glm::dvec3(view), degree);
-            const std::vector<double> tolerance = record_tolerance(in_scene(surfels[i], i), expected);
+            const std::vector<double> expected =
+                compute_record(in_scene(surfels[i], i), glm::dvec3(view), degree);
+            const std::vector<double> tolerance = compute_record_tolerance(in_scene(surfels[i], i), expected);
             for (std::size_t k = 0; k < 16; ++k)
                 EXPECT_NEAR(actual[16 * i + k], expected[k], tolerance[k]) << "surfel " << i << " lane " << k;
         }
@@ -143,7 +146,7 @@ TEST_P(Activate, RecordsAgreeWithReference) {
 /// Kernels search for the model of a surfel, so models must have consecutive ranges of
 /// surfels. All other ranges must be rejected.
 TEST_P(Activate, ModelsThatAreNoConsecutiveRangesAreRefused) {
-    Scene scene = make_background_scene(test::to_surfels(some_surfels()));
+    Scene scene = make_background_scene(test::to_surfels(make_some_surfels()));
     const auto n = static_cast<std::uint32_t>(scene.surfels.size());
     using Ranges = std::vector<Model>;
     for (const Ranges& ranges :
@@ -155,7 +158,7 @@ TEST_P(Activate, ModelsThatAreNoConsecutiveRangesAreRefused) {
 }
 
 TEST_P(Activate, HarmonicsThatAreNoNumbersMakeASurfelInvisible) {
-    Surfels surfels = test::to_surfels(some_surfels());
+    Surfels surfels = test::to_surfels(make_some_surfels());
     surfels.sh[kShFloats * 5 + 17] = std::numeric_limits<float>::quiet_NaN();
     surfels.sh[kShFloats * 99 + 3] = std::numeric_limits<float>::infinity();
     // this coefficient is above the active SH degree
@@ -171,51 +174,53 @@ TEST_P(Activate, HarmonicsThatAreNoNumbersMakeASurfelInvisible) {
 }
 
 /// Returns random record gradients, with zeros for every third surfel.
-std::vector<float> some_record_gradients(std::size_t n) {
+std::vector<float> make_record_gradients(std::size_t count) {
     std::mt19937_64 random(3);
     std::normal_distribution<float> normal;
     std::vector<float> d_records;
-    for (std::size_t i = 0; i < n; ++i)
+    for (std::size_t i = 0; i < count; ++i)
         for (std::size_t k = 0; k < 16; ++k) d_records.push_back(i % 3 == 1 ? 0.0f : normal(random));
     return d_records;
 }
 
-/// Adds two rows for each parameter of surfel `i`: central differences of `terms` with
-/// respect to the parameter, and the gradient of the kernel.
+/// Adds two rows for each parameter of surfel `index`: central differences of `terms`
+/// with respect to the parameter, and the gradient of the kernel.
 template <class Terms>
 void add_surfel_rows(test::GradientTable& table, reference::Surfel& surfel, const Surfels& actual,
-                     std::size_t i, int degree, bool bends, Terms&& terms) {
+                     std::size_t index, int degree, bool bends, Terms&& terms) {
     const auto row = [](const float* v, int count) { return std::vector<double>(v, v + count); };
-    table.add_row("mean", test::central_differences(&surfel.mean.x, 3, terms), row(&actual.mean[i].x, 3));
-    table.add_row("rotation", test::central_differences(&surfel.rotation.x, 4, terms),
-                  row(&actual.rotation[i].x, 4));
-    table.add_row("log_scale", test::central_differences(&surfel.log_scale.x, 2, terms),
-                  row(&actual.log_scale[i].x, 2));
+    table.add_row("mean", test::compute_central_differences(&surfel.mean.x, 3, terms),
+                  row(&actual.mean[index].x, 3));
+    table.add_row("rotation", test::compute_central_differences(&surfel.rotation.x, 4, terms),
+                  row(&actual.rotation[index].x, 4));
+    table.add_row("log_scale", test::compute_central_differences(&surfel.log_scale.x, 2, terms),
+                  row(&actual.log_scale[index].x, 2));
     if (surfel.log_scale_w)
-        table.add_row("log_scale_w", test::central_differences(&*surfel.log_scale_w, 1, terms),
-                      row(&actual.log_scale_w[i], 1));
-    table.add_row("opacity_logit", test::central_differences(&surfel.opacity_logit, 1, terms),
-                  row(&actual.opacity_logit[i], 1));
+        table.add_row("log_scale_w", test::compute_central_differences(&*surfel.log_scale_w, 1, terms),
+                      row(&actual.log_scale_w[index], 1));
+    table.add_row("opacity_logit", test::compute_central_differences(&surfel.opacity_logit, 1, terms),
+                  row(&actual.opacity_logit[index], 1));
     if (bends) {
-        table.add_row("gait phase", test::central_differences(&surfel.gait_phase, 1, terms),
-                      row(&actual.gait[i].phase, 1));
-        table.add_row("gait sharpness", test::central_differences(&surfel.gait_sharpness, 1, terms),
-                      row(&actual.gait[i].sharpness, 1));
-        table.add_row("gait swing", test::central_differences(&surfel.gait_swing.x, 3, terms),
-                      row(&actual.gait[i].swing.x, 3));
+        table.add_row("gait phase", test::compute_central_differences(&surfel.gait_phase, 1, terms),
+                      row(&actual.gait[index].phase, 1));
+        table.add_row("gait sharpness", test::compute_central_differences(&surfel.gait_sharpness, 1, terms),
+                      row(&actual.gait[index].sharpness, 1));
+        table.add_row("gait swing", test::compute_central_differences(&surfel.gait_swing.x, 3, terms),
+                      row(&actual.gait[index].swing.x, 3));
     }
     const int active = (degree + 1) * (degree + 1);
     for (int first = 0; first < kShFloats; first += kShCoefficients)
-        table.add_row("sh",
-                      test::central_differences(surfel.sh.data() + first, active, terms, test::kLogitStep),
-                      row(actual.sh.data() + i * kShFloats + std::size_t(first), active));
+        table.add_row(
+            "sh",
+            test::compute_central_differences(surfel.sh.data() + first, active, terms, test::kLogitStep),
+            row(actual.sh.data() + index * kShFloats + std::size_t(first), active));
 }
 
 TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
-    std::vector<reference::Surfel> surfels = some_surfels();
+    std::vector<reference::Surfel> surfels = make_some_surfels();
     const glm::vec3 view(0.3f, -0.2f, 0.1f);
-    glm::dvec3 track_in_frame(view);
-    const std::vector<float> d_records = some_record_gradients(surfels.size());
+    glm::dvec3 convert_track_to_frame(view);
+    const std::vector<float> d_records = make_record_gradients(surfels.size());
     const std::unique_ptr<DeviceScene> placed = on_device(test::to_surfels(surfels));
     DeviceScene& scene = *placed;
     const auto n = static_cast<std::uint32_t>(surfels.size());
@@ -236,25 +241,25 @@ TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
         test::GradientTable table;
         for (std::size_t i = 0; i < surfels.size(); ++i) {
             const auto terms = [&] {
-                std::vector<double> sum = record_of(in_scene(surfels[i], i), track_in_frame, degree);
+                std::vector<double> sum = compute_record(in_scene(surfels[i], i), track_in_frame, degree);
                 for (std::size_t k = 0; k < 16; ++k) sum[k] *= d_records[16 * i + k];
                 return sum;
             };
-            table.add_row("view origin", test::central_differences(&track_in_frame.x, 3, terms),
+            table.add_row("view origin", test::compute_central_differences(&track_in_frame.x, 3, terms),
                           std::vector<double>(views.data() + 3 * i, views.data() + 3 * i + 3));
             add_surfel_rows(table, surfels[i], actual, i, degree, bends(), terms);
         }
         table.print("activation on " + device().info().name);
         for (const auto& [name, group] : table.groups()) {
-            EXPECT_LE(group.worst_error(), test::kKernelGradient) << name;
-            EXPECT_EQ(group.missing_rows(), 0u) << name;
+            EXPECT_LE(group.compute_worst_error(), test::kKernelGradient) << name;
+            EXPECT_EQ(group.count_missing_rows(), 0u) << name;
         }
     }
 }
 
 TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
-    const std::vector<reference::Surfel> surfels = some_surfels();
-    const std::vector<float> d_records = some_record_gradients(surfels.size());
+    const std::vector<reference::Surfel> surfels = make_some_surfels();
+    const std::vector<float> d_records = make_record_gradients(surfels.size());
     const auto n = static_cast<std::uint32_t>(surfels.size());
     const std::unique_ptr<DeviceScene> placed = on_device(test::to_surfels(surfels));
     DeviceScene& scene = *placed;
@@ -284,9 +289,9 @@ TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
 /// surfels. More surfels are marked than have a gradient. Unmarked surfels must not be
 /// read.
 TEST_P(Activate, VjpOverAListIsThatOverAll) {
-    const std::vector<reference::Surfel> surfels = some_surfels();
+    const std::vector<reference::Surfel> surfels = make_some_surfels();
     const auto n = static_cast<std::uint32_t>(surfels.size());
-    std::vector<float> d_records = some_record_gradients(n);
+    std::vector<float> d_records = make_record_gradients(n);
     std::vector<std::uint32_t> marks;
     for (std::uint32_t i = 0; i < n; ++i) marks.push_back(i % 5 != 2);
     for (std::uint32_t i = 0; i < n; ++i)
@@ -315,7 +320,7 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
     const auto [surfels_listed, touched_listed, view_listed] = run(true);
     EXPECT_EQ(touched_listed, touched_of_all);
     EXPECT_EQ(view_listed, view_of_all);
-    for (const ParameterGroup& group : groups_of(parameters())) {
+    for (const ParameterGroup& group : list_parameter_groups(parameters())) {
         const std::span<const float> found = group.values(surfels_listed),
                                      expected = group.values(surfels_of_all);
         EXPECT_TRUE(std::ranges::equal(found, expected)) << group.name;
@@ -357,7 +362,7 @@ TEST(KdOrder, IsAPermutationThatHalvesTheLongestAxis) {
     std::uniform_real_distribution<float> u(0.0f, 1.0f);
     std::vector<glm::vec3> points;
     for (int i = 0; i < 1001; ++i) points.push_back({10.0f * u(random), u(random), u(random)});
-    const std::vector<std::uint32_t> order = kd_order(points);
+    const std::vector<std::uint32_t> order = compute_kd_order(points);
     std::vector<std::uint32_t> sorted = order;
     std::sort(sorted.begin(), sorted.end());
     for (std::uint32_t i = 0; i < sorted.size(); ++i) ASSERT_EQ(sorted[i], i);

@@ -17,11 +17,11 @@
 namespace relidar {
 namespace {
 
-SyntheticOptions street_options() {
+SyntheticOptions make_street_options() {
     return {.n_frames = 12, .rows = 24, .columns = 512, .range_noise_m = 0.0};
 }
 
-InitialiseOptions with_actors() {
+InitialiseOptions make_options_with_actors() {
     InitialiseOptions options;
     options.actor_classes = "Car";
     options.actor_min_points = 20;
@@ -29,8 +29,8 @@ InitialiseOptions with_actors() {
 }
 
 TEST(Actors, AreMadeOfMovingBoxesInTheirOwnFrame) {
-    const Sequence street = make_synthetic_street(street_options());
-    const Scene scene = initialise_scene(street, split_frames(street, 10).train, with_actors());
+    const Sequence street = make_synthetic_street(make_street_options());
+    const Scene scene = initialise_scene(street, split_frames(street, 10).train, make_options_with_actors());
     ASSERT_EQ(scene.models.size(), 3u) << "the background and two cars";
     ASSERT_EQ(scene.instances.size(), 3u);
     EXPECT_TRUE(scene.instances[0].track.empty());
@@ -49,7 +49,7 @@ TEST(Actors, AreMadeOfMovingBoxesInTheirOwnFrame) {
             EXPECT_LE(p.z, 0.5 * box->size_m.z + 0.11);
         }
     }
-    InitialiseOptions by_kind = with_actors();
+    InitialiseOptions by_kind = make_options_with_actors();
     by_kind.actor_classes = "cyclist, vehicle";
     EXPECT_EQ(initialise_scene(street, split_frames(street, 10).train, by_kind).models.size(), 3u)
         << "whatever a dataset calls them";
@@ -60,9 +60,9 @@ TEST(Actors, AreMadeOfMovingBoxesInTheirOwnFrame) {
 }
 
 TEST(Actors, StandWhereTheirBoxIsAndAreAbsentOutsideItsLabels) {
-    Sequence street = make_synthetic_street(street_options());
+    Sequence street = make_synthetic_street(make_street_options());
     street.rolling_shutter = false;
-    const Scene scene = initialise_scene(street, split_frames(street, 10).train, with_actors());
+    const Scene scene = initialise_scene(street, split_frames(street, 10).train, make_options_with_actors());
     ASSERT_GE(scene.instances.size(), 2u);
     const auto box = std::find_if(street.boxes.begin(), street.boxes.end(),
                                   [&](const BoxTrack& b) { return b.id == scene.instances[1].track; });
@@ -79,7 +79,7 @@ TEST(Actors, StandWhereTheirBoxIsAndAreAbsentOutsideItsLabels) {
     EXPECT_TRUE(place_instances(scene, street, {last + 1.0})[0].present);
 }
 
-const Model& model_of_track(const Scene& scene, std::string_view track) {
+const Model& find_model_of_track(const Scene& scene, std::string_view track) {
     const auto instance = std::find_if(scene.instances.begin(), scene.instances.end(),
                                        [&](const Instance& i) { return i.track == track; });
     EXPECT_NE(instance, scene.instances.end());
@@ -91,15 +91,15 @@ std::size_t n_models(const Sequence& street, InitialiseOptions options) {
 }
 
 TEST(Actors, AreChosenByClassOrTrack) {
-    const Sequence street = make_synthetic_street(street_options());
-    InitialiseOptions options = with_actors();
+    const Sequence street = make_synthetic_street(make_street_options());
+    InitialiseOptions options = make_options_with_actors();
     options.actor_tracks = "1";
     const Scene one = initialise_scene(street, split_frames(street, 10).train, options);
     ASSERT_EQ(one.models.size(), 2u);
     EXPECT_EQ(one.instances[1].track, "1");
     options.actor_tracks = "1, 7";
     EXPECT_THROW(n_models(street, options), UsageError);
-    options = with_actors();
+    options = make_options_with_actors();
     options.actor_classes = "";
     EXPECT_EQ(separate_boxes(street, options).size(), 2u);
     EXPECT_EQ(n_models(street, options), 1u);
@@ -112,31 +112,31 @@ TEST(Actors, AreChosenByClassOrTrack) {
 }
 
 TEST(Actors, OtherBoxesAreMaskedOrPartOfTheBackground) {
-    Sequence street = make_synthetic_street(street_options());
+    Sequence street = make_synthetic_street(make_street_options());
     ASSERT_EQ(street.boxes.size(), 2u);
     street.boxes[0].category = "Pedestrian";
     const std::vector<int> train = split_frames(street, 10).train;
-    InitialiseOptions options = with_actors();
+    InitialiseOptions options = make_options_with_actors();
     options.actor_classes = "person";
     const Scene masked = initialise_scene(street, train, options);
     ASSERT_EQ(masked.instances.size(), 2u);
-    EXPECT_EQ(masked_boxes(masked, street, options).size(), 1u);
+    EXPECT_EQ(find_masked_boxes(masked, street, options).size(), 1u);
     options.mask_others = false;
     const Scene kept = initialise_scene(street, train, options);
     ASSERT_EQ(kept.instances.size(), 2u) << "the actor stays one";
     EXPECT_EQ(kept.instances[1].track, "0");
-    EXPECT_TRUE(masked_boxes(kept, street, options).empty());
-    EXPECT_TRUE(unselected_boxes(street, options).empty());
+    EXPECT_TRUE(find_masked_boxes(kept, street, options).empty());
+    EXPECT_TRUE(find_unselected_boxes(street, options).empty());
     EXPECT_GT(kept.models[0].count, masked.models[0].count + 100)
         << "the other car's points are in the background";
 }
 
 TEST(Actors, TrackChosenByNameNeedNotMove) {
-    Sequence street = make_synthetic_street(street_options());
+    Sequence street = make_synthetic_street(make_street_options());
     BoxTrack& box = street.boxes[0];
     std::fill(box.world_from_box.pose.begin(), box.world_from_box.pose.end(), box.world_from_box.pose[6]);
-    EXPECT_EQ(separate_boxes(street, with_actors()).size(), 1u) << "it stands";
-    InitialiseOptions options = with_actors();
+    EXPECT_EQ(separate_boxes(street, make_options_with_actors()).size(), 1u) << "it stands";
+    InitialiseOptions options = make_options_with_actors();
     options.actor_tracks = "0";
     EXPECT_EQ(separate_boxes(street, options).size(), 2u);
     box.world_from_box = {{box.world_from_box.time_s[6]}, {box.world_from_box.pose[6]}};
@@ -147,18 +147,18 @@ TEST(Actors, TrackChosenByNameNeedNotMove) {
 }
 
 TEST(Actors, ArePaddedInTheirBox) {
-    const Sequence street = make_synthetic_street(street_options());
+    const Sequence street = make_synthetic_street(make_street_options());
     const std::vector<int> train = split_frames(street, 10).train;
-    const Scene plain = initialise_scene(street, train, with_actors());
-    InitialiseOptions options = with_actors();
+    const Scene plain = initialise_scene(street, train, make_options_with_actors());
+    InitialiseOptions options = make_options_with_actors();
     options.actor_pad_to = 3000;
     const Scene padded = initialise_scene(street, train, options);
-    ASSERT_LT(model_of_track(plain, "0").count, 3000u);
-    EXPECT_EQ(model_of_track(padded, "0").count, 3000u);
+    ASSERT_LT(find_model_of_track(plain, "0").count, 3000u);
+    EXPECT_EQ(find_model_of_track(padded, "0").count, 3000u);
     options.actor_points = 500;
-    EXPECT_EQ(model_of_track(initialise_scene(street, train, options), "0").count, 500u)
+    EXPECT_EQ(find_model_of_track(initialise_scene(street, train, options), "0").count, 500u)
         << "never more than actor_points";
-    const Model& car = model_of_track(padded, "0");
+    const Model& car = find_model_of_track(padded, "0");
     int octants[8] = {};
     for (std::uint32_t i = 0; i < car.count; ++i) {
         const glm::vec3 p = padded.surfels.mean[car.first + i];
@@ -171,26 +171,26 @@ TEST(Actors, ArePaddedInTheirBox) {
 
 TEST(Actors, BoxesThatHoldNothingAreRefused) {
     for (const double bad : {0.0, -1.0, std::nan("")}) {
-        Sequence street = make_synthetic_street(street_options());
+        Sequence street = make_synthetic_street(make_street_options());
         street.boxes[1].size_m.y = bad;
-        EXPECT_THROW(initialise_scene(street, {0, 1}, with_actors()), DataError);
+        EXPECT_THROW(initialise_scene(street, {0, 1}, make_options_with_actors()), DataError);
     }
-    Sequence street = make_synthetic_street(street_options());
+    Sequence street = make_synthetic_street(make_street_options());
     street.boxes[0].world_from_box.pose[3].translation.x = std::nan("");
-    EXPECT_THROW(initialise_scene(street, {0, 1}, with_actors()), DataError);
+    EXPECT_THROW(initialise_scene(street, {0, 1}, make_options_with_actors()), DataError);
 }
 
 TEST(Actors, OverlappingAndEmptyBoxesBecomeWhatTheyHold) {
-    Sequence street = make_synthetic_street(street_options());
+    Sequence street = make_synthetic_street(make_street_options());
     street.boxes.push_back(street.boxes[0]);
     street.boxes.back().id = "twin";
     street.boxes.push_back(street.boxes[0]);
     street.boxes.back().id = "empty";
     for (Pose& pose : street.boxes.back().world_from_box.pose) pose.translation.z += 40.0;
-    const Scene scene = initialise_scene(street, split_frames(street, 10).train, with_actors());
+    const Scene scene = initialise_scene(street, split_frames(street, 10).train, make_options_with_actors());
     EXPECT_EQ(scene.instances.size(), 4u)
         << "background, two cars and the twin; a box without points is no actor";
-    EXPECT_EQ(model_of_track(scene, "twin").count, model_of_track(scene, "0").count);
+    EXPECT_EQ(find_model_of_track(scene, "twin").count, find_model_of_track(scene, "0").count);
 }
 
 class ActorsOnDevice : public test::DeviceTest {};
@@ -205,8 +205,8 @@ TEST_F(ActorsOnDevice, AbsentInstancesAreNotSeenByAnyTraversal) {
     scene.surfels = one;
     scene.models = {{"background", 0, 1}, {"car", 1, 1}};
     scene.instances = {{0, ""}, {1, "car"}, {1, "copy"}};
-    const auto at = [](double x, bool present) {
-        return InstancePose{Pose{{1, 0, 0, 0}, {x, 0, 0}}, present};
+    const auto at = [](double value, bool present) {
+        return InstancePose{Pose{{1, 0, 0, 0}, {value, 0, 0}}, present};
     };
     for (const bool brute_force : {false, true}) {
         const Forced forced(device(), {.brute_force = brute_force});

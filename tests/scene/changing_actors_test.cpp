@@ -14,7 +14,7 @@ namespace {
 
 /// Makes points of a static wall and of a door that opens suddenly, in 20 frames. The
 /// actor moves by 10 cm per frame.
-std::vector<Sample> points_of_door() {
+std::vector<Sample> make_points_of_door() {
     std::vector<Sample> samples;
     for (int frame = 0; frame < 20; ++frame)
         for (float x = 0.0f; x < 1.0f; x += 0.1f)
@@ -25,7 +25,7 @@ std::vector<Sample> points_of_door() {
 }
 
 TEST(ChangingSurfels, ADoorIsOpenOnlyWhenItWasOpen) {
-    const ChangingSurfels actor = changing_surfels(points_of_door(), {}, 0.0, 8000);
+    const ChangingSurfels actor = make_changing_surfels(make_points_of_door(), {}, 0.0, 8000);
     // Returns the highest visibility (M14) of the surfels at a distance y, at the time of
     // a frame.
     const auto visible = [&](double frame, float y) {
@@ -44,16 +44,16 @@ TEST(ChangingSurfels, ADoorIsOpenOnlyWhenItWasOpen) {
         EXPECT_EQ(visible(frame, 1.0f), 1.0) << "the wall is always visible";
     }
     EXPECT_NEAR(visible(4.5, 0.0f), std::exp(-0.125), 1e-3) << "half a standard deviation";
-    EXPECT_EQ(changing_surfels({points_of_door().front()}, {}, 0.0, 8000).surfels.size(), 0u)
+    EXPECT_EQ(make_changing_surfels({make_points_of_door().front()}, {}, 0.0, 8000).surfels.size(), 0u)
         << "a single frame does not show a change";
 }
 
 /// An actor that stops in all frames must be rigid, because its walked distance is
 /// constant and cannot drive the motion of its limbs.
 TEST(ChangingSurfels, AnActorThatStandsIsRigid) {
-    std::vector<Sample> samples = points_of_door();
+    std::vector<Sample> samples = make_points_of_door();
     for (Sample& sample : samples) sample.walked_m = 0.0f;
-    EXPECT_EQ(changing_surfels(samples, {}, 0.0, 8000).period_m, 0.0);
+    EXPECT_EQ(make_changing_surfels(samples, {}, 0.0, 8000).period_m, 0.0);
 }
 
 }  // namespace

@@ -18,7 +18,7 @@ struct Street {
     Split split;
 };
 
-Street street_without_labels() {
+Street make_street_without_labels() {
     Street street;
     street.log = make_synthetic_street({.n_frames = 24, .rows = 32, .columns = 512, .range_noise_m = 0.01});
     for (const BoxTrack& box : street.log.boxes)
@@ -30,8 +30,8 @@ Street street_without_labels() {
 
 /// Returns the discovered track whose centre lies inside a true box in the middle of
 /// their common time.
-const BoxTrack* fingerprint_of(const std::vector<BoxTrack>& found, const BoxTrack& truth) {
-    for (const BoxTrack& track : found) {
+const BoxTrack* fingerprint_of(const std::vector<BoxTrack>& tracks, const BoxTrack& truth) {
+    for (const BoxTrack& track : tracks) {
         const double from =
             std::max(track.world_from_box.time_s.front(), truth.world_from_box.time_s.front());
         const double to = std::min(track.world_from_box.time_s.back(), truth.world_from_box.time_s.back());
@@ -43,7 +43,7 @@ const BoxTrack* fingerprint_of(const std::vector<BoxTrack>& found, const BoxTrac
 }
 
 TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
-    const Street street = street_without_labels();
+    const Street street = make_street_without_labels();
     ASSERT_GE(street.truth.size(), 2u);
     const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
     EXPECT_EQ(found.size(), street.truth.size());
@@ -98,7 +98,7 @@ std::vector<double> cut_labels(BoxTrack& box, const std::vector<Frame>& frames, 
 /// extend the track of a labelled box before and after its labels.
 TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
     for (const auto& [first, end] : {std::pair<std::size_t, std::size_t>{0, 10}, {14, 24}, {8, 16}}) {
-        Street street = street_without_labels();
+        Street street = make_street_without_labels();
         street.log.boxes = street.truth;
         // uses the oncoming car, because only the rear of the leading car is visible
         const BoxTrack& truth = street.truth[1];
@@ -111,7 +111,7 @@ TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
         EXPECT_EQ(box.size_m, truth.size_m);
         EXPECT_EQ(box.n_before > 0, first > 0);
         EXPECT_EQ(box.n_after > 0, end < 24);
-        EXPECT_EQ(box.labelled_part().world_from_box.time_s, street.log.boxes[1].world_from_box.time_s);
+        EXPECT_EQ(box.get_labelled_part().world_from_box.time_s, street.log.boxes[1].world_from_box.time_s);
         const std::ptrdiff_t seen =
             std::ranges::count_if(cut_s, [&](double t_s) { return t_s >= 0.9 && t_s < 2.4; });
         EXPECT_GE(box.n_before + box.n_after, std::size_t(seen) - 2)
@@ -128,13 +128,13 @@ TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
 
 /// An object that is hidden for 0.8 s must be discovered as a single track.
 TEST(DiscoverTracks, JoinsPartsAroundAGap) {
-    Street street = street_without_labels();
+    Street street = make_street_without_labels();
     const BoxTrack& truth = street.truth[0];
     for (std::size_t f = 8; f < 15; ++f) {
         Frame& frame = street.log.frames[f];
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
             if (frame.scan.range_m[ray] > 0.0f)
-                if (const WorldReturn w = world_return(street.log, frame, ray);
+                if (const WorldReturn w = compute_world_return(street.log, frame, ray);
                     truth.holds(w.point_m, w.time_s, 0.1))
                     frame.scan.range_m[ray] = frame.scan.intensity[ray] = 0.0f;
     }
@@ -149,7 +149,7 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
 /// Only the rear of the leading car is visible. Its length must be estimated from its
 /// class.
 TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
-    const Street street = street_without_labels();
+    const Street street = make_street_without_labels();
     const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
     const BoxTrack *ahead = fingerprint_of(found, street.truth[0]),
                    *oncoming = fingerprint_of(found, street.truth[1]);
@@ -170,7 +170,7 @@ TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
 /// In the second case, it has the same returns as the first LiDAR.
 TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
     for (const bool first_frame_is_complete : {false, true}) {
-        Street street = street_without_labels();
+        Street street = make_street_without_labels();
         std::vector<Frame> frames;
         for (const Frame& frame : street.log.frames)
             for (const int lidar : {0, 1}) {
@@ -193,7 +193,7 @@ TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
 }
 
 TEST(DiscoverTracks, LeavesLabelledAndRestingThingsAlone) {
-    Street street = street_without_labels();
+    Street street = make_street_without_labels();
     street.log.boxes = street.truth;
     EXPECT_TRUE(discover_tracks(street.log, street.split.train).empty());
 }
@@ -201,7 +201,7 @@ TEST(DiscoverTracks, LeavesLabelledAndRestingThingsAlone) {
 /// Objects that are static while they have labels must not be discovered as moving,
 /// although their labels end early.
 TEST(DiscoverTracks, NothingMovesThatAStillLabelCovers) {
-    Street street = street_without_labels();
+    Street street = make_street_without_labels();
     BoxTrack still{
         .id = "still", .category = "Van", .size_m = glm::dvec3(300.0, 300.0, 30.0), .world_from_box = {}};
     for (const int frame : {10, 11}) {
@@ -215,7 +215,7 @@ TEST(DiscoverTracks, NothingMovesThatAStillLabelCovers) {
 /// Simulates a roof rack: returns at the same position relative to the sensor in every
 /// scan. They must not be discovered as an object.
 TEST(DiscoverTracks, LeavesItsOwnVehicleAlone) {
-    Street street = street_without_labels();
+    Street street = make_street_without_labels();
     for (Frame& frame : street.log.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             const glm::vec3& d = frame.scan.rays.direction[i];
@@ -226,7 +226,7 @@ TEST(DiscoverTracks, LeavesItsOwnVehicleAlone) {
 }
 
 TEST(DiscoverTracks, LooksAtTrainingFramesOnly) {
-    Street street = street_without_labels();
+    Street street = make_street_without_labels();
     const std::vector<BoxTrack> before = discover_tracks(street.log, street.split.train);
     for (float& range : street.log.frames[10].scan.range_m) range = 5.0f;
     const std::vector<BoxTrack> after = discover_tracks(street.log, street.split.train);
@@ -243,7 +243,7 @@ TEST(DiscoverTracks, LooksAtTrainingFramesOnly) {
 }
 
 TEST(DiscoverTracks, BecomeActors) {
-    Street street = street_without_labels();
+    Street street = make_street_without_labels();
     InitialiseOptions options;
     options.unlabelled_movers = UnlabelledMovers::actors;
     options.actor_min_points = 20;

@@ -17,7 +17,7 @@
 namespace relidar {
 namespace {
 
-PoseTrack straight_walk(double speed_mps, double jitter_m, double from_s = 0.0) {
+PoseTrack make_straight_walk(double speed_mps, double jitter_m, double from_s = 0.0) {
     PoseTrack track;
     Random random(3);
     for (double t = from_s; t < from_s + 5.05; t += 0.1) {
@@ -29,11 +29,11 @@ PoseTrack straight_walk(double speed_mps, double jitter_m, double from_s = 0.0) 
 }
 
 TEST(WalkedDistance, IsTheWayAndNotTheJitterOfLabels) {
-    const WalkedDistance exact(straight_walk(1.4, 0.0));
+    const WalkedDistance exact(make_straight_walk(1.4, 0.0));
     for (const double t : {0.0, 0.33, 2.0, 5.0, 6.0}) EXPECT_NEAR(exact.at(t), 1.4 * t, 1e-9) << t;
-    const WalkedDistance labelled(straight_walk(1.4, 0.03));
+    const WalkedDistance labelled(make_straight_walk(1.4, 0.03));
     EXPECT_NEAR(labelled.at(4.5) - labelled.at(0.5), 1.4 * 4.0, 0.15);
-    EXPECT_LT(WalkedDistance(straight_walk(0.0, 0.03)).at(5.0), 0.2) << "it stands";
+    EXPECT_LT(WalkedDistance(make_straight_walk(0.0, 0.03)).at(5.0), 0.2) << "it stands";
     EXPECT_EQ(WalkedDistance(PoseTrack{{0.0}, {Pose{}}}).at(3.0), 0.0);
 }
 
@@ -76,7 +76,7 @@ protected:
         std::vector<double> truth;
         for (std::size_t i = 0; i < exact.range_m.size(); ++i) {
             if (!(exact.range_m[i] > 0.0f)) continue;
-            const WorldRay ray = world_ray(world_from_sensor, frame.time_s, frame.scan.rays, i, true);
+            const WorldRay ray = make_world_ray(world_from_sensor, frame.time_s, frame.scan.rays, i, true);
             const glm::dvec3 point = ray.origin_m + double(exact.range_m[i]) * ray.direction;
             const glm::dvec3 local = inverse(box.world_from_box.at(frame.time_s)) * point;
             if (!box.holds(point, frame.time_s, 0.05) || local.z < -0.5 * box.size_m.z + 0.2) continue;
@@ -85,8 +85,8 @@ protected:
         }
         Renderer renderer(device(), scene, {}, {.n_rays = static_cast<std::uint32_t>(rays.size())});
         // moves the scene to a different phase of the stride first
-        renderer.move(place_instances(scene, log, moment_of(log.frames[0])), glm::vec3(0.0f));
-        renderer.move(place_instances(scene, at, moment_of(frame)),
+        renderer.move(place_instances(scene, log, get_sweep_moment(log.frames[0])), glm::vec3(0.0f));
+        renderer.move(place_instances(scene, at, get_sweep_moment(frame)),
                       glm::vec3(world_from_sensor.at(frame.time_s).translation));
         const Rendering r = renderer.forward(rays);
         std::vector<double> off;
@@ -149,7 +149,7 @@ TEST_F(Walkers, StepByDistance) {
         1 + std::size_t(std::ranges::find(walking.models, walker, &Model::name) - walking.models.begin() - 1);
     const Frame& frame = log.frames[30];
     const double before = place_instances(walking, log, SweepMoment{log.frames[15].time_s})[at].phase;
-    const double phase = place_instances(walking, slow, moment_of(frame))[at].phase;
+    const double phase = place_instances(walking, slow, get_sweep_moment(frame))[at].phase;
     EXPECT_NEAR(phase, before, 0.03) << "turns, half way";
     const Scan exact = cast_synthetic_street(options(), {{std::stoul(walker), box}}, frame.scan.rays,
                                              log.world_from_sensor(0), frame.time_s);

@@ -21,15 +21,17 @@
 namespace relidar {
 namespace {
 
-SyntheticOptions small_street() { return {.n_frames = 12, .rows = 24, .columns = 256, .range_noise_m = 0.0}; }
+SyntheticOptions make_small_street() {
+    return {.n_frames = 12, .rows = 24, .columns = 256, .range_noise_m = 0.0};
+}
 
-glm::vec3 normal_of(const glm::vec4& q) {
-    const glm::vec4 u = glm::normalize(q);  // w, x, y, z
+glm::vec3 normal_of(const glm::vec4& quaternion) {
+    const glm::vec4 u = glm::normalize(quaternion);  // w, x, y, z
     return {2 * (u.y * u.w + u.x * u.z), 2 * (u.z * u.w - u.x * u.y), 1 - 2 * (u.y * u.y + u.z * u.z)};
 }
 
 TEST(Initialise, GroundSurfelsLieOnTheGroundAndFaceUp) {
-    const Sequence street = make_synthetic_street(small_street());
+    const Sequence street = make_synthetic_street(make_small_street());
     const Surfels surfels =
         initialise_background(street, split_frames(street, 10).train, {.max_scale_m = 0.5});
     ASSERT_GT(surfels.size(), 5000u);
@@ -82,7 +84,7 @@ TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
 
 /// Makes a scan with ranges from a function. Returns the mean of |n . d| over its
 /// surfels, where d is the direction from the sensor to the surfel and n is the normal.
-double mean_facing(const std::function<float(const glm::vec3& direction)>& range_m, double flatness) {
+double compute_mean_facing(const std::function<float(const glm::vec3& direction)>& range_m, double flatness) {
     Sequence sequence;
     for (int b = 0; b < 48; ++b)
         sequence.lidars[0].sensor.beams.push_back({.elevation_rad = -0.1 - 0.01 * b});
@@ -110,11 +112,12 @@ TEST(Initialise, WhatIsNoSurfaceFacesTheSensor) {
     const auto leaves = [&](const glm::vec3&) {
         return std::uniform_real_distribution<float>(6.0f, 8.0f)(random);
     };
-    const auto road = [](const glm::vec3& d) { return -2.0f / d.z; };
-    EXPECT_GT(mean_facing(leaves, 0.04), 0.95);
-    EXPECT_LT(mean_facing(leaves, 1.0), 0.8) << "they follow their points, which say nothing";
-    EXPECT_NEAR(mean_facing(road, 0.04), mean_facing(road, 1.0), 0.03) << "a surface keeps its normal";
-    EXPECT_LT(mean_facing(road, 0.04), 0.5);
+    const auto road = [](const glm::vec3& direction) { return -2.0f / direction.z; };
+    EXPECT_GT(compute_mean_facing(leaves, 0.04), 0.95);
+    EXPECT_LT(compute_mean_facing(leaves, 1.0), 0.8) << "they follow their points, which say nothing";
+    EXPECT_NEAR(compute_mean_facing(road, 0.04), compute_mean_facing(road, 1.0), 0.03)
+        << "a surface keeps its normal";
+    EXPECT_LT(compute_mean_facing(road, 0.04), 0.5);
 }
 
 std::size_t count_in_moving_boxes(const Sequence& street, const Surfels& surfels) {
@@ -122,7 +125,7 @@ std::size_t count_in_moving_boxes(const Sequence& street, const Surfels& surfels
     for (const glm::vec3& p : surfels.mean) {
         bool inside = false;
         for (const Frame& frame : street.frames)
-            inside = inside || in_moving_box(street.boxes, glm::dvec3(p), frame.time_s, -0.1);
+            inside = inside || is_in_moving_box(street.boxes, glm::dvec3(p), frame.time_s, -0.1);
         n += inside && p.z > surfels.mean[0].z - 1e9f;
     }
     return n;
@@ -166,7 +169,7 @@ TEST(Initialise, UnevenBeamsDoNotSeeThroughTheGround) {
 }
 
 TEST(Initialise, MovingBoxesAreLeftOutAndUnlabelledMoversRemoved) {
-    SyntheticOptions longer = small_street();
+    SyntheticOptions longer = make_small_street();
     longer.n_frames = 20;  // long enough to observe the surfaces that a car hid
     const Sequence street = make_synthetic_street(longer);
     const std::vector<int> train = split_frames(street, 10).train;
@@ -185,7 +188,7 @@ TEST(Initialise, MovingBoxesAreLeftOutAndUnlabelledMoversRemoved) {
 }
 
 TEST(Initialise, HeldOutFramesDoNotMatter) {
-    Sequence street = make_synthetic_street(small_street());
+    Sequence street = make_synthetic_street(make_small_street());
     const Split split = split_frames(street, 10);
     const Surfels before = initialise_background(street, split.train, {});
     for (const int position : split.test)
@@ -196,7 +199,7 @@ TEST(Initialise, HeldOutFramesDoNotMatter) {
 }
 
 TEST(Initialise, NothingToStartFromIsAnError) {
-    Sequence street = make_synthetic_street(small_street());
+    Sequence street = make_synthetic_street(make_small_street());
     for (Frame& frame : street.frames) std::fill(frame.scan.range_m.begin(), frame.scan.range_m.end(), 0.0f);
     EXPECT_THROW(initialise_background(street, split_frames(street, 10).train, {}), DataError);
 }

@@ -13,14 +13,14 @@
 namespace relidar {
 namespace {
 
-std::vector<double> tenths(int n) {
+std::vector<double> make_tenths(int count) {
     std::vector<double> times;
-    for (int k = 0; k < n; ++k) times.push_back(3.0 + 0.1 * k + (k > 20 ? 0.4 : 0.0));  // with a gap
+    for (int k = 0; k < count; ++k) times.push_back(3.0 + 0.1 * k + (k > 20 ? 0.4 : 0.0));  // with a gap
     return times;
 }
 
 TEST(MoverPath, KeepsConstantAcceleration) {
-    const std::vector<double> times = tenths(40);
+    const std::vector<double> times = make_tenths(40);
     std::vector<glm::dvec3> places;
     for (const double t : times) places.push_back({20.0 - 3.0 * t + 0.8 * t * t, 5.0 * t, 0.1 * t});
     const std::vector<PathState> path = smooth_path(times, places);
@@ -36,7 +36,7 @@ TEST(MoverPath, KeepsConstantAcceleration) {
 }
 
 TEST(MoverPath, TakesNoiseOutAndLeavesOutliersAside) {
-    const std::vector<double> times = tenths(60);
+    const std::vector<double> times = make_tenths(60);
     std::vector<glm::dvec3> truth, places;
     Random random(5);
     for (const double t : times) {
@@ -55,7 +55,7 @@ TEST(MoverPath, TakesNoiseOutAndLeavesOutliersAside) {
         EXPECT_LT(off, 0.15) << k;
     }
     EXPECT_LT(std::sqrt(squares), 0.05) << "of noise of 0.07 m";
-    const std::vector<double> yaw = headings_along(smooth);
+    const std::vector<double> yaw = compute_headings_along(smooth);
     for (std::size_t k = 15; k + 15 < times.size(); ++k)
         EXPECT_LT(std::abs(std::remainder(yaw[k] - 0.5 * times[k], 2.0 * kPi)), 3.0 * kPi / 180.0) << k;
 }
@@ -76,7 +76,7 @@ TEST(MoverPath, StandsWithTheHeadingItCameWith) {
             0.03 * glm::dvec3(random.normal(), random.normal(), 0.0));
     }
     for (const PathState& state : smooth_path(times, places)) smooth.push_back(state.position_m);
-    const std::vector<double> yaw = headings_along(smooth);
+    const std::vector<double> yaw = compute_headings_along(smooth);
     for (std::size_t k = 0; k < yaw.size(); ++k) EXPECT_LT(std::abs(yaw[k]), 3.0 * kPi / 180.0) << k;
     for (std::size_t k = 31; k < 60; ++k)
         EXPECT_LT(std::abs(yaw[k] - yaw[k - 1]), 0.5 * kPi / 180.0) << "it stands, " << k;

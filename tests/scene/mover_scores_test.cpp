@@ -33,15 +33,15 @@ constexpr double kWalk_m = 0.03, kWalkedOff_m = 1.0;  // drift of inaccurate pos
 
 /// Returns [things] the number of training frames in which each object has enough
 /// returns.
-std::vector<std::size_t> frames_that_see(const Sequence& log, const std::vector<int>& train,
-                                         const std::vector<BoxTrack>& things) {
+std::vector<std::size_t> list_frames_that_see(const Sequence& log, const std::vector<int>& train,
+                                              const std::vector<BoxTrack>& things) {
     std::vector<std::size_t> n_frames(things.size(), 0);
     for (const int position : train) {
         const Frame& frame = log.frames[std::size_t(position)];
         std::vector<std::size_t> n_returns(things.size(), 0);
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f && frame.scan.range_m[ray] < kFarthest_m)) continue;
-            const WorldReturn w = world_return(log, frame, ray);
+            const WorldReturn w = compute_world_return(log, frame, ray);
             for (std::size_t i = 0; i < things.size(); ++i)
                 n_returns[i] += things[i].holds(w.point_m, w.time_s, 0.0);
         }
@@ -52,23 +52,23 @@ std::vector<std::size_t> frames_that_see(const Sequence& log, const std::vector<
 
 /// Returns true if a discovered track matches an object: its centre is inside the true
 /// box most of the time, and its box is not too large.
-bool is_of(const BoxTrack& found, const BoxTrack& truth) {
+bool is_of(const BoxTrack& track, const BoxTrack& truth) {
     std::size_t inside = 0;
-    for (std::size_t i = 0; i < found.world_from_box.time_s.size(); ++i) {
-        const double t_s = found.world_from_box.time_s[i];
-        inside += truth.present(t_s) && truth.holds(found.world_from_box.pose[i].translation, t_s, kInside_m);
+    for (std::size_t i = 0; i < track.world_from_box.time_s.size(); ++i) {
+        const double t_s = track.world_from_box.time_s[i];
+        inside += truth.present(t_s) && truth.holds(track.world_from_box.pose[i].translation, t_s, kInside_m);
     }
-    return 10 * inside >= 8 * found.world_from_box.time_s.size() &&
-           found.size_m.x < truth.size_m.x + kLarger_m && found.size_m.y < truth.size_m.y + kLarger_m;
+    return 10 * inside >= 8 * track.world_from_box.time_s.size() &&
+           track.size_m.x < truth.size_m.x + kLarger_m && track.size_m.y < truth.size_m.y + kLarger_m;
 }
 
 /// Returns the largest deviation of an object from its mean position in the frame of its
 /// discovered box. The result is 0 if object and box move in the same way.
-double strays_m(const BoxTrack& found, const BoxTrack& thing) {
+double measure_stray_m(const BoxTrack& track, const BoxTrack& thing) {
     std::vector<glm::dvec3> places;
-    for (std::size_t i = 0; i < found.world_from_box.time_s.size(); ++i)
-        if (const double t_s = found.world_from_box.time_s[i]; thing.present(t_s))
-            places.push_back(inverse(found.world_from_box.pose[i]) *
+    for (std::size_t i = 0; i < track.world_from_box.time_s.size(); ++i)
+        if (const double t_s = track.world_from_box.time_s[i]; thing.present(t_s))
+            places.push_back(inverse(track.world_from_box.pose[i]) *
                              thing.world_from_box.at(t_s).translation);
     glm::dvec3 mean(0.0);
     for (const glm::dvec3& p : places) mean += p / double(places.size());
@@ -81,9 +81,9 @@ double strays_m(const BoxTrack& found, const BoxTrack& thing) {
 /// to frame. Appends the differences, in degrees per tenth of a second.
 void add_wobble(const BoxTrack& found, const BoxTrack& thing, std::vector<double>& wobble_deg) {
     const PoseTrack& track = found.world_from_box;
-    const auto turned = [&](std::size_t i) {
-        const glm::dvec3 ahead = inverse(thing.world_from_box.at(track.time_s[i])).rotation *
-                                 track.pose[i].rotation * glm::dvec3(1, 0, 0);
+    const auto turned = [&](std::size_t index) {
+        const glm::dvec3 ahead = inverse(thing.world_from_box.at(track.time_s[index])).rotation *
+                                 track.pose[index].rotation * glm::dvec3(1, 0, 0);
         return std::atan2(ahead.y, ahead.x);
     };
     for (std::size_t i = 1; i < track.pose.size(); ++i)
@@ -91,7 +91,7 @@ void add_wobble(const BoxTrack& found, const BoxTrack& thing, std::vector<double
                              0.1 / (track.time_s[i] - track.time_s[i - 1]));
 }
 
-double quantile(std::vector<double> values, double share) {
+double compute_quantile(std::vector<double> values, double share) {
     std::sort(values.begin(), values.end());
     return values.at(std::size_t(share * double(values.size())));
 }
@@ -120,7 +120,7 @@ void add_street(const SyntheticOptions& options, Score& score) {
     const std::vector<int> train = split_frames(log, 10).train;
     const std::vector<BoxTrack> found = discover_tracks(log, train);
     std::vector<char> taken(found.size(), 0);
-    const std::vector<std::size_t> n_seen = frames_that_see(log, train, truth);
+    const std::vector<std::size_t> n_seen = list_frames_that_see(log, train, truth);
     score.found += found.size();
     for (std::size_t k = 0; k < truth.size(); ++k) {
         const BoxTrack& thing = truth[k];
@@ -133,7 +133,7 @@ void add_street(const SyntheticOptions& options, Score& score) {
                 std::ptrdiff_t(times.size()))
                 continue;
             taken[i] = 1;
-            score.strayed_m.push_back(strays_m(found[i], thing));
+            score.strayed_m.push_back(measure_stray_m(found[i], thing));
             add_wobble(found[i], thing, score.wobble_deg);
             ++score.right;
             covered.insert(covered.end(), times.begin(), times.end());
@@ -171,11 +171,11 @@ TEST(MoverScores, PrecisionAndRecallOnStreetsWithPeopleAndParkedCars) {
                    score);
     score.expect_good();
     ASSERT_FALSE(score.strayed_m.empty());
-    EXPECT_LT(quantile(score.strayed_m, 0.8), 0.3)
+    EXPECT_LT(compute_quantile(score.strayed_m, 0.8), 0.3)
         << "four of five keep to their thing, at the ends of the log, too";
     std::printf("boxes turn by %.2f degrees a frame more than what they hold (ninth decile; median %.2f)\n",
-                quantile(score.wobble_deg, 0.9), quantile(score.wobble_deg, 0.5));
-    EXPECT_LT(quantile(score.wobble_deg, 0.9), 0.3);
+                compute_quantile(score.wobble_deg, 0.9), compute_quantile(score.wobble_deg, 0.5));
+    EXPECT_LT(compute_quantile(score.wobble_deg, 0.9), 0.3);
 }
 
 /// Uses a short log whose poses drift by 3 cm per frame. Parked cars are therefore

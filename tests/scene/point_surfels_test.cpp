@@ -17,7 +17,7 @@ namespace {
 
 constexpr double kSpacing = 0.1;  // spacing of the points on a line, metres
 
-InitialiseOptions standard_options() {
+InitialiseOptions make_standard_options() {
     InitialiseOptions options;
     options.normal_neighbours = 24;
     options.flatness = 0.04;
@@ -27,7 +27,8 @@ InitialiseOptions standard_options() {
 
 /// Returns the points of lines along y at several x, with 41 points each, heights from
 /// `height`, and noise of 1 mm. The sensor views the lines from the side and from above.
-std::vector<Sample> lines_at(const std::vector<double>& places, const std::function<double(double)>& height) {
+std::vector<Sample> make_lines_at(const std::vector<double>& places,
+                                  const std::function<double(double)>& height) {
     Random random(1);
     std::vector<Sample> samples;
     for (const double x : places)
@@ -39,9 +40,9 @@ std::vector<Sample> lines_at(const std::vector<double>& places, const std::funct
     return samples;
 }
 
-std::vector<double> places(int n, double apart) {
+std::vector<double> places(int count, double apart) {
     std::vector<double> x;
-    for (int k = 0; k < n; ++k) x.push_back(apart * (k - n / 2));
+    for (int k = 0; k < count; ++k) x.push_back(apart * (k - count / 2));
     return x;
 }
 
@@ -52,7 +53,7 @@ struct Disc {
     glm::dvec3 normal;
 };
 
-Disc disc_at(const Surfels& surfels, const glm::vec3& place) {
+Disc make_disc_at(const Surfels& surfels, const glm::vec3& place) {
     std::size_t nearest = 0;
     for (std::size_t i = 1; i < surfels.size(); ++i)
         if (glm::distance(surfels.mean[i], place) < glm::distance(surfels.mean[nearest], place)) nearest = i;
@@ -69,8 +70,9 @@ Disc disc_at(const Surfels& surfels, const glm::vec3& place) {
 TEST(PointSurfels, ReachAcrossGapsBetweenLines) {
     for (const double apart : {0.35, 0.5, 0.7}) {
         const auto ground = [](double) { return 0.0; };
-        const Disc disc =
-            disc_at(surfels_from_points(lines_at(places(7, apart), ground), standard_options(), 0.0), {});
+        const Disc disc = make_disc_at(
+            make_surfels_from_points(make_lines_at(places(7, apart), ground), make_standard_options(), 0.0),
+            {});
         EXPECT_NEAR(disc.along_x, apart / kSpacing, 0.05 * apart / kSpacing) << apart;
         EXPECT_NEAR(disc.along_y, 1.0, 0.4) << apart;
         EXPECT_GT(std::abs(disc.normal.z), 0.999) << apart;
@@ -78,10 +80,10 @@ TEST(PointSurfels, ReachAcrossGapsBetweenLines) {
 }
 
 TEST(PointSurfels, AreRoundByThemselves) {
-    InitialiseOptions options = standard_options();
+    InitialiseOptions options = make_standard_options();
     options.max_gap_m = 0.0;
     const Surfels surfels =
-        surfels_from_points(lines_at(places(7, 0.5), [](double) { return 0.0; }), options, 0.0);
+        make_surfels_from_points(make_lines_at(places(7, 0.5), [](double) { return 0.0; }), options, 0.0);
     for (const glm::vec2& scale : surfels.log_scale) EXPECT_EQ(scale.x, scale.y);
 }
 
@@ -96,7 +98,7 @@ TEST(PointSurfels, AreRoundWherePointsAreEven) {
             samples.push_back(
                 {glm::vec3(kSpacing * x, kSpacing * y, 0.001 * random.normal()), 0.5f, {0.8f, 0.0f, -0.6f}});
         }
-    const Surfels surfels = surfels_from_points(samples, standard_options(), 0.0);
+    const Surfels surfels = make_surfels_from_points(samples, make_standard_options(), 0.0);
     double stretched = 0.0;
     for (const glm::vec2& scale : surfels.log_scale) stretched += scale.x != scale.y ? 1.0 : 0.0;
     EXPECT_LT(stretched / double(samples.size()), 0.02);
@@ -105,32 +107,33 @@ TEST(PointSurfels, AreRoundWherePointsAreEven) {
 /// Lines are 1.5 m apart, so that the 24 nearest neighbours of a point belong to a single
 /// line. Only a wider search shows that the ground is level.
 TEST(PointSurfels, OneLineAsksFartherForItsSurface) {
-    InitialiseOptions options = standard_options();
+    InitialiseOptions options = make_standard_options();
     options.max_gap_m = 2.0;
-    const std::vector<Sample> samples = lines_at(places(5, 1.5), [](double) { return 0.0; });
-    const Disc disc = disc_at(surfels_from_points(samples, options, 0.0), {});
+    const std::vector<Sample> samples = make_lines_at(places(5, 1.5), [](double) { return 0.0; });
+    const Disc disc = make_disc_at(make_surfels_from_points(samples, options, 0.0), {});
     EXPECT_GT(std::abs(disc.normal.z), 0.999);
     EXPECT_NEAR(disc.along_x, 15.0, 1.0);
     options.max_gap_m = 0.0;
-    EXPECT_LT(std::abs(disc_at(surfels_from_points(samples, options, 0.0), {}).normal.z), 0.9)
+    EXPECT_LT(std::abs(make_disc_at(make_surfels_from_points(samples, options, 0.0), {}).normal.z), 0.9)
         << "the test shows nothing";
 }
 
 TEST(PointSurfels, DoNotReachToAnotherSurface) {
     // the next line to the right is 0.5 m higher
-    const auto steps = [](double x) { return x > 0.1 ? 0.5 : 0.0; };
-    const std::vector<Sample> samples = lines_at({-0.6, -0.5, -0.4, -0.3, -0.2, -0.1, 0.0, 0.5, 0.6}, steps);
-    const Disc disc = disc_at(surfels_from_points(samples, standard_options(), 0.0), {});
+    const auto steps = [](double value) { return value > 0.1 ? 0.5 : 0.0; };
+    const std::vector<Sample> samples =
+        make_lines_at({-0.6, -0.5, -0.4, -0.3, -0.2, -0.1, 0.0, 0.5, 0.6}, steps);
+    const Disc disc = make_disc_at(make_surfels_from_points(samples, make_standard_options(), 0.0), {});
     EXPECT_LT(disc.along_x, 1.6);
 }
 
 /// No ray observed the space above the uppermost line. Training could therefore not
 /// correct a disc that extends into this space.
 TEST(PointSurfels, DoNotReachBeyondTheLastLine) {
-    const std::vector<Sample> samples = lines_at({-1.5, -1.0, -0.5, 0.0}, [](double) { return 0.0; });
-    const Surfels surfels = surfels_from_points(samples, standard_options(), 0.0);
-    EXPECT_LT(disc_at(surfels, {}).along_x, 1.6);
-    EXPECT_NEAR(disc_at(surfels, {-0.5f, 0.0f, 0.0f}).along_x, 5.0, 0.5);
+    const std::vector<Sample> samples = make_lines_at({-1.5, -1.0, -0.5, 0.0}, [](double) { return 0.0; });
+    const Surfels surfels = make_surfels_from_points(samples, make_standard_options(), 0.0);
+    EXPECT_LT(make_disc_at(surfels, {}).along_x, 1.6);
+    EXPECT_NEAR(make_disc_at(surfels, {-0.5f, 0.0f, 0.0f}).along_x, 5.0, 0.5);
 }
 
 TEST(PointSurfels, DoNotReachFartherThanTheyMay) {
@@ -138,11 +141,14 @@ TEST(PointSurfels, DoNotReachFartherThanTheyMay) {
     // a gap of six spacings
     for (int k = 0; k < 8; ++k) x.push_back(-kSpacing * k), x.push_back(0.6 + kSpacing * k);
     const auto ground = [](double) { return 0.0; };
-    EXPECT_NEAR(disc_at(surfels_from_points(lines_at(x, ground), standard_options(), 0.0), {}).along_x, 6.0,
-                0.5);
-    InitialiseOptions options = standard_options();
+    EXPECT_NEAR(
+        make_disc_at(make_surfels_from_points(make_lines_at(x, ground), make_standard_options(), 0.0), {})
+            .along_x,
+        6.0, 0.5);
+    InitialiseOptions options = make_standard_options();
     options.max_gap_m = 0.5;
-    EXPECT_LT(disc_at(surfels_from_points(lines_at(x, ground), options, 0.0), {}).along_x, 1.6);
+    EXPECT_LT(make_disc_at(make_surfels_from_points(make_lines_at(x, ground), options, 0.0), {}).along_x,
+              1.6);
 }
 
 }  // namespace

@@ -30,36 +30,36 @@ struct Sums {
     double sh_weighted;  // sum of (index + 1) * value over the [3,16] entries of each surfel
 };
 
-Sums sums_of(const Surfels& s) {
+Sums compute_sums(const Surfels& surfels) {
     Sums sums{};
-    for (const glm::vec3& v : s.mean)
+    for (const glm::vec3& v : surfels.mean)
         sums.mean_abs += std::abs(double(v.x)) + std::abs(double(v.y)) + std::abs(double(v.z));
-    for (const glm::vec4& q : s.rotation)
+    for (const glm::vec4& q : surfels.rotation)
         for (int k = 0; k < 4; ++k) sums.rotation_abs += std::abs(double(q[k]));
-    for (const glm::vec2& v : s.log_scale) sums.scale += std::exp(double(v.x)) + std::exp(double(v.y));
-    for (const float x : s.opacity_logit) sums.opacity += 1.0 / (1.0 + std::exp(-double(x)));
-    for (std::size_t i = 0; i < s.sh.size(); ++i) {
-        sums.sh_abs += std::abs(double(s.sh[i]));
-        sums.sh_weighted += double(i % kShFloats + 1) * double(s.sh[i]);
+    for (const glm::vec2& v : surfels.log_scale) sums.scale += std::exp(double(v.x)) + std::exp(double(v.y));
+    for (const float x : surfels.opacity_logit) sums.opacity += 1.0 / (1.0 + std::exp(-double(x)));
+    for (std::size_t i = 0; i < surfels.sh.size(); ++i) {
+        sums.sh_abs += std::abs(double(surfels.sh[i]));
+        sums.sh_weighted += double(i % kShFloats + 1) * double(surfels.sh[i]);
     }
     return sums;
 }
 
-void expect_sample(const Surfels& s, const StreetSurfel& expected) {
+void expect_sample(const Surfels& surfels, const StreetSurfel& expected) {
     const std::size_t i = expected.index;
-    EXPECT_EQ(s.mean[i], expected.mean);
-    EXPECT_EQ(s.rotation[i], expected.rotation);
+    EXPECT_EQ(surfels.mean[i], expected.mean);
+    EXPECT_EQ(surfels.rotation[i], expected.rotation);
     for (int axis = 0; axis < 2; ++axis)
-        EXPECT_NEAR(std::exp(double(s.log_scale[i][axis])) / double(expected.scale[axis]), 1.0, 1e-6);
-    EXPECT_NEAR(1.0 / (1.0 + std::exp(-double(s.opacity_logit[i]))), expected.opacity, 1e-6);
+        EXPECT_NEAR(std::exp(double(surfels.log_scale[i][axis])) / double(expected.scale[axis]), 1.0, 1e-6);
+    EXPECT_NEAR(1.0 / (1.0 + std::exp(-double(surfels.opacity_logit[i]))), expected.opacity, 1e-6);
     for (int channel = 0; channel < 3; ++channel) {
-        EXPECT_EQ(s.sh[i * kShFloats + std::size_t(channel * 16)], expected.sh_first[channel]);
-        EXPECT_EQ(s.sh[i * kShFloats + std::size_t(channel * 16 + 15)], expected.sh_last[channel]);
+        EXPECT_EQ(surfels.sh[i * kShFloats + std::size_t(channel * 16)], expected.sh_first[channel]);
+        EXPECT_EQ(surfels.sh[i * kShFloats + std::size_t(channel * 16 + 15)], expected.sh_last[channel]);
     }
 }
 
-void expect_sums(const Surfels& s, const Sums& expected) {
-    const Sums actual = sums_of(s);
+void expect_sums(const Surfels& surfels, const Sums& expected) {
+    const Sums actual = compute_sums(surfels);
     EXPECT_NEAR(actual.mean_abs / expected.mean_abs, 1.0, 1e-9);
     EXPECT_NEAR(actual.rotation_abs / expected.rotation_abs, 1.0, 1e-9);
     EXPECT_NEAR(actual.scale / expected.scale, 1.0, 1e-6);

@@ -24,7 +24,7 @@ using SurfelPly = TemporaryFolder;
 constexpr std::size_t kProperties = 95;
 
 /// Returns three models with values of all magnitudes and both zeros. A model is empty.
-Scene some_scene() {
+Scene make_some_scene() {
     std::mt19937 random(11);
     std::normal_distribution<float> normal;
     Scene scene;
@@ -46,26 +46,26 @@ Scene some_scene() {
 }
 
 template <class V>
-void expect_bits(const std::vector<V>& a, const std::vector<V>& b, const char* name) {
-    ASSERT_EQ(a.size(), b.size()) << name;
-    EXPECT_EQ(std::memcmp(a.data(), b.data(), a.size() * sizeof(V)), 0) << name;
+void expect_bits(const std::vector<V>& first, const std::vector<V>& second, const char* name) {
+    ASSERT_EQ(first.size(), second.size()) << name;
+    EXPECT_EQ(std::memcmp(first.data(), second.data(), first.size() * sizeof(V)), 0) << name;
 }
 
-void expect_equal(const Scene& a, const Scene& b) {
-    expect_bits(a.surfels.mean, b.surfels.mean, "mean");
-    expect_bits(a.surfels.rotation, b.surfels.rotation, "rotation");
-    expect_bits(a.surfels.log_scale, b.surfels.log_scale, "log_scale");
-    expect_bits(a.surfels.opacity_logit, b.surfels.opacity_logit, "opacity_logit");
-    expect_bits(a.surfels.sh, b.surfels.sh, "sh");
-    expect_bits(a.surfels.log_scale_w, b.surfels.log_scale_w, "log_scale_w");
-    ASSERT_EQ(a.models.size(), b.models.size());
-    for (std::size_t k = 0; k < a.models.size(); ++k) {
-        EXPECT_EQ(a.models[k].name, b.models[k].name);
-        EXPECT_EQ(a.models[k].first, b.models[k].first);
-        EXPECT_EQ(a.models[k].count, b.models[k].count);
+void expect_equal(const Scene& first, const Scene& second) {
+    expect_bits(first.surfels.mean, second.surfels.mean, "mean");
+    expect_bits(first.surfels.rotation, second.surfels.rotation, "rotation");
+    expect_bits(first.surfels.log_scale, second.surfels.log_scale, "log_scale");
+    expect_bits(first.surfels.opacity_logit, second.surfels.opacity_logit, "opacity_logit");
+    expect_bits(first.surfels.sh, second.surfels.sh, "sh");
+    expect_bits(first.surfels.log_scale_w, second.surfels.log_scale_w, "log_scale_w");
+    ASSERT_EQ(first.models.size(), second.models.size());
+    for (std::size_t k = 0; k < first.models.size(); ++k) {
+        EXPECT_EQ(first.models[k].name, second.models[k].name);
+        EXPECT_EQ(first.models[k].first, second.models[k].first);
+        EXPECT_EQ(first.models[k].count, second.models[k].count);
     }
-    ASSERT_EQ(a.instances.size(), b.instances.size());
-    EXPECT_EQ(a.sensor_drop.probability, b.sensor_drop.probability);
+    ASSERT_EQ(first.instances.size(), second.instances.size());
+    EXPECT_EQ(first.sensor_drop.probability, second.sensor_drop.probability);
 }
 
 /// Header and records of a written file.
@@ -89,9 +89,9 @@ struct Parts {
 };
 
 TEST_F(SurfelPly, ComesBackBitEqual) {
-    const Scene scene = some_scene();
+    const Scene scene = make_some_scene();
     write_surfel_ply(folder / "a.ply", scene);
-    expect_equal(read_surfel_ply(folder / "a.ply", layout_of(scene)), scene);
+    expect_equal(read_surfel_ply(folder / "a.ply", copy_layout(scene)), scene);
     const Scene empty = make_background_scene({});
     write_surfel_ply(folder / "b.ply", empty);
     expect_equal(read_surfel_ply(folder / "b.ply", empty), empty);
@@ -100,25 +100,25 @@ TEST_F(SurfelPly, ComesBackBitEqual) {
 
 /// 3D Gaussians must be stored with three scales, as in 3D Gaussian Splatting.
 TEST_F(SurfelPly, GaussiansHaveTheirThirdScale) {
-    Scene scene = some_scene();
+    Scene scene = make_some_scene();
     scene.surfels.primitive = Primitive::gaussian;
     for (std::size_t i = 0; i < 7; ++i) scene.surfels.log_scale_w.push_back(-0.1f - float(i) / 7.0f);
     write_surfel_ply(folder / "a.ply", scene);
-    expect_equal(read_surfel_ply(folder / "a.ply", layout_of(scene), Primitive::gaussian), scene);
-    EXPECT_TRUE(read_surfel_ply(folder / "a.ply", layout_of(scene)).surfels.log_scale_w.empty());
-    Parts file(contents(folder / "a.ply"));
+    expect_equal(read_surfel_ply(folder / "a.ply", copy_layout(scene), Primitive::gaussian), scene);
+    EXPECT_TRUE(read_surfel_ply(folder / "a.ply", copy_layout(scene)).surfels.log_scale_w.empty());
+    Parts file(read_contents(folder / "a.ply"));
     for (std::size_t i = 0; i < 7; ++i) EXPECT_EQ(file.value(i, 57), scene.surfels.log_scale_w[i]);
     file.replace("property float scale_2\n", "property float thick_2\n");
     put(folder / "b.ply", file.header + file.data);
     const std::string message =
-        data_error([&] { (void)read_surfel_ply(folder / "b.ply", scene, Primitive::gaussian); });
+        get_data_error_message([&] { (void)read_surfel_ply(folder / "b.ply", scene, Primitive::gaussian); });
     EXPECT_NE(message.find("property scale_2 is missing"), std::string::npos) << message;
 }
 
 TEST_F(SurfelPly, HasTheLayoutOfGaussianSplatting) {
-    const Scene scene = some_scene();
+    const Scene scene = make_some_scene();
     write_surfel_ply(folder / "a.ply", scene);
-    Parts file(contents(folder / "a.ply"));
+    Parts file(read_contents(folder / "a.ply"));
     std::string expected =
         "ply\nformat binary_little_endian 1.0\ncomment relidar surfels: metres, frame of each model; scale_2 "
         "only makes them flat\nelement "
@@ -156,9 +156,9 @@ TEST_F(SurfelPly, HasTheLayoutOfGaussianSplatting) {
 /// Simulates an external tool that cropped the scene, changed the order, removed the
 /// normals and added a property.
 TEST_F(SurfelPly, ReadsWhatAnotherToolEdited) {
-    const Scene scene = some_scene();
+    const Scene scene = make_some_scene();
     write_surfel_ply(folder / "a.ply", scene);
-    Parts file(contents(folder / "a.ply"));
+    Parts file(read_contents(folder / "a.ply"));
     const std::size_t order[] = {6, 0, 5, 2};
     std::string data;
     for (const std::size_t row : order) {
@@ -169,32 +169,33 @@ TEST_F(SurfelPly, ReadsWhatAnotherToolEdited) {
     file.replace("element vertex 7", "element vertex 4\nproperty uchar flag\nproperty char other");
     for (const char* name : {"nx", "ny", "nz"}) file.replace(fmt::format("property float {}\n", name), "");
     put(folder / "b.ply", file.header + data);
-    const Scene read = read_surfel_ply(folder / "b.ply", layout_of(scene));
-    Scene expected = layout_of(scene);
-    expected.surfels = scene.surfels.permuted({0, 2, 6, 5});
+    const Scene read = read_surfel_ply(folder / "b.ply", copy_layout(scene));
+    Scene expected = copy_layout(scene);
+    expected.surfels = scene.surfels.reorder({0, 2, 6, 5});
     expected.models = {{"background", 0, 2}, {"empty", 2, 0}, {"7", 2, 2}};
     expect_equal(read, expected);
 }
 
 TEST_F(SurfelPly, ReadsHeadersWithLineEndsOfWindows) {
-    const Scene scene = some_scene();
+    const Scene scene = make_some_scene();
     write_surfel_ply(folder / "a.ply", scene);
-    const Parts file(contents(folder / "a.ply"));
+    const Parts file(read_contents(folder / "a.ply"));
     std::string header;
     for (const char c : file.header) header += c == '\n' ? std::string("\r\n") : std::string(1, c);
     put(folder / "b.ply", header + file.data);
-    expect_equal(read_surfel_ply(folder / "b.ply", layout_of(scene)), scene);
+    expect_equal(read_surfel_ply(folder / "b.ply", copy_layout(scene)), scene);
 }
 
 TEST_F(SurfelPly, RefusesFilesThatLie) {
-    const Scene scene = some_scene(), layout = layout_of(scene);
+    const Scene scene = make_some_scene(), layout = copy_layout(scene);
     write_surfel_ply(folder / "a.ply", scene);
-    const Parts good(contents(folder / "a.ply"));
+    const Parts good(read_contents(folder / "a.ply"));
     const auto refused = [&](const std::string& pattern, const std::function<void(Parts&)>& change) {
         Parts bad = good;
         change(bad);
         put(folder / "bad.ply", bad.header + bad.data);
-        const std::string message = data_error([&] { (void)read_surfel_ply(folder / "bad.ply", layout); });
+        const std::string message =
+            get_data_error_message([&] { (void)read_surfel_ply(folder / "bad.ply", layout); });
         EXPECT_NE(message.find("bad.ply"), std::string::npos) << message;
         EXPECT_NE(message.find(pattern), std::string::npos) << message;
     };
@@ -226,40 +227,42 @@ TEST_F(SurfelPly, RefusesFilesThatLie) {
             [](Parts& p) { p.value(2, 56) = std::numeric_limits<float>::infinity(); });
     for (const float model : {3.0f, -1.0f, 0.5f, 1e30f})
         refused("vertex 1: model is", [&](Parts& p) { p.value(1, 94) = model; });
-    const std::string missing = data_error([&] { (void)read_surfel_ply(folder / "nothing.ply", layout); });
+    const std::string missing =
+        get_data_error_message([&] { (void)read_surfel_ply(folder / "nothing.ply", layout); });
     EXPECT_NE(missing.find("nothing.ply"), std::string::npos) << missing;
 }
 
 TEST_F(SurfelPly, SurfelsInTheWorldAreNotReadBackAsAScene) {
-    const Scene scene = some_scene();
+    const Scene scene = make_some_scene();
     write_surfel_ply(folder / "a.ply", scene.surfels,
                      {{"time_s", "1.5"}, {"add_to_positions_m", "1 2 3\nelement vertex 9"}});
-    const std::string bytes = contents(folder / "a.ply");
+    const std::string bytes = read_contents(folder / "a.ply");
     EXPECT_NE(bytes.find(": metres, world"), std::string::npos);
     EXPECT_NE(
         bytes.find(
             "\ncomment time_s 1.5\ncomment add_to_positions_m 1 2 3 element vertex 9\nelement vertex 7\n"),
         std::string::npos);
-    const std::string refused = data_error([&] { (void)read_surfel_ply(folder / "a.ply", scene); });
+    const std::string refused =
+        get_data_error_message([&] { (void)read_surfel_ply(folder / "a.ply", scene); });
     EXPECT_NE(refused.find("model"), std::string::npos) << refused;
 }
 
 TEST_F(SurfelPly, RefusesEveryTruncation) {
-    const Scene scene = some_scene();
+    const Scene scene = make_some_scene();
     write_surfel_ply(folder / "a.ply", scene);
-    const std::string good = contents(folder / "a.ply");
+    const std::string good = read_contents(folder / "a.ply");
     for (std::size_t size = 0; size < good.size(); size += 13) {
         put(folder / "cut.ply", good.substr(0, size));
-        data_error([&] { (void)read_surfel_ply(folder / "cut.ply", scene); });
+        get_data_error_message([&] { (void)read_surfel_ply(folder / "cut.ply", scene); });
     }
 }
 
 TEST_F(SurfelPly, WritesOnlyWholeScenes) {
-    Scene gap = some_scene(), ragged = some_scene();
+    Scene gap = make_some_scene(), ragged = make_some_scene();
     gap.models[2].first = 5;
     ragged.surfels.sh.pop_back();
-    data_error([&] { write_surfel_ply(folder / "a.ply", gap); });
-    data_error([&] { write_surfel_ply(folder / "a.ply", ragged); });
+    get_data_error_message([&] { write_surfel_ply(folder / "a.ply", gap); });
+    get_data_error_message([&] { write_surfel_ply(folder / "a.ply", ragged); });
     EXPECT_TRUE(files().empty());
 }
 

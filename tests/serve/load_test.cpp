@@ -18,7 +18,7 @@ namespace {
 
 using Code = grpc::StatusCode;
 
-double resident_mib() {
+double measure_resident_mib() {
     std::ifstream in("/proc/self/statm");
     double pages = 0.0, resident = 0.0;
     in >> pages >> resident;
@@ -49,15 +49,15 @@ protected:
 
 TEST_F(Load, ThousandCallsOfEightClientsAreAllAnsweredAndMemoryStays) {
     start();
-    v1::RenderLidarRequest request = standing();
+    v1::RenderLidarRequest request = make_standing_request();
     request.mutable_sensor()->set_name("VLP-16:128x10");
     const v1::LidarScan truth = ScanClient(address()).render(request);
     const double answer_mib = double(truth.ByteSizeLong()) / (1024.0 * 1024.0);
     // afterwards, threads, arenas and caches exist
     EXPECT_EQ(answered(200, request, truth.image().range_m()), 200);
-    const double before_mib = resident_mib();
+    const double before_mib = measure_resident_mib();
     EXPECT_EQ(answered(1000, request, truth.image().range_m()), 1000);
-    EXPECT_LT(resident_mib() - before_mib, 0.25 * 1000 * answer_mib)
+    EXPECT_LT(measure_resident_mib() - before_mib, 0.25 * 1000 * answer_mib)
         << "a quarter of what is lost where each call leaves its answer behind: " << answer_mib
         << " MiB a call";
 }
@@ -69,11 +69,11 @@ public:
     explicit Occupant(v1::RenderService::Stub& stub) {
         v1::UploadSensorRequest upload;
         v1::UploadSensorResponse kept;
-        *upload.mutable_sensor() = rays_ahead(200'000);
+        *upload.mutable_sensor() = make_rays_ahead(200'000);
         grpc::ClientContext context;
         EXPECT_TRUE(stub.UploadSensor(&context, upload, &kept).ok());
         v1::RenderRigRequest request;
-        *request.mutable_rig() = standing();
+        *request.mutable_rig() = make_standing_request();
         request.mutable_rig()->clear_wanted();
         for (int i = 0; i < 64; ++i) request.add_sensors()->mutable_sensor()->set_handle(kept.handle());
         reader_ = stub.RenderRig(&context_, request);
@@ -95,7 +95,7 @@ grpc::Status call(v1::RenderService::Stub& stub,
     grpc::ClientContext context;
     context.set_deadline(std::chrono::system_clock::now() + patience);
     v1::LidarScan scan;
-    return stub.RenderLidar(&context, standing(), &scan);
+    return stub.RenderLidar(&context, make_standing_request(), &scan);
 }
 
 TEST_F(Load, FullQueueTurnsAwayAndServesAgainWhenThereIsRoom) {
@@ -131,7 +131,7 @@ TEST_F(Load, DeadlinesAndLeavingClientsAreTheirOwn) {
             std::this_thread::sleep_for(std::chrono::milliseconds(i));
             context.TryCancel();
         });
-        const Code code = calls->RenderLidar(&context, standing(), &scan).error_code();
+        const Code code = calls->RenderLidar(&context, make_standing_request(), &scan).error_code();
         EXPECT_TRUE(code == Code::CANCELLED || code == Code::OK) << code;
     }
     EXPECT_EQ(occupant.leave().error_code(), Code::CANCELLED);

@@ -23,10 +23,10 @@ struct Case {
     const char* says;
 };
 
-v1::SensorSpec& spec(v1::RenderLidarRequest& r) { return *r.mutable_sensor()->mutable_spec(); }
-v1::Pose& pose(v1::RenderLidarRequest& r) { return *r.mutable_path(0)->mutable_pose(); }
-v1::ActorTrack& actor(v1::RenderLidarRequest& r, const std::string& name) {
-    v1::ActorTrack& added = *r.mutable_actors()->add_actors();
+v1::SensorSpec& spec(v1::RenderLidarRequest& request) { return *request.mutable_sensor()->mutable_spec(); }
+v1::Pose& pose(v1::RenderLidarRequest& request) { return *request.mutable_path(0)->mutable_pose(); }
+v1::ActorTrack& actor(v1::RenderLidarRequest& request, const std::string& name) {
+    v1::ActorTrack& added = *request.mutable_actors()->add_actors();
     added.set_name(name);
     return added;
 }
@@ -47,18 +47,19 @@ const std::vector<Case>& cases_of_poses() {
          "of length 0"},
         {"NaN time of a pose", [](auto& r) { r.mutable_path(0)->set_time_s(kNan); }, Code::INVALID_ARGUMENT,
          "path[0].time_s: found nan"},
-        {"times that fall", [](auto& r) { add_pose(*r.mutable_path(), 0.4, at_x(0)); },
+        {"times that fall", [](auto& r) { add_pose(*r.mutable_path(), 0.4, make_pose_at_x(0)); },
          Code::INVALID_ARGUMENT,
          "cannot read path[1].time_s: found 0.4 after 0.5, expected increasing times"},
         {"NaN time", [](auto& r) { r.set_time_s(kNan); }, Code::INVALID_ARGUMENT,
          "cannot read time_s: found nan"},
-        {"microseconds", [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_time_s(500000.0); },
+        {"microseconds",
+         [](auto& r) { add_pose(*r.mutable_path(), 0.6, make_pose_at_x(0)), r.set_time_s(500000.0); },
          Code::INVALID_ARGUMENT, "cannot read time_s: found the time 500000 s for a path from 0.5 to 0.6 s"},
         {"two seconds behind the path",
-         [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_time_s(2.7); },
+         [](auto& r) { add_pose(*r.mutable_path(), 0.6, make_pose_at_x(0)), r.set_time_s(2.7); },
          Code::INVALID_ARGUMENT, "cannot read time_s: found the time 2.7 s for a path from 0.5 to 0.6 s"},
         {"points elsewhen",
-         [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_points_at_s(-500.0); },
+         [](auto& r) { add_pose(*r.mutable_path(), 0.6, make_pose_at_x(0)), r.set_points_at_s(-500.0); },
          Code::INVALID_ARGUMENT, "cannot read points_at_s"},
         {"unknown scene", [](auto& r) { r.set_scene("smal"); }, Code::NOT_FOUND,
          "cannot read scene: found \"smal\", expected an existing name such as \"small\""},
@@ -66,7 +67,7 @@ const std::vector<Case>& cases_of_poses() {
          "cannot read weather: found fog=0, expected a visibility of 1 to 1e6 metres"},
         {"unknown lidar", [](auto& r) { r.set_lidar("roof"); }, Code::NOT_FOUND,
          "cannot read lidar: found \"roof\""},
-        {"unknown actor", [](auto& r) { add_pose(*actor(r, "cat").mutable_poses(), 0, at_x(0)); },
+        {"unknown actor", [](auto& r) { add_pose(*actor(r, "cat").mutable_poses(), 0, make_pose_at_x(0)); },
          Code::NOT_FOUND, "actors.actors[0].name: found \"cat\", expected an existing name such as \"car\""},
         {"actor without a pose", [](auto& r) { actor(r, "car"); }, Code::INVALID_ARGUMENT,
          "actors.actors[0].poses: found 0 poses"},
@@ -74,14 +75,15 @@ const std::vector<Case>& cases_of_poses() {
          [](auto& r) {
              r.set_time_s(0.5);
              v1::ActorTrack& car = actor(r, "car");
-             add_pose(*car.mutable_poses(), 3.0, at_x(4)), add_pose(*car.mutable_poses(), 4.0, at_x(5));
+             add_pose(*car.mutable_poses(), 3.0, make_pose_at_x(4)),
+                 add_pose(*car.mutable_poses(), 4.0, make_pose_at_x(5));
          },
          Code::INVALID_ARGUMENT,
          "cannot read actors.actors[0].poses: found poses from 3 to 4 s, which do not cover the scan at "
          "0.5 s, expected poses that cover the time of the scan"},
         {"actor twice",
          [](auto& r) {
-             for (int i = 0; i < 2; ++i) add_pose(*actor(r, "car").mutable_poses(), 0, at_x(0));
+             for (int i = 0; i < 2; ++i) add_pose(*actor(r, "car").mutable_poses(), 0, make_pose_at_x(0));
          },
          Code::INVALID_ARGUMENT, "expected each actor once"},
     };
@@ -105,7 +107,7 @@ const std::vector<Case>& cases_of_sensors() {
         {"a name of two lines", [](auto& r) { r.mutable_sensor()->set_name("a\nb"); }, Code::INVALID_ARGUMENT,
          "found \"a b\""},
         {"a long name of a spec",
-         [](auto& r) { spec(r) = rays_ahead(1), spec(r).set_name(std::string(201, 'x')); },
+         [](auto& r) { spec(r) = make_rays_ahead(1), spec(r).set_name(std::string(201, 'x')); },
          Code::INVALID_ARGUMENT, "sensor.spec.name"},
         {"forgotten handle", [](auto& r) { r.mutable_sensor()->set_handle("sensor-9"); }, Code::NOT_FOUND,
          "upload the sensor again"},
@@ -116,12 +118,14 @@ const std::vector<Case>& cases_of_sensors() {
          Code::INVALID_ARGUMENT, "7 bytes, expected a multiple of 12"},
         {"wrong rows",
          [](auto& r) {
-             spec(r) = rays_ahead(3);
+             spec(r) = make_rays_ahead(3);
              spec(r).mutable_rays()->set_rows(2), spec(r).mutable_rays()->set_columns(2);
          },
          Code::INVALID_ARGUMENT, "found 2 rows, 2 columns and 3 directions"},
         {"times for some rays",
-         [](auto& r) { spec(r) = rays_ahead(3), spec(r).mutable_rays()->set_time_s(std::string(8, '\0')); },
+         [](auto& r) {
+             spec(r) = make_rays_ahead(3), spec(r).mutable_rays()->set_time_s(std::string(8, '\0'));
+         },
          Code::INVALID_ARGUMENT,
          "rays.time_s: found 8 bytes, expected 12 bytes, which are 4 bytes for "
          "each of 3 rays"},
@@ -132,12 +136,12 @@ const std::vector<Case>& cases_of_sensors() {
          Code::INVALID_ARGUMENT, "nan"},
         {"NaN origin",
          [](auto& r) {
-             spec(r) = rays_ahead(1), spec(r).mutable_rays()->set_origin_m(std::string(12, '\xff'));
+             spec(r) = make_rays_ahead(1), spec(r).mutable_rays()->set_origin_m(std::string(12, '\xff'));
          },
          Code::INVALID_ARGUMENT, "origin_m of ray 0"},
         {"NaN divergence",
          [](auto& r) {
-             spec(r) = rays_ahead(1), spec(r).mutable_rays()->set_divergence_rad(std::string(4, '\xff'));
+             spec(r) = make_rays_ahead(1), spec(r).mutable_rays()->set_divergence_rad(std::string(4, '\xff'));
          },
          Code::INVALID_ARGUMENT, "rays.divergence_rad of ray 0"},
     };
@@ -190,11 +194,11 @@ const std::vector<Case>& cases_of_patterns() {
              s.set_rays(10), s.set_period_s(0.1), s.set_first_hz(kNan);
          },
          Code::INVALID_ARGUMENT, "rosette.first_hz: found nan"},
-        {"negative range", [](auto& r) { spec(r) = rays_ahead(1), spec(r).set_max_range_m(-1.0); },
+        {"negative range", [](auto& r) { spec(r) = make_rays_ahead(1), spec(r).set_max_range_m(-1.0); },
          Code::INVALID_ARGUMENT, "max_range_m"},
         {"three returns", [](auto& r) { r.set_returns(3); }, Code::INVALID_ARGUMENT,
          "found 3, expected 0, 1 or 2"},
-        {"two returns of an ideal ray", [](auto& r) { spec(r) = rays_ahead(1), r.set_returns(2); },
+        {"two returns of an ideal ray", [](auto& r) { spec(r) = make_rays_ahead(1), r.set_returns(2); },
          Code::INVALID_ARGUMENT, "divergence"},
     };
     return all;
@@ -211,11 +215,11 @@ void Refusals::expect_refused(const std::vector<Case>& cases) {
     v1::LidarScan before;
     {
         grpc::ClientContext context;
-        ASSERT_TRUE(calls->RenderLidar(&context, standing(), &before).ok());
+        ASSERT_TRUE(calls->RenderLidar(&context, make_standing_request(), &before).ok());
     }
     for (const Case& c : cases) {
         SCOPED_TRACE(c.name);
-        v1::RenderLidarRequest request = standing();
+        v1::RenderLidarRequest request = make_standing_request();
         c.spoil(request);
         grpc::ClientContext spoilt, good;
         v1::LidarScan answer;
@@ -223,7 +227,7 @@ void Refusals::expect_refused(const std::vector<Case>& cases) {
         EXPECT_EQ(status.error_code(), c.code);
         EXPECT_THAT(status.error_message(), HasSubstr(c.says));
         EXPECT_EQ(status.error_message().find('\n'), std::string::npos);
-        ASSERT_TRUE(calls->RenderLidar(&good, standing(), &answer).ok());
+        ASSERT_TRUE(calls->RenderLidar(&good, make_standing_request(), &answer).ok());
         EXPECT_EQ(answer.image().range_m(), before.image().range_m()) << "nothing is left behind";
     }
 }
@@ -239,7 +243,7 @@ TEST_F(Refusals, TablesBeyondTheLimits) {
         grpc::ClientContext context;
         v1::UploadSensorRequest request;
         v1::UploadSensorResponse answer;
-        *request.mutable_sensor() = rays_ahead(rays);
+        *request.mutable_sensor() = make_rays_ahead(rays);
         return calls->UploadSensor(&context, request, &answer);
     };
     constexpr std::size_t kMost = std::size_t(1) << 20;
@@ -259,14 +263,14 @@ TEST_F(Refusals, UploadedSensorsAreForgottenOldestFirst) {
         grpc::ClientContext context;
         v1::UploadSensorRequest request;
         v1::UploadSensorResponse answer;
-        *request.mutable_sensor() = rays_ahead(1);
+        *request.mutable_sensor() = make_rays_ahead(1);
         ASSERT_TRUE(calls->UploadSensor(&context, request, &answer).ok());
         EXPECT_EQ(answer.kept(), 64u);
         handles.push_back(answer.handle());
     }
     const auto code = [&](const std::string& handle) {
         grpc::ClientContext context;
-        v1::RenderLidarRequest request = standing();
+        v1::RenderLidarRequest request = make_standing_request();
         request.mutable_sensor()->set_handle(handle);
         v1::LidarScan answer;
         return calls->RenderLidar(&context, request, &answer).error_code();
@@ -287,7 +291,7 @@ TEST_F(Refusals, RigsAreLookedAtBeforeAnythingIsRendered) {
         return reader->Finish();
     };
     v1::RenderRigRequest request;
-    *request.mutable_rig() = standing();
+    *request.mutable_rig() = make_standing_request();
     EXPECT_THAT(status_of(request).error_message(), HasSubstr("found a rig with 0 sensors, expected 1 to"));
     request.add_sensors()->set_name("good");
     request.add_sensors()->mutable_sensor()->set_name("no such");

@@ -89,8 +89,8 @@ TEST(RenderQueue, RunsAllRequestsOnOneThread) {
 /// request.
 /// @param line names and scenes; scene 0 stands for a request without a scene
 /// @param fails name of the request whose submission fails
-std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std::size_t together,
-                     char fails = ' ') {
+std::string list_parts(const std::vector<std::pair<char, std::size_t>>& line, std::size_t together,
+                       char fails = ' ') {
     RenderQueue queue(8);
     queue.set_batch_size(together);
     std::string parts;  // accessed only by the queue's thread
@@ -128,14 +128,14 @@ std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std:
 /// the order must be preserved. Requests for a different scene, or without a scene, must
 /// wait.
 TEST(RenderQueue, RequestsOfASceneOverlap) {
-    EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 2}, {'-', 0}, {'e', 2}}, 1), "abAcBCdD-eE");
+    EXPECT_EQ(list_parts({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 2}, {'-', 0}, {'e', 2}}, 1), "abAcBCdD-eE");
 }
 
 TEST(RenderQueue, RequestsOfASceneAreSubmittedTogether) {
-    EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 1}, {'e', 1}, {'f', 2}, {'-', 0}, {'g', 2}}, 2),
+    EXPECT_EQ(list_parts({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 1}, {'e', 1}, {'f', 2}, {'-', 0}, {'g', 2}}, 2),
               "a,bc,dABeCDEfF-gG");
-    EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 2}, {'d', 2}, {'e', 2}, {'f', 2}}, 3), "a,bABc,d,efCDEF");
-    EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 1}}, 2, 'b'), "a,c,dACD")
+    EXPECT_EQ(list_parts({{'a', 1}, {'b', 1}, {'c', 2}, {'d', 2}, {'e', 2}, {'f', 2}}, 3), "a,bABc,d,efCDEF");
+    EXPECT_EQ(list_parts({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 1}}, 2, 'b'), "a,c,dACD")
         << "b fails, and a was not informed";
 }
 

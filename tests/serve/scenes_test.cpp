@@ -21,13 +21,13 @@ class Scenes : public ServiceTest {
 protected:
     std::vector<SceneSource> sources;
     const AssetCatalogue no_assets{{}};
-    const ScanRequest request{0.5, {{0.5}, {at_x(1.0)}}};
+    const ScanRequest request{0.5, {{0.5}, {make_pose_at_x(1.0)}}};
 
     void SetUp() override {
         ServiceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
         for (const char* name : {"a", "b", "c"}) {
-            save_run(small_run(folder / name));
+            save_run(make_small_run(folder / name));
             sources.push_back({name, folder / name});
         }
     }
@@ -35,12 +35,13 @@ protected:
         const relidar::Run& run = scenes.outlines()[scene];
         std::vector<float> range_m;
         scenes.use(scene, {}, [&](ScanRenderer& renderer) {
-            range_m = renderer.render(configured_sensor(run.config, run.sequence), request).image.range_m;
+            range_m =
+                renderer.render(make_configured_sensor(run.config, run.sequence), request).image.range_m;
         });
         return range_m;
     }
     /// Returns the device memory of a run after a scan.
-    std::uint64_t size_of_one() {
+    std::uint64_t measure_size_of_one() {
         const std::uint64_t before = device().allocated_bytes();
         SceneSet one(device(), {sources[0]}, std::uint64_t(1) << 40, no_assets);
         ranges(one, 0);
@@ -49,7 +50,7 @@ protected:
 };
 
 TEST_F(Scenes, ThoseUsedLongestAgoMakeRoomAndComeBackTheSame) {
-    const std::uint64_t one = size_of_one(), around = device().allocated_bytes();
+    const std::uint64_t one = measure_size_of_one(), around = device().allocated_bytes();
     const std::uint64_t budget = around + 5 * one / 2;  // two of three runs fit
     SceneSet scenes(device(), sources, budget, no_assets);
     const std::vector<float> truth = ranges(scenes, 0);
@@ -73,12 +74,12 @@ TEST_F(Scenes, ThatWereLoadedAnewInBetweenAreTold) {
     const auto nothing = [](ScanRenderer&) {};
     const auto fails = [](ScanRenderer&) { throw DeviceError("planted"); };
     const SceneSet::Load first = scenes.use(0, {}, nothing);
-    EXPECT_NO_THROW(scenes.reuse_scene(0, first, nothing));
+    EXPECT_NO_THROW(scenes.call_with_loaded_scene(0, first, nothing));
     EXPECT_THROW(scenes.use(0, {}, fails), DeviceError);
-    EXPECT_THROW(scenes.reuse_scene(0, first, nothing), DeviceError) << "nothing there";
+    EXPECT_THROW(scenes.call_with_loaded_scene(0, first, nothing), DeviceError) << "nothing there";
     const SceneSet::Load second = scenes.use(0, {}, nothing);
-    EXPECT_THROW(scenes.reuse_scene(0, first, nothing), DeviceError) << "another one";
-    EXPECT_NO_THROW(scenes.reuse_scene(0, second, nothing));
+    EXPECT_THROW(scenes.call_with_loaded_scene(0, first, nothing), DeviceError) << "another one";
+    EXPECT_NO_THROW(scenes.call_with_loaded_scene(0, second, nothing));
 }
 
 /// A scene is copied for parallel scans. The memory of the copies must count towards the
@@ -100,27 +101,28 @@ TEST_F(Scenes, OneThatFillsTheMemoryIsNotCopied) {
 }
 
 TEST_F(Scenes, OneThatNeverFitsIsRefusedAtTheStart) {
-    const std::string message = data_error([&] { SceneSet(device(), sources, 1000, no_assets); });
+    const std::string message = get_data_error_message([&] { SceneSet(device(), sources, 1000, no_assets); });
     EXPECT_THAT(message, HasSubstr("cannot serve " + (folder / "a").string() + ": it needs"));
     EXPECT_THAT(message, HasSubstr("--memory-mib"));
 }
 
 TEST_F(Scenes, MissingAndBrokenRunsAreNamed) {
     sources[1].folder = folder / "nowhere";
-    EXPECT_THAT(data_error([&] { SceneSet(device(), sources, std::uint64_t(1) << 40, no_assets); }),
-                HasSubstr("nowhere"));
+    EXPECT_THAT(
+        get_data_error_message([&] { SceneSet(device(), sources, std::uint64_t(1) << 40, no_assets); }),
+        HasSubstr("nowhere"));
 }
 
 TEST(SceneSources, NamesAreTheFoldersOrGiven) {
-    const std::vector<SceneSource> sources = scene_sources({"runs/17", "town=runs/18/", "runs/19/."});
+    const std::vector<SceneSource> sources = parse_scene_sources({"runs/17", "town=runs/18/", "runs/19/."});
     ASSERT_EQ(sources.size(), 3u);
     EXPECT_EQ(sources[0].name, "17");
     EXPECT_EQ(sources[1].name, "town");
     EXPECT_EQ(sources[1].folder, "runs/18/");
     EXPECT_EQ(sources[2].name, "19");
-    EXPECT_THROW(scene_sources({"a/run", "b/run"}), UsageError);
-    EXPECT_NO_THROW(scene_sources({"a/run", "b=b/run"}));
-    EXPECT_THROW(scene_sources({"=run"}), UsageError);
+    EXPECT_THROW(parse_scene_sources({"a/run", "b/run"}), UsageError);
+    EXPECT_NO_THROW(parse_scene_sources({"a/run", "b=b/run"}));
+    EXPECT_THROW(parse_scene_sources({"=run"}), UsageError);
 }
 
 }  // namespace

@@ -37,7 +37,7 @@ void set_pair(wire::PosePair& message, const Pose& start, const Pose& end) {
 /// Poses in the world of the protocol. The sensor first looks along x. In 0.1 s, it moves
 /// 1.5 m ahead and turns by 0.25 rad to the left.
 const Pose kStart{{1, 0, 0, 0}, {-1.5, 0.0, 0.0}};
-const Pose kEnd{rotation_of(0.25, 0.0, 0.0), {0.0, 0.5, 0.0}};
+const Pose kEnd{make_rotation(0.25, 0.0, 0.0), {0.0, 0.5, 0.0}};
 
 wire::LidarRenderRequest moving() {
     wire::LidarRenderRequest request;
@@ -104,7 +104,7 @@ TEST_F(Sensorsim, PointsLieOnTheWallSeenFromTheEndOfTheSpin) {
 /// beam measured the point. The head turns at constant speed and faces backward at the
 /// start and at the end of the frame. The position of the sensor follows from the
 /// azimuth.
-double off_beam(const Beam& beam, const glm::dvec3& on_wall, double driven_length_m) {
+double measure_distance_to_beam(const Beam& beam, const glm::dvec3& on_wall, double driven_length_m) {
     double at_x_m = 0.5 * driven_length_m, elevation = 0.0;
     for (int round = 0; round < 8; ++round) {
         const double ahead_m = on_wall.x - at_x_m;
@@ -129,7 +129,8 @@ TEST_F(Sensorsim, SweepFillsTheFrameFromItsStartToItsEnd) {
         for (std::size_t i = 0; i < points.size(); i += 7) {  // 7 does not divide the number of beams
             const glm::dvec3 on_wall = glm::dvec3(points[i]) + glm::dvec3(kWay_m, 0.0, 0.0);
             double least = kPi;
-            for (const Beam& beam : beams) least = std::min(least, off_beam(beam, on_wall, kWay_m));
+            for (const Beam& beam : beams)
+                least = std::min(least, measure_distance_to_beam(beam, on_wall, kWay_m));
             worst = std::max(worst, least);
         }
         EXPECT_LT(worst, 1e-4) << "beams are 2e-3 apart";
@@ -297,7 +298,7 @@ TEST_F(Sensorsim, AnswersUnderTheNameOfNuRec2610) {
 }
 
 TEST_F(Sensorsim, LogicalIdTellsTheLidarsOfTheLogApart) {
-    relidar::Run run = small_run(folder / "small");
+    relidar::Run run = make_small_run(folder / "small");
     run.sequence.lidars.push_back(run.sequence.lidars[0]);
     run.sequence.lidars[0].name = "front", run.sequence.lidars[1].name = "rear";
     run.sequence.lidars[1].sensor.beams = {{0.05}, {-0.05}};
@@ -306,15 +307,15 @@ TEST_F(Sensorsim, LogicalIdTellsTheLidarsOfTheLogApart) {
     wire::LidarRenderRequest request = moving();
     set_pair(*request.mutable_sensor_pose(), {}, {});
     request.mutable_lidar()->set_lidar_type(wire::OTHER);
-    const auto elevations_of = [&](const char* logical_id) {
+    const auto estimate_elevations = [&](const char* logical_id) {
         request.mutable_lidar()->set_logical_id(logical_id);
         std::set<double> elevations;
         for (const glm::vec3& point : values<glm::vec3>(render(request).xyz_buffer()))
             elevations.insert(std::round(1e4 * std::atan2(point.z, std::hypot(point.x, point.y))) / 1e4);
         return elevations;
     };
-    EXPECT_THAT(elevations_of("front"), testing::ElementsAre(-0.1, 0.0, 0.1));
-    EXPECT_THAT(elevations_of("rear"), testing::ElementsAre(-0.05, 0.05));
+    EXPECT_THAT(estimate_elevations("front"), testing::ElementsAre(-0.1, 0.0, 0.1));
+    EXPECT_THAT(estimate_elevations("rear"), testing::ElementsAre(-0.05, 0.05));
     request.mutable_lidar()->clear_logical_id();
     EXPECT_THAT(refused(request).error_message(),
                 HasSubstr("cannot read lidar.logical_id: found none with lidar_type OTHER, expected the name "

@@ -32,7 +32,7 @@ protected:
         const relidar::Run run = load_run(folder / "small");
         ScanRenderer renderer(device(), run);
         renderer.set_weather(parse_weather(in_weather));
-        const SensorChoice choice = sensor.empty() ? configured_sensor(run.config, run.sequence)
+        const SensorChoice choice = sensor.empty() ? make_configured_sensor(run.config, run.sequence)
                                                    : choose_sensor(sensor, run.config, run.sequence);
         return renderer.render(choice, request, sample);
     }
@@ -53,10 +53,10 @@ protected:
 
 TEST_F(Service, RendersToTheBitAsTheLibrary) {
     start();
-    const Pose turned{glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), at_x(0.0).translation};
-    const PoseTrack way{{0.3, 0.45, 0.6}, {at_x(-2.0), at_x(-1.0), turned}};
-    const PoseTrack car{{0.4, 0.5}, {at_x(5.0), at_x(6.0)}};
-    v1::RenderLidarRequest request = standing();
+    const Pose turned{glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), make_pose_at_x(0.0).translation};
+    const PoseTrack way{{0.3, 0.45, 0.6}, {make_pose_at_x(-2.0), make_pose_at_x(-1.0), turned}};
+    const PoseTrack car{{0.4, 0.5}, {make_pose_at_x(5.0), make_pose_at_x(6.0)}};
+    v1::RenderLidarRequest request = make_standing_request();
     request.clear_path();
     for (std::size_t i = 0; i < 3; ++i) add_pose(*request.mutable_path(), way.time_s[i], way.pose[i]);
     request.set_time_s(0.45);
@@ -75,7 +75,7 @@ TEST_F(Service, RendersToTheBitAsTheLibrary) {
 
 /// Returns the positions in a binary PLY file. A point has 26 bytes: x, y, z, intensity,
 /// ring (2 bytes), time and instance.
-std::vector<float> ply_positions(const std::filesystem::path& path) {
+std::vector<float> read_ply_positions(const std::filesystem::path& path) {
     constexpr std::size_t kPointBytes = 26;
     std::ifstream file(path, std::ios::binary);
     std::string text{std::istreambuf_iterator<char>(file), {}};
@@ -88,7 +88,7 @@ std::vector<float> ply_positions(const std::filesystem::path& path) {
 
 /// Returns the positions of the points whose rays have a return.
 /// @param ends [n, 3] end points of all rays
-std::vector<float> returned_positions(const std::vector<float>& ends, const RenderedScan& scan) {
+std::vector<float> list_returned_positions(const std::vector<float>& ends, const RenderedScan& scan) {
     std::vector<float> positions;
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i)
         if (returned(scan.image.drop_prob[i], scan.median_range_m[i]))
@@ -97,14 +97,14 @@ std::vector<float> returned_positions(const std::vector<float>& ends, const Rend
 }
 
 /// Compares the points of the service with the points in files, of the viewer, and of
-/// Python's Run.render(), which returns scan_arrays(). The sensor moves and turns. At the
-/// time of the scan its frame is the world frame of the scene, so that the viewer uses
-/// the same frame.
+/// Python's Run.render(), which returns make_scan_arrays(). The sensor moves and turns.
+/// At the time of the scan its frame is the world frame of the scene, so that the viewer
+/// uses the same frame.
 TEST_F(Service, PointsAreThoseOfFilesViewerAndPython) {
     start();
-    const Pose turned{glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), at_x(1.3).translation};
-    const PoseTrack way{{0.3, 0.45, 0.6}, {at_x(-2.0), at_x(0.0), turned}};
-    v1::RenderLidarRequest request = standing();
+    const Pose turned{glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), make_pose_at_x(1.3).translation};
+    const PoseTrack way{{0.3, 0.45, 0.6}, {make_pose_at_x(-2.0), make_pose_at_x(0.0), turned}};
+    v1::RenderLidarRequest request = make_standing_request();
     request.clear_path();
     for (std::size_t i = 0; i < 3; ++i) add_pose(*request.mutable_path(), way.time_s[i], way.pose[i]);
     request.set_time_s(0.45), request.set_points_at_s(0.45);
@@ -115,20 +115,21 @@ TEST_F(Service, PointsAreThoseOfFilesViewerAndPython) {
 
     const relidar::Run run = load_run(folder / "small");
     const RenderedScan scan = rendered({0.45, way}, "", {});
-    ScanFormat format = scan_format(run, configured_sensor(run.config, run.sequence));
+    ScanFormat format = make_scan_format(run, make_configured_sensor(run.config, run.sequence));
     format.formats = {"ply"}, format.deskew = true;
     ScanFolder(folder / "files", format).write(0, scan);
-    EXPECT_EQ(ply_positions(folder / "files" / "frame_000000.ply"), beside_image) << "render --format ply";
+    EXPECT_EQ(read_ply_positions(folder / "files" / "frame_000000.ply"), beside_image)
+        << "render --format ply";
 
-    const view::ScanColumns in_viewer = view::simulated_columns(scan, run.config, kDatasetOrigin_m);
+    const view::ScanColumns in_viewer = view::make_simulated_columns(scan, run.config, kDatasetOrigin_m);
     std::vector<float> ends;
     for (const glm::vec3& end : in_viewer.position_m) ends.insert(ends.end(), {end.x, end.y, end.z});
-    EXPECT_EQ(returned_positions(ends, scan), beside_image) << "viewer";
+    EXPECT_EQ(list_returned_positions(ends, scan), beside_image) << "viewer";
 
-    const std::vector<NamedArray> arrays = scan_arrays(scan, 0, format);
+    const std::vector<NamedArray> arrays = make_scan_arrays(scan, 0, format);
     const auto of_python = std::ranges::find(arrays, "points", &NamedArray::name);
     ASSERT_NE(of_python, arrays.end());
-    EXPECT_EQ(returned_positions(of_python->as_float(), scan), beside_image) << "Python";
+    EXPECT_EQ(list_returned_positions(of_python->as_float(), scan), beside_image) << "Python";
 }
 
 /// Each request is rendered with the weather in the request. A request without weather
@@ -136,9 +137,9 @@ TEST_F(Service, PointsAreThoseOfFilesViewerAndPython) {
 TEST_F(Service, WeatherIsThatOfTheRequest) {
     weather = parse_weather("snow=4");
     start();
-    v1::RenderLidarRequest request = standing();
+    v1::RenderLidarRequest request = make_standing_request();
     request.mutable_actors(), request.set_time_s(0.5);
-    const PoseTrack way{{0.5}, {at_x(0.0)}};
+    const PoseTrack way{{0.5}, {make_pose_at_x(0.0)}};
     for (const char* asked : {"fog=20", "", "clear", "rain=80,fog=300", "clear"}) {
         for (const std::uint64_t seed : {1, 2}) {
             request.set_weather(asked), request.set_sample_seed(seed);
@@ -161,23 +162,23 @@ TEST_F(Service, WeatherIsThatOfTheRequest) {
 
 TEST_F(Service, SaysHowMuchOfAScanTheLogHasSeen) {
     start();
-    v1::RenderLidarRequest request = standing();
+    v1::RenderLidarRequest request = make_standing_request();
     request.mutable_actors();
     const double here = scan_of(request).unseen();
     EXPECT_GT(here, 0.5) << "three quarters of a turn";
     EXPECT_LT(here, 0.95);
     request.clear_path();
-    add_pose(*request.mutable_path(), 0.45, at_x(500.0)),
-        add_pose(*request.mutable_path(), 0.55, at_x(500.0));
+    add_pose(*request.mutable_path(), 0.45, make_pose_at_x(500.0)),
+        add_pose(*request.mutable_path(), 0.55, make_pose_at_x(500.0));
     EXPECT_EQ(scan_of(request).unseen(), 1.0);
 }
 
 TEST_F(Service, PointsLieOnThingsSeenFromTheEndOfTheSweep) {
     start();
-    v1::RenderLidarRequest request = standing();
+    v1::RenderLidarRequest request = make_standing_request();
     request.clear_path();
-    const Pose begin = at_x(-1.0),
-               end{rotation_of(0.2, 0.0, 0.0), at_x(0.0).translation + glm::dvec3(0.0, 0.5, 0.0)};
+    const Pose begin = make_pose_at_x(-1.0),
+               end{make_rotation(0.2, 0.0, 0.0), make_pose_at_x(0.0).translation + glm::dvec3(0.0, 0.5, 0.0)};
     add_pose(*request.mutable_path(), 0.45, begin), add_pose(*request.mutable_path(), 0.55, end);
     request.mutable_actors();  // removes all actors, so that only the wall is visible
     const v1::LidarScan scan = scan_of(request);
@@ -203,11 +204,11 @@ TEST_F(Service, PointsLieOnThingsSeenFromTheEndOfTheSweep) {
 /// computed on the host. Both must be equal.
 TEST_F(Service, PointsAloneAreThoseBesideAnImage) {
     start();
-    v1::RenderLidarRequest request = standing();
+    v1::RenderLidarRequest request = make_standing_request();
     request.clear_path();
-    add_pose(*request.mutable_path(), 0.3, at_x(-2.0));
+    add_pose(*request.mutable_path(), 0.3, make_pose_at_x(-2.0));
     add_pose(*request.mutable_path(), 0.6,
-             {glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), at_x(0.0).translation});
+             {glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), make_pose_at_x(0.0).translation});
     request.set_time_s(0.45), request.set_points_at_s(0.5);
     request.mutable_sensor()->set_name("VLP-16:90x10");
     for (const bool sampled : {false, true}) {
@@ -235,16 +236,16 @@ TEST_F(Service, PointsAloneAreThoseBesideAnImage) {
 
 /// The sensor drives towards the wall at 20 m/s.
 TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
-    relidar::Run run = small_run(folder / "small");
+    relidar::Run run = make_small_run(folder / "small");
     run.sequence.rolling_shutter = false;
     save_run(run);
     start();
     constexpr double kTime_s = 0.5, kEnd_s = 0.6, kPeriod_s = 0.1, kWall_m = 10.0;
     const auto sensor_x = [](double time_s) { return 20.0 * (time_s - kTime_s); };
-    v1::RenderLidarRequest request = standing();
+    v1::RenderLidarRequest request = make_standing_request();
     request.clear_path();
     for (const double time_s : {0.4, kEnd_s})
-        add_pose(*request.mutable_path(), time_s, at_x(sensor_x(time_s)));
+        add_pose(*request.mutable_path(), time_s, make_pose_at_x(sensor_x(time_s)));
     request.set_time_s(kTime_s);
     request.mutable_actors();
     for (const bool is_own : {true, false}) {
@@ -283,12 +284,12 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
 /// Uses a network that predicts a return for every ray, and a sensor for which most rays
 /// hit nothing.
 TEST_F(Service, ImageAndPointsHaveAsManyReturns) {
-    relidar::Run run = small_run(folder / "small");
+    relidar::Run run = make_small_run(folder / "small");
     run.config.refine.enabled = true;
-    run.drop_network = test::network_that_never_drops();
+    run.drop_network = test::make_network_that_never_drops();
     save_run(run);
     start();
-    v1::RenderLidarRequest request = standing();
+    v1::RenderLidarRequest request = make_standing_request();
     for (const char* sensor : {"", "VLP-16:90x10"}) {
         if (sensor[0] != 0) request.mutable_sensor()->set_name(sensor);
         const v1::LidarScan scan = scan_of(request);
@@ -307,9 +308,10 @@ TEST_F(Service, ImageAndPointsHaveAsManyReturns) {
 TEST_F(Service, ChannelsComeWithPointsAndImage) {
     channels = "normal,spread";
     start();
-    v1::RenderLidarRequest request = standing();
+    v1::RenderLidarRequest request = make_standing_request();
     request.clear_path();
-    const Pose begin = at_x(-1.0), end{rotation_of(0.4, 0.0, 0.0), at_x(0.0).translation};
+    const Pose begin = make_pose_at_x(-1.0),
+               end{make_rotation(0.4, 0.0, 0.0), make_pose_at_x(0.0).translation};
     add_pose(*request.mutable_path(), 0.45, begin), add_pose(*request.mutable_path(), 0.55, end);
     request.mutable_actors();
     request.mutable_wanted()->set_range_image(true);
@@ -333,14 +335,15 @@ TEST_F(Service, ChannelsComeWithPointsAndImage) {
 
 TEST_F(Service, FirstRayIsFiredAtTheBeginningOfThePathUnlessToldOtherwise) {
     start();
-    v1::RenderLidarRequest request = standing();
-    v1::SensorSpec spec = rays_ahead(3);
+    v1::RenderLidarRequest request = make_standing_request();
+    v1::SensorSpec spec = make_rays_ahead(3);
     const std::vector<float> fired_s{0.25f, 0.5f, 0.75f};
     spec.mutable_rays()->set_time_s(fired_s.data(), 12);
     *request.mutable_sensor()->mutable_spec() = spec;
     request.clear_path();
     // a speed of 2 m/s
-    add_pose(*request.mutable_path(), 0.0, at_x(-4.0)), add_pose(*request.mutable_path(), 0.5, at_x(-3.0));
+    add_pose(*request.mutable_path(), 0.0, make_pose_at_x(-4.0)),
+        add_pose(*request.mutable_path(), 0.5, make_pose_at_x(-3.0));
     request.mutable_actors();
     const v1::LidarScan scan = scan_of(request);
     EXPECT_EQ(scan.time_s(), -0.25);
@@ -353,19 +356,20 @@ TEST_F(Service, FirstRayIsFiredAtTheBeginningOfThePathUnlessToldOtherwise) {
 
 TEST_F(Service, ActorsAreTheLogsOrTheClients) {
     start();
-    v1::RenderLidarRequest request = standing();
-    *request.mutable_sensor()->mutable_spec() = rays_ahead(1);
+    v1::RenderLidarRequest request = make_standing_request();
+    *request.mutable_sensor()->mutable_spec() = make_rays_ahead(1);
     const auto range_m = [&] { return double(values<float>(scan_of(request).image().range_m())[0]); };
     const auto instance = [&] { return values<std::int32_t>(scan_of(request).points().instance()).at(0); };
     EXPECT_NEAR(range_m(), 4.0, 0.05) << "where the log has it";
     EXPECT_EQ(instance(), 1) << "the first of Scene.actors";
     v1::ActorTrack& car = *request.mutable_actors()->add_actors();
     car.set_name("car");
-    add_pose(*car.mutable_poses(), 0.0, at_x(6.0));
+    add_pose(*car.mutable_poses(), 0.0, make_pose_at_x(6.0));
     EXPECT_NEAR(range_m(), 6.0, 0.05) << "where the client has it";
     car.clear_poses();
     // the track of the car ends 0.5 s before the scan
-    add_pose(*car.mutable_poses(), -0.5, at_x(4.0)), add_pose(*car.mutable_poses(), 0.0, at_x(5.0));
+    add_pose(*car.mutable_poses(), -0.5, make_pose_at_x(4.0)),
+        add_pose(*car.mutable_poses(), 0.0, make_pose_at_x(5.0));
     EXPECT_NEAR(range_m(), 6.0, 0.05) << "it goes on at the same speed";
     request.mutable_actors()->clear_actors();
     EXPECT_NEAR(range_m(), 10.0, 0.05) << "nobody is there";
@@ -385,7 +389,7 @@ TEST_F(Service, SensorIsUploadedOnce) {
     ASSERT_TRUE(calls->UploadSensor(&context, upload, &kept).ok());
     EXPECT_EQ(kept.rays(), 360u);
     EXPECT_NEAR(kept.last_ray_s() - kept.first_ray_s(), 0.05, 0.001);
-    v1::RenderLidarRequest request = standing(), by_spec = request;
+    v1::RenderLidarRequest request = make_standing_request(), by_spec = request;
     request.mutable_sensor()->set_handle(kept.handle());
     *by_spec.mutable_sensor()->mutable_spec() = upload.sensor();
     const v1::LidarScan scan = scan_of(request);
@@ -397,12 +401,12 @@ TEST_F(Service, SensorIsUploadedOnce) {
 TEST_F(Service, RigIsAScanForEachOfItsSensors) {
     start();
     v1::RenderRigRequest request;
-    *request.mutable_rig() = standing();
+    *request.mutable_rig() = make_standing_request();
     request.mutable_rig()->mutable_actors();
     const auto mount = [&](const char* name, double x_m) {
         v1::RigSensor& sensor = *request.add_sensors();
         sensor.set_name(name);
-        *sensor.mutable_sensor()->mutable_spec() = rays_ahead(1);
+        *sensor.mutable_sensor()->mutable_spec() = make_rays_ahead(1);
         sensor.mutable_rig_from_sensor()->mutable_translation()->set_x(x_m);
     };
     mount("front", 2.0), mount("rear", -3.0);
@@ -422,13 +426,13 @@ TEST_F(Service, RigIsAScanForEachOfItsSensors) {
 TEST_F(Service, PointsOfARigAreThoseOfEachSensorAlone) {
     start();
     v1::RenderRigRequest request;
-    *request.mutable_rig() = standing();
+    *request.mutable_rig() = make_standing_request();
     request.mutable_rig()->clear_wanted();
     for (int i = 0; i < 13; ++i) {
         v1::RigSensor& sensor = *request.add_sensors();
         sensor.set_name(std::to_string(i));
         if (i == 3) sensor.mutable_sensor()->set_name("rosette");
-        else *sensor.mutable_sensor()->mutable_spec() = rays_ahead(std::size_t(1 + i % 3));
+        else *sensor.mutable_sensor()->mutable_spec() = make_rays_ahead(std::size_t(1 + i % 3));
         sensor.mutable_rig_from_sensor()->mutable_translation()->set_x(0.5 * i - 5.0);
     }
     const auto calls = stub();

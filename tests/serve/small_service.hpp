@@ -25,9 +25,11 @@ namespace relidar::serve {
 // origin of relidar's world in the dataset
 inline const glm::dvec3 kDatasetOrigin_m(455000.0, 5428000.0, 113.0);
 
-inline Pose at_x(double x_m) { return {{1, 0, 0, 0}, kDatasetOrigin_m + glm::dvec3(x_m, 0.0, 0.0)}; }
+inline Pose make_pose_at_x(double x_m) {
+    return {{1, 0, 0, 0}, kDatasetOrigin_m + glm::dvec3(x_m, 0.0, 0.0)};
+}
 
-inline Run small_run(const std::filesystem::path& folder) {
+inline Run make_small_run(const std::filesystem::path& folder) {
     Run run;
     run.folder = folder;
     Surfels& surfels = run.scene.surfels;
@@ -90,7 +92,7 @@ protected:
         options.weather = weather;
         options.sensorsim = sensorsim;
         for (const std::string& name : names) {
-            if (!std::filesystem::exists(folder / name)) save_run(small_run(folder / name));
+            if (!std::filesystem::exists(folder / name)) save_run(make_small_run(folder / name));
             options.runs.push_back((folder / name).string());
         }
         options.listen = "127.0.0.1:0";
@@ -116,22 +118,22 @@ inline void add_pose(google::protobuf::RepeatedPtrField<v1::TimedPose>& poses, d
 }
 
 /// Returns a request for all outputs of a scan by the log's sensor, which does not move.
-inline v1::RenderLidarRequest standing() {
+inline v1::RenderLidarRequest make_standing_request() {
     v1::RenderLidarRequest request;
-    add_pose(*request.mutable_path(), 0.5, at_x(0.0));
+    add_pose(*request.mutable_path(), 0.5, make_pose_at_x(0.0));
     request.mutable_wanted()->set_points(true);
     request.mutable_wanted()->set_range_image(true);
     request.mutable_wanted()->set_drop_probability(true);
     return request;
 }
 
-/// Returns a sensor with n rays that point straight ahead. With a large n, rendering the
-/// sensor is slow.
-inline v1::SensorSpec rays_ahead(std::size_t n) {
+/// Returns a sensor with `count` rays that point straight ahead. With a large `count`,
+/// rendering the sensor is slow.
+inline v1::SensorSpec make_rays_ahead(std::size_t count) {
     v1::SensorSpec spec;
     const glm::vec3 ahead(1.0f, 0.0f, 0.0f);
     std::string& direction = *spec.mutable_rays()->mutable_direction();
-    for (std::size_t i = 0; i < n; ++i)
+    for (std::size_t i = 0; i < count; ++i)
         direction.append(reinterpret_cast<const char*>(&ahead), sizeof(ahead));
     return spec;
 }

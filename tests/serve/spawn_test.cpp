@@ -25,9 +25,9 @@ using Code = grpc::StatusCode;
 
 /// Returns an asset: a plate perpendicular to its x axis. It is wider than the car of the
 /// small run and has a different brightness.
-Asset plate_asset(const std::string& name, std::size_t n_surfels = 1,
-                  Primitive primitive = Primitive::surfel) {
-    relidar::Run run = small_run("");
+Asset make_plate_asset(const std::string& name, std::size_t n_surfels = 1,
+                       Primitive primitive = Primitive::surfel) {
+    relidar::Run run = make_small_run("");
     Surfels& surfels = run.scene.surfels;
     surfels = surfels.slice(0, 1);
     surfels.log_scale[0] = glm::vec2(std::log(0.8f));
@@ -47,7 +47,7 @@ Asset plate_asset(const std::string& name, std::size_t n_surfels = 1,
     return {facts, run};
 }
 
-v1::SpawnActorsRequest spawn_request(
+v1::SpawnActorsRequest make_spawn_request(
     const std::vector<std::pair<std::string, std::string>>& name_and_source) {
     v1::SpawnActorsRequest request;
     for (const auto& [name, source] : name_and_source) {
@@ -60,7 +60,7 @@ v1::SpawnActorsRequest spawn_request(
 }
 
 Pose beside(double x_m, double y_m, double yaw_rad = 0.0) {
-    return {rotation_of(yaw_rad, 0.0, 0.0), kDatasetOrigin_m + glm::dvec3(x_m, y_m, 0.0)};
+    return {make_rotation(yaw_rad, 0.0, 0.0), kDatasetOrigin_m + glm::dvec3(x_m, y_m, 0.0)};
 }
 
 void place(v1::RenderLidarRequest& request, const std::string& name, const Pose& pose) {
@@ -74,17 +74,17 @@ protected:
     void SetUp() override {
         ServiceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
-        save_asset(plate_asset("van-1"), folder / "assets" / "van-1");
-        save_asset(plate_asset("gauss", 3, Primitive::gaussian), folder / "assets" / "gauss");
+        save_asset(make_plate_asset("van-1"), folder / "assets" / "van-1");
+        save_asset(make_plate_asset("gauss", 3, Primitive::gaussian), folder / "assets" / "gauss");
         assets = {(folder / "assets").string()};
     }
     grpc::Status spawn(const v1::SpawnActorsRequest& request, v1::SpawnActorsResponse& answer) {
         grpc::ClientContext context;
         return stub()->SpawnActors(&context, request, &answer);
     }
-    v1::SpawnActorsResponse spawned(const std::vector<std::pair<std::string, std::string>>& wishes) {
+    v1::SpawnActorsResponse spawned(const std::vector<std::pair<std::string, std::string>>& requests) {
         v1::SpawnActorsResponse answer;
-        const grpc::Status status = spawn(spawn_request(wishes), answer);
+        const grpc::Status status = spawn(make_spawn_request(requests), answer);
         EXPECT_TRUE(status.ok()) << status.error_message();
         return answer;
     }
@@ -121,7 +121,7 @@ TEST_F(Spawn, CopiesRenderAsThoseOfEdits) {
     ASSERT_EQ(answer.actors_size(), 4);
     const std::vector<std::pair<std::string, Pose>> places{
         {"first", beside(3.0, 1.0)}, {"second", beside(5.0, -1.5, 0.3)}, {"third", beside(6.0, 0.5, -0.2)}};
-    v1::RenderLidarRequest request = standing();
+    v1::RenderLidarRequest request = make_standing_request();
     for (const auto& [name, pose] : places) place(request, name, pose);
     const v1::LidarScan scan = scan_of(request);
 
@@ -131,8 +131,8 @@ TEST_F(Spawn, CopiesRenderAsThoseOfEdits) {
         edited = insert_track(std::move(edited), asset.driving(), "van-1", {places[i].second});
     edited = remove_track(std::move(edited), "car");
     ScanRenderer renderer(device(), edited.scene, run.config, edited.sequence);
-    const RenderedScan truth =
-        renderer.render(configured_sensor(run.config, run.sequence), {0.5, {{0.5}, {at_x(0.0)}}});
+    const RenderedScan truth = renderer.render(make_configured_sensor(run.config, run.sequence),
+                                               {0.5, {{0.5}, {make_pose_at_x(0.0)}}});
     EXPECT_EQ(values<float>(scan.image().range_m()), truth.image.range_m);
     EXPECT_EQ(values<float>(scan.image().intensity()), truth.image.intensity);
     EXPECT_EQ(values<float>(scan.image().drop_probability()), truth.image.drop_prob);
@@ -149,7 +149,7 @@ TEST_F(Spawn, CopiesRenderAsThoseOfEdits) {
     for (const std::int32_t actor : {1, 2, 3})
         EXPECT_GT(std::ranges::count(truth.instance, actor), 0) << actor;
 
-    const v1::LidarScan before = scan_of(standing());
+    const v1::LidarScan before = scan_of(make_standing_request());
     EXPECT_THAT(values<std::int32_t>(before.points().instance()), testing::Contains(1))
         << "as the log has them";
     EXPECT_THAT(values<std::int32_t>(before.points().instance()), testing::Each(testing::Lt(2)))
@@ -183,7 +183,7 @@ TEST_F(Spawn, IsListedUntilItIsTakenOut) {
     EXPECT_TRUE(despawn({"a"}, left).ok());
     EXPECT_EQ(left, 1u);
     EXPECT_THAT(listed(), ElementsAre("b"));
-    v1::RenderLidarRequest request = standing();
+    v1::RenderLidarRequest request = make_standing_request();
     place(request, "a", beside(3.0, 0.0));
     grpc::ClientContext context;
     v1::LidarScan scan;
@@ -197,29 +197,30 @@ TEST_F(Spawn, IsListedUntilItIsTakenOut) {
 TEST_F(Spawn, WhatMakesNoSenseIsRefusedByNameAndChangesNothing) {
     start();
     spawned({{"mine", "car"}});
-    expect_refused(spawn_request({{"mine", "car"}}), Code::ALREADY_EXISTS,
+    expect_refused(make_spawn_request({{"mine", "car"}}), Code::ALREADY_EXISTS,
                    "cannot spawn \"mine\": an actor with this name exists");
-    expect_refused(spawn_request({{"x", "car"}, {"mine", "car"}}), Code::ALREADY_EXISTS,
+    expect_refused(make_spawn_request({{"x", "car"}, {"mine", "car"}}), Code::ALREADY_EXISTS,
                    "cannot spawn \"mine\"");
-    expect_refused(spawn_request({{"x", "car"}, {"x", "asset van-1"}}), Code::ALREADY_EXISTS,
+    expect_refused(make_spawn_request({{"x", "car"}, {"x", "asset van-1"}}), Code::ALREADY_EXISTS,
                    "cannot spawn \"x\"");
-    expect_refused(spawn_request({{"car", "asset van-1"}}), Code::ALREADY_EXISTS,
+    expect_refused(make_spawn_request({{"car", "asset van-1"}}), Code::ALREADY_EXISTS,
                    "which is an actor of the run");
-    expect_refused(spawn_request({{"x", "cat"}}), Code::NOT_FOUND,
+    expect_refused(make_spawn_request({{"x", "cat"}}), Code::NOT_FOUND,
                    "actors[0].actor: found \"cat\", expected an existing name such as \"c");
-    expect_refused(spawn_request({{"x", "asset van-2"}}), Code::NOT_FOUND,
+    expect_refused(make_spawn_request({{"x", "asset van-2"}}), Code::NOT_FOUND,
                    "actors[0].asset: found \"van-2\", expected an existing name");
-    expect_refused(spawn_request({{"x", "mine"}}), Code::NOT_FOUND, "actors[0].actor: found \"mine\"");
-    expect_refused(spawn_request({{"x", ""}}), Code::INVALID_ARGUMENT, "neither actor nor asset");
-    expect_refused(spawn_request({{"", "car"}}), Code::INVALID_ARGUMENT, "actors[0].name");
-    expect_refused(spawn_request({{std::string(201, 'x'), "car"}}), Code::INVALID_ARGUMENT, "of 201 bytes");
+    expect_refused(make_spawn_request({{"x", "mine"}}), Code::NOT_FOUND, "actors[0].actor: found \"mine\"");
+    expect_refused(make_spawn_request({{"x", ""}}), Code::INVALID_ARGUMENT, "neither actor nor asset");
+    expect_refused(make_spawn_request({{"", "car"}}), Code::INVALID_ARGUMENT, "actors[0].name");
+    expect_refused(make_spawn_request({{std::string(201, 'x'), "car"}}), Code::INVALID_ARGUMENT,
+                   "of 201 bytes");
     expect_refused({}, Code::INVALID_ARGUMENT, "cannot read actors: found none");
-    expect_refused(spawn_request({{"x", "asset gauss"}}), Code::FAILED_PRECONDITION, "3D Gaussians");
+    expect_refused(make_spawn_request({{"x", "asset gauss"}}), Code::FAILED_PRECONDITION, "3D Gaussians");
     std::vector<std::pair<std::string, std::string>> many;
     for (std::size_t i = 0; i <= SpawnedActors::kMostPlaces; ++i)
         many.emplace_back(fmt::format("n{}", i), "car");
-    expect_refused(spawn_request(many), Code::RESOURCE_EXHAUSTED, "already has 4096 spawned actors");
-    v1::SpawnActorsRequest elsewhere = spawn_request({{"x", "car"}});
+    expect_refused(make_spawn_request(many), Code::RESOURCE_EXHAUSTED, "already has 4096 spawned actors");
+    v1::SpawnActorsRequest elsewhere = make_spawn_request({{"x", "car"}});
     elsewhere.set_scene("nowhere");
     expect_refused(elsewhere, Code::NOT_FOUND, "cannot read scene: found \"nowhere\"");
     std::uint32_t left = 0;
@@ -230,7 +231,7 @@ TEST_F(Spawn, WhatMakesNoSenseIsRefusedByNameAndChangesNothing) {
         EXPECT_THAT(status.error_message(), HasSubstr("cannot despawn \"" + names[0] + "\""));
     }
     EXPECT_THAT(listed(), ElementsAre("mine"));
-    v1::RenderLidarRequest request = standing();
+    v1::RenderLidarRequest request = make_standing_request();
     place(request, "mine", beside(3.0, 0.0));
     EXPECT_THAT(values<std::int32_t>(scan_of(request).points().instance()), testing::Contains(2));
 }
@@ -238,18 +239,18 @@ TEST_F(Spawn, WhatMakesNoSenseIsRefusedByNameAndChangesNothing) {
 TEST_F(Spawn, ActorsWithTooFewSurfelsForTheirRaysAreNamed) {
     start();
     spawned({{"van", "asset van-1"}});
-    v1::RenderLidarRequest request = standing();
+    v1::RenderLidarRequest request = make_standing_request();
     place(request, "van", beside(4.0, 0.0));
-    *request.mutable_sensor()->mutable_spec() = rays_ahead(9);
+    *request.mutable_sensor()->mutable_spec() = make_rays_ahead(9);
     const v1::LidarScan near = scan_of(request);
     ASSERT_EQ(near.sparse_actors_size(), 1);
     EXPECT_EQ(near.sparse_actors(0).name(), "van");
     EXPECT_NEAR(near.sparse_actors(0).distance_m(), 4.0, 1e-6);
     EXPECT_EQ(near.sparse_actors(0).rays(), 9u);
     EXPECT_EQ(near.sparse_actors(0).surfels(), 1u);
-    *request.mutable_sensor()->mutable_spec() = rays_ahead(8);
+    *request.mutable_sensor()->mutable_spec() = make_rays_ahead(8);
     EXPECT_EQ(scan_of(request).sparse_actors_size(), 0) << "eight rays a surfel do";
-    *request.mutable_sensor()->mutable_spec() = rays_ahead(9);
+    *request.mutable_sensor()->mutable_spec() = make_rays_ahead(9);
     request.clear_actors();
     place(request, "van", beside(4.0, 5.0));
     EXPECT_EQ(scan_of(request).sparse_actors_size(), 0) << "beside the rays";
@@ -261,12 +262,12 @@ TEST_F(Spawn, ActorsWithTooFewSurfelsForTheirRaysAreNamed) {
 }
 
 TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
-    save_run(small_run(folder / "small"));
-    save_asset(plate_asset("large", 20000), folder / "more" / "large");
+    save_run(make_small_run(folder / "small"));
+    save_asset(make_plate_asset("large", 20000), folder / "more" / "large");
     const std::uint64_t before = device().allocated_bytes();
     std::uint64_t budget = 0;
     const std::vector<SceneSource> sources{{"small", folder / "small"}};
-    const ScanRequest request{0.5, {{0.5}, {at_x(1.0)}}};
+    const ScanRequest request{0.5, {{0.5}, {make_pose_at_x(1.0)}}};
     {
         const AssetCatalogue none({});
         SceneSet one(device(), sources, std::uint64_t(1) << 40, none);
@@ -274,7 +275,8 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
     }
     const AssetCatalogue shelf({(folder / "more").string()});
     SceneSet scenes(device(), sources, before + budget, shelf);
-    const SensorChoice sensor = configured_sensor(scenes.outlines()[0].config, scenes.outlines()[0].sequence);
+    const SensorChoice sensor =
+        make_configured_sensor(scenes.outlines()[0].config, scenes.outlines()[0].sequence);
     const auto ranges = [&] {
         std::vector<float> range_m;
         scenes.use(0, {},
@@ -282,9 +284,9 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
         return range_m;
     };
     const std::vector<float> truth = ranges();
-    const auto refused = [&](const ActorToSpawn& wish) {
+    const auto refused = [&](const ActorToSpawn& actor) {
         try {
-            scenes.spawn(0, {wish});
+            scenes.spawn(0, {actor});
         } catch (const Refusal& refusal) {
             EXPECT_EQ(refusal.code(), Code::RESOURCE_EXHAUSTED);
             return std::string(refusal.what());
@@ -293,11 +295,11 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
     };
     EXPECT_THAT(refused({"x", {true, "large"}, {1, 1, 1}, 20000}),
                 HasSubstr("MiB of device memory with them"));
-    EXPECT_TRUE(scenes.spawned().taken(0).empty());
+    EXPECT_TRUE(scenes.spawned().list_taken_places(0).empty());
     EXPECT_EQ(scenes.spawned().count_places(0), 0u);
     EXPECT_EQ(ranges(), truth);
     EXPECT_EQ(refused({"x", {false, "car"}, {1, 1, 1}, 1}), "") << "the name is free, and this one fits";
-    EXPECT_EQ(scenes.spawned().taken(0).size(), 1u);
+    EXPECT_EQ(scenes.spawned().list_taken_places(0).size(), 1u);
 }
 
 TEST(SpawnedPlaces, AreMadeInGrowingNumbersAndUsedAgain) {
@@ -320,17 +322,18 @@ TEST_F(Spawn, ADamagedAssetIsToldToWhoPlacesIt) {
     const std::filesystem::path model = folder / "assets" / "van-1" / "model.safetensors";
     std::filesystem::resize_file(model, std::filesystem::file_size(model) / 2);
     start();  // The server must start although it has read only the descriptions of assets.
-    expect_refused(spawn_request({{"x", "asset van-1"}}), Code::FAILED_PRECONDITION, "van-1");
+    expect_refused(make_spawn_request({{"x", "asset van-1"}}), Code::FAILED_PRECONDITION, "van-1");
     EXPECT_EQ(spawned({{"y", "car"}}).actors_size(), 1) << "the scene is as it was";
 }
 
 TEST_F(Spawn, AnAssetsNameIsGivenOnce) {
-    save_asset(plate_asset("van-1"), folder / "others" / "van-1");
+    save_asset(make_plate_asset("van-1"), folder / "others" / "van-1");
     const std::string message = error_message<UsageError>([&] {
         AssetCatalogue({(folder / "assets").string(), (folder / "others").string()});
     });
     EXPECT_THAT(message, HasSubstr("found van-1 also in"));
-    EXPECT_THAT(data_error([&] { AssetCatalogue({folder.string() + "/nowhere"}); }), HasSubstr("nowhere"));
+    EXPECT_THAT(get_data_error_message([&] { AssetCatalogue({folder.string() + "/nowhere"}); }),
+                HasSubstr("nowhere"));
 }
 
 }  // namespace

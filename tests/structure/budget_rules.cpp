@@ -17,7 +17,7 @@ constexpr std::size_t kCommentColumns = 90;
 const std::set<std::string> kCompositionRoots = {"src/train/train.cpp", "tools/relidar/main.cpp"};
 
 /// Returns the maximum number of lines of a file, or 0 if the file has no limit.
-int line_limit(const std::string& path) {
+int get_line_limit(const std::string& path) {
     if (kCompositionRoots.contains(path)) return 180;
     if (path.starts_with("include/relidar/")) return 420;
     if (path.starts_with("shaders/") && has_extension(path, {".h"})) return 165;
@@ -28,14 +28,15 @@ int line_limit(const std::string& path) {
 
 /// Returns the number of UTF-8 characters in a line.
 std::size_t columns_of(const std::string& line) {
-    return static_cast<std::size_t>(std::count_if(
-        line.begin(), line.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xc0) != 0x80; }));
+    return static_cast<std::size_t>(std::count_if(line.begin(), line.end(), [](char character) {
+        return (static_cast<unsigned char>(character) & 0xc0) != 0x80;
+    }));
 }
 
 /// Returns the limit of columns that a line exceeds, or 0. Literals may be longer than
 /// code. Comment lines that are indented by two or more spaces (tables, equations) may be
 /// as long as code.
-std::size_t exceeded_columns(const std::string& text, const std::string& code) {
+std::size_t count_exceeded_columns(const std::string& text, const std::string& code) {
     const std::size_t columns = columns_of(text), first = text.find_first_not_of(' ');
     if (first != std::string::npos && text.compare(first, 2, "//") == 0) {
         const std::size_t body = text.find_first_not_of("/<!", first);
@@ -52,7 +53,7 @@ std::size_t exceeded_columns(const std::string& text, const std::string& code) {
 Violations check_budgets(const SourceTree& tree) {
     Violations violations;
     for (const auto& [path, file] : tree) {
-        const int limit = line_limit(path);
+        const int limit = get_line_limit(path);
         if (limit == 0) continue;
         const int n_lines = static_cast<int>(file.lines.size());
         if (n_lines > limit)
@@ -62,11 +63,11 @@ Violations check_budgets(const SourceTree& tree) {
         std::istringstream code_lines(file.code);
         std::string code;
         for (std::size_t i = 0; i < file.lines.size() && std::getline(code_lines, code); ++i)
-            if (const std::size_t most = exceeded_columns(file.lines[i], code))
+            if (const std::size_t most = count_exceeded_columns(file.lines[i], code))
                 violations.push_back(path + ":" + std::to_string(i + 1) + ": " +
                                      std::to_string(columns_of(file.lines[i])) + " columns, at most " +
                                      std::to_string(most));
-        for (const Function& function : functions_of(file)) {
+        for (const Function& function : list_functions(file)) {
             const std::string where = path + ":" + std::to_string(function.first_line) + ": " + function.name;
             if (function.has_body && function.n_lines() > kFunctionLines) {
                 violations.push_back(where + " has " + std::to_string(function.n_lines()) +

@@ -52,7 +52,7 @@ struct Document {
     Names anchors;
 };
 
-std::string anchor_of(const std::string& heading) {
+std::string make_anchor(const std::string& heading) {
     std::string anchor;
     for (const char c : heading) {
         const auto byte = static_cast<unsigned char>(c);
@@ -63,20 +63,20 @@ std::string anchor_of(const std::string& heading) {
     return anchor;
 }
 
-/// Reads the fenced block whose opening fence is line `i`. Returns the line of its
+/// Reads the fenced block whose opening fence is line `index`. Returns the line of its
 /// closing fence.
-std::size_t read_block(const std::vector<std::string>& lines, std::size_t i, Document& document) {
-    const std::string language = lines[i].substr(3);
+std::size_t read_block(const std::vector<std::string>& lines, std::size_t index, Document& document) {
+    const std::string language = lines[index].substr(3);
     const bool shell = language.empty() || language == "sh" || language == "bash";
     bool joined = false;
-    for (++i; i < lines.size() && !lines[i].starts_with("```"); ++i) {
-        if (joined) document.code.back().text += " " + lines[i];
-        else document.code.push_back({lines[i], i + 1, shell});
+    for (++index; index < lines.size() && !lines[index].starts_with("```"); ++index) {
+        if (joined) document.code.back().text += " " + lines[index];
+        else document.code.push_back({lines[index], index + 1, shell});
         std::string& text = document.code.back().text;
         joined = text.ends_with('\\');
         if (joined) text.pop_back();
     }
-    return i;
+    return index;
 }
 
 /// Reads the paragraph in the lines [begin, end). A code span can continue in the next
@@ -113,7 +113,7 @@ Document read_document(const SourceFile& file) {
             continue;
         }
         if (lines[i].starts_with("#"))
-            document.anchors.insert(anchor_of(lines[i].substr(lines[i].find_first_not_of("# "))));
+            document.anchors.insert(make_anchor(lines[i].substr(lines[i].find_first_not_of("# "))));
         // a code span cannot extend beyond a heading, a table row or a list item
         std::size_t end = i + 1;
         while (end < lines.size() && !lines[end].empty() && !lines[end].starts_with("```") &&
@@ -139,7 +139,7 @@ struct Known {
 
 /// Searches the sources of a folder for a pattern and returns the first group of each
 /// match. If the pattern has two groups, joins the groups with a dot.
-Names matches_in(const SourceTree& tree, const std::string& prefix, const std::regex& pattern) {
+Names find_matches_in(const SourceTree& tree, const std::string& prefix, const std::regex& pattern) {
     Names found;
     for (auto it = tree.lower_bound(prefix); it != tree.end() && it->first.starts_with(prefix); ++it) {
         if (!has_extension(it->first, {".cpp", ".hpp", ".h"})) continue;
@@ -157,9 +157,9 @@ Known collect_names(const SourceTree& tree) {
             known.folders.insert(parent.generic_string());
         if (path.find('/') != std::string::npos) known.top_folders.insert(folder(path, 0));
     }
-    known.settings = matches_in(tree, "src/run/config/", std::regex(R"re(\bf\(\s*"(\w+)\.(\w+)")re"));
+    known.settings = find_matches_in(tree, "src/run/config/", std::regex(R"re(\bf\(\s*"(\w+)\.(\w+)")re"));
     const std::regex term(R"(\bTERM\(\d+u, \w+, (\w+),)");
-    for (const std::string& weight : matches_in(tree, "include/relidar/diff/loss_terms.h", term))
+    for (const std::string& weight : find_matches_in(tree, "include/relidar/diff/loss_terms.h", term))
         known.settings.insert("loss." + weight);
     for (const std::string& key : known.settings) known.sections.insert(key.substr(0, key.find('.')));
     const std::regex option(R"re("(?:-\w,)?(--[a-z][\w-]*)")re");
@@ -167,12 +167,13 @@ Known collect_names(const SourceTree& tree) {
                                                      {"relidar-dev", "tools/relidar_dev/"}};
     for (const auto& [name, sources] : folders) {
         Program& program = known.programs[name];
-        program.commands = matches_in(tree, sources, std::regex(R"re(\bapp\.add_subcommand\(\s*"(\w+)")re"));
-        program.options = matches_in(tree, sources, option);
+        program.commands =
+            find_matches_in(tree, sources, std::regex(R"re(\bapp\.add_subcommand\(\s*"(\w+)")re"));
+        program.options = find_matches_in(tree, sources, option);
         program.options.insert("--help");
     }
     // options of both programs
-    known.programs["relidar-dev"].options.merge(matches_in(tree, "tools/relidar/options.cpp", option));
+    known.programs["relidar-dev"].options.merge(find_matches_in(tree, "tools/relidar/options.cpp", option));
     return known;
 }
 
@@ -184,13 +185,13 @@ bool is_placeholder(const std::string& name) {
 }
 
 /// Expands `a.{hpp,cpp}` to a.hpp and a.cpp.
-std::vector<std::string> without_braces(const std::string& name) {
+std::vector<std::string> expand_braces(const std::string& name) {
     const std::size_t open = name.find('{'), close = name.find('}', open);
     if (open == std::string::npos || close == std::string::npos) return {name};
     std::vector<std::string> names;
     std::istringstream choices(name.substr(open + 1, close - open - 1));
     for (std::string choice; std::getline(choices, choice, ',');) {
-        for (const std::string& rest : without_braces(name.substr(close + 1)))
+        for (const std::string& rest : expand_braces(name.substr(close + 1)))
             names.push_back(name.substr(0, open) + choice + rest);
     }
     return names;
@@ -198,7 +199,7 @@ std::vector<std::string> without_braces(const std::string& name) {
 
 /// Converts a name that contains * to a regular expression that matches the end of a
 /// path.
-std::regex pattern_of(const std::string& name) {
+std::regex make_pattern(const std::string& name) {
     std::string pattern = "(^|.*/)";
     for (const char c : name) {
         const bool plain = std::isalnum(static_cast<unsigned char>(c)) || c == '_' || c == '/';
@@ -209,18 +210,18 @@ std::regex pattern_of(const std::string& name) {
 
 /// Returns true if a file or folder with this path exists. If `anywhere` is true, the
 /// name can also be the end of a path.
-bool has_path(const Known& known, const std::string& name, bool anywhere) {
-    if (known.tree.contains(name) || known.folders.contains(name)) return true;
+bool has_path(const Known& repository, const std::string& name, bool anywhere) {
+    if (repository.tree.contains(name) || repository.folders.contains(name)) return true;
     if (name.find('*') == std::string::npos && !anywhere) return false;
-    const std::regex pattern = pattern_of(name);
+    const std::regex pattern = make_pattern(name);
     const auto fits = [&](const std::string& path) { return std::regex_match(path, pattern); };
     const auto file_fits = [&](const auto& entry) { return fits(entry.first); };
-    return std::ranges::any_of(known.folders, fits) || std::ranges::any_of(known.tree, file_fits);
+    return std::ranges::any_of(repository.folders, fits) || std::ranges::any_of(repository.tree, file_fits);
 }
 
-bool occurs(const Known& known, const std::string& prefix, const std::string& word) {
-    for (auto it = known.tree.lower_bound(prefix); it != known.tree.end() && it->first.starts_with(prefix);
-         ++it) {
+bool contains_name(const Known& repository, const std::string& prefix, const std::string& word) {
+    for (auto it = repository.tree.lower_bound(prefix);
+         it != repository.tree.end() && it->first.starts_with(prefix); ++it) {
         const bool text =
             has_extension(it->first, {".cpp", ".hpp", ".h", ".py", ".sh", ".cmake", ".txt", ""});
         if (text && !it->first.starts_with("tests/structure/") && contains_word(it->second.text, word))
@@ -231,13 +232,14 @@ bool occurs(const Known& known, const std::string& prefix, const std::string& wo
 
 /// Returns true if a name is a kernel, a part of a stage, or a label of reported times
 /// (`accel/build`).
-bool is_kernel(const Known& known, const std::string& name) {
-    return has_path(known, "shaders/" + name + ".comp", false) || has_path(known, "src/" + name, false) ||
-           occurs(known, "src/", name) || occurs(known, "tools/", name);
+bool is_kernel(const Known& repository, const std::string& name) {
+    return has_path(repository, "shaders/" + name + ".comp", false) ||
+           has_path(repository, "src/" + name, false) || contains_name(repository, "src/", name) ||
+           contains_name(repository, "tools/", name);
 }
 
 /// Checks files, folders, headers and kernels.
-void check_paths(const Known& known, const Document& document, const Code& code,
+void check_paths(const Known& repository, const Document& document, const Code& code,
                  const std::function<void(std::string)>& wrong) {
     static const std::regex kPath(R"([\w.*{},<>$~/+-]+)");
     for (std::sregex_iterator match(code.text.begin(), code.text.end(), kPath), end; match != end; ++match) {
@@ -246,40 +248,42 @@ void check_paths(const Known& known, const Document& document, const Code& code,
                (word.back() == '.' || word.back() == ',' || word.back() == '/' || word.back() == '>'))
             word.pop_back();
         while (word.starts_with("<") || word.starts_with("./")) word.erase(0, word.starts_with("<") ? 1 : 2);
-        if (word.starts_with("relidar/tools/")) word.erase(0, 8);  // as in script_of()
+        if (word.starts_with("relidar/tools/")) word.erase(0, 8);  // as in get_script()
         if (word.empty() || word.front() == '/' || is_placeholder(word)) continue;
-        for (const std::string& name : without_braces(word)) {
+        for (const std::string& name : expand_braces(word)) {
             const bool source = kSourceExtensions.contains(fs::path(name).extension().string());
             const std::string here =
                 (fs::path(document.path).parent_path() / name).lexically_normal().generic_string();
             const std::string top = folder(name, 0);
             if (source) {
-                if (!has_path(known, name, true) && !has_path(known, here, false)) wrong("no file " + name);
-            } else if (known.top_folders.contains(top)) {
-                if (!has_path(known, name, false)) wrong("no file or folder " + name);
-            } else if (known.folders.contains("shaders/" + name.substr(0, name.rfind('/'))) &&
+                if (!has_path(repository, name, true) && !has_path(repository, here, false))
+                    wrong("no file " + name);
+            } else if (repository.top_folders.contains(top)) {
+                if (!has_path(repository, name, false)) wrong("no file or folder " + name);
+            } else if (repository.folders.contains("shaders/" + name.substr(0, name.rfind('/'))) &&
                        fs::path(name).extension().empty()) {
-                if (!is_kernel(known, name)) wrong("no kernel " + name);
+                if (!is_kernel(repository, name)) wrong("no kernel " + name);
             }
         }
     }
 }
 
-void check_settings(const Known& known, const Code& code, const std::function<void(std::string)>& wrong) {
+void check_settings(const Known& repository, const Code& code,
+                    const std::function<void(std::string)>& wrong) {
     static const std::regex kSetting(R"((^|[^\w/-])([a-z]+)\.([a-z][a-z0-9_]*)(?![\w(*.]))");
     for (std::sregex_iterator match(code.text.begin(), code.text.end(), kSetting), end; match != end;
          ++match) {
         const std::string section = (*match)[2], key = (*match)[3];
-        if (!known.sections.contains(section) || kFileEndings.contains(key) ||
+        if (!repository.sections.contains(section) || kFileEndings.contains(key) ||
             kSourceExtensions.contains("." + key))
             continue;
-        if (!known.settings.contains(section + "." + key)) wrong("no setting " + section + "." + key);
+        if (!repository.settings.contains(section + "." + key)) wrong("no setting " + section + "." + key);
     }
 }
 
 /// Returns the words of a command, without variable assignments before the command and
 /// without a comment.
-std::vector<std::string> words_of(const std::string& command) {
+std::vector<std::string> split_words(const std::string& command) {
     std::vector<std::string> words;
     std::istringstream in(command);
     for (std::string word; in >> word && word != "#";) {
@@ -291,7 +295,7 @@ std::vector<std::string> words_of(const std::string& command) {
 }
 
 /// Returns the `--name` part of a word, or an empty string.
-std::string option_of(const std::string& word) {
+std::string get_option(const std::string& word) {
     std::smatch match;
     return std::regex_search(word, match, std::regex("^--[a-z][a-z0-9-]*")) ? match.str() : "";
 }
@@ -302,7 +306,7 @@ void check_options(const Program& program, const std::vector<std::string>& words
                    const std::function<bool(const std::string&)>& has_option,
                    const std::function<void(std::string)>& wrong) {
     for (const std::string& word : words) {
-        const std::string option = option_of(word);
+        const std::string option = get_option(word);
         if (option.empty() || program.options.contains(option) || kPlaceholders.contains(option) ||
             has_option(option))
             continue;
@@ -312,7 +316,7 @@ void check_options(const Program& program, const std::vector<std::string>& words
 
 /// Returns the path of the relidar script or benchmark that a command calls, even if it
 /// does not exist. Returns an empty string for other programs.
-std::string script_of(const std::string& word) {
+std::string get_script(const std::string& word) {
     const std::string program = fs::path(word).filename().string();
     if (program.starts_with("relidar_bench_")) return "tools/bench/" + program.substr(14) + ".cpp";
     // relidar/ is the folder that tools/dev/bundle packs
@@ -323,14 +327,14 @@ std::string script_of(const std::string& word) {
 
 /// Checks a command of relidar or of a relidar script. Ignores commands of other
 /// programs.
-void check_command(const Known& known, const std::vector<std::string>& words,
+void check_command(const Known& repository, const std::vector<std::string>& words,
                    const std::function<void(std::string)>& wrong) {
     if (words.empty()) return;
-    const Program& relidar = known.programs.at("relidar");
-    if (const std::string script = script_of(words[0]); !script.empty()) {
-        const auto file = known.tree.find(script);
+    const Program& relidar = repository.programs.at("relidar");
+    if (const std::string script = get_script(words[0]); !script.empty()) {
+        const auto file = repository.tree.find(script);
         // see check_paths()
-        if (file == known.tree.end())
+        if (file == repository.tree.end())
             return script.ends_with(".cpp") ? wrong("no program " + words[0]) : void();
         return check_options(
             relidar, words,
@@ -338,43 +342,45 @@ void check_command(const Known& known, const std::vector<std::string>& words,
     }
     if (words[0].starts_with("--"))  // an option without a command can belong to any program of relidar
         return check_options(
-            relidar, words, [&](const std::string& option) { return occurs(known, "tools/", option); },
-            wrong);
+            relidar, words,
+            [&](const std::string& option) { return contains_name(repository, "tools/", option); }, wrong);
     std::string name = "relidar";
     auto word = std::ranges::find_if(words, [&](const std::string& w) {
         const std::string file = fs::path(w).filename().string();
-        if (!known.programs.contains(file)) return false;
+        if (!repository.programs.contains(file)) return false;
         name = file;
         return true;
     });
     if (word != words.end()) ++word;
     else if (relidar.commands.contains(words[0])) word = words.begin();
     if (word == words.end()) return;
-    const Program& program = known.programs.at(name);
+    const Program& program = repository.programs.at(name);
     if (std::regex_match(*word, std::regex("[a-z]+")) && !program.commands.contains(*word))
         wrong("no command " + name + " " + *word);
     check_options(
         program, {word, words.end()}, [](const std::string&) { return false; }, wrong);
 }
 
-void check_commands(const Known& known, const Code& code, const std::function<void(std::string)>& wrong) {
+void check_commands(const Known& repository, const Code& code,
+                    const std::function<void(std::string)>& wrong) {
     static const std::regex kEnd(R"(\s*(&&|\|\||[|;])\s*)");
     const std::string text = code.text.substr(0, code.text.find(" #"));
     for (std::sregex_token_iterator command(text.begin(), text.end(), kEnd, -1), end; command != end;
          ++command)
-        check_command(known, words_of(*command), wrong);
+        check_command(repository, split_words(*command), wrong);
 }
 
 /// Checks environment variables and CMake options.
-void check_variables(const Known& known, const Code& code, const std::function<void(std::string)>& wrong) {
+void check_variables(const Known& repository, const Code& code,
+                     const std::function<void(std::string)>& wrong) {
     static const std::regex kVariable(R"(\bRELIDAR_[A-Z0-9_]*[A-Z0-9]\b(?!\*))");
     for (std::sregex_iterator match(code.text.begin(), code.text.end(), kVariable), end; match != end;
          ++match)
-        if (!kPlaceholders.contains(match->str()) && !occurs(known, "", match->str()))
+        if (!kPlaceholders.contains(match->str()) && !contains_name(repository, "", match->str()))
             wrong("no variable or option " + match->str());
 }
 
-void check_links(const Known& known, const std::map<std::string, Document>& documents,
+void check_links(const Known& repository, const std::map<std::string, Document>& documents,
                  const Document& document, const Code& line, const std::function<void(std::string)>& wrong) {
     static const std::regex kLink(R"(\]\(([^)\s]*)\))");
     for (std::sregex_iterator match(line.text.begin(), line.text.end(), kLink), end; match != end; ++match) {
@@ -384,7 +390,7 @@ void check_links(const Known& known, const std::map<std::string, Document>& docu
             target.empty()
                 ? document.path
                 : (fs::path(document.path).parent_path() / target).lexically_normal().generic_string();
-        if (!has_path(known, path.ends_with('/') ? path.substr(0, path.size() - 1) : path, false)) {
+        if (!has_path(repository, path.ends_with('/') ? path.substr(0, path.size() - 1) : path, false)) {
             wrong("no file " + path);
         } else if (link.find('#') != std::string::npos && documents.contains(path) &&
                    !documents.at(path).anchors.contains(link.substr(link.find('#') + 1))) {
@@ -394,7 +400,7 @@ void check_links(const Known& known, const std::map<std::string, Document>& docu
 }
 
 /// Returns the documents named in a line, including names outside of code.
-Code documents_named_in(const Code& line) {
+Code list_documents_named_in(const Code& line) {
     static const std::regex kTarget(R"(\]\([^)]*\))"), kDocument(R"([\w/.-]+\.md\b)");
     const std::string text = std::regex_replace(line.text, kTarget, "]");
     Code names{"", line.line, false};
@@ -404,15 +410,15 @@ Code documents_named_in(const Code& line) {
 }
 
 /// Checks the documents named in comments of sources and scripts.
-void check_comments(const Known& known, const SourceFile& file, Violations& violations) {
+void check_comments(const Known& repository, const SourceFile& file, Violations& violations) {
     static const std::regex kComment(R"(^\s*(//|#))");
     for (std::size_t i = 0; i < file.lines.size(); ++i) {
         if (file.lines[i].find(".md") == std::string::npos || !std::regex_search(file.lines[i], kComment))
             continue;
         const Document document{file.path, {}, {}, {}};
-        check_paths(known, document, documents_named_in({file.lines[i], i + 1, false}),
-                    [&](const std::string& what) {
-                        violations.push_back(file.path + ":" + std::to_string(i + 1) + ": " + what);
+        check_paths(repository, document, list_documents_named_in({file.lines[i], i + 1, false}),
+                    [&](const std::string& description) {
+                        violations.push_back(file.path + ":" + std::to_string(i + 1) + ": " + description);
                     });
     }
 }
@@ -433,7 +439,7 @@ Violations check_documents(const SourceTree& tree) {
         if (path == "docs/changelog.md") continue;  // skipped because it names things that were removed
         const auto reporter = [&](const Code& code) {
             return [&violations, where = path + ":" + std::to_string(code.line) + ": "](
-                       const std::string& what) { violations.push_back(where + what); };
+                       const std::string& description) { violations.push_back(where + description); };
         };
         for (const Code& code : document.code) {
             check_paths(known, document, code, reporter(code));
@@ -443,7 +449,7 @@ Violations check_documents(const SourceTree& tree) {
         }
         for (const Code& line : document.prose) {
             check_links(known, documents, document, line, reporter(line));
-            check_paths(known, document, documents_named_in(line), reporter(line));
+            check_paths(known, document, list_documents_named_in(line), reporter(line));
         }
     }
     return violations;

@@ -17,9 +17,9 @@ using ::testing::IsEmpty;
 using ::testing::UnorderedElementsAreArray;
 
 TEST(Exchange, AccessesThatACacheMayAnswerAreFound) {
-    EXPECT_THAT(incoherent_exchanges(exchange_incoherent), ElementsAre("keys"));
+    EXPECT_THAT(find_incoherent_exchanges(exchange_incoherent), ElementsAre("keys"));
 }
-TEST(Exchange, CoherentOnesAreRight) { EXPECT_THAT(incoherent_exchanges(exchange_coherent), IsEmpty()); }
+TEST(Exchange, CoherentOnesAreRight) { EXPECT_THAT(find_incoherent_exchanges(exchange_coherent), IsEmpty()); }
 
 /// Kernels that have barriers but exchange no values. Each thread updates only its
 /// elements. forward/sort_hits loads all values before its barriers and stores them after
@@ -39,7 +39,7 @@ TEST(Exchange, NoKernelDoesSo) {
         std::vector<std::string> own;
         for (const OwnElements& allowed : kOwnElements)
             if (kernel.name.substr(0, kernel.name.find('@')) == allowed.kernel) own = allowed.members;
-        EXPECT_THAT(incoherent_exchanges(kernel.words), UnorderedElementsAreArray(own))
+        EXPECT_THAT(find_incoherent_exchanges(kernel.words), UnorderedElementsAreArray(own))
             << kernel.name
             << ": an exchange needs coherent accesses (diff/accel/bvh_forest.glsl); own elements a line in "
                "kOwnElements";

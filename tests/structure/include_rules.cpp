@@ -60,27 +60,27 @@ bool is_library(const std::string& path) {
 
 /// Returns the index of a file's module in kRooms, or the number of modules if the file
 /// belongs to no module.
-std::size_t room_of(const std::string& path) {
+std::size_t find_room(const std::string& path) {
     const std::string name = folder(path, path.starts_with(kPublic) ? 2 : 1);
     return std::size_t(std::ranges::find(kRooms, name) - kRooms.begin());
 }
 
 /// Returns the dataset reader to which a file below src/log/readers/ belongs. Returns an
 /// empty string for the registry, which includes all readers.
-std::string reader_of(const std::string& path) {
+std::string find_reader(const std::string& path) {
     return path.starts_with(kReaders) && path.find('/', kReaders.size()) != std::string::npos
                ? folder(path, 3)
                : "";
 }
 
-bool starts_with_any(const std::string& text, const std::vector<std::string>& prefixes) {
+bool has_any_prefix(const std::string& text, const std::vector<std::string>& prefixes) {
     return std::ranges::any_of(prefixes, [&](const std::string& prefix) { return text.starts_with(prefix); });
 }
 
 /// Returns an error message if a file of the library must not include a second file of
 /// the library. Returns an empty string if the include is allowed.
 std::string judge_library(const std::string& from, const std::string& to) {
-    const std::size_t from_room = room_of(from), to_room = room_of(to);
+    const std::size_t from_room = find_room(from), to_room = find_room(to);
     if (from == kUmbrella) return "";
     if (from_room == kRooms.size()) return from + " is in none of the nine rooms";
     if (to_room > from_room)
@@ -91,9 +91,9 @@ std::string judge_library(const std::string& from, const std::string& to) {
         return "a public header includes only public headers";
     if (from.starts_with("shaders/") && !to.starts_with("shaders/") && !to.ends_with(".h"))
         return "shaders include no C++";
-    if (!reader_of(from).empty() && !reader_of(to).empty() && reader_of(from) != reader_of(to))
+    if (!find_reader(from).empty() && !find_reader(to).empty() && find_reader(from) != find_reader(to))
         return "readers do not include each other";
-    if (from_room != to_room && to.starts_with("src/") && !starts_with_any(to, kOpenFolders))
+    if (from_room != to_room && to.starts_with("src/") && !has_any_prefix(to, kOpenFolders))
         return "another room is reached only through its public headers, <relidar/" + kRooms[to_room] +
                "/...>";
     if (from.starts_with("src/") && to.starts_with("shaders/") && !is_shared)
@@ -146,17 +146,17 @@ public:
 
     /// Returns the files on the longest include path that starts at a file. The first
     /// entry is the file itself. Cycles are stored as errors.
-    const std::vector<std::string>& longest_from(const std::string& path) {
+    const std::vector<std::string>& find_longest_chain_from(const std::string& path) {
         if (const auto known = longest_.find(path); known != longest_.end()) return known->second;
         open_.push_back(path);
         std::vector<std::string> best;
-        for (const Include& include : includes_of(tree_, tree_.at(path))) {
+        for (const Include& include : list_includes(tree_, tree_.at(path))) {
             if (std::ranges::find(open_, include.target) != open_.end()) {
                 cycles_.push_back(path + ":" + std::to_string(include.line) + ": cycle of includes back to " +
                                   include.target);
                 continue;
             }
-            const std::vector<std::string>& tail = longest_from(include.target);
+            const std::vector<std::string>& tail = find_longest_chain_from(include.target);
             if (tail.size() > best.size()) best = tail;
         }
         open_.pop_back();
@@ -189,7 +189,7 @@ Violations check_library_headers(const SourceTree& tree) {
             if (!std::regex_search(file.lines[i], match, pattern)) continue;
             const std::string header = match[1];
             for (const auto& [library, folders] : kLibraries)
-                if (header.starts_with(library) && !starts_with_any(path, folders))
+                if (header.starts_with(library) && !has_any_prefix(path, folders))
                     violations.push_back(path + ":" + std::to_string(i + 1) + ": <" + header +
                                          "> is not allowed here");
         }
@@ -201,7 +201,7 @@ Violations check_include_edges(const SourceTree& tree) {
     Violations violations;
     for (const auto& [path, file] : tree) {
         if (!is_code(path)) continue;
-        for (const Include& include : includes_of(tree, file)) {
+        for (const Include& include : list_includes(tree, file)) {
             const std::string wrong = judge(path, include.target);
             if (!wrong.empty())
                 violations.push_back(path + ":" + std::to_string(include.line) + ": includes " +
@@ -226,7 +226,7 @@ Violations check_umbrella(const SourceTree& tree) {
         open.pop_back();
         const auto file = tree.find(path);
         if (file == tree.end()) continue;
-        for (const Include& include : includes_of(tree, file->second)) {
+        for (const Include& include : list_includes(tree, file->second)) {
             const std::string& to = include.target;
             if (to.starts_with(kPublic) && is_deep(to.substr(kPublic.size())))
                 violations.push_back(path + ":" + std::to_string(include.line) + ": includes " + to +
@@ -245,7 +245,7 @@ Violations check_include_chains(const SourceTree& tree) {
     Chains chains(tree);
     for (const auto& [path, file] : tree) {
         if (!is_code(path)) continue;
-        const std::vector<std::string>& chain = chains.longest_from(path);
+        const std::vector<std::string>& chain = chains.find_longest_chain_from(path);
         if (chain.size() <= (path.starts_with("tests/") ? kLongestOfTests : kLongest)) continue;
         std::string text = path + ":1: chain of " + std::to_string(chain.size()) + " includes:";
         for (const std::string& link : chain) text += " " + link;

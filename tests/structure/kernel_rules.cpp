@@ -7,8 +7,8 @@
 namespace relidar::structure {
 namespace {
 
-bool any_file(const SourceTree& tree, const std::string& prefix, const std::vector<std::string>& extensions,
-              const std::string& word) {
+bool has_file_with_word(const SourceTree& tree, const std::string& prefix,
+                        const std::vector<std::string>& extensions, const std::string& word) {
     for (auto it = tree.lower_bound(prefix); it != tree.end() && it->first.starts_with(prefix); ++it) {
         const SourceFile& file = it->second;
         if (file.path.starts_with("tests/structure/") || !has_extension(file.path, extensions)) continue;
@@ -32,10 +32,10 @@ Violations check_kernels(const SourceTree& tree) {
         // without "shaders/" and ".comp"
         const std::string name = path.substr(8, path.size() - 8 - 5), word = stem(path);
         const std::string place = name.substr(0, name.rfind('/'));
-        if (!any_file(tree, "src/" + place + "/", {".cpp"}, word))
+        if (!has_file_with_word(tree, "src/" + place + "/", {".cpp"}, word))
             violations.push_back(path + ":1: no binding: '" + word + "' occurs in no .cpp of src/" + place);
         const bool has_tests = has_folder(tree, "tests/" + place + "/");
-        if (!any_file(tree, has_tests ? "tests/" + place + "/" : "tests/", {".cpp"}, word))
+        if (!has_file_with_word(tree, has_tests ? "tests/" + place + "/" : "tests/", {".cpp"}, word))
             violations.push_back(path + ":1: no test: '" + word + "' occurs in no .cpp of tests" +
                                  (has_tests ? "/" + place : ""));
         if (readme == tree.end() || !contains_word(readme->second.text, name))

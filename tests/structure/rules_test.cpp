@@ -45,7 +45,7 @@ TEST(Reader, FindsFunctions) {
                                       "}\n"
                                       "void g();\n"
                                       "}\n");
-    const std::vector<Function> functions = functions_of(file);
+    const std::vector<Function> functions = list_functions(file);
     ASSERT_EQ(functions.size(), 4u);
     EXPECT_EQ(functions[0].name, "S");
     EXPECT_EQ(functions[0].scope, "S");
@@ -220,7 +220,7 @@ TEST(Rules, ReadmeCallingNothingIsFound) {
 }
 
 /// Returns the violations that the rules report for a document in a small checkout.
-Violations wrong_in(const std::string& document) {
+Violations check_document(const std::string& document) {
     return check_documents(
         make_tree({{"docs/a.md", document},
                    {"docs/b.md", "# Two words, and `code`\n"},
@@ -235,26 +235,26 @@ Violations wrong_in(const std::string& document) {
 }
 
 TEST(Documents, NamesThatExistAreRight) {
-    EXPECT_THAT(wrong_in("See [b](b.md#two-words-and-code), [here](../README.md), b.md and "
-                         "`src/run/config/fields.{hpp,h}`\n")
+    EXPECT_THAT(check_document("See [b](b.md#two-words-and-code), [here](../README.md), b.md and "
+                               "`src/run/config/fields.{hpp,h}`\n")
                     .size(),
                 1u);
-    EXPECT_THAT(wrong_in("`train.iterations=3`, `loss.intensity_ssim`, `loss.*`, `train.csv`, "
-                         "`config.train.iterations`\n"),
+    EXPECT_THAT(check_document("`train.iterations=3`, `loss.intensity_ssim`, `loss.*`, `train.csv`, "
+                               "`config.train.iterations`\n"),
                 IsEmpty());
-    EXPECT_THAT(wrong_in("`relidar train LOG --out\nrun`, `tools/bench/card.sh --quick`, `loss/bce`, "
-                         "`<relidar/diff/loss_terms.h>`\n"),
+    EXPECT_THAT(check_document("`relidar train LOG --out\nrun`, `tools/bench/card.sh --quick`, `loss/bce`, "
+                               "`<relidar/diff/loss_terms.h>`\n"),
                 IsEmpty());
-    EXPECT_THAT(wrong_in("```sh\nmpirun --np 2 relidar train LOG \\\n  --out run   # --like "
-                         "this\nRELIDAR_X=1 cmake --build x\n```\n"),
+    EXPECT_THAT(check_document("```sh\nmpirun --np 2 relidar train LOG \\\n  --out run   # --like "
+                               "this\nRELIDAR_X=1 cmake --build x\n```\n"),
                 IsEmpty());
-    EXPECT_THAT(wrong_in("`src/<kind>/*.cpp`, `RUN/a.cpp`, `shaders/*/*.comp`\n"), IsEmpty());
+    EXPECT_THAT(check_document("`src/<kind>/*.cpp`, `RUN/a.cpp`, `shaders/*/*.comp`\n"), IsEmpty());
 }
 
 TEST(Documents, EachProgramHasItsOwnCommandsAndOptions) {
-    EXPECT_THAT(wrong_in("`relidar-dev bench --slow`, `build/relidar-dev bench`\n"), IsEmpty());
+    EXPECT_THAT(check_document("`relidar-dev bench --slow`, `build/relidar-dev bench`\n"), IsEmpty());
     EXPECT_THAT(
-        wrong_in(
+        check_document(
             "`relidar bench`, `relidar-dev train`, `relidar train --slow`, `relidar-dev bench --like`\n"),
         ElementsAre(HasSubstr("no command relidar bench"), HasSubstr("no command relidar-dev train"),
                     HasSubstr("no option --slow"), HasSubstr("no option --like")));
@@ -262,19 +262,19 @@ TEST(Documents, EachProgramHasItsOwnCommandsAndOptions) {
 
 TEST(Documents, NamesThatDoNotExistAreFound) {
     EXPECT_THAT(
-        wrong_in("\n[b](c.md) [b](b.md#three)\n"),
+        check_document("\n[b](c.md) [b](b.md#three)\n"),
         ElementsAre(HasSubstr("docs/a.md:2: no file docs/c.md"), HasSubstr("no heading for b.md#three")));
-    EXPECT_THAT(wrong_in("see formats.md, `src/conf`, `config.hpp`\n").size(), 3u);
-    EXPECT_THAT(wrong_in("`loss/mse` and `shaders/*/mse.comp`\n"),
+    EXPECT_THAT(check_document("see formats.md, `src/conf`, `config.hpp`\n").size(), 3u);
+    EXPECT_THAT(check_document("`loss/mse` and `shaders/*/mse.comp`\n"),
                 ElementsAre(HasSubstr("no kernel loss/mse"), HasSubstr("no file shaders/*/mse.comp")));
-    EXPECT_THAT(wrong_in("`train.steps`, `loss.ssim`, `loss.x=0`\n").size(), 3u);
-    EXPECT_THAT(wrong_in("```sh\nx && relidar run\nrelidar train --in LOG \\\n--outs run\n```\n"),
+    EXPECT_THAT(check_document("`train.steps`, `loss.ssim`, `loss.x=0`\n").size(), 3u);
+    EXPECT_THAT(check_document("```sh\nx && relidar run\nrelidar train --in LOG \\\n--outs run\n```\n"),
                 ElementsAre(HasSubstr("a.md:2: no command relidar run"), HasSubstr("a.md:3: no option --in"),
                             HasSubstr("--outs")));
-    EXPECT_THAT(
-        wrong_in("`train --outs`, `--in`, `tools/bench/card.sh --slow`, `relidar_bench_x`, `RELIDAR_Y`\n")
-            .size(),
-        5u);
+    EXPECT_THAT(check_document(
+                    "`train --outs`, `--in`, `tools/bench/card.sh --slow`, `relidar_bench_x`, `RELIDAR_Y`\n")
+                    .size(),
+                5u);
     EXPECT_THAT(
         check_documents(make_tree({{"a.md", ""}, {"src/a.cpp", "int a;\n/// as b.md and a.md say\n"}})),
         ElementsAre(HasSubstr("src/a.cpp:2: no file b.md"),

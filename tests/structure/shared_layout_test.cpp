@@ -21,7 +21,7 @@
 namespace relidar::structure {
 namespace {
 
-std::map<std::string, StructLayout> host_layouts() {
+std::map<std::string, StructLayout> list_host_layouts() {
     std::map<std::string, StructLayout> layouts;
     for (const HostMember& row : kHostMembers)
         layouts[row.type][row.member] = static_cast<std::uint32_t>(row.offset);
@@ -29,7 +29,7 @@ std::map<std::string, StructLayout> host_layouts() {
 }
 
 TEST(SharedLayout, KernelsSeeWhatTheHostWrites) {
-    const std::map<std::string, StructLayout> host = host_layouts();
+    const std::map<std::string, StructLayout> host = list_host_layouts();
     ASSERT_FALSE(host.empty());
     std::set<std::string> unseen;
     for (const auto& [type, layout] : host) unseen.insert(type);
@@ -62,7 +62,8 @@ class AddressReader {
 public:
     explicit AddressReader(std::span<const std::uint32_t> words) {
         spirv_detail::for_each_instruction(
-            words, [&](std::uint32_t op, std::span<const std::uint32_t> o) { read(op, o); });
+            words,
+            [&](std::uint32_t opcode, std::span<const std::uint32_t> operands) { read(opcode, operands); });
         for (const std::uint32_t entry : entries_) found_.n_in_arrays += holds_address(entry);
     }
     Addresses found() const { return found_; }
@@ -94,17 +95,18 @@ private:
         return at != members_.end() &&
                std::ranges::any_of(at->second, [&](std::uint32_t member) { return holds_address(member); });
     }
-    void read(std::uint32_t op, std::span<const std::uint32_t> o) {
-        if (op == type_pointer && o[1] == storage) addresses_.insert(o[0]);
-        if (op == type_runtime_array) entries_.insert(o[1]);
-        if (op == type_array) members_[o[0]] = {o[1]};
-        if (op == type_struct) members_[o[0]].assign(o.begin() + 1, o.end());
-        if (op == constant || op == constant_composite) constants_.insert(o[1]);
-        if ((op == load || op == function_parameter) && addresses_.contains(o[0])) values_.insert(o[1]);
-        if (op == bitcast && values_.contains(o[2])) bits_.insert(o[1]);
-        if (op != equal && op != not_equal) return;
-        if ((bits_.contains(o[2]) && constants_.contains(o[3])) ||
-            (bits_.contains(o[3]) && constants_.contains(o[2])))
+    void read(std::uint32_t opcode, std::span<const std::uint32_t> operands) {
+        if (opcode == type_pointer && operands[1] == storage) addresses_.insert(operands[0]);
+        if (opcode == type_runtime_array) entries_.insert(operands[1]);
+        if (opcode == type_array) members_[operands[0]] = {operands[1]};
+        if (opcode == type_struct) members_[operands[0]].assign(operands.begin() + 1, operands.end());
+        if (opcode == constant || opcode == constant_composite) constants_.insert(operands[1]);
+        if ((opcode == load || opcode == function_parameter) && addresses_.contains(operands[0]))
+            values_.insert(operands[1]);
+        if (opcode == bitcast && values_.contains(operands[2])) bits_.insert(operands[1]);
+        if (opcode != equal && opcode != not_equal) return;
+        if ((bits_.contains(operands[2]) && constants_.contains(operands[3])) ||
+            (bits_.contains(operands[3]) && constants_.contains(operands[2])))
             ++found_.n_compared;
     }
 };
@@ -128,14 +130,14 @@ TEST(Kernels, GetNoAddressZero) {
 TEST(Kernels, AddressesOfParametersAreFound) {
     const auto addresses = [](std::string_view name) {
         for (const EmbeddedKernel& kernel : embedded_kernels())
-            if (kernel.name == name) return gpu::parameter_addresses(kernel.words);
+            if (kernel.name == name) return gpu::list_parameter_addresses(kernel.words);
         return std::vector<std::uint32_t>();
     };
     EXPECT_THAT(addresses("gpu/copy"), testing::ElementsAre(0u, 8u));
     EXPECT_THAT(addresses("scene/activate"),
                 testing::ElementsAre(0u, 8u, 16u, 24u, 32u, 40u, 48u, 56u, 64u, 72u, 80u));
     for (const EmbeddedKernel& kernel : embedded_kernels())
-        EXPECT_FALSE(gpu::parameter_addresses(kernel.words).empty()) << kernel.name;
+        EXPECT_FALSE(gpu::list_parameter_addresses(kernel.words).empty()) << kernel.name;
 }
 
 }  // namespace

@@ -52,22 +52,23 @@ std::size_t end_of_quoted(const std::string& text, std::size_t begin) {
     return std::min(i + 1, text.size());
 }
 
-bool is_digit_separator(const std::string& text, std::size_t i) {
-    return text[i] == '\'' && i > 0 && std::isxdigit(static_cast<unsigned char>(text[i - 1])) &&
-           i + 1 < text.size() && std::isxdigit(static_cast<unsigned char>(text[i + 1]));
+bool is_digit_separator(const std::string& text, std::size_t index) {
+    return text[index] == '\'' && index > 0 && std::isxdigit(static_cast<unsigned char>(text[index - 1])) &&
+           index + 1 < text.size() && std::isxdigit(static_cast<unsigned char>(text[index + 1]));
 }
 
-/// Returns the position after the comment or literal that starts at i, or i if no comment
-/// or literal starts at i.
-std::size_t end_of_blank(const std::string& text, std::size_t i) {
-    if (text.compare(i, 2, "//") == 0) return std::min(text.find('\n', i), text.size());
-    if (text.compare(i, 2, "/*") == 0) {
-        const std::size_t end = text.find("*/", i + 2);
+/// Returns the position after the comment or literal that starts at `index`, or `index`
+/// if no comment or literal starts at `index`.
+std::size_t end_of_blank(const std::string& text, std::size_t index) {
+    if (text.compare(index, 2, "//") == 0) return std::min(text.find('\n', index), text.size());
+    if (text.compare(index, 2, "/*") == 0) {
+        const std::size_t end = text.find("*/", index + 2);
         return end == std::string::npos ? text.size() : end + 2;
     }
-    if (const std::size_t end = end_of_raw_string(text, i); end != i) return end;
-    if (text[i] == '"' || (text[i] == '\'' && !is_digit_separator(text, i))) return end_of_quoted(text, i);
-    return i;
+    if (const std::size_t end = end_of_raw_string(text, index); end != index) return end;
+    if (text[index] == '"' || (text[index] == '\'' && !is_digit_separator(text, index)))
+        return end_of_quoted(text, index);
+    return index;
 }
 
 std::string collapse_spaces(const std::string& text) {
@@ -116,19 +117,19 @@ private:
         Function function;
     };
 
-    void step(char c) {
-        if (c == '\n') ++line_;
-        if (c == '#' && collapse_spaces(header_).empty()) return skip_directive();
-        if (c == '{') return open();
-        if (c == '}') return close();
-        if (c == ';' && parentheses_ == 0) return end_statement();
-        if (c == '(') ++parentheses_;
-        if (c == ')') --parentheses_;
-        if (c == ':' && (header_ == "public" || header_ == "private" || header_ == "protected"))
+    void step(char character) {
+        if (character == '\n') ++line_;
+        if (character == '#' && collapse_spaces(header_).empty()) return skip_directive();
+        if (character == '{') return open();
+        if (character == '}') return close();
+        if (character == ';' && parentheses_ == 0) return end_statement();
+        if (character == '(') ++parentheses_;
+        if (character == ')') --parentheses_;
+        if (character == ':' && (header_ == "public" || header_ == "private" || header_ == "protected"))
             return header_.clear();
-        if (header_.empty() && std::isspace(static_cast<unsigned char>(c))) return;
+        if (header_.empty() && std::isspace(static_cast<unsigned char>(character))) return;
         if (header_.empty()) header_line_ = line_;
-        header_ += c;
+        header_ += character;
     }
 
     void skip_directive() {
@@ -140,7 +141,7 @@ private:
         header_.clear();
     }
 
-    bool declares_here() const {
+    bool is_declaration_here() const {
         return scopes_.empty() || scopes_.back().kind == Kind::outer || scopes_.back().kind == Kind::type;
     }
 
@@ -148,9 +149,9 @@ private:
         const bool initialiser =
             at_ > 0 && !std::isspace(static_cast<unsigned char>(code_[at_ - 1])) && code_[at_ - 1] != ')';
         Scope scope;
-        if (!declares_here() || parentheses_ > 0 || initialiser) scope.kind = Kind::inner;
+        if (!is_declaration_here() || parentheses_ > 0 || initialiser) scope.kind = Kind::inner;
         else scope = classify(collapse_spaces(header_));
-        if (scope.kind == Kind::inner && declares_here()) header_ += '{';
+        if (scope.kind == Kind::inner && is_declaration_here()) header_ += '{';
         else header_.clear();
         saved_parentheses_.push_back(parentheses_);
         parentheses_ = 0;
@@ -206,7 +207,7 @@ private:
             scope.function.has_body = true;
             found_.push_back(std::move(scope.function));
         }
-        if (scope.kind == Kind::inner && declares_here()) header_ += '}';
+        if (scope.kind == Kind::inner && is_declaration_here()) header_ += '}';
         else header_.clear();
     }
 
@@ -214,7 +215,7 @@ private:
         static const std::regex kNoFunction(
             R"(^(using|typedef|static_assert|friend|return|RELIDAR_|layout)|^(?!.*operator)[^(]*=)");
         const std::string header = collapse_spaces(header_);
-        if (declares_here() && header.find('(') != std::string::npos &&
+        if (is_declaration_here() && header.find('(') != std::string::npos &&
             !std::regex_search(header, kNoFunction)) {
             Function function = describe(header);
             function.last_line = line_;
@@ -270,7 +271,7 @@ SourceTree read_tree(const fs::path& root) {
     return tree;
 }
 
-std::vector<Include> includes_of(const SourceTree& tree, const SourceFile& file) {
+std::vector<Include> list_includes(const SourceTree& tree, const SourceFile& file) {
     static const std::regex kInclude(R"(^\s*#\s*include\s*([<"])([^>"]+)[>"])");
     std::vector<Include> includes;
     for (std::size_t i = 0; i < file.lines.size(); ++i) {
@@ -296,11 +297,12 @@ std::vector<Include> includes_of(const SourceTree& tree, const SourceFile& file)
     return includes;
 }
 
-std::vector<Function> functions_of(const SourceFile& file) { return Reader(file.code).read(); }
+std::vector<Function> list_functions(const SourceFile& file) { return Reader(file.code).read(); }
 
 bool contains_word(const std::string& text, const std::string& word) {
-    const auto is_part = [&](std::size_t i) {
-        return i < text.size() && (std::isalnum(static_cast<unsigned char>(text[i])) || text[i] == '_');
+    const auto is_part = [&](std::size_t index) {
+        return index < text.size() &&
+               (std::isalnum(static_cast<unsigned char>(text[index])) || text[index] == '_');
     };
     for (std::size_t at = text.find(word); at != std::string::npos; at = text.find(word, at + 1)) {
         if ((at == 0 || !is_part(at - 1)) && !is_part(at + word.size())) return true;

@@ -59,10 +59,10 @@ std::string blank_comments_and_literals(const std::string& text);
 
 /// Returns the includes of a file that refer to files of the project: <relidar/...>, or
 /// quoted paths relative to the file, src/, shaders/, include/, tests/ or the root.
-std::vector<Include> includes_of(const SourceTree& tree, const SourceFile& file);
+std::vector<Include> list_includes(const SourceTree& tree, const SourceFile& file);
 
 /// Returns the functions of a C++ or GLSL file, sorted by their end.
-std::vector<Function> functions_of(const SourceFile& file);
+std::vector<Function> list_functions(const SourceFile& file);
 
 /// Returns true if the text contains a word that is not a part of a longer identifier.
 bool contains_word(const std::string& text, const std::string& word);

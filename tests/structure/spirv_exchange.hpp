@@ -84,21 +84,21 @@ private:
     std::map<std::string, Accesses> accesses_;
     bool barrier_ = false;
 
-    bool points_to_coherent(std::uint32_t type) const {
+    bool is_pointer_to_coherent(std::uint32_t type) const {
         const auto p = pointers_.find(type);
         return p != pointers_.end() && p->second.first == kPhysicalStorage &&
                coherent_structs_.count(p->second.second);
     }
 
-    void chain(std::span<const std::uint32_t> o) {
-        Origin from = origins_[o[2]];
-        if (names_[o[2]] == "push") {
+    void chain(std::span<const std::uint32_t> operands) {
+        Origin from = origins_[operands[2]];
+        if (names_[operands[2]] == "push") {
             from.parameters = true;
         } else if (from.parameters) {
             from.parameters = false;
-            std::uint32_t type = pointers_[type_of_[o[2]]].second;
-            for (std::size_t k = 3; k < o.size(); ++k) {
-                const std::uint32_t index = constants_[o[k]];
+            std::uint32_t type = pointers_[type_of_[operands[2]]].second;
+            for (std::size_t k = 3; k < operands.size(); ++k) {
+                const std::uint32_t index = constants_[operands[k]];
                 // the first member is `value`
                 if (k > 3) from.member += (from.member.empty() ? "" : ".") + member_names_[type][index];
                 type = struct_members_[type].size() > index ? struct_members_[type][index] : 0;
@@ -106,7 +106,7 @@ private:
         } else if (!from.member.empty()) {
             from.in_array = true;
         }
-        origins_[o[1]] = from;
+        origins_[operands[1]] = from;
     }
 
     void access(std::uint32_t pointer, bool store) {
@@ -117,45 +117,45 @@ private:
         a.coherent = a.coherent && from.coherent;
     }
 
-    void visit(std::uint32_t code, std::span<const std::uint32_t> o) {
+    void visit(std::uint32_t code, std::span<const std::uint32_t> operands) {
         switch (code) {
             case Name:
-                names_[o[0]] = read_string(o.subspan(1));
+                names_[operands[0]] = read_string(operands.subspan(1));
                 break;
             case MemberName:
-                member_names_[o[0]][o[1]] = read_string(o.subspan(2));
+                member_names_[operands[0]][operands[1]] = read_string(operands.subspan(2));
                 break;
             case MemberDecorate:
-                if (o[2] == kCoherent) coherent_structs_.insert(o[0]);
+                if (operands[2] == kCoherent) coherent_structs_.insert(operands[0]);
                 break;
             case OpTypeStruct:
-                struct_members_[o[0]].assign(o.begin() + 1, o.end());
+                struct_members_[operands[0]].assign(operands.begin() + 1, operands.end());
                 break;
             case TypePointer:
-                pointers_[o[0]] = {o[1], o[2]};
+                pointers_[operands[0]] = {operands[1], operands[2]};
                 break;
             case Constant:
-                constants_[o[1]] = o[2];
+                constants_[operands[1]] = operands[2];
                 break;
             case Variable:
-                type_of_[o[1]] = o[0];
+                type_of_[operands[1]] = operands[0];
                 break;
             case AccessChain:
-                chain(o);
+                chain(operands);
                 break;
             case Load:
-                access(o[2], false);
-                type_of_[o[1]] = o[0];
-                origins_[o[1]] = origins_[o[2]];
-                origins_[o[1]].in_array = false;
-                origins_[o[1]].coherent = points_to_coherent(o[0]);
+                access(operands[2], false);
+                type_of_[operands[1]] = operands[0];
+                origins_[operands[1]] = origins_[operands[2]];
+                origins_[operands[1]].in_array = false;
+                origins_[operands[1]].coherent = is_pointer_to_coherent(operands[0]);
                 break;
             case Bitcast:  // converts a pointer to a different type, through uvec2
-                origins_[o[1]] = origins_[o[2]];
-                origins_[o[1]].coherent = points_to_coherent(o[0]);
+                origins_[operands[1]] = origins_[operands[2]];
+                origins_[operands[1]].coherent = is_pointer_to_coherent(operands[0]);
                 break;
             case Store:
-                access(o[0], true);
+                access(operands[0], true);
                 break;
             case ControlBarrier:
             case MemoryBarrier:
@@ -171,7 +171,7 @@ private:
 
 /// Returns the parameter members through which a kernel exchanges values between its
 /// threads without coherent accesses.
-inline std::vector<std::string> incoherent_exchanges(std::span<const std::uint32_t> words) {
+inline std::vector<std::string> find_incoherent_exchanges(std::span<const std::uint32_t> words) {
     return spirv_detail::ExchangeReader().read(words);
 }
 

@@ -70,8 +70,8 @@ struct Struct {
 
 inline void read_instruction(std::uint32_t opcode, std::span<const std::uint32_t> operands,
                              std::map<std::uint32_t, Struct>& structs) {
-    const auto need = [&](std::size_t n) {
-        if (operands.size() < n) throw std::runtime_error("reading SPIR-V: an instruction is too short");
+    const auto need = [&](std::size_t count) {
+        if (operands.size() < count) throw std::runtime_error("reading SPIR-V: an instruction is too short");
     };
     if (opcode == OpName) {
         need(2);

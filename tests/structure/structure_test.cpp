@@ -36,7 +36,7 @@ TEST(Structure, WhatDocumentsNameExists) { expect_none(check_documents(checkout(
 TEST(Structure, CheckoutWasRead) {
     EXPECT_TRUE(checkout().contains("LICENSE"));
     EXPECT_TRUE(checkout().contains("include/relidar/log/sensor.hpp"));
-    EXPECT_FALSE(functions_of(checkout().at("include/relidar/log/sensor.hpp")).empty());
+    EXPECT_FALSE(list_functions(checkout().at("include/relidar/log/sensor.hpp")).empty());
 }
 
 }  // namespace

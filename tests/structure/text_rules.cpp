@@ -45,7 +45,7 @@ bool has_trailing_comment(const SourceFile& file, const Function& function) {
 void check_face(const SourceFile& file, Violations& violations) {
     // consecutive declarations without an empty line share the comment above them
     std::set<int> ends_of_explained;
-    for (const Function& function : functions_of(file)) {
+    for (const Function& function : list_functions(file)) {
         const bool below_comment = function.first_line > 1 &&
                                    is_comment(file.lines[static_cast<std::size_t>(function.first_line) - 2]);
         const bool in_run = ends_of_explained.contains(function.first_line - 1);
@@ -59,7 +59,7 @@ void check_face(const SourceFile& file, Violations& violations) {
 }
 
 /// Returns the first word of a command line. For `bash word`, returns the second word.
-std::string called_script(const std::string& command) {
+std::string get_called_script(const std::string& command) {
     std::istringstream in(command);
     std::string word;
     in >> word;
@@ -168,7 +168,7 @@ Violations check_readme(const SourceTree& tree) {
         } else if (line.find("<!-- runnable -->") != std::string::npos) {
             marked = true;
         } else if (inside) {
-            const std::string script = called_script(line);
+            const std::string script = get_called_script(line);
             const bool ours = script.starts_with("tools/") || script.starts_with(".ci/");
             if (ours && !tree.contains(script))
                 violations.push_back(at("README.md", i + 1) + "calls " + script + ", which does not exist");

@@ -58,7 +58,7 @@ Device* find_device() { return process_device->find(); }
 void DeviceTest::SetUp() {
     device_ = find_device();
     if (device_) {
-        messages_before_ = validation_messages(*device_);
+        messages_before_ = count_validation_messages(*device_);
         return;
     }
     const char* required = std::getenv("RELIDAR_REQUIRE_GPU");
@@ -69,7 +69,7 @@ void DeviceTest::SetUp() {
 
 void DeviceTest::TearDown() {
     if (device_)
-        EXPECT_EQ(validation_messages(*device_), messages_before_)
+        EXPECT_EQ(count_validation_messages(*device_), messages_before_)
             << "the validation layer complained (see stderr)";
 }
 

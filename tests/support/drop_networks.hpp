@@ -14,10 +14,10 @@ namespace relidar::test {
 
 /// Returns a network with random weights that processes each pixel separately. Its output
 /// depends on all of its inputs.
-inline DropNetwork network_of_rays(std::uint64_t seed = 1) {
+inline DropNetwork make_network_of_rays(std::uint64_t seed = 1) {
     RefineOptions options;
     options.network = "pixel";
-    DropNetwork network = refine::shape_of(options);
+    DropNetwork network = refine::make_network_shape(options);
     const refine::UnetPlan plan(network);
     network.residual = false;
     refine::initialise(network, plan, seed);
@@ -28,8 +28,8 @@ inline DropNetwork network_of_rays(std::uint64_t seed = 1) {
 }
 
 /// Returns a network that predicts a return for every ray.
-inline DropNetwork network_that_never_drops() {
-    DropNetwork network = network_of_rays();
+inline DropNetwork make_network_that_never_drops() {
+    DropNetwork network = make_network_of_rays();
     std::fill(network.normalisation.begin(), network.normalisation.end(), 0.0f);
     // a bias of -40 dominates the output, because rendered logits are between -9.3 and
     // 9.3

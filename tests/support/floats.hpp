@@ -9,7 +9,7 @@
 namespace relidar::test {
 
 template <class T>
-std::vector<float> floats_of(const std::vector<T>& rows) {
+std::vector<float> to_floats(const std::vector<T>& rows) {
     static_assert(sizeof(T) % sizeof(float) == 0);
     std::vector<float> floats(rows.size() * sizeof(T) / sizeof(float));
     if (!rows.empty()) std::memcpy(floats.data(), rows.data(), floats.size() * sizeof(float));

@@ -29,19 +29,19 @@ struct GradientGroup {
         for (double x : row) sum += x * x;
         return std::sqrt(sum);
     }
-    double largest_row() const {
+    double find_largest_row() const {
         double largest = 0.0;
         for (const auto& row : expected) largest = std::max(largest, norm(row));
         return largest;
     }
-    std::size_t nonzero_rows() const {
+    std::size_t count_nonzero_rows() const {
         return std::size_t(
             std::count_if(expected.begin(), expected.end(), [](const auto& row) { return norm(row) > 0.0; }));
     }
     /// Counts the rows whose expected gradient exceeds the bound for small rows, but
     /// whose actual gradient is zero.
-    std::size_t missing_rows() const {
-        const double bound = kSmallRow * largest_row();
+    std::size_t count_missing_rows() const {
+        const double bound = kSmallRow * find_largest_row();
         std::size_t missing = 0;
         for (std::size_t i = 0; i < expected.size(); ++i)
             missing += norm(expected[i]) > bound && norm(actual[i]) == 0.0;
@@ -49,8 +49,8 @@ struct GradientGroup {
     }
     /// Returns the largest |actual - expected| / max(|expected|, bound for small rows),
     /// or infinity if a value is not finite.
-    double worst_error() const {
-        const double bound = kSmallRow * largest_row();
+    double compute_worst_error() const {
+        const double bound = kSmallRow * find_largest_row();
         double worst = 0.0;
         for (std::size_t i = 0; i < expected.size(); ++i) {
             std::vector<double> difference = expected[i];
@@ -71,9 +71,9 @@ public:
         groups_[group].actual.push_back(std::move(actual));
     }
     const std::map<std::string, GradientGroup>& groups() const { return groups_; }
-    double worst_error() const {
+    double compute_worst_error() const {
         double worst = 0.0;
-        for (const auto& [name, group] : groups_) worst = std::max(worst, group.worst_error());
+        for (const auto& [name, group] : groups_) worst = std::max(worst, group.compute_worst_error());
         return worst;
     }
     void print(const std::string& title) const {
@@ -81,7 +81,8 @@ public:
                     "missing", "largest row", "worst rel.");
         for (const auto& [name, g] : groups_)
             std::printf("  %-16s %8zu %8zu %8zu %14.4e %14.3e\n", name.c_str(), g.expected.size(),
-                        g.nonzero_rows(), g.missing_rows(), g.largest_row(), g.worst_error());
+                        g.count_nonzero_rows(), g.count_missing_rows(), g.find_largest_row(),
+                        g.compute_worst_error());
         std::fflush(stdout);
     }
 
@@ -94,9 +95,10 @@ private:
 /// @param set set(k, offset) adds the offset to the original value of component k. It is
 /// called with h, -h and 0.
 /// @param terms computes the loss as a list of terms at the current parameters
-inline std::vector<double> central_differences(int components, const std::function<void(int, double)>& set,
-                                               const std::function<std::vector<double>()>& terms,
-                                               double h = kDifferenceStep) {
+inline std::vector<double> compute_central_differences(int components,
+                                                       const std::function<void(int, double)>& set,
+                                                       const std::function<std::vector<double>()>& terms,
+                                                       double h = kDifferenceStep) {
     std::vector<double> result;
     for (int k = 0; k < components; ++k) {
         set(k, h);
@@ -113,11 +115,11 @@ inline std::vector<double> central_differences(int components, const std::functi
 
 /// Computes central differences with respect to a parameter that is stored as consecutive
 /// doubles.
-inline std::vector<double> central_differences(double* parameter, int components,
-                                               const std::function<std::vector<double>()>& terms,
-                                               double h = kDifferenceStep) {
+inline std::vector<double> compute_central_differences(double* parameter, int components,
+                                                       const std::function<std::vector<double>()>& terms,
+                                                       double h = kDifferenceStep) {
     const std::vector<double> start(parameter, parameter + components);
-    return central_differences(
+    return compute_central_differences(
         components, [&](int k, double offset) { parameter[k] = start[std::size_t(k)] + offset; }, terms, h);
 }
 

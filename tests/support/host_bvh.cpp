@@ -55,9 +55,11 @@ private:
         const glm::vec3 size = centres.high - centres.low;
         const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;
         const auto middle = primitives.begin() + std::ptrdiff_t(primitives.size() / 2);
-        std::nth_element(primitives.begin(), middle, primitives.end(), [&](std::uint32_t a, std::uint32_t b) {
-            return boxes_[a].low[axis] + boxes_[a].high[axis] < boxes_[b].low[axis] + boxes_[b].high[axis];
-        });
+        std::nth_element(primitives.begin(), middle, primitives.end(),
+                         [&](std::uint32_t first, std::uint32_t second) {
+                             return boxes_[first].low[axis] + boxes_[first].high[axis] <
+                                    boxes_[second].low[axis] + boxes_[second].high[axis];
+                         });
         Indices half(middle, primitives.end());
         primitives.erase(middle, primitives.end());
         return half;
@@ -66,9 +68,9 @@ private:
     std::vector<Indices> split(Indices primitives) const {
         std::vector<Indices> parts{std::move(primitives)};
         while (parts.size() < RELIDAR_BVH_WIDTH) {
-            const auto largest =
-                std::max_element(parts.begin(), parts.end(),
-                                 [](const Indices& a, const Indices& b) { return a.size() < b.size(); });
+            const auto largest = std::max_element(
+                parts.begin(), parts.end(),
+                [](const Indices& first, const Indices& second) { return first.size() < second.size(); });
             if (largest->size() <= RELIDAR_BVH_LEAF_SIZE) break;
             Indices half = split_half(*largest);
             parts.push_back(std::move(half));

@@ -15,11 +15,11 @@ enum class Outputs { image, likelihood, all };
 
 /// Returns random gradients that are rounded to float, so that a kernel can receive
 /// exactly the same gradients.
-inline std::vector<reference::PixelGradient> random_upstream(std::size_t n, std::uint64_t seed,
-                                                             Outputs outputs = Outputs::image) {
+inline std::vector<reference::PixelGradient> make_random_upstream(std::size_t count, std::uint64_t seed,
+                                                                  Outputs outputs = Outputs::image) {
     std::mt19937_64 random(seed);
     std::normal_distribution<float> normal;
-    std::vector<reference::PixelGradient> gradients(n);
+    std::vector<reference::PixelGradient> gradients(count);
 #define RELIDAR_DRAW(name, built, value, input, slope, meaning) g.name = normal(random);
     if (outputs != Outputs::likelihood)
         for (reference::PixelGradient& g : gradients) {

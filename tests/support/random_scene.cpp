@@ -20,14 +20,14 @@ double uniform(Random& random, double low, double high) {
     return std::uniform_real_distribution<double>(low, high)(random);
 }
 
-glm::dvec3 unit_vector(Random& random) {
+glm::dvec3 draw_unit_vector(Random& random) {
     std::normal_distribution<double> normal;
     return glm::normalize(glm::dvec3(normal(random), normal(random), normal(random)));
 }
 
 /// Returns a random quaternion (w, x, y, z). Its third axis lies within `cone_rad` of -x
 /// or +x. The in-plane angle and the length are random.
-glm::dvec4 facing_rotation(Random& random, double cone_rad) {
+glm::dvec4 make_facing_rotation_of_surfel(Random& random, double cone_rad) {
     const double angle = uniform(random, 0.0, 2.0 * kPi), tilt = uniform(random, 0.0, cone_rad),
                  side = uniform(random, 0.0, 1.0);
     const glm::dvec3 tilt_axis(0.0, std::cos(angle), std::sin(angle));
@@ -37,12 +37,12 @@ glm::dvec4 facing_rotation(Random& random, double cone_rad) {
     return uniform(random, 0.5, 2.0) * glm::dvec4(q.w, q.x, q.y, q.z);
 }
 
-reference::Surfel random_surfel(Random& random, const glm::dvec3& low, const glm::dvec3& high,
-                                const RandomSceneOptions& options) {
+reference::Surfel make_random_surfel(Random& random, const glm::dvec3& low, const glm::dvec3& high,
+                                     const RandomSceneOptions& options) {
     std::normal_distribution<double> normal;
     reference::Surfel s;
     s.mean = {uniform(random, low.x, high.x), uniform(random, low.y, high.y), uniform(random, low.z, high.z)};
-    s.rotation = facing_rotation(random, 50.0 / 180.0 * kPi);
+    s.rotation = make_facing_rotation_of_surfel(random, 50.0 / 180.0 * kPi);
     const double size = std::log(uniform(random, 0.15, 0.5)),
                  stretch = uniform(random, 0.0, 1.0) < 0.25 ? std::log(2.0) : 0.0;
     s.log_scale = {size + stretch, size - stretch};
@@ -57,36 +57,37 @@ reference::Surfel random_surfel(Random& random, const glm::dvec3& low, const glm
 /// Returns true if a surfel has the minimum distances (margins) to all discontinuities
 /// for a ray. Alpha must not be close to its limits, the surfel must not be grazing, and
 /// the hit must not be at the near plane.
-bool surfel_is_smooth(const reference::Surfel& surfel, const reference::Ray& ray,
+bool is_surfel_smooth(const reference::Surfel& surfel, const reference::Ray& ray,
                       const reference::LocalRay<double>& local, const reference::Settings& settings,
-                      const Margins& m) {
+                      const Margins& margins) {
     const reference::DoubleRecord r = reference::make_record(surfel);
     const bool is_flat = r.primitive == Primitive::surfel;
     const double facing = is_flat ? glm::dot(r.normal, local.direction) / glm::length(ray.direction) : 1.0;
     const reference::PlaneHit<double> met = reference::meet(r, local);
     const double t = met.t,
                  log_alpha = std::log(r.sigma) - 0.5 * (met.u * met.u + met.v * met.v + met.w * met.w);
-    if (std::abs(log_alpha - std::log(double(settings.image.alpha_min))) < m.log_alpha) return false;
-    if (std::abs(log_alpha - std::log(double(settings.image.alpha_max))) < m.log_clamp) return false;
+    if (std::abs(log_alpha - std::log(double(settings.image.alpha_min))) < margins.log_alpha) return false;
+    if (std::abs(log_alpha - std::log(double(settings.image.alpha_max))) < margins.log_clamp) return false;
     // the ray does not hit this surfel, so its remaining distances do not matter
     if (log_alpha < std::log(double(settings.image.alpha_min))) return true;
-    return std::abs(facing) >= m.facing && std::abs(t - double(settings.image.near_m)) >= m.near_m;
+    return std::abs(facing) >= margins.facing &&
+           std::abs(t - double(settings.image.near_m)) >= margins.near_m;
 }
 
 /// Returns true if the sorted hits have the minimum distances (margins) to a change of
 /// their order, to the stop rule, and to the intensity clamp.
-bool hits_are_smooth(const reference::World& world, const reference::Settings& settings,
-                     const reference::Ray& ray, const Margins& m) {
+bool are_hits_smooth(const reference::World& world, const reference::Settings& settings,
+                     const reference::Ray& ray, const Margins& margins) {
     const reference::BruteForce brute(world, settings.image, reference::Precision::double_record);
     std::vector<reference::Hit> hits;
-    brute.next_hits(ray, {}, 1 << 20, hits);
+    brute.find_next_hits(ray, {}, 1 << 20, hits);
     double transmittance = 1.0;
     for (std::size_t i = 0; i < hits.size(); ++i) {
-        const reference::ShadedHit s = reference::shade(world, settings, ray, hits[i]);
-        if (i > 0 && hits[i].t - hits[i - 1].t < m.separation_m) return false;
-        if (std::abs(s.raw_intensity) < m.intensity) return false;
+        const reference::ShadedHit s = reference::shade_hit(world, settings, ray, hits[i]);
+        if (i > 0 && hits[i].t - hits[i - 1].t < margins.separation_m) return false;
+        if (std::abs(s.raw_intensity) < margins.intensity) return false;
         transmittance *= 1.0 - s.alpha;
-        if (std::abs(std::log(transmittance / double(settings.image.transmittance_min))) < m.log_stop)
+        if (std::abs(std::log(transmittance / double(settings.image.transmittance_min))) < margins.log_stop)
             return false;
         if (transmittance < double(settings.image.transmittance_min)) return true;
     }
@@ -95,13 +96,13 @@ bool hits_are_smooth(const reference::World& world, const reference::Settings& s
 
 /// Returns random surfels, placements and a view origin. Values are rounded to float if
 /// the library stores them as float.
-RandomScene random_surfels(Random& random, const RandomSceneOptions& options) {
+RandomScene make_random_surfels(Random& random, const RandomSceneOptions& options) {
     RandomScene scene;
     std::vector<reference::Surfel> surfels;
     for (int i = 0; i < options.background_surfels; ++i)
-        surfels.push_back(random_surfel(random, {2, -0.6, -0.6}, {10, 0.6, 0.6}, options));
+        surfels.push_back(make_random_surfel(random, {2, -0.6, -0.6}, {10, 0.6, 0.6}, options));
     for (int i = 0; i < options.actor_surfels; ++i)
-        surfels.push_back(random_surfel(random, {-1, -0.5, -0.5}, {1, 0.5, 0.5}, options));
+        surfels.push_back(make_random_surfel(random, {-1, -0.5, -0.5}, {1, 0.5, 0.5}, options));
     for (int i = 0; i < options.wide_surfels; ++i) {
         surfels[std::size_t(i)].log_scale = glm::dvec2(std::log(4.0));
         if (options.primitive == Primitive::gaussian) surfels[std::size_t(i)].log_scale_w = std::log(0.5);
@@ -113,12 +114,12 @@ RandomScene random_surfels(Random& random, const RandomSceneOptions& options) {
     scene.world.instances.push_back({0, n_background, {}});
     for (int i = 0; i < options.actor_instances; ++i) {
         const double angle = uniform(random, -0.5, 0.5);
-        const glm::dquat turn = glm::angleAxis(angle, unit_vector(random));
+        const glm::dquat turn = glm::angleAxis(angle, draw_unit_vector(random));
         const glm::dvec3 place(uniform(random, 4, 8), uniform(random, -0.4, 0.4), uniform(random, -0.4, 0.4));
         scene.world.instances.push_back({n_background, std::uint32_t(options.actor_surfels), {turn, place}});
         if (options.moving)
-            scene.world.instances.back().motion = {5.0 * unit_vector(random),
-                                                   options.turn_rate * unit_vector(random),
+            scene.world.instances.back().motion = {5.0 * draw_unit_vector(random),
+                                                   options.turn_rate * draw_unit_vector(random),
                                                    double(float(0.01 * i)), double(0.05f)};
     }
     scene.view_origin = glm::dvec3(glm::vec3(uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3), 0.2));
@@ -136,7 +137,7 @@ void add_rays(Random& random, const RandomSceneOptions& options, const reference
         reference::Ray ray{glm::dvec3(glm::vec3(origin)),
                            glm::dvec3(glm::vec3(glm::normalize(towards - origin)))};
         if (options.moving) ray.time_s = double(float(uniform(random, -0.07, 0.07)));
-        if (keeps_margins(scene.world, settings, ray, margins)) scene.rays.push_back(ray);
+        if (has_margins(scene.world, settings, ray, margins)) scene.rays.push_back(ray);
     }
 }
 
@@ -156,14 +157,14 @@ void add_measured_ranges(const RandomSceneOptions& options, const reference::Set
 
 }  // namespace
 
-bool keeps_margins(const reference::World& world, const reference::Settings& settings,
-                   const reference::Ray& ray, const Margins& margins) {
+bool has_margins(const reference::World& world, const reference::Settings& settings,
+                 const reference::Ray& ray, const Margins& margins) {
     for (const reference::Placement& p : world.instances) {
         const auto local = reference::to_model(p.at(ray.time_s), ray);
         for (std::uint32_t s = p.first; s < p.first + p.count; ++s)
-            if (!surfel_is_smooth(world.surfels[s], ray, local, settings, margins)) return false;
+            if (!is_surfel_smooth(world.surfels[s], ray, local, settings, margins)) return false;
     }
-    return hits_are_smooth(world, settings, ray, margins);
+    return are_hits_smooth(world, settings, ray, margins);
 }
 
 RandomScene make_random_scene(const RandomSceneOptions& options, const reference::Settings& settings,
@@ -172,7 +173,7 @@ RandomScene make_random_scene(const RandomSceneOptions& options, const reference
     // makes several attempts, because a single surfel (say, with an intensity near 0) can
     // reject every ray
     for (int attempt = 0; attempt < 50; ++attempt) {
-        RandomScene scene = random_surfels(random, options);
+        RandomScene scene = make_random_surfels(random, options);
         reference::Settings viewed = settings;
         viewed.view_origin = scene.view_origin;
         add_rays(random, options, viewed, margins, scene);

@@ -61,7 +61,7 @@ RandomScene make_random_scene(const RandomSceneOptions& options, const reference
 
 /// Returns true if a ray has the minimum distances (margins) to all discontinuities of
 /// the image.
-bool keeps_margins(const reference::World& world, const reference::Settings& settings,
-                   const reference::Ray& ray, const Margins& margins);
+bool has_margins(const reference::World& world, const reference::Settings& settings,
+                 const reference::Ray& ray, const Margins& margins);
 
 }  // namespace relidar::test

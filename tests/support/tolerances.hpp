@@ -26,10 +26,10 @@ inline constexpr double kKernelGradient = 1e-4;
 /// Errors that Vulkan allows in single precision, relative to the result. They are a
 /// rounding, exp (3 + 2 |x| units in the last place), and a division (2.5 units).
 inline constexpr double kRounding = 0x1p-24, kUnit = 0x1p-23, kDivision = 2.5 * kUnit;
-inline double exp_error(double x) { return (3.0 + 2.0 * (x < 0.0 ? -x : x)) * kUnit; }
+inline double compute_exp_error(double value) { return (3.0 + 2.0 * (value < 0.0 ? -value : value)) * kUnit; }
 /// Returns the absolute error bound of 1 / (1 + exp(-x)).
-inline double sigmoid_error(double sigmoid, double x) {
-    return sigmoid * ((1.0 - sigmoid) * exp_error(x) + kRounding + kDivision);
+inline double compute_sigmoid_error(double sigmoid, double value) {
+    return sigmoid * ((1.0 - sigmoid) * compute_exp_error(value) + kRounding + kDivision);
 }
 /// Tolerance of kernel values against the double reference: normalised mean squared
 /// error.

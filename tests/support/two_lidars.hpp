@@ -9,7 +9,7 @@
 
 namespace relidar::test {
 
-inline Sequence two_lidar_street(const SyntheticOptions& options) {
+inline Sequence make_two_lidar_street(const SyntheticOptions& options) {
     const Sequence one = make_synthetic_street(options);
     Sequence street = one;
     street.lidars[0].name = "front";

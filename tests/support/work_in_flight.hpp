@@ -61,14 +61,14 @@ private:
         static PFN_vkDestroyBuffer function;
         return function;
     }
-    static VKAPI_ATTR VkResult VKAPI_CALL on_submit(VkQueue queue, std::uint32_t n, const VkSubmitInfo* work,
-                                                    VkFence fence) {
+    static VKAPI_ATTR VkResult VKAPI_CALL on_submit(VkQueue queue, std::uint32_t count,
+                                                    const VkSubmitInfo* work, VkFence fence) {
         const auto* values = static_cast<const VkTimelineSemaphoreSubmitInfo*>(work->pNext);
         ++now().n_submissions;
         // The host waits for a submission with a fence immediately.
         now().in_flight = fence == VK_NULL_HANDLE;
         now().last_value = values ? *values->pSignalSemaphoreValues : 0;
-        return submit()(queue, n, work, fence);
+        return submit()(queue, count, work, fence);
     }
     static VKAPI_ATTR VkResult VKAPI_CALL on_wait_idle(VkDevice device) {
         now().in_flight = false;

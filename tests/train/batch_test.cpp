@@ -21,7 +21,8 @@ namespace {
 class Batch : public test::DeviceTest {};
 
 /// Returns a frame whose rays and targets contain their indices.
-std::vector<FrameData> numbered_frame(Device& device, std::uint32_t rows, std::uint32_t columns, bool image) {
+std::vector<FrameData> make_numbered_frame(Device& device, std::uint32_t rows, std::uint32_t columns,
+                                           bool image) {
     std::vector<DeviceRay> rays;
     std::vector<DeviceTarget> targets;
     for (std::uint32_t i = 0; i < rows * columns; ++i) {
@@ -39,7 +40,7 @@ std::vector<FrameData> numbered_frame(Device& device, std::uint32_t rows, std::u
     return frames;
 }
 
-Config config_for(const std::string& batch, int n_rays) {
+Config make_config_for(const std::string& batch, int n_rays) {
     Config config;
     if (batch == "columns") config.loss.intensity_ssim = 0.15f;
     config.train.rays_per_iteration = n_rays;
@@ -47,8 +48,8 @@ Config config_for(const std::string& batch, int n_rays) {
 }
 
 TEST_F(Batch, WindowsOfColumnsAreImages) {
-    const std::vector<FrameData> frames = numbered_frame(device(), 4, 50, true);
-    BatchSampler sampler(device(), config_for("columns", 45), frames);  // 11 columns
+    const std::vector<FrameData> frames = make_numbered_frame(device(), 4, 50, true);
+    BatchSampler sampler(device(), make_config_for("columns", 45), frames);  // 11 columns
     Stream stream(device());
     Random random(3);
     std::set<int> firsts;
@@ -78,8 +79,8 @@ TEST_F(Batch, WindowsOfColumnsAreImages) {
 TEST_F(Batch, GroupsOfColumnsAreAnImageAndNoColumnIsPreferred) {
     constexpr std::uint32_t kRows = 3, kColumns = 53, kStride = 5, kTaken = kColumns / kStride;
     constexpr int kTrials = 2000;
-    const std::vector<FrameData> frames = numbered_frame(device(), kRows, kColumns, true);
-    BatchSampler sampler(device(), config_for("rays", 30), frames);  // every 5th column
+    const std::vector<FrameData> frames = make_numbered_frame(device(), kRows, kColumns, true);
+    BatchSampler sampler(device(), make_config_for("rays", 30), frames);  // every 5th column
     Stream stream(device());
     Random random(7);
     std::vector<int> drawn(kColumns, 0);
@@ -108,8 +109,8 @@ TEST_F(Batch, GroupsOfColumnsAreAnImageAndNoColumnIsPreferred) {
 
 TEST_F(Batch, BatchesOfAFrameShareItsRaysOut) {
     for (const bool image : {true, false}) {
-        const std::vector<FrameData> frames = numbered_frame(device(), 3, 60, image);
-        BatchSampler sampler(device(), config_for("rays", 36), frames);  // every 5th ray
+        const std::vector<FrameData> frames = make_numbered_frame(device(), 3, 60, image);
+        BatchSampler sampler(device(), make_config_for("rays", 36), frames);  // every 5th ray
         Stream stream(device());
         std::vector<int> taken(180, 0);
         for (std::uint32_t k = 0; k < 5; ++k) {
@@ -117,7 +118,7 @@ TEST_F(Batch, BatchesOfAFrameShareItsRaysOut) {
             stream.finish();
             const std::vector<DeviceRay> rays = batch.rays.rays->download();
             for (std::uint32_t j = 0; j < batch.rays.n_rays; ++j) {
-                const std::size_t ray = batch.ray_of_frame(j);
+                const std::size_t ray = batch.get_ray_of_frame(j);
                 ASSERT_LT(ray, taken.size());
                 ++taken[ray];
                 EXPECT_EQ(rays[batch.rays.first + j * batch.rays.stride].origin.x, float(ray));
@@ -128,28 +129,28 @@ TEST_F(Batch, BatchesOfAFrameShareItsRaysOut) {
 }
 
 TEST_F(Batch, StridesBeyondTheColumnsTakeOne) {
-    const std::vector<FrameData> frames = numbered_frame(device(), 8, 5, true);
+    const std::vector<FrameData> frames = make_numbered_frame(device(), 8, 5, true);
     Stream stream(device());
     Random random(3);
     const SampledBatch one =
-        BatchSampler(device(), config_for("rays", 3), frames).sample(stream, frames[0], random);
+        BatchSampler(device(), make_config_for("rays", 3), frames).sample(stream, frames[0], random);
     EXPECT_EQ(one.rays.n_rays, 8u);
     EXPECT_EQ(one.rays.columns, 1u);
 }
 
 TEST_F(Batch, EveryNthRayOfAListIsNoImageAndTheWholeFrameIs) {
-    const std::vector<FrameData> frames = numbered_frame(device(), 4, 50, true),
-                                 list = numbered_frame(device(), 4, 50, false);
+    const std::vector<FrameData> frames = make_numbered_frame(device(), 4, 50, true),
+                                 list = make_numbered_frame(device(), 4, 50, false);
     Stream stream(device());
     Random random(3);
     const SampledBatch some =
-        BatchSampler(device(), config_for("rays", 40), list).sample(stream, list[0], random);
+        BatchSampler(device(), make_config_for("rays", 40), list).sample(stream, list[0], random);
     EXPECT_EQ(some.rays.stride, 5u);
     EXPECT_EQ(some.rays.n_rays, 40u);
     EXPECT_FALSE(some.targets.image.is_image());
     for (const char* batch : {"rays", "columns"}) {
         const SampledBatch all =
-            BatchSampler(device(), config_for(batch, 0), frames).sample(stream, frames[0], random);
+            BatchSampler(device(), make_config_for(batch, 0), frames).sample(stream, frames[0], random);
         EXPECT_EQ(all.rays.n_rays, 200u);
         EXPECT_TRUE(all.targets.image.circular);
         EXPECT_EQ(all.targets.image.columns, 50u);
@@ -159,10 +160,10 @@ TEST_F(Batch, EveryNthRayOfAListIsNoImageAndTheWholeFrameIs) {
 /// The measured ranges must be stored with the rays, because the forward pass reads them
 /// from the rays.
 TEST_F(Batch, RaysBringTheirTargets) {
-    const std::vector<FrameData> image = numbered_frame(device(), 4, 50, true),
-                                 cloud = numbered_frame(device(), 1, 50, false);
+    const std::vector<FrameData> image = make_numbered_frame(device(), 4, 50, true),
+                                 cloud = make_numbered_frame(device(), 1, 50, false);
     for (const auto& [frames, way] : {std::pair(&image, "columns"), {&image, "rays"}, {&cloud, "rays"}}) {
-        BatchSampler sampler(device(), config_for(way, 17), *frames);
+        BatchSampler sampler(device(), make_config_for(way, 17), *frames);
         Stream stream(device());
         Random random(5);
         const SampledBatch batch = sampler.sample(stream, frames->front(), random);
@@ -181,9 +182,9 @@ TEST_F(Batch, RaysBringTheirTargets) {
 }
 
 TEST_F(Batch, SimilaritySeesWindows) {
-    const std::vector<FrameData> image = numbered_frame(device(), 4, 50, true),
-                                 cloud = numbered_frame(device(), 1, 50, false);
-    Config config = config_for("rays", 40);
+    const std::vector<FrameData> image = make_numbered_frame(device(), 4, 50, true),
+                                 cloud = make_numbered_frame(device(), 1, 50, false);
+    Config config = make_config_for("rays", 40);
     config.loss.intensity_ssim = 0.15f;
     BatchSampler sampler(device(), config, image);
     Stream stream(device());

@@ -14,11 +14,11 @@ namespace {
 
 class DensifyTrain : public test::DeviceTest {};
 
-Sequence growing_street() { return make_synthetic_street({.n_frames = 11, .rows = 16, .columns = 256}); }
+Sequence make_growing_street() { return make_synthetic_street({.n_frames = 11, .rows = 16, .columns = 256}); }
 
 /// Returns settings with about an eighth of the surfels that other tests use with their
 /// `small` settings. Uses every second ray.
-Config sparse_config() {
+Config make_sparse_config() {
     Config config = make_preset("quick");
     config.init.voxel_m = 1.2;
     config.init.max_scale_m = 1.0;
@@ -45,22 +45,22 @@ Config sparse_config() {
 
 /// Returns the mean loss over the last thirty steps. Frames and rays are the same in
 /// every training.
-double final_loss(const TrainResult& result) {
+double get_final_loss(const TrainResult& result) {
     double sum = 0.0;
     for (std::size_t i = result.log.size() - 3; i < result.log.size(); ++i) sum += result.log[i].loss / 3.0;
     return sum;
 }
 
 TEST_F(DensifyTrain, GrowthLowersTheLoss) {
-    const Sequence sequence = growing_street();
+    const Sequence sequence = make_growing_street();
     const Split split = split_frames(sequence, 10);
     std::map<DensifyStrategy, double> loss;
     for (const DensifyStrategy strategy : {DensifyStrategy::none, DensifyStrategy::adaptive}) {
-        Config config = sparse_config();
+        Config config = make_sparse_config();
         config.densify.strategy = strategy;
         const TrainResult result =
             train(device(), sequence, split, config, [](const TrainProgress&) { return true; });
-        loss[strategy] = final_loss(result);
+        loss[strategy] = get_final_loss(result);
         std::uint32_t n = result.log.front().n_surfels;
         for (const TrainProgress& line : result.log) {
             n = n + line.densified.added - line.densified.removed();
@@ -76,9 +76,9 @@ TEST_F(DensifyTrain, GrowthLowersTheLoss) {
 
 /// Actors must grow in their model.
 TEST_F(DensifyTrain, ActorsStayInTheirModels) {
-    const Sequence sequence = growing_street();
+    const Sequence sequence = make_growing_street();
     const Split split = split_frames(sequence, 10);
-    Config config = sparse_config();
+    Config config = make_sparse_config();
     config.init.actor_classes = "Car";
     config.init.actor_min_points = 20;
     config.init.voxel_m = 0.6;
@@ -104,9 +104,9 @@ TEST_F(DensifyTrain, ActorsStayInTheirModels) {
 /// Uses a device with little more memory than training without growth needs. The growth
 /// must end early, but training must continue.
 TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {
-    const Sequence sequence = growing_street();
+    const Sequence sequence = make_growing_street();
     const Split split = split_frames(sequence, 10);
-    Config config = sparse_config();
+    Config config = make_sparse_config();
     config.train.iterations = 40;
     config.densify.from = config.densify.every = 5;
     config.densify.strategy = DensifyStrategy::adaptive;
@@ -115,7 +115,8 @@ TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {
     {
         Device unlimited;
         // trains for a single step
-        train(unlimited, sequence, split, config, [](const TrainProgress& p) { return p.iteration < 1; });
+        train(unlimited, sequence, split, config,
+              [](const TrainProgress& progress) { return progress.iteration < 1; });
         needed = unlimited.peak_bytes();
     }
     Device limited({.memory_limit_bytes = needed + (std::uint64_t(2) << 20)});

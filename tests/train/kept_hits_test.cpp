@@ -35,7 +35,7 @@ protected:
     Trained train(int keep_hits) {
         config.trace.keep_hits = keep_hits;
         TrainLoop loop(device(), street, split, initialise_scene(street, split.train, config.init), config);
-        for (int step = 1; step <= config.train.iterations; ++step) loop.iterate(step, step % 4 == 0);
+        for (int step = 1; step <= config.train.iterations; ++step) loop.run_iteration(step, step % 4 == 0);
         loop.finish();
         return {loop.download(), loop.kept_hits()};
     }
@@ -49,19 +49,19 @@ protected:
         for (const int position : split.train) {
             const Frame& frame = street.frames[std::size_t(position)];
             const PoseTrack track = street.world_from_sensor(frame.lidar);
-            renderer.place(place_instances(scene, street, moment_of(frame)),
+            renderer.place(place_instances(scene, street, get_sweep_moment(frame)),
                            glm::vec3(track.at(frame.time_s).translation));
-            const RayTable table = nominal_rays(street.lidar_of(frame), frame.time_s);
+            const RayTable table = make_nominal_rays(street.get_lidar(frame), frame.time_s);
             WorldRays rays;
             for (std::size_t i = 0; i < table.size(); ++i) {
-                const WorldRay ray = world_ray(track, frame.time_s, table, i, true);
+                const WorldRay ray = make_world_ray(track, frame.time_s, table, i, true);
                 rays.origin.emplace_back(ray.origin_m);
                 rays.direction.emplace_back(ray.direction);
             }
             const std::vector<std::uint32_t> hits = renderer.forward(rays).hits;
             for (std::size_t k = 0; k < counts.size(); ++k)
-                shares[k] += double(
-                    std::count_if(hits.begin(), hits.end(), [&](std::uint32_t n) { return n > counts[k]; }));
+                shares[k] += double(std::count_if(hits.begin(), hits.end(),
+                                                  [&](std::uint32_t count) { return count > counts[k]; }));
             n_rays += hits.size();
         }
         for (double& share : shares) share /= double(n_rays);
@@ -92,12 +92,12 @@ TEST_F(KeptHits, ChangeNothingOfWhatIsLearnt) {
 }
 
 TEST(KeptHitsWanted, TwiceAsManyWhileAnyRayHasMore) {
-    EXPECT_EQ(recommended_kept_hits(64, 0), 64u);
-    EXPECT_EQ(recommended_kept_hits(64, 1), 128u);
-    EXPECT_EQ(recommended_kept_hits(128, 1000), 256u);
-    EXPECT_EQ(recommended_kept_hits(256, 1000), 256u) << "bounded";
-    EXPECT_EQ(recommended_kept_hits(1000, 1000), 1000u) << "as asked for";
-    EXPECT_EQ(recommended_kept_hits(0, 1000), 0u) << "the paper's way";
+    EXPECT_EQ(recommend_kept_hits(64, 0), 64u);
+    EXPECT_EQ(recommend_kept_hits(64, 1), 128u);
+    EXPECT_EQ(recommend_kept_hits(128, 1000), 256u);
+    EXPECT_EQ(recommend_kept_hits(256, 1000), 256u) << "bounded";
+    EXPECT_EQ(recommend_kept_hits(1000, 1000), 1000u) << "as asked for";
+    EXPECT_EQ(recommend_kept_hits(0, 1000), 0u) << "the paper's way";
 }
 
 }  // namespace

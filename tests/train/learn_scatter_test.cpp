@@ -24,7 +24,7 @@ constexpr float kStep = 1.0f / 64.0f;
 
 /// Returns a run whose intensities have noise with a standard deviation of 0.05. Its
 /// untrained scene consists of the points of the log.
-Run grainy_run() {
+Run make_grainy_run() {
     Run run;
     run.sequence =
         make_synthetic_street({.seed = 3, .n_frames = 10, .rows = 32, .columns = 512, .moving_cars = false});
@@ -42,7 +42,7 @@ Run grainy_run() {
 }
 
 TEST_F(LearnScatter, TrainingFramesScatterAlike) {
-    relidar::Run run = grainy_run();
+    relidar::Run run = make_grainy_run();
     run.intensity_scatter = learn_scatter(device(), run);
     ASSERT_EQ(run.intensity_scatter.size(), 1u);
     EXPECT_EQ(run.intensity_scatter[0].step, double(kStep));
@@ -74,7 +74,7 @@ TEST_F(LearnScatter, TrainingFramesScatterAlike) {
 }
 
 TEST_F(LearnScatter, StopsWhereItIsAskedTo) {
-    const relidar::Run run = grainy_run();
+    const relidar::Run run = make_grainy_run();
     EXPECT_TRUE(learn_scatter(device(), run, {.stop = [] { return true; }}).empty());
 }
 

@@ -39,15 +39,15 @@ TEST_F(NoWait, NorAllocationInAnIteration) {
         const Scene initial = initialise_scene(street, split.train, config.init);
         ASSERT_GT(initial.instances.size(), 1u) << "actors are to be refined too";
         TrainLoop loop(device(), street, split, initial, config);
-        const Device::Impl& d = impl_of(device());
-        const auto iterate = [&](int from, int to) {
-            for (int step = from; step <= to; ++step) loop.iterate(step, step % 7 == 0 && step < 75);
+        const Device::Impl& d = get_impl(device());
+        const auto run_iteration = [&](int from, int to) {
+            for (int step = from; step <= to; ++step) loop.run_iteration(step, step % 7 == 0 && step < 75);
         };
         // after these iterations, every frame was used and all arrays have their final
         // sizes
-        iterate(1, 12);
+        run_iteration(1, 12);
         const std::uint64_t buffers = d.n_buffers, waits = d.n_full_waits;
-        iterate(13, 150);  // these iterations include log lines, a full report, and checks of the tree
+        run_iteration(13, 150);  // these iterations include log lines, a full report, and checks of the tree
         EXPECT_EQ(d.n_full_waits, waits);
         EXPECT_EQ(d.n_buffers, buffers);
         EXPECT_EQ(loop.collect_lines().size(), 10u);
@@ -66,7 +66,7 @@ TEST_F(NoWait, ButALossThatIsNoNumberEndsTrainingSoon) {
     TrainLoop loop(device(), street, split, initialise_scene(street, split.train, config.init), config);
     int step = 0;
     const std::string message = error_message<DataError>([&] {
-        while (step < 150) loop.iterate(++step);
+        while (step < 150) loop.run_iteration(++step);
     });
     EXPECT_EQ(message.rfind("training failed at iteration " + std::to_string(poisoned_step) + ", frame " +
                                 std::to_string(frame.index) + ": the intensity loss is ",

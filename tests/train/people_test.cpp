@@ -19,12 +19,13 @@ class People : public test::DeviceTest {};
 /// Counts the points in a box that is enlarged by the margin of labels and surfels.
 /// @param range_m, returned [rays] of the frame
 template <class Returned>
-int returns_in(const Sequence& street, const Frame& frame, const BoxTrack& box,
-               const std::vector<float>& range_m, const Returned& returned) {
+int list_returns_in(const Sequence& street, const Frame& frame, const BoxTrack& box,
+                    const std::vector<float>& range_m, const Returned& returned) {
     int n = 0;
     for (std::size_t i = 0; i < range_m.size(); ++i) {
         if (!returned(i)) continue;
-        const WorldRay ray = world_ray(street.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
+        const WorldRay ray =
+            make_world_ray(street.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
         n += box.holds(ray.origin_m + double(range_m[i]) * ray.direction,
                        frame.time_s + double(frame.scan.rays.time_offset_s[i]), 0.1);
     }
@@ -32,7 +33,7 @@ int returns_in(const Sequence& street, const Frame& frame, const BoxTrack& box,
 }
 
 /// Returns the box without its lowest part, which contains pavement.
-BoxTrack above_ground(BoxTrack box) {
+BoxTrack raise_above_ground(BoxTrack box) {
     for (Pose& pose : box.world_from_box.pose) pose.translation.z += 0.15;
     return box;
 }
@@ -61,12 +62,14 @@ TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
         const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s);
         for (const BoxTrack& labelled : street.boxes) {
             if (labelled.category == "Car") continue;
-            const BoxTrack box = above_ground(labelled);
-            const int real = returns_in(street, frame, box, to_vector(frame.scan.range_m),
-                                        [&](std::size_t i) { return frame.scan.range_m[i] > 0.0f; });
-            const int simulated = returns_in(street, frame, box, scan.median_range_m, [&](std::size_t i) {
-                return scan.median_range_m[i] > 0.0f && scan.image.drop_prob[i] < 0.5f;
-            });
+            const BoxTrack box = raise_above_ground(labelled);
+            const int real =
+                list_returns_in(street, frame, box, to_vector(frame.scan.range_m),
+                                [&](std::size_t index) { return frame.scan.range_m[index] > 0.0f; });
+            const int simulated =
+                list_returns_in(street, frame, box, scan.median_range_m, [&](std::size_t index) {
+                    return scan.median_range_m[index] > 0.0f && scan.image.drop_prob[index] < 0.5f;
+                });
             std::printf("frame %d: %s %s, %d real returns, %d simulated\n", frame.index,
                         labelled.category.c_str(), labelled.id.c_str(), real, simulated);
             counts[labelled.category].first += real;

@@ -15,7 +15,7 @@ namespace {
 class PlaceHeldOut : public test::DeviceTest {};
 
 /// Returns a run trained with exact poses.
-Run trained_run(Device& device) {
+Run train_small_run(Device& device) {
     Run run;
     run.sequence =
         make_synthetic_street({.seed = 7, .n_frames = 12, .rows = 32, .columns = 512, .range_noise_m = 0.01});
@@ -32,8 +32,8 @@ Run trained_run(Device& device) {
 
 /// Returns a trained run whose held-out frames have wrong poses. All tests share the same
 /// training.
-Run off_run(Device& device, const Twist& off) {
-    static const Run trained = trained_run(device);
+Run move_run(Device& device, const Twist& off) {
+    static const Run trained = train_small_run(device);
     Run run = trained;
     for (const int k : run.split.test) {
         Pose& pose = run.sequence.world_from_vehicle.pose[std::size_t(k)];
@@ -46,7 +46,7 @@ TEST_F(PlaceHeldOut, FindsWhereTheyWereAndMovesNothingElse) {
     const PoseTrack exact =
         make_synthetic_street({.seed = 7, .n_frames = 12, .rows = 2, .columns = 8}).world_from_vehicle;
     const Twist off{0.03, -0.02, 0.02, 1e-3, -2e-3, 2e-3};
-    relidar::Run run = off_run(device(), off);
+    relidar::Run run = move_run(device(), off);
     const relidar::Run before = run;
     const HeldOutPlacement placed = place_held_out(device(), run);
     ASSERT_EQ(placed.scans, run.split.test.size());
@@ -56,7 +56,7 @@ TEST_F(PlaceHeldOut, FindsWhereTheyWereAndMovesNothingElse) {
     EXPECT_NEAR(placed.median_m, off_m, 0.006);
     for (const int k : run.split.test) {
         const auto i = std::size_t(k);
-        const Twist left = twist_between(exact.pose[i], run.sequence.world_from_vehicle.pose[i]);
+        const Twist left = compute_twist(exact.pose[i], run.sequence.world_from_vehicle.pose[i]);
         EXPECT_LT(glm::length(glm::dvec3(left[0], left[1], left[2])), 0.006) << "frame " << k;
         EXPECT_LT(glm::length(glm::dvec3(left[3], left[4], left[5])), 5e-4) << "frame " << k;
     }
@@ -71,7 +71,7 @@ TEST_F(PlaceHeldOut, FindsWhereTheyWereAndMovesNothingElse) {
 }
 
 TEST_F(PlaceHeldOut, DoesNothingWhereItIsNotAskedForOrStopped) {
-    relidar::Run run = off_run(device(), {0.03, 0.0, 0.0, 0.0, 0.0, 0.0});
+    relidar::Run run = move_run(device(), {0.03, 0.0, 0.0, 0.0, 0.0, 0.0});
     const std::vector<Pose> before = run.sequence.world_from_vehicle.pose;
     const auto stays = [&] {
         for (std::size_t k = 0; k < before.size(); ++k)

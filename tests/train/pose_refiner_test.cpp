@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests pose refinement. Compares moved rays (train/move_rays) with world_ray of the
+// Tests pose refinement. Compares moved rays (train/move_rays) with make_world_ray of the
 // corrected track, and gradients of the poses (train/knot_gradients) with central
 // differences. Tests Adam on a track, and the synthetic street with pose errors of 5 cm
 // and 0.3 degrees.
@@ -26,7 +26,7 @@ namespace {
 class Poses : public test::DeviceTest {};
 
 using test::error_of;
-using test::perturbed;
+using test::perturb_track;
 using test::PoseError;
 
 constexpr double kDegree = kPi / 180.0;
@@ -39,7 +39,7 @@ Sequence street_of(int n_frames, int rows, int columns, bool moving_cars = false
 }
 
 /// Returns a random twist with these standard deviations of translation and rotation.
-Twist random_twist(std::mt19937_64& random, double sigma_m, double sigma_rad) {
+Twist draw_random_twist(std::mt19937_64& random, double sigma_m, double sigma_rad) {
     std::normal_distribution<double> normal(0.0, 1.0 / std::sqrt(3.0));
     Twist twist;
     for (std::size_t i = 0; i < 6; ++i) twist[i] = (i < 3 ? sigma_m : sigma_rad) * normal(random);
@@ -47,11 +47,11 @@ Twist random_twist(std::mt19937_64& random, double sigma_m, double sigma_rad) {
 }
 
 /// Returns a correction of all poses that could result from some training steps.
-TrackCorrection random_correction(const PoseTrack& track, std::mt19937_64& random) {
+TrackCorrection draw_random_correction(const PoseTrack& track, std::mt19937_64& random) {
     TrackCorrection correction(track);
     for (int i = 0; i < 3; ++i) {
         for (std::size_t k = 0; k < track.pose.size(); ++k)
-            correction.add_gradient(k, 1.0, random_twist(random, 1.0, 1.0));
+            correction.add_gradient(k, 1.0, draw_random_twist(random, 1.0, 1.0));
         correction.step({.rate_m = 0.05, .rate_rad = 0.005});
     }
     return correction;
@@ -68,8 +68,8 @@ TEST_F(Poses, MovedRaysAreThoseOfTheCorrectedTrack) {
         TrainingFrames frames(device(), street, {0, 1, 3}, {.unknown = {}, .moves_rays = true});
         MovedRays rays(device(), frames.all());
         std::mt19937_64 random(7);
-        const TrackCorrection correction = random_correction(street.world_from_vehicle, random);
-        const PoseTrack corrected = correction.corrected();
+        const TrackCorrection correction = draw_random_correction(street.world_from_vehicle, random);
+        const PoseTrack corrected = correction.make_corrected_track();
         Stream stream(device());
         for (std::size_t f = 0; f < frames.all().size(); ++f) {
             rays.move(stream, correction, frames[f]);
@@ -78,9 +78,10 @@ TEST_F(Poses, MovedRaysAreThoseOfTheCorrectedTrack) {
             const Frame& frame = street.frames[std::size_t(frames[f].position)];
             double farthest = 0.0, base = 0.0;
             for (std::size_t i = 0; i < moved.size(); ++i) {
-                const WorldRay expected = world_ray(corrected, frame.time_s, frame.scan.rays, i, rolling),
-                               uncorrected = world_ray(street.world_from_vehicle, frame.time_s,
-                                                       frame.scan.rays, i, rolling);
+                const WorldRay expected =
+                                   make_world_ray(corrected, frame.time_s, frame.scan.rays, i, rolling),
+                               uncorrected = make_world_ray(street.world_from_vehicle, frame.time_s,
+                                                            frame.scan.rays, i, rolling);
                 farthest = std::max({farthest, glm::length(expected.origin_m - glm::dvec3(moved[i].origin)),
                                      glm::length(expected.direction - glm::dvec3(moved[i].direction))});
                 base = std::max(base, glm::length(expected.origin_m - uncorrected.origin_m));
@@ -92,8 +93,9 @@ TEST_F(Poses, MovedRaysAreThoseOfTheCorrectedTrack) {
 }
 
 /// Returns the index of each ray of a batch among all rays of its frame.
-std::vector<std::size_t> frame_ray_ids(const SampledBatch& batch, const std::vector<DeviceRay>& batch_rays,
-                                       const std::vector<DeviceRay>& frame_rays) {
+std::vector<std::size_t> list_frame_ray_ids(const SampledBatch& batch,
+                                            const std::vector<DeviceRay>& batch_rays,
+                                            const std::vector<DeviceRay>& frame_rays) {
     std::vector<std::size_t> ids;
     for (std::uint32_t k = 0; k < batch.rays.n_rays; ++k) {
         const DeviceRay& ray = batch_rays[batch.rays.first + std::size_t(k) * batch.rays.stride];
@@ -113,7 +115,7 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
     MovedRays rays(device(), frames.all());
     std::mt19937_64 random(9);
     std::normal_distribution<float> normal;
-    TrackCorrection correction = random_correction(street.world_from_vehicle, random);
+    TrackCorrection correction = draw_random_correction(street.world_from_vehicle, random);
     Stream stream(device());
     Random draw(5);
     for (const auto& [batch_kind, f] : {std::pair{"rays", 0u}, {"columns", 1u}, {"columns", 2u}}) {
@@ -130,15 +132,15 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
         rays.sum_gradients(stream, frames[f], batch, d_rays);
         stream.finish();
         const std::vector<PoseGradient> actual =
-            rays.gradients_in(rays.gradient_rows().download(), frames[f]);
+            rays.sum_pose_gradients(rays.gradient_rows().download(), frames[f]);
         const std::vector<DeviceRay> batch_rays = batch.rays.rays->download();
         const std::vector<DeviceRay> all = frames[f].rays().download(frames[f].n_rays);
         const Frame& frame = street.frames[std::size_t(frames[f].position)];
-        const std::vector<std::size_t> ids = frame_ray_ids(batch, batch_rays, all);
+        const std::vector<std::size_t> ids = list_frame_ray_ids(batch, batch_rays, all);
         const auto loss = [&](const PoseTrack& track) {
             double sum = 0.0;
             for (std::size_t k = 0; k < ids.size(); ++k) {
-                const WorldRay w = world_ray(track, frame.time_s, frame.scan.rays, ids[k], true);
+                const WorldRay w = make_world_ray(track, frame.time_s, frame.scan.rays, ids[k], true);
                 sum += dot(w.origin_m, upstream, 6 * k) + dot(w.direction, upstream, 6 * k + 3);
             }
             return sum;
@@ -147,7 +149,7 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
             double worst = 0.0, size = 0.0;
             for (std::size_t i = 0; i < 6; ++i) {
                 const auto at = [&](double h) {
-                    PoseTrack track = correction.corrected();
+                    PoseTrack track = correction.make_corrected_track();
                     Twist twist{};
                     twist[i] = h;
                     track.pose[g.pose] = moved(track.pose[g.pose], twist);
@@ -172,8 +174,8 @@ TEST(TrackCorrectionOf, AQuadraticBowl) {
     std::vector<Twist> wanted;
     for (int k = 0; k < 8; ++k) {
         track.time_s.push_back(0.1 * k);
-        track.pose.push_back(moved({}, random_twist(random, 10.0, 1.0)));
-        wanted.push_back(random_twist(random, 0.05, 0.005));
+        track.pose.push_back(moved({}, draw_random_twist(random, 10.0, 1.0)));
+        wanted.push_back(draw_random_twist(random, 0.05, 0.005));
     }
     TrackCorrection correction(track);
     for (int i = 0; i < 2000; ++i) {
@@ -198,21 +200,22 @@ TEST(TrackCorrectionOf, AQuadraticBowl) {
     EXPECT_NEAR(strict.at(2)[0], -0.01, 1e-3) << "where the prior's pull is the loss's";
 }
 
-Config refining(const std::string& what, int iterations) {
+Config make_refining_config(const std::string& description, int iterations) {
     Config config = make_preset("quick");
     config.init.voxel_m = 0.2;
     config.train.iterations = iterations;
     config.train.rays_per_iteration = 0;
     config.train.sensor_drop = false;
-    config.train.refine_poses = what;
+    config.train.refine_poses = description;
     return config;
 }
 
 /// Trains once and returns the pose errors before and after the training.
-std::pair<PoseError, PoseError> errors_of_training(Device& device, const Config& config, const char* what) {
+std::pair<PoseError, PoseError> measure_errors_of_training(Device& device, const Config& config,
+                                                           const char* description) {
     Sequence street = street_of(11, 32, 256);
     const PoseTrack exact = street.world_from_vehicle;
-    set_vehicle_poses(street, perturbed(exact, 0.05, 0.3 * kDegree, 1));
+    set_vehicle_poses(street, perturb_track(exact, 0.05, 0.3 * kDegree, 1));
     const Split split = split_frames(street, 0);
     const PoseError before = error_of(street.world_from_vehicle, exact, split.train);
     prepare_log(street, split, config);
@@ -220,16 +223,16 @@ std::pair<PoseError, PoseError> errors_of_training(Device& device, const Config&
         train(device, street, split, config, [](const TrainProgress&) { return true; });
     const std::pair<PoseError, PoseError> errors{
         before, error_of(result.poses.value().world_from_vehicle, exact, split.train)};
-    std::printf("%s: %.4f m, %.3f deg before, %.4f m, %.3f deg after\n", what, errors.first.median_m,
+    std::printf("%s: %.4f m, %.3f deg before, %.4f m, %.3f deg after\n", description, errors.first.median_m,
                 errors.first.median_deg, errors.second.median_m, errors.second.median_deg);
     return errors;
 }
 
 TEST_F(Poses, OfTheSensorComeNearerByGradients) {
-    Config config = refining("sensor", 80);
+    Config config = make_refining_config("sensor", 80);
     config.train.pose_register = false;
     config.train.pose_rate_m = 1e-2;
-    const auto [before, after] = errors_of_training(device(), config, "gradients alone");
+    const auto [before, after] = measure_errors_of_training(device(), config, "gradients alone");
     EXPECT_LT(after.median_m, 0.6 * before.median_m);
     EXPECT_LT(after.median_deg, 0.6 * before.median_deg);
 }
@@ -237,7 +240,8 @@ TEST_F(Poses, OfTheSensorComeNearerByGradients) {
 /// Refinement must reduce pose noise of 5 cm and 0.3 degrees to 1 cm and 0.05 degrees.
 TEST_F(Poses, OfTheSensorComeBack) {
     const PoseError after =
-        errors_of_training(device(), refining("sensor", 40), "registration and gradients").second;
+        measure_errors_of_training(device(), make_refining_config("sensor", 40), "registration and gradients")
+            .second;
     EXPECT_LT(after.median_m, 0.01);
     EXPECT_LT(after.median_deg, 0.05);
 }
@@ -249,7 +253,7 @@ void keep_rays_near_boxes(Sequence& street, double margin_m) {
         Scan& scan = frame.scan;
         std::size_t n = 0;
         for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
-            const WorldReturn w = world_return(street, frame, ray);
+            const WorldReturn w = compute_world_return(street, frame, ray);
             if (std::none_of(street.boxes.begin(), street.boxes.end(),
                              [&](const BoxTrack& box) { return box.holds(w.point_m, w.time_s, margin_m); }))
                 continue;
@@ -273,8 +277,8 @@ TEST_F(Poses, OfTheActorsComeBack) {
     Sequence street = make_synthetic_street(options);
     const std::vector<BoxTrack> exact = street.boxes;
     keep_rays_near_boxes(street, 1.5);
-    for (BoxTrack& box : street.boxes) box.world_from_box = perturbed(box.world_from_box, 0.1, 0.0, 3);
-    Config config = refining("actors", 160);
+    for (BoxTrack& box : street.boxes) box.world_from_box = perturb_track(box.world_from_box, 0.1, 0.0, 3);
+    Config config = make_refining_config("actors", 160);
     config.train.pose_rate_m = 1e-3;
     config.init.actor_min_points = 20;
     config.init.scale_factor = 0.8;  // uses larger surfels without holes, because a car has few points
@@ -293,16 +297,15 @@ TEST_F(Poses, OfTheActorsComeBack) {
 
 TEST_F(Poses, AreKeptWhereNoneIsRefined) {
     const Sequence street = street_of(4, 8, 64, true);
-    EXPECT_FALSE(
-        train(device(), street, split_frames(street, 0), refining("none", 2), [](const TrainProgress&) {
-            return true;
-        }).poses);
+    EXPECT_FALSE(train(device(), street, split_frames(street, 0), make_refining_config("none", 2),
+                       [](const TrainProgress&) { return true; })
+                     .poses);
     Config config;
     EXPECT_THROW(set_key(config, "train.refine_poses", "sensors"), UsageError);
     std::vector<std::string> notes;
     TrainSession session;
     session.note = [&](const std::string& note) { notes.push_back(note); };
-    config = refining("actors", 2);
+    config = make_refining_config("actors", 2);
     config.init.actor_classes = "", config.init.mask_others = false;
     train(
         device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; },
@@ -321,7 +324,7 @@ TEST_F(Poses, OfASingleSweepStays) {
     session.note = [&](const std::string& note) { notes.push_back(note); };
     const auto poses = [&](const std::string& held_out) {
         return train(
-                   device(), street, split_frames(street, 0, held_out), refining("sensor", 2),
+                   device(), street, split_frames(street, 0, held_out), make_refining_config("sensor", 2),
                    [](const TrainProgress&) { return true; }, session)
             .poses;
     };

@@ -44,12 +44,12 @@ private:
     std::map<std::size_t, std::vector<std::string>> parts_;  // [rank] by exchange
     std::map<std::size_t, int> n_here_;
 
-    std::string gather(std::size_t rank, const std::string& own) {
+    std::string gather(std::size_t rank, const std::string& text) {
         std::unique_lock lock(mutex_);
         const std::size_t turn = turns_of_[rank]++;
         std::vector<std::string>& parts = parts_[turn];
         parts.resize(std::size_t(size_));
-        parts[rank] = own;
+        parts[rank] = text;
         ++n_here_[turn];
         all_here_.notify_all();
         all_here_.wait(lock, [&] { return n_here_[turn] == size_; });
@@ -82,27 +82,28 @@ std::vector<double> numbers(const Pose& pose) {
     return {q.w, q.x, q.y, q.z, t.x, t.y, t.z};
 }
 
-void expect_same(const Sequence& a, const Sequence& b) {
-    for (std::size_t k = 0; k < a.world_from_vehicle.pose.size(); ++k)
-        ASSERT_EQ(numbers(a.world_from_vehicle.pose[k]), numbers(b.world_from_vehicle.pose[k]))
+void expect_same(const Sequence& first, const Sequence& second) {
+    for (std::size_t k = 0; k < first.world_from_vehicle.pose.size(); ++k)
+        ASSERT_EQ(numbers(first.world_from_vehicle.pose[k]), numbers(second.world_from_vehicle.pose[k]))
             << "pose " << k;
-    const std::vector<Beam>&beams = a.lidars[0].sensor.beams, &others = b.lidars[0].sensor.beams;
+    const std::vector<Beam>&beams = first.lidars[0].sensor.beams, &others = second.lidars[0].sensor.beams;
     for (std::size_t i = 0; i < beams.size(); ++i) {
         EXPECT_EQ(beams[i].range_offset_m, others[i].range_offset_m) << "beam " << i;
         EXPECT_EQ(beams[i].intensity_gain, others[i].intensity_gain) << "beam " << i;
         EXPECT_EQ(beams[i].intensity_offset, others[i].intensity_offset) << "beam " << i;
     }
-    EXPECT_EQ(a.lidars[0].range_noise.sigma_m, b.lidars[0].range_noise.sigma_m);
-    EXPECT_EQ(a.intensity_response.range_m, b.intensity_response.range_m);
-    EXPECT_EQ(a.intensity_response.factor, b.intensity_response.factor);
-    EXPECT_EQ(a.intensity_response.incidence, b.intensity_response.incidence);
-    ASSERT_EQ(a.boxes.size(), b.boxes.size());
-    for (std::size_t i = 0; i < a.boxes.size(); ++i) {
-        EXPECT_EQ(a.boxes[i].id, b.boxes[i].id);
-        EXPECT_EQ(a.boxes[i].size_m, b.boxes[i].size_m);
-        ASSERT_EQ(a.boxes[i].world_from_box.time_s, b.boxes[i].world_from_box.time_s);
-        for (std::size_t k = 0; k < a.boxes[i].world_from_box.pose.size(); ++k)
-            EXPECT_EQ(numbers(a.boxes[i].world_from_box.pose[k]), numbers(b.boxes[i].world_from_box.pose[k]));
+    EXPECT_EQ(first.lidars[0].range_noise.sigma_m, second.lidars[0].range_noise.sigma_m);
+    EXPECT_EQ(first.intensity_response.range_m, second.intensity_response.range_m);
+    EXPECT_EQ(first.intensity_response.factor, second.intensity_response.factor);
+    EXPECT_EQ(first.intensity_response.incidence, second.intensity_response.incidence);
+    ASSERT_EQ(first.boxes.size(), second.boxes.size());
+    for (std::size_t i = 0; i < first.boxes.size(); ++i) {
+        EXPECT_EQ(first.boxes[i].id, second.boxes[i].id);
+        EXPECT_EQ(first.boxes[i].size_m, second.boxes[i].size_m);
+        ASSERT_EQ(first.boxes[i].world_from_box.time_s, second.boxes[i].world_from_box.time_s);
+        for (std::size_t k = 0; k < first.boxes[i].world_from_box.pose.size(); ++k)
+            EXPECT_EQ(numbers(first.boxes[i].world_from_box.pose[k]),
+                      numbers(second.boxes[i].world_from_box.pose[k]));
     }
 }
 

@@ -35,7 +35,7 @@ bool is_well_inside(const glm::vec3& direction) { return direction.z < -0.02f; }
 
 /// Returns a street in which rays that point down have no returns beyond 9 m. The same
 /// surfaces have returns when they are nearer, so the effect is a property of the sensor.
-Sequence weak_street() {
+Sequence make_weak_street() {
     Sequence street = make_synthetic_street(
         {.seed = 5, .n_frames = 11, .rows = 32, .columns = 512, .range_noise_m = 0.01, .speed_mps = 10.0});
     for (Frame& frame : street.frames)
@@ -68,9 +68,9 @@ Run trained(Device& device, Sequence street) {
 }
 
 /// Returns a run that is trained once for all tests.
-const Run& weak_run(Device& device) {
+const Run& make_weak_run(Device& device) {
     static const Run run = [&] {
-        Run made = trained(device, weak_street());
+        Run made = trained(device, make_weak_street());
         made.config.refine.epochs = 16;
         made.config.refine.rate = 0.01;
         return made;
@@ -81,7 +81,7 @@ const Run& weak_run(Device& device) {
 /// Returns two shares of correctly predicted drops on held-out frames. The first share is
 /// for weak beams that hit a surface near or beyond their maximum range. The second share
 /// is for all remaining pixels.
-std::pair<double, double> accuracies(Device& device, const Run& run) {
+std::pair<double, double> measure_accuracies(Device& device, const Run& run) {
     ScanRenderer renderer(device, run);
     double n[2] = {0.0, 0.0}, right[2] = {0.0, 0.0};
     for (const int position : run.split.test) {
@@ -115,21 +115,21 @@ private:
 };
 
 TEST_F(RefineDrops, NetworkKnowsWhatTheSensorDoesOnHeldOutFrames) {
-    relidar::Run run = weak_run(device());
-    const auto [weak_before, others_before] = accuracies(device(), run);
+    relidar::Run run = make_weak_run(device());
+    const auto [weak_before, others_before] = measure_accuracies(device(), run);
     run.drop_network = refine_drops(device(), run);
-    const auto [weak_after, others_after] = accuracies(device(), run);
+    const auto [weak_after, others_after] = measure_accuracies(device(), run);
     EXPECT_LT(1.0 - weak_after, 0.65 * (1.0 - weak_before))
         << weak_before << " before, " << weak_after << " after";
     EXPECT_GT(others_after, others_before) << "what training has not finished is corrected, too";
     run.config.refine.enabled = false;
-    EXPECT_EQ(accuracies(device(), run).first, weak_before) << "not asked for";
+    EXPECT_EQ(measure_accuracies(device(), run).first, weak_before) << "not asked for";
 }
 
 /// Returns the share of a sensor's rays for which the predicted drop equals the drop in
 /// the exact street.
-double exact_accuracy(ScanRenderer& renderer, const SyntheticOptions& options, const Run& run,
-                      const SensorChoice& sensor) {
+double compute_exact_accuracy(ScanRenderer& renderer, const SyntheticOptions& options, const Run& run,
+                              const SensorChoice& sensor) {
     double n = 0.0, right = 0.0;
     for (const int position : run.split.test) {
         const double time_s = run.sequence.frames[std::size_t(position)].time_s;
@@ -149,21 +149,21 @@ TEST_F(RefineDrops, AnotherSensorIsNotWorse) {
     run.config.refine.epochs = 6;
     const SensorChoice sensor = choose_sensor("VLP-32C", run.config, run.sequence);
     ScanRenderer renderer(device(), run);
-    const double before = exact_accuracy(renderer, options, run, sensor);
+    const double before = compute_exact_accuracy(renderer, options, run, sensor);
     renderer.refine_drops(refine_drops(device(), run));
     ASSERT_TRUE(renderer.refines(sensor));
-    EXPECT_GT(exact_accuracy(renderer, options, run, sensor), before);
+    EXPECT_GT(compute_exact_accuracy(renderer, options, run, sensor), before);
 }
 
 TEST_F(RefineDrops, ANetworkOfCellsRefinesImagesOfTheirGridAlone) {
-    relidar::Run run = weak_run(device());
+    relidar::Run run = make_weak_run(device());
     run.config.sensor.grid = "kitti360";
     run.config.refine.image = "grid";
     run.config.refine.epochs = 1;
     run.drop_network = refine_drops(device(), run);
     EXPECT_EQ(run.drop_network.image, "kitti360");
     ScanRenderer renderer(device(), run);
-    const SensorChoice grid = configured_sensor(run.config, run.sequence),
+    const SensorChoice grid = make_configured_sensor(run.config, run.sequence),
                        native = choose_sensor("native", run.config, run.sequence);
     EXPECT_TRUE(renderer.refines(grid));
     EXPECT_FALSE(renderer.refines(native));
@@ -201,7 +201,7 @@ Checkpoint newest(const std::filesystem::path& folder) {
 /// epochs, bit by bit. Training must also continue with a network that was saved and read
 /// again.
 TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
-    relidar::Run run = weak_run(device());
+    relidar::Run run = make_weak_run(device());
     run.config.refine.epochs = 4;
     run.config.refine.frames = 3;
     const std::filesystem::path checkpoints = folder() / "checkpoints";
@@ -231,7 +231,7 @@ TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
 }
 
 TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
-    relidar::Run run = weak_run(device());
+    relidar::Run run = make_weak_run(device());
     run.config.refine.epochs = 1;
     run.config.refine.frames = 3;
     train_until(device(), run, 2, folder());
@@ -270,7 +270,7 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
 /// A file at the path of the checkpoint folder makes saving fail. Training must continue
 /// without checkpoints and report the failure.
 TEST_F(RefineDrops, AFullDiskCostsACheckpointNotTheTraining) {
-    relidar::Run run = weak_run(device());
+    relidar::Run run = make_weak_run(device());
     run.config.refine.epochs = 1;
     run.config.refine.frames = 3;
     write_text(folder() / "taken", "");
@@ -284,7 +284,7 @@ TEST_F(RefineDrops, AFullDiskCostsACheckpointNotTheTraining) {
 }
 
 TEST_F(RefineDrops, StopGivesNothingAndBadLogsAreRefused) {
-    relidar::Run run = weak_run(device());
+    relidar::Run run = make_weak_run(device());
     int asked = 0;
     EXPECT_TRUE(refine_drops(device(), run, {.stop = [&] { return ++asked > 15; }}).empty())
         << "in the network's training";
@@ -303,7 +303,7 @@ TEST_F(RefineDrops, StopGivesNothingAndBadLogsAreRefused) {
         frame.scan.rays.columns = int(frame.scan.rays.size());
     }
     EXPECT_THAT(message(), ::testing::HasSubstr("no training frame has its rays in rows and columns"));
-    run.sequence = weak_street();
+    run.sequence = make_weak_street();
     for (Frame& frame : run.sequence.frames)
         for (float& range_m : frame.scan.range_m) range_m = std::max(range_m, 1.0f);
     EXPECT_THAT(message(), ::testing::HasSubstr("no training frame has a dropped ray"));

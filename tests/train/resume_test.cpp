@@ -30,7 +30,7 @@ constexpr int kIterations = 40;
 // stops between two lines of the log, and within an epoch of ten frames
 constexpr int kStoppedAfter = 17;
 
-Config resumed_config() {
+Config make_resumed_config() {
     Config config = make_preset("quick");
     config.init.voxel_m = 0.4;
     config.train.iterations = kIterations;
@@ -47,20 +47,21 @@ Config resumed_config() {
 /// train.deterministic, all bits must be equal.
 constexpr double kApart = 0.01;
 
-double distance(const std::vector<float>& a, const std::vector<float>& b) {
+double distance(const std::vector<float>& first, const std::vector<float>& second) {
     double sum = 0.0;
-    for (std::size_t i = 0; i < a.size(); ++i) sum += double(a[i] - b[i]) * double(a[i] - b[i]);
+    for (std::size_t i = 0; i < first.size(); ++i)
+        sum += double(first[i] - second[i]) * double(first[i] - second[i]);
     return std::sqrt(sum);
 }
 
-std::vector<float> flat(const std::vector<glm::vec3>& values) {
+std::vector<float> flatten_vectors(const std::vector<glm::vec3>& values) {
     return {&values.data()->x, &values.data()->x + 3 * values.size()};
 }
 
 /// Compares the parameter groups separately, because their rates differ by orders of
 /// magnitude.
-void expect_same_scene(const Scene& a, const Scene& b, const Scene& initial) {
-    ASSERT_EQ(a.surfels.size(), b.surfels.size());
+void expect_same_scene(const Scene& first, const Scene& second, const Scene& initial) {
+    ASSERT_EQ(first.surfels.size(), second.surfels.size());
     const auto compare = [](const char* name, const std::vector<float>& x, const std::vector<float>& y,
                             const std::vector<float>& start) {
         std::printf("%s: %g apart, as a share of what training moved\n", name,
@@ -68,13 +69,15 @@ void expect_same_scene(const Scene& a, const Scene& b, const Scene& initial) {
         EXPECT_GT(distance(x, start), 0.0) << name;
         EXPECT_LE(distance(x, y), kApart * distance(x, start)) << name;
     };
-    compare("mean", flat(a.surfels.mean), flat(b.surfels.mean), flat(initial.surfels.mean));
-    compare("opacity", a.surfels.opacity_logit, b.surfels.opacity_logit, initial.surfels.opacity_logit);
-    compare("sh", a.surfels.sh, b.surfels.sh, initial.surfels.sh);
+    compare("mean", flatten_vectors(first.surfels.mean), flatten_vectors(second.surfels.mean),
+            flatten_vectors(initial.surfels.mean));
+    compare("opacity", first.surfels.opacity_logit, second.surfels.opacity_logit,
+            initial.surfels.opacity_logit);
+    compare("sh", first.surfels.sh, second.surfels.sh, initial.surfels.sh);
 }
 
-void expect_equal_bits(const Scene& a, const Scene& b) {
-    const Surfels &x = a.surfels, &y = b.surfels;
+void expect_equal_bits(const Scene& first, const Scene& second) {
+    const Surfels &x = first.surfels, &y = second.surfels;
     EXPECT_TRUE(x.mean == y.mean && x.rotation == y.rotation && x.log_scale == y.log_scale &&
                 x.opacity_logit == y.opacity_logit && x.sh == y.sh && x.log_scale_w == y.log_scale_w);
 }
@@ -128,7 +131,7 @@ TEST(ResumedSampler, GoesOnWithTheSameFramesAndNumbers) {
 }
 
 TEST_F(Resume, IsTheTrainingThatWasNotStopped) {
-    const Config config = resumed_config();
+    const Config config = make_resumed_config();
     const TrainResult whole = run(config);
     EXPECT_TRUE(list_checkpoints(folder).empty()) << "a short run leaves none";
     const TrainResult first = run(config, nullptr, kStoppedAfter);
@@ -160,7 +163,7 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
     for (const auto& [strategy, primitive] : {std::pair{none, Primitive::surfel},
                                               {adaptive, Primitive::surfel},
                                               {adaptive, Primitive::gaussian}}) {
-        Config config = resumed_config();
+        Config config = make_resumed_config();
         config.image.primitive = primitive;
         config.train.deterministic = true;
         config.densify.strategy = strategy;
@@ -191,9 +194,9 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
 
 /// A resumed training estimates the corrections of the log again, with the same bits.
 TEST_F(Resume, PreparedLogsAreTheSameAgain) {
-    set_vehicle_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.005, 1));
+    set_vehicle_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.005, 1));
     const Sequence given = street;
-    Config config = resumed_config();
+    Config config = make_resumed_config();
     config.train.deterministic = true;
     config.train.refine_poses = "sensor,actors";
     config.init.actor_min_points = 10;
@@ -238,7 +241,7 @@ TEST_F(Resume, PreparedLogsAreTheSameAgain) {
 /// Restores a saved state into a training loop with different values. All saved values
 /// must be restored, bit by bit.
 TEST_F(Resume, RestoresEveryArrayBitByBit) {
-    Config config = resumed_config();
+    Config config = make_resumed_config();
     config.train.refine_poses = "sensor,actors";
     config.init.actor_min_points = 10;
     Config other = config;
@@ -246,18 +249,18 @@ TEST_F(Resume, RestoresEveryArrayBitByBit) {
     const Scene initial = initialise_scene(street, split.train, config.init);
     TrainLoop trained(device(), street, split, initial, config),
         fresh(device(), street, split, initial, other);
-    for (int step = 1; step <= kStoppedAfter; ++step) trained.iterate(step);
+    for (int step = 1; step <= kStoppedAfter; ++step) trained.run_iteration(step);
     Checkpoint saved, again;
     trained.save(saved);
-    fresh.iterate(1);
+    fresh.run_iteration(1);
     fresh.restore(saved);
     fresh.save(again);
     ASSERT_EQ(saved.arrays.size(), again.arrays.size());
-    const auto same = [](const Pose& a, const Pose& b) {
-        return a.rotation == b.rotation && a.translation == b.translation;
+    const auto same = [](const Pose& first, const Pose& second) {
+        return first.rotation == second.rotation && first.translation == second.translation;
     };
-    EXPECT_TRUE(std::ranges::equal(trained.refined_poses()->world_from_vehicle.pose,
-                                   fresh.refined_poses()->world_from_vehicle.pose, same));
+    EXPECT_TRUE(std::ranges::equal(trained.copy_refined_poses()->world_from_vehicle.pose,
+                                   fresh.copy_refined_poses()->world_from_vehicle.pose, same));
     for (const NamedArray& array : saved.arrays)
         EXPECT_TRUE(array.bytes == again.array(array.name).bytes) << array.name;
     for (const char* name :
@@ -271,7 +274,7 @@ TEST_F(Resume, RestoresEveryArrayBitByBit) {
 /// Training that refines only the poses of actors must also resume, from a checkpoint on
 /// disk.
 TEST_F(Resume, ActorsAloneAreRefinedAsIfNeverStopped) {
-    Config config = resumed_config();
+    Config config = make_resumed_config();
     config.train.deterministic = true;
     config.train.refine_poses = "actors";
     config.init.actor_min_points = 10;
@@ -289,7 +292,7 @@ TEST_F(Resume, ActorsAloneAreRefinedAsIfNeverStopped) {
 }
 
 TEST_F(Resume, AFinishedRunStaysAndMayBeExtended) {
-    Config config = resumed_config();
+    Config config = make_resumed_config();
     config.train.checkpoint_every = 15;
     const TrainResult whole = run(config);
     ASSERT_EQ(list_checkpoints(folder).size(), 2u) << "30 and the last one";
@@ -307,10 +310,10 @@ TEST_F(Resume, AFinishedRunStaysAndMayBeExtended) {
 }
 
 TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
-    run(resumed_config(), nullptr, 1);
+    run(make_resumed_config(), nullptr, 1);
     const Checkpoint start = *newest();
     const auto setting = [&](const char* key, const char* value) {
-        Config config = resumed_config();
+        Config config = make_resumed_config();
         set_key(config, key, value);
         return error_message<UsageError>([&] { check_resumable(start, street, split, config); });
     };
@@ -318,7 +321,7 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
               std::string::npos);
     EXPECT_NE(setting("train.seed", "2").find("setting train.seed: found 2, expected 1"), std::string::npos);
     EXPECT_NE(setting("train.iterations", "0").find("setting train.iterations: found 0"), std::string::npos);
-    Config free = resumed_config();
+    Config free = make_resumed_config();
     for (const auto& [key, value] : {std::pair{"train.log_every", "3"},
                                      {"train.checkpoint_minutes", "5"},
                                      {"train.iterations", "99"},
@@ -329,7 +332,8 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
 
     Checkpoint other_version = start;
     const auto error = [&] {
-        return data_error([&] { check_resumable(other_version, street, split, resumed_config()); });
+        return get_data_error_message(
+            [&] { check_resumable(other_version, street, split, make_resumed_config()); });
     };
     other_version.texts["setting/train.colour"] = "red";
     EXPECT_NE(error().find("unknown setting train.colour"), std::string::npos);
@@ -339,7 +343,7 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
 
     const auto log = [&](const char* part, const Sequence& other, const Split& frames) {
         const std::string message =
-            data_error([&] { check_resumable(start, other, frames, resumed_config()); });
+            get_data_error_message([&] { check_resumable(start, other, frames, make_resumed_config()); });
         EXPECT_NE(message.find(std::string("the log's ") + part), std::string::npos) << message;
     };
     log("training frames", street, split_frames(street, 5));
@@ -354,14 +358,14 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
     other.boxes[0].size_m.x += 0.1;
     log("boxes", other, split);
     TrainSession session{folder, &start, {}, {}};
-    EXPECT_THROW(
-        train(
-            device(), other, split, resumed_config(), [](const TrainProgress&) { return true; }, session),
-        DataError);
+    EXPECT_THROW(train(
+                     device(), other, split, make_resumed_config(), [](const TrainProgress&) { return true; },
+                     session),
+                 DataError);
 }
 
 TEST_F(Resume, AFullDiskCostsTheCheckpointOnly) {
-    Config config = resumed_config();
+    Config config = make_resumed_config();
     run(config, nullptr, 5);
     const Checkpoint start = *newest();
     config.train.checkpoint_every = 10;
@@ -383,7 +387,7 @@ TEST_F(Resume, AFullDiskCostsTheCheckpointOnly) {
 
 /// A frame with NaN intensities must end training when it is drawn for the first time.
 TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
-    const Config config = resumed_config();
+    const Config config = make_resumed_config();
     const Scene initial = initialise_scene(street, split.train, config.init);
     const std::size_t poisoned = 6;  // index among the training frames
     FrameSampler sampler(split.train.size(), config.train.seed);
@@ -395,10 +399,10 @@ TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
     TrainLoop loop(device(), street, split, initial, config);
     Checkpoint checkpoint;
     for (int step = 1; step <= 10; ++step) {
-        loop.iterate(step);
+        loop.run_iteration(step);
         if (step == expected - 1) loop.save(checkpoint);
     }
-    const std::string message = data_error([&] { loop.settle(); });
+    const std::string message = get_data_error_message([&] { loop.settle(); });
     const std::string wanted = "training failed at iteration " + std::to_string(expected) + ", frame " +
                                std::to_string(frame.index) + ": the intensity loss is ";
     ASSERT_GT(expected, 1);
@@ -407,10 +411,10 @@ TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
 }
 
 TEST_F(Resume, ParametersThatAreNoNumbersAreNeverSaved) {
-    Config config = resumed_config();
+    Config config = make_resumed_config();
     config.train.checkpoint_every = 1;
     config.train.scale_rate = 1e39;  // exceeds the range of float
-    const std::string message = data_error([&] { run(config); });
+    const std::string message = get_data_error_message([&] { run(config); });
     EXPECT_TRUE(std::regex_search(
         message, std::regex("^training failed at iteration 1: row [0-9]+ of array .parameters/log_scale.")))
         << message;
@@ -420,7 +424,7 @@ TEST_F(Resume, ParametersThatAreNoNumbersAreNeverSaved) {
 /// Simulates a lost device and exhausted memory. The last checkpoint must be complete,
 /// and training must be able to resume from it.
 TEST_F(Resume, AFailureLeavesTheLastCheckpoint) {
-    Config config = resumed_config();
+    Config config = make_resumed_config();
     config.train.checkpoint_every = 5;
     int calls = 0;
     const TrainSession session{

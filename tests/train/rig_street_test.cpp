@@ -50,7 +50,7 @@ void add(Score& score, const RenderedScan& scan, const Scan& truth) {
     }
 }
 
-Config rig_config(int iterations) {
+Config make_rig_config(int iterations) {
     Config config = make_preset("quick");
     config.train.iterations = iterations;
     config.train.rays_per_iteration = 8192;
@@ -66,7 +66,7 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
     ASSERT_EQ(street.lidars.size(), 4u);
     const Split split = split_frames(street, 10);
     ASSERT_EQ(split.test.size(), 4u);
-    const Config config = rig_config(100);
+    const Config config = make_rig_config(100);
     prepare_log(street, split, config, {});
     const TrainResult result =
         train(device(), street, split, config, [](const TrainProgress&) { return true; });
@@ -74,7 +74,7 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
     std::vector<Score> scores(4);
     for (const int position : split.test) {
         const Frame& frame = street.frames[std::size_t(position)];
-        SensorChoice sensor = configured_sensor(config, street, frame.lidar);
+        SensorChoice sensor = make_configured_sensor(config, street, frame.lidar);
         sensor.returns = frame.lidar == test::kTwoReturns ? 2 : 1;
         const RenderedScan scan = renderer.render(sensor, frame.time_s);
         ASSERT_EQ(scan.image.direction, to_vector(frame.scan.rays.direction))
@@ -83,7 +83,7 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
         const RayTable& rays = frame.scan.rays;
         Scan truth = sensor.returns == 2 ? cast_synthetic_beams(options, rays, track, frame.time_s)
                                          : cast_synthetic_street(options, rays, track, frame.time_s);
-        drop_outside(truth, street.lidar_of(frame).sensor.range_limits());
+        drop_outside_limits(truth, street.get_lidar(frame).sensor.range_limits());
         add(scores[std::size_t(frame.lidar)], scan, truth);
     }
     // The goal is that 90 % of the second returns are rendered, and that at most 5 % of
@@ -108,14 +108,14 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
 /// ground 5 to 25 m away in the exact street, but have no such hit in an untrained scene.
 /// Uses the first held-out frame.
 /// @param street a prepared log
-double missed_ground(Device& device, const Sequence& street, const Split& split,
-                     const SyntheticOptions& options, double max_gap_m) {
-    Config config = rig_config(0);
+double measure_missed_ground(Device& device, const Sequence& street, const Split& split,
+                             const SyntheticOptions& options, double max_gap_m) {
+    Config config = make_rig_config(0);
     config.init.max_gap_m = max_gap_m;
     const TrainResult result = train(device, street, split, config, {});
     ScanRenderer renderer(device, result.scene, config, street);
     const double time_s = street.frames[std::size_t(split.test[0])].time_s;
-    const SensorChoice sensor = sensor_choice(find_sensor("OS1-64"));
+    const SensorChoice sensor = make_sensor_choice(find_sensor("OS1-64"));
     const RenderedScan scan = renderer.render(sensor, time_s);
     const Scan truth = cast_synthetic_street(options, sensor.rays, street.world_from_sensor(0), time_s);
     double missed = 0.0, ground = 0.0;
@@ -140,9 +140,9 @@ TEST_F(RigStreet, ADenserSensorSeesNoHolesBetweenTheRingsOfTheLog) {
     Sequence log = make_synthetic_street(options);
     // holds out the middle frame and the last frame
     const Split split = split_frames(log, int(log.frames.size()) / 2);
-    prepare_log(log, split, rig_config(0), {});
-    const double with = missed_ground(device(), log, split, options, 2.0),
-                 without = missed_ground(device(), log, split, options, 0.0);
+    prepare_log(log, split, make_rig_config(0), {});
+    const double with = measure_missed_ground(device(), log, split, options, 2.0),
+                 without = measure_missed_ground(device(), log, split, options, 0.0);
     std::cout << "ground missed: " << with << ", by round discs " << without << "\n";
     EXPECT_LT(with, 0.1);
     EXPECT_GT(without, 3.0 * with);

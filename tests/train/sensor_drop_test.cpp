@@ -46,7 +46,7 @@ DropTable table_of(const Sequence& log) {
     DropCounts counts(log);
     for (const Frame& frame : log.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) counts.add(frame, i);
-    return counts.shrunk();
+    return counts.estimate_drop_rate();
 }
 
 float at(const DropTable& table, int beam, int column) {
@@ -91,7 +91,7 @@ TEST(SensorDrop, OnlyABlindSectorIsBlindInOneSweep) {
         const Sequence log = log_of(n_frames, step);
         std::vector<int> positions(std::size_t(n_frames), 0);
         std::iota(positions.begin(), positions.end(), 0);
-        const DropTable observed = observed_drops(log, positions);
+        const DropTable observed = estimate_observed_drops(log, positions);
         const Frame& frame = log.frames[0];
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             const int beam = frame.scan.rays.channel[ray],
@@ -133,7 +133,7 @@ Sequence log_with_sectors() {
 
 TEST(SensorDrop, ASectorWithoutReturnsIsNotSeenWhateverTheSceneHas) {
     const Sequence log = log_with_sectors();
-    const DropTable observed = observed_drops(log, {0, 1, 2, 3, 4, 5});
+    const DropTable observed = estimate_observed_drops(log, {0, 1, 2, 3, 4, 5});
     DropTable drops = observed;
     std::ranges::fill(drops.probability, 0.25f);
     add_unseen_sectors(drops, observed, log);

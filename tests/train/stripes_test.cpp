@@ -42,7 +42,7 @@ TEST(Stripes, OfASmallImageAreAllOfIt) {
     const Sequence street = make_synthetic_street({.n_frames = 1, .rows = 16, .columns = 128});
     const RayTable& all = street.frames[0].scan.rays;
     for (const int share : {0, 1, 3}) EXPECT_EQ(Stripes(share, all, 1).rays(all).size(), all.size()) << share;
-    EXPECT_LT(stripe_share(all), 2);
+    EXPECT_LT(compute_stripe_share(all), 2);
 }
 
 }  // namespace

@@ -47,7 +47,7 @@ protected:
         Scene whole = initialise_scene(run.sequence, run.split.train, run.config.init);
         for (std::size_t i = 0; i < whole.surfels.size(); ++i)
             whole.surfels.opacity_logit[i] = i < whole.models[0].count ? 6.0f : -1.5f;
-        run.scene = with_background(whole, {});
+        run.scene = add_background(whole, {});
         for (const bool right : {false, true}) run.scene.blocks.push_back(save_half(whole, right));
     }
 
@@ -56,11 +56,11 @@ protected:
         DeviceTest::TearDown();
     }
 
-    SceneBlock save_half(const Scene& whole, bool right) {
+    SceneBlock save_half(const Scene& scene, bool right) {
         std::vector<std::uint32_t> order;
-        for (std::uint32_t i = 0; i < whole.models[0].count; ++i)
-            if ((whole.surfels.mean[i].x >= 0.0f) == right) order.push_back(i);
-        const Scene half = make_background_scene(whole.surfels.permuted(order));
+        for (std::uint32_t i = 0; i < scene.models[0].count; ++i)
+            if ((scene.surfels.mean[i].x >= 0.0f) == right) order.push_back(i);
+        const Scene half = make_background_scene(scene.surfels.reorder(order));
         SceneBlock block{folder / (right ? "right.safetensors" : "left.safetensors"), half.models[0].count,
                          half.surfels.mean[0], half.surfels.mean[0]};
         for (const glm::vec3& mean : half.surfels.mean) {
@@ -73,15 +73,15 @@ protected:
 
     /// Returns the median error of the mean range on a held-out frame. Uses only rays
     /// with a return from a car.
-    double error_on_cars() {
+    double measure_error_on_cars() {
         const Frame& frame = run.sequence.frames[std::size_t(run.split.test[0])];
         ScanRenderer renderer(device(), run.scene, run.config, run.sequence);
         const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s);
         std::vector<double> errors;
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
-            const WorldReturn at = world_return(run.sequence, frame, i);
-            if (!in_moving_box(run.sequence.boxes, at.point_m, at.time_s, -0.05)) continue;
+            const WorldReturn at = compute_world_return(run.sequence, frame, i);
+            if (!is_in_moving_box(run.sequence.boxes, at.point_m, at.time_s, -0.05)) continue;
             errors.push_back(std::abs(scan.image.range_m[i] - frame.scan.range_m[i]));
         }
         EXPECT_GT(errors.size(), 20u) << "the cars must be seen";
@@ -95,7 +95,7 @@ protected:
 
 TEST_F(TrainActors, CloseUpBeforeTheJoinedBackgroundWhichStays) {
     run.config.blocks.actor_epochs = 20;
-    const double before = error_on_cars();
+    const double before = measure_error_on_cars();
     const Scene was = run.scene;
     int last = 0, expected = 0;
     EXPECT_TRUE(train_actors(device(), run,
@@ -106,7 +106,7 @@ TEST_F(TrainActors, CloseUpBeforeTheJoinedBackgroundWhichStays) {
                               {}}));
     EXPECT_EQ(last, expected);
     EXPECT_EQ(last, 20 * int(run.split.train.size())) << "a car is seen in every frame";
-    const double after = error_on_cars();
+    const double after = measure_error_on_cars();
     std::printf("mean range of cars: %.3f m off before, %.3f m after\n", before, after);
     EXPECT_GT(before, 0.5) << "they must be thin, or there is nothing to learn";
     EXPECT_LT(after, 0.3 * before);

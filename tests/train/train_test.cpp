@@ -19,16 +19,16 @@ namespace {
 
 class Train : public test::DeviceTest {};
 class TrainEither : public Train, public testing::WithParamInterface<Primitive> {};
-std::vector<Primitive> all_primitives() {
+std::vector<Primitive> list_all_primitives() {
     std::vector<Primitive> all;
     for (const PrimitiveKind& kind : kPrimitives) all.push_back(kind.primitive);
     return all;
 }
-INSTANTIATE_TEST_SUITE_P(Primitives, TrainEither, testing::ValuesIn(all_primitives()));
+INSTANTIATE_TEST_SUITE_P(Primitives, TrainEither, testing::ValuesIn(list_all_primitives()));
 
-SyntheticOptions small_street() { return {.n_frames = 11, .rows = 16, .columns = 256}; }
+SyntheticOptions make_small_street() { return {.n_frames = 11, .rows = 16, .columns = 256}; }
 
-Config small_config() {
+Config make_small_config() {
     Config config = make_preset("quick");
     config.init.voxel_m = 0.4;
     config.train.iterations = 60;
@@ -37,18 +37,18 @@ Config small_config() {
     return config;
 }
 
-double held_out_error(Device& device, const Scene& scene, const Config& config, const Sequence& street,
-                      const Split& split) {
+double measure_held_out_error(Device& device, const Scene& scene, const Config& config,
+                              const Sequence& street, const Split& split) {
     ScanRenderer renderer(device, scene, config, street);
     const Frame& frame = street.frames[std::size_t(split.test[0])];
     const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s);
-    return evaluate(scan.image, real_image(config, frame.scan)).at("strict/depth_mae_m");
+    return evaluate(scan.image, make_real_image(config, frame.scan)).at("strict/depth_mae_m");
 }
 
 TEST_P(TrainEither, LearnsTheStreet) {
-    const Sequence street = make_synthetic_street(small_street());
+    const Sequence street = make_synthetic_street(make_small_street());
     const Split split = split_frames(street, 10);
-    Config config = small_config();
+    Config config = make_small_config();
     config.image.primitive = GetParam();
     const TrainResult result =
         train(device(), street, split, config, [](const TrainProgress&) { return true; });
@@ -68,16 +68,16 @@ TEST_P(TrainEither, LearnsTheStreet) {
         config.train.opacity_rate = config.train.sh_rate = 1e-12;
     const TrainResult untrained =
         train(device(), street, split, config, [](const TrainProgress&) { return true; });
-    EXPECT_LT(held_out_error(device(), result.scene, config, street, split),
-              0.9 * held_out_error(device(), untrained.scene, config, street, split));
+    EXPECT_LT(measure_held_out_error(device(), result.scene, config, street, split),
+              0.9 * measure_held_out_error(device(), untrained.scene, config, street, split));
 }
 
 /// The first step of Adam equals the learning rate for any gradient. The rate must be
 /// proportional to 4 x the diagonal of a car's box and not to the extent of the street.
 TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
-    const Sequence street = make_synthetic_street(small_street());
+    const Sequence street = make_synthetic_street(make_small_street());
     const Split split = split_frames(street, 10);
-    Config config = small_config();
+    Config config = make_small_config();
     config.train.iterations = 1;
     config.densify.strategy = DensifyStrategy::adaptive;
     config.init.actor_min_points = 10;
@@ -88,7 +88,7 @@ TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
     ASSERT_GE(before.models.size(), 3u) << "the background and two cars";
     for (const Model& model : before.models) {
         const double extent_m = model.half_size_m.x > 0.0f ? 8.0 * double(glm::length(model.half_size_m))
-                                                           : background_extent(before);
+                                                           : compute_background_extent(before);
         double farthest_m = 0.0;
         for (std::uint32_t i = model.first; i < model.first + model.count; ++i)
             for (int axis = 0; axis < 3; ++axis)
@@ -101,9 +101,9 @@ TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
 }
 
 TEST_P(TrainEither, SurfelsGrowToSoManyTimesTheirFirstSizeAtMost) {
-    const Sequence street = make_synthetic_street(small_street());
+    const Sequence street = make_synthetic_street(make_small_street());
     const Split split = split_frames(street, 10);
-    Config config = small_config();
+    Config config = make_small_config();
     config.image.primitive = GetParam();
     config.train.scale_rate = 0.1;
     config.train.max_growth = 1.3;
@@ -131,9 +131,9 @@ TEST_P(TrainEither, SurfelsGrowToSoManyTimesTheirFirstSizeAtMost) {
 /// training with two logits, and it must learn. Hit logits must stay 0, during training
 /// and in the saved scene.
 TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
-    const Sequence street = make_synthetic_street(small_street());
+    const Sequence street = make_synthetic_street(make_small_street());
     const Split split = split_frames(street, 10);
-    Config config = small_config();
+    Config config = make_small_config();
     config.init.hit_margin = 2.1;
     const auto trained = [&](bool single, int iterations) {
         config.image.single_drop_logit = single;
@@ -162,19 +162,19 @@ TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
         highest_drop = std::max(highest_drop, hit[kShCoefficients]);
     }
     EXPECT_GT(highest_drop - lowest_drop, 0.1f) << "all start equal";
-    const auto drop_term = [](const TrainProgress& p) { return p.terms[2]; };
+    const auto drop_term = [](const TrainProgress& progress) { return progress.terms[2]; };
     EXPECT_LT(drop_term(result.log.back()), 0.8 * drop_term(result.log.front()));
 }
 
 /// Two trainings with actors must end with the same bits. Without memory for the hits,
 /// training must report an error instead of becoming nondeterministic.
 TEST_F(Train, DeterministicTrainingRepeatsItself) {
-    SyntheticOptions options = small_street();
+    SyntheticOptions options = make_small_street();
     options.n_frames = 5;
     const Sequence street = make_synthetic_street(options);
     const Split split = split_frames(street, 10);
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
-        Config config = small_config();
+        Config config = make_small_config();
         config.image.sh_direction = direction;
         config.init.actor_min_points = 10;
         config.train.iterations = 20;
@@ -196,9 +196,9 @@ TEST_F(Train, DeterministicTrainingRepeatsItself) {
 }
 
 TEST_F(Train, StopsWhenAskedAndKeepsTheScene) {
-    const Sequence street = make_synthetic_street(small_street());
+    const Sequence street = make_synthetic_street(make_small_street());
     int calls = 0;
-    const TrainResult result = train(device(), street, split_frames(street, 10), small_config(),
+    const TrainResult result = train(device(), street, split_frames(street, 10), make_small_config(),
                                      [&](const TrainProgress&) { return ++calls < 2; });
     EXPECT_TRUE(result.interrupted);
     EXPECT_EQ(result.log.back().iteration, 10);
@@ -209,14 +209,14 @@ TEST_F(Train, StopsWhenAskedAndKeepsTheScene) {
 /// Trains once with the moving cars as actors and once with masked cars. On the pixels of
 /// the cars, the errors with actors must be much smaller.
 TEST_F(Train, ActorsBeatMasking) {
-    SyntheticOptions options = small_street();
+    SyntheticOptions options = make_small_street();
     options.rows = 32, options.columns = 512;
     const Sequence street = make_synthetic_street(options);
     const Split split = split_frames(street, 10);
     const Frame& frame = street.frames[std::size_t(split.test[0])];
     std::map<std::string, double> error;
     for (const std::string classes : {"Car", ""}) {
-        Config config = small_config();
+        Config config = make_small_config();
         config.init.actor_classes = classes;
         config.init.actor_min_points = 20;
         config.train.rays_per_iteration = 4096;
@@ -231,9 +231,10 @@ TEST_F(Train, ActorsBeatMasking) {
         std::vector<double> errors;
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
-            const WorldRay w = world_ray(street.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
+            const WorldRay w =
+                make_world_ray(street.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
             const glm::dvec3 p = w.origin_m + double(frame.scan.range_m[i]) * w.direction;
-            if (in_moving_box(street.boxes, p, frame.time_s + frame.scan.rays.time_offset_s[i], -0.05))
+            if (is_in_moving_box(street.boxes, p, frame.time_s + frame.scan.rays.time_offset_s[i], -0.05))
                 errors.push_back(std::abs(scan.image.range_m[i] - frame.scan.range_m[i]));
         }
         ASSERT_GT(errors.size(), 20u);
@@ -247,7 +248,7 @@ TEST_F(Train, ActorsBeatMasking) {
 }
 
 TEST(Targets, RaysOfMovingBoxesAreUnknown) {
-    const Sequence street = make_synthetic_street(small_street());
+    const Sequence street = make_synthetic_street(make_small_street());
     std::size_t masked_cars = 0, cars = 0, masked_rest = 0, rest = 0;
     for (const Frame& frame : street.frames) {
         std::vector<DeviceRay> rays;
@@ -257,7 +258,7 @@ TEST(Targets, RaysOfMovingBoxesAreUnknown) {
             if (!(targets[i].range_m > 0.0f)) continue;
             const glm::dvec3 p =
                 glm::dvec3(rays[i].origin) + double(targets[i].range_m) * glm::dvec3(rays[i].direction);
-            const bool car = in_moving_box(street.boxes, p, frame.time_s, 0.0);
+            const bool car = is_in_moving_box(street.boxes, p, frame.time_s, 0.0);
             (car ? cars : rest) += 1;
             (car ? masked_cars : masked_rest) += targets[i].weight == 0.0f;
         }
@@ -270,7 +271,7 @@ TEST(Targets, RaysOfMovingBoxesAreUnknown) {
 /// The rays that hit a moving car have targets if the car is an actor. Otherwise they are
 /// masked as long as the car has labels.
 TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
-    Sequence street = make_synthetic_street(small_street());
+    Sequence street = make_synthetic_street(make_small_street());
     const std::vector<BoxTrack> whole = street.boxes;
     const std::size_t n_labels = street.frames.size() - 4;
     for (BoxTrack& box : street.boxes) {
@@ -287,7 +288,7 @@ TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const glm::dvec3 p =
                 glm::dvec3(rays[i].origin) + double(targets[i].range_m) * glm::dvec3(rays[i].direction);
-            if (!(targets[i].range_m > 0.0f) || !in_moving_box(whole, p, street.frames[frame].time_s, 0.0))
+            if (!(targets[i].range_m > 0.0f) || !is_in_moving_box(whole, p, street.frames[frame].time_s, 0.0))
                 continue;
             n += 1.0;
             n_masked += targets[i].weight == 0.0f;
@@ -302,18 +303,18 @@ TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
 
 /// Returns true for rays to the left and below. A vehicle body hides the ground in this
 /// direction, but the ground is visible from later or earlier positions.
-bool is_hidden(const RayTable& rays, std::size_t i) {
-    const glm::vec3& d = rays.direction[i];
+bool is_hidden(const RayTable& rays, std::size_t index) {
+    const glm::vec3& d = rays.direction[index];
     return d.z < -0.1f && std::abs(std::atan2(d.y, d.x) - 1.5f) < 0.3f;
 }
 
 TEST_F(Train, SensorDropIsLearntApartFromTheScene) {
-    Sequence street = make_synthetic_street(small_street());
+    Sequence street = make_synthetic_street(make_small_street());
     const Split split = split_frames(street, 10);
     for (Frame& frame : street.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (is_hidden(frame.scan.rays, i)) frame.scan.range_m[i] = frame.scan.intensity[i] = 0.0f;
-    Config config = small_config();
+    Config config = make_small_config();
     config.train.sensor_drop = true;
     config.init.scale_factor = 0.8;  // large surfels, because the points are sparse
     const TrainResult result =
@@ -337,14 +338,14 @@ TEST_F(Train, SensorDropIsLearntApartFromTheScene) {
 }
 
 TEST_F(Train, ABlindSectorOfOneSweepIsRenderedBlind) {
-    SyntheticOptions options = small_street();
+    SyntheticOptions options = make_small_street();
     options.n_frames = 2;
     options.columns = 1024;
     Sequence street = make_synthetic_street(options);
     for (Frame& frame : street.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (is_hidden(frame.scan.rays, i)) frame.scan.range_m[i] = frame.scan.intensity[i] = 0.0f;
-    Config config = small_config();
+    Config config = make_small_config();
     config.train.sensor_drop = true;
     const TrainResult result =
         train(device(), street, {{0}, {1}}, config, [](const TrainProgress&) { return true; });
@@ -364,9 +365,10 @@ TEST_F(Train, ABlindSectorOfOneSweepIsRenderedBlind) {
 }
 
 TEST_F(Train, NothingToTrainOnIsAnError) {
-    const Sequence street = make_synthetic_street(small_street());
-    EXPECT_THROW(train(device(), street, Split{}, small_config(), [](const TrainProgress&) { return true; }),
-                 DataError);
+    const Sequence street = make_synthetic_street(make_small_street());
+    EXPECT_THROW(
+        train(device(), street, Split{}, make_small_config(), [](const TrainProgress&) { return true; }),
+        DataError);
 }
 
 }  // namespace

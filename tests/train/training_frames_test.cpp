@@ -26,10 +26,11 @@ constexpr std::uint64_t kAll = ~0ull;
 /// Returns the cell of the KITTI-360 grid for a point. The published grid has 66 rows
 /// from +2.0 to -24.9 degrees and 1030 columns with decreasing azimuth from +180 degrees.
 /// Rays are in the centres of the cells.
-int cell_of(const glm::vec3& p) {
+int find_cell(const glm::vec3& point) {
     const double degrees = 180.0 / kPi,
-                 elevation = degrees * std::atan2(double(p.z), std::hypot(double(p.x), double(p.y)));
-    const double azimuth = degrees * std::atan2(double(p.y), double(p.x));
+                 elevation =
+                     degrees * std::atan2(double(point.z), std::hypot(double(point.x), double(point.y)));
+    const double azimuth = degrees * std::atan2(double(point.y), double(point.x));
     const int row = int(std::floor((2.0 - elevation) / 26.9 * 66.0 + 0.5));
     const int column = int(std::floor((180.0 - azimuth) / 360.0 * 1030.0 + 0.5));
     return row >= 0 && row < 66 ? row * 1030 + column % 1030 : -1;
@@ -40,13 +41,13 @@ TEST(OnGrid, NearestReturnsOfCells) {
     const Scan& scan = log.frames[0].scan;
     std::map<int, std::size_t> nearest;
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-        const int cell = scan.range_m[i] > 0.0f ? cell_of(scan.point(i)) : -1;
+        const int cell = scan.range_m[i] > 0.0f ? find_cell(scan.point(i)) : -1;
         if (cell < 0) continue;
         const auto [at, is_new] = nearest.try_emplace(cell, i);
         if (!is_new && glm::length(scan.point(i)) < glm::length(scan.point(at->second))) at->second = i;
     }
     ASSERT_GT(nearest.size(), 10000u);
-    const Frame binned = on_grid(log, log.frames[0], kitti360_grid());
+    const Frame binned = convert_to_grid(log, log.frames[0], make_kitti360_grid());
     ASSERT_EQ(binned.scan.range_m.size(), 66u * 1030u);
     EXPECT_EQ(binned.scan.rays.rows, 66);
     // single and double precision may select different cells for a point at the border of
@@ -54,7 +55,7 @@ TEST(OnGrid, NearestReturnsOfCells) {
     int elsewhere = 0;
     for (std::size_t cell = 0; cell < binned.scan.range_m.size(); ++cell) {
         const glm::vec3& d = binned.scan.rays.direction[cell];
-        EXPECT_EQ(cell_of(10.0f * d), int(cell));
+        EXPECT_EQ(find_cell(10.0f * d), int(cell));
         EXPECT_EQ(binned.scan.rays.origin[cell], glm::vec3(0.0f));
         const auto found = nearest.find(int(cell));
         if (found == nearest.end()) {
@@ -83,7 +84,7 @@ protected:
         std::iota(all.begin(), all.end(), 0);
         return all;
     }
-    static std::uint64_t bytes_of_frame(const Sequence& log) {
+    static std::uint64_t measure_bytes_of_frame(const Sequence& log) {
         return log.frames[0].scan.range_m.size() *
                (sizeof(DeviceRay) + sizeof(DeviceTarget) + sizeof(shared::RayPlace));
     }
@@ -96,7 +97,7 @@ TEST_F(FramesInTurn, AreThoseOfTheLog) {
     // a smaller scan
     log.frames[3].scan = make_synthetic_street({.n_frames = 5, .rows = 4, .columns = 50}).frames[3].scan;
     for (const auto& [resident_bytes, n_resident] :
-         {std::pair(std::uint64_t(0), 0u), {2 * bytes_of_frame(log), 2u}, {kAll, 5u}}) {
+         {std::pair(std::uint64_t(0), 0u), {2 * measure_bytes_of_frame(log), 2u}, {kAll, 5u}}) {
         TrainingFrames frames(device(), log, positions(log),
                               {.unknown = {}, .moves_rays = true, .resident_bytes = resident_bytes});
         EXPECT_EQ(frames.n_resident(), n_resident);
@@ -104,7 +105,7 @@ TEST_F(FramesInTurn, AreThoseOfTheLog) {
         Random random(1);
         std::size_t next = 0;
         for (int turn = 0; turn < 30; ++turn) {
-            const FrameData& frame = frames.bring(stream, next);
+            const FrameData& frame = frames.make_resident(stream, next);
             const Frame& sweep = log.frames[next];
             next = random.next() % 5;
             if (turn % 3 != 0) frames.expect(turn % 3 == 1 ? next : (next + 1) % 5);
@@ -208,13 +209,13 @@ TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
 /// be rejected with an error of a single line.
 TEST_F(FramesInTurn, AreCellsOfAGrid) {
     const Sequence log = street(2);
-    TrainingFrames frames(device(), log, positions(log), {.unknown = {}, .grid = kitti360_grid()});
+    TrainingFrames frames(device(), log, positions(log), {.unknown = {}, .grid = make_kitti360_grid()});
     Stream stream(device());
-    const FrameData& frame = frames.bring(stream, 0);
+    const FrameData& frame = frames.make_resident(stream, 0);
     EXPECT_EQ(frame.n_rays, 66u * 1030u);
     EXPECT_EQ(frame.image.rows, 66u);
     EXPECT_TRUE(frame.image.circular);
-    const Frame binned = on_grid(log, log.frames[0], kitti360_grid());
+    const Frame binned = convert_to_grid(log, log.frames[0], make_kitti360_grid());
     const std::vector<DeviceTarget> targets = frame.targets().download(frame.n_rays);
     for (std::size_t i = 0; i < targets.size(); ++i)
         ASSERT_EQ(targets[i].range_m, binned.scan.range_m[i]) << i;

@@ -12,7 +12,7 @@ namespace {
 
 class TwoLidars : public test::DeviceTest {};
 
-Config two_lidar_config() {
+Config make_two_lidar_config() {
     Config config = make_preset("quick");
     config.init.voxel_m = 0.4;
     config.train.rays_per_iteration = 0;
@@ -24,17 +24,18 @@ Config two_lidar_config() {
 
 /// Returns the mean absolute depth error of the held-out frame of a LiDAR, on its nominal
 /// rays.
-double held_out_error(Device& device, const Scene& scene, const Config& config, const Sequence& street,
-                      const Frame& frame) {
+double measure_held_out_error(Device& device, const Scene& scene, const Config& config,
+                              const Sequence& street, const Frame& frame) {
     ScanRenderer renderer(device, scene, config, street);
-    const RenderedScan scan = renderer.render(configured_sensor(config, street, frame.lidar), frame.time_s);
-    return evaluate(scan.image, real_image(config, frame.scan)).at("strict/depth_mae_m");
+    const RenderedScan scan =
+        renderer.render(make_configured_sensor(config, street, frame.lidar), frame.time_s);
+    return evaluate(scan.image, make_real_image(config, frame.scan)).at("strict/depth_mae_m");
 }
 
 TEST_F(TwoLidars, TrainTogetherAndRenderEach) {
-    Sequence street = test::two_lidar_street({.n_frames = 11, .rows = 16, .columns = 256});
+    Sequence street = test::make_two_lidar_street({.n_frames = 11, .rows = 16, .columns = 256});
     const Split split = split_frames(street, 10);
-    Config config = two_lidar_config();
+    Config config = make_two_lidar_config();
     std::string told;
     prepare_log(street, split, config, {[&](const std::string& text) { told += text + "\n"; }, {}, {}});
     EXPECT_NE(told.find("scans registered"), std::string::npos) << told;
@@ -50,12 +51,12 @@ TEST_F(TwoLidars, TrainTogetherAndRenderEach) {
         << "a pose for each sweep, not for each frame";
     for (const int position : split.test) {
         const Frame& frame = street.frames[std::size_t(position)];
-        const double before = held_out_error(device(), untrained.scene, config, street, frame),
-                     after = held_out_error(device(), result.scene, config, street, frame);
+        const double before = measure_held_out_error(device(), untrained.scene, config, street, frame),
+                     after = measure_held_out_error(device(), result.scene, config, street, frame);
         EXPECT_LT(after, 0.9 * before)
             << "LiDAR " << frame.lidar << ": " << before << " m before, " << after << " m after";
         street.lidars[std::size_t(frame.lidar)].vehicle_from_sensor.translation.y += 3.0;
-        EXPECT_GT(held_out_error(device(), result.scene, config, street, frame), 1.2 * after)
+        EXPECT_GT(measure_held_out_error(device(), result.scene, config, street, frame), 1.2 * after)
             << "a wrong mounting shows";
         street.lidars[std::size_t(frame.lidar)].vehicle_from_sensor.translation.y -= 3.0;
     }

@@ -24,7 +24,9 @@ constexpr int kBetweenChecks = 500;  // requests between checks
 class Changer {
 public:
     explicit Changer(unsigned seed) : random_(seed) {}
-    std::size_t below(std::size_t n) { return std::uniform_int_distribution<std::size_t>(0, n - 1)(random_); }
+    std::size_t below(std::size_t count) {
+        return std::uniform_int_distribution<std::size_t>(0, count - 1)(random_);
+    }
 
     std::string request() {
         static const std::vector<std::string> seeds = {
@@ -87,7 +89,7 @@ private:
     std::mt19937 random_;
 };
 
-bool lives(int port) {
+bool is_server_alive(int port) {
     return test::status_of(
                test::ask(port, "GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")) == 200;
 }
@@ -124,10 +126,10 @@ int run(int n_requests, unsigned seed) {
         bother(made.port(), change);
         if (sent - checked < kBetweenChecks) continue;
         checked = sent;
-        if (!lives(made.port()))
+        if (!is_server_alive(made.port()))
             return std::fprintf(stderr, "view_fuzz: no answer after %d requests, seed %u\n", sent, seed), 1;
     }
-    if (!lives(made.port()))
+    if (!is_server_alive(made.port()))
         return std::fprintf(stderr, "view_fuzz: no answer at the end, seed %u\n", seed), 1;
     std::printf("view_fuzz: %d requests and frames, seed %u: the server answers as before\n", n_requests,
                 seed);

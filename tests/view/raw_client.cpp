@@ -82,6 +82,6 @@ std::string frame(std::uint8_t first, std::string_view payload, bool masked, std
     return bytes;
 }
 
-std::string text_frame(std::string_view text) { return frame(0x81, text, true, text.size()); }
+std::string make_text_frame(std::string_view text) { return frame(0x81, text, true, text.size()); }
 
 }  // namespace relidar::test

@@ -42,6 +42,6 @@ int status_of(std::string_view answer);
 /// @param first FIN, reserved bits and opcode
 /// @param length length in the header, which may differ from the length of the payload
 std::string frame(std::uint8_t first, std::string_view payload, bool masked, std::uint64_t length);
-std::string text_frame(std::string_view text);
+std::string make_text_frame(std::string_view text);
 
 }  // namespace relidar::test

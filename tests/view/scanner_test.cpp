@@ -23,7 +23,7 @@ namespace {
 using Json = nlohmann::json;
 
 /// Makes an untrained run of a street with two moving cars.
-Run small_run() {
+Run make_small_run() {
     Run run;
     run.folder = "nowhere";
     run.config = make_preset("quick");
@@ -72,7 +72,7 @@ struct Read {
 
 /// Checks that a message and a scan have the same ranges and points.
 void expect_same(const Read& live, const RenderedScan& scan, const Run& run) {
-    const std::vector<float> range_m = point_ranges(scan, run.config);
+    const std::vector<float> range_m = select_point_ranges(scan, run.config);
     EXPECT_EQ(live.array<float>("range"), range_m);
     const Pose world{{1.0, 0.0, 0.0, 0.0}, run.sequence.world_offset_m};
     const std::vector<glm::vec3> points = live.array<glm::vec3>("position");
@@ -88,7 +88,8 @@ protected:
     void SetUp() override {
         DeviceTest::SetUp();
         if (!IsSkipped() && !HasFatalFailure())
-            made_ = std::make_unique<Scanner>(small_run(), OtherRuns{{"other", small_run()}}, device());
+            made_ =
+                std::make_unique<Scanner>(make_small_run(), OtherRuns{{"other", make_small_run()}}, device());
     }
     void TearDown() override {
         made_.reset();
@@ -97,11 +98,11 @@ protected:
     Scanner& scanner() { return *made_; }
     const relidar::Run& run() const { return made_->run(); }
     /// Renders a scan like `relidar render`.
-    RenderedScan rendered(const relidar::Run& of, double time_s, const Pose& offset,
+    RenderedScan rendered(const relidar::Run& run, double time_s, const Pose& offset,
                           const Weather& weather = {}) {
-        ScanRenderer renderer(device(), of);
+        ScanRenderer renderer(device(), run);
         renderer.set_weather(weather);
-        return renderer.render(choose_sensor("native", of.config, of.sequence), time_s, offset);
+        return renderer.render(choose_sensor("native", run.config, run.sequence), time_s, offset);
     }
     TabCache tab;
 
@@ -112,7 +113,7 @@ private:
 TEST_F(LiveScan, IsWhatTheRendererGives) {
     LiveScanRequest wish;
     wish.time_s = 0.23;  // between frames
-    wish.sensor_offset = {rotation_of(0.3, 0.0, 0.0), {1.0, 2.0, 0.5}};
+    wish.sensor_offset = {make_rotation(0.3, 0.0, 0.0), {1.0, 2.0, 0.5}};
     const Read live(scanner().scan(tab, wish));
     EXPECT_EQ(live.header["image"], Json({16, 256}));
     expect_same(live, rendered(run(), wish.time_s, wish.sensor_offset), run());
@@ -121,9 +122,9 @@ TEST_F(LiveScan, IsWhatTheRendererGives) {
 /// With a network that predicts a return for every ray, the page must show exactly the
 /// returns that are points of the scan.
 TEST_F(LiveScan, ShowsAsManyReturnsAsTheScanHasPoints) {
-    relidar::Run run = small_run();
+    relidar::Run run = make_small_run();
     run.config.refine.enabled = true;
-    run.drop_network = test::network_that_never_drops();
+    run.drop_network = test::make_network_that_never_drops();
     Scanner scans(run, {}, device());
     const Read live(scans.scan(tab, {.time_s = 0.2}));
     const auto drop = live.array<std::uint8_t>("drop");
@@ -144,7 +145,7 @@ TEST_F(LiveScan, HasTheWeatherOfEachRequest) {
         EXPECT_EQ(sources, *find_values<std::int32_t>(expected.channels, "source"));
         EXPECT_THAT(sources, testing::Contains(testing::Gt(0)));
     }
-    EXPECT_EQ(scanner().describe()["weather"]["help"], weather_help());
+    EXPECT_EQ(scanner().describe()["weather"]["help"], make_weather_help());
     EXPECT_EQ(scanner().describe()["channels"].back()["name"], "source") << "the page can colour by it";
 }
 
@@ -155,14 +156,14 @@ TEST_F(LiveScan, ShowsEditsAsAnEditedRunDoes) {
     wish.time_s = 0.2;
     wish.edits.moves[first] = {1.0, -2.0, 0.0, 15.0};
     wish.edits.removed = {second};
-    const relidar::Run edited = edited_run(run(), scanner().others(), wish.edits);
+    const relidar::Run edited = make_edited_run(run(), scanner().others(), wish.edits);
     EXPECT_EQ(edited.edits.size(), 2u);
     const RenderedScan expected = rendered(edited, wish.time_s, {});
     expect_same(Read(scanner().scan(tab, wish)), expected, run());
 
     wish.edits.copies = {{first, "", {5.0, 3.0, -0.9, 45.0, 3.0, -2.0, 2.0}}};
     const Read with_copy(scanner().scan(tab, wish));
-    expect_same(with_copy, rendered(edited_run(run(), scanner().others(), wish.edits), wish.time_s, {}),
+    expect_same(with_copy, rendered(make_edited_run(run(), scanner().others(), wish.edits), wish.time_s, {}),
                 run());
     EXPECT_EQ(with_copy.header["instances"][3], first + "-copy-1");
 }
@@ -172,7 +173,7 @@ TEST_F(LiveScan, ShowsActorsOfOtherRuns) {
     LiveScanRequest wish;
     wish.edits.copies = {{first, "", {5.0, 3.0, -0.9, 45.0, 0.0, 0.0, 2.0}},
                          {first, "other", {8.0, -3.0, -0.9, 0.0, 0.0, 0.0, 0.0}}};
-    const relidar::Run edited = edited_run(run(), scanner().others(), wish.edits);
+    const relidar::Run edited = make_edited_run(run(), scanner().others(), wish.edits);
     EXPECT_THAT(edited.edits.back().edit, testing::StartsWith("--insert ")) << "as `relidar edit` takes it";
     const Read live(scanner().scan(tab, wish));
     expect_same(live, rendered(edited, wish.time_s, {}), run());
@@ -201,7 +202,7 @@ TEST_F(LiveScan, PutsCopiesOnTheGround) {
 TEST_F(LiveScan, HidesWithoutAnEdit) {
     LiveScanRequest wish;
     wish.edits.hidden = {run().scene.instances[1].track, run().scene.instances[2].track};
-    EXPECT_TRUE(edited_run(run(), scanner().others(), wish.edits).edits.empty());
+    EXPECT_TRUE(make_edited_run(run(), scanner().others(), wish.edits).edits.empty());
     const std::vector<std::uint16_t> instance =
         Read(scanner().scan(tab, wish)).array<std::uint16_t>("instance");
     EXPECT_THAT(instance, testing::Each(testing::AnyOf(0, 65535)));

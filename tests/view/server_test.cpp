@@ -18,9 +18,9 @@ namespace {
 using std::chrono::milliseconds;
 using test::ask;
 using test::frame;
+using test::make_text_frame;
 using test::RawClient;
 using test::status_of;
-using test::text_frame;
 using testing::AnyOf;
 using testing::HasSubstr;
 using testing::Not;
@@ -47,7 +47,9 @@ struct Echo {
         return options;
     }
     int port() const { return server.port(); }
-    bool lives() const { return status_of(ask(port(), "GET / HTTP/1.0\r\nHost: localhost\r\n\r\n")) != 0; }
+    bool is_server_alive() const {
+        return status_of(ask(port(), "GET / HTTP/1.0\r\nHost: localhost\r\n\r\n")) != 0;
+    }
 
     std::atomic<ClientId> last = 0;
 };
@@ -56,7 +58,8 @@ std::string get(const std::string& target, const std::string& fields = "Host: lo
     return "GET " + target + " HTTP/1.1\r\n" + fields + "Connection: close\r\n\r\n";
 }
 
-std::string upgrade(const std::string& fields = "Host: localhost\r\n", const std::string& target = "/live") {
+std::string make_upgrade_request(const std::string& fields = "Host: localhost\r\n",
+                                 const std::string& target = "/live") {
     return "GET " + target + " HTTP/1.1\r\n" + fields +
            "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: "
            "dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n";
@@ -64,7 +67,7 @@ std::string upgrade(const std::string& fields = "Host: localhost\r\n", const std
 
 /// A client with an open WebSocket.
 struct Socket : RawClient {
-    explicit Socket(int port, const std::string& handshake = upgrade()) : RawClient(port) {
+    explicit Socket(int port, const std::string& handshake = make_upgrade_request()) : RawClient(port) {
         send(handshake);
         for (std::string next; !answer.ends_with("\r\n\r\n") && !(next = receive(1)).empty();) answer += next;
     }
@@ -147,7 +150,7 @@ TEST(ViewServer, ServesNothingElse) {
             << path;
     }
     EXPECT_EQ(status_of(ask(echo.port(), get("/live"))), 426);
-    EXPECT_TRUE(echo.lives());
+    EXPECT_TRUE(echo.is_server_alive());
 }
 
 TEST(ViewServer, RefusesWhatIsNoRequestForAnAsset) {
@@ -171,7 +174,7 @@ TEST(ViewServer, RefusesWhatIsNoRequestForAnAsset) {
         {"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03 a TLS client\r\n\r\n", 400}};
     for (const auto& [request, status] : cases) {
         EXPECT_EQ(status_of(ask(echo.port(), request)), status) << request.substr(0, 60);
-        EXPECT_TRUE(echo.lives());
+        EXPECT_TRUE(echo.is_server_alive());
     }
 }
 
@@ -195,11 +198,14 @@ TEST(ViewServer, RefusesForeignPages) {
                                "https://localhost:8080", "null", "x"}) {
         const std::string fields = host + "Origin: " + origin + "\r\n";
         EXPECT_EQ(status_of(ask(echo.port(), get("/", fields))), 403) << origin;
-        EXPECT_EQ(status_of(ask(echo.port(), upgrade(fields))), 403) << origin;
+        EXPECT_EQ(status_of(ask(echo.port(), make_upgrade_request(fields))), 403) << origin;
     }
-    EXPECT_EQ(status_of(Socket(echo.port(), upgrade(host + "Origin: http://localhost:8080\r\n")).answer),
-              101);
-    EXPECT_EQ(status_of(ask(echo.port(), upgrade("Host: evil.example\r\nOrigin: http://evil.example\r\n"))),
+    EXPECT_EQ(
+        status_of(
+            Socket(echo.port(), make_upgrade_request(host + "Origin: http://localhost:8080\r\n")).answer),
+        101);
+    EXPECT_EQ(status_of(ask(echo.port(),
+                            make_upgrade_request("Host: evil.example\r\nOrigin: http://evil.example\r\n"))),
               403);
 }
 
@@ -216,7 +222,7 @@ TEST(ViewServer, LetsInWhoShowsTheTokenAlone) {
         EXPECT_EQ(status_of(ask(echo.port(), get(target))), 401) << target;
     EXPECT_EQ(status_of(ask(echo.port(), get("/", host + "Cookie: " + cookie + "=" + close_one + "\r\n"))),
               401);
-    EXPECT_EQ(status_of(ask(echo.port(), upgrade())), 401);
+    EXPECT_EQ(status_of(ask(echo.port(), make_upgrade_request())), 401);
 
     const std::string page = ask(echo.port(), get("/?token=" + std::string(kToken)));
     EXPECT_EQ(status_of(page), 200);
@@ -224,7 +230,7 @@ TEST(ViewServer, LetsInWhoShowsTheTokenAlone) {
         page, HasSubstr("Set-Cookie: " + cookie + "=" + kToken + "; Path=/; HttpOnly; SameSite=Strict\r\n"));
     const std::string shown = host + "Cookie: other=1; " + cookie + "=" + kToken + "\r\n";
     EXPECT_EQ(status_of(ask(echo.port(), get("/main.js", shown))), 200);
-    EXPECT_EQ(status_of(Socket(echo.port(), upgrade(shown)).answer), 101);
+    EXPECT_EQ(status_of(Socket(echo.port(), make_upgrade_request(shown)).answer), 101);
     EXPECT_THAT(echo.server.url(), HasSubstr(std::string("/?token=") + kToken));
 }
 
@@ -246,7 +252,7 @@ TEST(ViewServer, HangsUpOnSlowClients) {
     RawClient silent(echo.port());
     EXPECT_EQ(silent.receive(), "");  // closed without an answer
     EXPECT_LT(std::chrono::steady_clock::now() - start, std::chrono::seconds(10));
-    EXPECT_TRUE(echo.lives());
+    EXPECT_TRUE(echo.is_server_alive());
 }
 
 TEST(ViewServer, TurnsAwayMoreThanItHasRoomFor) {
@@ -275,7 +281,7 @@ TEST(ViewServer, AnswersWhileManyConnectionsAreSilent) {
     std::vector<std::unique_ptr<RawClient>> silent;
     for (std::size_t i = 0; i < 3 * options.max_connections; ++i)
         silent.push_back(std::make_unique<RawClient>(echo.port()));
-    page.send(text_frame("there"));
+    page.send(make_text_frame("there"));
     EXPECT_EQ(page.receive(12), std::string("\x81\x0a") + "echo there");
     const auto start = std::chrono::steady_clock::now();
     int status = 0;
@@ -292,7 +298,7 @@ TEST(ViewServer, AnswersTexts) {
     ASSERT_EQ(status_of(socket.answer), 101);
     // from the example in RFC 6455
     EXPECT_THAT(socket.answer, HasSubstr("s3pPLMBiTxaQ9kYGzzhZRbK+xOo="));
-    socket.send(text_frame("one"));
+    socket.send(make_text_frame("one"));
     EXPECT_EQ(socket.receive(10), std::string("\x81\x08") + "echo one");
     socket.send(frame(0x01, "t", true, 1) + frame(0x80, "wo", true, 2));  // in two fragments
     EXPECT_EQ(socket.receive(10), std::string("\x81\x08") + "echo two");
@@ -322,10 +328,10 @@ TEST(ViewServer, ClosesOnFramesThatAreNone) {
         const std::string answer = socket.receive();
         EXPECT_EQ(close_code(answer), code) << testing::PrintToString(bytes.substr(0, 20));
         EXPECT_THAT(answer, Not(HasSubstr("echo")));
-        EXPECT_TRUE(echo.lives());
+        EXPECT_TRUE(echo.is_server_alive());
     }
     for (const char* broken : {"Sec-WebSocket-Version: 13", "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ=="}) {
-        std::string request = upgrade();
+        std::string request = make_upgrade_request();
         request.erase(request.find(broken), std::string(broken).size() + 2);
         EXPECT_THAT(status_of(ask(echo.port(), request)), AnyOf(400, 426)) << broken;
     }
@@ -334,13 +340,13 @@ TEST(ViewServer, ClosesOnFramesThatAreNone) {
 TEST(ViewServer, SendsTheNewestToWhoReadsSlowly) {
     Echo echo;
     Socket socket(echo.port());
-    socket.send(text_frame("hello"));
+    socket.send(make_text_frame("hello"));
     socket.receive(12);
     constexpr std::size_t kSize = std::size_t(1) << 22;  // larger than the buffers of the system
     for (char c = 'a'; c <= 'z'; ++c) echo.server.send_newest(echo.last, std::string(kSize, c));
     // The same thread answers this request, so the server has processed all earlier
     // messages.
-    EXPECT_TRUE(echo.lives());
+    EXPECT_TRUE(echo.is_server_alive());
     const std::string all = socket.receive(SIZE_MAX, milliseconds(500));
     EXPECT_EQ(all.size(), 2 * (kSize + 10));  // the message being sent, and the last message
     EXPECT_EQ(all.back(), 'z');
@@ -349,12 +355,12 @@ TEST(ViewServer, SendsTheNewestToWhoReadsSlowly) {
 TEST(ViewServer, GivesUpOnWhoNeverReads) {
     Echo echo;
     Socket socket(echo.port());
-    socket.send(text_frame("hello"));
+    socket.send(make_text_frame("hello"));
     socket.receive(12);
     for (int i = 0; i < 200; ++i) echo.server.send_text(echo.last, std::string(1 << 20, 'x'));
-    EXPECT_TRUE(echo.lives());  // the server has processed all messages
+    EXPECT_TRUE(echo.is_server_alive());  // the server has processed all messages
     EXPECT_LT(socket.receive(SIZE_MAX, milliseconds(500)).size(), std::size_t(100) << 20);
-    EXPECT_TRUE(echo.lives());
+    EXPECT_TRUE(echo.is_server_alive());
 }
 
 TEST(ViewServer, SaysWhereItCannotListen) {
@@ -368,15 +374,15 @@ TEST(ViewServer, SaysWhereItCannotListen) {
     EXPECT_THROW(listen(nowhere), UsageError);
     EXPECT_THROW(check_address("x"), UsageError);
     EXPECT_NO_THROW(check_address("::1"));
-    EXPECT_NE(random_token(), random_token());
-    EXPECT_EQ(random_token().size(), 32u);
+    EXPECT_NE(make_random_token(), make_random_token());
+    EXPECT_EQ(make_random_token().size(), 32u);
 }
 
 TEST(ViewServer, ClosesOnceWhatWaitsHasBeenSent) {
     Echo echo;
     const int port = echo.port();
     Socket socket(port), other(port);
-    socket.send(text_frame("hello"));
+    socket.send(make_text_frame("hello"));
     ASSERT_THAT(socket.receive(12), HasSubstr("echo hello"));
     const std::string large(std::size_t(8) << 20, 'x');  // larger than a single write of the system
     echo.server.send_newest(echo.last, large);

@@ -30,7 +30,7 @@ constexpr std::size_t kProbes = 256;
 constexpr std::size_t kTogether = 4096;  // Number of points whose test rays are cast together.
 
 /// Returns directions that are evenly distributed on the sphere (Fibonacci spiral).
-std::array<glm::vec3, kProbes> all_around() {
+std::array<glm::vec3, kProbes> make_directions_all_around() {
     std::array<glm::vec3, kProbes> directions;
     for (std::size_t i = 0; i < kProbes; ++i) {
         const double z = 1.0 - 2.0 * (double(i) + 0.5) / double(kProbes),
@@ -55,7 +55,9 @@ struct RayEnds {
     const std::vector<float>& range_m;
     const Scan& truth;
 
-    glm::vec3 at(std::size_t i, float range) const { return rays.origin[i] + range * rays.direction[i]; }
+    glm::vec3 at(std::size_t index, float range) const {
+        return rays.origin[index] + range * rays.direction[index];
+    }
 };
 
 /// Returns the distance of each point to the nearest surface of the street at the firing
@@ -64,9 +66,9 @@ struct RayEnds {
 /// test rays are cast from the point in all directions, and also back to the point from
 /// all directions. The rays back to the point start at two distances: kOnSurface_m and
 /// kFar_m.
-std::vector<float> distances(const Place& place, const RayEnds& points,
-                             const std::vector<std::size_t>& chosen) {
-    static const std::array<glm::vec3, kProbes> directions = all_around();
+std::vector<float> measure_distances(const Place& place, const RayEnds& points,
+                                     const std::vector<std::size_t>& chosen) {
+    static const std::array<glm::vec3, kProbes> directions = make_directions_all_around();
     std::vector<float> nearest(chosen.size(), std::numeric_limits<float>::infinity());
     for (std::size_t first = 0; first < chosen.size(); first += kTogether) {
         RayTable probes;
@@ -114,14 +116,14 @@ struct Count {
             if (std::abs(range_m[i] - ends.truth.range_m[i]) > kOnSurface_m) doubtful.push_back(i);
         }
         at_another_range += doubtful.size();
-        for (const float d : distances(place, ends, doubtful)) {
+        for (const float d : measure_distances(place, ends, doubtful)) {
             in_air += d > kOnSurface_m;
             far_out += d > kFar_m;
         }
     }
     std::string row(const std::string& name) const {
-        const auto share = [&](std::size_t n) {
-            return 100.0 * double(n) / double(std::max<std::size_t>(points, 1));
+        const auto share = [&](std::size_t count) {
+            return 100.0 * double(count) / double(std::max<std::size_t>(points, 1));
         };
         return fmt::format("| {} | {} | {:.2f} % | **{:.2f} %** | {:.2f} % |\n", name, points,
                            share(at_another_range), share(in_air), share(far_out));
@@ -144,10 +146,10 @@ void run(const std::string& folder, int device_index) {
         Count points, image;
         for (const int position : run.split.test) {
             const Frame& frame = run.sequence.frames[std::size_t(position)];
-            const SensorChoice sensor = configured_sensor(run.config, run.sequence, frame.lidar);
-            const RayTable rays = nominal_rays(run.sequence.lidar_of(frame), frame.time_s);
+            const SensorChoice sensor = make_configured_sensor(run.config, run.sequence, frame.lidar);
+            const RayTable rays = make_nominal_rays(run.sequence.get_lidar(frame), frame.time_s);
             const Pose offset{{1, 0, 0, 0}, offset_m};
-            const PoseTrack track = mounted_track(run.sequence.world_from_sensor(frame.lidar), offset);
+            const PoseTrack track = make_mounted_track(run.sequence.world_from_sensor(frame.lidar), offset);
             const RenderedScan scan = renderer.render(sensor, frame.time_s, offset);
             const Place place{street, track, frame.time_s};
             const Scan truth = cast_synthetic_street(street, rays, track, frame.time_s);

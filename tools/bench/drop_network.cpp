@@ -18,10 +18,10 @@ namespace {
 using namespace relidar;
 
 template <class Work>
-double median_ms(int repeat, Work&& work) {
+double measure_median_ms(int repeat, Work&& work) {
     work();  // Warm-up run, not timed.
     std::vector<double> ms;
-    for (int i = 0; i < repeat; ++i) ms.push_back(milliseconds_of(work));
+    for (int i = 0; i < repeat; ++i) ms.push_back(measure_milliseconds(work));
     return median(ms);
 }
 
@@ -44,9 +44,10 @@ void measure(const DeviceOptions& chosen, const RefineOptions& options, int rows
     Device device(from_environment(chosen));
     MeasuredDropNetwork network(device, options, rows, columns);
     // Measured during training.
-    const double step = median_ms(repeat, [&] { network.step(); }),
+    const double step = measure_median_ms(repeat, [&] { network.step(); }),
                  peak_mib = double(device.peak_bytes()) / 0x1p20;
-    const double infer = median_ms(repeat, [&] { network.infer(); }), giga = 1e-6 * network.operations();
+    const double infer = measure_median_ms(repeat, [&] { network.infer(); }),
+                 giga = 1e-6 * network.operations();
     fmt::print("{:>8} x {:<6} {:10.2f} {:14.1f} {:10.2f} {:14.1f} {:10.1f}\n", rows, columns, step,
                3.0 * options.batch * giga / step, infer, giga / infer, peak_mib);
     print_kernels(network.times(), repeat + 1);

@@ -53,7 +53,9 @@ struct Hit {
     unsigned surfel;
 };
 
-bool before(const Hit& a, const Hit& b) { return a.t != b.t ? a.t < b.t : a.surfel < b.surfel; }
+bool before(const Hit& first, const Hit& second) {
+    return first.t != second.t ? first.t < second.t : first.surfel < second.surfel;
+}
 
 struct World {
     ImageModel model;
@@ -105,8 +107,8 @@ void on_candidate(const RTCFilterFunctionNArguments* args) {
 }
 
 /// Evaluates real spherical harmonics of degree 3 (shaders/scene/gaussian/sh.glsl).
-void sh_basis(const glm::vec3& d, float* b) {
-    const float x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
+void sh_basis(const glm::vec3& direction, float* b) {
+    const float x = direction.x, y = direction.y, z = direction.z, xx = x * x, yy = y * y, zz = z * z;
     const float values[16] = {0.28209479f,
                               -0.48860251f * y,
                               0.48860251f * z,
@@ -166,7 +168,7 @@ public:
         sh_basis(direction, basis);
         Pixel pixel;
         for (int pass = 0; pass < kMaxPasses; ++pass) {
-            next_hits(query);
+            find_next_hits(query);
             for (int i = 0; i < query.n; ++i)
                 if (!blend(query.hits[i], basis, pixel)) return finished(pixel);
             if (query.n < query.chunk) return finished(pixel);
@@ -182,19 +184,19 @@ private:
     World world_;
 
     /// Adds the record of a surfel and the rectangle that bounds it (M1-M3).
-    void add(const Surfels& surfels, std::size_t i, glm::vec3* corners) {
-        const glm::vec4 q = surfels.rotation[i];
+    void add(const Surfels& surfels, std::size_t index, glm::vec3* corners) {
+        const glm::vec4 q = surfels.rotation[index];
         const glm::mat3 r = glm::mat3_cast(glm::normalize(glm::quat(q[0], q[1], q[2], q[3])));
-        const glm::vec2 scale = glm::exp(surfels.log_scale[i]);
-        const float opacity = 1.0f / (1.0f + std::exp(-surfels.opacity_logit[i]));
-        world_.records.push_back({surfels.mean[i], opacity, r[0] / scale.x, r[1] / scale.y, r[2]});
+        const glm::vec2 scale = glm::exp(surfels.log_scale[index]);
+        const float opacity = 1.0f / (1.0f + std::exp(-surfels.opacity_logit[index]));
+        world_.records.push_back({surfels.mean[index], opacity, r[0] / scale.x, r[1] / scale.y, r[2]});
         const float k = std::sqrt(2.0f * std::log(std::max(opacity / world_.model.alpha_min, 1.0f)));
         const glm::vec3 u = (k * scale.x * kGrow + kPad_m) * r[0], v = (k * scale.y * kGrow + kPad_m) * r[1];
-        const glm::vec3 m = surfels.mean[i];
+        const glm::vec3 m = surfels.mean[index];
         corners[0] = m - u - v, corners[1] = m + u - v, corners[2] = m + u + v, corners[3] = m - u + v;
     }
 
-    void next_hits(Query& query) const {
+    void find_next_hits(Query& query) const {
         query.n = 0;
         RTCRayHit target{};
         target.ray.org_x = query.origin.x, target.ray.org_y = query.origin.y,
@@ -261,7 +263,7 @@ std::vector<Pixel> render(const Renderer& renderer, const RayTable& rays, int n_
     return image;
 }
 
-double cpu_seconds() { return double(std::clock()) / CLOCKS_PER_SEC; }
+double measure_cpu_seconds() { return double(std::clock()) / CLOCKS_PER_SEC; }
 
 RayTable make_rays(const std::string& text) {
     int rows = 0, columns = 0;
@@ -296,9 +298,9 @@ int main(int argc, char** argv) {
     std::vector<double> wall, cpu;
     for (int i = 0; i < repeat; ++i) {
         const auto start = std::chrono::steady_clock::now();
-        const double cpu_start = cpu_seconds();
+        const double cpu_start = measure_cpu_seconds();
         image = render(renderer, rays, n_threads);
-        cpu.push_back((cpu_seconds() - cpu_start) / n_threads);
+        cpu.push_back((measure_cpu_seconds() - cpu_start) / n_threads);
         wall.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
     }
     std::sort(wall.begin(), wall.end());

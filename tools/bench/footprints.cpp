@@ -41,7 +41,7 @@ using Returns = std::vector<Return>;
 /// Replaces each ray by a cone of rays.
 /// @param divergence_rad divergence of all beams; if it is 0, each ray keeps its
 /// divergence
-RayTable cone_rays(const RayTable& rays, double divergence_rad) {
+RayTable make_cone_rays(const RayTable& rays, double divergence_rad) {
     RayTable cone;
     cone.rows = rays.rows;
     cone.columns = rays.columns * kCone;
@@ -50,7 +50,7 @@ RayTable cone_rays(const RayTable& rays, double divergence_rad) {
             side = glm::normalize(
                 glm::cross(d, std::abs(d.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0)));
         for (int k = 0; k < kCone; ++k) {
-            const double full_rad = divergence_rad > 0.0 ? divergence_rad : rays.divergence_of(i);
+            const double full_rad = divergence_rad > 0.0 ? divergence_rad : rays.compute_divergence(i);
             const double angle = 0.5 * full_rad * std::sqrt((k + 0.5) / kCone);
             const glm::dvec3 off =
                 std::cos(k * kGolden_rad) * side + std::sin(k * kGolden_rad) * glm::cross(d, side);
@@ -90,7 +90,7 @@ struct Truth {
     bool edge = false;      ///< True if two surfaces each receive at least a tenth of the beam's light.
 };
 
-Truth truth_of(const Scan& cone, std::size_t ray) {
+Truth find_true_returns(const Scan& cone, std::size_t ray) {
     Truth truth{returns_of(cone, ray)};
     std::size_t n = 0;
     for (std::size_t i = ray * kCone; i < (ray + 1) * kCone; ++i) n += cone.range_m[i] > 0.0f;
@@ -123,7 +123,7 @@ float nearest_m(const Returns& returns, float range_m) {
 void add(Score& score, const RenderedScan& scan, const Scan& cone) {
     const std::vector<float>& range_m = scan.median_range_m;
     for (std::size_t i = 0; i < range_m.size(); ++i) {
-        const Truth truth = truth_of(cone, i);
+        const Truth truth = find_true_returns(cone, i);
         const bool returns = returned(scan.image.drop_prob[i], range_m[i]);
         const float second_m = scan.second_returns.empty() ? 0.0f : scan.second_returns[0].range_m[i];
         score.seconds += truth.second_m > 0.0f;
@@ -152,12 +152,13 @@ void run(const std::string& folder, const std::string& sensor_name, double diver
     std::vector<Scan> cones;
     for (const int position : run.split.test) {
         const double time_s = run.sequence.frames[std::size_t(position)].time_s;
-        cones.push_back(cast_synthetic_street(street, cone_rays(rays, divergence_rad),
+        cones.push_back(cast_synthetic_street(street, make_cone_rays(rays, divergence_rad),
                                               run.sequence.world_from_sensor(0), time_s));
-        drop_outside(cones.back(), overlap(model.limits, run.sequence.lidars[0].sensor.range_limits()));
+        drop_outside_limits(cones.back(),
+                            intersect_limits(model.limits, run.sequence.lidars[0].sensor.range_limits()));
     }
     fmt::print("{}: {} rays, divergence {:.2f} mrad, {} held-out frames of {}\n\n", model.name, rays.size(),
-               divergence_rad > 0.0 ? divergence_mrad : 1e3 * rays.largest_divergence(), cones.size(),
+               divergence_rad > 0.0 ? divergence_mrad : 1e3 * rays.find_largest_divergence(), cones.size(),
                folder);
     fmt::print(
         "| sub-rays | edge beams | RMSE | MAE | in the air | second returns | found | invented, of reported "
@@ -169,8 +170,8 @@ void run(const std::string& folder, const std::string& sensor_name, double diver
         ScanRenderer renderer(device, run);
         Score score;
         for (std::size_t f = 0; f < cones.size(); ++f) {
-            SensorChoice choice = sensor_choice(model);
-            choice.limits = overlap(model.limits, run.sequence.lidars[0].sensor.range_limits());
+            SensorChoice choice = make_sensor_choice(model);
+            choice.limits = intersect_limits(model.limits, run.sequence.lidars[0].sensor.range_limits());
             add(score, renderer.render(choice, run.sequence.frames[std::size_t(run.split.test[f])].time_s),
                 cones[f]);
         }

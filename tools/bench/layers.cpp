@@ -94,7 +94,7 @@ struct Times {
 
     void add(const std::function<void()>& pass) {
         const std::clock_t start = std::clock();
-        wall.push_back(milliseconds_of(pass));
+        wall.push_back(measure_milliseconds(pass));
         cpu.push_back(1e3 * double(std::clock() - start) / CLOCKS_PER_SEC);
     }
 };
@@ -118,8 +118,8 @@ void measure(Device& device, const ConvolutionSize& size, int repeat) {
     HostConvolution on_host(size);
     const std::vector<std::pair<const char*, std::function<void()>>> passes{
         {"forward", [&] { on_device.forward(); }},
-        {"by input", [&] { on_device.by_input(); }},
-        {"by weights", [&] { on_device.by_weights(); }}};
+        {"by input", [&] { on_device.run_input_gradient(); }},
+        {"by weights", [&] { on_device.run_weights_gradient(); }}};
     for (std::size_t pass = 0; pass < passes.size(); ++pass) {
         const auto host = [&] { on_host.run(pass); };
         passes[pass].second(), host();  // Warm-up run, not timed.

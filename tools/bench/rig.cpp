@@ -33,8 +33,8 @@ struct Score {
                 reported = 0, invented = 0;
 };
 
-double percent(std::size_t part, std::size_t whole) {
-    return whole ? 100.0 * double(part) / double(whole) : 0.0;
+double format_percent(std::size_t count, std::size_t total) {
+    return total ? 100.0 * double(count) / double(total) : 0.0;
 }
 
 /// Ranges of the rays of a scan that was rendered, or cast into the exact street.
@@ -58,14 +58,14 @@ Returns returns_of(const Scan& scan) {
     return {{scan.range_m.begin(), scan.range_m.end()}, second_m};
 }
 
-/// Compares the second return of ray i with the exact scan and counts the result.
+/// Compares the second return of ray `index` with the exact scan and counts the result.
 /// @param truth exact scan. Its second returns have at least a tenth of the light of a
 /// beam.
-void add_seconds(Score& score, const Returns& scan, const Returns& truth, std::size_t i) {
-    const float is_m = truth.second_m[i], reported_m = scan.second_m[i];
+void add_seconds(Score& score, const Returns& scan, const Returns& truth, std::size_t index) {
+    const float is_m = truth.second_m[index], reported_m = scan.second_m[index];
     const bool right =
         is_m > 0.0f && reported_m > 0.0f &&
-        std::min(std::abs(reported_m - is_m), std::abs(reported_m - truth.range_m[i])) < kOnSurface_m;
+        std::min(std::abs(reported_m - is_m), std::abs(reported_m - truth.range_m[index])) < kOnSurface_m;
     score.seconds += is_m > 0.0f;
     score.reported += reported_m > 0.0f;
     score.found += right;
@@ -91,13 +91,13 @@ void add(Score& score, const Returns& scan, const Returns& truth) {
 std::string row(const std::string& name, Score& s) {
     std::sort(s.errors_m.begin(), s.errors_m.end());
     if (s.errors_m.empty()) return fmt::format("| {} | {} | nothing returned |\n", name, s.rays);
-    const std::string seconds =
-        s.seconds == 0 ? std::string("– | – | –")
-                       : fmt::format("{} | {:.1f} % | {:.1f} %", s.seconds, percent(s.found, s.seconds),
-                                     percent(s.invented, s.reported));
+    const std::string seconds = s.seconds == 0 ? std::string("– | – | –")
+                                               : fmt::format("{} | {:.1f} % | {:.1f} %", s.seconds,
+                                                             format_percent(s.found, s.seconds),
+                                                             format_percent(s.invented, s.reported));
     return fmt::format("| {} | {} | {:.4f} m | {:.2f} m | {:.1f} % | {} |\n", name, s.rays,
                        s.errors_m[s.errors_m.size() / 2], std::sqrt(s.squares / double(s.errors_m.size())),
-                       percent(s.drops_right, s.rays), seconds);
+                       format_percent(s.drops_right, s.rays), seconds);
 }
 
 /// Casts rays into the exact street and returns their ranges. A beam with two returns is
@@ -108,7 +108,7 @@ Returns cast(const SyntheticOptions& street, RayTable rays, const PoseTrack& tra
     for (glm::vec3& origin : rays.origin) origin += aside_m * glm::vec3(0.0f, 1.0f, 1.0f);
     Scan scan = sensor.returns == 2 ? cast_synthetic_beams(street, rays, track, time_s)
                                     : cast_synthetic_street(street, rays, track, time_s);
-    drop_outside(scan, sensor.limits);
+    drop_outside_limits(scan, sensor.limits);
     return returns_of(scan);
 }
 
@@ -132,10 +132,10 @@ void run_other(ScanRenderer& renderer, const Run& run, const SyntheticOptions& s
     if (score.errors_m.empty())
         throw DataError(fmt::format("{}: nothing returned, expected some returns", name));
     fmt::print("| {} | {} | {} | {:.1f} % | {:.1f} % | {:.4f} m | {:.2f} m | {:.1f} % |\n", name, score.rays,
-               score.returns, percent(score.missed, score.returns), percent(score.behind, score.returns),
-               score.errors_m[score.errors_m.size() / 2],
+               score.returns, format_percent(score.missed, score.returns),
+               format_percent(score.behind, score.returns), score.errors_m[score.errors_m.size() / 2],
                std::sqrt(score.squares / double(score.errors_m.size())),
-               percent(score.drops_right, score.rays));
+               format_percent(score.drops_right, score.rays));
 }
 
 void run(const std::string& folder, int device_index, float aside_m, const std::vector<std::string>& others) {
@@ -150,11 +150,11 @@ void run(const std::string& folder, int device_index, float aside_m, const std::
     std::vector<Score> scores(run.sequence.lidars.size()), beside(scores.size());
     for (const int position : run.split.test) {
         const Frame& frame = run.sequence.frames[std::size_t(position)];
-        const Lidar& lidar = run.sequence.lidar_of(frame);
+        const Lidar& lidar = run.sequence.get_lidar(frame);
         const auto mounted = std::ranges::find(*rig, lidar.name, &MountedSensor::name);
-        SensorChoice sensor = configured_sensor(run.config, run.sequence, frame.lidar);
+        SensorChoice sensor = make_configured_sensor(run.config, run.sequence, frame.lidar);
         sensor.returns = mounted != rig->end() ? mounted->returns : 1;
-        const RayTable rays = nominal_rays(lidar, frame.time_s);
+        const RayTable rays = make_nominal_rays(lidar, frame.time_s);
         const PoseTrack track = run.sequence.world_from_sensor(frame.lidar);
         const Returns truth = cast(street, rays, track, frame.time_s, sensor);
         add(scores[std::size_t(frame.lidar)], returns_of(renderer.render(sensor, frame.time_s)), truth);

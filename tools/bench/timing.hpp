@@ -17,7 +17,7 @@ inline double median(std::vector<double> values) {
 
 /// Returns the wall time of some work.
 template <class Work>
-double milliseconds_of(Work&& work) {
+double measure_milliseconds(Work&& work) {
     const auto start = std::chrono::steady_clock::now();
     work();
     return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();

@@ -19,7 +19,7 @@ int main(int argc, char** argv) try {
 
     Device device;
     ScanRenderer renderer(device, run);
-    ScanFormat format = scan_format(run, sensor);
+    ScanFormat format = make_scan_format(run, sensor);
     format.formats = {"pcd", "png"};
     format.trajectory = argv[2];
     ScanFolder scans(argv[3], format);

@@ -11,26 +11,27 @@
 using namespace relidar;
 
 /// Returns the mean loss of all rays. Writes the derivatives of the loss with respect to
-/// the rendered values to `d`.
-double compare(const Rendering& image, const Scan& scan, RenderedGradients& d) {
+/// the rendered values to `gradients`.
+double compare(const Rendering& image, const Scan& scan, RenderedGradients& gradients) {
     const std::size_t n = image.size();
-    d = {std::vector<float>(n), std::vector<float>(n), {}, std::vector<float>(n), std::vector<float>(n)};
+    gradients = {
+        std::vector<float>(n), std::vector<float>(n), {}, std::vector<float>(n), std::vector<float>(n)};
     double loss = 0.0;
     for (std::size_t i = 0; i < n; ++i) {
         const bool returned = scan.range_m[i] > 0.0f;
         const float weight = image.weight[i],
                     drop = 1.0f / (1.0f + std::exp(image.hit_logit[i] - image.drop_logit[i]));
         loss -= std::log(std::max(returned ? 1.0f - drop : drop, 1e-6f)) / double(n);
-        d.drop_logit[i] = (drop - (returned ? 0.0f : 1.0f)) / float(n);
-        d.hit_logit[i] = -d.drop_logit[i];
+        gradients.drop_logit[i] = (drop - (returned ? 0.0f : 1.0f)) / float(n);
+        gradients.hit_logit[i] = -gradients.drop_logit[i];
         if (!returned || weight < 0.1f) continue;
         const float error =
             // Divides depth by weight to get the rendered range, because both are sums
             // over the surfels.
             (image.depth[i] / weight - scan.range_m[i]) / 0.2f;
         loss += std::log1p(double(error) * double(error)) / double(n);
-        d.depth[i] = 2.0f * error / (1.0f + error * error) / 0.2f / float(n) / weight;
-        d.weight[i] = -d.depth[i] * image.depth[i] / weight;
+        gradients.depth[i] = 2.0f * error / (1.0f + error * error) / 0.2f / float(n) / weight;
+        gradients.weight[i] = -gradients.depth[i] * image.depth[i] / weight;
     }
     return loss;
 }
@@ -52,12 +53,13 @@ int main(int argc, char** argv) try {
             log.frames[std::size_t(split.train[std::size_t(step / 10) % split.train.size()])];
         WorldRays rays;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
-            const WorldRay ray = world_ray(trajectory, frame.time_s, frame.scan.rays, i, log.rolling_shutter);
+            const WorldRay ray =
+                make_world_ray(trajectory, frame.time_s, frame.scan.rays, i, log.rolling_shutter);
             rays.origin.push_back(glm::vec3(ray.origin_m)),
                 rays.direction.push_back(glm::vec3(ray.direction));
             rays.time_s.push_back(log.rolling_shutter ? frame.scan.rays.time_offset_s[i] : 0.0f);
         }
-        renderer.place(place_instances(scene, log, moment_of(frame)),
+        renderer.place(place_instances(scene, log, get_sweep_moment(frame)),
                        glm::vec3(trajectory.at(frame.time_s).translation));
         last = compare(renderer.forward(rays), frame.scan, d);
         renderer.backward(d);

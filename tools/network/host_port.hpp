@@ -20,13 +20,13 @@ struct HostPort {
 };
 
 /// Parses an address of the form HOST:PORT.
-/// @param what name of the option, for error messages
+/// @param description name of the option, for error messages
 /// @param first_port smallest valid port: 0 if port 0 may select a free port, otherwise 1
 /// @throws UsageError if the text is not HOST:PORT, or if the port is not valid
-inline HostPort parse_host_port(const std::string& text, const std::string& what, int first_port) {
+inline HostPort parse_host_port(const std::string& text, const std::string& description, int first_port) {
     const auto fail = [&] {
-        throw UsageError(fmt::format("{}: found '{}', expected HOST:PORT with a port from {} to {}", what,
-                                     text, first_port, kLastPort));
+        throw UsageError(fmt::format("{}: found '{}', expected HOST:PORT with a port from {} to {}",
+                                     description, text, first_port, kLastPort));
     };
     const std::size_t colon = text.rfind(':');
     if (colon == std::string::npos || colon == 0) fail();

@@ -10,7 +10,7 @@
 namespace relidar::python {
 namespace {
 
-std::string shape_text(const Shape& shape) {
+std::string format_shape(const Shape& shape) {
     std::string text;
     for (std::size_t i = 0; i < shape.size(); ++i)
         text +=
@@ -19,7 +19,7 @@ std::string shape_text(const Shape& shape) {
     return "[" + text + "]";
 }
 
-std::string dtype_text(const py::dtype& dtype) { return py::str(py::handle(dtype)); }
+std::string format_dtype(const py::dtype& dtype) { return py::str(py::handle(dtype)); }
 
 bool fits(const py::array& array, const Shape& shape) {
     if (static_cast<std::size_t>(array.ndim()) != shape.size()) return false;
@@ -47,19 +47,19 @@ py::dict to_dict(std::vector<NamedArray>&& arrays) {
     return dict;
 }
 
-void check_array(const py::handle& object, const std::string& what, const py::dtype& dtype,
+void check_array(const py::handle& object, const std::string& description, const py::dtype& dtype,
                  const Shape& shape) {
-    const std::string expected = fmt::format("an array of {} {}", dtype_text(dtype), shape_text(shape));
+    const std::string expected = fmt::format("an array of {} {}", format_dtype(dtype), format_shape(shape));
     if (!py::isinstance<py::array>(object)) {
-        throw DataError(fmt::format("{}: found an object of type {}, expected {}", what,
+        throw DataError(fmt::format("{}: found an object of type {}, expected {}", description,
                                     std::string(py::str(py::type::handle_of(object).attr("__name__"))),
                                     expected));
     }
     const auto array = py::reinterpret_borrow<py::array>(object);
     if (!array.dtype().equal(dtype) || !fits(array, shape)) {
         const Shape found(array.shape(), array.shape() + array.ndim());
-        throw DataError(fmt::format("{}: found {} {}, expected {}", what, dtype_text(array.dtype()),
-                                    shape_text(found), expected));
+        throw DataError(fmt::format("{}: found {} {}, expected {}", description, format_dtype(array.dtype()),
+                                    format_shape(found), expected));
     }
     const bool ordered = (array.flags() & py::array::c_style) != 0,
                aligned = array.attr("flags").attr("aligned").cast<bool>();
@@ -67,7 +67,7 @@ void check_array(const py::handle& object, const std::string& what, const py::dt
         throw DataError(
             fmt::format("{}: found an array that is not contiguous, expected {} in C order; "
                         "numpy.ascontiguousarray() converts it",
-                        what, expected));
+                        description, expected));
 }
 
 }  // namespace relidar::python

@@ -24,7 +24,7 @@ inline constexpr py::ssize_t kAny = -1;
 /// @tparam Number element type of the array; each Element of the vector consists of one
 /// or more Numbers
 template <class Number, class Element>
-py::array owned(std::vector<Element>&& values, const Shape& shape) {
+py::array to_owned_array(std::vector<Element>&& values, const Shape& shape) {
     auto* kept = new std::vector<Element>(std::move(values));
     const py::capsule owner(kept, [](void* p) { delete static_cast<std::vector<Element>*>(p); });
     return py::array(py::dtype::of<Number>(), shape, kept->data(), owner);
@@ -47,16 +47,17 @@ py::dict to_dict(std::vector<NamedArray>&& arrays);
 /// Checks the dtype, shape and C order of a numpy array.
 /// @throws DataError if the object is not such an array; the message contains the actual
 /// type and shape
-void check_array(const py::handle& object, const std::string& what, const py::dtype& dtype,
+void check_array(const py::handle& object, const std::string& description, const py::dtype& dtype,
                  const Shape& shape);
 
 /// Returns the values of a numpy array in C order, without a copy.
-/// @param what name of the values, for error messages
+/// @param description name of the values, for error messages
 /// @param shape expected shape; kAny means any length
 /// @throws DataError if the dtype, shape or order of the array is wrong
 template <class Number>
-std::span<const Number> values_of(const py::handle& object, const std::string& what, const Shape& shape) {
-    check_array(object, what, py::dtype::of<Number>(), shape);
+std::span<const Number> values_of(const py::handle& object, const std::string& description,
+                                  const Shape& shape) {
+    check_array(object, description, py::dtype::of<Number>(), shape);
     const auto array = py::reinterpret_borrow<py::array>(object);
     return {static_cast<const Number*>(array.data()), static_cast<std::size_t>(array.size())};
 }
@@ -64,8 +65,9 @@ std::span<const Number> values_of(const py::handle& object, const std::string& w
 /// Copies the values of a numpy array into a vector. Each Element of the vector consists
 /// of one or more Numbers.
 template <class Number, class Element>
-std::vector<Element> copied(const py::handle& object, const std::string& what, const Shape& shape) {
-    const std::span<const Number> values = values_of<Number>(object, what, shape);
+std::vector<Element> copy_elements(const py::handle& object, const std::string& description,
+                                   const Shape& shape) {
+    const std::span<const Number> values = values_of<Number>(object, description, shape);
     const auto* first = reinterpret_cast<const Element*>(values.data());
     return {first, first + values.size() * sizeof(Number) / sizeof(Element)};
 }

@@ -24,11 +24,11 @@ using Tell = std::optional<std::function<void(const std::string&, double)>>;
 /// Converts a Python callback to a C++ progress callback. If the Python callback raises
 /// an exception or the user presses Ctrl-C, the work is aborted immediately. Use it only
 /// for work that can be aborted at any point.
-inline Progress collect_into(const Tell& tell) {
-    return [&tell](std::string_view what, double done) {
+inline Progress collect_into(const Tell& report) {
+    return [&report](std::string_view description, double done) {
         const py::gil_scoped_acquire interpreter;
         if (PyErr_CheckSignals() != 0) throw py::error_already_set();
-        if (tell) (*tell)(std::string(what), done);
+        if (report) (*report)(std::string(description), done);
     };
 }
 
@@ -53,7 +53,7 @@ public:
     }
     /// Checks whether the user has pressed Ctrl-C. Returns true if the work can continue,
     /// because no exception was raised.
-    bool go_on() {
+    bool can_continue() {
         return (*this)([] {});
     }
     void rethrow() const {

@@ -28,14 +28,14 @@ std::string text_of(const std::string& key, const py::handle& value) {
 }
 
 ConfigKey find_key(const Config& config, const std::string& key) {
-    const std::vector<ConfigKey> keys = config_keys(config);
+    const std::vector<ConfigKey> keys = list_config_keys(config);
     const auto it = std::find_if(keys.begin(), keys.end(), [&](const ConfigKey& k) { return k.key == key; });
     if (it != keys.end()) return *it;
     std::vector<std::string> names;
     for (const ConfigKey& k : keys) names.push_back(k.key);
     throw UsageError(
         fmt::format("setting {}: unknown key{}", key,
-                    did_you_mean(key, names, "", ", expected one of the names in Config.values()")));
+                    suggest_name(key, names, "", ", expected one of the names in Config.values()")));
 }
 
 Config make(const std::string& preset, const py::dict& values) {
@@ -50,9 +50,9 @@ Config load(const std::filesystem::path& path) {
     return config;
 }
 
-py::dict dict_of(const Config& config) {
+py::dict to_config_dict(const Config& config) {
     py::dict values;
-    for (const ConfigKey& key : config_keys(config)) values[py::str(key.key)] = key.value;
+    for (const ConfigKey& key : list_config_keys(config)) values[py::str(key.key)] = key.value;
     return values;
 }
 
@@ -95,7 +95,8 @@ void add_config(py::module_& module) {
         .def(
             "help", [](const Config& config, const std::string& key) { return find_key(config, key).help; },
             py::arg("key"), "Returns the description of a setting.")
-        .def("values", &dict_of, "Returns all settings as a dict of texts, in the order of the TOML file.")
+        .def("values", &to_config_dict,
+             "Returns all settings as a dict of texts, in the order of the TOML file.")
         .def(
             "copy", [](const Config& config) { return config; }, "Returns a copy of the settings.")
         .def("to_toml", &to_toml,

@@ -14,7 +14,7 @@
 namespace relidar::python {
 namespace {
 
-SharedDevice& default_device() {
+SharedDevice& get_default_device() {
     static SharedDevice device;
     return device;
 }
@@ -33,21 +33,21 @@ SharedDevice open_device(int index, const std::string& traversal, std::uint64_t 
     return std::make_shared<OpenDevice>(from_environment(options));
 }
 
-const char* name_of(Traversal traversal) {
+const char* get_name(Traversal traversal) {
     return traversal == Traversal::software ? "software" : "ray_query";
 }
 
-std::string shown(const OpenDevice& open) {
+std::string describe_open_device(const OpenDevice& open) {
     return fmt::format("<relidar.Device {}: {}, {}>", open.device.info().index, open.device.info().name,
-                       name_of(open.device.traversal()));
+                       get_name(open.device.traversal()));
 }
 
 }  // namespace
 
-SharedDevice device_or_default(SharedDevice device) {
+SharedDevice get_device_or_default(SharedDevice device) {
     if (device) return device;
-    if (!default_device()) default_device() = open_device(-1, "auto", 0, false);
-    return default_device();
+    if (!get_default_device()) get_default_device() = open_device(-1, "auto", 0, false);
+    return get_default_device();
 }
 
 DeviceUse::DeviceUse(OpenDevice& device) : device_(device) {
@@ -101,15 +101,15 @@ void add_device(py::module_& module) {
              "Raises DeviceError naming what is missing.")
         .def_property_readonly("info", [](const OpenDevice& open) { return open.device.info(); })
         .def_property_readonly(
-            "traversal", [](const OpenDevice& open) { return name_of(open.device.traversal()); },
+            "traversal", [](const OpenDevice& open) { return get_name(open.device.traversal()); },
             "\"ray_query\" or \"software\".")
         .def_property_readonly(
             "peak_bytes", [](const OpenDevice& open) { return open.device.peak_bytes(); },
             "Maximum device memory that was allocated so far, in bytes.")
-        .def("__repr__", &shown);
+        .def("__repr__", &describe_open_device);
     // Closes the default device at exit. The Python interpreter and the Vulkan loader
     // must still exist at this time.
-    py::module_::import("atexit").attr("register")(py::cpp_function([] { default_device().reset(); }));
+    py::module_::import("atexit").attr("register")(py::cpp_function([] { get_default_device().reset(); }));
 }
 
 }  // namespace relidar::python

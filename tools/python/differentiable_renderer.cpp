@@ -33,8 +33,8 @@ std::unique_ptr<HeldRenderer> make_renderer(const Scene& scene, const std::optio
     image.primitive = scene.surfels.primitive;
     const RendererOptions options{
         {}, trace_options(settings), 0, static_cast<std::uint32_t>(settings.trace.keep_hits)};
-    const GradientOptions gradients{backward_options(settings), {.rays = rays, .poses = poses}};
-    device = device_or_default(device);
+    const GradientOptions gradients{make_backward_options(settings), {.rays = rays, .poses = poses}};
+    device = get_device_or_default(device);
     std::unique_ptr<DifferentiableRenderer> made;
     {
         const DeviceUse use(*device);
@@ -46,22 +46,22 @@ std::unique_ptr<HeldRenderer> make_renderer(const Scene& scene, const std::optio
     return held;
 }
 
-glm::vec3 point_of(const py::object& array, const char* what) {
-    const std::span<const double> v = values_of<double>(array, what, {3});
+glm::vec3 convert_to_point(const py::object& array, const char* description) {
+    const std::span<const double> v = values_of<double>(array, description, {3});
     return {v[0], v[1], v[2]};
 }
 
-void place(HeldRenderer& held, const py::object& poses, const py::object& view_origin,
+void place(HeldRenderer& renderer, const py::object& poses, const py::object& view_origin,
            const std::optional<std::vector<bool>>& present) {
-    std::vector<InstancePose> placed = held.placed;
-    const auto check_count = [&](std::size_t found, const char* what) {
+    std::vector<InstancePose> placed = renderer.placed;
+    const auto check_count = [&](std::size_t found, const char* description) {
         if (found != placed.size())
             throw DataError(
-                fmt::format("{}: found {} entries, expected {}, one for each instance of the scene", what,
-                            found, placed.size()));
+                fmt::format("{}: found {} entries, expected {}, one for each instance of the scene",
+                            description, found, placed.size()));
     };
     if (!poses.is_none()) {
-        const std::vector<Pose> model_poses = poses_of(poses, "poses");
+        const std::vector<Pose> model_poses = convert_to_poses(poses, "poses");
         check_count(model_poses.size(), "poses");
         for (std::size_t i = 0; i < placed.size(); ++i) placed[i].world_from_model = model_poses[i];
     }
@@ -69,36 +69,36 @@ void place(HeldRenderer& held, const py::object& poses, const py::object& view_o
         check_count(present->size(), "present");
         for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = (*present)[i];
     }
-    const glm::vec3 view =
-        view_origin.is_none() ? held.renderer->view_origin_m() : point_of(view_origin, "view_origin");
-    const DeviceUse use(held.renderer.device());
-    held.renderer->place(placed, view);
-    held.placed = std::move(placed);
+    const glm::vec3 view = view_origin.is_none() ? renderer.renderer->view_origin_m()
+                                                 : convert_to_point(view_origin, "view_origin");
+    const DeviceUse use(renderer.renderer.device());
+    renderer.renderer->place(placed, view);
+    renderer.placed = std::move(placed);
 }
 
-py::dict forward(HeldRenderer& held, const py::object& origins, const py::object& directions) {
-    const WorldRays rays{copied<float, glm::vec3>(origins, "origins", {kAny, 3}),
-                         copied<float, glm::vec3>(directions, "directions", {kAny, 3})};
+py::dict forward(HeldRenderer& renderer, const py::object& origins, const py::object& directions) {
+    const WorldRays rays{copy_elements<float, glm::vec3>(origins, "origins", {kAny, 3}),
+                         copy_elements<float, glm::vec3>(directions, "directions", {kAny, 3})};
     if (rays.origin.size() != rays.direction.size())
         throw DataError(
             fmt::format("directions: found {} directions and {} origins, expected the same number",
                         rays.direction.size(), rays.origin.size()));
     Rendering r;
     {
-        const DeviceUse use(held.renderer.device());
-        r = held.renderer->forward(rays);
+        const DeviceUse use(renderer.renderer.device());
+        r = renderer.renderer->forward(rays);
     }
-    held.n_rays = rays.size();
+    renderer.n_rays = rays.size();
     const Shape shape{static_cast<py::ssize_t>(rays.size())};
     py::dict dict;
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) \
-    dict[#name] = owned<float>(std::move(r.name), shape);
+    dict[#name] = to_owned_array<float>(std::move(r.name), shape);
     RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
 #undef RELIDAR_VALUES
-    dict["transmittance"] = owned<float>(std::move(r.transmittance), shape);
-    dict["median_depth"] = owned<float>(std::move(r.median_depth), shape);
-    dict["hits"] = owned<std::uint32_t>(std::move(r.hits), shape);
-    dict["instance"] = owned<std::int32_t>(std::move(r.instance), shape);
+    dict["transmittance"] = to_owned_array<float>(std::move(r.transmittance), shape);
+    dict["median_depth"] = to_owned_array<float>(std::move(r.median_depth), shape);
+    dict["hits"] = to_owned_array<std::uint32_t>(std::move(r.hits), shape);
+    dict["instance"] = to_owned_array<std::int32_t>(std::move(r.instance), shape);
     return dict;
 }
 
@@ -107,7 +107,7 @@ py::dict forward(HeldRenderer& held, const py::object& origins, const py::object
 #define RELIDAR_NAME(name, built, value, input, slope, meaning) #name ", "
 #define RELIDAR_MEANING(name, built, value, input, slope, meaning) #name " (" meaning "), "
 
-RenderedGradients gradients_from(const py::dict& arrays, std::size_t n_rays) {
+RenderedGradients read_gradients(const py::dict& arrays, std::size_t n_rays) {
     RenderedGradients d;
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) {#name, &d.name},
     const std::vector<std::pair<std::string, std::vector<float>*>> places{
@@ -122,41 +122,41 @@ RenderedGradients gradients_from(const py::dict& arrays, std::size_t n_rays) {
                                              RELIDAR_NAME) "which are the values with gradients",
                                          name));
         *place->second =
-            copied<float, float>(array, "d_rendered: " + name, {static_cast<py::ssize_t>(n_rays)});
+            copy_elements<float, float>(array, "d_rendered: " + name, {static_cast<py::ssize_t>(n_rays)});
     }
     return d;
 }
 
-py::dict backward(HeldRenderer& held, const py::dict& d_rendered) {
-    const RenderedGradients d = gradients_from(d_rendered, held.n_rays);
+py::dict backward(HeldRenderer& renderer, const py::dict& d_rendered) {
+    const RenderedGradients d = read_gradients(d_rendered, renderer.n_rays);
     HostGradients gradients;
     {
-        const DeviceUse use(held.renderer.device());
-        gradients = held.renderer->backward(d);
+        const DeviceUse use(renderer.renderer.device());
+        gradients = renderer.renderer->backward(d);
     }
-    const auto rows = [](std::size_t n) { return static_cast<py::ssize_t>(n); };
+    const auto rows = [](std::size_t count) { return static_cast<py::ssize_t>(count); };
     const std::size_t n = gradients.surfels.size();
     py::dict dict = to_dict(std::move(gradients.surfels));
-    dict["touched"] = owned<std::uint32_t>(std::move(gradients.touched), {rows(n)});
+    dict["touched"] = to_owned_array<std::uint32_t>(std::move(gradients.touched), {rows(n)});
     if (!gradients.poses.empty())
-        dict["poses"] = owned<float>(std::move(gradients.poses), {rows(held.placed.size()), 6});
-    if (!gradients.sensor.empty()) dict["sensor"] = owned<float>(std::move(gradients.sensor), {6});
+        dict["poses"] = to_owned_array<float>(std::move(gradients.poses), {rows(renderer.placed.size()), 6});
+    if (!gradients.sensor.empty()) dict["sensor"] = to_owned_array<float>(std::move(gradients.sensor), {6});
     if (!gradients.rays.empty())
-        dict["rays"] = owned<float>(std::move(gradients.rays), {rows(held.n_rays), 6});
+        dict["rays"] = to_owned_array<float>(std::move(gradients.rays), {rows(renderer.n_rays), 6});
     return dict;
 }
 
-void upload(HeldRenderer& held, const py::dict& arrays) {
-    const Surfels surfels = surfels_of(arrays);
-    const DeviceUse use(held.renderer.device());
-    held.renderer->upload(surfels);
+void upload(HeldRenderer& renderer, const py::dict& arrays) {
+    const Surfels surfels = read_surfels(arrays);
+    const DeviceUse use(renderer.renderer.device());
+    renderer.renderer->upload(surfels);
 }
 
-py::dict download(HeldRenderer& held) {
+py::dict download(HeldRenderer& renderer) {
     Scene scene;
     {
-        const DeviceUse use(held.renderer.device());
-        scene = held.renderer->download();
+        const DeviceUse use(renderer.renderer.device());
+        scene = renderer.renderer->download();
     }
     return to_dict(std::move(scene.surfels));
 }

@@ -34,62 +34,67 @@ struct Edits {
     }
 
     /// Applies an edit to the run and adds it to the history of the run.
-    /// @param said text that describes the edit in scene.json
-    Edits& apply(const std::string& said, const std::function<DrivingScene(DrivingScene)>& edit) {
+    /// @param description text that describes the edit in scene.json
+    Edits& apply(const std::string& description, const std::function<DrivingScene(DrivingScene)>& edit) {
         // Applies the edit to a copy, so that the run does not change if the edit fails.
         run.replace(edit(run.driving()));
-        run.edits.push_back({origin, said});
+        run.edits.push_back({origin, description});
         return *this;
     }
 
     /// Applies an edit that changes when an actor is present. Warns if the actor is
     /// missing in more frames of the log than before.
-    Edits& apply_times(const std::string& said, const std::string& track,
+    Edits& apply_times(const std::string& description, const std::string& track,
                        const std::function<DrivingScene(DrivingScene)>& edit) {
         const BoxTrack* box = find_box(run.sequence, track);
         const BoxTrack before = box ? *box : BoxTrack{};
-        apply(said, edit);
-        if (const std::string note = lost_frames_note(before, run.sequence); !note.empty()) warn(note);
+        apply(description, edit);
+        if (const std::string note = describe_lost_frames(before, run.sequence); !note.empty()) warn(note);
         return *this;
     }
 
     std::unique_ptr<LoadedRun> finished() const { return std::make_unique<LoadedRun>(run, device); }
 };
 
-std::string vector_text(const glm::dvec3& v) { return fmt::format("{:.6g},{:.6g},{:.6g}", v.x, v.y, v.z); }
+std::string format_vector(const glm::dvec3& vector) {
+    return fmt::format("{:.6g},{:.6g},{:.6g}", vector.x, vector.y, vector.z);
+}
 
-Edits& keep(Edits& edits, const std::string& what) {
-    if (what == "background") return edits.apply("keep background", keep_background);
-    if (what == "actors") return edits.apply("keep actors", keep_actors);
-    throw UsageError(fmt::format("keep: found \"{}\", expected background or actors", what));
+Edits& keep(Edits& edits, const std::string& description) {
+    if (description == "background") return edits.apply("keep background", keep_background);
+    if (description == "actors") return edits.apply("keep actors", keep_actors);
+    throw UsageError(fmt::format("keep: found \"{}\", expected background or actors", description));
 }
 
 Edits& move(Edits& edits, const std::string& track, const py::object& pose) {
-    const Pose box_from_moved = pose_of(pose, "pose");
-    return edits.apply(fmt::format("move {}:{}", track, vector_text(box_from_moved.translation)),
-                       [&](DrivingScene d) { return move_track(std::move(d), track, box_from_moved); });
+    const Pose box_from_moved = convert_to_pose(pose, "pose");
+    return edits.apply(
+        fmt::format("move {}:{}", track, format_vector(box_from_moved.translation)),
+        [&](DrivingScene driving) { return move_track(std::move(driving), track, box_from_moved); });
 }
 
 Edits& follow(Edits& edits, const std::string& track, const py::object& trajectory) {
     const PoseTrack poses = track_of(trajectory, "trajectory", 0.0);
-    return edits.apply_times(fmt::format("follow {}: {} poses", track, poses.pose.size()), track,
-                             [&](DrivingScene d) { return replace_trajectory(std::move(d), track, poses); });
+    return edits.apply_times(
+        fmt::format("follow {}: {} poses", track, poses.pose.size()), track,
+        [&](DrivingScene driving) { return replace_trajectory(std::move(driving), track, poses); });
 }
 
 Edits& copy(Edits& edits, const std::string& track, const py::object& pose, double speed_mps) {
-    const Start start{pose_of(pose, "pose"), speed_mps};
+    const Start start{convert_to_pose(pose, "pose"), speed_mps};
     return edits.apply(
-        fmt::format("copy {}@{}:{:.6g}", track, vector_text(start.dataset_from_box.translation), speed_mps),
-        [&](DrivingScene d) { return copy_track(std::move(d), track, start); });
+        fmt::format("copy {}@{}:{:.6g}", track, format_vector(start.dataset_from_box.translation), speed_mps),
+        [&](DrivingScene driving) { return copy_track(std::move(driving), track, start); });
 }
 
 Edits& insert(Edits& edits, const LoadedRun& other, const std::string& track, const py::object& pose,
               double speed_mps) {
-    const Start start{pose_of(pose, "pose"), speed_mps};
+    const Start start{convert_to_pose(pose, "pose"), speed_mps};
     const std::string said = fmt::format("insert {}#{}@{}:{:.6g}", other.run.folder.string(), track,
-                                         vector_text(start.dataset_from_box.translation), speed_mps);
-    return edits.apply(
-        said, [&](DrivingScene d) { return insert_track(std::move(d), other.run.driving(), track, start); });
+                                         format_vector(start.dataset_from_box.translation), speed_mps);
+    return edits.apply(said, [&](DrivingScene driving) {
+        return insert_track(std::move(driving), other.run.driving(), track, start);
+    });
 }
 
 std::unique_ptr<LoadedRun> save(const Edits& edits, const fs::path& folder, bool overwrite) {
@@ -111,8 +116,9 @@ void add_edit(py::module_& module) {
         .def(
             "remove",
             [](Edits& edits, const std::string& track) -> Edits& {
-                return edits.apply("remove " + track,
-                                   [&](DrivingScene d) { return remove_track(std::move(d), track); });
+                return edits.apply("remove " + track, [&](DrivingScene driving) {
+                    return remove_track(std::move(driving), track);
+                });
             },
             py::arg("track"), same, "Removes an actor. Rays then hit the surfaces behind it.")
         .def("move", &move, py::arg("track"), py::arg("pose"), same,
@@ -123,7 +129,7 @@ void add_edit(py::module_& module) {
             [](Edits& edits, const std::string& track, double seconds) -> Edits& {
                 return edits.apply_times(
                     fmt::format("retime {}:{:.6g}", track, seconds), track,
-                    [&](DrivingScene d) { return retime_track(std::move(d), track, seconds); });
+                    [&](DrivingScene driving) { return retime_track(std::move(driving), track, seconds); });
             },
             py::arg("track"), py::arg("seconds"), same,
             "Delays all motion of an actor by this time in seconds.")

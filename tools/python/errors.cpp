@@ -34,7 +34,7 @@ py::object add_type(py::module_& module, const char* name, const char* doc, cons
     return type;
 }
 
-void translate(std::exception_ptr thrown) {
+void translate_exception(std::exception_ptr thrown) {
     try {
         if (thrown) std::rethrow_exception(thrown);
     } catch (const UsageError& error) {
@@ -68,7 +68,7 @@ void add_errors(py::module_& module) {
                           "No device is available, a feature is missing, a Vulkan call failed, or the device "
                           "memory is exhausted.",
                           py::make_tuple(all.error, builtin(PyExc_RuntimeError)), ExitCode::device);
-    py::register_exception_translator(translate);
+    py::register_exception_translator(translate_exception);
 }
 
 }  // namespace relidar::python

@@ -10,7 +10,7 @@
 namespace relidar::python {
 namespace {
 
-py::dict evaluation_dict(const Evaluation& evaluation) {
+py::dict make_evaluation_dict(const Evaluation& evaluation) {
     py::list frames;
     for (const ScoredFrame& frame : evaluation.frames)
         frames.append(py::dict(py::arg("frame") = frame.frame, py::arg("time_s") = frame.time_s,
@@ -19,8 +19,8 @@ py::dict evaluation_dict(const Evaluation& evaluation) {
                     py::arg("trace_ms") = evaluation.trace_ms);
 }
 
-Evaluation evaluation_of(LoadedRun& loaded, const Sequence& log, const std::optional<std::string>& baseline,
-                         const Progress& progress) {
+Evaluation evaluate_loaded_run(LoadedRun& loaded, const Sequence& log,
+                               const std::optional<std::string>& baseline, const Progress& progress) {
     Run run = loaded.run;
     attach_scans(run, run.split.test, log);
     if (baseline) {
@@ -28,26 +28,26 @@ Evaluation evaluation_of(LoadedRun& loaded, const Sequence& log, const std::opti
         const py::gil_scoped_release others_run;
         return evaluate_baseline(*baseline, run.config, run.sequence, run.split, progress);
     }
-    OnDevice<ScanRenderer>& renderer = loaded.ready_renderer();
+    OnDevice<ScanRenderer>& renderer = loaded.get_renderer();
     const DeviceUse use(renderer.device());
     renderer->show_only(std::vector<bool>(run.scene.instances.size(), true));
     return evaluate_frames(*renderer, run.config, run.sequence, run.split.test, progress);
 }
 
 py::dict evaluate_run(LoadedRun& run, const Log* log, const std::optional<std::string>& baseline,
-                      const Tell& tell) {
+                      const Tell& report) {
     // Throws an error if the baseline is unknown. This is checked before the log is
     // loaded, because loading takes a long time.
     if (baseline) (void)find_baseline(*baseline);
     if (run.run.split.test.empty())
         throw DataError(run.run.folder.string() + ": the run has no held-out frames, expected at least one");
-    const Progress progress = collect_into(tell);
+    const Progress progress = collect_into(report);
     Sequence read;
     if (!log) {
         const py::gil_scoped_release others_run;
         read = load_log(run.run.config, progress);
     }
-    return evaluation_dict(evaluation_of(run, log ? log->sequence : read, baseline, progress));
+    return make_evaluation_dict(evaluate_loaded_run(run, log ? log->sequence : read, baseline, progress));
 }
 
 }  // namespace

@@ -30,10 +30,10 @@ RenderedScan image_of(const py::dict& scan) {
     RenderedScan result;
     result.image.rows = static_cast<int>(shape[0]);
     result.image.columns = static_cast<int>(shape[1]);
-    result.image.range_m = copied<float, float>(range, "scan: range", shape);
-    result.image.intensity = copied<float, float>(get(scan, "intensity"), "scan: intensity", shape);
+    result.image.range_m = copy_elements<float, float>(range, "scan: range", shape);
+    result.image.intensity = copy_elements<float, float>(get(scan, "intensity"), "scan: intensity", shape);
     if (scan.contains("drop_prob"))
-        result.image.drop_prob = copied<float, float>(scan["drop_prob"], "scan: drop_prob", shape);
+        result.image.drop_prob = copy_elements<float, float>(scan["drop_prob"], "scan: drop_prob", shape);
     else
         for (const float range_m : result.image.range_m)
             result.image.drop_prob.push_back(range_m > 0.0f ? 0.0f : 1.0f);
@@ -46,7 +46,7 @@ void add_pictures(py::module_& module) {
     module.def(
         "write_picture",
         [](const std::filesystem::path& path, const py::dict& scan) {
-            write_png(path, scan_picture(image_of(scan)));
+            write_png(path, draw_scan_picture(image_of(scan)));
         },
         py::arg("path"), py::arg("scan"),
         "Writes a scan as PNG with the range in false colours, the intensity and the drop "

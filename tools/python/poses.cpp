@@ -19,14 +19,14 @@ constexpr double kRigid = 1e-4;
 /// Converts a 4x4 matrix to a pose. Throws an error unless the matrix is a rotation and a
 /// translation.
 /// @param m 16 numbers in row-major order
-Pose rigid_pose(const double* m, const std::string& what) {
+Pose make_rigid_pose(const double* m, const std::string& description) {
     const auto fail = [&](const std::string& found) {
         throw DataError(fmt::format(
             "{}: found {}, expected a rigid pose: a rotation and a translation, with the last row 0 "
             "0 0 1",
-            what, found));
+            description, found));
     };
-    if (!std::all_of(m, m + 16, [](double x) { return std::isfinite(x); }))
+    if (!std::all_of(m, m + 16, [](double value) { return std::isfinite(value); }))
         fail("a matrix that is not finite");
     if (m[12] != 0.0 || m[13] != 0.0 || m[14] != 0.0 || m[15] != 1.0)
         fail(fmt::format("the last row {} {} {} {}", m[12], m[13], m[14], m[15]));
@@ -51,37 +51,37 @@ void write_matrix(const Pose& pose, double* out) {
 
 }  // namespace
 
-Pose pose_of(const py::handle& matrix, const std::string& what) {
-    return rigid_pose(values_of<double>(matrix, what, {4, 4}).data(), what);
+Pose convert_to_pose(const py::handle& matrix, const std::string& description) {
+    return make_rigid_pose(values_of<double>(matrix, description, {4, 4}).data(), description);
 }
 
-std::vector<Pose> poses_of(const py::handle& matrices, const std::string& what) {
-    const std::span<const double> numbers = values_of<double>(matrices, what, {kAny, 4, 4});
+std::vector<Pose> convert_to_poses(const py::handle& matrices, const std::string& description) {
+    const std::span<const double> numbers = values_of<double>(matrices, description, {kAny, 4, 4});
     std::vector<Pose> poses;
     for (std::size_t i = 0; i < numbers.size() / 16; ++i)
-        poses.push_back(rigid_pose(numbers.data() + 16 * i, fmt::format("{}[{}]", what, i)));
+        poses.push_back(make_rigid_pose(numbers.data() + 16 * i, fmt::format("{}[{}]", description, i)));
     return poses;
 }
 
-PoseTrack track_of(const py::handle& object, const std::string& what, double time_s) {
-    if (!py::isinstance<py::tuple>(object)) return {{time_s}, {pose_of(object, what)}};
+PoseTrack track_of(const py::handle& object, const std::string& description, double time_s) {
+    if (!py::isinstance<py::tuple>(object)) return {{time_s}, {convert_to_pose(object, description)}};
     const auto pair = py::reinterpret_borrow<py::tuple>(object);
     if (pair.size() != 2)
         throw DataError(fmt::format(
-            "{}: found a tuple of {} entries, expected a pose [4,4] or (times [n], poses [n,4,4])", what,
-            pair.size()));
-    PoseTrack track{copied<double, double>(pair[0], what + ": times", {kAny}),
-                    poses_of(pair[1], what + ": poses")};
+            "{}: found a tuple of {} entries, expected a pose [4,4] or (times [n], poses [n,4,4])",
+            description, pair.size()));
+    PoseTrack track{copy_elements<double, double>(pair[0], description + ": times", {kAny}),
+                    convert_to_poses(pair[1], description + ": poses")};
     if (track.time_s.size() != track.pose.size())
-        throw DataError(fmt::format("{}: found {} times and {} poses, expected the same number of both", what,
-                                    track.time_s.size(), track.pose.size()));
+        throw DataError(fmt::format("{}: found {} times and {} poses, expected the same number of both",
+                                    description, track.time_s.size(), track.pose.size()));
     return track;
 }
 
 py::array to_matrix_array(const Pose& pose) {
     std::vector<double> numbers(16);
     write_matrix(pose, numbers.data());
-    return owned<double>(std::move(numbers), {4, 4});
+    return to_owned_array<double>(std::move(numbers), {4, 4});
 }
 
 py::tuple to_track(const PoseTrack& track, const glm::dvec3& offset_m) {
@@ -89,8 +89,8 @@ py::tuple to_track(const PoseTrack& track, const glm::dvec3& offset_m) {
     for (std::size_t i = 0; i < track.pose.size(); ++i)
         write_matrix({track.pose[i].rotation, track.pose[i].translation + offset_m}, numbers.data() + 16 * i);
     const auto n = static_cast<py::ssize_t>(track.pose.size());
-    return py::make_tuple(owned<double>(std::vector<double>(track.time_s), {n}),
-                          owned<double>(std::move(numbers), {n, 4, 4}));
+    return py::make_tuple(to_owned_array<double>(std::vector<double>(track.time_s), {n}),
+                          to_owned_array<double>(std::move(numbers), {n, 4, 4}));
 }
 
 void add_poses(py::module_& module) {
@@ -99,7 +99,7 @@ void add_poses(py::module_& module) {
         [](double x, double y, double z, double yaw_deg, double pitch_deg, double roll_deg) {
             const double radians = kPi / 180.0;
             return to_matrix_array(
-                {rotation_of(yaw_deg * radians, pitch_deg * radians, roll_deg * radians), {x, y, z}});
+                {make_rotation(yaw_deg * radians, pitch_deg * radians, roll_deg * radians), {x, y, z}});
         },
         py::arg("x"), py::arg("y"), py::arg("z"), py::arg("yaw_deg") = 0.0, py::arg("pitch_deg") = 0.0,
         py::arg("roll_deg") = 0.0,

@@ -14,17 +14,17 @@ namespace relidar::python {
 /// Converts a [4,4] float64 matrix to a pose.
 /// @throws DataError if the matrix has a wrong type or shape, is not finite, or is not a
 /// rigid motion
-Pose pose_of(const py::handle& matrix, const std::string& what);
+Pose convert_to_pose(const py::handle& matrix, const std::string& description);
 
 /// Converts a single pose or a pair (times [n], poses [n,4,4]) of float64 arrays to a
 /// track.
 /// @param time_s time of a single pose
 /// @throws DataError if the object has another form, or if a pose is not a rigid motion
-PoseTrack track_of(const py::handle& object, const std::string& what, double time_s);
+PoseTrack track_of(const py::handle& object, const std::string& description, double time_s);
 
 /// Converts an array [n,4,4] to n poses.
 /// @throws DataError if a matrix is not a rigid motion
-std::vector<Pose> poses_of(const py::handle& matrices, const std::string& what);
+std::vector<Pose> convert_to_poses(const py::handle& matrices, const std::string& description);
 
 /// Converts a pose to a [4,4] float64 array.
 py::array to_matrix_array(const Pose& pose);

@@ -38,7 +38,7 @@ struct RenderArguments {
     std::string weather;
 };
 
-PointFrame frame_of(const std::string& name) {
+PointFrame find_frame(const std::string& name) {
     if (name == "sensor") return PointFrame::sensor;
     if (name == "world") return PointFrame::world;
     throw UsageError(fmt::format("frame: found \"{}\", expected sensor or world", name));
@@ -46,23 +46,24 @@ PointFrame frame_of(const std::string& name) {
 
 /// Returns the path of one LiDAR of the log in the world frame of the dataset.
 PoseTrack log_track(const Sequence& sequence, int lidar) {
-    return shifted_track(sequence.world_from_sensor(lidar), sequence.world_offset_m);
+    return shift_track(sequence.world_from_sensor(lidar), sequence.world_offset_m);
 }
 
 /// Checks that a track covers a time. At other times, the poses of moving objects would
 /// be extrapolated.
 /// @throws UsageError if the time is more than `tolerance_s` before or after the track
-void check_covered(const PoseTrack& track, double time_s, double tolerance_s, const std::string& what) {
+void check_covered(const PoseTrack& track, double time_s, double tolerance_s,
+                   const std::string& description) {
     // A single pose is valid at all times. The library itself rejects a time that is not
     // finite.
     if (track.pose.size() < 2 || !std::isfinite(time_s)) return;
     const double begin_s = track.time_s.front() - tolerance_s, end_s = track.time_s.back() + tolerance_s;
     if (time_s < begin_s || time_s > end_s)
-        throw UsageError(
-            fmt::format("{}: found {} s, expected a time from {} to {} s", what, time_s, begin_s, end_s));
+        throw UsageError(fmt::format("{}: found {} s, expected a time from {} to {} s", description, time_s,
+                                     begin_s, end_s));
 }
 
-ActorPoses actors_from(const py::dict& actors, double time_s) {
+ActorPoses read_actor_poses(const py::dict& actors, double time_s) {
     // Longest time in seconds before the first or after the last pose of an actor. It is
     // not 0, because a sweep begins before its nominal time and ends after it.
     constexpr double kBeside_s = 1.0;
@@ -77,49 +78,50 @@ ActorPoses actors_from(const py::dict& actors, double time_s) {
 }
 
 /// Returns the index of the recorded sweep that is nearest in time.
-int nearest_sweep(const Sequence& sequence, double time_s) {
-    const auto farther = [&](const Frame& a, const Frame& b) {
-        return std::abs(a.time_s - time_s) < std::abs(b.time_s - time_s);
+int find_nearest_sweep(const Sequence& sequence, double time_s) {
+    const auto farther = [&](const Frame& first, const Frame& second) {
+        return std::abs(first.time_s - time_s) < std::abs(second.time_s - time_s);
     };
     return std::min_element(sequence.frames.begin(), sequence.frames.end(), farther)->index;
 }
 
-ScanRequest request_of(const RenderArguments& asked, const Run& run, int lidar) {
+ScanRequest request_of(const RenderArguments& arguments, const Run& run, int lidar) {
     ScanRequest request;
-    request.time_s = asked.time.value_or(run.sequence.frames.front().time_s);
-    request.dataset_from_sensor =
-        asked.pose.is_none() ? log_track(run.sequence, lidar) : track_of(asked.pose, "pose", request.time_s);
+    request.time_s = arguments.time.value_or(run.sequence.frames.front().time_s);
+    request.dataset_from_sensor = arguments.pose.is_none() ? log_track(run.sequence, lidar)
+                                                           : track_of(arguments.pose, "pose", request.time_s);
     check_covered(request.dataset_from_sensor, request.time_s, 0.0,
-                  asked.pose.is_none() ? "time in the log" : "time on the poses");
-    if (asked.actors) request.dataset_from_actor = actors_from(*asked.actors, request.time_s);
+                  arguments.pose.is_none() ? "time in the log" : "time on the poses");
+    if (arguments.actors) request.dataset_from_actor = read_actor_poses(*arguments.actors, request.time_s);
     return request;
 }
 
-py::dict render(LoadedRun& loaded, const RenderArguments& asked) {
+py::dict render(LoadedRun& loaded, const RenderArguments& arguments) {
     const Run& run = loaded.run;
-    const int lidar = find_lidar(run.sequence, asked.lidar);
-    const ScanRequest request = request_of(asked, run, lidar);
-    SensorChoice sensor = sensor_of(asked.sensor, run, lidar);
-    if (asked.pose.is_none())
-        sensor = sensor_in_sweep(sensor, run.sequence.frames, run.sequence.lidars, request.time_s);
-    const std::vector<bool> shown = asked.only.empty() ? std::vector<bool>(run.scene.instances.size(), true)
-                                                       : select_instances(run.scene, asked.only);
-    ScanFormat format = scan_format(run, sensor);
-    format.frame = frame_of(asked.frame);
-    format.deskew = asked.deskew;
-    const Weather weather = parse_weather(asked.weather);
-    OnDevice<ScanRenderer>& renderer = loaded.ready_renderer();
+    const int lidar = find_lidar(run.sequence, arguments.lidar);
+    const ScanRequest request = request_of(arguments, run, lidar);
+    SensorChoice sensor = get_sensor(arguments.sensor, run, lidar);
+    if (arguments.pose.is_none())
+        sensor = align_sensor_with_sweep(sensor, run.sequence.frames, run.sequence.lidars, request.time_s);
+    const std::vector<bool> shown = arguments.only.empty()
+                                        ? std::vector<bool>(run.scene.instances.size(), true)
+                                        : select_instances(run.scene, arguments.only);
+    ScanFormat format = make_scan_format(run, sensor);
+    format.frame = find_frame(arguments.frame);
+    format.deskew = arguments.deskew;
+    const Weather weather = parse_weather(arguments.weather);
+    OnDevice<ScanRenderer>& renderer = loaded.get_renderer();
     RenderedScan scan;
     {
         const DeviceUse use(renderer.device());
         renderer->show_only(shown);
         renderer->set_weather(weather);
-        scan = renderer->render(sensor, request, asked.sample);
+        scan = renderer->render(sensor, request, arguments.sample);
     }
-    return to_dict(scan_arrays(scan, nearest_sweep(run.sequence, request.time_s), format));
+    return to_dict(make_scan_arrays(scan, find_nearest_sweep(run.sequence, request.time_s), format));
 }
 
-std::vector<std::string> track_names(const Run& run) {
+std::vector<std::string> list_track_names(const Run& run) {
     std::vector<std::string> names;
     for (const Instance& instance : run.scene.instances)
         if (!instance.track.empty()) names.push_back(instance.track);
@@ -133,9 +135,9 @@ std::unique_ptr<LoadedRun> open_run(const fs::path& folder, const py::dict& sett
     return std::make_unique<LoadedRun>(std::move(run), device);
 }
 
-std::unique_ptr<LoadedRun> with_surfels(const LoadedRun& loaded, const py::dict& arrays) {
+std::unique_ptr<LoadedRun> replace_surfels(const LoadedRun& loaded, const py::dict& arrays) {
     auto changed = std::make_unique<LoadedRun>(loaded.run, loaded.device);
-    Surfels surfels = surfels_of(arrays);
+    Surfels surfels = read_surfels(arrays);
     Scene& scene = changed->run.scene;
     scene = load_all_blocks(scene);
     if (surfels.size() != scene.surfels.size() || surfels.primitive != scene.surfels.primitive)
@@ -191,7 +193,7 @@ constexpr const char* kHelpAfterWeather =
 /// the middle.
 std::string render_help() {
     return fmt::format("{}{}; drawn by `sample`, 0 without;\n    adds `source` [rows,columns] int32: {}{}",
-                       kHelpBeforeWeather, weather_help(), parse_channels("source").front().meaning,
+                       kHelpBeforeWeather, make_weather_help(), parse_channels("source").front().meaning,
                        kHelpAfterWeather);
 }
 
@@ -229,14 +231,14 @@ void add_calls(py::class_<LoadedRun>& type) {
         .def(
             "rays",
             [](const LoadedRun& run, const py::object& sensor, const std::string& lidar) {
-                SensorChoice choice = sensor_of(sensor, run.run, find_lidar(run.run.sequence, lidar));
+                SensorChoice choice = get_sensor(sensor, run.run, find_lidar(run.run.sequence, lidar));
                 if (!has_rolling_shutter(choice, run.run.config))
                     std::ranges::fill(choice.rays.time_offset_s, 0.0f);
                 return to_dict(choice.rays);
             },
             py::arg("sensor") = py::none(), py::arg("lidar") = "",
             "Returns the rays of a sensor, which has the same form as in render().")
-        .def("with_surfels", &with_surfels, py::arg("surfels"),
+        .def("with_surfels", &replace_surfels, py::arg("surfels"),
              "Returns a copy of the run with other values of all surfels. Raises DataError if the "
              "number of surfels differs.");
 }
@@ -256,25 +258,26 @@ void add_properties(py::class_<LoadedRun>& type) {
             "surfels", [](const LoadedRun& run) { return to_dict(load_all_blocks(run.run.scene).surfels); },
             "A copy of the surfels as a dict of float32 arrays that relidar.Scene accepts.")
         .def_property_readonly(
-            "times", [](const LoadedRun& run) { return times_of(run.run.sequence); },
+            "times", [](const LoadedRun& run) { return list_times(run.run.sequence); },
             "Times in seconds at which the head of the LiDAR faced forward, [frames] float64.")
         .def_property_readonly(
-            "frame_numbers", [](const LoadedRun& run) { return frame_numbers_of(run.run.sequence); },
+            "frame_numbers", [](const LoadedRun& run) { return list_frame_numbers(run.run.sequence); },
             "Frame numbers of the dataset, [frames] int32.")
         .def_property_readonly(
             "held_out", [](const LoadedRun& run) { return run.run.split.test; },
             "Indices of the held-out frames in `times`.")
         .def_property_readonly(
-            "trajectory", [](const LoadedRun& run) { return trajectory_of(run.run.sequence); },
+            "trajectory", [](const LoadedRun& run) { return make_trajectory(run.run.sequence); },
             "Trajectory of the log's vehicle in the dataset's world: (times [n], poses [n,4,4]), in the "
             "form of render(). For a single LiDAR, it is the trajectory of the sensor.")
         .def_property_readonly(
-            "mountings", [](const LoadedRun& run) { return mountings_of(run.run.sequence); },
+            "mountings", [](const LoadedRun& run) { return list_mountings(run.run.sequence); },
             "Mountings of the LiDARs: dict of LiDAR name -> pose vehicle from sensor, [4,4] float64. The "
             "poses of a LiDAR are poses @ mountings[name]. A single LiDAR has an empty name and the "
             "identity.")
         .def_property_readonly(
-            "actors", [](const LoadedRun& run) { return actors_of(run.run.sequence, track_names(run.run)); },
+            "actors",
+            [](const LoadedRun& run) { return list_actors(run.run.sequence, list_track_names(run.run)); },
             "Trajectories of the actors in the dataset's world: dict of track -> (times [n], poses "
             "[n,4,4]) of the centre of the box, in the form of render().")
         .def_property_readonly(
@@ -304,9 +307,9 @@ void save_to(Run& run, const fs::path& folder, bool overwrite) {
     }
 }
 
-OnDevice<ScanRenderer>& LoadedRun::ready_renderer() {
+OnDevice<ScanRenderer>& LoadedRun::get_renderer() {
     if (renderer) return renderer;
-    device = device_or_default(device);
+    device = get_device_or_default(device);
     std::unique_ptr<ScanRenderer> made;
     {
         const DeviceUse use(*device);

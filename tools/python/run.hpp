@@ -18,7 +18,7 @@ struct LoadedRun {
 
     /// Returns the renderer of this run. Creates the renderer at the first call. No other
     /// object uses this renderer.
-    OnDevice<ScanRenderer>& ready_renderer();
+    OnDevice<ScanRenderer>& get_renderer();
 };
 
 /// Saves a run in a folder and sets `run.folder` to this folder.

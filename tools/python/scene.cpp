@@ -17,17 +17,17 @@ namespace {
 
 constexpr std::string_view kThirdScale = "log_scale_w", kGait = "gait";
 
-/// Calls the function `take` for each parameter array of the surfels. The arguments are
-/// the name of the array, its values, and the shape of the values of one surfel.
+/// Calls the function `callback` for each parameter array of the surfels. The arguments
+/// are the name of the array, its values, and the shape of the values of one surfel.
 template <class Set, class Take>
-void for_each_group(Set& surfels, Take&& take) {
-    take("mean", surfels.mean, Shape{3});
-    take("rotation", surfels.rotation, Shape{4});
-    take("log_scale", surfels.log_scale, Shape{2});
-    take("opacity_logit", surfels.opacity_logit, Shape{});
-    take("sh", surfels.sh, Shape{kShChannels, kShCoefficients});
-    take(kThirdScale.data(), surfels.log_scale_w, Shape{});
-    take(kGait.data(), surfels.gait, Shape{5});
+void for_each_group(Set& surfels, Take&& callback) {
+    callback("mean", surfels.mean, Shape{3});
+    callback("rotation", surfels.rotation, Shape{4});
+    callback("log_scale", surfels.log_scale, Shape{2});
+    callback("opacity_logit", surfels.opacity_logit, Shape{});
+    callback("sh", surfels.sh, Shape{kShChannels, kShCoefficients});
+    callback(kThirdScale.data(), surfels.log_scale_w, Shape{});
+    callback(kGait.data(), surfels.gait, Shape{5});
 }
 
 /// Returns true if these surfels have a parameter array with this name.
@@ -36,26 +36,27 @@ bool has_group(const Surfels& surfels, std::string_view name) {
     return name != kThirdScale || kind_of(surfels.primitive).third_scale;
 }
 
-Shape rows_of(py::ssize_t n, const Shape& row) {
-    Shape shape{n};
+Shape count_rows_of(py::ssize_t count, const Shape& row) {
+    Shape shape{count};
     shape.insert(shape.end(), row.begin(), row.end());
     return shape;
 }
 
 /// Returns the parameters of a scene's surfels as read-only numpy arrays, without a copy.
-py::dict view_of(const py::object& scene_object) {
+py::dict to_string_view(const py::object& scene_object) {
     const Surfels& surfels = scene_object.cast<const Scene&>().surfels;
     py::dict dict;
     for_each_group(surfels, [&](const char* name, const auto& values, const Shape& row) {
         if (!has_group(surfels, name)) return;
         dict[name] =
-            view<float>(values, rows_of(static_cast<py::ssize_t>(surfels.size()), row), scene_object);
+            view<float>(values, count_rows_of(static_cast<py::ssize_t>(surfels.size()), row), scene_object);
     });
     return dict;
 }
 
-std::uint32_t count_of(const py::dict& dict, const char* name, const char* what) {
-    if (!dict.contains(name)) throw DataError(fmt::format("{}: the dict has no entry \"{}\"", what, name));
+std::uint32_t read_count(const py::dict& dict, const char* name, const char* description) {
+    if (!dict.contains(name))
+        throw DataError(fmt::format("{}: the dict has no entry \"{}\"", description, name));
     return dict[name].cast<std::uint32_t>();
 }
 
@@ -65,14 +66,14 @@ std::uint32_t count_of(const py::dict& dict, const char* name, const char* what)
 /// @param instances dicts with model and track; without them, each model has one instance
 Scene make_scene(const py::dict& surfels, const std::optional<std::vector<py::dict>>& models,
                  const std::optional<std::vector<py::dict>>& instances) {
-    Scene scene = make_background_scene(surfels_of(surfels));
+    Scene scene = make_background_scene(read_surfels(surfels));
     if (models) {
         scene.models.clear();
         for (const py::dict& model : *models)
             scene.models.push_back(
                 {.name = model["name"].cast<std::string>(),
-                 .first = count_of(model, "first", "models"),
-                 .count = count_of(model, "count", "models"),
+                 .first = read_count(model, "first", "models"),
+                 .count = read_count(model, "count", "models"),
                  .stride_m = model.contains("stride_m") ? model["stride_m"].cast<float>() : 0.0f});
     }
     if (models || instances) {
@@ -81,12 +82,12 @@ Scene make_scene(const py::dict& surfels, const std::optional<std::vector<py::di
             scene.instances.push_back({i, i == 0 ? "" : scene.models[i].name});
         for (const py::dict& instance : instances.value_or(std::vector<py::dict>{}))
             scene.instances.push_back(
-                {count_of(instance, "model", "instances"), instance["track"].cast<std::string>()});
+                {read_count(instance, "model", "instances"), instance["track"].cast<std::string>()});
     }
     return scene;
 }
 
-py::list models_of(const Scene& scene) {
+py::list list_models(const Scene& scene) {
     py::list list;
     for (const Model& model : scene.models)
         list.append(py::dict(py::arg("name") = model.name, py::arg("first") = model.first,
@@ -94,7 +95,7 @@ py::list models_of(const Scene& scene) {
     return list;
 }
 
-py::list instances_of(const Scene& scene) {
+py::list list_instances(const Scene& scene) {
     py::list list;
     for (const Instance& instance : scene.instances)
         list.append(py::dict(py::arg("model") = instance.model, py::arg("track") = instance.track));
@@ -103,15 +104,15 @@ py::list instances_of(const Scene& scene) {
 
 }  // namespace
 
-Surfels surfels_of(const py::dict& arrays) {
+Surfels read_surfels(const py::dict& arrays) {
     Surfels surfels;
     std::vector<std::string> names;
     for_each_group(
         surfels, [&]<class Element>(const char* name, std::vector<Element>& values, const Shape& row) {
             names.emplace_back(name);
             if (arrays.contains(name))
-                values = copied<float, Element>(arrays[name], fmt::format("surfels: {}", name),
-                                                rows_of(kAny, row));
+                values = copy_elements<float, Element>(arrays[name], fmt::format("surfels: {}", name),
+                                                       count_rows_of(kAny, row));
             else if (name != kThirdScale && name != kGait)
                 throw DataError(fmt::format(
                     "surfels: the array \"{}\" is missing, expected mean, rotation, log_scale, opacity_logit "
@@ -122,7 +123,7 @@ Surfels surfels_of(const py::dict& arrays) {
         const std::string text = py::str(name);
         if (std::find(names.begin(), names.end(), text) == names.end())
             throw UsageError(fmt::format("surfels: the array \"{}\" is unknown{} (known: {})", text,
-                                         did_you_mean(text, names, "\""), fmt::join(names, ", ")));
+                                         suggest_name(text, names, "\""), fmt::join(names, ", ")));
     }
     // Chooses the shape of the surfels. The array of third scales exists only for 3D
     // Gaussians, not for 2D surfels.
@@ -138,7 +139,7 @@ py::dict to_dict(Surfels&& surfels) {
     py::dict dict;
     for_each_group(surfels, [&](const char* name, auto& values, const Shape& row) {
         if (!has_group(surfels, name)) return;
-        dict[name] = owned<float>(std::move(values), rows_of(n, row));
+        dict[name] = to_owned_array<float>(std::move(values), count_rows_of(n, row));
     });
     return dict;
 }
@@ -163,10 +164,10 @@ void add_scene(py::module_& module) {
              "Raises DataError for arrays of wrong shape, dtype or order. Whether models and "
              "instances fit together is checked when the scene is rendered.")
         .def_property_readonly(
-            "surfels", [](const py::object& scene) { return view_of(scene); },
+            "surfels", [](const py::object& scene) { return to_string_view(scene); },
             "The arrays, read-only and not copied.")
-        .def_property_readonly("models", &models_of, "Dicts of name, first and count.")
-        .def_property_readonly("instances", &instances_of,
+        .def_property_readonly("models", &list_models, "Dicts of name, first and count.")
+        .def_property_readonly("instances", &list_instances,
                                "Dicts of model and track. Instance 0 is the background.")
         .def(
             "__len__", [](const Scene& scene) { return scene.surfels.size(); }, "Number of surfels.");

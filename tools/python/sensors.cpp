@@ -42,7 +42,8 @@ RayTable rays_of(const py::dict& dict) {
     RayTable rays;
     rays.rows = static_cast<int>(image[0]);
     rays.columns = static_cast<int>(image[1]);
-    rays.direction = to_scan_array(copied<float, glm::vec3>(directions, "sensor: directions", vectors));
+    rays.direction =
+        to_scan_array(copy_elements<float, glm::vec3>(directions, "sensor: directions", vectors));
     const auto given = [&](const char* name) {
         return dict.contains(name) ? py::object(dict[name]) : py::object();
     };
@@ -51,17 +52,20 @@ RayTable rays_of(const py::dict& dict) {
     rays.origin.resize(n);
     rays.time_offset_s.resize(n);
     rays.channel.resize(n);
-    if (origin) rays.origin = to_scan_array(copied<float, glm::vec3>(origin, "sensor: origin", vectors));
-    if (time) rays.time_offset_s = to_scan_array(copied<float, float>(time, "sensor: time", image));
-    if (ring) rays.channel = to_scan_array(copied<std::uint16_t, std::uint16_t>(ring, "sensor: ring", image));
+    if (origin)
+        rays.origin = to_scan_array(copy_elements<float, glm::vec3>(origin, "sensor: origin", vectors));
+    if (time) rays.time_offset_s = to_scan_array(copy_elements<float, float>(time, "sensor: time", image));
+    if (ring)
+        rays.channel =
+            to_scan_array(copy_elements<std::uint16_t, std::uint16_t>(ring, "sensor: ring", image));
     check_rays(rays);
     return rays;
 }
 
 }  // namespace
 
-SensorChoice sensor_of(const py::handle& sensor, const Run& run, int lidar) {
-    if (sensor.is_none()) return configured_sensor(run.config, run.sequence, lidar);
+SensorChoice get_sensor(const py::handle& sensor, const Run& run, int lidar) {
+    if (sensor.is_none()) return make_configured_sensor(run.config, run.sequence, lidar);
     if (py::isinstance<py::str>(sensor))
         return choose_sensor(sensor.cast<std::string>(), run.config, run.sequence, lidar);
     if (!py::isinstance<py::dict>(sensor))
@@ -79,15 +83,15 @@ SensorChoice sensor_of(const py::handle& sensor, const Run& run, int lidar) {
 py::dict to_dict(const RayTable& rays) {
     const Shape image{rays.rows, rays.columns}, vectors{rays.rows, rays.columns, 3};
     py::dict dict;
-    dict["directions"] = owned<float>(to_vector(rays.direction), vectors);
-    dict["origin"] = owned<float>(to_vector(rays.origin), vectors);
-    dict["time"] = owned<float>(to_vector(rays.time_offset_s), image);
-    dict["ring"] = owned<std::uint16_t>(to_vector(rays.channel), image);
+    dict["directions"] = to_owned_array<float>(to_vector(rays.direction), vectors);
+    dict["origin"] = to_owned_array<float>(to_vector(rays.origin), vectors);
+    dict["time"] = to_owned_array<float>(to_vector(rays.time_offset_s), image);
+    dict["ring"] = to_owned_array<std::uint16_t>(to_vector(rays.channel), image);
     return dict;
 }
 
 void add_sensors(py::module_& module) {
-    module.def("sensors", &sensor_names,
+    module.def("sensors", &list_sensor_names,
                "Returns the names of the sensors that rays() and Run.render() accept in addition to "
                "\"native\", the sensor of the log.");
     module.def(

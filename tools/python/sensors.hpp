@@ -16,7 +16,7 @@ namespace relidar::python {
 /// @throws UsageError or DataError if choose_sensor() rejects the sensor
 /// @throws DataError if the ray arrays have a wrong shape, or a direction does not have
 /// length 1
-SensorChoice sensor_of(const pybind11::handle& sensor, const Run& run, int lidar);
+SensorChoice get_sensor(const pybind11::handle& sensor, const Run& run, int lidar);
 
 /// Returns the rays of a sensor as a dict of arrays: directions and origin
 /// [rows,columns,3] float32, time [rows,columns] float32, ring [rows,columns] uint16.

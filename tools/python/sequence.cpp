@@ -26,10 +26,10 @@ namespace fs = std::filesystem;
 
 Log load(const std::string& dataset, const std::optional<Config>& config, const Tell& progress) {
     Log log{{}, config.value_or(make_preset("default"))};
-    log.config.dataset.path = absolute_dataset(dataset);
+    log.config.dataset.path = make_dataset_absolute(dataset);
     const py::gil_scoped_release others_run;
     log.sequence = load_log(log.config, collect_into(progress));
-    log.config = with_farthest(std::move(log.config), log.sequence);
+    log.config = use_farthest_return(std::move(log.config), log.sequence);
     return log;
 }
 
@@ -45,12 +45,12 @@ py::dict scan_of(const Log& log, int position) {
     // motion-compensated log.
     if (!log.sequence.rolling_shutter) std::ranges::fill(rays.time_offset_s, 0.0f);
     py::dict dict = to_dict(rays);
-    dict["range"] = owned<float>(to_vector(scan.range_m), image);
-    dict["intensity"] = owned<float>(to_vector(scan.intensity), image);
+    dict["range"] = to_owned_array<float>(to_vector(scan.range_m), image);
+    dict["intensity"] = to_owned_array<float>(to_vector(scan.intensity), image);
     return dict;
 }
 
-std::vector<std::string> box_names(const Sequence& sequence) {
+std::vector<std::string> list_box_names(const Sequence& sequence) {
     std::vector<std::string> names;
     for (const BoxTrack& box : sequence.boxes) names.push_back(box.id);
     return names;
@@ -70,36 +70,37 @@ void save_street(const fs::path& folder, std::uint64_t seed, int n_frames, int r
 
 }  // namespace
 
-py::object times_of(const Sequence& sequence) {
+py::object list_times(const Sequence& sequence) {
     std::vector<double> times;
     for (const Frame& frame : sequence.frames) times.push_back(frame.time_s);
-    return owned<double>(std::move(times), {static_cast<py::ssize_t>(sequence.frames.size())});
+    return to_owned_array<double>(std::move(times), {static_cast<py::ssize_t>(sequence.frames.size())});
 }
 
-py::object frame_numbers_of(const Sequence& sequence) {
+py::object list_frame_numbers(const Sequence& sequence) {
     std::vector<std::int32_t> numbers;
     for (const Frame& frame : sequence.frames) numbers.push_back(frame.index);
-    return owned<std::int32_t>(std::move(numbers), {static_cast<py::ssize_t>(sequence.frames.size())});
+    return to_owned_array<std::int32_t>(std::move(numbers),
+                                        {static_cast<py::ssize_t>(sequence.frames.size())});
 }
 
-py::object trajectory_of(const Sequence& sequence) {
+py::object make_trajectory(const Sequence& sequence) {
     return to_track(sequence.world_from_vehicle, sequence.world_offset_m);
 }
 
-py::object lidars_of(const Sequence& sequence) {
+py::object list_lidars(const Sequence& sequence) {
     py::list names;
-    for (const Frame& frame : sequence.frames) names.append(sequence.lidar_of(frame).name);
+    for (const Frame& frame : sequence.frames) names.append(sequence.get_lidar(frame).name);
     return names;
 }
 
-py::object mountings_of(const Sequence& sequence) {
+py::object list_mountings(const Sequence& sequence) {
     py::dict mountings;
     for (const Lidar& lidar : sequence.lidars)
         mountings[py::str(lidar.name)] = to_matrix_array(lidar.vehicle_from_sensor);
     return mountings;
 }
 
-py::object actors_of(const Sequence& sequence, const std::vector<std::string>& names) {
+py::object list_actors(const Sequence& sequence, const std::vector<std::string>& names) {
     py::dict actors;
     for (const BoxTrack& box : sequence.boxes)
         if (std::find(names.begin(), names.end(), box.id) != names.end())
@@ -123,24 +124,24 @@ void add_sequence_class(py::module_& module) {
             "config", [](const Log& log) { return log.config; },
             "A copy of the settings that the log was read with.")
         .def_property_readonly(
-            "times", [](const Log& log) { return times_of(log.sequence); },
+            "times", [](const Log& log) { return list_times(log.sequence); },
             "Times in seconds at which the head of the LiDAR faced forward, [frames] float64.")
         .def_property_readonly(
-            "frame_numbers", [](const Log& log) { return frame_numbers_of(log.sequence); },
+            "frame_numbers", [](const Log& log) { return list_frame_numbers(log.sequence); },
             "Frame numbers of the dataset, [frames] int32.")
         .def_property_readonly(
-            "frame_lidars", [](const Log& log) { return lidars_of(log.sequence); },
+            "frame_lidars", [](const Log& log) { return list_lidars(log.sequence); },
             "Name of the LiDAR of each frame, [frames]. Empty if the log has a single LiDAR.")
         .def_property_readonly(
-            "trajectory", [](const Log& log) { return trajectory_of(log.sequence); },
+            "trajectory", [](const Log& log) { return make_trajectory(log.sequence); },
             "Trajectory of the vehicle in the dataset's world: (times [n], poses [n,4,4]), float64, "
             "metres. For a single LiDAR, it is the trajectory of the sensor.")
         .def_property_readonly(
-            "mountings", [](const Log& log) { return mountings_of(log.sequence); },
+            "mountings", [](const Log& log) { return list_mountings(log.sequence); },
             "Mountings of the LiDARs: dict of LiDAR name -> pose vehicle from sensor, [4,4] float64. A "
             "single LiDAR has an empty name and the identity.")
         .def_property_readonly(
-            "boxes", [](const Log& log) { return actors_of(log.sequence, box_names(log.sequence)); },
+            "boxes", [](const Log& log) { return list_actors(log.sequence, list_box_names(log.sequence)); },
             "Trajectories of the labelled boxes in the dataset's world: dict of track -> (times [n], poses "
             "[n,4,4]) of the centre of the box.")
         .def(

@@ -18,16 +18,17 @@ struct Log {
 };
 
 /// These functions return the frames and poses of a log, or of the log of a run.
-pybind11::object times_of(const Sequence& sequence);          ///< Returns the frame times, [frames] float64.
-pybind11::object frame_numbers_of(const Sequence& sequence);  ///< Returns the frame numbers, [frames] int32.
-pybind11::object lidars_of(const Sequence& sequence);         ///< Returns the LiDAR name of each frame.
+pybind11::object list_times(const Sequence& sequence);  ///< Returns the frame times, [frames] float64.
+pybind11::object list_frame_numbers(
+    const Sequence& sequence);                           ///< Returns the frame numbers, [frames] int32.
+pybind11::object list_lidars(const Sequence& sequence);  ///< Returns the LiDAR name of each frame.
 /// Returns the path of the vehicle as (times, poses) in the world frame of the dataset.
-pybind11::object trajectory_of(const Sequence& sequence);
-pybind11::object mountings_of(
+pybind11::object make_trajectory(const Sequence& sequence);
+pybind11::object list_mountings(
     /// Returns a dict from the LiDAR name to the mounting pose vehicle_from_sensor.
     const Sequence& sequence);
 /// Returns a dict from the track name to (times, poses). The poses are poses of the box
 /// centre.
-pybind11::object actors_of(const Sequence& sequence, const std::vector<std::string>& names);
+pybind11::object list_actors(const Sequence& sequence, const std::vector<std::string>& names);
 
 }  // namespace relidar::python

@@ -30,7 +30,7 @@ struct TrainArguments {
 
 /// Returns the settings for a training. Takes the user's settings, but keeps the settings
 /// with which the log was loaded.
-Config config_of(const Log& log, const std::optional<Config>& wanted) {
+Config choose_config(const Log& log, const std::optional<Config>& wanted) {
     Config config = wanted.value_or(log.config);
     config.dataset = log.config.dataset;
     if (wanted) {
@@ -41,63 +41,63 @@ Config config_of(const Log& log, const std::optional<Config>& wanted) {
     return config;
 }
 
-std::optional<Checkpoint> find_start(const TrainArguments& asked,
+std::optional<Checkpoint> find_start(const TrainArguments& arguments,
                                      const std::function<void(const std::string&)>& note) {
-    if (!asked.resume) return std::nullopt;
-    if (!asked.checkpoints)
+    if (!arguments.resume) return std::nullopt;
+    if (!arguments.checkpoints)
         throw UsageError(
             "train: resume=True needs the argument checkpoints, which is the folder that contains "
             "the checkpoints");
-    return load_newest_checkpoint(*asked.checkpoints, note);
+    return load_newest_checkpoint(*arguments.checkpoints, note);
 }
 
-TrainResult trained(OpenDevice& open, Run& run, const TrainArguments& asked, PythonCalls& python) {
+TrainResult trained(OpenDevice& open, Run& run, const TrainArguments& arguments, PythonCalls& python) {
     const auto note = [&](const std::string& line) {
         python([&] {
-            if (asked.note) (*asked.note)(line);
+            if (arguments.note) (*arguments.note)(line);
         });
     };
-    const auto stop = [&] { return !python.go_on(); };
-    const std::optional<Checkpoint> start = find_start(asked, note);
+    const auto stop = [&] { return !python.can_continue(); };
+    const std::optional<Checkpoint> start = find_start(arguments, note);
     const DeviceUse use(open);
     prepare_log(run.sequence, run.split, run.config,
-                {note, stop, [&](std::string_view, double) { (void)python.go_on(); }});
+                {note, stop, [&](std::string_view, double) { (void)python.can_continue(); }});
     if (start) check_resumable(*start, run.sequence, run.split, run.config);
     const auto report = [&](const TrainProgress& line) {
         bool go_on = true;
         return python([&] {
-                   if (asked.callback) go_on = !(*asked.callback)(line).is(py::bool_(false));
+                   if (arguments.callback) go_on = !(*arguments.callback)(line).is(py::bool_(false));
                }) &&
                go_on;
     };
     return train(open.device, run.sequence, run.split, run.config, report,
-                 {asked.checkpoints.value_or(""), start ? &*start : nullptr, stop, note, {}});
+                 {arguments.checkpoints.value_or(""), start ? &*start : nullptr, stop, note, {}});
 }
 
 /// Aligns the held-out scans with the trained scene.
 void placed(OpenDevice& open, Run& run, PythonCalls& python) {
     const DeviceUse use(open);
-    place_held_out(open.device, run, {{}, [&] { return !python.go_on(); }});
+    place_held_out(open.device, run, {{}, [&] { return !python.can_continue(); }});
     python.rethrow();
 }
 
 /// Measures the noise of the LiDAR intensities.
 void scatter_learnt(OpenDevice& open, Run& run, PythonCalls& python) {
     const DeviceUse use(open);
-    run.intensity_scatter = learn_scatter(open.device, run, {{}, [&] { return !python.go_on(); }});
+    run.intensity_scatter = learn_scatter(open.device, run, {{}, [&] { return !python.can_continue(); }});
     python.rethrow();
 }
 
 /// Trains the ray-drop network. Only prints a note if the log has no suitable training
 /// data, or if the checkpoint belongs to another network.
-void refined(OpenDevice& open, Run& run, const TrainArguments& asked, PythonCalls& python) {
+void refined(OpenDevice& open, Run& run, const TrainArguments& arguments, PythonCalls& python) {
     const auto note = [&](const std::string& line) {
-        if (asked.note) python([&] { (*asked.note)(line); });
+        if (arguments.note) python([&] { (*arguments.note)(line); });
     };
-    const fs::path folder = asked.checkpoints ? *asked.checkpoints / kRefineCheckpoints : fs::path();
+    const fs::path folder = arguments.checkpoints ? *arguments.checkpoints / kRefineCheckpoints : fs::path();
     std::optional<Checkpoint> start;
     try {
-        if (asked.resume) start = load_newest_checkpoint(folder, note);
+        if (arguments.resume) start = load_newest_checkpoint(folder, note);
         if (start) check_refine_resumable(*start, run);
     } catch (const Error& error) {
         note(error.what());
@@ -106,7 +106,7 @@ void refined(OpenDevice& open, Run& run, const TrainArguments& asked, PythonCall
     try {
         const DeviceUse use(open);
         run.drop_network = refine_drops(open.device, run,
-                                        {.stop = [&] { return !python.go_on(); },
+                                        {.stop = [&] { return !python.can_continue(); },
                                          .checkpoints = folder,
                                          .start = start ? &*start : nullptr,
                                          .note = note});
@@ -117,18 +117,18 @@ void refined(OpenDevice& open, Run& run, const TrainArguments& asked, PythonCall
     if (!folder.empty()) remove_checkpoints(folder);
 }
 
-std::unique_ptr<LoadedRun> train_run(const Log& log, const TrainArguments& asked) {
-    const Config config = config_of(log, asked.config);
+std::unique_ptr<LoadedRun> train_run(const Log& log, const TrainArguments& arguments) {
+    const Config config = choose_config(log, arguments.config);
     Run run{{},
             config,
             log.sequence,
             split_frames(log.sequence, config.dataset.test_every, config.dataset.test_frames),
             {}};
-    const SharedDevice device = device_or_default(asked.device);
+    const SharedDevice device = get_device_or_default(arguments.device);
     PythonCalls python;
     TrainResult result;
     try {
-        result = trained(*device, run, asked, python);
+        result = trained(*device, run, arguments, python);
     } catch (const Error&) {
         // If a Python callback raised an exception, raises this exception instead of the
         // error of the library.
@@ -139,12 +139,12 @@ std::unique_ptr<LoadedRun> train_run(const Log& log, const TrainArguments& asked
     move_result(run, result);
     if (!result.interrupted) placed(*device, run, python);
     if (!result.interrupted) scatter_learnt(*device, run, python);
-    if (config.refine.enabled && !result.interrupted) refined(*device, run, asked, python);
+    if (config.refine.enabled && !result.interrupted) refined(*device, run, arguments, python);
     for (Frame& frame : run.sequence.frames) frame.scan = {};
     return std::make_unique<LoadedRun>(std::move(run), device);
 }
 
-py::dict terms_of(const TrainProgress& line) {
+py::dict make_terms_dict(const TrainProgress& line) {
     py::dict terms;
     for (std::size_t k = 0; k < line.terms.size(); ++k) terms[kLossTermNames[k]] = line.terms[k];
     return terms;
@@ -160,7 +160,7 @@ void add_train(py::module_& module) {
         .def_readonly("iterations_per_second", &TrainProgress::iterations_per_second)
         .def_readonly("eta_s", &TrainProgress::eta_s)
         .def_readonly("loss", &TrainProgress::loss, "Mean loss over the iterations since the previous line.")
-        .def_property_readonly("terms", &terms_of, "Dict of name -> weighted term of the loss.")
+        .def_property_readonly("terms", &make_terms_dict, "Dict of name -> weighted term of the loss.")
         .def_readonly("n_surfels", &TrainProgress::n_surfels);
     module.def(
         "train",

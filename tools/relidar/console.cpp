@@ -25,8 +25,9 @@ bool line_open = false;
 /// Returns the number of terminal columns that a text needs. Assumes that each UTF-8
 /// character needs one column.
 std::size_t width(const std::string& text) {
-    return static_cast<std::size_t>(std::count_if(
-        text.begin(), text.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xC0) != 0x80; }));
+    return static_cast<std::size_t>(std::count_if(text.begin(), text.end(), [](char character) {
+        return (static_cast<unsigned char>(character) & 0xC0) != 0x80;
+    }));
 }
 
 /// Cuts a line to the width of the terminal. A longer line would wrap, and the next
@@ -67,14 +68,14 @@ std::string table(const std::vector<std::vector<std::string>>& rows) {
     return text;
 }
 
-std::string duration(double seconds) {
+std::string format_duration(double seconds) {
     if (!std::isfinite(seconds) || seconds > 3.6e8) return "unknown";
     const auto s = static_cast<long long>(std::llround(std::max(seconds, 0.0)));
     if (s < 3600) return fmt::format("{}:{:02}", s / 60, s % 60);
     return fmt::format("{}:{:02}:{:02}", s / 3600, s / 60 % 60, s % 60);
 }
 
-std::string byte_size(std::uint64_t n_bytes) {
+std::string format_byte_size(std::uint64_t n_bytes) {
     constexpr const char* kUnits[] = {"B", "KiB", "MiB", "GiB", "TiB"};
     auto value = static_cast<double>(n_bytes);
     std::size_t unit = 0;
@@ -84,15 +85,16 @@ std::string byte_size(std::uint64_t n_bytes) {
 
 std::string number(double value) { return fmt::format("{:.4g}", value); }
 
-std::string one_line(std::string text) {
+std::string join_lines(std::string text) {
     std::replace_if(
-        text.begin(), text.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, ' ');
+        text.begin(), text.end(), [](unsigned char character) { return std::iscntrl(character) != 0; }, ' ');
     return text;
 }
 
-std::string shell_word(const std::string& word) {
-    const bool plain = !word.empty() && std::all_of(word.begin(), word.end(), [](unsigned char c) {
-        return std::isalnum(c) || std::string("-_./=:,+%@").find(static_cast<char>(c)) != std::string::npos;
+std::string quote_shell_word(const std::string& word) {
+    const bool plain = !word.empty() && std::all_of(word.begin(), word.end(), [](unsigned char character) {
+        return std::isalnum(character) ||
+               std::string("-_./=:,+%@").find(static_cast<char>(character)) != std::string::npos;
     });
     if (plain) return word;
     std::string quoted = "'";
@@ -104,7 +106,7 @@ void print(const std::string& text) { std::fputs(text.c_str(), stdout); }
 
 void note(const std::string& text) {
     end_progress_line();
-    std::fputs(("relidar: note: " + one_line(text) + "\n").c_str(), stderr);
+    std::fputs(("relidar: note: " + join_lines(text) + "\n").c_str(), stderr);
     std::fflush(stderr);
 }
 
@@ -115,12 +117,12 @@ void end_progress_line() {
 
 Progress::Progress(bool quiet) : quiet_(quiet), terminal_(::isatty(STDERR_FILENO) == 1) {}
 
-void Progress::show(const std::string& text, bool now) {
+void Progress::show(const std::string& text, bool immediately) {
     const auto time = Clock::now();
     const Clock::duration due = terminal_                      ? Clock::duration(kTerminalInterval)
                                 : last_ == Clock::time_point{} ? Clock::duration(kPlainFirst)
                                                                : Clock::duration(kPlainInterval);
-    if (quiet_ || (!now && time - std::max(start_, last_) < due)) return;
+    if (quiet_ || (!immediately && time - std::max(start_, last_) < due)) return;
     last_ = time;
     std::fputs(terminal_ ? ("\r" + shorten_to_terminal(text) + "\x1b[K").c_str() : (text + "\n").c_str(),
                stderr);
@@ -128,17 +130,17 @@ void Progress::show(const std::string& text, bool now) {
     line_open = terminal_;
 }
 
-void Progress::count(const std::string& what, std::size_t done, std::size_t total) {
+void Progress::count(const std::string& description, std::size_t done, std::size_t total) {
     const double seconds = std::chrono::duration<double>(Clock::now() - start_).count();
     const double rate = static_cast<double>(done) / std::max(seconds, 1e-9);
-    show(fmt::format("{} {}/{}  {:.2f}/s  eta {}", what, done, total, rate,
-                     duration(static_cast<double>(total - done) / std::max(rate, 1e-9))),
+    show(fmt::format("{} {}/{}  {:.2f}/s  eta {}", description, done, total, rate,
+                     format_duration(static_cast<double>(total - done) / std::max(rate, 1e-9))),
          done == total);
 }
 
 relidar::Progress make_progress(Progress& progress) {
-    return [&progress](std::string_view what, double done) {
-        progress.show(fmt::format("{} {:.0f} %", what, 100.0 * done));
+    return [&progress](std::string_view description, double done) {
+        progress.show(fmt::format("{} {:.0f} %", description, 100.0 * done));
     };
 }
 

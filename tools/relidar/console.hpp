@@ -18,13 +18,13 @@ namespace relidar::cli {
 /// the header. Columns of numbers are aligned to the right.
 std::string table(const std::vector<std::vector<std::string>>& rows);
 
-std::string duration(double seconds);          ///< For example "0:42" or "1:54:00".
-std::string byte_size(std::uint64_t n_bytes);  ///< For example "512 B" or "1.3 GiB".
-std::string number(double value);              ///< Formats a number with four significant digits.
+std::string format_duration(double seconds);          ///< For example "0:42" or "1:54:00".
+std::string format_byte_size(std::uint64_t n_bytes);  ///< For example "512 B" or "1.3 GiB".
+std::string number(double value);                     ///< Formats a number with four significant digits.
 /// Replaces line breaks and other control characters in a text by spaces.
-std::string one_line(std::string text);
+std::string join_lines(std::string text);
 /// Puts a word into quotes if a shell would split or change it.
-std::string shell_word(const std::string& word);
+std::string quote_shell_word(const std::string& word);
 
 /// Writes to stdout.
 void print(const std::string& text);
@@ -45,11 +45,11 @@ public:
 
     /// Shows a progress text. Does nothing if the previous text was shown only a short
     /// time ago.
-    /// @param now if true, always shows the text
-    void show(const std::string& text, bool now = false);
+    /// @param immediately if true, always shows the text
+    void show(const std::string& text, bool immediately = false);
 
     /// Shows the progress of `total` equal steps as "what 3/10  2.1/s  eta 0:03".
-    void count(const std::string& what, std::size_t done, std::size_t total);
+    void count(const std::string& description, std::size_t done, std::size_t total);
 
 private:
     using Clock = std::chrono::steady_clock;

@@ -49,8 +49,8 @@ Config config_of(const DemoOptions& options, const fs::path& street) {
     // Uses fewer iterations than the 540 of preset quick, so that the demo takes one to
     // two minutes on two processor cores.
     config.train.iterations = 250;
-    apply_sets(config, options.sets);
-    config.dataset.path = absolute_dataset("synthetic:" + street.string());
+    apply_setting_texts(config, options.sets);
+    config.dataset.path = make_dataset_absolute("synthetic:" + street.string());
     return config;
 }
 
@@ -70,14 +70,14 @@ Evaluation evaluate_held_out(Device& device, const Run& run, bool quiet) {
 Evaluation evaluate_shifted(Device& device, const Run& run, const SyntheticOptions& street, bool quiet) {
     Progress progress(quiet);
     ScanRenderer renderer(device, run);
-    const PoseTrack track = mounted_track(run.sequence.world_from_sensor(0), kShift);
+    const PoseTrack track = make_mounted_track(run.sequence.world_from_sensor(0), kShift);
     const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
     std::vector<ScoredFrame> frames;
     for (const int position : run.split.test) {
         stop_if_interrupted();
         const Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
         Frame exact{frame.index, frame.time_s, cast_synthetic_street(street, rays, track, frame.time_s)};
-        drop_outside(exact.scan, run.sequence.lidars[0].sensor.range_limits());
+        drop_outside_limits(exact.scan, run.sequence.lidars[0].sensor.range_limits());
         frames.push_back(score_frame(renderer, run.config, run.sequence, exact, kShift));
         progress.count("shifted sensor, frame", frames.size(), run.split.test.size());
     }
@@ -86,19 +86,19 @@ Evaluation evaluate_shifted(Device& device, const Run& run, const SyntheticOptio
 
 void write_scans(const fs::path& folder, const Evaluation& evaluation, const Run& run, const Pose& offset) {
     const OutputFolder made(folder);
-    ScanFormat format = scan_format(run, configured_sensor(run.config, run.sequence));
+    ScanFormat format = make_scan_format(run, make_configured_sensor(run.config, run.sequence));
     format.offset = offset;
     format.formats = {"npz", "png", "ply", "exr"};
     ScanFolder scans(folder, format);
     for (const ScoredFrame& frame : evaluation.frames) {
         scans.write(frame.frame, frame.rendered);
         write_png(folder / fmt::format("range_{:06}.png", frame.frame),
-                  range_pair(frame, run.config.dataset.max_range_m));
+                  draw_range_pair(frame, run.config.dataset.max_range_m));
     }
     scans.finish();
 }
 
-std::string short_table(const Evaluation& held_out, const Evaluation& shifted) {
+std::string make_short_table(const Evaluation& held_out, const Evaluation& shifted) {
     std::vector<std::vector<std::string>> rows{{"metric", "held out", "shifted sensor"}};
     const auto cell = [](const MetricRow& row, const char* name) {
         return row.contains(name) ? number(row.at(name)) : std::string("-");
@@ -112,9 +112,10 @@ void finish(Device& device, const Run& run, const SyntheticOptions& street, Repo
             const fs::path& out, bool quiet) {
     const Evaluation held_out = evaluate_held_out(device, run, quiet);
     const Evaluation shifted = evaluate_shifted(device, run, street, quiet);
-    write_text(run.folder / "metrics.json", metrics_json(held_out, run.config,
-                                                         {absolute_path(run.folder.string()),
-                                                          device.info().name, device.peak_bytes(), 0.0}));
+    write_text(run.folder / "metrics.json",
+               make_metrics_json(
+                   held_out, run.config,
+                   {make_absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), 0.0}));
     write_scans(out / "held_out", held_out, run, {});
     write_scans(out / "shifted", shifted, run, kShift);
     report.title = "relidar demo: a synthetic street";
@@ -128,8 +129,8 @@ void finish(Device& device, const Run& run, const SyntheticOptions& street, Repo
     write_report(run.folder / "report.html", report);
     write_report(out / "report.html", report);
     if (!quiet)
-        print(short_table(held_out, shifted) +
-              fmt::format("\nreport  {}\n", absolute_path((out / "report.html").string())));
+        print(make_short_table(held_out, shifted) +
+              fmt::format("\nreport  {}\n", make_absolute_path((out / "report.html").string())));
 }
 
 void run_demo(const DemoOptions& options, const std::string& command_line) {
@@ -138,7 +139,7 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
     check_lpips_weights();
     const LockedFolder folder(out);
     const RunFolder run_folder(out / "run", Existing::replace);
-    Device device(device_options(options.device));
+    Device device(make_device_options(options.device));
     SyntheticOptions street;
     street.seed = config.train.seed;
     save_synthetic(street, out / "street");
@@ -155,9 +156,9 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
     remove_run_files(run_folder.path());
     remove_blocks(run_folder.path());
     prepare_log_with_progress(sequence, split, config, options.quiet);
-    TrainResult result = train_logged(device, sequence, split, config, run_folder.path(), options.quiet);
+    TrainResult result = train_with_log(device, sequence, split, config, run_folder.path(), options.quiet);
     end_progress_line();
-    Run run{run_folder.path(), with_farthest(config, sequence), std::move(sequence), split, {}, {}};
+    Run run{run_folder.path(), use_farthest_return(config, sequence), std::move(sequence), split, {}, {}};
     move_result(run, result);
     save_run(run);
     stop_if_interrupted();

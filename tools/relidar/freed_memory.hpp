@@ -27,7 +27,7 @@ inline void keep_freed_memory() {
 
 /// Returns all freed memory to the operating system. Call it before a stage that needs
 /// other memory, for example a GPU that shares the memory of the host.
-inline void give_back_freed_memory() {
+inline void release_freed_memory() {
 #ifdef __GLIBC__
     malloc_trim(0);
 #endif

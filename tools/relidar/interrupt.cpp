@@ -19,7 +19,7 @@ constexpr long long kSameSignal_ms = 1000;
 std::atomic<long long> first_signal_ms{0};
 static_assert(std::atomic<long long>::is_always_lock_free, "a signal handler may not wait for a lock");
 
-extern "C" void remember_signal(int number) {
+extern "C" void store_signal(int number) {
     timespec now{};
     ::clock_gettime(CLOCK_MONOTONIC, &now);
     const long long now_ms = now.tv_sec * 1000LL + now.tv_nsec / 1'000'000;
@@ -33,14 +33,15 @@ extern "C" void remember_signal(int number) {
 }  // namespace
 
 void catch_interrupts() {
-    std::signal(SIGINT, remember_signal);
-    std::signal(SIGTERM, remember_signal);
+    std::signal(SIGINT, store_signal);
+    std::signal(SIGTERM, store_signal);
 }
 
-bool interrupted() { return first_signal_ms != 0; }
+bool is_interrupted() { return first_signal_ms != 0; }
 
 void stop_if_interrupted() {
-    if (interrupted()) throw Error(ExitCode::interrupted, "interrupted; files already written are complete");
+    if (is_interrupted())
+        throw Error(ExitCode::interrupted, "interrupted; files already written are complete");
 }
 
 }  // namespace relidar::cli

@@ -44,7 +44,7 @@ void add_device_options(CLI::App& command, DeviceChoice& choice) {
         ->type_name("HOW");
 }
 
-DeviceOptions device_options(const DeviceChoice& choice) {
+DeviceOptions make_device_options(const DeviceChoice& choice) {
     DeviceOptions options;
     if (choice.index < -1)
         throw UsageError(fmt::format(
@@ -55,7 +55,7 @@ DeviceOptions device_options(const DeviceChoice& choice) {
     return from_environment(options);
 }
 
-std::vector<std::string> device_arguments(const DeviceChoice& choice) {
+std::vector<std::string> make_device_arguments(const DeviceChoice& choice) {
     std::vector<std::string> words;
     if (choice.index >= 0) words.insert(words.end(), {"--device", fmt::format("{}", choice.index)});
     if (choice.traversal != "auto") words.insert(words.end(), {"--traversal", choice.traversal});
@@ -68,17 +68,17 @@ void add_channels_option(CLI::App& command, std::optional<std::string>& channels
             "--channels", channels,
             fmt::format(
                 "additional channels of scans, separated by commas: {}; short for --set render.channels=LIST",
-                fmt::join(optional_channel_names(), ", ")))
+                fmt::join(list_optional_channels(), ", ")))
         ->type_name("LIST");
 }
 
-void add_weather_option(CLI::App& command, std::string& weather, const std::string& which) {
+void add_weather_option(CLI::App& command, std::string& weather, const std::string& description) {
     command
         .add_option(
             "--weather", weather,
             fmt::format(
                 "{}; applies to {} (default: clear); the channel `source` holds the cause of each point",
-                weather_help(), which))
+                make_weather_help(), description))
         ->type_name("WEATHER");
 }
 
@@ -106,11 +106,11 @@ void add_settings_options(CLI::App& command, Settings& settings) {
 Config resolve(const Settings& settings) {
     Config config = make_preset(settings.preset);
     if (!settings.file.empty()) load_config(config, settings.file);
-    apply_sets(config, settings.sets);
+    apply_setting_texts(config, settings.sets);
     return config;
 }
 
-void apply_sets(Config& config, const std::vector<std::string>& sets) {
+void apply_setting_texts(Config& config, const std::vector<std::string>& sets) {
     for (const std::string& set : sets) {
         const std::size_t equals = set.find('=');
         if (equals == std::string::npos || equals == 0)
@@ -120,7 +120,7 @@ void apply_sets(Config& config, const std::vector<std::string>& sets) {
     }
 }
 
-std::vector<std::string> rendering_settings() {
+std::vector<std::string> list_rendering_settings() {
     return {"dataset.min_range_m",
             "dataset.max_range_m",
             "sensor.grid",
@@ -142,7 +142,7 @@ void check_sets(const std::vector<std::string>& sets, const std::vector<std::str
     for (const std::string& set : sets) {
         // Applies the setting to a temporary Config. This throws an error if the key or
         // the value is invalid.
-        apply_sets(scratch, {set});
+        apply_setting_texts(scratch, {set});
         const std::string key = set.substr(0, set.find('='));
         const bool is_used = std::ranges::any_of(used, [&](const std::string& name) {
             return name.ends_with('.') ? key.starts_with(name) : key == name;
@@ -190,16 +190,16 @@ FrameRange parse_frames(const std::string& text) {
     return range;
 }
 
-void note_frames_beyond(const FrameRange& range, int last, const std::string& where) {
+void note_frames_beyond(const FrameRange& range, int last, const std::string& location) {
     if (range.end > last + 1)
         note(fmt::format("frames {}:{}: {} ends with frame {}; the missing frames are skipped", range.begin,
-                         range.end, where, last));
+                         range.end, location, last));
 }
 
 std::vector<double> parse_list(const std::string& option, const std::string& text) {
     std::vector<double> numbers;
     for (const std::string& typed : split(text, ',')) {
-        const std::string word = without_blanks(typed);
+        const std::string word = remove_blanks(typed);
         double value = 0.0;
         if (!parse(word, value) || !std::isfinite(value))
             throw UsageError(fmt::format("{}: found \"{}\" in \"{}\", expected numbers separated by commas",
@@ -218,12 +218,12 @@ std::vector<std::string> split(const std::string& text, char separator) {
     return words;
 }
 
-std::string without_blanks(const std::string& text) {
+std::string remove_blanks(const std::string& text) {
     const std::size_t begin = text.find_first_not_of(" \t"), end = text.find_last_not_of(" \t");
     return begin == std::string::npos ? "" : text.substr(begin, end - begin + 1);
 }
 
-std::string absolute_path(const std::string& path) {
+std::string make_absolute_path(const std::string& path) {
     if (path.empty()) return path;
     const std::string clean = fs::absolute(path).lexically_normal().string();
     return clean.size() > 1 && clean.back() == '/' ? clean.substr(0, clean.size() - 1) : clean;
@@ -235,11 +235,12 @@ Sequence load_dataset(const Config& config, bool quiet, int max_scans) {
     if (!sequence.frames.empty())
         note_frames_beyond({config.dataset.frames_begin, config.dataset.frames_end},
                            sequence.frames.back().index, sequence.source);
-    if (const ScanMemoryUse use = scan_memory_use(); use.in_file > 0 && !quiet)
-        note(fmt::format(
-            "{} of scan data are kept in memory and {} in a temporary file in {}; the setting "
-            "dataset.memory_mib is the limit",
-            byte_size(use.in_memory), byte_size(use.in_file), fs::temp_directory_path().string()));
+    if (const ScanMemoryUse use = get_scan_memory_use(); use.in_file > 0 && !quiet)
+        note(
+            fmt::format("{} of scan data are kept in memory and {} in a temporary file in {}; the setting "
+                        "dataset.memory_mib is the limit",
+                        format_byte_size(use.in_memory), format_byte_size(use.in_file),
+                        fs::temp_directory_path().string()));
     return sequence;
 }
 

@@ -25,10 +25,10 @@ struct DeviceChoice {
     std::string traversal = "auto";
 };
 void add_device_options(CLI::App& command, DeviceChoice& choice);
-DeviceOptions device_options(const DeviceChoice& choice);
+DeviceOptions make_device_options(const DeviceChoice& choice);
 /// Converts the device options back to command line words, for example to start another
 /// process. Options with default values are left out.
-std::vector<std::string> device_arguments(const DeviceChoice& choice);
+std::vector<std::string> make_device_arguments(const DeviceChoice& choice);
 
 /// Values of the options --preset, --config and --set. A later option in this order
 /// overwrites an earlier one.
@@ -42,19 +42,19 @@ void add_settings_options(CLI::App& command, Settings& settings);
 void add_channels_option(CLI::App& command, std::optional<std::string>& channels);
 /// Adds the option --weather.
 /// @param weather output: text that the user typed; parse_weather() reads the text later
-/// @param which part of the help text that says to which scans the weather applies
-void add_weather_option(CLI::App& command, std::string& weather, const std::string& which);
+/// @param description part of the help text that says to which scans the weather applies
+void add_weather_option(CLI::App& command, std::string& weather, const std::string& description);
 /// Adds the option --set. Commands that read their settings from a trained run use it,
 /// because such commands have no --preset and no --config.
 void add_set_option(CLI::App& command, std::vector<std::string>& sets);
 Config resolve(const Settings& settings);
-void apply_sets(Config& config, const std::vector<std::string>& sets);
+void apply_setting_texts(Config& config, const std::vector<std::string>& sets);
 /// Returns the names of the settings that affect rendering. A name that ends in a dot
 /// means all settings of that group.
-std::vector<std::string> rendering_settings();
+std::vector<std::string> list_rendering_settings();
 /// Throws an error if a setting of --set has no effect in a command.
 /// @param used names and groups of settings that the command uses, as in
-/// rendering_settings()
+/// list_rendering_settings()
 /// @param command name of the command
 /// @throws UsageError that names the first setting without effect
 void check_sets(const std::vector<std::string>& sets, const std::vector<std::string>& used,
@@ -74,15 +74,15 @@ void apply_log_part(Config& config, const LogPart& part);
 FrameRange parse_frames(const std::string& text);
 /// Prints a note if the user requested frames after the last frame of a log or run.
 /// @param last number of the last frame of the log or run
-void note_frames_beyond(const FrameRange& range, int last, const std::string& where);
+void note_frames_beyond(const FrameRange& range, int last, const std::string& location);
 /// Parses a list of numbers that are separated by commas.
 /// @throws UsageError if a word is not a number; the message names the option
 std::vector<double> parse_list(const std::string& option, const std::string& text);
 std::vector<std::string> split(const std::string& text, char separator);
-std::string without_blanks(const std::string& text);  ///< Removes spaces and tabs at both ends of a text.
+std::string remove_blanks(const std::string& text);  ///< Removes spaces and tabs at both ends of a text.
 
 /// Returns the absolute path. An empty path stays empty.
-std::string absolute_path(const std::string& path);
+std::string make_absolute_path(const std::string& path);
 /// Loads the log that the settings in config.dataset describe.
 /// @param max_scans maximum number of scans to read per LiDAR; 0: all scans
 Sequence load_dataset(const Config& config, bool quiet = false, int max_scans = 0);

@@ -61,7 +61,7 @@ void check_content(const fs::path& folder, Existing existing) {
     if (is_dataset(folder))
         throw UsageError(fmt::format(
             "--out {}: this folder contains a log; choose a different folder for the run", folder.string()));
-    if (!holds_run(folder))
+    if (!contains_run(folder))
         throw UsageError(fmt::format(
             "--out {}: the folder is not empty and contains no run; expected a new or empty folder",
             folder.string()));
@@ -75,7 +75,7 @@ void check_content(const fs::path& folder, Existing existing) {
 /// Removes the half-written files of a killed process from a folder and from its
 /// checkpoint folders. The caller must hold the lock of the folder.
 void remove_incomplete(const fs::path& folder) {
-    for (const fs::path& in : {folder, checkpoint_folder(folder), network_checkpoint_folder(folder)})
+    for (const fs::path& in : {folder, get_checkpoint_folder(folder), get_network_checkpoint_folder(folder)})
         remove_temporaries(in);
 }
 
@@ -137,7 +137,7 @@ FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds patienc
         throw DataError(fmt::format(
             "cannot write {}: another relidar process is writing this {}; wait until that process "
             "has finished",
-            folder.string(), holds_run(folder) ? "run" : "folder"));
+            folder.string(), contains_run(folder) ? "run" : "folder"));
     descriptor_ = lock->descriptor;
     if (lock->exclusive) remove_incomplete(folder);
 }
@@ -168,7 +168,7 @@ FolderLock::~FolderLock() {
 RunFolder::RunFolder(const fs::path& path, Existing existing) {
     // Checks the content before the folder is locked, because the lock writes a file into
     // the folder.
-    if (!holds_run(path)) check_content(path, existing);
+    if (!contains_run(path)) check_content(path, existing);
     folder_.emplace(path);
     lock_.emplace(path, existing == Existing::keep ? kEndOfOthers : std::chrono::milliseconds{});
     check_content(path, existing);
@@ -226,12 +226,12 @@ void NewRun::save(Run& run) const {
         std::error_code failed;
         // Removes the old checkpoints. Otherwise a later training would continue from
         // these checkpoints.
-        fs::remove_all(checkpoint_folder(path_), failed);
+        fs::remove_all(get_checkpoint_folder(path_), failed);
     });
 }
 
-bool holds_run(const fs::path& folder) {
-    if (is_run(folder) || !list_checkpoints(checkpoint_folder(folder)).empty()) return true;
+bool contains_run(const fs::path& folder) {
+    if (is_run(folder) || !list_checkpoints(get_checkpoint_folder(folder)).empty()) return true;
     const std::string header_line = to_toml({}).substr(0, to_toml({}).find('\n'));
     std::string line;
     std::ifstream config(folder / "config.toml");
@@ -246,23 +246,23 @@ void remove_run_files(const fs::path& folder) {
 
 void remove_blocks(const fs::path& folder) {
     std::error_code failed;
-    fs::remove_all(blocks_folder(folder), failed);
+    fs::remove_all(get_blocks_folder(folder), failed);
 }
 
-fs::path blocks_folder(const fs::path& run) { return run / "blocks"; }
+fs::path get_blocks_folder(const fs::path& run) { return run / "blocks"; }
 
-fs::path checkpoint_folder(const fs::path& run) { return run / "checkpoints"; }
+fs::path get_checkpoint_folder(const fs::path& run) { return run / "checkpoints"; }
 
-fs::path network_checkpoint_folder(const fs::path& run) {
-    return checkpoint_folder(run) / kRefineCheckpoints;
+fs::path get_network_checkpoint_folder(const fs::path& run) {
+    return get_checkpoint_folder(run) / kRefineCheckpoints;
 }
 
 void remove_network_checkpoints(const fs::path& run) {
-    remove_checkpoints(network_checkpoint_folder(run));
+    remove_checkpoints(get_network_checkpoint_folder(run));
     std::error_code failed;
     // The removal fails if the folder still contains checkpoints of the scene. This
     // failure is ignored.
-    fs::remove(checkpoint_folder(run), failed);
+    fs::remove(get_checkpoint_folder(run), failed);
 }
 
 }  // namespace relidar::cli

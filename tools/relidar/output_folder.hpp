@@ -80,7 +80,7 @@ private:
 
 /// Returns true if a folder contains a trained run. Also returns true if it contains
 /// files of a training that was killed before it saved a scene.
-bool holds_run(const std::filesystem::path& folder);
+bool contains_run(const std::filesystem::path& folder);
 
 /// Says what to do if the output folder of a run already contains a run.
 enum class Existing {
@@ -134,11 +134,11 @@ void remove_run_files(const std::filesystem::path& folder);
 void remove_blocks(const std::filesystem::path& folder);
 /// Returns the folder that contains the blocks of a run. Each block is stored as a
 /// complete run.
-std::filesystem::path blocks_folder(const std::filesystem::path& run);
+std::filesystem::path get_blocks_folder(const std::filesystem::path& run);
 /// These two functions return the folders of checkpoints. The first folder is for the
 /// scene, and the second is for the ray-drop network.
-std::filesystem::path checkpoint_folder(const std::filesystem::path& run);
-std::filesystem::path network_checkpoint_folder(const std::filesystem::path& run);
+std::filesystem::path get_checkpoint_folder(const std::filesystem::path& run);
+std::filesystem::path get_network_checkpoint_folder(const std::filesystem::path& run);
 /// Removes the checkpoints of the ray-drop network.
 void remove_network_checkpoints(const std::filesystem::path& run);
 

@@ -16,9 +16,9 @@
 namespace relidar::cli {
 namespace {
 
-std::string command_line_text(const std::string& name, int argc, char** argv) {
+std::string format_command_line(const std::string& name, int argc, char** argv) {
     std::string text = name;
-    for (int i = 1; i < argc; ++i) text += fmt::format(" {}", shell_word(argv[i]));
+    for (int i = 1; i < argc; ++i) text += fmt::format(" {}", quote_shell_word(argv[i]));
     return text;
 }
 
@@ -30,7 +30,7 @@ void flush_output() {
 
 /// Returns the help text of the program. Each command has only one line, so that the text
 /// fits on one screen.
-std::string program_help(const CLI::App& app) {
+std::string make_program_help(const CLI::App& app) {
     std::string text = fmt::format("{}\nUsage: {} COMMAND [OPTIONS], COMMAND --help or --version\n\n",
                                    app.get_description(), app.get_name());
     for (const CLI::App* command : app.get_subcommands([](const CLI::App*) { return true; }))
@@ -40,20 +40,20 @@ std::string program_help(const CLI::App& app) {
 
 void run(const Program& program, int argc, char** argv) {
     CLI::App app(program.description, program.name);
-    Call call{command_line_text(program.name, argc, argv), {}};
+    Call call{format_command_line(program.name, argc, argv), {}};
     app.set_version_flag("--version", fmt::format("{} {}", program.name, RELIDAR_VERSION));
     app.require_subcommand(0, 1);
     app.footer(program.footer);
     program.add_commands(app, call);
     app.formatter_fn(
-        [](const CLI::App* shown, std::string, CLI::AppFormatMode) { return program_help(*shown); });
+        [](const CLI::App* shown, std::string, CLI::AppFormatMode) { return make_program_help(*shown); });
     try {
         app.parse(argc, argv);
     } catch (const CLI::Success& help) {
         app.exit(help);  // Prints the help text.
         return flush_output();
     } catch (const CLI::ParseError& error) {
-        throw UsageError(usage_message(app, error.what()));
+        throw UsageError(make_usage_message(app, error.what()));
     }
     if (!call.run)
         throw UsageError(fmt::format("no command is given; `{} --help` lists all commands", program.name));
@@ -66,7 +66,7 @@ void run(const Program& program, int argc, char** argv) {
 int run_program(const Program& program, int argc, char** argv) {
     const auto report = [&](ExitCode code, const std::string& message) {
         end_progress_line();
-        std::fputs(fmt::format("{}: {}\n", program.name, one_line(message)).c_str(), stderr);
+        std::fputs(fmt::format("{}: {}\n", program.name, join_lines(message)).c_str(), stderr);
         return static_cast<int>(code);
     };
     keep_freed_memory();

@@ -79,7 +79,7 @@ std::string gather_in_all(const std::string& text, int size) {
 }  // namespace
 
 Ranks::Ranks() {
-    if (!launched_by_mpi()) return;
+    if (!is_launched_by_mpi()) return;
     MPI_Init(nullptr, nullptr);
     MPI_Comm_rank(MPI_COMM_WORLD, &group_.rank);
     MPI_Comm_size(MPI_COMM_WORLD, &group_.size);
@@ -109,7 +109,7 @@ void Ranks::wait_for_all() const {
 
 std::vector<std::string> Ranks::gather(const std::string& text) const {
     if (size() == 1) return {text};
-    const std::vector<std::size_t> sizes = group_.all_gathered(std::vector{text.size()});
+    const std::vector<std::size_t> sizes = group_.gather_all(std::vector{text.size()});
     const std::string all = group_.all_gather(text);
     if (!is_first()) return {};
     std::vector<std::string> texts;

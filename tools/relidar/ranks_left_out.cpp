@@ -10,7 +10,7 @@
 namespace relidar::cli {
 
 Ranks::Ranks() {
-    if (launched_by_mpi())
+    if (is_launched_by_mpi())
         throw UsageError(
             "mpirun has started this program, but it was built without MPI; install libopenmpi-dev "
             "and build relidar again");

@@ -15,14 +15,14 @@
 namespace relidar::cli {
 namespace {
 
-std::vector<std::string> command_names(const CLI::App& app) {
+std::vector<std::string> list_command_names(const CLI::App& app) {
     std::vector<std::string> names;
     for (const CLI::App* command : app.get_subcommands([](const CLI::App*) { return true; }))
         names.push_back(command->get_name());
     return names;
 }
 
-std::vector<std::string> option_names(const CLI::App& command) {
+std::vector<std::string> list_option_names(const CLI::App& command) {
     std::vector<std::string> names;
     for (const CLI::Option* option : command.get_options()) {
         for (const std::string& name : option->get_lnames()) names.push_back("--" + name);
@@ -32,19 +32,20 @@ std::vector<std::string> option_names(const CLI::App& command) {
 
 /// Rewrites the parser message "Could not convert: --device = x", because it does not
 /// name the expected value. All other messages stay as they are.
-std::string in_our_words(const std::string& what) {
+std::string simplify_message(const std::string& description) {
     const std::string start = "Could not convert: ", middle = " = ";
-    const std::size_t at = what.find(middle);
-    if (what.rfind(start, 0) != 0 || at == std::string::npos) return what;
-    return fmt::format("{}: found \"{}\", expected an integer", what.substr(start.size(), at - start.size()),
-                       what.substr(at + middle.size()));
+    const std::size_t at = description.find(middle);
+    if (description.rfind(start, 0) != 0 || at == std::string::npos) return description;
+    return fmt::format("{}: found \"{}\", expected an integer",
+                       description.substr(start.size(), at - start.size()),
+                       description.substr(at + middle.size()));
 }
 
-std::string without_value(const std::string& option) { return option.substr(0, option.find('=')); }
+std::string remove_option_value(const std::string& option) { return option.substr(0, option.find('=')); }
 
 }  // namespace
 
-std::string usage_message(const CLI::App& app, const std::string& what) {
+std::string make_usage_message(const CLI::App& app, const std::string& description) {
     const CLI::App* chosen = &app;
     std::string path = app.get_name();
     while (!chosen->get_subcommands().empty()) {
@@ -54,17 +55,17 @@ std::string usage_message(const CLI::App& app, const std::string& what) {
     const CLI::App& command = *chosen;
     const std::string help = path + " --help";
     std::vector<std::string> unexpected = app.remaining(true);
-    if (unexpected.empty() && what.find("subcommand") != std::string::npos)
+    if (unexpected.empty() && description.find("subcommand") != std::string::npos)
         return fmt::format("no subcommand is given; expected one of {} (see `{}`)",
-                           fmt::join(command_names(command), ", "), help);
-    if (unexpected.empty()) return fmt::format("{} (see `{}`)", in_our_words(what), help);
-    const std::string word = without_value(unexpected.front());
+                           fmt::join(list_command_names(command), ", "), help);
+    if (unexpected.empty()) return fmt::format("{} (see `{}`)", simplify_message(description), help);
+    const std::string word = remove_option_value(unexpected.front());
     if (word.size() > 1 && word.front() == '-') {
-        return fmt::format("unknown option {}{} (see `{}`)", word, did_you_mean(word, option_names(command)),
-                           help);
+        return fmt::format("unknown option {}{} (see `{}`)", word,
+                           suggest_name(word, list_option_names(command)), help);
     }
-    if (const std::vector<std::string> names = command_names(command); !names.empty())
-        return fmt::format("unknown command {}{} (see `{}`)", word, did_you_mean(word, names), help);
+    if (const std::vector<std::string> names = list_command_names(command); !names.empty())
+        return fmt::format("unknown command {}{} (see `{}`)", word, suggest_name(word, names), help);
     return fmt::format("unexpected argument {} (see `{}`)", word, help);
 }
 

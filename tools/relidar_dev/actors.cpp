@@ -26,26 +26,26 @@ constexpr int kImageRows = 64, kImageColumns = 1024;
 
 /// Returns the surfels of an actor that is about 4 m long. Makes them by scaling down the
 /// benchmark street.
-Surfels actor_surfels() {
+Surfels make_actor_surfels() {
     constexpr float kHalfLength_m = 2.0f;
     Surfels actor = make_benchmark_street(kActorSurfels);
     float longest = 0.0f;
     for (const glm::vec3& mean : actor.mean) longest = std::max(longest, glm::length(mean));
     for (glm::vec3& mean : actor.mean) mean *= kHalfLength_m / longest;
-    return actor.permuted(kd_order(actor.mean));
+    return actor.reorder(compute_kd_order(actor.mean));
 }
 
-Scene scene_of_actors(int n_actors, bool copy_shared_models) {
+Scene make_scene_of_actors(int n_actors, bool copy_shared_models) {
     Scene scene = make_background_scene({});
     scene.models.push_back({"actor", 0, kActorSurfels});
-    scene.surfels = actor_surfels();
+    scene.surfels = make_actor_surfels();
     for (int i = 0; i < n_actors; ++i) scene.instances.push_back({1, fmt::format("{}", i)});
     return copy_shared_models ? relidar::copy_shared_models(std::move(scene)) : scene;
 }
 
 /// Returns the poses of all actors. The first actor is 8 m ahead of the sensor. The other
 /// actors are placed on a spiral, about 5 m apart. Each step moves all actors by 1 cm.
-std::vector<InstancePose> poses_at(int n_actors, int step) {
+std::vector<InstancePose> make_poses_at(int n_actors, int step) {
     constexpr double kGoldenAngle_rad = 2.39996323;
     std::vector<InstancePose> placed{InstancePose{}};
     for (int i = 0; i < n_actors; ++i) {
@@ -57,54 +57,54 @@ std::vector<InstancePose> poses_at(int n_actors, int step) {
     return placed;
 }
 
-DevCase case_of_actors(int n_actors, bool copy_shared_models) {
+DevCase make_case_of_actors(int n_actors, bool copy_shared_models) {
     DevCase bench;
     bench.name = fmt::format("{} actors", n_actors);
     const RayTable table = make_benchmark_rays(kImageRows, kImageColumns, 2.0, -24.9);
     bench.rows = table.rows;
     bench.columns = table.columns;
     bench.rays = {to_vector(table.origin), to_vector(table.direction)};
-    bench.scene = scene_of_actors(n_actors, copy_shared_models);
+    bench.scene = make_scene_of_actors(n_actors, copy_shared_models);
     bench.config = make_preset("paper");
     bench.config.image.sh_direction = copy_shared_models ? ShDirection::surfel : ShDirection::ray;
-    bench.placed = poses_at(n_actors, 0);
+    bench.placed = make_poses_at(n_actors, 0);
     return bench;
 }
 
 void measure_moves(Device& device, const DevCase& bench, int repeat, ActorTimes& times) {
     constexpr int kWarmUp = 3;
     DeviceScene on_device(device, bench.scene);
-    Accel accel(device, on_device, accel_of(bench));
+    Accel accel(device, on_device, make_accel_options(bench));
     Stream stream(device, false);
     on_device.activate(stream, bench.config.image, glm::vec3(0.0f));
     stream.finish();
     Clock::time_point start = Clock::now();
     accel.update(stream, on_device);
     stream.finish();
-    times.build_ms = ms_since(start);
+    times.build_ms = measure_ms_since(start);
     const std::uint64_t builds_before = accel.updates();
     std::vector<double> samples;
     for (int step = 1; step <= kWarmUp + repeat; ++step) {
         stop_if_interrupted();
-        const std::vector<InstancePose> placed = poses_at(times.n_actors, step);
+        const std::vector<InstancePose> placed = make_poses_at(times.n_actors, step);
         start = Clock::now();
         on_device.place(stream, placed);
         accel.move(stream, on_device);
         stream.finish();
-        if (step > kWarmUp) samples.push_back(ms_since(start));
+        if (step > kWarmUp) samples.push_back(measure_ms_since(start));
     }
-    times.move_ms = spread_of(samples);
+    times.move_ms = find_spread(samples);
     times.builds = accel.updates() - builds_before;
 }
 
-Spread iteration_of(const BenchResult& result) {
+Spread sum_iteration(const BenchResult& result) {
     const auto row = std::ranges::find(result.phases, "iteration_wall", &BenchRow::name);
     if (row == result.phases.end())
         throw DeviceError("timing actors: found a device without timestamps, expected one that has them");
     return row->ms;
 }
 
-std::string milliseconds(const Spread& spread) { return fmt::format("{:.2f}", spread.median); }
+std::string format_milliseconds(const Spread& spread) { return fmt::format("{:.2f}", spread.median); }
 
 }  // namespace
 
@@ -114,34 +114,34 @@ std::uint64_t ActorTimes::n_surfels() const {
 
 ActorTimes measure_actors(Device& device, int n_actors, bool copy_shared_models,
                           const BenchSettings& settings) {
-    const DevCase bench = case_of_actors(n_actors, copy_shared_models);
+    const DevCase bench = make_case_of_actors(n_actors, copy_shared_models);
     ActorTimes times{.n_actors = n_actors, .copy_shared_models = copy_shared_models};
     measure_moves(device, bench, settings.repeat, times);
     BenchSettings scan = settings, step = settings;
     scan.backward = false;
     step.backward = true;
-    times.scan_ms = iteration_of(measure(device, bench, scan));
+    times.scan_ms = sum_iteration(measure(device, bench, scan));
     const BenchResult trained = measure(device, bench, step);
-    times.step_ms = iteration_of(trained);
+    times.step_ms = sum_iteration(trained);
     times.memory =
         trained.memory.scene + trained.memory.accel + trained.memory.training + trained.memory.rays;
     return times;
 }
 
-std::string actors_text(const std::vector<ActorTimes>& times) {
+std::string format_actor_times(const std::vector<ActorTimes>& times) {
     std::vector<std::vector<std::string>> rows{{"actors", "models", "surfels", "build ms", "move ms",
                                                 "scan ms", "step ms", "memory MiB", "bottom levels rebuilt"}};
     for (const ActorTimes& t : times)
-        rows.push_back({fmt::format("{}", t.n_actors), t.copy_shared_models ? "own" : "one",
-                        fmt::format("{}", t.n_surfels()), fmt::format("{:.2f}", t.build_ms),
-                        milliseconds(t.move_ms), milliseconds(t.scan_ms), milliseconds(t.step_ms),
-                        fmt::format("{:.1f}", double(t.memory) / double(1 << 20)),
-                        fmt::format("{}", t.builds)});
+        rows.push_back(
+            {fmt::format("{}", t.n_actors), t.copy_shared_models ? "own" : "one",
+             fmt::format("{}", t.n_surfels()), fmt::format("{:.2f}", t.build_ms),
+             format_milliseconds(t.move_ms), format_milliseconds(t.scan_ms), format_milliseconds(t.step_ms),
+             fmt::format("{:.1f}", double(t.memory) / double(1 << 20)), fmt::format("{}", t.builds)});
     return table(rows);
 }
 
-std::string actors_json(const std::vector<ActorTimes>& times, const Device& device,
-                        const std::string& command_line) {
+std::string make_actors_json(const std::vector<ActorTimes>& times, const Device& device,
+                             const std::string& command_line) {
     const auto json_of = [](const Spread& s) {
         return nlohmann::ordered_json{{"p10", s.p10}, {"median", s.median}, {"p90", s.p90}};
     };

@@ -43,8 +43,8 @@ inline constexpr std::uint32_t kActorSurfels = 1000;
 ActorTimes measure_actors(Device& device, int n_actors, bool copy_shared_models,
                           const BenchSettings& settings);
 
-std::string actors_text(const std::vector<ActorTimes>& times);
-std::string actors_json(const std::vector<ActorTimes>& times, const Device& device,
-                        const std::string& command_line);
+std::string format_actor_times(const std::vector<ActorTimes>& times);
+std::string make_actors_json(const std::vector<ActorTimes>& times, const Device& device,
+                             const std::string& command_line);
 
 }  // namespace relidar::cli

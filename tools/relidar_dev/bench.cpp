@@ -45,7 +45,7 @@ struct BenchOptions {
 
 constexpr int kMaxActors = 1000;
 
-std::vector<int> actor_counts(const std::string& list) {
+std::vector<int> parse_actor_counts(const std::string& list) {
     std::vector<int> counts;
     for (const double n : parse_list("--actors", list)) {
         if (!(n >= 1.0 && n <= kMaxActors) || n != static_cast<int>(n))
@@ -58,12 +58,12 @@ std::vector<int> actor_counts(const std::string& list) {
 
 void bench_actors(const BenchOptions& options, Device& device, const std::string& command_line) {
     std::vector<ActorTimes> times;
-    for (const int n : actor_counts(options.actors))
+    for (const int n : parse_actor_counts(options.actors))
         for (const bool copy_shared_models : {false, true})
             times.push_back(measure_actors(device, n, copy_shared_models, options.settings));
     end_progress_line();
-    if (!options.json.empty()) write_text(options.json, actors_json(times, device, command_line));
-    if (!options.settings.quiet) print(actors_text(times));
+    if (!options.json.empty()) write_text(options.json, make_actors_json(times, device, command_line));
+    if (!options.settings.quiet) print(format_actor_times(times));
 }
 
 void bench_scans(const BenchOptions& options, Device& device, const std::string& command_line) {
@@ -71,15 +71,15 @@ void bench_scans(const BenchOptions& options, Device& device, const std::string&
     bench.run = options.choice.run;
     bench.sensor = options.service.sensor;
     const ScanTimes times = measure_scans(device, bench);
-    if (!options.json.empty()) write_text(options.json, scans_json(times, device, command_line));
-    if (!options.settings.quiet) print(scans_text(times));
+    if (!options.json.empty()) write_text(options.json, make_scan_times_json(times, device, command_line));
+    if (!options.settings.quiet) print(format_scan_times(times));
 }
 
 void bench_steps(const BenchOptions& options, Device& device, const std::string& command_line) {
     const StepTimes times =
         measure_steps(device, options.choice.run, options.n_steps, options.settings.quiet);
-    if (!options.json.empty()) write_text(options.json, steps_json(times, device, command_line));
-    if (!options.settings.quiet) print(steps_text(times, device));
+    if (!options.json.empty()) write_text(options.json, make_step_times_json(times, device, command_line));
+    if (!options.settings.quiet) print(format_step_times(times, device));
 }
 
 void run_bench(const BenchOptions& options, const std::string& command_line) {
@@ -96,7 +96,7 @@ void run_bench(const BenchOptions& options, const std::string& command_line) {
     const std::filesystem::path json = options.json;
     if (std::error_code failed; std::filesystem::is_directory(json, failed))
         throw DataError(fmt::format("--json {}: found a folder, expected the name of a file", options.json));
-    if (!options.actors.empty()) actor_counts(options.actors);
+    if (!options.actors.empty()) parse_actor_counts(options.actors);
     if (options.scans.n_scans != 0 && options.choice.run.empty())
         throw UsageError("--scans: found no --run beside it, expected the run that is to be rendered");
     if (options.n_steps != 0 && options.choice.run.empty())
@@ -109,7 +109,7 @@ void run_bench(const BenchOptions& options, const std::string& command_line) {
             fmt::format("--steps: found {}, expected 1 to {}", options.n_steps, kMostTimedSteps));
     std::optional<OutputFolder> folder;
     if (!json.empty()) folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
-    Device device(device_options(options.device));
+    Device device(make_device_options(options.device));
 
     catch_interrupts();
     if (!options.actors.empty()) return bench_actors(options, device, command_line);
@@ -120,8 +120,8 @@ void run_bench(const BenchOptions& options, const std::string& command_line) {
     // Measures the copy bandwidth here, after the memory of the case was freed.
     result.copy_bytes_per_s = copy_bytes_per_s(device);
     end_progress_line();
-    if (!json.empty()) write_text(json, bench_json(bench, settings, result, device, command_line));
-    if (!settings.quiet) print(bench_text(bench, result, device));
+    if (!json.empty()) write_text(json, make_bench_json(bench, settings, result, device, command_line));
+    if (!settings.quiet) print(format_bench(bench, result, device));
 }
 
 /// Adds options that affect only the losses, the backward pass and the optimizer of a

@@ -80,20 +80,20 @@ std::size_t place_of(const char* option, const std::string& word, const std::vec
 /// Parse the values of options. The lists of words have the same order as the
 /// enumerations Proxy, Walk and HitOrder.
 /// @throws UsageError if a word is unknown
-Proxy proxy_of(const BenchChoice& choice) {
+Proxy parse_proxy(const BenchChoice& choice) {
     return choice.proxy.empty() ? Proxy::automatic
                                 : Proxy(place_of("--proxy", choice.proxy, {"auto", "triangles", "boxes"}));
 }
-Walk walk_of(const BenchChoice& choice) {
+Walk parse_walk(const BenchChoice& choice) {
     return choice.walk.empty() ? Walk::automatic
                                : Walk(place_of("--walk", choice.walk, {"auto", "lane", "subgroup"}));
 }
-HitOrder order_of(const BenchChoice& choice) {
+HitOrder parse_order(const BenchChoice& choice) {
     return choice.order.empty() ? HitOrder::automatic
                                 : HitOrder(place_of("--order", choice.order, {"auto", "chunks", "lists"}));
 }
 
-DevCase street_case(const BenchChoice& choice) {
+DevCase make_street_test_case(const BenchChoice& choice) {
     const std::optional<ImageSize> size = parse_rays(choice.rays);
     const RayTable rays = size ? make_benchmark_rays(static_cast<int>(size->rows),
                                                      static_cast<int>(size->columns), kTop_deg, kBottom_deg)
@@ -115,20 +115,21 @@ void check(const BenchChoice& choice) {
     parse_rays(choice.rays);
     Config unused;
     apply(choice, unused);
-    proxy_of(choice), walk_of(choice), order_of(choice);
+    parse_proxy(choice), parse_walk(choice), parse_order(choice);
 }
 
 DevCase make_case(const BenchChoice& choice) {
-    DevCase bench = choice.run.empty() ? street_case(choice) : DevCase{make_run_case(load_run(choice.run))};
+    DevCase bench =
+        choice.run.empty() ? make_street_test_case(choice) : DevCase{make_run_case(load_run(choice.run))};
     apply(choice, bench.config);
-    bench.proxy = proxy_of(choice);
-    bench.walk = walk_of(choice);
-    bench.order = order_of(choice);
+    bench.proxy = parse_proxy(choice);
+    bench.walk = parse_walk(choice);
+    bench.order = parse_order(choice);
     bench.keeps_more_hits = choice.keep_hits.empty();
     return bench;
 }
 
-AccelOptions accel_of(const DevCase& bench) { return {.proxy = bench.proxy}; }
+AccelOptions make_accel_options(const DevCase& bench) { return {.proxy = bench.proxy}; }
 
 TraceOptions trace_of(const DevCase& bench) {
     TraceOptions options = trace_options(bench.config);

@@ -40,7 +40,7 @@ struct DevCase : BenchCase {
 };
 
 /// Returns the options for building and traversing the acceleration structure.
-AccelOptions accel_of(const DevCase& bench);
+AccelOptions make_accel_options(const DevCase& bench);
 TraceOptions trace_of(const DevCase& bench);
 
 /// Checks all options before a scene is created.

@@ -19,15 +19,19 @@ constexpr double kFewestNodes = 1.0 / 28.0;
 // shaders/diff/traversal/software_bvh.glsl.
 constexpr double kNodeOperations = 150, kSurfelOperations = 40;
 
-double sh(const FloorSizes& s) { return 4 * 3 * s.n_sh; }
-double sh_along_ray(const FloorSizes& s) { return s.sh_per_surfel ? 0.0 : sh(s); }
-double sh_a_surfel(const FloorSizes& s) { return s.sh_per_surfel ? sh(s) : 0.0; }
+double count_sh_bytes(const FloorSizes& sizes) { return 4 * 3 * sizes.n_sh; }
+double count_sh_bytes_along_ray(const FloorSizes& sizes) {
+    return sizes.sh_per_surfel ? 0.0 : count_sh_bytes(sizes);
+}
+double count_sh_bytes_per_surfel(const FloorSizes& sizes) {
+    return sizes.sh_per_surfel ? count_sh_bytes(sizes) : 0.0;
+}
 
 /// Returns the number of 8-bit digits that are needed to number n different keys.
-double digits(double n) { return std::ceil(std::bit_width(static_cast<std::uint64_t>(n)) / 8.0); }
+double round_to_digits(double n) { return std::ceil(std::bit_width(static_cast<std::uint64_t>(n)) / 8.0); }
 
-double refit(const FloorSizes& s) {
-    return s.n_surfels * (kBox + kIndex) + kFewestNodes * s.n_surfels * (28 + kNode + kBox);
+double refit(const FloorSizes& sizes) {
+    return sizes.n_surfels * (kBox + kIndex) + kFewestNodes * sizes.n_surfels * (28 + kNode + kBox);
 }
 
 /// Returns the number of bytes that building the tree must read and write. The build
@@ -35,32 +39,33 @@ double refit(const FloorSizes& s) {
 /// keys. For each 8-bit digit, the sort reads the keys twice and the values once, and
 /// writes both. Then the build writes the binary tree, reads its topology, and writes the
 /// leaf order and the wide nodes.
-double build(const FloorSizes& s) {
-    const double bits = 39 + std::bit_width(static_cast<std::uint64_t>(s.n_models) - 1);
+double build(const FloorSizes& sizes) {
+    const double bits = 39 + std::bit_width(static_cast<std::uint64_t>(sizes.n_models) - 1);
     const double sort = std::ceil(bits / 8) * (3 * kKey + 2 * kIndex);
     const double tree = kBox + kKey + kIndex + (kKey + kBox + 28 + kIndex) + (kKey + kIndex);
-    return s.n_surfels * (kBox + 12 + kKey + kIndex + sort + tree + kIndex) + refit(s);
+    return sizes.n_surfels * (kBox + 12 + kKey + kIndex + sort + tree + kIndex) + refit(sizes);
 }
 
-double backward_trace(const FloorSizes& s) {
-    const double sums =
-        s.gather ? s.n_hits * (kHitRecord + kRow) : s.n_touched * 2 * (kRecord + sh_along_ray(s));
-    return s.n_rays * (kRay + kRendered + kUpstream) + s.n_hits_kept * kKeptHit +
-           s.n_touched * (kRecord + sh_along_ray(s)) + sums;
+double count_backward_trace_bytes(const FloorSizes& sizes) {
+    const double sums = sizes.gather ? sizes.n_hits * (kHitRecord + kRow)
+                                     : sizes.n_touched * 2 * (kRecord + count_sh_bytes_along_ray(sizes));
+    return sizes.n_rays * (kRay + kRendered + kUpstream) + sizes.n_hits_kept * kKeptHit +
+           sizes.n_touched * (kRecord + count_sh_bytes_along_ray(sizes)) + sums;
 }
 
 /// Returns the number of bytes that the derivative of the activation functions must read
 /// and write. The kernel reads the gradients of all records, and marks the surfels with a
 /// gradient. For the marked surfels, it reads the parameters and writes their gradients.
-double activate_vjp(const FloorSizes& s) {
-    return s.n_surfels * (kRecord + kMark) + s.n_touched * 2 * (kGeometry + sh_a_surfel(s));
+double activate_vjp(const FloorSizes& sizes) {
+    return sizes.n_surfels * (kRecord + kMark) +
+           sizes.n_touched * 2 * (kGeometry + count_sh_bytes_per_surfel(sizes));
 }
 
 /// Returns the number of bytes of one optimizer step (Adam). The kernel reads the marks
 /// and the nonzero gradients. It reads and writes the parameters and both moments.
-double adam(const FloorSizes& s) {
-    const double updated = s.only_touched ? s.n_touched : s.n_surfels;
-    return s.n_surfels * kMark + (s.n_touched + 6 * updated) * (kGeometry + sh(s));
+double count_adam_bytes(const FloorSizes& sizes) {
+    const double updated = sizes.only_touched ? sizes.n_touched : sizes.n_surfels;
+    return sizes.n_surfels * kMark + (sizes.n_touched + 6 * updated) * (kGeometry + count_sh_bytes(sizes));
 }
 
 enum class When { always, software, training, gather, chunks, lists };
@@ -75,77 +80,85 @@ struct Row {
 /// because the kernels do not have to load other surfels.
 constexpr Row kFloorRows[] = {
     {"scene/activate", When::always,
-     [](const FloorSizes& s) { return s.n_surfels * (kGeometry + sh(s) + kRecord); }},
+     [](const FloorSizes& sizes) { return sizes.n_surfels * (kGeometry + count_sh_bytes(sizes) + kRecord); }},
     {"diff/accel/proxies", When::always,
-     [](const FloorSizes& s) { return s.n_surfels * (kRecord + (s.boxes ? kBox : kCorners)); }},
+     [](const FloorSizes& sizes) { return sizes.n_surfels * (kRecord + (sizes.boxes ? kBox : kCorners)); }},
     {"accel/build", When::software, build},
     {"accel/refit", When::software, refit},
     {"diff/forward/append", When::lists,
-     [](const FloorSizes& s) { return s.n_rays * kRay + s.n_touched * kRecord + s.n_hits * kHit; }},
-    {"diff/forward/sort_hits", When::lists, [](const FloorSizes& s) { return 2 * s.n_hits * kHit; }},
+     [](const FloorSizes& sizes) {
+         return sizes.n_rays * kRay + sizes.n_touched * kRecord + sizes.n_hits * kHit;
+     }},
+    {"diff/forward/sort_hits", When::lists, [](const FloorSizes& sizes) { return 2 * sizes.n_hits * kHit; }},
     {"diff/forward/blend", When::lists,
-     [](const FloorSizes& s) {
-         return s.n_rays * kRendered + s.n_hits * kHit + s.n_hits_written * kKeptHit +
-                s.n_touched * (kRecord + sh_along_ray(s));
+     [](const FloorSizes& sizes) {
+         return sizes.n_rays * kRendered + sizes.n_hits * kHit + sizes.n_hits_written * kKeptHit +
+                sizes.n_touched * (kRecord + count_sh_bytes_along_ray(sizes));
      }},
     {"diff/forward/trace", When::chunks,
-     [](const FloorSizes& s) {
-         return s.n_rays * (kRay + kRendered) + s.n_hits_written * kKeptHit +
-                s.n_touched * (kRecord + sh_along_ray(s));
+     [](const FloorSizes& sizes) {
+         return sizes.n_rays * (kRay + kRendered) + sizes.n_hits_written * kKeptHit +
+                sizes.n_touched * (kRecord + count_sh_bytes_along_ray(sizes));
      }},
     {"diff/loss/image_loss", When::training,
-     [](const FloorSizes& s) { return s.n_rays * (kRendered + kTarget + kUpstream); }},
+     [](const FloorSizes& sizes) { return sizes.n_rays * (kRendered + kTarget + kUpstream); }},
     {"fill", When::training,
-     [](const FloorSizes& s) { return s.n_surfels * (kRecord + (s.sh_per_surfel ? 0.0 : 192.0)); }},
-    {"diff/backward/trace", When::training, backward_trace},
+     [](const FloorSizes& sizes) {
+         return sizes.n_surfels * (kRecord + (sizes.sh_per_surfel ? 0.0 : 192.0));
+     }},
+    {"diff/backward/trace", When::training, count_backward_trace_bytes},
     {"backward/sort", When::gather,
-     [](const FloorSizes& s) { return s.n_hits * digits(s.n_surfels) * (kRow + 2 * (kRow + kIndex)); }},
+     [](const FloorSizes& sizes) {
+         return sizes.n_hits * round_to_digits(sizes.n_surfels) * (kRow + 2 * (kRow + kIndex));
+     }},
     {"diff/backward/gather", When::gather,
-     [](const FloorSizes& s) {
-         return s.n_hits * (kHitRecord + kRow + kIndex) + s.n_touched * 2 * (kRecord + sh_along_ray(s));
+     [](const FloorSizes& sizes) {
+         return sizes.n_hits * (kHitRecord + kRow + kIndex) +
+                sizes.n_touched * 2 * (kRecord + count_sh_bytes_along_ray(sizes));
      }},
     {"scene/activate_vjp", When::training, activate_vjp},
-    {"diff/optimizer/adam", When::training, adam},
+    {"diff/optimizer/adam", When::training, count_adam_bytes},
 };
 
-bool runs(const Row& row, const FloorSizes& s) {
-    if (row.when == When::chunks || row.when == When::lists) return s.lists == (row.when == When::lists);
-    return row.when == When::always || (row.when == When::software && s.software) ||
-           (row.when == When::training && s.training) || (row.when == When::gather && s.training && s.gather);
+bool is_row_used(const Row& row, const FloorSizes& sizes) {
+    if (row.when == When::chunks || row.when == When::lists) return sizes.lists == (row.when == When::lists);
+    return row.when == When::always || (row.when == When::software && sizes.software) ||
+           (row.when == When::training && sizes.training) ||
+           (row.when == When::gather && sizes.training && sizes.gather);
 }
 
 }  // namespace
 
-std::map<std::string, double> floor_bytes(const FloorSizes& sizes) {
+std::map<std::string, double> compute_floor_bytes(const FloorSizes& sizes) {
     std::map<std::string, double> bytes;
     for (const Row& row : kFloorRows)
-        if (runs(row, sizes)) bytes[row.kernel] = row.bytes(sizes);
+        if (is_row_used(row, sizes)) bytes[row.kernel] = row.bytes(sizes);
     return bytes;
 }
 
-std::map<std::string, double> cache_bytes(const FloorSizes& s) {
+std::map<std::string, double> compute_cache_bytes(const FloorSizes& sizes) {
     std::map<std::string, double> bytes;
-    if (s.nodes_opened <= 0.0) return bytes;
-    const double search = s.nodes_opened * kNode + s.surfels_tested * kRecord;
-    const double shading = s.n_hits * (kRecord + sh_along_ray(s));
-    if (s.lists) {
-        bytes["diff/forward/append"] = search + s.n_hits * kHit;
-        bytes["diff/forward/blend"] = shading + s.n_hits * kHit;
+    if (sizes.nodes_opened <= 0.0) return bytes;
+    const double search = sizes.nodes_opened * kNode + sizes.surfels_tested * kRecord;
+    const double shading = sizes.n_hits * (kRecord + count_sh_bytes_along_ray(sizes));
+    if (sizes.lists) {
+        bytes["diff/forward/append"] = search + sizes.n_hits * kHit;
+        bytes["diff/forward/blend"] = shading + sizes.n_hits * kHit;
     } else {
         bytes["diff/forward/trace"] = search + shading;
     }
-    if (!s.training) return bytes;
+    if (!sizes.training) return bytes;
     // Share of the hits that are not stored. The backward pass must search these hits
     // again.
-    const double searched_again = s.n_hits > 0.0 ? 1.0 - s.n_hits_kept / s.n_hits : 0.0;
+    const double searched_again = sizes.n_hits > 0.0 ? 1.0 - sizes.n_hits_kept / sizes.n_hits : 0.0;
     // If gradients are not gathered, each hit adds 16 floats with atomic operations.
-    const double sums = s.gather ? kHitRecord + kRow : kRecord + sh_along_ray(s);
-    bytes["diff/backward/trace"] = searched_again * search + shading + s.n_hits * (kRecord + sums);
+    const double sums = sizes.gather ? kHitRecord + kRow : kRecord + count_sh_bytes_along_ray(sizes);
+    bytes["diff/backward/trace"] = searched_again * search + shading + sizes.n_hits * (kRecord + sums);
     return bytes;
 }
 
-double search_operations(const FloorSizes& s) {
-    return s.nodes_opened * kNodeOperations + s.surfels_tested * kSurfelOperations;
+double count_search_operations(const FloorSizes& sizes) {
+    return sizes.nodes_opened * kNodeOperations + sizes.surfels_tested * kSurfelOperations;
 }
 
 }  // namespace relidar::cli

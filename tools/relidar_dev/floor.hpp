@@ -46,14 +46,14 @@ struct FloorSizes {
 /// read only if another kernel has written the data. Counts a write only if another
 /// kernel reads the data. Leaves out kernels of the driver and very short kernels,
 /// because they have no bound.
-std::map<std::string, double> floor_bytes(const FloorSizes& sizes);
+std::map<std::string, double> compute_floor_bytes(const FloorSizes& sizes);
 
 /// Returns the number of bytes that the tracing kernels load from the caches. Counts each
 /// visit of a node and each hit. Returns an empty map if visits were not counted.
-std::map<std::string, double> cache_bytes(const FloorSizes& sizes);
+std::map<std::string, double> compute_cache_bytes(const FloorSizes& sizes);
 
 /// Returns the number of arithmetic operations for finding the hits in the forward pass.
 /// Returns 0 if visits were not counted.
-double search_operations(const FloorSizes& sizes);
+double count_search_operations(const FloorSizes& sizes);
 
 }  // namespace relidar::cli

@@ -32,7 +32,7 @@ using Samples = std::map<std::string, std::vector<double>>;
 
 /// Returns the warm-up time of a device before measuring. A warm-up is needed because the
 /// first launches compile kernels, and because a GPU raises its clocks only under load.
-double warm_up_ms(const Device& device) { return device.info().type == "CPU" ? 200.0 : 2000.0; }
+double measure_warm_up_ms(const Device& device) { return device.info().type == "CPU" ? 200.0 : 2000.0; }
 
 constexpr const char* kOrder[] = {"scene/activate",
                                   "diff/accel/proxies",
@@ -62,15 +62,15 @@ std::string row_of(const std::string& kernel, const std::string& phase) {
     return kernel;
 }
 
-RendererOptions renderer_options(const DevCase& bench) {
-    return {.accel = accel_of(bench),
+RendererOptions make_renderer_options(const DevCase& bench) {
+    return {.accel = make_accel_options(bench),
             .trace = trace_of(bench),
             .n_rays = static_cast<std::uint32_t>(bench.rays.size())};
 }
 
-RendererOptions training_options(const DevCase& bench, std::uint32_t keep_hits) {
-    RendererOptions options = renderer_options(bench);
-    options.trace = training_trace_options(bench.config);
+RendererOptions make_training_options(const DevCase& bench, std::uint32_t keep_hits) {
+    RendererOptions options = make_renderer_options(bench);
+    options.trace = make_training_trace_options(bench.config);
     options.trace.walk = bench.walk;
     options.trace.order = bench.order;
     options.keep_hits = keep_hits;
@@ -79,12 +79,12 @@ RendererOptions training_options(const DevCase& bench, std::uint32_t keep_hits) 
 
 /// Returns the number of stored hits per ray at the end of a training. The number grows
 /// during training until only few rays have more hits.
-std::uint32_t hits_to_keep(const DevCase& bench, const std::vector<std::uint32_t>& hits) {
+std::uint32_t choose_hits_to_keep(const DevCase& bench, const std::vector<std::uint32_t>& hits) {
     auto keep = static_cast<std::uint32_t>(bench.config.trace.keep_hits);
     while (bench.keeps_more_hits) {
         const auto n_overfull =
-            std::count_if(hits.begin(), hits.end(), [&](std::uint32_t n) { return n > keep; });
-        const std::uint32_t more = recommended_kept_hits(keep, static_cast<std::uint64_t>(n_overfull));
+            std::count_if(hits.begin(), hits.end(), [&](std::uint32_t count) { return count > keep; });
+        const std::uint32_t more = recommend_kept_hits(keep, static_cast<std::uint64_t>(n_overfull));
         if (more == keep) break;
         keep = more;
     }
@@ -92,14 +92,14 @@ std::uint32_t hits_to_keep(const DevCase& bench, const std::vector<std::uint32_t
 }
 
 /// Measures the memory of each part of a case. Creates each part once for this purpose.
-BenchMemory memory_of_parts(Device& device, const DevCase& bench, bool training) {
+BenchMemory measure_memory_of_parts(Device& device, const DevCase& bench, bool training) {
     auto since_last = [&device, last = device.allocated_bytes()]() mutable {
         return device.allocated_bytes() - std::exchange(last, device.allocated_bytes());
     };
     BenchMemory memory;
     const DeviceScene scene(device, bench.scene);
     memory.scene = since_last();
-    const Accel accel(device, scene, accel_of(bench));
+    const Accel accel(device, scene, make_accel_options(bench));
     memory.accel = since_last();
     if (!training) return memory;
     const Gradients gradients(device, scene);
@@ -119,14 +119,14 @@ public:
     /// Renders the first image to count its hits. If training is measured, also creates
     /// the targets from this image and the training step.
     void prepare(bool training) {
-        memory_ = memory_of_parts(device_, case_, training);
-        image_ =
-            std::make_unique<Renderer>(device_, case_.scene, case_.config.image, renderer_options(case_));
+        memory_ = measure_memory_of_parts(device_, case_, training);
+        image_ = std::make_unique<Renderer>(device_, case_.scene, case_.config.image,
+                                            make_renderer_options(case_));
         image_->place(case_.placed, case_.view_origin_m);
         image_->record_forward(batch());
         image_->stream().finish();
         const Rendering rendering = to_rendering(image_->rendered().rendered->download());
-        const std::uint32_t keep = training ? hits_to_keep(case_, rendering.hits) : 0,
+        const std::uint32_t keep = training ? choose_hits_to_keep(case_, rendering.hits) : 0,
                             chunk = static_cast<std::uint32_t>(case_.config.trace.chunk);
         for (const std::uint32_t hits : rendering.hits) {
             sizes_.n_hits += hits;
@@ -136,8 +136,8 @@ public:
         if (!training) return;
         image_.reset();
         training_ =
-            std::make_unique<TrainingStep>(device_, case_, training_options(case_, keep),
-                                           noisy_targets(rendering, case_.config.loss.normalised_depth));
+            std::make_unique<TrainingStep>(device_, case_, make_training_options(case_, keep),
+                                           make_noisy_targets(rendering, case_.config.loss.normalised_depth));
     }
 
     /// Runs one repetition. Rebuilds the acceleration structure, runs a complete training
@@ -157,7 +157,7 @@ public:
             training_->optimise();
         }
         stream.finish();
-        phases_["iteration_wall"].push_back(ms_since(start));
+        phases_["iteration_wall"].push_back(measure_ms_since(start));
         take("iteration", kernels_);
         const std::vector<InstancePose> before = r.scene().poses();
         std::vector<InstancePose> moved = before;
@@ -177,10 +177,10 @@ public:
         const Clock::time_point start = Clock::now();
         r.record_forward(batch());
         r.stream().finish();
-        kernels_["diff/forward/trace"].push_back(ms_since(start));
+        kernels_["diff/forward/trace"].push_back(measure_ms_since(start));
     }
 
-    void forget_times() {
+    void clear_times() {
         renderer().stream().reset_times();
         for (Samples* samples : {&kernels_, &rebuild_kernels_, &phases_}) samples->clear();
     }
@@ -233,7 +233,7 @@ std::vector<BenchRow> rows_of(const Samples& samples, std::vector<std::string> o
     std::vector<BenchRow> rows;
     for (const std::string& name : order) {
         if (const auto it = samples.find(name); it != samples.end())
-            rows.push_back({name, spread_of(it->second)});
+            rows.push_back({name, find_spread(it->second)});
     }
     return rows;
 }
@@ -299,11 +299,11 @@ FloorSizes Bench::sizes(const BenchResult& result) {
 
 }  // namespace
 
-double ms_since(Clock::time_point start) {
+double measure_ms_since(Clock::time_point start) {
     return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
 }
 
-Spread spread_of(std::vector<double> samples) {
+Spread find_spread(std::vector<double> samples) {
     std::sort(samples.begin(), samples.end());
     const auto at = [&](double share) {
         const double place = share * static_cast<double>(samples.size() - 1);
@@ -323,8 +323,8 @@ BenchResult measure(Device& device, const DevCase& bench_case, const BenchSettin
     do {
         stop_if_interrupted();
         repeat();
-    } while (ms_since(start) < warm_up_ms(device));
-    bench.forget_times();
+    } while (measure_ms_since(start) < measure_warm_up_ms(device));
+    bench.clear_times();
     Progress progress(settings.quiet);
     for (int i = 0; i < settings.repeat; ++i) {
         stop_if_interrupted();

@@ -28,10 +28,10 @@ struct Spread {
 };
 /// Computes the percentiles of some samples.
 /// @param samples [n], at least one
-Spread spread_of(std::vector<double> samples);
+Spread find_spread(std::vector<double> samples);
 
 /// Returns the time since `start` in milliseconds.
-double ms_since(std::chrono::steady_clock::time_point start);
+double measure_ms_since(std::chrono::steady_clock::time_point start);
 
 /// Time of a kernel or a group of kernels in one repetition, summed over all launches.
 struct BenchRow {

@@ -22,22 +22,23 @@ struct PipelinesOptions {
     bool tsv = false;
 };
 
-std::vector<PipelineStatistics> compiled(int index, Traversal traversal) {
+std::vector<PipelineStatistics> compile_variant(int index, Traversal traversal) {
     Device device({.index = index, .traversal = traversal, .compile_only = true});
     Progress progress(false);
-    compile_pipelines(device, [&](const std::string& what) { progress.show("compiling: " + what); });
+    compile_pipelines(device,
+                      [&](const std::string& description) { progress.show("compiling: " + description); });
     return device.pipelines();
 }
 
 /// Compiles the pipelines for the requested kind of ray traversal. "both" means all kinds
 /// that the device supports. Each pipeline is listed only once.
-std::vector<PipelineStatistics> all_compiled(const PipelinesOptions& options) {
+std::vector<PipelineStatistics> compile_all_variants(const PipelinesOptions& options) {
     const DeviceInfo info = Device(from_environment({.index = options.device, .compile_only = true})).info();
     std::vector<PipelineStatistics> all;
     std::set<std::string> pipeline_names;
     const auto add = [&](const char* name, Traversal traversal, bool has) {
         if (options.traversal != name && !(options.traversal == "both" && has)) return;
-        for (PipelineStatistics& p : compiled(info.index, traversal)) {
+        for (PipelineStatistics& p : compile_variant(info.index, traversal)) {
             if (p.kernel.find(options.kernel) == std::string::npos) continue;
             if (pipeline_names.insert(fmt::format("{} {} {}", p.kernel, p.constants, p.workgroup_size))
                     .second)
@@ -49,7 +50,7 @@ std::vector<PipelineStatistics> all_compiled(const PipelinesOptions& options) {
     return all;
 }
 
-std::vector<std::string> statistic_names(const std::vector<PipelineStatistics>& pipelines) {
+std::vector<std::string> list_statistic_names(const std::vector<PipelineStatistics>& pipelines) {
     std::set<std::string> names;
     for (const PipelineStatistics& p : pipelines)
         for (const auto& [name, value] : p.values) names.insert(name);
@@ -57,7 +58,7 @@ std::vector<std::string> statistic_names(const std::vector<PipelineStatistics>& 
 }
 
 std::vector<std::vector<std::string>> rows_of(const std::vector<PipelineStatistics>& pipelines) {
-    const std::vector<std::string> names = statistic_names(pipelines);
+    const std::vector<std::string> names = list_statistic_names(pipelines);
     std::vector<std::vector<std::string>> rows{{"kernel", "constants", "workgroup", "subgroup", "failure"}};
     rows[0].insert(rows[0].end(), names.begin(), names.end());
     for (const PipelineStatistics& p : pipelines) {
@@ -71,7 +72,7 @@ std::vector<std::vector<std::string>> rows_of(const std::vector<PipelineStatisti
 }
 
 void run(const PipelinesOptions& options) {
-    const std::vector<PipelineStatistics> pipelines = all_compiled(options);
+    const std::vector<PipelineStatistics> pipelines = compile_all_variants(options);
     if (!options.tsv) {
         print(table(rows_of(pipelines)));
         return;

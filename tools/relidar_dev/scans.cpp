@@ -29,12 +29,12 @@ constexpr int kMostTogether = int(ScanRenderer::kScansInFlight) / 2;
 class Drive {
 public:
     Drive(const Run& run, const ScanBench& bench) {
-        const PoseTrack log = shifted_track(run.sequence.world_from_sensor(0), run.sequence.world_offset_m);
+        const PoseTrack log = shift_track(run.sequence.world_from_sensor(0), run.sequence.world_offset_m);
         first_s_ = log.time_s.front(), last_s_ = log.time_s.back();
         if (const auto rig = find_rig(bench.sensor)) {
             for (const MountedSensor& mounted : *rig) {
-                sensors_.push_back(sensor_choice(mounted));
-                tracks_.push_back(mounted_track(with_fine_turns(log), mounted.rig_from_sensor));
+                sensors_.push_back(make_sensor_choice(mounted));
+                tracks_.push_back(make_mounted_track(refine_turns(log), mounted.rig_from_sensor));
             }
         } else {
             sensors_.push_back(
@@ -57,14 +57,14 @@ private:
     int n_moments_;
 };
 
-double kernel_ms(const KernelTimes& times) {
+double sum_kernel_ms(const KernelTimes& times) {
     double sum = 0.0;
     for (const auto& [kernel, total] : times.totals) sum += total.ms;
     return sum;
 }
 
 /// Returns the processor time of this thread.
-double thread_ms() {
+double measure_thread_ms() {
     timespec t{};
     clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
     return 1e3 * double(t.tv_sec) + 1e-6 * double(t.tv_nsec);
@@ -100,10 +100,10 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
                      .n_scans = bench.n_scans,
                      .together = together,
                      .side_by_side = std::min(together, renderer.side_by_side())};
-    const double kernels_before_ms = kernel_ms(renderer.times());
+    const double kernels_before_ms = sum_kernel_ms(renderer.times());
     std::vector<double> scan_ms;
     const auto start = std::chrono::steady_clock::now();
-    const double thread_begun_ms = thread_ms();
+    const double thread_begun_ms = measure_thread_ms();
     RenderedPoints scan;
     for (int first = 0, n_requested = ask(0); n_requested > 0;) {
         stop_if_interrupted();
@@ -118,41 +118,44 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
             result.points += double(scan.points.size()) / bench.n_scans;
             result.rays += double(scan.n_rays) / bench.n_scans;
         }
-        scan_ms.push_back(ms_since(begun) / n_scans);
+        scan_ms.push_back(measure_ms_since(begun) / n_scans);
     }
-    result.host_ms = (thread_ms() - thread_begun_ms) / bench.n_scans;
-    result.scans_per_s = 1e3 * bench.n_scans / ms_since(start);
-    result.scan_ms = spread_of(scan_ms).median;
-    result.device_ms = (kernel_ms(renderer.times()) - kernels_before_ms) / bench.n_scans;
+    result.host_ms = (measure_thread_ms() - thread_begun_ms) / bench.n_scans;
+    result.scans_per_s = 1e3 * bench.n_scans / measure_ms_since(start);
+    result.scan_ms = find_spread(scan_ms).median;
+    result.device_ms = (sum_kernel_ms(renderer.times()) - kernels_before_ms) / bench.n_scans;
     return result;
 }
 
-std::string scans_text(const ScanTimes& t) {
+std::string format_scan_times(const ScanTimes& times) {
     return fmt::format(
         "{}: {} scans of {:.0f} rays, {:.0f} points each{}\n"
         "{:.1f} scans/s, {:.2f} ms a scan (median), of it kernels {:.2f}; the thread that asks works "
         "{:.2f}\n",
-        t.sensor, t.n_scans, t.rays, t.points,
-        t.together > 1 ? fmt::format(", {} sent at once, {} side by side", t.together, t.side_by_side) : "",
-        t.scans_per_s, t.scan_ms, t.device_ms, t.host_ms);
+        times.sensor, times.n_scans, times.rays, times.points,
+        times.together > 1
+            ? fmt::format(", {} sent at once, {} side by side", times.together, times.side_by_side)
+            : "",
+        times.scans_per_s, times.scan_ms, times.device_ms, times.host_ms);
 }
 
-std::string scans_json(const ScanTimes& t, const Device& device, const std::string& command_line) {
+std::string make_scan_times_json(const ScanTimes& times, const Device& device,
+                                 const std::string& command_line) {
     const nlohmann::ordered_json json = {{"format", "relidar-dev bench scans"},
                                          {"version", 1},
                                          {"relidar", RELIDAR_VERSION},
                                          {"command", command_line},
                                          {"device", device.info().name},
-                                         {"sensor", t.sensor},
-                                         {"scans", t.n_scans},
-                                         {"together", t.together},
-                                         {"side_by_side", t.side_by_side},
-                                         {"rays", t.rays},
-                                         {"points", t.points},
-                                         {"scans_per_s", t.scans_per_s},
-                                         {"scan_ms", t.scan_ms},
-                                         {"kernels_ms", t.device_ms},
-                                         {"host_ms", t.host_ms}};
+                                         {"sensor", times.sensor},
+                                         {"scans", times.n_scans},
+                                         {"together", times.together},
+                                         {"side_by_side", times.side_by_side},
+                                         {"rays", times.rays},
+                                         {"points", times.points},
+                                         {"scans_per_s", times.scans_per_s},
+                                         {"scan_ms", times.scan_ms},
+                                         {"kernels_ms", times.device_ms},
+                                         {"host_ms", times.host_ms}};
     return json.dump(1) + "\n";
 }
 

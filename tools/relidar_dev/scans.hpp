@@ -49,7 +49,8 @@ struct ScanTimes {
 /// @throws DataError if the run or the rig cannot be read
 ScanTimes measure_scans(Device& device, const ScanBench& bench);
 
-std::string scans_text(const ScanTimes& times);
-std::string scans_json(const ScanTimes& times, const Device& device, const std::string& command_line);
+std::string format_scan_times(const ScanTimes& times);
+std::string make_scan_times_json(const ScanTimes& times, const Device& device,
+                                 const std::string& command_line);
 
 }  // namespace relidar::cli

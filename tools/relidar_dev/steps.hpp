@@ -13,7 +13,8 @@ namespace relidar::cli {
 /// @param run run folder. The log must be at the same path as when the run was trained.
 StepTimes measure_steps(Device& device, const std::string& run, int n_steps, bool quiet);
 
-std::string steps_text(const StepTimes& times, const Device& device);
-std::string steps_json(const StepTimes& times, const Device& device, const std::string& command_line);
+std::string format_step_times(const StepTimes& times, const Device& device);
+std::string make_step_times_json(const StepTimes& times, const Device& device,
+                                 const std::string& command_line);
 
 }  // namespace relidar::cli

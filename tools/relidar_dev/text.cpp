@@ -17,53 +17,59 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-std::string milliseconds(double ms) { return fmt::format("{:.{}f}", ms, ms < 1.0 ? 4 : ms < 100.0 ? 3 : 1); }
+std::string format_milliseconds(double ms) {
+    return fmt::format("{:.{}f}", ms, ms < 1.0 ? 4 : ms < 100.0 ? 3 : 1);
+}
 
-std::string phase_text(const std::string& phase, bool training) {
+std::string format_phase(const std::string& phase, bool training) {
     if (phase == "iteration") return training ? "whole iteration" : "whole frame";
     if (phase == "iteration_wall") return training ? "whole iteration, wall time" : "whole frame, wall time";
     if (phase == "rebuild") return "rebuild";
     return "move of one instance";
 }
 
-std::string walk_name(const DevCase& bench) {
+std::string get_walk_name(const DevCase& bench) {
     return bench.walk == Walk::lane ? "lane" : bench.walk == Walk::subgroup ? "subgroup" : "automatic";
 }
 
-std::string traversal_of(const Device& device) {
+std::string get_traversal_text(const Device& device) {
     return device.traversal() == Traversal::software ? "software" : "ray_query";
 }
 /// Returns a text that names the selected ray traversal and its variant.
-std::string search_of(const Device& device, const DevCase& bench, const BenchResult& result) {
-    return device.traversal() == Traversal::software ? "walk " + walk_name(bench) : "proxy " + result.proxy;
+std::string describe_search(const Device& device, const DevCase& bench, const BenchResult& result) {
+    return device.traversal() == Traversal::software ? "walk " + get_walk_name(bench)
+                                                     : "proxy " + result.proxy;
 }
-std::string sh_of(const DevCase& bench) {
+std::string describe_sh(const DevCase& bench) {
     return bench.config.image.sh_direction == ShDirection::ray ? "ray" : "surfel";
 }
-std::string reduction_of(const BenchResult& result) {
+std::string describe_reduction(const BenchResult& result) {
     return !result.sizes.training ? "none" : result.sizes.gather ? "gather" : "atomics";
 }
-std::uint64_t surfel_bytes(const BenchMemory& m) { return m.scene + m.accel + m.training; }
-
-double each(std::uint64_t n_bytes, std::size_t n) {
-    return static_cast<double>(n_bytes) / static_cast<double>(std::max<std::size_t>(n, 1));
+std::uint64_t count_surfel_bytes(const BenchMemory& memory) {
+    return memory.scene + memory.accel + memory.training;
 }
 
-std::string memory_text(const BenchMemory& m, std::size_t n_surfels, std::size_t n_rays) {
+double each(std::uint64_t n_bytes, std::size_t count) {
+    return static_cast<double>(n_bytes) / static_cast<double>(std::max<std::size_t>(count, 1));
+}
+
+std::string format_memory(const BenchMemory& memory, std::size_t n_surfels, std::size_t n_rays) {
     return fmt::format(
         "memory    {} at peak; {:.0f} bytes a surfel (scene {:.0f}, acceleration structure {:.0f}, gradients "
         "and moments {:.0f}), {:.0f} "
         "bytes a ray\n",
-        byte_size(m.peak), each(surfel_bytes(m), n_surfels), each(m.scene, n_surfels),
-        each(m.accel, n_surfels), each(m.training, n_surfels), each(m.rays, n_rays));
+        format_byte_size(memory.peak), each(count_surfel_bytes(memory), n_surfels),
+        each(memory.scene, n_surfels), each(memory.accel, n_surfels), each(memory.training, n_surfels),
+        each(memory.rays, n_rays));
 }
 
 /// Returns a lower bound for the time of each kernel, in milliseconds. The bound of a
 /// phase is the sum of the bounds of its kernels.
-std::map<std::string, double> floors_ms(const BenchResult& result) {
+std::map<std::string, double> compute_floors_ms(const BenchResult& result) {
     std::map<std::string, double> floors;
     if (!result.copy_bytes_per_s) return floors;
-    for (const auto& [kernel, bytes] : floor_bytes(result.sizes))
+    for (const auto& [kernel, bytes] : compute_floor_bytes(result.sizes))
         floors[kernel] = bytes / *result.copy_bytes_per_s * 1000.0;
     double iteration = 0.0;
     for (const auto& [kernel, ms] : floors) iteration += kernel == "accel/build" ? 0.0 : ms;
@@ -73,24 +79,24 @@ std::map<std::string, double> floors_ms(const BenchResult& result) {
     return floors;
 }
 
-std::string floor_text(const BenchResult& result) {
+std::string format_floor(const BenchResult& result) {
     if (!result.copy_bytes_per_s) return "floors    none: no room for a copy to compare with\n";
     std::string text = fmt::format(
         "floors    bytes that must move once, at the {:.1f} GB/s of a copy; latency, divergence and "
         "arithmetic are left out\n",
         *result.copy_bytes_per_s * 1e-9);
-    const std::map<std::string, double> cached = cache_bytes(result.sizes);
+    const std::map<std::string, double> cached = compute_cache_bytes(result.sizes);
     for (const auto& [kernel, bytes] : cached)
         text += fmt::format("caches    {} asks for {:.3f} GB, {} ms at the copy's rate\n", kernel,
-                            bytes * 1e-9, milliseconds(bytes / *result.copy_bytes_per_s * 1000.0));
+                            bytes * 1e-9, format_milliseconds(bytes / *result.copy_bytes_per_s * 1000.0));
     if (!cached.empty())
-        text +=
-            fmt::format("search    about {:.3f} G operations in {}\n", search_operations(result.sizes) * 1e-9,
-                        result.sizes.lists ? "diff/forward/append" : "diff/forward/trace");
+        text += fmt::format("search    about {:.3f} G operations in {}\n",
+                            count_search_operations(result.sizes) * 1e-9,
+                            result.sizes.lists ? "diff/forward/append" : "diff/forward/trace");
     return text;
 }
 
-Json spreads(const std::vector<BenchRow>& rows, const std::map<std::string, double>& floors) {
+Json make_spreads_json(const std::vector<BenchRow>& rows, const std::map<std::string, double>& floors) {
     Json json = Json::object();
     for (const BenchRow& row : rows) {
         Json& entry = json[row.name] = {{"p10", row.ms.p10},
@@ -104,55 +110,55 @@ Json spreads(const std::vector<BenchRow>& rows, const std::map<std::string, doub
     return json;
 }
 
-Json floor_json(const BenchResult& result) {
+Json make_floor_json(const BenchResult& result) {
     Json json = {{"copy_bytes_per_s", nullptr},
-                 {"bytes", floor_bytes(result.sizes)},
-                 {"cache_bytes", cache_bytes(result.sizes)},
-                 {"search_operations", search_operations(result.sizes)},
+                 {"bytes", compute_floor_bytes(result.sizes)},
+                 {"cache_bytes", compute_cache_bytes(result.sizes)},
+                 {"search_operations", count_search_operations(result.sizes)},
                  {"surfels_with_gradient", result.sizes.n_touched},
                  {"left_out", "latency, divergence, second loads of what a cache loses, arithmetic"}};
     if (result.copy_bytes_per_s) json["copy_bytes_per_s"] = *result.copy_bytes_per_s;
     return json;
 }
 
-Json memory_json(const BenchMemory& m, std::size_t n_surfels, std::size_t n_rays) {
-    return {{"peak_bytes", m.peak},
-            {"scene_bytes", m.scene},
-            {"accel_bytes", m.accel},
-            {"training_bytes", m.training},
-            {"ray_bytes", m.rays},
-            {"bytes_per_surfel", each(surfel_bytes(m), n_surfels)},
-            {"accel_bytes_per_surfel", each(m.accel, n_surfels)},
-            {"bytes_per_ray", each(m.rays, n_rays)}};
+Json make_memory_json(const BenchMemory& memory, std::size_t n_surfels, std::size_t n_rays) {
+    return {{"peak_bytes", memory.peak},
+            {"scene_bytes", memory.scene},
+            {"accel_bytes", memory.accel},
+            {"training_bytes", memory.training},
+            {"ray_bytes", memory.rays},
+            {"bytes_per_surfel", each(count_surfel_bytes(memory), n_surfels)},
+            {"accel_bytes_per_surfel", each(memory.accel, n_surfels)},
+            {"bytes_per_ray", each(memory.rays, n_rays)}};
 }
 
 }  // namespace
 
-std::string bench_text(const DevCase& bench, const BenchResult& result, const Device& device) {
+std::string format_bench(const DevCase& bench, const BenchResult& result, const Device& device) {
     std::string text = fmt::format("case      {}: {} surfels, {} rays ({} x {})\n", bench.name,
                                    bench.scene.surfels.size(), bench.rays.size(), bench.rows, bench.columns);
     text += fmt::format("device    {}\nsettings  traversal {}, {}, chunk {}, harmonics along the {}",
-                        device.info().name, traversal_of(device), search_of(device, bench, result),
-                        bench.config.trace.chunk, sh_of(bench));
+                        device.info().name, get_traversal_text(device),
+                        describe_search(device, bench, result), bench.config.trace.chunk, describe_sh(bench));
     text += result.sizes.training ? fmt::format(", {} hits kept a ray, gradients by {}\n", result.kept_hits,
-                                                reduction_of(result))
+                                                describe_reduction(result))
                                   : "\n";
     if (!result.device_clock)
         text +=
             "note      the device has no timestamps: wall time of the forward pass alone, waits included\n";
     std::vector<std::vector<std::string>> rows{
         {"kernel", "p10 ms", "median ms", "p90 ms", "floor ms", "median / floor"}};
-    const std::map<std::string, double> floors = floors_ms(result);
+    const std::map<std::string, double> floors = compute_floors_ms(result);
     const auto add = [&](const BenchRow& row, const std::string& name) {
         const auto floor = floors.find(row.name);
         const bool known = floor != floors.end();
-        rows.push_back({name, milliseconds(row.ms.p10), milliseconds(row.ms.median), milliseconds(row.ms.p90),
-                        known ? milliseconds(floor->second) : "-",
+        rows.push_back({name, format_milliseconds(row.ms.p10), format_milliseconds(row.ms.median),
+                        format_milliseconds(row.ms.p90), known ? format_milliseconds(floor->second) : "-",
                         known ? fmt::format("{:.1f}", row.ms.median / floor->second) : "-"});
     };
     for (const BenchRow& row : result.kernels) add(row, row.name);
     for (const BenchRow& row : result.phases)
-        add(row, phase_text(row.name, result.backward_mrays_per_s.has_value()));
+        add(row, format_phase(row.name, result.backward_mrays_per_s.has_value()));
     text += "\n" + table(rows) +
             fmt::format("\nforward   {:.3f} Mrays/s, {:.2f} blended hits a ray\n", result.forward_mrays_per_s,
                         result.hits_per_ray);
@@ -161,12 +167,12 @@ std::string bench_text(const DevCase& bench, const BenchResult& result, const De
                             result.visits->surfels);
     if (result.backward_mrays_per_s)
         text += fmt::format("backward  {:.3f} Mrays/s\n", *result.backward_mrays_per_s);
-    return text + floor_text(result) +
-           memory_text(result.memory, bench.scene.surfels.size(), bench.rays.size());
+    return text + format_floor(result) +
+           format_memory(result.memory, bench.scene.surfels.size(), bench.rays.size());
 }
 
-std::string bench_json(const DevCase& bench, const BenchSettings& settings, const BenchResult& result,
-                       const Device& device, const std::string& command_line) {
+std::string make_bench_json(const DevCase& bench, const BenchSettings& settings, const BenchResult& result,
+                            const Device& device, const std::string& command_line) {
     const DeviceInfo& info = device.info();
     Json json = {{"format", "relidar-dev bench"},
                  {"version", 1},
@@ -177,7 +183,7 @@ std::string bench_json(const DevCase& bench, const BenchSettings& settings, cons
                    {"type", info.type},
                    {"driver", info.driver},
                    {"float_atomics", info.float_atomics},
-                   {"traversal", traversal_of(device)}}},
+                   {"traversal", get_traversal_text(device)}}},
                  {"case",
                   {{"name", bench.name},
                    {"surfels", bench.scene.surfels.size()},
@@ -187,23 +193,23 @@ std::string bench_json(const DevCase& bench, const BenchSettings& settings, cons
                    {"columns", bench.columns},
                    {"chunk", bench.config.trace.chunk},
                    {"proxy", result.proxy},
-                   {"walk", walk_name(bench)},
-                   {"sh", sh_of(bench)},
+                   {"walk", get_walk_name(bench)},
+                   {"sh", describe_sh(bench)},
                    {"sh_degree", bench.config.image.sh_degree},
                    {"keep_hits", result.kept_hits},
-                   {"reduction", reduction_of(result)}}},
+                   {"reduction", describe_reduction(result)}}},
                  {"repetitions", settings.repeat},
                  {"clock", result.device_clock ? "device timestamps, all launches of a kernel in a repetition"
                                                : "wall time of the forward pass, waits included"},
-                 {"kernels_ms", spreads(result.kernels, floors_ms(result))},
-                 {"phases_ms", spreads(result.phases, floors_ms(result))},
-                 {"floor", floor_json(result)},
+                 {"kernels_ms", make_spreads_json(result.kernels, compute_floors_ms(result))},
+                 {"phases_ms", make_spreads_json(result.phases, compute_floors_ms(result))},
+                 {"floor", make_floor_json(result)},
                  {"forward_mrays_per_s", result.forward_mrays_per_s},
                  {"backward_mrays_per_s", nullptr},
                  {"hits_per_ray", result.hits_per_ray},
                  {"nodes_per_ray", nullptr},
                  {"surfels_tested_per_ray", nullptr},
-                 {"memory", memory_json(result.memory, bench.scene.surfels.size(), bench.rays.size())}};
+                 {"memory", make_memory_json(result.memory, bench.scene.surfels.size(), bench.rays.size())}};
     if (result.backward_mrays_per_s) json["backward_mrays_per_s"] = *result.backward_mrays_per_s;
     if (result.visits)
         json["nodes_per_ray"] = result.visits->nodes, json["surfels_tested_per_ray"] = result.visits->surfels;

@@ -33,7 +33,7 @@ constexpr int kMostDescriptors = 16384;
 // Number of file descriptors that are reserved for files and the GPU driver.
 constexpr int kReservedDescriptors = 256;
 
-std::string message_of(int error) { return std::generic_category().message(error); }
+std::string describe_error(int error) { return std::generic_category().message(error); }
 
 [[noreturn]] void fail(const std::string& address, const std::string& why) {
     throw UsageError(
@@ -45,7 +45,7 @@ struct FreeAddresses {
 };
 using Addresses = std::unique_ptr<addrinfo, FreeAddresses>;
 
-Addresses addresses_of(const std::string& host, const std::string& address) {
+Addresses resolve_addresses(const std::string& host, const std::string& address) {
     addrinfo hints{};
     hints.ai_socktype = SOCK_STREAM;
     hints.ai_flags = AI_PASSIVE;
@@ -61,7 +61,7 @@ void set_port(sockaddr& address, int port) {
     else reinterpret_cast<sockaddr_in&>(address).sin_port = number;
 }
 
-int port_of(int listener) {
+int parse_port(int listener) {
     sockaddr_storage storage{};
     socklen_t size = sizeof(storage);
     if (::getsockname(listener, reinterpret_cast<sockaddr*>(&storage), &size) != 0) return 0;
@@ -75,7 +75,7 @@ void set_option(int socket, int level, int name, int value) {
 
 /// Opens a socket that listens at an address.
 /// @return the socket, or -1 if an error occurs; errno then holds the reason
-int listen_at(const addrinfo& address) {
+int listen_on_address(const addrinfo& address) {
     const int listener = ::socket(address.ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
     if (listener < 0) return -1;
     set_option(listener, SOL_SOCKET, SO_REUSEADDR, 1);
@@ -92,7 +92,7 @@ int listen_at(const addrinfo& address) {
 /// Returns the lowest file descriptor number that connections may not use. A connection
 /// with this number or a higher number is closed. The system always assigns the lowest
 /// free number, so the number shows how many descriptors are open.
-int first_spare_descriptor() {
+int find_first_spare_descriptor() {
     rlimit limit{};
     const bool is_known =
         ::getrlimit(RLIMIT_NOFILE, &limit) == 0 && limit.rlim_cur < rlim_t(kMostDescriptors);
@@ -104,24 +104,24 @@ int first_spare_descriptor() {
 
 Acceptor::Acceptor(const std::string& text) {
     const HostPort host_port = parse_host_port(text, "--listen", 0);
-    const Addresses all = addresses_of(host_port.host, text);
+    const Addresses all = resolve_addresses(host_port.host, text);
     int error = EADDRNOTAVAIL;
     port_ = host_port.port;
     for (const addrinfo* address = all.get(); address; address = address->ai_next) {
         set_port(*address->ai_addr, port_);
-        const int listener = listen_at(*address);
+        const int listener = listen_on_address(*address);
         if (listener < 0) error = errno;
         if (listener < 0 && error == EADDRINUSE && host_port.port != 0) break;
         // Skips this address if the machine does not support its address family (IPv4 or
         // IPv6).
         if (listener < 0) continue;
         listeners_.push_back(listener);
-        port_ = port_of(listener);
+        port_ = parse_port(listener);
     }
     const bool is_taken = error == EADDRINUSE && host_port.port != 0;
     if (listeners_.empty() || is_taken || ::pipe2(wake_, O_CLOEXEC) != 0) {
         close_all();
-        fail(text, is_taken ? "another process already uses it" : message_of(error));
+        fail(text, is_taken ? "another process already uses it" : describe_error(error));
     }
 }
 
@@ -170,7 +170,7 @@ void Acceptor::accept_one(int listener) {
     if (is_full) std::this_thread::sleep_for(kPause);
     // Does nothing if the client has already disconnected.
     if (connection < 0) return;
-    if (connection >= first_spare_descriptor()) ::close(connection);
+    if (connection >= find_first_spare_descriptor()) ::close(connection);
     else receive_(listener, connection);
 }
 

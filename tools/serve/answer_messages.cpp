@@ -78,29 +78,29 @@ void write_actor(const Run& run, const std::string& name, v1::Actor& message) {
 
 }  // namespace
 
-void write_scan(const RenderedPoints& scan, const RenderRequest& wanted, v1::LidarScan& message) {
-    message.set_sensor(wanted.sensor->name);
+void write_scan(const RenderedPoints& scan, const RenderRequest& request, v1::LidarScan& message) {
+    message.set_sensor(request.sensor->name);
     message.set_time_s(scan.points.time_s);
-    message.set_points_at_s(wanted.points_at_s);
+    message.set_points_at_s(request.points_at_s);
     write_pose(scan.points.world_from_points, *message.mutable_dataset_from_points());
     message.set_rays(std::uint32_t(scan.n_rays));
     message.set_returned(std::uint32_t(count_first_returns(scan.points)));
     if (scan.unseen_share) message.set_unseen(*scan.unseen_share);
-    if (wanted.points) write_points(scan.points, *message.mutable_points());
+    if (request.points) write_points(scan.points, *message.mutable_points());
 }
 
-void write_scan(const RenderedScan& scan, const RenderRequest& wanted, const Config& config,
+void write_scan(const RenderedScan& scan, const RenderRequest& request, const Config& config,
                 v1::LidarScan& message) {
-    const Pose dataset_from_points = wanted.request.dataset_from_sensor.at(wanted.points_at_s);
+    const Pose dataset_from_points = request.request.dataset_from_sensor.at(request.points_at_s);
     write_scan(
         {place_points(scan, config, dataset_from_points), scan.image.range_m.size(), scan.unseen_share},
-        wanted, message);
-    if (!wanted.range_image && !wanted.drop_probability) return;
+        request, message);
+    if (!request.range_image && !request.drop_probability) return;
     v1::RangeImage& image = *message.mutable_image();
     image.set_rows(std::uint32_t(scan.image.rows));
     image.set_columns(std::uint32_t(scan.image.columns));
-    if (wanted.drop_probability) set_array(*image.mutable_drop_probability(), scan.image.drop_prob);
-    if (!wanted.range_image) return;
+    if (request.drop_probability) set_array(*image.mutable_drop_probability(), scan.image.drop_prob);
+    if (!request.range_image) return;
     set_array(*image.mutable_range_m(), scan.image.range_m);
     set_array(*image.mutable_intensity(), scan.image.intensity);
     write_channels(scan.channels, *image.mutable_channels());
@@ -118,21 +118,22 @@ void write_scene(const std::string& name, const Run& run, v1::Scene& message) {
         v1::Lidar& added = *message.add_lidars();
         added.set_name(lidar.name);
         added.set_sensor(lidar.sensor.name);
-        added.set_rays(count_rays(configured_sensor(run.config, log, int(i))));
+        added.set_rays(count_rays(make_configured_sensor(run.config, log, int(i))));
         added.set_period_s(lidar.period_s());
     }
-    for (const std::string& actor : actor_names(run)) write_actor(run, actor, *message.add_actors());
+    for (const std::string& actor : list_actor_names_of_run(run))
+        write_actor(run, actor, *message.add_actors());
 }
 
 void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtrField<std::string>& actors,
                   v1::GetTracksResponse& message) {
     const Sequence& log = run.sequence;
-    const auto in_dataset = [&](const PoseTrack& track) { return shifted_track(track, log.world_offset_m); };
+    const auto in_dataset = [&](const PoseTrack& track) { return shift_track(track, log.world_offset_m); };
     write_track(in_dataset(log.world_from_sensor(lidar)), *message.mutable_dataset_from_sensor());
     if (std::size_t(actors.size()) > run.scene.instances.size())
         refuse("actors", fmt::format("{} names", actors.size()), "each actor at most once");
     std::vector<std::string> names(actors.begin(), actors.end());
-    if (names.empty()) names = actor_names(run);
+    if (names.empty()) names = list_actor_names_of_run(run);
     for (const std::string& name : names) {
         const BoxTrack* box = find_box(run.sequence, name);
         if (!box)

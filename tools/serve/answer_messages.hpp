@@ -12,10 +12,10 @@ namespace relidar::serve {
 
 /// Writes a scan into a Protobuf message.
 /// @param config settings of the run, which define the range limits of points
-void write_scan(const RenderedScan& scan, const RenderRequest& wanted, const Config& config,
+void write_scan(const RenderedScan& scan, const RenderRequest& request, const Config& config,
                 v1::LidarScan& message);
 /// Writes a scan that has points but no range image into a Protobuf message.
-void write_scan(const RenderedPoints& scan, const RenderRequest& wanted, v1::LidarScan& message);
+void write_scan(const RenderedPoints& scan, const RenderRequest& request, v1::LidarScan& message);
 
 /// Writes the description of a scene into a message.
 /// @param run run without surfels

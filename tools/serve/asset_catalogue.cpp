@@ -11,7 +11,7 @@ namespace relidar::serve {
 
 AssetCatalogue::AssetCatalogue(const std::vector<std::string>& folders) {
     for (const std::string& folder : folders) {
-        for (const std::filesystem::path& entry : asset_folders(folder)) {
+        for (const std::filesystem::path& entry : list_asset_folders(folder)) {
             AssetFacts facts = read_asset_facts(entry);
             if (const Entry* same = find(facts.name))
                 throw UsageError(

@@ -28,16 +28,16 @@ struct Sample {
 
 /// Returns a percentile of the values, for example the median if `share` is 0.5. The
 /// fraction `share` of all values is at most as large as the result.
-double percentile(std::vector<double> values, double share) {
+double compute_percentile(std::vector<double> values, double share) {
     std::sort(values.begin(), values.end());
     const auto rank = std::size_t(std::ceil(share * double(values.size())));
     return values[std::max<std::size_t>(rank, 1) - 1];
 }
 
-Percentiles percentiles(const std::vector<Sample>& samples, double Sample::*value) {
+Percentiles compute_percentiles(const std::vector<Sample>& samples, double Sample::*value) {
     std::vector<double> values;
     for (const Sample& sample : samples) values.push_back(sample.*value);
-    return {percentile(values, 0.5), percentile(values, 0.99)};
+    return {compute_percentile(values, 0.5), compute_percentile(values, 0.99)};
 }
 
 /// Returns a request for a sweep between two successive poses of the log. After the last
@@ -102,9 +102,9 @@ LatencyResult measure_latency(const LatencyOptions& options) {
     }
     if (failure) std::rethrow_exception(failure);
     result.scans_per_s = double(samples.size()) / std::chrono::duration<double>(Clock::now() - begin).count();
-    result.latency_ms = percentiles(samples, &Sample::latency_ms);
-    result.queued_ms = percentiles(samples, &Sample::queued_ms);
-    result.rendered_ms = percentiles(samples, &Sample::rendered_ms);
+    result.latency_ms = compute_percentiles(samples, &Sample::latency_ms);
+    result.queued_ms = compute_percentiles(samples, &Sample::queued_ms);
+    result.rendered_ms = compute_percentiles(samples, &Sample::rendered_ms);
     result.rays = samples.front().rays;
     for (const Sample& sample : samples) result.points += double(sample.points) / double(samples.size());
     return result;

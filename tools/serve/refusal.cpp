@@ -10,14 +10,14 @@
 
 namespace relidar::serve {
 
-void refuse(const std::string& field, const std::string& found, const std::string& expected) {
+void refuse(const std::string& field, const std::string& found_value, const std::string& expected) {
     throw Refusal(grpc::StatusCode::INVALID_ARGUMENT,
-                  fmt::format("cannot read {}: found {}, expected {}", field, found, expected));
+                  fmt::format("cannot read {}: found {}, expected {}", field, found_value, expected));
 }
 
 void refuse_unknown(const std::string& field, const std::string& name,
-                    const std::vector<std::string>& known) {
-    const std::string nearest = nearest_name(name.substr(0, 80), known);
+                    const std::vector<std::string>& known_names) {
+    const std::string nearest = find_nearest_name(name.substr(0, 80), known_names);
     const std::string expected = nearest.empty() ? "no name, because none exists"
                                                  : fmt::format("an existing name such as \"{}\"", nearest);
     throw Refusal(grpc::StatusCode::NOT_FOUND,
@@ -32,7 +32,8 @@ std::string quoted(const std::string& word) {
     while (n < word.size() && n > 0 && (static_cast<unsigned char>(word[n]) & 0xc0) == 0x80) --n;
     std::string shown = word.substr(0, n);
     std::replace_if(
-        shown.begin(), shown.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; }, ' ');
+        shown.begin(), shown.end(),
+        [](unsigned char character) { return character < 0x20 || character == 0x7f; }, ' ');
     return n == word.size() ? fmt::format("\"{}\"", shown)
                             : fmt::format("\"{}...\" of {} bytes", shown, word.size());
 }

@@ -23,13 +23,14 @@ private:
 
 /// Rejects a request because one of its fields has an invalid value.
 /// @throws Refusal always
-[[noreturn]] void refuse(const std::string& field, const std::string& found, const std::string& expected);
+[[noreturn]] void refuse(const std::string& field, const std::string& found_value,
+                         const std::string& expected);
 
 /// Rejects a request because it contains an unknown name.
-/// @param known valid names; the error message may suggest a similar one
+/// @param known_names valid names; the error message may suggest a similar one
 /// @throws Refusal always
 [[noreturn]] void refuse_unknown(const std::string& field, const std::string& name,
-                                 const std::vector<std::string>& known);
+                                 const std::vector<std::string>& known_names);
 
 /// Puts a client's text into quotes for an error message. Removes line breaks and
 /// shortens long texts.

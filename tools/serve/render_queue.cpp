@@ -42,14 +42,14 @@ std::optional<RenderQueue::Slot> RenderQueue::reserve() {
     return Slot(this);
 }
 
-std::optional<std::string> RenderQueue::device_loss() {
+std::optional<std::string> RenderQueue::get_device_loss_message() {
     const std::lock_guard lock(mutex_);
     return device_loss_;
 }
 
-void RenderQueue::set_batch_size(std::size_t n) {
+void RenderQueue::set_batch_size(std::size_t count) {
     const std::lock_guard lock(mutex_);
-    batch_size_ = n;
+    batch_size_ = count;
 }
 
 RenderQueue::Slot::~Slot() {

@@ -39,8 +39,8 @@ public:
     std::optional<std::size_t> scene = {};
     /// queued_ms() is the time between run() and submit(). rendered_ms() is the time from
     /// submit() until the response is ready.
-    double queued_ms() const { return ms_between(queued_at_, submitted_at_); }
-    double rendered_ms() const { return ms_between(submitted_at_, finished_at_); }
+    double queued_ms() const { return measure_ms_between(queued_at_, submitted_at_); }
+    double rendered_ms() const { return measure_ms_between(submitted_at_, finished_at_); }
 
 private:
     friend class RenderQueue;
@@ -51,7 +51,7 @@ private:
     std::condition_variable changed_ = {};
     Clock::time_point queued_at_ = {}, submitted_at_ = {}, finished_at_ = {};
 
-    static double ms_between(Clock::time_point begin, Clock::time_point end) {
+    static double measure_ms_between(Clock::time_point begin, Clock::time_point end) {
         return std::chrono::duration<double, std::milli>(end - begin).count();
     }
 };
@@ -93,10 +93,10 @@ public:
     std::size_t slots() const { return slots_; }
     /// Returns the driver's error message if the device was lost. Returns no value as
     /// long as the device works.
-    std::optional<std::string> device_loss();
+    std::optional<std::string> get_device_loss_message();
     /// Sets the maximum number of requests in a batch. The default is 1, which means that
     /// each request is submitted alone.
-    void set_batch_size(std::size_t n);
+    void set_batch_size(std::size_t count);
 
 private:
     using Batch = std::vector<Request*>;

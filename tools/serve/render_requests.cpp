@@ -12,7 +12,7 @@
 namespace relidar::serve {
 namespace {
 
-std::vector<std::string> names_of_spawned(const std::vector<SpawnedActors::Place>& places) {
+std::vector<std::string> list_names_of_spawned(const std::vector<SpawnedActors::Place>& places) {
     std::vector<std::string> names;
     for (const SpawnedActors::Place& place : places) names.push_back(place.actor.name);
     return names;
@@ -21,9 +21,9 @@ std::vector<std::string> names_of_spawned(const std::vector<SpawnedActors::Place
 /// Calls a function with the renderer of the requested scene. If the scene cannot be
 /// loaded, the error message names the folder of its run.
 template <class Function>
-SceneSet::Load use(SceneSet& scenes, const RenderRequest& wanted, const Function& function) {
+SceneSet::Load use(SceneSet& scenes, const RenderRequest& request, const Function& function) {
     try {
-        return scenes.use(wanted.scene, wanted.weather, function);
+        return scenes.use(request.scene, request.weather, function);
     } catch (const DataError& error) {
         throw Refusal(grpc::StatusCode::INTERNAL, error.what());
     }
@@ -68,9 +68,9 @@ void ScanImageRequest::submit(bool) {
 }
 
 PointsRequest::PointsRequest(SceneSet& scenes, const grpc::ServerContext& context,
-                             std::span<const RenderRequest> wanted)
-    : ClientRequest(scenes, context), wanted_(wanted) {
-    scene = wanted.front().scene;
+                             std::span<const RenderRequest> requests)
+    : ClientRequest(scenes, context), wanted_(requests) {
+    scene = requests.front().scene;
 }
 
 void PointsRequest::submit(bool is_last) {
@@ -90,7 +90,7 @@ void PointsRequest::submit(bool is_last) {
 }
 
 void PointsRequest::finish() {
-    scenes_.reuse_scene(*scene, load_, [&](ScanRenderer& renderer) {
+    scenes_.call_with_loaded_scene(*scene, load_, [&](ScanRenderer& renderer) {
         while (points.size() < n_submitted_) points.push_back(renderer.wait_for_points());
     });
     if (submit_failure_) std::rethrow_exception(submit_failure_);
@@ -100,6 +100,6 @@ void SpawnRequest::submit(bool) { places = scenes_.spawn(spawn_scene_, wishes_);
 
 /// Removes the spawned actors. A client that receives no response would never remove
 /// them.
-void SpawnRequest::undo() { scenes_.spawned().release(spawn_scene_, names_of_spawned(places)); }
+void SpawnRequest::undo() { scenes_.spawned().release(spawn_scene_, list_names_of_spawned(places)); }
 
 }  // namespace relidar::serve

@@ -47,8 +47,8 @@ private:
 /// Renders a scan with all its arrays.
 class ScanImageRequest final : public ClientRequest {
 public:
-    ScanImageRequest(SceneSet& scenes, const grpc::ServerContext& context, const RenderRequest& wanted)
-        : ClientRequest(scenes, context), wanted_(wanted) {}
+    ScanImageRequest(SceneSet& scenes, const grpc::ServerContext& context, const RenderRequest& request)
+        : ClientRequest(scenes, context), wanted_(request) {}
     void submit(bool is_last) override;
 
     RenderedScan scan;  ///< the response
@@ -90,8 +90,8 @@ private:
 class SpawnRequest final : public ClientRequest {
 public:
     SpawnRequest(SceneSet& scenes, const grpc::ServerContext& context, std::size_t spawn_scene,
-                 const std::vector<ActorToSpawn>& wishes)
-        : ClientRequest(scenes, context), spawn_scene_(spawn_scene), wishes_(wishes) {}
+                 const std::vector<ActorToSpawn>& actors)
+        : ClientRequest(scenes, context), spawn_scene_(spawn_scene), wishes_(actors) {}
     void submit(bool is_last) override;
 
     std::vector<SpawnedActors::Place> places;  ///< the response

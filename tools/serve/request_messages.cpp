@@ -72,7 +72,7 @@ std::vector<ActorRequest> read_actors(const v1::ActorTracks& message, double tim
     return wishes;
 }
 
-std::vector<std::string> asset_names(const AssetCatalogue& assets) {
+std::vector<std::string> list_asset_names(const AssetCatalogue& assets) {
     std::vector<std::string> names;
     for (const AssetCatalogue::Entry& entry : assets.entries()) names.push_back(entry.facts.name);
     return names;
@@ -88,7 +88,7 @@ Weather read_weather(const std::string& text) {
 
 }  // namespace
 
-std::vector<std::string> actor_names(const Run& run) {
+std::vector<std::string> list_actor_names_of_run(const Run& run) {
     std::vector<std::string> names;
     for (const Instance& instance : run.scene.instances)
         if (!instance.track.empty()) names.push_back(instance.track);
@@ -140,31 +140,33 @@ std::shared_ptr<const SensorChoice> RequestReader::find_built_in_sensor(const st
                                                                         std::size_t scene, int lidar) {
     const std::string key = fmt::format("{} {} {}", scene, lidar, name);
     if (auto sensor = named_.find(key)) return sensor;
-    return named_.put(key, named_sensor(name, outlines_[scene], lidar));
+    return named_.put(key, find_named_sensor(name, outlines_[scene], lidar));
 }
 
-std::shared_ptr<const SensorChoice> RequestReader::find_sensor(const SensorRequest& wish, std::size_t scene,
-                                                               int lidar) {
-    if (wish.returns > 2) refuse(wish.field + ".returns", fmt::format("{}", wish.returns), "0, 1 or 2");
+std::shared_ptr<const SensorChoice> RequestReader::find_sensor(const SensorRequest& request,
+                                                               std::size_t scene, int lidar) {
+    if (request.returns > 2)
+        refuse(request.field + ".returns", fmt::format("{}", request.returns), "0, 1 or 2");
     std::shared_ptr<const SensorChoice> sensor;
-    if (wish.sensor.has_spec()) {
-        sensor = std::make_shared<const SensorChoice>(read_sensor(wish.sensor.spec(), wish.field + ".spec"));
-    } else if (wish.sensor.has_handle()) {
-        sensor = uploaded_.find(wish.sensor.handle());
+    if (request.sensor.has_spec()) {
+        sensor =
+            std::make_shared<const SensorChoice>(read_sensor(request.sensor.spec(), request.field + ".spec"));
+    } else if (request.sensor.has_handle()) {
+        sensor = uploaded_.find(request.sensor.handle());
         if (!sensor)
             throw Refusal(
                 grpc::StatusCode::NOT_FOUND,
                 fmt::format(
                     "cannot read {}.handle: found {}, which is unknown or expired, expected a handle from "
                     "UploadSensor; upload the sensor again",
-                    wish.field, quoted(wish.sensor.handle())));
+                    request.field, quoted(request.sensor.handle())));
     } else {
-        sensor = find_built_in_sensor(wish.sensor.name(), scene, lidar);
+        sensor = find_built_in_sensor(request.sensor.name(), scene, lidar);
     }
     if (count_rays(*sensor) == 0)
-        refuse(wish.field, "a LiDAR of the log whose beams are unknown",
+        refuse(request.field, "a LiDAR of the log whose beams are unknown",
                "another sensor, because this LiDAR has no rays outside the scans of the log");
-    const int returns = int(wish.returns);
+    const int returns = int(request.returns);
     if (sensor->lidar == lidar && sensor->returns == returns) return sensor;
     SensorChoice placed = *sensor;
     placed.lidar = lidar;
@@ -174,7 +176,7 @@ std::shared_ptr<const SensorChoice> RequestReader::find_sensor(const SensorReque
 
 /// Returns all actors of a scene: the actors of its run and the actors that clients have
 /// added.
-std::vector<PlacedActor> RequestReader::known_actors(std::size_t scene) const {
+std::vector<PlacedActor> RequestReader::list_known_actors(std::size_t scene) const {
     const Run& run = outlines_[scene];
     std::vector<PlacedActor> actors;
     for (const Instance& instance : run.scene.instances) {
@@ -184,32 +186,32 @@ std::vector<PlacedActor> RequestReader::known_actors(std::size_t scene) const {
                           box == run.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m,
                           run.scene.models[instance.model].count});
     }
-    for (const SpawnedActors::Place& place : spawned_.taken(scene))
+    for (const SpawnedActors::Place& place : spawned_.list_taken_places(scene))
         actors.push_back(
-            {place.actor.name, track_of_slot(place.position), place.actor.size_m, place.actor.surfels});
+            {place.actor.name, make_track_of_slot(place.position), place.actor.size_m, place.actor.surfels});
     return actors;
 }
 
-void RequestReader::place_actors(const std::vector<ActorRequest>& wishes, RenderRequest& wanted) const {
-    const std::vector<PlacedActor> known_placed = known_actors(wanted.scene);
+void RequestReader::place_actors(const std::vector<ActorRequest>& requests, RenderRequest& request) const {
+    const std::vector<PlacedActor> known_placed = list_known_actors(request.scene);
     // A map makes the search by name fast, because a scene may have thousands of actors.
     std::map<std::string_view, const PlacedActor*> by_name;
     for (const PlacedActor& actor : known_placed) by_name.emplace(actor.name, &actor);
-    ActorPoses& poses = wanted.request.dataset_from_actor.emplace();
-    for (const ActorRequest& wish : wishes) {
+    ActorPoses& poses = request.request.dataset_from_actor.emplace();
+    for (const ActorRequest& wish : requests) {
         const auto match = by_name.find(wish.name);
         if (match == by_name.end()) refuse_unknown(wish.field, wish.name, list_actor_names(known_placed));
         if (!poses.emplace(match->second->track, wish.dataset_from_actor).second)
             refuse(wish.field, quoted(wish.name) + " again", "each actor once");
-        wanted.placed.push_back(*match->second);
+        request.placed.push_back(*match->second);
     }
 }
 
 std::vector<ActorToSpawn> RequestReader::read_spawns(const v1::SpawnActorsRequest& message,
                                                      std::size_t scene) const {
     if (message.actors().empty()) refuse("actors", "none", "at least one actor");
-    const std::vector<std::string> run_actors = actor_names(outlines_[scene]);
-    const std::vector<PlacedActor> known = known_actors(scene);
+    const std::vector<std::string> run_actors = list_actor_names_of_run(outlines_[scene]);
+    const std::vector<PlacedActor> known = list_known_actors(scene);
     std::vector<ActorToSpawn> wishes;
     for (int i = 0; i < message.actors_size(); ++i) {
         const v1::Spawn& spawn = message.actors(i);
@@ -225,7 +227,7 @@ std::vector<ActorToSpawn> RequestReader::read_spawns(const v1::SpawnActorsReques
                     field, quoted(spawn.name())));
         if (spawn.has_asset()) {
             const AssetCatalogue::Entry* asset = assets_.find(spawn.asset());
-            if (!asset) refuse_unknown(field + ".asset", spawn.asset(), asset_names(assets_));
+            if (!asset) refuse_unknown(field + ".asset", spawn.asset(), list_asset_names(assets_));
             wishes.push_back(
                 {spawn.name(), {true, spawn.asset()}, asset->facts.size_m, asset->facts.surfels});
             continue;
@@ -240,18 +242,19 @@ std::vector<ActorToSpawn> RequestReader::read_spawns(const v1::SpawnActorsReques
     return wishes;
 }
 
-RenderRequest RequestReader::read_scan(const v1::RenderLidarRequest& message, const SensorRequest& wish,
+RenderRequest RequestReader::read_scan(const v1::RenderLidarRequest& message, const SensorRequest& request,
                                        const std::optional<Pose>& path_from_sensor) {
     RenderRequest wanted;
     wanted.scene = find_scene(message.scene());
-    wanted.sensor = find_sensor(wish, wanted.scene, find_lidar(wanted.scene, message.lidar()));
+    wanted.sensor = find_sensor(request, wanted.scene, find_lidar(wanted.scene, message.lidar()));
     PoseTrack path = read_track(message.path(), "path");
-    wanted.request.time_s = message.has_time_s() ? read_moment(message.time_s(), path, "time_s")
-                                                 : path.time_s.front() - firing_span(*wanted.sensor).first_s;
+    wanted.request.time_s = message.has_time_s()
+                                ? read_moment(message.time_s(), path, "time_s")
+                                : path.time_s.front() - compute_firing_span(*wanted.sensor).first_s;
     wanted.points_at_s = message.has_points_at_s() ? read_moment(message.points_at_s(), path, "points_at_s")
                                                    : path.time_s.back();
     wanted.request.dataset_from_sensor =
-        path_from_sensor ? mounted_track(std::move(path), *path_from_sensor) : std::move(path);
+        path_from_sensor ? make_mounted_track(std::move(path), *path_from_sensor) : std::move(path);
     if (message.has_actors()) place_actors(read_actors(message.actors(), wanted.request.time_s), wanted);
     if (message.has_sample_seed()) wanted.sample = message.sample_seed();
     if (!message.weather().empty()) wanted.weather = read_weather(message.weather());

@@ -57,7 +57,7 @@ struct RenderRequest {
 };
 
 /// Returns the names of a run's actors. They equal the names of the actors' tracks.
-std::vector<std::string> actor_names(const Run& run);
+std::vector<std::string> list_actor_names_of_run(const Run& run);
 
 /// Reads and checks scan requests. Caches the sensors, but keeps no other data of a
 /// request. The constructor's arguments must outlive this object.
@@ -94,7 +94,7 @@ public:
     /// Sets the actors that are visible in a scan. All other actors of the scene are
     /// hidden.
     /// @throws Refusal if an actor is unknown or appears twice
-    void place_actors(const std::vector<ActorRequest>& wishes, RenderRequest& wanted) const;
+    void place_actors(const std::vector<ActorRequest>& requests, RenderRequest& request) const;
 
 private:
     const std::vector<Run>& outlines_;
@@ -108,14 +108,15 @@ private:
         std::string field;
         std::uint32_t returns;
     };
-    std::shared_ptr<const SensorChoice> find_sensor(const SensorRequest& wish, std::size_t scene, int lidar);
+    std::shared_ptr<const SensorChoice> find_sensor(const SensorRequest& request, std::size_t scene,
+                                                    int lidar);
     std::shared_ptr<const SensorChoice> find_built_in_sensor(const std::string& name, std::size_t scene,
                                                              int lidar);
-    std::vector<PlacedActor> known_actors(std::size_t scene) const;
+    std::vector<PlacedActor> list_known_actors(std::size_t scene) const;
     /// Reads a scan request for one sensor.
     /// @param path_from_sensor pose of the sensor on its rig; without a value, the path
     /// in the request is the path of the sensor itself
-    RenderRequest read_scan(const v1::RenderLidarRequest& message, const SensorRequest& wish,
+    RenderRequest read_scan(const v1::RenderLidarRequest& message, const SensorRequest& request,
                             const std::optional<Pose>& path_from_sensor);
 };
 

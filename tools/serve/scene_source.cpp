@@ -13,7 +13,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::string folder_name(const std::string& folder) {
+std::string get_folder_name(const std::string& folder) {
     const fs::path path = fs::absolute(folder).lexically_normal();
     return path.has_filename() ? path.filename().string() : path.parent_path().filename().string();
 }
@@ -26,14 +26,16 @@ Run SceneSource::load() const {
     return run;
 }
 
-std::vector<SceneSource> scene_sources(const std::vector<std::string>& words,
-                                       const std::optional<std::string>& channels, const Weather& weather) {
+std::vector<SceneSource> parse_scene_sources(const std::vector<std::string>& words,
+                                             const std::optional<std::string>& channels,
+                                             const Weather& weather) {
     std::vector<SceneSource> sources;
     for (const std::string& word : words) {
         const std::size_t equals = word.find('=');
         const bool named = equals != std::string::npos && !fs::exists(word);
         const std::string folder = named ? word.substr(equals + 1) : word;
-        sources.push_back({named ? word.substr(0, equals) : folder_name(folder), folder, channels, weather});
+        sources.push_back(
+            {named ? word.substr(0, equals) : get_folder_name(folder), folder, channels, weather});
         const SceneSource& added = sources.back();
         const auto same = std::find_if(sources.begin(), sources.end() - 1,
                                        [&](const SceneSource& s) { return s.name == added.name; });

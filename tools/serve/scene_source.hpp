@@ -33,8 +33,8 @@ struct SceneSource {
 /// Parses words of the form "RUN" or "NAME=RUN". Without NAME, the scene gets the name of
 /// the run's folder.
 /// @throws UsageError if two scenes have the same name
-std::vector<SceneSource> scene_sources(const std::vector<std::string>& words,
-                                       const std::optional<std::string>& channels = {},
-                                       const Weather& weather = {});
+std::vector<SceneSource> parse_scene_sources(const std::vector<std::string>& words,
+                                             const std::optional<std::string>& channels = {},
+                                             const Weather& weather = {});
 
 }  // namespace relidar::serve

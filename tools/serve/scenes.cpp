@@ -16,19 +16,19 @@ constexpr double kMiB = 1024.0 * 1024.0;
 
 /// Returns the run without its surfels and its ray-drop network, which need most of the
 /// memory.
-Run outline_of(Run run) {
-    run.scene = layout_of(run.scene);
+Run make_outline(Run run) {
+    run.scene = copy_layout(run.scene);
     run.drop_network = {};
     return run;
 }
 
 /// Returns a sensor with a single ray. When this ray is rendered, the complete scene is
 /// uploaded to the device.
-SensorChoice one_ray() {
+SensorChoice make_one_ray() {
     return {.rays = {1, 1, {glm::vec3(0.0f)}, {{1.0f, 0.0f, 0.0f}}, {0.0f}, {0}}, .name = "one ray"};
 }
 
-ScanRequest first_pose(const Run& run) {
+ScanRequest make_first_pose_request(const Run& run) {
     const PoseTrack track = run.sequence.world_from_sensor(0);
     Pose pose = track.pose.front();
     pose.translation += run.sequence.world_offset_m;
@@ -48,7 +48,7 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
     for (std::size_t i = 0; i < sources_.size(); ++i) {
         Run run = sources_[i].load();
         load(i, run);
-        outlines_.push_back(outline_of(std::move(run)));
+        outlines_.push_back(make_outline(std::move(run)));
         if (loaded_[i].bytes > memory_bytes_)
             throw DataError(fmt::format(
                 "cannot serve {}: it needs {:.1f} MiB of device memory, expected at most {:.1f} MiB "
@@ -75,7 +75,8 @@ SceneSet::Load SceneSet::use(std::size_t scene, const std::optional<Weather>& we
     return loaded_[scene].load;
 }
 
-void SceneSet::reuse_scene(std::size_t scene, Load load, const std::function<void(ScanRenderer&)>& work) {
+void SceneSet::call_with_loaded_scene(std::size_t scene, Load load,
+                                      const std::function<void(ScanRenderer&)>& work) {
     if (!loaded_[scene].renderer || loaded_[scene].load != load)
         throw DeviceError(fmt::format(
             "cannot render a scan of {}: the scene was unloaded for a later request", sources_[scene].name));
@@ -100,7 +101,7 @@ void SceneSet::load(std::size_t scene, const Run& run) {
     loaded.load = Load(std::uint64_t(loaded.load) + 1);
     count_growth(scene, [&] {
         loaded.renderer = std::make_unique<ScanRenderer>(device_, run);
-        loaded.renderer->render(one_ray(), first_pose(run));
+        loaded.renderer->render(make_one_ray(), make_first_pose_request(run));
     });
     const std::uint64_t left = memory_bytes_ - std::min(memory_bytes_, device_.allocated_bytes());
     // Number of copies of the scene that fit into the free memory. Copies allow parallel
@@ -120,10 +121,10 @@ void SceneSet::load_with_places(std::size_t scene) {
 }
 
 std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene,
-                                                  const std::vector<ActorToSpawn>& wishes) {
+                                                  const std::vector<ActorToSpawn>& actors) {
     Loaded& loaded = loaded_[scene];
     const std::size_t n_before = spawned_.count_places(scene);
-    std::vector<SpawnedActors::Place> places = spawned_.take(scene, wishes);
+    std::vector<SpawnedActors::Place> places = spawned_.take(scene, actors);
     if (loaded.renderer && loaded.n_places == spawned_.count_places(scene)) return places;
     const auto undo = [&] {
         // Destroys the renderer, so that the next request loads the scene without the new
@@ -139,14 +140,14 @@ std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene,
     } catch (const DataError& error) {
         undo();
         throw Refusal(grpc::StatusCode::FAILED_PRECONDITION,
-                      fmt::format("cannot spawn {} actors: {}", wishes.size(), error.what()));
+                      fmt::format("cannot spawn {} actors: {}", actors.size(), error.what()));
     } catch (const DeviceLost&) {
         undo();
         throw;
     } catch (const DeviceError& error) {
         undo();
         throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED,
-                      fmt::format("cannot spawn {} actors: {}", wishes.size(), error.what()));
+                      fmt::format("cannot spawn {} actors: {}", actors.size(), error.what()));
     } catch (...) {
         undo();
         throw;
@@ -158,7 +159,7 @@ std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene,
         grpc::StatusCode::RESOURCE_EXHAUSTED,
         fmt::format("cannot spawn {} actors: the scene would need {:.1f} MiB of device memory with them, "
                     "expected at most {:.1f} MiB (--memory-mib of the server)",
-                    wishes.size(), needed_mib, double(memory_bytes_) / kMiB));
+                    actors.size(), needed_mib, double(memory_bytes_) / kMiB));
 }
 
 /// Unloads other scenes until all scenes and `bytes` more bytes fit into the memory.

@@ -41,7 +41,7 @@ public:
     /// @return the slots of the actors, in the order of the requests
     /// @throws Refusal if a name is in use, if an asset does not fit, or if the device
     /// memory is too small; the scene is then unchanged
-    std::vector<SpawnedActors::Place> spawn(std::size_t scene, const std::vector<ActorToSpawn>& wishes);
+    std::vector<SpawnedActors::Place> spawn(std::size_t scene, const std::vector<ActorToSpawn>& actors);
 
     /// Number that changes each time a scene is loaded. Loading a scene discards its
     /// pending scans, so a changed number shows that such a scan is lost.
@@ -51,14 +51,14 @@ public:
     /// @param scene index into outlines()
     /// @param weather weather to simulate; without a value, the weather of the scene's
     /// source
-    /// @return number of the current load, for reuse_scene()
+    /// @return number of the current load, for call_with_loaded_scene()
     Load use(std::size_t scene, const std::optional<Weather>& weather,
              const std::function<void(ScanRenderer&)>& work);
     /// Calls a function that reads the results of an earlier use(). Must be called before
     /// another scene is used.
     /// @param load the number that use() returned
     /// @throws DeviceError if the device was lost or the scene was loaded again
-    void reuse_scene(std::size_t scene, Load load, const std::function<void(ScanRenderer&)>& work);
+    void call_with_loaded_scene(std::size_t scene, Load load, const std::function<void(ScanRenderer&)>& work);
 
     /// Returns true if the surfels of the scene are on the device.
     bool is_loaded(std::size_t scene) const { return loaded_[scene].renderer != nullptr; }

@@ -24,7 +24,7 @@ std::shared_ptr<const SensorChoice> SensorCache::put(const std::string& key, Sen
     const std::lock_guard lock(mutex_);
     while (!entries_.empty() &&
            (entries_.size() >= kMostSensors || count_rays() + kept->rays.size() > kMostRays))
-        forget_oldest();
+        remove_oldest();
     entries_[key] = {kept, ++clock_};
     return kept;
 }
@@ -37,10 +37,10 @@ std::shared_ptr<const SensorChoice> SensorCache::find(const std::string& key) {
     return entry->second.sensor;
 }
 
-void SensorCache::forget_oldest() {
-    entries_.erase(std::min_element(entries_.begin(), entries_.end(), [](const auto& a, const auto& b) {
-        return a.second.used < b.second.used;
-    }));
+void SensorCache::remove_oldest() {
+    entries_.erase(std::min_element(
+        entries_.begin(), entries_.end(),
+        [](const auto& first, const auto& second) { return first.second.used < second.second.used; }));
 }
 
 std::size_t SensorCache::count_rays() const {

@@ -41,7 +41,7 @@ private:
     std::uint64_t clock_ = 0;
     std::uint64_t added_ = 0;
 
-    void forget_oldest();
+    void remove_oldest();
     std::size_t count_rays() const;
 };
 

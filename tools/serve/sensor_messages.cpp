@@ -40,13 +40,14 @@ double read_between(const std::string& field, double value, double low, double h
     return value;
 }
 
-/// Copies an array from the bytes of a message. The array must be empty or contain `n`
-/// values.
+/// Copies an array from the bytes of a message. The array must be empty or contain
+/// `count` values.
 template <class T>
-std::vector<T> read_array(const std::string& bytes, std::size_t n, const std::string& field) {
-    if (!bytes.empty() && bytes.size() != n * sizeof(T))
+std::vector<T> read_array(const std::string& bytes, std::size_t count, const std::string& field) {
+    if (!bytes.empty() && bytes.size() != count * sizeof(T))
         refuse(field, fmt::format("{} bytes", bytes.size()),
-               fmt::format("{} bytes: a value of {} bytes for each of {} rays", n * sizeof(T), sizeof(T), n));
+               fmt::format("{} bytes: a value of {} bytes for each of {} rays", count * sizeof(T), sizeof(T),
+                           count));
     std::vector<T> values(bytes.size() / sizeof(T));
     if (!bytes.empty()) std::memcpy(values.data(), bytes.data(), bytes.size());
     return values;
@@ -62,7 +63,7 @@ void check_values(const RayTable& rays, const std::string& field) {
         for (int axis = 0; axis < 3; ++axis)
             if (const float x = rays.origin[i][axis]; !(std::abs(double(x)) <= kFarthestOrigin_m))
                 fail("origin_m", x, fmt::format("metres of at most {}", kFarthestOrigin_m));
-        if (const double angle = rays.divergence_of(i); !(angle >= 0.0 && angle <= kWidestBeam_rad))
+        if (const double angle = rays.compute_divergence(i); !(angle >= 0.0 && angle <= kWidestBeam_rad))
             fail("divergence_rad", float(angle), fmt::format("radians in [0, {}]", kWidestBeam_rad));
         if (!(std::abs(double(time_s)) <= kLongestScan_s))
             fail("time_s", time_s, fmt::format("seconds of at most {}", kLongestScan_s));
@@ -160,7 +161,7 @@ Rosette read_rosette(const v1::Rosette& message, const std::string& field) {
 
 /// Returns the name of a sensor without its resolution and rate, for example "VLP-16" for
 /// "VLP-16:900x20". Returns the full name if the part after the colon has another form.
-std::string base_name(const std::string& name) {
+std::string get_base_name(const std::string& name) {
     const std::size_t colon = name.rfind(':');
     const bool sized =
         colon != std::string::npos && name.find_first_not_of("0123456789x.", colon + 1) == std::string::npos;
@@ -206,31 +207,31 @@ SensorChoice read_sensor(const v1::SensorSpec& message, const std::string& field
     // Computes the rays only to check that their values are finite. Without this check,
     // the error would occur later, when a scan is rendered.
     if (describe_pattern(sensor.pattern).has_rays_by_time) make_rays(sensor);
-    return sensor_choice(sensor);
+    return make_sensor_choice(sensor);
 }
 
-SensorChoice named_sensor(const std::string& name, const Run& run, int lidar) {
-    if (name.empty()) return configured_sensor(run.config, run.sequence, lidar);
-    if (known_name(name, {"native", kitti360_grid().name}))
+SensorChoice find_named_sensor(const std::string& name, const Run& run, int lidar) {
+    if (name.empty()) return make_configured_sensor(run.config, run.sequence, lidar);
+    if (find_known_name(name, {"native", make_kitti360_grid().name}))
         return choose_sensor(name, run.config, run.sequence, lidar);
-    std::vector<std::string> known = sensor_names();
-    if (!known_name(base_name(name), known)) {
+    std::vector<std::string> known = list_sensor_names();
+    if (!find_known_name(get_base_name(name), known)) {
         known.push_back("native");
         refuse("sensor.name", quoted(name),
                fmt::format("a name that ListScenes returns, such as {}",
-                           nearest_name(name.substr(0, 80), known)));
+                           find_nearest_name(name.substr(0, 80), known)));
     }
     const SensorModel sensor = find_sensor(name);
     check_count("sensor.name " + quoted(name), describe_pattern(sensor.pattern).n_rays);
-    return sensor_choice(sensor, lidar);
+    return make_sensor_choice(sensor, lidar);
 }
 
-FiringSpan firing_span(const SensorChoice& sensor) {
+FiringSpan compute_firing_span(const SensorChoice& sensor) {
     const ScanArray<float>& times = sensor.rays.time_offset_s;
     // A rosette sensor has no fixed firing times. The firing times of a sensor that is
     // known only from its scans are unknown too.
     if (times.empty()) {
-        const double period_s = sensor.pattern ? period_of(*sensor.pattern) : 0.0;
+        const double period_s = sensor.pattern ? get_period(*sensor.pattern) : 0.0;
         return {-0.5 * period_s, 0.5 * period_s};
     }
     const auto [first, last] = std::minmax_element(times.begin(), times.end());

@@ -25,14 +25,14 @@ SensorChoice read_sensor(const v1::SensorSpec& message, const std::string& field
 /// server.
 /// @param run run without surfels
 /// @throws Refusal if the name is unknown or the sensor has too many rays
-SensorChoice named_sensor(const std::string& name, const Run& run, int lidar);
+SensorChoice find_named_sensor(const std::string& name, const Run& run, int lidar);
 
 /// Firing times of the first and the last ray, in seconds relative to the time of the
 /// scan.
 struct FiringSpan {
     double first_s = 0.0, last_s = 0.0;
 };
-FiringSpan firing_span(const SensorChoice& sensor);
+FiringSpan compute_firing_span(const SensorChoice& sensor);
 
 /// Returns the number of rays of one scan.
 std::size_t count_rays(const SensorChoice& sensor);

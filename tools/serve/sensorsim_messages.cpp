@@ -34,7 +34,9 @@ const WireLidar& find_wire_lidar(sensorsim::LidarType type) {
     return *match;
 }
 
-bool same(const Pose& a, const Pose& b) { return a.translation == b.translation && a.rotation == b.rotation; }
+bool same(const Pose& first, const Pose& second) {
+    return first.translation == second.translation && first.rotation == second.rotation;
+}
 
 void write_pose(const Pose& pose, PoseOrder order, sensorsim::Pose& message) {
     const glm::dvec3 t = order == PoseOrder::rotation_first ? pose.translation
@@ -79,7 +81,7 @@ std::shared_ptr<const SensorChoice> SensorsimReader::sensor(const sensorsim::Lid
     const std::uint64_t frame_us = message.frame_end_us() - message.frame_start_us();
     const std::string key = fmt::format("{} {} {} {}", is_of_log ? scene : 0, lidar, name, frame_us);
     if (auto sensor = sensors_.find(key)) return sensor;
-    SensorChoice sensor = named_sensor(name, outlines_[scene], lidar);
+    SensorChoice sensor = find_named_sensor(name, outlines_[scene], lidar);
     if (count_rays(sensor) == 0)
         refuse("lidar.logical_id", quoted(id) + ", a LiDAR whose beams are unknown",
                "another LiDAR, or the lidar_type PANDAR128 or AT128");
@@ -160,7 +162,7 @@ void write_points(const Points& points, sensorsim::LidarRenderReturn& message) {
 }
 
 void write_objects(const Run& run, PoseOrder order, sensorsim::DynamicObjectTracks& message) {
-    for (const std::string& name : actor_names(run)) {
+    for (const std::string& name : list_actor_names_of_run(run)) {
         const auto box = std::ranges::find(run.sequence.boxes, name, &BoxTrack::id);
         if (box == run.sequence.boxes.end()) continue;
         sensorsim::DynamicObjectTrack& object = *message.add_dynamic_objects();

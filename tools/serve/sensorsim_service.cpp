@@ -19,12 +19,12 @@ namespace {
 // Maximum number of scans per call. The maximum number of sensors of a rig is the same.
 constexpr int kMostScans = 64;
 
-[[noreturn]] void refuse_images(const std::string& call, const std::string& found) {
+[[noreturn]] void refuse_images(const std::string& call, const std::string& found_value) {
     throw Refusal(
         grpc::StatusCode::UNIMPLEMENTED,
         fmt::format("cannot answer {}: found {}, expected only LiDAR scans (render_lidar), because relidar "
                     "renders no camera images",
-                    call, found));
+                    call, found_value));
 }
 
 // Packages of the service. NuRec used the first name until version 26.09 and has used the

@@ -56,7 +56,7 @@ private:
     void render_aggregated(const grpc::ServerContext& context,
                            const sensorsim::AggregatedRenderRequest& request,
                            sensorsim::AggregatedRenderReturn& answer);
-    void render(RenderQueue::Slot& slot, const RenderRequest& wanted, const grpc::ServerContext& context,
+    void render(RenderQueue::Slot& slot, const RenderRequest& request, const grpc::ServerContext& context,
                 sensorsim::LidarRenderReturn& answer);
 };
 

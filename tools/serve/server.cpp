@@ -49,7 +49,7 @@ std::string read_pem(const std::string& file) {
     return text;
 }
 
-std::shared_ptr<grpc::ServerCredentials> credentials(const ServerOptions& options) {
+std::shared_ptr<grpc::ServerCredentials> make_credentials(const ServerOptions& options) {
     if (options.tls_cert.empty()) return grpc::InsecureServerCredentials();
     grpc::SslServerCredentialsOptions tls;
     tls.pem_key_cert_pairs.push_back({read_pem(options.tls_key), read_pem(options.tls_cert)});
@@ -92,10 +92,10 @@ struct ScanServer::Impl {
         if (acceptor) acceptor->stop();
         if (server) server->Shutdown(std::chrono::system_clock::now());
         server.reset();
-        on_render_thread([&] { scenes.reset(), device.reset(); });
+        run_on_render_thread([&] { scenes.reset(), device.reset(); });
     }
 
-    void on_render_thread(const std::function<void()>& work) { queue.reserve()->run(work); }
+    void run_on_render_thread(const std::function<void()>& work) { queue.reserve()->run(work); }
     void listen(const ServerOptions& options);
     void set_serving(bool serving);
 };
@@ -114,8 +114,8 @@ void ScanServer::Impl::listen(const ServerOptions& options) {
     builder.AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, kHandshake_ms);
     builder.AddChannelArgument(GRPC_ARG_MAX_CONNECTION_IDLE_MS, kLongestIdle_ms);
     using FromDescriptor = grpc::ServerBuilder::experimental_type::ExternalConnectionType;
-    connections =
-        builder.experimental().AddExternalConnectionAcceptor(FromDescriptor::FROM_FD, credentials(options));
+    connections = builder.experimental().AddExternalConnectionAcceptor(FromDescriptor::FROM_FD,
+                                                                       make_credentials(options));
     builder.RegisterService(&*service);
     if (sensorsim) sensorsim->register_at(builder);
     server = builder.BuildAndStart();
@@ -142,14 +142,14 @@ void ScanServer::Impl::set_serving(bool serving) {
 }
 
 ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Impl>(options.waiting)) {
-    std::vector<SceneSource> sources = scene_sources(options.runs, options.channels, options.weather);
+    std::vector<SceneSource> sources = parse_scene_sources(options.runs, options.channels, options.weather);
     impl_->assets.emplace(options.assets);
-    impl_->on_render_thread([&] {
+    impl_->run_on_render_thread([&] {
         impl_->device.emplace(options.device);
         impl_->scenes.emplace(*impl_->device, std::move(sources), memory_bytes(options, *impl_->device),
                               *impl_->assets);
     });
-    if (ScanRenderer::default_side_by_side(*impl_->device) > 1) impl_->queue.set_batch_size(kBatchSize);
+    if (ScanRenderer::choose_max_lanes(*impl_->device) > 1) impl_->queue.set_batch_size(kBatchSize);
     impl_->service.emplace(impl_->queue, *impl_->scenes);
     if (options.sensorsim) impl_->sensorsim.emplace(impl_->queue, *impl_->scenes, *options.sensorsim);
     impl_->listen(options);
@@ -166,8 +166,8 @@ std::vector<std::string> ScanServer::scenes() const {
     return names;
 }
 
-std::optional<std::string> ScanServer::device_loss() {
-    const std::optional<std::string> loss = impl_->queue.device_loss();
+std::optional<std::string> ScanServer::get_device_loss_message() {
+    const std::optional<std::string> loss = impl_->queue.get_device_loss_message();
     if (loss) impl_->set_serving(false);
     return loss;
 }

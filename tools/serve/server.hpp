@@ -61,7 +61,7 @@ public:
     /// Returns the driver's error message if the device was lost. Returns no value as
     /// long as the device works. After the loss, the health service reports NOT_SERVING,
     /// and render calls fail with UNAVAILABLE.
-    std::optional<std::string> device_loss();
+    std::optional<std::string> get_device_loss_message();
     /// Rejects new calls and waits for pending calls.
     /// @param patience longest time to wait; after it, the remaining calls are cancelled
     void stop(std::chrono::milliseconds patience);

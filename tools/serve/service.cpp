@@ -12,8 +12,8 @@
 namespace relidar::serve {
 namespace {
 
-bool needs_image(const RenderRequest& wanted) {
-    return wanted.range_image || wanted.drop_probability || !wanted.points;
+bool needs_image(const RenderRequest& request) {
+    return request.range_image || request.drop_probability || !request.points;
 }
 
 void write_times(const Request& request, v1::LidarScan& answer) {
@@ -32,14 +32,14 @@ void RenderService::render_image(RenderQueue::Slot& slot, const RenderRequest& w
     write_times(request, answer);
 }
 
-void RenderService::render_points(RenderQueue::Slot& slot, std::span<const RenderRequest> wanted,
+void RenderService::render_points(RenderQueue::Slot& slot, std::span<const RenderRequest> requests,
                                   const grpc::ServerContext& context,
                                   std::span<v1::LidarScan* const> answers) {
-    PointsRequest request(scenes_, context, wanted);
+    PointsRequest request(scenes_, context, requests);
     request.run(slot);
-    for (std::size_t i = 0; i < wanted.size(); ++i) {
-        write_scan(request.points[i], wanted[i], *answers[i]);
-        write_sparse_actors(wanted[i], *answers[i]);
+    for (std::size_t i = 0; i < requests.size(); ++i) {
+        write_scan(request.points[i], requests[i], *answers[i]);
+        write_sparse_actors(requests[i], *answers[i]);
         write_times(request, *answers[i]);
     }
 }
@@ -50,11 +50,11 @@ grpc::Status RenderService::ListScenes(grpc::ServerContext*, const v1::ListScene
         for (std::size_t i = 0; i < scenes_.outlines().size(); ++i)
             write_scene(scenes_.sources()[i].name, scenes_.outlines()[i], *answer->add_scenes());
         for (std::size_t i = 0; i < scenes_.outlines().size(); ++i)
-            for (const SpawnedActors::Place& place : scenes_.spawned().taken(i))
+            for (const SpawnedActors::Place& place : scenes_.spawned().list_taken_places(i))
                 write_spawned(place, scenes_.outlines()[i], *answer->mutable_scenes(int(i))->add_spawned());
         for (const AssetCatalogue::Entry& entry : scenes_.assets().entries())
             write_asset(entry.facts, *answer->add_assets());
-        for (const std::string& name : sensor_names()) answer->add_sensors(name);
+        for (const std::string& name : list_sensor_names()) answer->add_sensors(name);
     });
 }
 
@@ -85,7 +85,7 @@ grpc::Status RenderService::DespawnActors(grpc::ServerContext*, const v1::Despaw
     return answered([&] {
         const std::size_t scene = reader_.find_scene(request->scene());
         scenes_.spawned().release(scene, {request->names().begin(), request->names().end()});
-        answer->set_left(std::uint32_t(scenes_.spawned().taken(scene).size()));
+        answer->set_left(std::uint32_t(scenes_.spawned().list_taken_places(scene).size()));
     });
 }
 
@@ -93,7 +93,7 @@ grpc::Status RenderService::UploadSensor(grpc::ServerContext*, const v1::UploadS
                                          v1::UploadSensorResponse* answer) {
     return answered([&] {
         const auto [handle, sensor] = reader_.upload(request->sensor());
-        const FiringSpan span = firing_span(*sensor);
+        const FiringSpan span = compute_firing_span(*sensor);
         answer->set_handle(handle);
         answer->set_rays(count_rays(*sensor));
         answer->set_first_ray_s(span.first_s);

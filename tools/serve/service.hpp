@@ -40,9 +40,9 @@ private:
     SceneSet& scenes_;
     RequestReader reader_;
 
-    void render_image(RenderQueue::Slot& slot, const RenderRequest& wanted,
+    void render_image(RenderQueue::Slot& slot, const RenderRequest& request,
                       const grpc::ServerContext& context, v1::LidarScan& answer);
-    void render_points(RenderQueue::Slot& slot, std::span<const RenderRequest> wanted,
+    void render_points(RenderQueue::Slot& slot, std::span<const RenderRequest> requests,
                        const grpc::ServerContext& context, std::span<v1::LidarScan* const> answers);
 };
 

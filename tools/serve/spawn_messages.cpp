@@ -17,7 +17,7 @@ void write_size(const glm::dvec3& size_m, v1::Vector& message) {
 void write_asset(const AssetFacts& facts, v1::Asset& message) {
     message.set_name(facts.name);
     message.set_category(facts.category);
-    message.set_kind(name_of(facts.kind));
+    message.set_kind(get_name(facts.kind));
     write_size(facts.size_m, *message.mutable_size_m());
     message.set_score(facts.score());
     message.set_seen(facts.seen);
@@ -35,20 +35,20 @@ void write_spawned(const SpawnedActors::Place& place, const Run& run, v1::Spawne
     message.set_surfels(place.actor.surfels);
 }
 
-void write_sparse_actors(const RenderRequest& wanted, v1::LidarScan& message) {
-    if (wanted.placed.empty()) return;
-    const SensorChoice& sensor = *wanted.sensor;
-    const double time_s = wanted.request.time_s;
+void write_sparse_actors(const RenderRequest& request, v1::LidarScan& message) {
+    if (request.placed.empty()) return;
+    const SensorChoice& sensor = *request.sensor;
+    const double time_s = request.request.time_s;
     // True if the ray directions of the sensor change from scan to scan.
     const bool makes_rays = sensor.pattern && sensor.rays.size() == 0;
     const RayTable made = makes_rays ? make_rays(*sensor.pattern, time_s) : RayTable{};
     const RayTable& rays = makes_rays ? made : sensor.rays;
-    const Pose dataset_from_sensor = wanted.request.dataset_from_sensor.at(time_s);
-    for (const PlacedActor& actor : wanted.placed) {
-        const Pose dataset_from_actor = wanted.request.dataset_from_actor->at(actor.track).at(time_s);
+    const Pose dataset_from_sensor = request.request.dataset_from_sensor.at(time_s);
+    for (const PlacedActor& actor : request.placed) {
+        const Pose dataset_from_actor = request.request.dataset_from_actor->at(actor.track).at(time_s);
         const Pose box_from_sensor = inverse(dataset_from_actor) * dataset_from_sensor;
         const ActorDetail detail =
-            actor_detail(rays.origin, rays.direction, box_from_sensor, actor.size_m, actor.surfels);
+            measure_actor_detail(rays.origin, rays.direction, box_from_sensor, actor.size_m, actor.surfels);
         if (!detail.is_sparse()) continue;
         v1::SparseActor& sparse = *message.add_sparse_actors();
         sparse.set_name(actor.name);

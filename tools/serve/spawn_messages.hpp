@@ -19,6 +19,6 @@ void write_spawned(const SpawnedActors::Place& place, const Run& run, v1::Spawne
 
 /// Writes the names of the actors that have too few surfels for their distance from the
 /// sensor.
-void write_sparse_actors(const RenderRequest& wanted, v1::LidarScan& message);
+void write_sparse_actors(const RenderRequest& request, v1::LidarScan& message);
 
 }  // namespace relidar::serve

@@ -26,18 +26,18 @@ auto find_spawned(SpawnedPlaces& places, const std::string& name) {
 
 /// Returns the index of a free slot for the same model. If no such slot is free, adds
 /// slots and returns the index of the first new slot.
-std::size_t free_place(SpawnedPlaces& places, const ActorToSpawn& wish) {
-    const auto is_free = [&](const ActorToSpawn& p) { return p.name.empty() && p.source == wish.source; };
+std::size_t free_place(SpawnedPlaces& places, const ActorToSpawn& actor) {
+    const auto is_free = [&](const ActorToSpawn& p) { return p.name.empty() && p.source == actor.source; };
     const auto free = std::ranges::find_if(places, is_free);
     if (free != places.end()) return std::size_t(free - places.begin());
-    const auto of_source = std::size_t(std::ranges::count(places, wish.source, &ActorToSpawn::source));
+    const auto of_source = std::size_t(std::ranges::count(places, actor.source, &ActorToSpawn::source));
     if (places.size() >= SpawnedActors::kMostPlaces)
         throw Refusal(
             grpc::StatusCode::RESOURCE_EXHAUSTED,
             fmt::format("cannot spawn {}: this scene already has {} spawned actors, which is the maximum",
-                        quoted(wish.name), places.size()));
+                        quoted(actor.name), places.size()));
     const std::size_t first = places.size();
-    ActorToSpawn empty = wish;
+    ActorToSpawn empty = actor;
     empty.name.clear();
     places.resize(
         std::min(first + std::clamp<std::size_t>(of_source, 1, kMostSpare), SpawnedActors::kMostPlaces),
@@ -45,7 +45,7 @@ std::size_t free_place(SpawnedPlaces& places, const ActorToSpawn& wish) {
     return first;
 }
 
-std::uint32_t model_of_actor(const Scene& scene, const std::string& track) {
+std::uint32_t find_model_of_actor(const Scene& scene, const std::string& track) {
     const auto instance = std::ranges::find(scene.instances, track, &Instance::track);
     if (instance == scene.instances.end())
         throw DataError(fmt::format("cannot spawn {}: the run no longer has this actor", track));
@@ -55,7 +55,7 @@ std::uint32_t model_of_actor(const Scene& scene, const std::string& track) {
 /// Loads an asset and adds its surfel model to the scene.
 std::uint32_t add_asset(Scene& scene, const std::filesystem::path& folder) {
     const Run asset = load_run(folder);
-    return append_model(scene, asset.scene, model_of_actor(asset.scene, find_only_track(asset)));
+    return append_model(scene, asset.scene, find_model_of_actor(asset.scene, find_only_track(asset)));
 }
 
 }  // namespace
@@ -67,7 +67,7 @@ std::vector<SpawnedActors::Place> SpawnedActors::places(std::size_t scene) const
     return all;
 }
 
-std::vector<SpawnedActors::Place> SpawnedActors::taken(std::size_t scene) const {
+std::vector<SpawnedActors::Place> SpawnedActors::list_taken_places(std::size_t scene) const {
     std::vector<Place> all = places(scene);
     std::erase_if(all, [](const Place& place) { return place.actor.name.empty(); });
     return all;
@@ -79,12 +79,12 @@ std::size_t SpawnedActors::count_places(std::size_t scene) const {
 }
 
 std::vector<SpawnedActors::Place> SpawnedActors::take(std::size_t scene,
-                                                      const std::vector<ActorToSpawn>& wishes) {
+                                                      const std::vector<ActorToSpawn>& actors) {
     const std::lock_guard lock(mutex_);
     // The code below changes only this copy, so that a rejected request has no effect.
     SpawnedPlaces places = scenes_[scene];
     std::vector<Place> new_places;
-    for (const ActorToSpawn& wish : wishes) {
+    for (const ActorToSpawn& wish : actors) {
         if (find_spawned(places, wish.name) != places.end())
             throw Refusal(grpc::StatusCode::ALREADY_EXISTS,
                           fmt::format("cannot spawn {}: an actor with this name exists; use another name",
@@ -119,18 +119,18 @@ void SpawnedActors::undo(std::size_t scene, const std::vector<Place>& places, st
     scenes_[scene].resize(n_before);
 }
 
-std::string track_of_slot(std::size_t position) { return fmt::format("\x01spawned {}", position); }
+std::string make_track_of_slot(std::size_t position) { return fmt::format("\x01spawned {}", position); }
 
 void add_places(Run& run, const std::vector<SpawnedActors::Place>& places, const AssetCatalogue& assets) {
     std::map<std::string, std::uint32_t> models;  // Index of the surfel model of each asset.
     for (const SpawnedActors::Place& place : places) {
         const SpawnSource& source = place.actor.source;
         std::uint32_t model = 0;
-        if (!source.is_asset) model = model_of_actor(run.scene, source.name);
+        if (!source.is_asset) model = find_model_of_actor(run.scene, source.name);
         else if (const auto model_entry = models.find(source.name); model_entry != models.end())
             model = model_entry->second;
         else model = models[source.name] = add_asset(run.scene, assets.find(source.name)->folder);
-        run.scene.instances.push_back({model, track_of_slot(place.position)});
+        run.scene.instances.push_back({model, make_track_of_slot(place.position)});
     }
 }
 

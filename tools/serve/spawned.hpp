@@ -51,14 +51,14 @@ public:
     };
     std::vector<Place> places(std::size_t scene) const;
     /// Returns the slots that contain an actor.
-    std::vector<Place> taken(std::size_t scene) const;
+    std::vector<Place> list_taken_places(std::size_t scene) const;
 
     /// Assigns a slot to each actor. If a model has no free slot, its number of slots is
     /// doubled, but at most 8 slots are added.
     /// @return the slots in the order of the requests
     /// @throws Refusal if a name is in use or the maximum number of slots is reached;
     /// then nothing changes
-    std::vector<Place> take(std::size_t scene, const std::vector<ActorToSpawn>& wishes);
+    std::vector<Place> take(std::size_t scene, const std::vector<ActorToSpawn>& actors);
     /// Removes the named actors and makes their slots free again.
     /// @throws Refusal if a name is unknown; then nothing changes
     void release(std::size_t scene, const std::vector<std::string>& names);
@@ -75,7 +75,7 @@ private:
 
 /// Returns the track name of a slot in the rendered scene. No track of a run has this
 /// name.
-std::string track_of_slot(std::size_t position);
+std::string make_track_of_slot(std::size_t position);
 
 /// Adds an instance for each slot to the run. Adds the model of each asset only once.
 /// Must be called before the run is rendered.

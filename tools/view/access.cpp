@@ -9,20 +9,21 @@
 namespace relidar::view {
 namespace {
 
-bool equal_in_any_case(std::string_view a, std::string_view b) {
-    return std::equal(a.begin(), a.end(), b.begin(), b.end(), [](char x, char y) {
+bool are_equal_ignoring_case(std::string_view first, std::string_view second) {
+    return std::equal(first.begin(), first.end(), second.begin(), second.end(), [](char x, char y) {
         return std::tolower(static_cast<unsigned char>(x)) == std::tolower(static_cast<unsigned char>(y));
     });
 }
 
 bool is_port(std::string_view text) {
-    return !text.empty() && text.size() <= 5 &&
-           std::all_of(text.begin(), text.end(), [](char c) { return c >= '0' && c <= '9'; });
+    return !text.empty() && text.size() <= 5 && std::all_of(text.begin(), text.end(), [](char character) {
+        return character >= '0' && character <= '9';
+    });
 }
 
 /// Returns the host name in a text of the form "host", "host:port" or "[address]:port".
 /// Returns an empty text for any other form.
-std::string_view without_port(std::string_view host) {
+std::string_view remove_port(std::string_view host) {
     std::size_t end = host.find(':');
     if (host.starts_with('[')) {
         const std::size_t bracket = host.find(']');
@@ -39,9 +40,10 @@ std::string_view without_port(std::string_view host) {
 }  // namespace
 
 bool is_local_host(std::string_view host, std::string_view host_name) {
-    const std::string_view name = without_port(host);
+    const std::string_view name = remove_port(host);
     if (name.empty()) return false;
-    if (equal_in_any_case(name, "localhost") || (!host_name.empty() && equal_in_any_case(name, host_name)))
+    if (are_equal_ignoring_case(name, "localhost") ||
+        (!host_name.empty() && are_equal_ignoring_case(name, host_name)))
         return true;
     boost::system::error_code failed;
     boost::asio::ip::make_address(std::string(name), failed);
@@ -51,16 +53,16 @@ bool is_local_host(std::string_view host, std::string_view host_name) {
 bool is_same_origin(std::string_view origin, std::string_view host) {
     constexpr std::string_view kScheme = "http://";
     return origin.empty() ||
-           (origin.starts_with(kScheme) && equal_in_any_case(origin.substr(kScheme.size()), host));
+           (origin.starts_with(kScheme) && are_equal_ignoring_case(origin.substr(kScheme.size()), host));
 }
 
-bool same_secret(std::string_view a, std::string_view b) {
-    unsigned differs = a.size() == b.size() ? 0u : 1u;
-    // Always compares all characters of the secret `b`. Otherwise the duration would show
-    // a client how many characters of its text `a` are right.
-    for (std::size_t i = 0; i < b.size(); ++i) {
-        const char shown = i < a.size() ? a[i] : '\0';
-        differs |= static_cast<unsigned char>(shown) ^ static_cast<unsigned char>(b[i]);
+bool is_same_secret(std::string_view first, std::string_view second) {
+    unsigned differs = first.size() == second.size() ? 0u : 1u;
+    // Always compares all characters of the secret `second`. Otherwise the duration would
+    // show a client how many characters of its text `first` are right.
+    for (std::size_t i = 0; i < second.size(); ++i) {
+        const char shown = i < first.size() ? first[i] : '\0';
+        differs |= static_cast<unsigned char>(shown) ^ static_cast<unsigned char>(second[i]);
     }
     return differs == 0u;
 }
@@ -77,9 +79,9 @@ std::string_view value_of(std::string_view list, std::string_view name, char sep
     return {};
 }
 
-bool shows_token(const Credentials& request, std::string_view token, std::string_view cookie_name) {
-    return same_secret(value_of(request.query, "token", '&'), token) ||
-           same_secret(value_of(request.cookie, cookie_name, ';'), token);
+bool has_valid_token(const Credentials& request, std::string_view token, std::string_view cookie_name) {
+    return is_same_secret(value_of(request.query, "token", '&'), token) ||
+           is_same_secret(value_of(request.cookie, cookie_name, ';'), token);
 }
 
 }  // namespace relidar::view

@@ -21,7 +21,7 @@ static_assert(std::endian::native == std::endian::little,
 
 using Json = nlohmann::json;
 
-std::uint8_t as_byte(float share) {
+std::uint8_t to_byte(float share) {
     return static_cast<std::uint8_t>(std::lround(255.0f * std::clamp(share, 0.0f, 1.0f)));
 }
 
@@ -67,25 +67,25 @@ private:
 
 }  // namespace
 
-ScanColumns simulated_columns(const RenderedScan& scan, const Config& config,
-                              const glm::dvec3& world_offset_m) {
+ScanColumns make_simulated_columns(const RenderedScan& scan, const Config& config,
+                                   const glm::dvec3& world_offset_m) {
     Points points = place_points(scan, config, Pose{{1.0, 0.0, 0.0, 0.0}, world_offset_m}, PointsOf::rays);
     ScanColumns result{.rows = scan.image.rows,
                        .columns = scan.image.columns,
                        .position_m = std::move(points.position_m),
-                       .range_m = point_ranges(scan, config),
+                       .range_m = select_point_ranges(scan, config),
                        .ring = std::move(points.ring),
                        .channels = std::move(points.channels)};
     for (std::size_t i = 0; i < result.range_m.size(); ++i) {
-        result.intensity.push_back(as_byte(scan.image.intensity[i]));
-        result.drop.push_back(as_byte(scan.image.drop_prob[i]));
+        result.intensity.push_back(to_byte(scan.image.intensity[i]));
+        result.drop.push_back(to_byte(scan.image.drop_prob[i]));
         const int instance = scan.instance[i];
         result.instance.push_back(static_cast<std::uint16_t>(instance < 0 ? 65535 : instance));
     }
     return result;
 }
 
-ScanColumns measured_columns(const Sequence& sequence, const Frame& frame) {
+ScanColumns make_measured_columns(const Sequence& sequence, const Frame& frame) {
     const Scan& scan = frame.scan;
     const PoseTrack world_from_sensor = sequence.world_from_sensor(frame.lidar);
     ScanColumns result{.rows = scan.rays.rows,
@@ -94,15 +94,15 @@ ScanColumns measured_columns(const Sequence& sequence, const Frame& frame) {
                        .ring = to_vector(scan.rays.channel)};
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         const WorldRay ray =
-            world_ray(world_from_sensor, frame.time_s, scan.rays, i, sequence.rolling_shutter);
+            make_world_ray(world_from_sensor, frame.time_s, scan.rays, i, sequence.rolling_shutter);
         result.position_m.push_back(glm::vec3(ray.origin_m + double(scan.range_m[i]) * ray.direction));
-        result.intensity.push_back(as_byte(scan.intensity[i]));
+        result.intensity.push_back(to_byte(scan.intensity[i]));
         result.drop.push_back(scan.range_m[i] > 0.0f ? 0 : 255);
     }
     return result;
 }
 
-Json matrix_json(const Pose& pose) {
+Json make_matrix_json(const Pose& pose) {
     const glm::dmat4 m = to_matrix(pose);
     Json result = Json::array();
     for (int column = 0; column < 4; ++column)

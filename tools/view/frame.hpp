@@ -53,15 +53,15 @@ struct ScanColumns {
 
 /// Converts a simulated scan to the arrays of a message.
 /// @param world_offset_m offset from relidar's world frame to the dataset's world frame
-ScanColumns simulated_columns(const RenderedScan& scan, const Config& config,
-                              const glm::dvec3& world_offset_m);
+ScanColumns make_simulated_columns(const RenderedScan& scan, const Config& config,
+                                   const glm::dvec3& world_offset_m);
 /// Converts a measured scan to the arrays of a message.
 /// @param frame frame of the sequence that contains the scan
-ScanColumns measured_columns(const Sequence& sequence, const Frame& frame);
+ScanColumns make_measured_columns(const Sequence& sequence, const Frame& frame);
 
 /// Returns a pose as a 4x4 matrix. The 16 numbers are in column-major order, as WebGL
 /// expects.
-nlohmann::json matrix_json(const Pose& pose);
+nlohmann::json make_matrix_json(const Pose& pose);
 
 /// Encodes a simulated scan, a measured scan, or both as one binary message.
 /// @param header JSON header of the message, without the key "arrays"

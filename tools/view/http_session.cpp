@@ -79,14 +79,14 @@ void HttpSession::on_read(Error failed) {
 /// Returns the HTTP status if a request is rejected. Returns no value if the request is
 /// allowed. The order of the checks reveals as little as possible to a client without
 /// access.
-std::optional<HttpSession::Status> HttpSession::objection(const Request& request) const {
+std::optional<HttpSession::Status> HttpSession::find_objection(const Request& request) const {
     if (request.count(http::field::host) != 1) return Status::bad_request;
     const Credentials credentials{view(request[http::field::host]), view(request[http::field::origin]),
                                   view(request[http::field::cookie]), query_of(view(request.target()))};
     if (!is_local_host(credentials.host, hub_.host_name)) return Status::forbidden;
     if (request.count(http::field::origin) > 1 || !is_same_origin(credentials.origin, credentials.host))
         return Status::forbidden;
-    if (!hub_.options.token.empty() && !shows_token(credentials, hub_.options.token, hub_.cookie_name))
+    if (!hub_.options.token.empty() && !has_valid_token(credentials, hub_.options.token, hub_.cookie_name))
         return Status::unauthorized;
     if (request.method() != http::verb::get && request.method() != http::verb::head)
         return Status::method_not_allowed;
@@ -94,7 +94,7 @@ std::optional<HttpSession::Status> HttpSession::objection(const Request& request
 }
 
 void HttpSession::answer(const Request& request) {
-    if (const std::optional<Status> status = objection(request)) return refuse(*status);
+    if (const std::optional<Status> status = find_objection(request)) return refuse(*status);
     const std::string_view target = view(request.target()), path = path_of(target);
     if (path == kSocketPath) {
         if (!boost::beast::websocket::is_upgrade(request)) return refuse(Status::upgrade_required);
@@ -107,7 +107,7 @@ void HttpSession::answer(const Request& request) {
     const auto asset = std::find_if(hub_.options.assets.begin(), hub_.options.assets.end(),
                                     [&](const Asset& a) { return a.path == path; });
     if (asset == hub_.options.assets.end()) return refuse(Status::not_found);
-    response_ = response(Status::ok, std::string(view(request[http::field::host])));
+    response_ = make_response(Status::ok, std::string(view(request[http::field::host])));
     response_->set(http::field::content_type,
                    boost::beast::string_view(asset->type.data(), asset->type.size()));
     if (!value_of(query_of(target), "token", '&').empty() && !hub_.options.token.empty())
@@ -125,7 +125,7 @@ void HttpSession::answer(const Request& request) {
 /// Creates an HTTP response with the security headers.
 /// @param host checked value of the Host header, or empty. The security policy contains
 /// it, because some browsers do not accept WebSockets for 'self'.
-HttpSession::Response HttpSession::response(Status status, const std::string& host) const {
+HttpSession::Response HttpSession::make_response(Status status, const std::string& host) const {
     Response response{status, 11};
     response.set(http::field::server, "relidar");
     response.set(http::field::content_type, "text/plain; charset=utf-8");
@@ -144,7 +144,7 @@ HttpSession::Response HttpSession::response(Status status, const std::string& ho
 }
 
 void HttpSession::refuse(Status status) {
-    response_ = response(status, "");
+    response_ = make_response(status, "");
     response_->body() = std::string(view(http::obsolete_reason(status))) + "\n";
     if (status == Status::unauthorized)
         response_->body() =

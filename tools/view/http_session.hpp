@@ -37,8 +37,8 @@ private:
     void limit(std::chrono::milliseconds time);
     void on_read(Error failed);
     void answer(const Request& request);
-    std::optional<Status> objection(const Request& request) const;
-    Response response(Status status, const std::string& host) const;
+    std::optional<Status> find_objection(const Request& request) const;
+    Response make_response(Status status, const std::string& host) const;
     void refuse(Status status);
     void write();
     void drain();

@@ -12,7 +12,7 @@ namespace relidar::view {
 namespace {
 
 /// Returns a copy of a run without its surfels.
-std::unique_ptr<Run> without_scene(const Run& run) {
+std::unique_ptr<Run> copy_without_scene(const Run& run) {
     auto result = std::make_unique<Run>();
     result->folder = run.folder;
     result->config = run.config;
@@ -22,7 +22,7 @@ std::unique_ptr<Run> without_scene(const Run& run) {
 
 }  // namespace
 
-RealScans::RealScans(const Run& run) : frames_(without_scene(run)), reader_([this] { load(); }) {}
+RealScans::RealScans(const Run& run) : frames_(copy_without_scene(run)), reader_([this] { load(); }) {}
 
 RealScans::~RealScans() {
     stop_ = true;

@@ -26,8 +26,8 @@ constexpr std::size_t kMaxName = 64;
 // `relidar view`.
 constexpr std::size_t kMaxRunName = 1024;
 
-[[noreturn]] void refuse(const std::string& what, const std::string& expected) {
-    throw UsageError(fmt::format("{}: expected {}", what, expected));
+[[noreturn]] void refuse(const std::string& description, const std::string& expected) {
+    throw UsageError(fmt::format("{}: expected {}", description, expected));
 }
 
 const Json& field(const Json& object, const char* name) {
@@ -36,22 +36,23 @@ const Json& field(const Json& object, const char* name) {
     return *member;
 }
 
-double number(const Json& value, const std::string& what, double limit) {
-    if (!value.is_number()) refuse(what, "a number");
+double number(const Json& value, const std::string& description, double limit) {
+    if (!value.is_number()) refuse(description, "a number");
     const double x = value.get<double>();
-    if (!(std::abs(x) <= limit)) refuse(what, fmt::format("a number from -{0} to {0}", limit));
+    if (!(std::abs(x) <= limit)) refuse(description, fmt::format("a number from -{0} to {0}", limit));
     return x;
 }
 
-bool flag(const Json& value, const char* what) {
-    if (!value.is_boolean()) refuse(what, "true or false");
+bool flag(const Json& value, const char* description) {
+    if (!value.is_boolean()) refuse(description, "true or false");
     return value.get<bool>();
 }
 
-std::string text(const Json& value, const char* what, std::size_t limit = kMaxName) {
-    if (!value.is_string()) refuse(what, "a text");
+std::string text(const Json& value, const char* description, std::size_t limit = kMaxName) {
+    if (!value.is_string()) refuse(description, "a text");
     std::string result = value.get<std::string>();
-    if (result.empty() || result.size() > limit) refuse(what, fmt::format("a text of 1 to {} bytes", limit));
+    if (result.empty() || result.size() > limit)
+        refuse(description, fmt::format("a text of 1 to {} bytes", limit));
     return result;
 }
 
@@ -61,19 +62,20 @@ std::string run_name(const Json& value) { return value == "" ? "" : text(value, 
 
 /// Reads an array of N numbers. Number i must not exceed limits[i] in absolute value.
 template <std::size_t N>
-std::array<double, N> numbers(const Json& value, const char* what, const std::array<double, N>& limits) {
-    if (!value.is_array() || value.size() != N) refuse(what, fmt::format("{} numbers", N));
+std::array<double, N> numbers(const Json& value, const char* description,
+                              const std::array<double, N>& limits) {
+    if (!value.is_array() || value.size() != N) refuse(description, fmt::format("{} numbers", N));
     std::array<double, N> result;
     for (std::size_t i = 0; i < N; ++i)
-        result[i] = number(value[i], fmt::format("{} {}", what, i + 1), limits[i]);
+        result[i] = number(value[i], fmt::format("{} {}", description, i + 1), limits[i]);
     return result;
 }
 
-std::set<std::string> tracks(const Json& value, const char* what) {
+std::set<std::string> tracks(const Json& value, const char* description) {
     if (!value.is_array() || value.size() > kMaxActors)
-        refuse(what, fmt::format("a list of at most {} tracks", kMaxActors));
+        refuse(description, fmt::format("a list of at most {} tracks", kMaxActors));
     std::set<std::string> result;
-    for (const Json& track : value) result.insert(text(track, what));
+    for (const Json& track : value) result.insert(text(track, description));
     return result;
 }
 
@@ -107,7 +109,7 @@ LiveScanRequest parse_scan(const Json& json) {
     LiveScanRequest wish;
     wish.id = static_cast<std::int64_t>(number(field(json, "id"), "id", 1e15));
     wish.time_s = number(field(json, "time_s"), "time_s", kLate_s);
-    wish.sensor_offset = {rotation_of(place[3] * radians, place[4] * radians, place[5] * radians),
+    wish.sensor_offset = {make_rotation(place[3] * radians, place[4] * radians, place[5] * radians),
                           {place[0], place[1], place[2]}};
     wish.sensor = text(field(json, "sensor"), "sensor");
     wish.lidar = static_cast<int>(number(field(json, "lidar"), "lidar", 1000.0));
@@ -120,11 +122,12 @@ LiveScanRequest parse_scan(const Json& json) {
 
 /// Reads the name of a new folder. Rejects a name that contains a path, so that the
 /// folder cannot be created elsewhere.
-std::string folder_name(const Json& value) {
+std::string get_folder_name(const Json& value) {
     std::string name = text(value, "name");
-    const auto plain = [](char c) {
-        return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-' ||
-               c == '_' || c == '.';
+    const auto plain = [](char character) {
+        return (character >= 'a' && character <= 'z') || (character >= 'A' && character <= 'Z') ||
+               (character >= '0' && character <= '9') || character == '-' || character == '_' ||
+               character == '.';
     };
     if (!std::all_of(name.begin(), name.end(), plain) || name.front() == '.' || name.front() == '-')
         refuse("name",
@@ -143,7 +146,7 @@ Request parse_request(const std::string& message) {
         return SensorFile{text(field(json, "file"), "file", 200),
                           text(field(json, "text"), "text", message.size())};
     if (kind == "save")
-        return SaveRequest{folder_name(field(json, "name")), parse_edits(field(json, "edits"))};
+        return SaveRequest{get_folder_name(field(json, "name")), parse_edits(field(json, "edits"))};
     if (kind == "ground")
         return GroundRequest{text(field(json, "of"), "of"), run_name(field(json, "from")),
                              numbers<2>(field(json, "at"), "at", {kFarAway_m, kFarAway_m})};

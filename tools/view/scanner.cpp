@@ -28,14 +28,14 @@ constexpr const char* kFileSensor = "file";
 
 /// Returns the sensor names that choose_sensor() accepts.
 std::vector<std::string> list_built_in_sensors() {
-    std::vector<std::string> names = sensor_names();
+    std::vector<std::string> names = list_sensor_names();
     names.insert(names.begin(), "native");
     return names;
 }
 
 /// Returns the run and the track of each copied actor. Two lists of copies with the same
 /// result need the same surfels, so the renderer can be reused.
-std::vector<std::pair<std::string, std::string>> models_of(const std::vector<ActorEdits::Copy>& copies) {
+std::vector<std::pair<std::string, std::string>> list_models(const std::vector<ActorEdits::Copy>& copies) {
     std::vector<std::pair<std::string, std::string>> models;
     for (const ActorEdits::Copy& copy : copies) models.emplace_back(copy.from, copy.of);
     return models;
@@ -44,7 +44,7 @@ std::vector<std::pair<std::string, std::string>> models_of(const std::vector<Act
 /// Returns a hash (FNV-1a) of the path of the run, which hides the path from clients.
 /// When the program restarts, the web page compares the hash to detect whether it shows
 /// the same run.
-std::string identity_of(const Run& run) {
+std::string make_identity(const Run& run) {
     std::uint32_t hash = 2166136261u;
     for (const char c : std::filesystem::absolute(run.folder).lexically_normal().string())
         hash = (hash ^ static_cast<unsigned char>(c)) * 16777619u;
@@ -52,7 +52,7 @@ std::string identity_of(const Run& run) {
 }
 
 /// Returns a JSON list of the actors that the user can copy.
-Json actors_json(const Run& run) {
+Json make_actors_json(const Run& run) {
     Json actors = Json::array();
     for (const Instance& instance : run.scene.instances) {
         if (const BoxTrack* box = find_box(run.sequence, instance.track))
@@ -61,9 +61,10 @@ Json actors_json(const Run& run) {
     return actors;
 }
 
-Json others_json(const OtherRuns& others) {
+Json make_other_runs_json(const OtherRuns& other_runs) {
     Json result = Json::array();
-    for (const auto& [name, run] : others) result.push_back({{"name", name}, {"actors", actors_json(run)}});
+    for (const auto& [name, run] : other_runs)
+        result.push_back({{"name", name}, {"actors", make_actors_json(run)}});
     return result;
 }
 
@@ -97,7 +98,7 @@ private:
     std::filesystem::path folder_;
 };
 
-Json sensor_json(const SensorChoice& sensor, double time_s) {
+Json make_sensor_json(const SensorChoice& sensor, double time_s) {
     const RayTable rays =
         sensor.rays.size() == 0 && sensor.pattern ? make_rays(*sensor.pattern, time_s) : sensor.rays;
     return {{"name", sensor.name}, {"rows", rays.rows}, {"columns", rays.columns}, {"rays", rays.size()}};
@@ -111,7 +112,7 @@ void check_size(const SensorChoice& sensor) {
             sensor.name, sensor.rays.size(), kMaxRays));
 }
 
-Json channels_json(const Config& config) {
+Json make_channels_json(const Config& config) {
     Json channels = Json::array();
     // Adds the channel `source`. It is not in the settings, because it exists only if
     // weather is simulated.
@@ -121,16 +122,16 @@ Json channels_json(const Config& config) {
 }
 
 /// Returns the help text and the examples for the weather field of the web page.
-Json weather_json() {
+Json make_weather_json() {
     std::string examples = "clear";
     for (const WeatherEffect* effect : kWeatherEffects) examples += fmt::format(" {}", effect->examples);
-    return {{"help", weather_help()}, {"examples", examples}};
+    return {{"help", make_weather_help()}, {"examples", examples}};
 }
 
 }  // namespace
 
-Scanner::Scanner(Run run, OtherRuns others, Device& device)
-    : run_(std::move(run)), others_(std::move(others)), device_(device), real_(run_) {}
+Scanner::Scanner(Run run, OtherRuns other_runs, Device& device)
+    : run_(std::move(run)), others_(std::move(other_runs)), device_(device), real_(run_) {}
 
 Json Scanner::describe() const {
     const Sequence& log = run_.sequence;
@@ -151,39 +152,39 @@ Json Scanner::describe() const {
     return {{"kind", "hello"},
             {"run", run_.folder.filename().empty() ? run_.folder.parent_path().filename().string()
                                                    : run_.folder.filename().string()},
-            {"identity", identity_of(run_)},
+            {"identity", make_identity(run_)},
             {"log", log.name},
-            {"actors", actors_json(run_)},
-            {"others", others_json(others_)},
+            {"actors", make_actors_json(run_)},
+            {"others", make_other_runs_json(others_)},
             {"surfels", count_surfels(run_.scene)},
             {"device", device_.info().name},
             {"frames", frames},
             {"lidars", lidars},
             {"sensors", list_built_in_sensors()},
             {"max_range_m", run_.config.dataset.max_range_m},
-            {"channels", channels_json(run_.config)},
-            {"weather", weather_json()}};
+            {"channels", make_channels_json(run_.config)},
+            {"weather", make_weather_json()}};
 }
 
-SensorChoice Scanner::sensor_for(TabCache& tab, const LiveScanRequest& wish) const {
-    if (wish.lidar < 0 || std::size_t(wish.lidar) >= run_.sequence.lidars.size())
-        throw UsageError(fmt::format("lidar: found {}, expected the index of one of {} LiDARs", wish.lidar,
+SensorChoice Scanner::make_sensor_for_tab(TabCache& tab, const LiveScanRequest& request) const {
+    if (request.lidar < 0 || std::size_t(request.lidar) >= run_.sequence.lidars.size())
+        throw UsageError(fmt::format("lidar: found {}, expected the index of one of {} LiDARs", request.lidar,
                                      run_.sequence.lidars.size()));
-    if (wish.sensor == kFileSensor) {
+    if (request.sensor == kFileSensor) {
         if (!tab.file_sensor) throw UsageError("sensor: no sensor file is loaded; choose a file first");
         SensorChoice sensor = *tab.file_sensor;
-        sensor.lidar = wish.lidar;
+        sensor.lidar = request.lidar;
         return sensor;
     }
-    const std::string key = fmt::format("{}/{}", wish.lidar, wish.sensor);
+    const std::string key = fmt::format("{}/{}", request.lidar, request.sensor);
     if (!tab.sensor || tab.sensor->first != key) {
         // Accepts only the names of built-in sensors, so that clients cannot read files
         // of the server.
         const std::vector<std::string> names = list_built_in_sensors();
-        if (std::find(names.begin(), names.end(), wish.sensor) == names.end())
+        if (std::find(names.begin(), names.end(), request.sensor) == names.end())
             throw UsageError(fmt::format(
-                "sensor: \"{}\" is unknown, expected a name from the list of sensors", wish.sensor));
-        tab.sensor.emplace(key, choose_sensor(wish.sensor, run_.config, run_.sequence, wish.lidar));
+                "sensor: \"{}\" is unknown, expected a name from the list of sensors", request.sensor));
+        tab.sensor.emplace(key, choose_sensor(request.sensor, run_.config, run_.sequence, request.lidar));
         check_size(tab.sensor->second);
     }
     return tab.sensor->second;
@@ -197,7 +198,7 @@ Json Scanner::read_sensor(TabCache& tab, const SensorFile& file) const {
     const UploadedFile upload(file.text, ending);
     SensorChoice sensor;
     try {
-        sensor = sensor_choice(find_sensor(upload.path(ending).string()));
+        sensor = make_sensor_choice(find_sensor(upload.path(ending).string()));
         // Replaces the path of the temporary file in the error message by the name of the
         // user's file.
     } catch (const Error& error) {
@@ -210,21 +211,21 @@ Json Scanner::read_sensor(TabCache& tab, const SensorFile& file) const {
     check_size(sensor);
     sensor.name = file.name;
     tab.file_sensor = std::move(sensor);
-    return sensor_json(*tab.file_sensor, 0.0);
+    return make_sensor_json(*tab.file_sensor, 0.0);
 }
 
 /// Returns a renderer whose scene contains the copied actors. Reuses the last renderer if
 /// only moves and removals differ, because they do not change the surfels.
-ScanRenderer& Scanner::renderer_for(const Traffic& traffic) {
-    const auto models = models_of(traffic.edits().copies);
+ScanRenderer& Scanner::find_renderer(const Traffic& traffic) {
+    const auto models = list_models(traffic.edits().copies);
     if (!renderer_ || rendered_ != models) {
         renderer_.reset();  // Frees the memory of the old renderer before a new one is created.
         if (traffic.edits().copies.empty()) {
             renderer_.emplace(device_, run_);
         } else {
             Run run = run_;
-            run.replace(with_copies({std::move(run.scene), std::move(run.sequence)}, others_,
-                                    traffic.edits().copies));
+            run.replace(apply_copies({std::move(run.scene), std::move(run.sequence)}, others_,
+                                     traffic.edits().copies));
             renderer_.emplace(device_, run);
         }
         rendered_ = models;
@@ -235,13 +236,13 @@ ScanRenderer& Scanner::renderer_for(const Traffic& traffic) {
 
 /// Returns the frame of the requested LiDAR that is nearest in time to the request.
 /// Returns null if measured scans are missing or not requested.
-const Frame* Scanner::nearest_real(const LiveScanRequest& wish) const {
+const Frame* Scanner::find_nearest_real_frame(const LiveScanRequest& request) const {
     const Sequence* log = real_.sequence();
-    if (!log || !wish.real) return nullptr;
+    if (!log || !request.real) return nullptr;
     const Frame* nearest = nullptr;
     for (const Frame& frame : log->frames)
-        if (frame.lidar == wish.lidar &&
-            (!nearest || std::abs(frame.time_s - wish.time_s) < std::abs(nearest->time_s - wish.time_s)))
+        if (frame.lidar == request.lidar && (!nearest || std::abs(frame.time_s - request.time_s) <
+                                                             std::abs(nearest->time_s - request.time_s)))
             nearest = &frame;
     return nearest;
 }
@@ -251,10 +252,10 @@ RenderedScan Scanner::render(const Traffic& traffic, const LiveScanRequest& wish
     const Sequence& log = run_.sequence;
     ScanRequest request;
     request.time_s = wish.time_s;
-    request.dataset_from_sensor = shifted_track(
-        mounted_track(log.world_from_sensor(wish.lidar), wish.sensor_offset), log.world_offset_m);
+    request.dataset_from_sensor = shift_track(
+        make_mounted_track(log.world_from_sensor(wish.lidar), wish.sensor_offset), log.world_offset_m);
     request.dataset_from_actor = traffic.placed(wish.time_s);
-    ScanRenderer& renderer = renderer_for(traffic);
+    ScanRenderer& renderer = find_renderer(traffic);
     renderer.set_weather(wish.weather);
     return renderer.render(sensor, request);
 }
@@ -274,42 +275,43 @@ Json Scanner::kernel_times() {
     return times;
 }
 
-std::string Scanner::scan(TabCache& tab, const LiveScanRequest& wish) {
+std::string Scanner::scan(TabCache& tab, const LiveScanRequest& request) {
     const auto start = Clock::now();
     // Finds the sensor first, so that an invalid sensor causes an error before anything
     // is rendered.
-    SensorChoice sensor = sensor_for(tab, wish);
-    if (!tab.traffic || tab.traffic->edits() != wish.edits) tab.traffic.emplace(run_, others_, wish.edits);
+    SensorChoice sensor = make_sensor_for_tab(tab, request);
+    if (!tab.traffic || tab.traffic->edits() != request.edits)
+        tab.traffic.emplace(run_, others_, request.edits);
     const Sequence& log = run_.sequence;
-    const Frame* real = nearest_real(wish);
-    const bool on_frame = real && std::abs(real->time_s - wish.time_s) < kSameTime_s;
+    const Frame* real = find_nearest_real_frame(request);
+    const bool on_frame = real && std::abs(real->time_s - request.time_s) < kSameTime_s;
     const bool is_matched =
-        on_frame && sensor.is_own && !sensor.grid && is_identity(wish.sensor_offset) && wish.simulate;
-    const Pose log_pose = log.world_from_sensor(wish.lidar).at(wish.time_s);
+        on_frame && sensor.is_own && !sensor.grid && is_identity(request.sensor_offset) && request.simulate;
+    const Pose log_pose = log.world_from_sensor(request.lidar).at(request.time_s);
     Json names = Json::array();
     for (const Instance& instance : tab.traffic->instances())
         names.push_back(instance.track.empty() ? "background" : instance.track);
-    Json header{{"id", wish.id},
-                {"time_s", wish.time_s},
+    Json header{{"id", request.id},
+                {"time_s", request.time_s},
                 {"sensor", sensor.name},
-                {"log_pose", matrix_json(log_pose)},
-                {"pose", matrix_json(log_pose * wish.sensor_offset)},
-                {"actors", tab.traffic->describe(wish.time_s)},
+                {"log_pose", make_matrix_json(log_pose)},
+                {"pose", make_matrix_json(log_pose * request.sensor_offset)},
+                {"actors", tab.traffic->describe(request.time_s)},
                 {"instances", names},
                 {"matched", is_matched}};
     std::optional<ScanColumns> simulated, measured;
     if (real) {
         header["real_frame"] = real->index;
-        measured = measured_columns(*real_.sequence(), *real);
+        measured = make_measured_columns(*real_.sequence(), *real);
     }
-    if (wish.simulate) {
+    if (request.simulate) {
         if (is_matched) sensor.rays = real->scan.rays, sensor.follows_sweeps = false;
-        const RenderedScan scan = render(*tab.traffic, wish, sensor);
+        const RenderedScan scan = render(*tab.traffic, request, sensor);
         header["trace_ms"] = scan.trace_ms;
         if (scan.unseen_share)
             header["unseen"] = *scan.unseen_share, header["much_unseen"] = *scan.unseen_share > kMuchUnseen;
         header["kernels"] = kernel_times();
-        simulated = simulated_columns(scan, run_.config, log.world_offset_m);
+        simulated = make_simulated_columns(scan, run_.config, log.world_offset_m);
     }
     header["total_ms"] = std::chrono::duration<double, std::milli>(Clock::now() - start).count();
     return encode_frame(std::move(header), simulated ? &*simulated : nullptr,

@@ -46,17 +46,17 @@ public:
     nlohmann::json describe() const;
     /// Renders a scan and encodes it in the binary format of frame.hpp.
     /// @throws UsageError or DataError if the scan cannot be rendered
-    std::string scan(TabCache& tab, const LiveScanRequest& wish);
+    std::string scan(TabCache& tab, const LiveScanRequest& request);
     /// Reads a sensor file that a browser tab has uploaded.
     /// @return a description of the sensor
     /// @throws UsageError or DataError if the file is invalid
     nlohmann::json read_sensor(TabCache& tab, const SensorFile& file) const;
 
 private:
-    SensorChoice sensor_for(TabCache& tab, const LiveScanRequest& wish) const;
-    RenderedScan render(const Traffic& traffic, const LiveScanRequest& wish, const SensorChoice& sensor);
-    ScanRenderer& renderer_for(const Traffic& traffic);
-    const Frame* nearest_real(const LiveScanRequest& wish) const;
+    SensorChoice make_sensor_for_tab(TabCache& tab, const LiveScanRequest& request) const;
+    RenderedScan render(const Traffic& traffic, const LiveScanRequest& request, const SensorChoice& sensor);
+    ScanRenderer& find_renderer(const Traffic& traffic);
+    const Frame* find_nearest_real_frame(const LiveScanRequest& request) const;
     nlohmann::json kernel_times();
 
     const Run run_;

@@ -55,7 +55,7 @@ tcp::acceptor listen(boost::asio::io_context& io, const ServerOptions& options) 
     return acceptor;
 }
 
-std::string machine_name() {
+std::string get_machine_name() {
     ErrorCode failed;
     return boost::asio::ip::host_name(failed);
 }
@@ -72,7 +72,7 @@ struct Server::Impl {
     std::thread thread = {};
 
     Impl(const ServerOptions& options, Events events)
-        : hub{options, std::move(events), "", machine_name()},
+        : hub{options, std::move(events), "", get_machine_name()},
           acceptor(listen(hub.io, options)),
           pause(hub.io) {
         hub.cookie_name = fmt::format("relidar_{}", acceptor.local_endpoint().port());
@@ -149,7 +149,7 @@ void Server::send_newest(ClientId client, std::string bytes) { impl_->send(clien
 
 void check_address(const std::string& address) { (void)parse_address(address); }
 
-std::string random_token() {
+std::string make_random_token() {
     std::random_device source;  // Random source of the operating system.
     std::string token;
     for (int i = 0; i < 4; ++i) token += fmt::format("{:08x}", static_cast<std::uint32_t>(source()));

@@ -100,6 +100,6 @@ private:
 void check_address(const std::string& address);
 
 /// Returns a random secret of 32 hexadecimal digits.
-std::string random_token();
+std::string make_random_token();
 
 }  // namespace relidar::view

@@ -22,7 +22,7 @@ const char* about(const Request& request) {
 
 std::string dump(const Json& json) { return json.dump(-1, ' ', false, Json::error_handler_t::replace); }
 
-const char* name_of(RealScans::State state) {
+const char* get_name(RealScans::State state) {
     return state == RealScans::State::ready     ? "ready"
            : state == RealScans::State::missing ? "missing"
                                                 : "loading";
@@ -30,9 +30,9 @@ const char* name_of(RealScans::State state) {
 
 }  // namespace
 
-Session::Session(Run run, OtherRuns others, Device& device, std::filesystem::path save_folder,
+Session::Session(Run run, OtherRuns other_runs, Device& device, std::filesystem::path save_folder,
                  Answers answers)
-    : scanner_(std::move(run), std::move(others), device),
+    : scanner_(std::move(run), std::move(other_runs), device),
       save_folder_(std::move(save_folder)),
       answers_(std::move(answers)) {}
 
@@ -74,7 +74,7 @@ void Session::receive(TabId id, const std::string& message) {
 
 /// Returns the most urgent job of a browser tab. Returns no value if the tab has no job.
 /// The caller must hold the mutex.
-std::optional<Session::Job> Session::job_of(TabId id, const std::shared_ptr<Tab>& tab) {
+std::optional<Session::Job> Session::take_job(TabId id, const std::shared_ptr<Tab>& tab) {
     if (!tab->greeted) {
         tab->greeted = true;
         return Job{id, "hello", [this, id] {
@@ -88,7 +88,7 @@ std::optional<Session::Job> Session::job_of(TabId id, const std::shared_ptr<Tab>
         return Job{
             id, "log", [this, id, state] {
                 answers_.text(
-                    id, dump({{"kind", "log"}, {"state", name_of(state)}, {"why", scanner_.real().why()}}));
+                    id, dump({{"kind", "log"}, {"state", get_name(state)}, {"why", scanner_.real().why()}}));
             }};
     }
     if (tab->refused) {
@@ -114,13 +114,13 @@ std::optional<Session::Job> Session::job_of(TabId id, const std::shared_ptr<Tab>
 
 /// Returns a job of a browser tab. The search starts after the tab of the previous job,
 /// so that all tabs are served in turn.
-std::optional<Session::Job> Session::next_job(std::chrono::milliseconds patience) {
+std::optional<Session::Job> Session::wait_for_next_job(std::chrono::milliseconds patience) {
     std::optional<Job> job;
     const auto look = [&] {
         auto tab = tabs_.upper_bound(last_served_);
         for (std::size_t i = 0; i < tabs_.size() && !job; ++i) {
             if (tab == tabs_.end()) tab = tabs_.begin();
-            job = job_of(tab->first, tab->second);
+            job = take_job(tab->first, tab->second);
             ++tab;
         }
         return job.has_value();
@@ -140,7 +140,7 @@ void Session::finish() {
 }
 
 bool Session::work(std::chrono::milliseconds patience) {
-    const std::optional<Job> job = next_job(patience);
+    const std::optional<Job> job = wait_for_next_job(patience);
     if (!job) return false;
     try {
         job->run();
@@ -162,15 +162,15 @@ Json Session::answer(TabCache& cache, const Request& request) const {
     return {{"of", copy.of}, {"from", copy.from}, {"at", copy.at}};
 }
 
-Json Session::save(const SaveRequest& wish) const {
+Json Session::save(const SaveRequest& request) const {
     // Applies the edits before the folder is created, so that invalid edits leave no
     // folder behind.
-    Run run = edited_run(scanner_.run(), scanner_.others(), wish.edits);
-    const std::filesystem::path folder = save_folder_ / wish.name;
+    Run run = make_edited_run(scanner_.run(), scanner_.others(), request.edits);
+    const std::filesystem::path folder = save_folder_ / request.name;
     std::error_code failed;
     if (std::filesystem::exists(std::filesystem::symlink_status(folder, failed)))
         throw UsageError(fmt::format("cannot save {}: this name already exists in {}; choose another name",
-                                     wish.name, save_folder_.string()));
+                                     request.name, save_folder_.string()));
     run.folder = folder;
     save_run(run);
     return {{"folder", folder.string()}};

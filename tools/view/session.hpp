@@ -70,11 +70,11 @@ private:
         std::function<void()> run;
     };
 
-    std::optional<Job> next_job(std::chrono::milliseconds patience);
-    std::optional<Job> job_of(TabId id, const std::shared_ptr<Tab>& tab);
+    std::optional<Job> wait_for_next_job(std::chrono::milliseconds patience);
+    std::optional<Job> take_job(TabId id, const std::shared_ptr<Tab>& tab);
     nlohmann::json answer(TabCache& cache, const Request& request) const;
     void refuse(TabId id, const char* about, const std::string& why) const;
-    nlohmann::json save(const SaveRequest& wish) const;
+    nlohmann::json save(const SaveRequest& request) const;
 
     Scanner scanner_;
     const std::filesystem::path save_folder_;

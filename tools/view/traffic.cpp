@@ -19,42 +19,42 @@ namespace {
 
 constexpr double kRadians = kPi / 180.0;
 
-/// Returns the yaw, pitch and roll of a rotation in radians. The function rotation_of()
+/// Returns the yaw, pitch and roll of a rotation in radians. The function make_rotation()
 /// is its inverse.
-glm::dvec3 yaw_pitch_roll(const glm::dquat& rotation) {
+glm::dvec3 to_yaw_pitch_roll(const glm::dquat& rotation) {
     const glm::dmat3 m = glm::mat3_cast(rotation);
     return {std::atan2(m[0][1], m[0][0]), std::asin(std::clamp(-m[0][2], -1.0, 1.0)),
             std::atan2(m[1][2], m[2][2])};
 }
 
-Pose upright(const double* xyz, double yaw_deg) {
-    return {rotation_of(yaw_deg * kRadians, 0.0, 0.0), {xyz[0], xyz[1], xyz[2]}};
+Pose make_upright_pose(const double* xyz, double yaw_deg) {
+    return {make_rotation(yaw_deg * kRadians, 0.0, 0.0), {xyz[0], xyz[1], xyz[2]}};
 }
 
 Start start_of(const ActorEdits::Copy& copy, const glm::dvec3& world_offset_m) {
     const auto& at = copy.at;
-    Start start{{rotation_of(at[3] * kRadians, at[4] * kRadians, at[5] * kRadians), {at[0], at[1], at[2]}},
+    Start start{{make_rotation(at[3] * kRadians, at[4] * kRadians, at[5] * kRadians), {at[0], at[1], at[2]}},
                 at[6]};
     start.dataset_from_box.translation += world_offset_m;
     return start;
 }
 
-DrivingScene with_moves(DrivingScene driving, const ActorEdits& edits) {
+DrivingScene apply_moves(DrivingScene driving, const ActorEdits& edits) {
     for (const auto& [track, by] : edits.moves)
-        driving = move_track(std::move(driving), track, upright(by.data(), by[3]));
+        driving = move_track(std::move(driving), track, make_upright_pose(by.data(), by[3]));
     return driving;
 }
 
 /// Returns only the tracks and object instances of a run, without scans and surfels.
 DrivingScene layout(const Run& run) {
-    DrivingScene driving{layout_of(run.scene), run.sequence};
+    DrivingScene driving{copy_layout(run.scene), run.sequence};
     for (Model& model : driving.scene.models) model.first = model.count = 0;
     return driving;
 }
 
-const Run& run_called(const std::string& name, const OtherRuns& others) {
-    const auto match = others.find(name);
-    if (match == others.end())
+const Run& run_called(const std::string& name, const OtherRuns& other_runs) {
+    const auto match = other_runs.find(name);
+    if (match == other_runs.end())
         throw UsageError(fmt::format(
             "cannot insert an actor from the run \"{}\": expected a run that was given with `relidar "
             "view --insert`",
@@ -65,14 +65,14 @@ const Run& run_called(const std::string& name, const OtherRuns& others) {
 /// Adds the copied actors to a scene.
 /// @param scene_of function that returns the needed data of another run: tracks and
 /// instances, with or without surfels
-DrivingScene copied(DrivingScene driving, const OtherRuns& others,
+DrivingScene copied(DrivingScene driving, const OtherRuns& other_runs,
                     const std::vector<ActorEdits::Copy>& copies, DrivingScene (*scene_of)(const Run&)) {
     for (const ActorEdits::Copy& copy : copies) {
         const Start start = start_of(copy, driving.sequence.world_offset_m);
         if (copy.from.empty()) driving = copy_track(std::move(driving), copy.of, start);
         else
             driving =
-                insert_track(std::move(driving), scene_of(run_called(copy.from, others)), copy.of, start);
+                insert_track(std::move(driving), scene_of(run_called(copy.from, other_runs)), copy.of, start);
     }
     return driving;
 }
@@ -86,7 +86,7 @@ void check_known(const DrivingScene& driving, const std::set<std::string>& track
 
 /// Converts the edits to the history that `relidar edit` also writes. The saved run
 /// contains this history.
-std::vector<RunEdit> history(const Run& run, const OtherRuns& others, const ActorEdits& edits) {
+std::vector<RunEdit> make_history(const Run& run, const OtherRuns& other_runs, const ActorEdits& edits) {
     const auto folder_of = [](const Run& r) {
         return std::filesystem::absolute(r.folder).lexically_normal().string();
     };
@@ -95,9 +95,9 @@ std::vector<RunEdit> history(const Run& run, const OtherRuns& others, const Acto
     for (const ActorEdits::Copy& copy : edits.copies) {
         const Start start = start_of(copy, run.sequence.world_offset_m);
         const glm::dvec3& p = start.dataset_from_box.translation;
-        const std::string what = copy.from.empty()
-                                     ? "--copy "
-                                     : fmt::format("--insert {}#", folder_of(run_called(copy.from, others)));
+        const std::string what =
+            copy.from.empty() ? "--copy "
+                              : fmt::format("--insert {}#", folder_of(run_called(copy.from, other_runs)));
         result.push_back({origin, fmt::format("{}{}@{},{},{},{},{},{}:{}", what, copy.of, p.x, p.y, p.z,
                                               copy.at[3], copy.at[4], copy.at[5], copy.at[6])});
     }
@@ -109,25 +109,26 @@ std::vector<RunEdit> history(const Run& run, const OtherRuns& others, const Acto
 
 }  // namespace
 
-DrivingScene with_copies(DrivingScene driving, const OtherRuns& others,
-                         const std::vector<ActorEdits::Copy>& copies) {
-    return copied(std::move(driving), others, copies, [](const Run& run) { return run.driving(); });
+DrivingScene apply_copies(DrivingScene driving, const OtherRuns& other_runs,
+                          const std::vector<ActorEdits::Copy>& copies) {
+    return copied(std::move(driving), other_runs, copies, [](const Run& run) { return run.driving(); });
 }
 
-ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& others, const GroundRequest& wish) {
-    const Run& owner = wish.from.empty() ? run : run_called(wish.from, others);
+ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& other_runs, const GroundRequest& request) {
+    const Run& owner = request.from.empty() ? run : run_called(request.from, other_runs);
     const glm::dvec3& offset_m = run.sequence.world_offset_m;
-    GroundPlace place{{wish.at[0] + offset_m.x, wish.at[1] + offset_m.y}};
-    place.clearance_m = asset_clearance(owner);
+    GroundPlace place{{request.at[0] + offset_m.x, request.at[1] + offset_m.y}};
+    place.clearance_m = measure_asset_clearance(owner);
     const Pose pose =
-        start_on_ground({run.scene, run.sequence}, place, {owner.scene, owner.sequence}, wish.of)
+        start_on_ground({run.scene, run.sequence}, place, {owner.scene, owner.sequence}, request.of)
             .dataset_from_box;
-    const glm::dvec3 p = pose.translation - offset_m, angles_deg = yaw_pitch_roll(pose.rotation) / kRadians;
-    return {wish.of, wish.from, {p.x, p.y, p.z, angles_deg.x, angles_deg.y, angles_deg.z, 0.0}};
+    const glm::dvec3 p = pose.translation - offset_m,
+                     angles_deg = to_yaw_pitch_roll(pose.rotation) / kRadians;
+    return {request.of, request.from, {p.x, p.y, p.z, angles_deg.x, angles_deg.y, angles_deg.z, 0.0}};
 }
 
-Traffic::Traffic(const Run& run, const OtherRuns& others, const ActorEdits& edits)
-    : driving_(with_moves(copied(layout(run), others, edits.copies, layout), edits)), edits_(edits) {
+Traffic::Traffic(const Run& run, const OtherRuns& other_runs, const ActorEdits& edits)
+    : driving_(apply_moves(copied(layout(run), other_runs, edits.copies, layout), edits)), edits_(edits) {
     check_known(driving_, edits.removed);
     check_known(driving_, edits.hidden);
 }
@@ -139,7 +140,7 @@ ActorPoses Traffic::placed(double time_s) const {
         if (!is_shown(box) || !box.present(time_s) ||
             std::none_of(instances().begin(), instances().end(), has_surfels))
             continue;
-        poses[box.id] = shifted_track(box.world_from_box, driving_.sequence.world_offset_m);
+        poses[box.id] = shift_track(box.world_from_box, driving_.sequence.world_offset_m);
     }
     return poses;
 }
@@ -153,18 +154,18 @@ nlohmann::json Traffic::describe(double time_s) const {
                           {"category", box->category},
                           {"size", {box->size_m.x, box->size_m.y, box->size_m.z}},
                           {"present", box->present(time_s)},
-                          {"pose", matrix_json(box->world_from_box.at(time_s))}});
+                          {"pose", make_matrix_json(box->world_from_box.at(time_s))}});
     }
     return actors;
 }
 
-Run edited_run(const Run& run, const OtherRuns& others, const ActorEdits& edits) {
+Run make_edited_run(const Run& run, const OtherRuns& other_runs, const ActorEdits& edits) {
     Run result = run;
     DrivingScene driving =
-        with_moves(with_copies({result.scene, result.sequence}, others, edits.copies), edits);
+        apply_moves(apply_copies({result.scene, result.sequence}, other_runs, edits.copies), edits);
     for (const std::string& track : edits.removed) driving = remove_track(std::move(driving), track);
     result.replace(std::move(driving));
-    const std::vector<RunEdit> done = history(run, others, edits);
+    const std::vector<RunEdit> done = make_history(run, other_runs, edits);
     result.edits.insert(result.edits.end(), done.begin(), done.end());
     return result;
 }

@@ -25,13 +25,13 @@ using OtherRuns = std::map<std::string, Run>;
 /// Adds copies of actors to a scene. The original actors belong to this run or to other
 /// runs. Moves and removals are not applied here, because they do not change the surfels.
 /// @throws UsageError if a run or track is unknown
-DrivingScene with_copies(DrivingScene driving, const OtherRuns& others,
-                         const std::vector<ActorEdits::Copy>& copies);
+DrivingScene apply_copies(DrivingScene driving, const OtherRuns& other_runs,
+                          const std::vector<ActorEdits::Copy>& copies);
 
 /// Returns a copy of an actor that stands on the ground at the position where the user
 /// has clicked.
 /// @throws UsageError if there is no ground at this position
-ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& others, const GroundRequest& wish);
+ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& other_runs, const GroundRequest& request);
 
 /// The actors of a run after all edits. The object stores tracks and instances, but no
 /// surfels.
@@ -61,6 +61,6 @@ private:
 
 /// Returns the run after all edits. Hidden actors stay in the run. The history of the new
 /// run contains the edits.
-Run edited_run(const Run& run, const OtherRuns& others, const ActorEdits& edits);
+Run make_edited_run(const Run& run, const OtherRuns& other_runs, const ActorEdits& edits);
 
 }  // namespace relidar::view

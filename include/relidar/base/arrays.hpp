@@ -36,13 +36,15 @@ struct NamedArray {
 const NamedArray* find_array(const std::vector<NamedArray>& arrays, std::string_view name);
 
 /// Creates a named array from float, double, int32 or uint16 values.
-/// @throws DataError if n is not the product of the shape
-NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values, std::size_t n);
-NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values, std::size_t n);
+/// @throws DataError if `count` is not the product of the shape
+NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values,
+                      std::size_t count);
+NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values,
+                      std::size_t count);
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::int32_t* values,
-                      std::size_t n);
+                      std::size_t count);
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::uint16_t* values,
-                      std::size_t n);
+                      std::size_t count);
 /// Creates an array of fixed-length strings in numpy's format (UTF-32, padded with
 /// zeros).
 /// @param texts UTF-8

@@ -51,15 +51,16 @@ struct DeviceLost : DeviceError {
 /// The most similar name has the smallest edit distance. Upper and lower case are treated
 /// as equal.
 /// @return empty string if there are no known names
-std::string nearest_name(std::string_view query, const std::vector<std::string>& known_names);
+std::string find_nearest_name(std::string_view query, const std::vector<std::string>& known_names);
 /// Returns the text ", did you mean 'NAME'?" with the known name that is most similar to
 /// the query.
 /// @param quote quotation mark around the name: "'", "\"" or empty
 /// @return `otherwise` if no known name is similar
-std::string did_you_mean(std::string_view query, const std::vector<std::string>& known_names,
+std::string suggest_name(std::string_view query, const std::vector<std::string>& known_names,
                          std::string_view quote = "", std::string_view otherwise = "");
 /// Returns the known name that equals the query, ignoring upper and lower case. Returns
 /// nullopt if no known name is equal.
-std::optional<std::string> known_name(std::string_view query, const std::vector<std::string>& known_names);
+std::optional<std::string> find_known_name(std::string_view query,
+                                           const std::vector<std::string>& known_names);
 
 }  // namespace relidar

@@ -23,7 +23,7 @@ void write_atomically(const std::filesystem::path& path,
 /// Returns a unique temporary path in the folder of `path`. The caller writes the file to
 /// this temporary path and then renames it to `path`. remove_temporaries() removes
 /// temporary files that were never renamed.
-std::filesystem::path temporary_path(const std::filesystem::path& path);
+std::filesystem::path make_temporary_path(const std::filesystem::path& path);
 /// Removes temporary files and folders that a killed process has left in a folder. These
 /// files have names of the form .NAME.tmp-PID-COUNT. Call this function only for a folder
 /// to which no other process writes.

@@ -44,14 +44,14 @@ struct Image {
 /// @param mask [rows*columns] or empty
 /// @throws UsageError for an unknown colour map
 /// @throws DataError for wrong counts or limits that are not finite
-Image colour_map(const std::vector<float>& values, int rows, int columns, float low, float high,
-                 const std::string& map, const std::vector<float>& mask = {});
+Image apply_colour_map(const std::vector<float>& values, int rows, int columns, float low, float high,
+                       const std::string& map, const std::vector<float>& mask = {});
 /// Stacks images of equal width vertically, separated by a thin line.
 /// @param stretch vertical magnification of each image, because a LiDAR row covers a
 /// larger angle than a column
 /// @throws UsageError if stretch is below 1
 /// @throws DataError if the widths differ
-Image stack(const std::vector<Image>& images, int stretch = 1);
+Image stack_images(const std::vector<Image>& images, int stretch = 1);
 /// Writes an image as a PNG file. encode_png() does not write a file, but returns the
 /// bytes.
 /// @param notes stored as international text (iTXt). A name has 1 to 79 Latin letters.

@@ -35,16 +35,16 @@ inline Pose inverse(const Pose& pose) {
 
 /// Interpolates between two poses. Rotations use slerp and translations use linear
 /// interpolation.
-/// @param s 0 gives a and 1 gives b. Values outside [0, 1] extrapolate at constant
-/// velocity.
-inline Pose interpolate(const Pose& a, const Pose& b, double s) {
-    return {glm::normalize(glm::slerp(a.rotation, b.rotation, s)),
-            a.translation + s * (b.translation - a.translation)};
+/// @param fraction 0 gives `first` and 1 gives `second`. Values outside [0, 1]
+/// extrapolate at constant velocity.
+inline Pose interpolate(const Pose& first, const Pose& second, double fraction) {
+    return {glm::normalize(glm::slerp(first.rotation, second.rotation, fraction)),
+            first.translation + fraction * (second.translation - first.translation)};
 }
 
 /// Returns the rotation R_z(yaw) R_y(pitch) R_x(roll), which applies roll first and yaw
 /// last. Axes: x forward, y left, z up. Angles in radians.
-inline glm::dquat rotation_of(double yaw_rad, double pitch_rad, double roll_rad) {
+inline glm::dquat make_rotation(double yaw_rad, double pitch_rad, double roll_rad) {
     return glm::angleAxis(yaw_rad, glm::dvec3(0, 0, 1)) * glm::angleAxis(pitch_rad, glm::dvec3(0, 1, 0)) *
            glm::angleAxis(roll_rad, glm::dvec3(1, 0, 0));
 }
@@ -65,7 +65,7 @@ inline Pose moved(const Pose& pose, const Twist& twist) {
 
 /// Returns the small motion that moves the pose `from` to the pose `to`. The rotation
 /// angle is at most pi.
-inline Twist twist_between(const Pose& from, const Pose& to) {
+inline Twist compute_twist(const Pose& from, const Pose& to) {
     glm::dquat q = to.rotation * glm::conjugate(from.rotation);
     if (q.w < 0.0) q = -q;
     const glm::dvec3 sine(q.x, q.y, q.z), v = to.translation - from.translation;

@@ -27,12 +27,12 @@ struct ProcessGroup {
     struct Share {
         std::size_t begin, end;
     };
-    /// Returns the contiguous range of parts, out of n, that this process computes. The
-    /// numbers of parts of any two processes differ by at most one. The first process has
-    /// at least one part if n > 0.
-    Share share(std::size_t n) const {
+    /// Returns the contiguous range of parts, out of `count`, that this process computes.
+    /// The numbers of parts of any two processes differ by at most one. The first process
+    /// has at least one part if count > 0.
+    Share share(std::size_t count) const {
         const auto first_of = [&](int of) {
-            return (n * std::size_t(of) + std::size_t(size - 1)) / std::size_t(size);
+            return (count * std::size_t(of) + std::size_t(size - 1)) / std::size_t(size);
         };
         return {first_of(rank), first_of(rank + 1)};
     }
@@ -40,7 +40,7 @@ struct ProcessGroup {
     /// Collects the values of all processes. Returns all values in the order of the
     /// ranks, in every process.
     template <class T>
-    std::vector<T> all_gathered(std::vector<T> values) const {
+    std::vector<T> gather_all(std::vector<T> values) const {
         static_assert(std::is_trivially_copyable_v<T>);
         if (size == 1) return values;
         const std::string all =
@@ -54,7 +54,7 @@ struct ProcessGroup {
     template <class T>
     std::vector<T> broadcast(std::vector<T> values) const {
         if (!is_first()) values.clear();
-        return all_gathered(std::move(values));
+        return gather_all(std::move(values));
     }
 };
 

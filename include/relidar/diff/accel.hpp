@@ -98,7 +98,7 @@ public:
 
 private:
     /// Returns the internal implementation. Only the library uses this function.
-    friend const Impl& impl_of(const Accel& accel);
+    friend const Impl& get_impl(const Accel& accel);
     std::unique_ptr<Impl> impl_;
 };
 

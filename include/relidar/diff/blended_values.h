@@ -33,8 +33,9 @@
     RELIDAR_CHANNEL_VALUES(VALUE)
 
 // Values that only some losses need. They are never copied to the host.
-#define RELIDAR_LOSS_VALUES(VALUE)                                                          \
-    VALUE(likelihood, LIKELIHOOD != 0u, range_kernel(hit.t), d_t, range_kernel_by_t(hit.t), \
+#define RELIDAR_LOSS_VALUES(VALUE)                                         \
+    VALUE(likelihood, LIKELIHOOD != 0u, evaluate_range_kernel(hit.t), d_t, \
+          differentiate_range_kernel(hit.t),                               \
           "sum of w times the kernel about the measured range (M12), 0 without one")
 
 #define RELIDAR_BLENDED_VALUES(VALUE) \

@@ -48,7 +48,7 @@ struct RefineOptions {
 /// training.
 struct DropImage {
     int rows = 0, columns = 0;
-    /// Input channels, [channels of the network, rows, columns]. drop_channel_names()
+    /// Input channels, [channels of the network, rows, columns]. list_drop_channels()
     /// returns the name of each channel.
     std::vector<float> channels;
     /// Measured drops, [rows, columns]. 1 = dropped, 0 = returned, negative = unknown.
@@ -60,7 +60,7 @@ struct DropImage {
 /// "log_range", "intensity", "drop_logit", "weight", "spread" and "cosine" (of the
 /// incidence angle). The options can add "elevation" (the sine of the elevation in the
 /// sensor frame) and "origin_x" ... "origin_z".
-std::vector<std::string> drop_channel_names(const RefineOptions& options);
+std::vector<std::string> list_drop_channels(const RefineOptions& options);
 
 /// Trained ray-drop network.
 struct DropNetwork {

@@ -26,7 +26,7 @@ struct AdamOptions {
 
 /// Returns a value that changes exponentially from `start` at step 0 to `end` at step
 /// n_steps.
-double exponential_schedule(double start, double end, int step, int n_steps);
+double interpolate_exponentially(double start, double end, int step, int n_steps);
 
 class Adam {
 public:

@@ -119,7 +119,7 @@ struct KeptHits {
 /// `per_ray` hits. The number is doubled while such rays exist. Even a few of these rays
 /// are expensive: on a GPU, their search takes as long as the search for all rays. The
 /// result is at most 256 (4 kB per ray), or `per_ray` if that is larger.
-std::uint32_t recommended_kept_hits(std::uint32_t per_ray, std::uint64_t n_overfull);
+std::uint32_t recommend_kept_hits(std::uint32_t per_ray, std::uint64_t n_overfull);
 
 /// Rendered batch with the arrays that the losses and the backward pass read and write.
 struct RenderedBatch {

@@ -55,7 +55,7 @@ struct DeviceInfo {
 
 /// Returns the method that Traversal::automatic selects on a device. Returns `automatic`
 /// if no method works.
-Traversal best_traversal(const DeviceInfo& info);
+Traversal choose_best_traversal(const DeviceInfo& info);
 
 /// Lists every Vulkan device, in the order of the Vulkan loader.
 /// @throws DeviceError if no Vulkan loader or driver is installed
@@ -133,7 +133,7 @@ public:
 
 private:
     /// Returns the internal implementation. Only the library uses this function.
-    friend Impl& impl_of(const Device& device);
+    friend Impl& get_impl(const Device& device);
     std::unique_ptr<Impl> impl_;
 };
 

@@ -43,7 +43,7 @@ public:
 
 private:
     /// Returns the internal implementation. Only the library uses this function.
-    friend Impl& impl_of(const Buffer& buffer);
+    friend Impl& get_impl(const Buffer& buffer);
     template <class, class>
     friend class Array;
     std::unique_ptr<Impl> impl_;
@@ -56,10 +56,10 @@ template <class T>
 class Array<T, void> {
 public:
     Array() = default;
-    Array(Device& device, std::size_t n, const std::string& what)
-        : buffer_(device, (n ? n : 1) * sizeof(T), what), n_(n) {}
-    Array(Device& device, std::span<const T> values, const std::string& what)
-        : Array(device, values.size(), what) {
+    Array(Device& device, std::size_t count, const std::string& description)
+        : buffer_(device, (count ? count : 1) * sizeof(T), description), n_(count) {}
+    Array(Device& device, std::span<const T> values, const std::string& description)
+        : Array(device, values.size(), description) {
         upload(values);
     }
 
@@ -81,19 +81,19 @@ public:
         if (!values.empty()) buffer_.upload(values.data(), values.size_bytes(), first * sizeof(T));
     }
     std::vector<T> download() const { return download(n_); }
-    /// Waits for the GPU and copies the first n values to the host.
-    std::vector<T> download(std::size_t n) const {
-        std::vector<T> values(n);
-        if (n) buffer_.download(values.data(), n * sizeof(T));
+    /// Waits for the GPU and copies the first `count` values to the host.
+    std::vector<T> download(std::size_t count) const {
+        std::vector<T> values(count);
+        if (count) buffer_.download(values.data(), count * sizeof(T));
         return values;
     }
-    /// Enlarges the array to at least n values. Existing values are kept, and new values
-    /// are undefined. The array never shrinks. The address of the array changes, so no
-    /// submitted GPU work may use the array.
+    /// Enlarges the array to at least `count` values. Existing values are kept, and new
+    /// values are undefined. The array never shrinks. The address of the array changes,
+    /// so no submitted GPU work may use the array.
     /// @throws DeviceError if device memory is exhausted. The array is then unchanged.
-    void reserve(Device& device, std::size_t n, const std::string& what) {
-        if (n <= n_) return;
-        Array larger(device, n, what);
+    void reserve(Device& device, std::size_t count, const std::string& description) {
+        if (count <= n_) return;
+        Array larger(device, count, description);
         if (n_) larger.buffer_.copy_from(buffer_, n_ * sizeof(T));
         *this = std::move(larger);
     }
@@ -120,7 +120,7 @@ public:
 
 /// Returns the device address of an array, or a null address if the pointer is null.
 template <class T, class Meaning>
-Address<T, Meaning> address_of(const Array<T, Meaning>* array) {
+Address<T, Meaning> get_address(const Array<T, Meaning>* array) {
     return array ? array->address() : Address<T, Meaning>();
 }
 
@@ -142,7 +142,7 @@ public:
     }
     /// Records a copy of the first n_bytes from one buffer to another buffer of the same
     /// device.
-    void copy(const Buffer& from, const Buffer& to, std::size_t n_bytes);
+    void copy(const Buffer& source, const Buffer& target, std::size_t n_bytes);
     /// Submits the recorded commands to the GPU.
     /// @return ticket with which wait() waits for this submission
     std::uint64_t submit();
@@ -162,7 +162,7 @@ public:
 
 private:
     /// Returns the internal implementation. Only the library uses this function.
-    friend Impl& impl_of(const Stream& stream);
+    friend Impl& get_impl(const Stream& stream);
     std::unique_ptr<Impl> impl_;
 };
 
@@ -214,7 +214,7 @@ public:
 
     /// Records a copy of n_bytes from the device into cached host memory. The next
     /// submit() of the stream executes the copy.
-    void record(Stream& stream, const Buffer& from, std::size_t n_bytes, std::size_t offset_bytes = 0);
+    void record(Stream& stream, const Buffer& source, std::size_t n_bytes, std::size_t offset_bytes = 0);
     /// Returns true if a copy was recorded but not yet read with wait().
     bool pending() const;
     /// Waits until the recorded copy is done.

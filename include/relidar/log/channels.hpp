@@ -73,14 +73,14 @@ struct BasicChannels {
 };
 /// Returns the descriptions of the channels that every scan has, such as range and
 /// intensity. @return a reference to a static object
-const BasicChannels& basic_channels();
+const BasicChannels& get_basic_channels();
 /// Returns the basic channels that are written to files, in the order of their columns in
 /// the files.
-std::vector<ChannelInfo> file_channels();
+std::vector<ChannelInfo> list_file_channels();
 /// Returns the channels that the setting `render.channels` can enable.
-const std::vector<ChannelInfo>& optional_channels();
-/// Returns the names of the channels in `optional_channels()`, in the same order.
-std::vector<std::string> optional_channel_names();
+const std::vector<ChannelInfo>& get_optional_channels();
+/// Returns the names of the channels in `get_optional_channels()`, in the same order.
+std::vector<std::string> list_optional_channels();
 
 /// Parses a comma-separated list of channel names, and removes duplicates.
 /// @throws UsageError for an unknown name; the message suggests the most similar known
@@ -101,7 +101,7 @@ const std::vector<T>* find_values(const std::vector<ScanChannel>& channels, cons
 std::size_t size(const ChannelValues& values);
 
 /// Returns a copy of the channels with the same names and types, but without values.
-std::vector<ScanChannel> without_values(const std::vector<ScanChannel>& channels);
+std::vector<ScanChannel> remove_values(const std::vector<ScanChannel>& channels);
 
 /// A column of numbers in a file, float32 or int32. A channel of scalars is written as
 /// one column, for example "instance". A channel of vectors is written as three columns,
@@ -114,17 +114,17 @@ struct ChannelNumber {
 /// numbers in the same order.
 /// @param joint  text between the name of a vector channel and its axis, for example "_"
 /// in "normal_x"
-std::vector<ChannelNumber> numbers_of(const std::vector<ScanChannel>& channels,
-                                      const std::string& joint = "_");
+std::vector<ChannelNumber> list_channel_numbers(const std::vector<ScanChannel>& channels,
+                                                const std::string& joint = "_");
 /// Appends the values of all channels for one ray or point to `bytes`. Each number takes
 /// 4 bytes in the byte order of the machine.
-/// @param at  index of the ray or point in the arrays of the channels
-void append_row(std::string& bytes, const std::vector<ScanChannel>& channels, std::size_t at);
+/// @param point  index of the ray or point in the arrays of the channels
+void append_row(std::string& bytes, const std::vector<ScanChannel>& channels, std::size_t point);
 
 /// Returns the default value of a channel. The default value is stored if the ray hits
 /// nothing or if the value is unknown.
 template <class T>
-T missing_value_of(const ChannelInfo& channel) {
+T get_missing_value(const ChannelInfo& channel) {
     return T(static_cast<float>(channel.none));
 }
 
@@ -136,10 +136,11 @@ T missing_value_of(const ChannelInfo& channel) {
 void append_return(ScanChannel& of_points, const ScanChannel& of_rays, std::size_t ray, int number);
 
 /// Checks names and sizes of channels before the channels are written to a file.
-/// @param n  expected number of values
-/// @param what  the rays or points, for the error message
+/// @param count  expected number of values
+/// @param description  the rays or points, for the error message
 /// @throws DataError if a name is invalid or used twice, or if a channel does not have
-/// `n` values
-void check_channels(const std::vector<ScanChannel>& channels, std::size_t n, const std::string& what);
+/// `count` values
+void check_channels(const std::vector<ScanChannel>& channels, std::size_t count,
+                    const std::string& description);
 
 }  // namespace relidar

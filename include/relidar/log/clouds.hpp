@@ -24,7 +24,7 @@ struct HeadLattice {
     /// n_ticks).
     int tick(double head_azimuth_rad) const;
     /// Returns the azimuth of the rotating head at an encoder tick, in (-pi, pi].
-    double azimuth_of(int tick) const;
+    double compute_azimuth(int tick) const;
 };
 
 /// One sweep of a spinning LiDAR: the azimuths at which the LiDAR can fire, and the ticks
@@ -37,7 +37,7 @@ struct Sweep {
 /// Returns a sweep with `sensor.columns` equal azimuth steps. The azimuth of the first
 /// step is fitted to the azimuths of the head at which the points were measured.
 /// @param points  points with beam numbers (`Points::ring`)
-Sweep even_sweep(const Points& points, const SpinningSensor& sensor);
+Sweep make_even_sweep(const Points& points, const SpinningSensor& sensor);
 
 /// Builds the scan of a spinning LiDAR, with one ray for each beam and firing. The rays
 /// are in the order of a range image. Each point is assigned to the ray that measured it.
@@ -47,7 +47,7 @@ Sweep even_sweep(const Points& points, const SpinningSensor& sensor);
 /// If two first returns belong to one ray, the second return is moved to a free
 /// neighbouring cell. If no such cell is free, only the nearer point is kept. A point
 /// beyond sensor.max_range_m gets a ray only if no other point uses this ray.
-/// drop_outside() removes such points later.
+/// drop_outside_limits() removes such points later.
 ///
 /// The firing time of a ray is the time of its point, or the time of the nearest firing
 /// in that sweep. For points without times, the firing time is computed from a head that
@@ -57,14 +57,14 @@ Sweep even_sweep(const Points& points, const SpinningSensor& sensor);
 /// @param points  points with rings
 /// @throws UsageError if the points have no rings, if a ring has no beam, or if the
 /// arrays have different lengths
-Scan spinning_scan(const Points& points, const SpinningSensor& sensor, const Sweep& sweep);
+Scan make_spinning_scan(const Points& points, const SpinningSensor& sensor, const Sweep& sweep);
 
 /// Builds the scan of a LiDAR whose rays do not form an image (rows = 1). The scan has
 /// one ray from the sensor origin to each point, in the order of the points. Rays without
 /// a return are unknown and are not in the scan. The other returns of a ray must follow
 /// its first return in `points`. Beam numbers are not needed.
-/// @throws UsageError in the same cases as spinning_scan()
-Scan unordered_scan(const Points& points);
+/// @throws UsageError in the same cases as make_spinning_scan()
+Scan make_unordered_scan(const Points& points);
 
 /// Estimates the beams of a spinning LiDAR from points without beam numbers. The
 /// elevations of distant points form clusters, and each cluster is a beam. The highest
@@ -107,9 +107,9 @@ FittedSensor fit_sensor(const std::vector<Points>& scans, double period_s);
 void undo_compensation(Points& points, const PoseTrack& world_from_sensor, double time_s);
 
 /// Returns the pose with this rotation and translation.
-/// @param where  file and field, for the error message
+/// @param location  file and field, for the error message
 /// @throws DataError if the matrix is not a rotation within 1e-3
-Pose rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& where);
+Pose make_rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& location);
 
 /// Appends a frame with an empty scan to the sequence. Also appends the pose of the
 /// vehicle at this time. The pose is not appended again if a frame of another LiDAR has
@@ -119,11 +119,11 @@ Frame& add_frame(Sequence& sequence, int index, double time_s, const Pose& world
 /// Moves the world origin to the position of the vehicle at the middle pose of the log.
 /// Adjusts all poses, boxes and world_offset_m of the sequence. Coordinates are then
 /// small enough for single precision.
-void recentre(Sequence& sequence);
+void recentre_sequence(Sequence& sequence);
 /// Moves the world origin to a given point. Adjusts all poses, boxes and world_offset_m
 /// of the sequence.
 /// @param origin_m  new origin, in the world frame before the move
-void recentre(Sequence& sequence, glm::dvec3 origin_m);
+void recentre_sequence(Sequence& sequence, glm::dvec3 origin_m);
 
 /// Box of an object at one time, as the labels of a dataset store it.
 struct BoxLabel {

@@ -82,7 +82,7 @@ Sequence load_sequence(const std::string& dataset, const DatasetOptions& options
 
 /// Makes the path in a dataset argument of load_sequence() absolute, so that the argument
 /// does not depend on the working directory. Keeps a prefix "kind:".
-std::string absolute_dataset(const std::string& dataset);
+std::string make_dataset_absolute(const std::string& dataset);
 
 /// Returns the kind of a dataset, for example "kitti_raw" or "waymo". docs/datasets.md
 /// lists all kinds.

@@ -48,10 +48,10 @@ struct PacketCalibration {
 };
 
 /// Returns the names of the sensors whose packets can be written, for messages.
-std::string packet_sensors();
+std::string list_packet_sensors();
 /// Returns the packet format in the metadata of an Ouster (udp_profile_lidar). Returns an
 /// empty text if the file is not the metadata of an Ouster or does not contain a format.
-std::string ouster_profile_of(const std::filesystem::path& file);
+std::string read_ouster_profile(const std::filesystem::path& file);
 /// Returns the time since 1970 at which the time of a log is 0. Only ROS bags and
 /// captures contain this time. Returns 0 for all other logs.
 std::int64_t log_start_ns(const Sequence& sequence);

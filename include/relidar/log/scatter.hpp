@@ -22,7 +22,7 @@ struct RenderedIntensities {
     /// Range of the surface that contributes the largest weight to the ray. 0 if the ray
     /// hit nothing.
     std::vector<float> range_m;
-    std::vector<float> spread_m;  ///< result of range_spread()
+    std::vector<float> spread_m;  ///< result of compute_range_spread()
     /// Cosine of the angle between ray and surface normal. Negative if unknown.
     std::vector<float> cosine;
     std::vector<float> elevation_rad;  ///< Elevation of the ray. It identifies the beam.

@@ -40,7 +40,7 @@ struct ScanMemoryUse {
     std::uint64_t in_file = 0;
 };
 /// Returns the current memory use of the arrays of all scans.
-ScanMemoryUse scan_memory_use();
+ScanMemoryUse get_scan_memory_use();
 
 /// Allocates an array in memory, or in a mapped file if the memory limit is reached.
 /// @throws DataError naming the folder if its disk is full or it cannot be written
@@ -57,8 +57,8 @@ struct ScanAllocator {
     ScanAllocator() = default;
     template <class U>
     ScanAllocator(const ScanAllocator<U>&) {}
-    T* allocate(std::size_t n) { return static_cast<T*>(allocate_scan_array(n * sizeof(T))); }
-    void deallocate(T* array, std::size_t n) noexcept { free_scan_array(array, n * sizeof(T)); }
+    T* allocate(std::size_t count) { return static_cast<T*>(allocate_scan_array(count * sizeof(T))); }
+    void deallocate(T* array, std::size_t count) noexcept { free_scan_array(array, count * sizeof(T)); }
     bool operator==(const ScanAllocator&) const { return true; }
 };
 
@@ -95,24 +95,24 @@ struct RayTable {
     ScanArray<float> ray_divergence_rad = {};
 
     std::size_t size() const { return direction.size(); }
-    double divergence_of(std::size_t ray) const {
+    double compute_divergence(std::size_t ray) const {
         return ray_divergence_rad.empty() ? divergence_rad : ray_divergence_rad[ray];
     }
     /// Returns the largest divergence in the table, or 0 if all rays are ideal.
-    double largest_divergence() const;
+    double find_largest_divergence() const;
     /// Appends a ray of another table. If this function is called repeatedly, all rays
     /// must come from the same table. Does not change `rows` and `columns`.
     void append(const RayTable& from, std::size_t ray);
 };
-/// Returns the offsets of the sub-rays that sample the footprint of a beam: [n], in units
-/// of half the beam divergence. The first sub-ray is the beam axis. All sub-rays have the
-/// same weight. The mean of offset^2 is 1/2, which equals the spread of an evenly lit
-/// disc.
-/// @param n  1, 5 or 9; any other number gives a spiral whose first ray is not on the
+/// Returns the offsets of the sub-rays that sample the footprint of a beam: [count], in
+/// units of half the beam divergence. The first sub-ray is the beam axis. All sub-rays
+/// have the same weight. The mean of offset^2 is 1/2, which equals the spread of an
+/// evenly lit disc.
+/// @param count  1, 5 or 9; any other number gives a spiral whose first ray is not on the
 /// axis
-std::vector<glm::dvec2> footprint_pattern(int n);
+std::vector<glm::dvec2> make_footprint_pattern(int count);
 /// Returns a new table with the selected rays of a table, without image order (rows = 1).
-RayTable some_rays(const RayTable& rays, const std::vector<std::size_t>& ray_indices);
+RayTable select_rays(const RayTable& rays, const std::vector<std::size_t>& ray_indices);
 
 /// A beam of a spinning LiDAR. If the head is at azimuth `theta` (counter-clockwise), the
 /// ray has elevation `elevation_rad` and azimuth theta + azimuth_offset_rad. It starts at
@@ -136,15 +136,15 @@ struct Beam {
     /// A range of 0 (no return) stays 0. Each conversion can be inverted unless a value
     /// is clamped.
     /// @param fall  factor of the log's IntensityResponse at the range of the surface
-    double measured_range(double surface_m) const;
-    double surface_range(double measured_m) const;  ///< at least 1 mm
-    double measured_intensity(double of_surface, double fall) const;
-    double surface_intensity(double measured, double fall) const;
+    double to_measured_range(double surface_m) const;
+    double to_surface_range(double measured_m) const;  ///< at least 1 mm
+    double to_measured_intensity(double of_surface, double fall) const;
+    double to_surface_intensity(double measured, double fall) const;
 };
 
 /// Returns the calibration of the beam with this number. If no such beam exists, returns
 /// an ideal beam, which measures the values of the surface without a change.
-const Beam& beam_of(const std::vector<Beam>& beams, std::size_t channel);
+const Beam& find_beam(const std::vector<Beam>& beams, std::size_t channel);
 
 /// Range limits of a sensor. A ray whose range is outside the limits is dropped.
 struct RangeLimits {
@@ -156,7 +156,7 @@ struct RangeLimits {
     bool contains(double range_m) const { return range_m > 0.0 && range_m >= min_m && range_m <= max_m; }
 };
 /// Returns the intersection of two range limits.
-RangeLimits overlap(const RangeLimits& a, const RangeLimits& b);
+RangeLimits intersect_limits(const RangeLimits& first, const RangeLimits& second);
 
 /// A spinning LiDAR: its beams, the number of azimuth steps in a sweep, and the timing of
 /// the sweep.
@@ -184,18 +184,18 @@ struct BeamRay {
 
 /// Returns the origin and the direction of a beam while the head is at an azimuth. Uses
 /// the equation of `Beam`.
-BeamRay beam_ray(const Beam& beam, double head_azimuth_rad);
+BeamRay compute_beam_ray(const Beam& beam, double head_azimuth_rad);
 
 /// Returns the azimuth of the head at which a beam hits a point. This is the inverse of
-/// beam_ray().
+/// compute_beam_ray().
 /// @param point_m [3] metres, sensor frame
 /// @return radians, not wrapped to a range
-double head_azimuth(const Beam& beam, const glm::dvec3& point_m);
+double compute_head_azimuth(const Beam& beam, const glm::dvec3& point_m);
 
 /// Returns the number of columns by which a beam is shifted in the image. With this
 /// shift, all pixels of an image column have the same azimuth. Image column j holds
 /// firing (j + shift) mod columns, where shift = azimuth_offset in columns, rounded.
-int column_shift(const Beam& beam, int columns);
+int compute_column_shift(const Beam& beam, int columns);
 
 /// Returns the rays of a sweep. At time 0 the head faces forward (azimuth 0). A head that
 /// rotates clockwise reaches azimuth a at time -a / (2 pi) * period.
@@ -240,7 +240,7 @@ struct RangeGrid {
 
 /// Returns the range grid that published results on KITTI-360 use: 66 x 1030 pixels,
 /// elevation +2.0 to -24.9 degrees, 80 m.
-RangeGrid kitti360_grid();
+RangeGrid make_kitti360_grid();
 
 /// Returns rays through the pixel centres of a grid. All rays start at the sensor origin.
 /// The sweep is clockwise and takes 0.1 s.
@@ -347,7 +347,7 @@ struct PatternSummary {
 PatternSummary describe_pattern(const SensorPattern& pattern);
 /// Returns the duration of a scan in seconds. Returns 0 if only the time offsets of the
 /// rays define the duration.
-double period_of(const SensorPattern& pattern);
+double get_period(const SensorPattern& pattern);
 
 /// A sensor to simulate: its scan pattern and its range limits.
 struct SensorModel {
@@ -365,10 +365,10 @@ RayTable make_rays(const SensorModel& sensor, double time_s = 0.0);
 
 /// Returns the scan pattern of a sensor that does not spin. Returns nothing for a
 /// spinning sensor.
-std::optional<SensorPattern> fixed_pattern(const SensorModel& sensor);
+std::optional<SensorPattern> get_fixed_pattern(const SensorModel& sensor);
 
 /// Returns the names that find_built_in_sensor() accepts.
-std::vector<std::string> sensor_names();
+std::vector<std::string> list_sensor_names();
 /// Returns the built-in sensor with this name, or nothing if no sensor has this name.
 /// @param name  for example "VLP-16" or "kitti360", in upper or lower case
 /// @param columns  azimuth steps in a sweep of a spinning sensor; 0: the default of the
@@ -387,11 +387,11 @@ std::optional<SensorModel> find_built_in_sensor(const std::string& name, int col
 ///   head turns during this delay;
 /// - min_range_m, max_range_m: limits of the sensor;
 /// - channel: the manufacturer's channel number, which is ignored.
-/// @param where  name of the table in error messages
+/// @param location  name of the table in error messages
 /// @param columns  azimuth steps in a sweep
 /// @param rate_hz  rotation rate
 /// @throws DataError naming the line and the value that is wrong
-SpinningSensor parse_beam_table(const std::string& text, const std::string& where, int columns,
+SpinningSensor parse_beam_table(const std::string& text, const std::string& location, int columns,
                                 double rate_hz);
 
 /// Returns a range grid by name, for example "kitti360", in upper or lower case.

@@ -18,7 +18,7 @@ inline constexpr double kDefaultMaxRange_m = 80.0;
 
 /// Returns a sensor by its name or from a file. For a spinning sensor, ":columns[xHz]"
 /// may follow, for example "beams.csv:1024x10".
-///   NAME       a name of sensor_names(), in upper or lower case
+///   NAME       a name of list_sensor_names(), in upper or lower case
 ///   FILE.csv   a beam table (parse_beam_table()), or a ray table with a line for each ray, in
 ///              firing order. Columns of a ray table: azimuth_deg (positive to the left),
 ///              elevation_deg; optional, 0 by default: origin_x_m, origin_y_m, origin_z_m,
@@ -40,9 +40,10 @@ SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::
 
 /// Returns the sensor that the text of a JSON file describes.
 /// @param name  name of the sensor
-/// @param where  name of the text in error messages
+/// @param location  name of the text in error messages
 /// @throws DataError if the text is not a valid sensor
-SensorModel sensor_of_json(const std::string& text, const std::string& name, const std::string& where);
+SensorModel parse_sensor_json_text(const std::string& text, const std::string& name,
+                                   const std::string& location);
 
 /// A sensor of a rig, with its mounting.
 struct MountedSensor {
@@ -67,6 +68,6 @@ struct MountedSensor {
 std::optional<std::vector<MountedSensor>> find_rig(const std::string& path);
 
 /// Returns the help text for users about the formats of sensor files.
-std::string sensor_file_help();
+std::string make_sensor_file_help();
 
 }  // namespace relidar

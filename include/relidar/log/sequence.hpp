@@ -33,7 +33,7 @@ struct PoseTrack {
     Pose at(double t_s) const;
     /// Returns the pose at `t_s` of an object that is mounted on the moving object of
     /// this track. `mounted` is the pose of the mounted object in the moving frame. Same
-    /// as mounted_track(*this, mounted).at(t_s).
+    /// as make_mounted_track(*this, mounted).at(t_s).
     Pose at(double t_s, const Pose& mounted) const;
     /// Returns the two entries of the track between which at(t_s) interpolates.
     /// @throws DataError if the track is empty
@@ -66,7 +66,7 @@ struct Scan {
 
 /// Drops the rays of a scan whose range is outside the limits. Also removes second
 /// returns outside the limits.
-void drop_outside(Scan& scan, const RangeLimits& limits);
+void drop_outside_limits(Scan& scan, const RangeLimits& limits);
 
 /// State of a LiDAR at the start of a sweep: the azimuth of its head, and the time since
 /// the frame's reference time.
@@ -98,7 +98,7 @@ struct Frame {
 };
 
 /// Returns a copy of a frame without its scan.
-inline Frame without_scan(const Frame& frame) {
+inline Frame copy_without_scan(const Frame& frame) {
     return {frame.index, frame.time_s, {}, frame.lidar, frame.start, frame.azimuth_shift_rad};
 }
 
@@ -109,7 +109,7 @@ struct SweepMoment {
     std::optional<SweepStart> start = {};
 };
 /// Returns the LiDAR, time and start of a frame's sweep.
-inline SweepMoment moment_of(const Frame& frame) { return {frame.time_s, frame.lidar, frame.start}; }
+inline SweepMoment get_sweep_moment(const Frame& frame) { return {frame.time_s, frame.lidar, frame.start}; }
 
 struct Lidar;
 /// Computes the start of a sweep for any LiDAR. For a LiDAR that does not spin, returns
@@ -145,18 +145,18 @@ struct Lidar {
     RangeNoise range_noise = {};  ///< range noise; empty unless it was measured
 
     /// Returns the duration of a sweep, or 0 if it is unknown.
-    double period_s() const { return pattern ? period_of(*pattern) : sensor.period_s; }
+    double period_s() const { return pattern ? get_period(*pattern) : sensor.period_s; }
 };
 
 /// Sets the nominal sensor of a LiDAR.
 void set_sensor(Lidar& lidar, const SensorModel& sensor);
 /// Returns the nominal sensor of a LiDAR. If only its scans are known, the sensor has no
 /// beams.
-SensorModel sensor_of(const Lidar& lidar);
+SensorModel get_sensor(const Lidar& lidar);
 
 /// Returns the rays that a LiDAR nominally fires at a time. Returns no rays if only the
 /// scans of the LiDAR are known.
-RayTable nominal_rays(const Lidar& lidar, double time_s);
+RayTable make_nominal_rays(const Lidar& lidar, double time_s);
 
 /// Measures the difference between the actual and the nominal azimuth of a spinning head,
 /// at each firing of a sweep. Positive is to the left. The value is the median over all
@@ -164,16 +164,16 @@ RayTable nominal_rays(const Lidar& lidar, double time_s);
 /// rays were dropped. Firings with less than three returns are interpolated from their
 /// neighbours. With this correction, the rays of KITTI's HDL-64E agree to 0.01 columns
 /// instead of up to three columns.
-/// @param nominal  nominal_rays() of the LiDAR
-/// @return [columns] radians, by firing (column_shift()). Empty if the scan is not in the
-/// order of the nominal rays, if the beams do not rotate together, or if there is no
-/// deviation.
+/// @param nominal  make_nominal_rays() of the LiDAR
+/// @return [columns] radians, by firing (compute_column_shift()). Empty if the scan is
+/// not in the order of the nominal rays, if the beams do not rotate together, or if there
+/// is no deviation.
 std::vector<float> find_azimuth_shift(const Scan& scan, const SpinningSensor& sensor,
                                       const RayTable& nominal);
 /// Rotates the rays of each firing about the z axis, to the azimuth that was measured for
 /// this firing.
 /// @param shift_rad  result of find_azimuth_shift(); empty: no rotation
-RayTable shifted_azimuths(RayTable rays, const SpinningSensor& sensor, const std::vector<float>& shift_rad);
+RayTable shift_azimuths(RayTable rays, const SpinningSensor& sensor, const std::vector<float>& shift_rad);
 
 /// Category of moving objects that have no label in the dataset, and that
 /// discover_tracks() found in the scans (relidar/scene/scene.hpp).
@@ -211,7 +211,7 @@ struct BoxTrack {
     bool present(double t_s) const;
     /// Returns the track without the poses that were added before its first and after its
     /// last label.
-    BoxTrack labelled_part() const;
+    BoxTrack get_labelled_part() const;
     /// Returns true if a point in the world frame is in the box at a time. The box is
     /// enlarged by margin_m on all sides.
     bool holds(const glm::dvec3& point_m, double t_s, double margin_m) const;
@@ -259,10 +259,10 @@ struct Sequence {
     /// motion-compensated.
     bool rolling_shutter = true;
 
-    const Lidar& lidar_of(const Frame& frame) const { return lidars[std::size_t(frame.lidar)]; }
+    const Lidar& get_lidar(const Frame& frame) const { return lidars[std::size_t(frame.lidar)]; }
     /// Returns the index into world_from_vehicle of the pose at the time of a frame.
     /// @throws DataError if there is no such pose
-    std::size_t pose_of(const Frame& frame) const;
+    std::size_t get_pose_index(const Frame& frame) const;
     /// Returns the poses of a LiDAR at the times of the vehicle's poses. Each pose is the
     /// pose of the vehicle combined with the mounting of the LiDAR.
     PoseTrack world_from_sensor(int lidar) const;
@@ -271,7 +271,7 @@ struct Sequence {
     /// Returns the number of a beam when the beams of all LiDARs are numbered
     /// consecutively, in the order of `lidars`. Returns nothing if the LiDAR does not
     /// have the beam.
-    std::optional<std::uint16_t> beam_number(int lidar, std::uint16_t channel) const;
+    std::optional<std::uint16_t> find_beam_number(int lidar, std::uint16_t channel) const;
 };
 
 /// Returns the box with this id, or null if no box has this id. An empty id means the
@@ -279,7 +279,7 @@ struct Sequence {
 const BoxTrack* find_box(const Sequence& sequence, const std::string& id);
 
 /// Returns a copy of a log without its frames.
-Sequence without_frames(const Sequence& sequence);
+Sequence copy_without_frames(const Sequence& sequence);
 
 /// Returns the index of a LiDAR in Sequence::lidars by its name. An empty name gives the
 /// first LiDAR.
@@ -289,14 +289,14 @@ int find_lidar(const Sequence& sequence, const std::string& name);
 /// Returns the poses of an object that is mounted on another moving object.
 /// @param track  poses of the moving object
 /// @param sensor_from_moved  pose of the mounted object in the frame of the moving object
-PoseTrack mounted_track(PoseTrack track, const Pose& sensor_from_moved);
+PoseTrack make_mounted_track(PoseTrack track, const Pose& sensor_from_moved);
 /// Returns the same motion with additional poses in curves. A mounted object then follows
 /// the curve, instead of straight lines between the poses.
-PoseTrack with_fine_turns(const PoseTrack& track);
+PoseTrack refine_turns(const PoseTrack& track);
 /// Returns the same poses in a world frame with another origin.
 /// @param by_m  vector that is added to every position. Sequence::world_offset_m converts
 /// from relidar's world to the dataset's world. The negative vector converts back.
-PoseTrack shifted_track(PoseTrack track, const glm::dvec3& by_m);
+PoseTrack shift_track(PoseTrack track, const glm::dvec3& by_m);
 
 /// Replaces the poses of the vehicle, at the same times. Boxes are labelled relative to
 /// the scans, so they move too: each box keeps its pose relative to the vehicle at the
@@ -313,8 +313,8 @@ struct WorldRay {
 /// the sensor pose is interpolated at the ray's firing time.
 /// @param time_s  reference time of the sweep
 /// @param ray  index into `rays`
-WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray,
-                   bool rolling_shutter);
+WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays,
+                        std::size_t ray, bool rolling_shutter);
 
 /// Returns the time in a sweep at which the LiDAR faces a point. The LiDAR measures an
 /// object at that point at this time. For a scanning window, it is the time of the column
@@ -322,7 +322,7 @@ WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayT
 /// scan, because a rosette covers every direction repeatedly.
 /// @param point_m [3] metres, sensor frame
 /// @return the `time_s` of the sweep if the sequence has no rolling shutter
-double facing_time(const Sequence& sequence, const glm::dvec3& point_m, const SweepMoment& sweep);
+double compute_facing_time(const Sequence& sequence, const glm::dvec3& point_m, const SweepMoment& sweep);
 
 /// Range and intensity of the surface that a ray hit. The intensity is not corrected for
 /// the angle of incidence.
@@ -335,8 +335,8 @@ struct SurfaceReturn {
 /// Returns the range and intensity of the surface that a ray hit.
 /// @param ray  index of a ray of the frame
 /// @param number  0 for the strongest return, n for Scan::second_returns[n-1]
-SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
-                             std::size_t number = 0);
+SurfaceReturn compute_surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
+                                     std::size_t number = 0);
 
 /// End point of a returned ray in the world frame, and the time at which the ray was
 /// fired. The range offset and the intensity response of the beam are removed.
@@ -349,14 +349,14 @@ struct WorldReturn {
 /// Returns the end point of a ray in the world frame.
 /// @param ray  index of a returned ray of the frame
 /// @param number  number of an existing return of this ray
-WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
-                         std::size_t number = 0);
+WorldReturn compute_world_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
+                                 std::size_t number = 0);
 
 /// Returns true if a point in the world frame is in any moving box at time t_s. Boxes are
 /// interpolated in time and enlarged by margin_m. A box exists from its first to its last
 /// observation, plus half a time step on either side.
-bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
-                   double margin_m);
+bool is_in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
+                      double margin_m);
 
 /// Result of calibrate_ranges(): how well the points of different beams lie on common
 /// planes.

@@ -46,7 +46,8 @@ struct BlockLog {
 };
 /// Copies the part of a prepared log that is needed to train one block.
 /// @param config settings of the complete training
-BlockLog block_log(const Sequence& sequence, const Split& split, const Block& block, const Config& config);
+BlockLog load_block_log(const Sequence& sequence, const Split& split, const Block& block,
+                        const Config& config);
 
 /// Removes all background surfels that belong to other blocks. A surfel belongs to the
 /// block that contains the sweep nearest to the surfel.

@@ -39,7 +39,7 @@ struct Checkpoint {
 
 /// Returns the name of a number type in numpy, for example "f4" for float.
 template <class T>
-constexpr const char* dtype_of() {
+constexpr const char* get_dtype() {
     static_assert(std::is_arithmetic_v<T> && (sizeof(T) == 4 || sizeof(T) == 8));
     if constexpr (std::is_floating_point_v<T>) return sizeof(T) == 4 ? "f4" : "f8";
     else if constexpr (std::is_signed_v<T>) return sizeof(T) == 4 ? "i4" : "i8";
@@ -62,11 +62,11 @@ public:
     /// Stores a number, a host array [n] or a device array [n] under a name.
     template <class T>
     void operator()(const std::string& name, const T& value) requires std::is_arithmetic_v<T> {
-        put(name, dtype_of<T>(), {}, &value);
+        put(name, get_dtype<T>(), {}, &value);
     }
     template <class T>
     void operator()(const std::string& name, const std::vector<T>& values) {
-        put(name, dtype_of<T>(), {values.size()}, values.data());
+        put(name, get_dtype<T>(), {values.size()}, values.data());
     }
     template <class T>
     void operator()(const std::string& name, const Array<T>& array) {
@@ -98,11 +98,11 @@ public:
     /// Restores a number, a host array [n] or a device array [n] from the checkpoint.
     template <class T>
     void operator()(const std::string& name, T& value) const requires std::is_arithmetic_v<T> {
-        copy(find(name, dtype_of<T>(), {}), &value);
+        copy(find(name, get_dtype<T>(), {}), &value);
     }
     template <class T>
     void operator()(const std::string& name, std::vector<T>& values) const {
-        const NamedArray& found = find_rows(name, dtype_of<T>());
+        const NamedArray& found = find_rows(name, get_dtype<T>());
         values.resize(found.count());
         copy(found, values.data());
     }
@@ -113,11 +113,11 @@ public:
     template <class T>
     void operator()(const std::string& name, const FirstOf<T>& first) const {
         std::vector<T> values(first.n);
-        copy(find(name, dtype_of<T>(), {first.n}), values.data());
+        copy(find(name, get_dtype<T>(), {first.n}), values.data());
         first.array.upload(values);
     }
     void operator()(const std::string& name, SurfelArrays& surfels) const {
-        surfels.upload(surfels_of(name, surfels.n));
+        surfels.upload(read_surfels(name, surfels.n));
     }
 
     /// Returns the stored surfels as host arrays. Any number of surfels is accepted.
@@ -127,12 +127,12 @@ private:
     const Checkpoint& checkpoint_;
 
     /// Returns the array with this name after checking its type and shape. find_rows()
-    /// accepts any length. surfels_of() returns the arrays of n surfels. copy() copies
+    /// accepts any length. read_surfels() returns the arrays of n surfels. copy() copies
     /// all bytes of an array.
     const NamedArray& find(const std::string& name, const char* dtype,
                            const std::vector<std::size_t>& shape) const;
     const NamedArray& find_rows(const std::string& name, const char* dtype) const;
-    Surfels surfels_of(const std::string& name, std::size_t n) const;
+    Surfels read_surfels(const std::string& name, std::size_t count) const;
     static void copy(const NamedArray& array, void* values);
 };
 

@@ -83,8 +83,10 @@ struct SensorConfig {
     double return_separation_m = 0.5;
 
     /// Returns true if `calibrate` includes the given quantity.
-    /// @param what "range" or "intensity"
-    bool calibrates(const char* what) const { return calibrate.find(what) != std::string::npos; }
+    /// @param description "range" or "intensity"
+    bool calibrates(const char* description) const {
+        return calibrate.find(description) != std::string::npos;
+    }
     bool operator==(const SensorConfig&) const = default;
 };
 
@@ -226,7 +228,7 @@ struct ConfigKey {
     bool expert = false;  ///< True if the setting requires knowledge of the implementation.
 };
 /// Lists all settings, in the order of the TOML file.
-std::vector<ConfigKey> config_keys(const Config& config);
+std::vector<ConfigKey> list_config_keys(const Config& config);
 
 /// Sets a setting from text.
 /// @throws UsageError for an unknown key (the message suggests the most similar key), or

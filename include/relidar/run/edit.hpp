@@ -55,7 +55,7 @@ struct DrivingView {
 /// copy of the actor must be placed at the same height.
 /// @return nullopt if the actor's scene has no ground below the box
 /// @throws UsageError if no instance has this track
-std::optional<double> ground_clearance(const DrivingView& owner, const std::string& track);
+std::optional<double> measure_ground_clearance(const DrivingView& owner, const std::string& track);
 
 /// Computes the pose of an actor on the ground of the background. A moving actor gets a
 /// path that is straight in x and y and follows the ground. The ground plane is fitted to
@@ -89,7 +89,7 @@ DrivingScene retime_track(DrivingScene driving, const std::string& track, double
 /// Returns a message if an edit has made an actor absent in some frames. The message
 /// contains the number of these frames. Returns an empty string if there are no such
 /// frames, or if the edited log has no such track.
-std::string lost_frames_note(const BoxTrack& before, const Sequence& edited);
+std::string describe_lost_frames(const BoxTrack& before, const Sequence& edited);
 
 /// Replaces the trajectory of an actor. Between the given poses, positions are
 /// interpolated linearly and rotations by slerp. The actor is absent before the first and
@@ -135,7 +135,7 @@ struct ActorDetail {
 /// @param lidar index in Sequence::lidars
 /// @return result with 0 rays if the LiDAR never sees the actor, or if the rays of the
 /// LiDAR are unknown
-ActorDetail actor_detail(const DrivingScene& driving, const std::string& track, int lidar = 0);
+ActorDetail measure_actor_detail(const DrivingScene& driving, const std::string& track, int lidar = 0);
 
 /// Compares the resolution of an actor's model with given rays, at one pose of the
 /// sensor.
@@ -143,8 +143,8 @@ ActorDetail actor_detail(const DrivingScene& driving, const std::string& track, 
 /// @param direction [n,3] directions of the rays, sensor frame
 /// @param box_from_sensor pose of the sensor in the frame of the box
 /// @param size_m [3] size of the box, metres
-ActorDetail actor_detail(std::span<const glm::vec3> origin, std::span<const glm::vec3> direction,
-                         const Pose& box_from_sensor, const glm::dvec3& size_m, std::size_t surfels);
+ActorDetail measure_actor_detail(std::span<const glm::vec3> origin, std::span<const glm::vec3> direction,
+                                 const Pose& box_from_sensor, const glm::dvec3& size_m, std::size_t surfels);
 
 /// Reads a trajectory from a CSV file. A header line names the columns in any order:
 /// time_s, x, y, z, yaw_deg or yaw_rad, and optionally pitch and roll in either unit.
@@ -183,6 +183,6 @@ std::vector<ScenarioEntity> read_scenario(const std::filesystem::path& path);
 /// height.
 /// @param begin_s time of the log at which the scenario begins
 /// @param size_m [3] size of the actor's box, metres
-PoseTrack box_track(const ScenarioEntity& entity, double begin_s, const glm::dvec3& size_m);
+PoseTrack make_box_track(const ScenarioEntity& entity, double begin_s, const glm::dvec3& size_m);
 
 }  // namespace relidar

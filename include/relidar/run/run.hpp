@@ -122,7 +122,7 @@ DropNetwork load_drop_network(const std::filesystem::path& path);
 /// @throws DataError naming the field that is missing or does not match the surfels of
 /// the scene
 std::string layout_to_json(const Scene& scene);
-void read_layout_json(const std::string& text, const std::string& where, Scene& scene);
+void read_layout_json(const std::string& text, const std::string& location, Scene& scene);
 
 /// Returns true if a path looks like a run folder: it contains a scene.json or a model
 /// file.

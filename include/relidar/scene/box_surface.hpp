@@ -14,7 +14,7 @@ namespace relidar {
 enum class BoxSide { front, rear, left, right, top };
 inline constexpr std::size_t kBoxSides = 5;
 /// Returns the name of a side: "front", "rear", "left", "right", "top".
-const char* name_of(BoxSide side);
+const char* get_name(BoxSide side);
 
 /// Axes of a side of a box. `normal` and `sign` define the outward normal. Patches are
 /// counted along the axes `first` and `second`. For vertical sides, `second` is the

@@ -72,7 +72,7 @@ struct SurfelArrays {
     /// call.
     /// @throws DeviceError if device memory is exhausted. Some arrays may then be larger,
     /// but no values are lost
-    void reserve(Device& device, std::uint32_t capacity, const std::string& what);
+    void reserve(Device& device, std::uint32_t capacity, const std::string& description);
     void fill_zero(Stream& stream);
 };
 
@@ -91,7 +91,8 @@ struct LearningRates {
     /// Learning rate of the intensity coefficients, relative to the rate of the drop
     /// logits.
     double intensity_factor = 1.0;
-    /// Table of models, DeviceScene::models(). Required if mean_factors is not empty.
+    /// Table of models, DeviceScene::models(). Required if compute_mean_factors is not
+    /// empty.
     const Array<shared::ModelEntry>* models = nullptr;
     /// Factor for the learning rate of the mean positions of each model, [models]. Empty
     /// = 1.
@@ -122,8 +123,8 @@ struct ParameterGroup {
     void (*resize)(Surfels&, std::size_t n_floats);  ///< Resizes the array on the host.
 
     constexpr std::uint32_t floats() const { return row[0] * row[1]; }  ///< Number of floats per surfel.
-    /// Returns the shape of the array in files: [n], [n,3] or [n,3,16].
-    std::vector<std::size_t> shape(std::size_t n) const;
+    /// Returns the shape of the array in files: [count], [count,3] or [count,3,16].
+    std::vector<std::size_t> shape(std::size_t count) const;
 };
 
 /// Returns the description of a parameter group. kHost is its member of Surfels, and
@@ -132,7 +133,7 @@ template <auto kHost, auto kDevice>
 constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32_t, 2> row,
                                         double LearningRates::*rate, bool harmonics = false,
                                         bool scales = false,
-                                        ParameterGroup::Of of = ParameterGroup::Of::all) {
+                                        ParameterGroup::Of parameter_set = ParameterGroup::Of::all) {
     using Element = typename std::remove_reference_t<decltype(std::declval<Surfels&>().*kHost)>::value_type;
     constexpr std::size_t kFloats = sizeof(Element) / sizeof(float);
     return {name,
@@ -140,17 +141,18 @@ constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32
             rate,
             harmonics,
             scales,
-            of,
+            parameter_set,
             [](const SurfelArrays& arrays) -> const Array<float>& { return arrays.*kDevice; },
             [](SurfelArrays& arrays) -> Array<float>& { return arrays.*kDevice; },
-            [](const Surfels& s) {
-                return std::span(reinterpret_cast<const float*>((s.*kHost).data()),
-                                 kFloats * (s.*kHost).size());
+            [](const Surfels& surfels) {
+                return std::span(reinterpret_cast<const float*>((surfels.*kHost).data()),
+                                 kFloats * (surfels.*kHost).size());
             },
-            [](Surfels& s) {
-                return std::span(reinterpret_cast<float*>((s.*kHost).data()), kFloats * (s.*kHost).size());
+            [](Surfels& surfels) {
+                return std::span(reinterpret_cast<float*>((surfels.*kHost).data()),
+                                 kFloats * (surfels.*kHost).size());
             },
-            [](Surfels& s, std::size_t n_floats) { (s.*kHost).resize(n_floats / kFloats); }};
+            [](Surfels& surfels, std::size_t n_floats) { (surfels.*kHost).resize(n_floats / kFloats); }};
 }
 
 /// Table of all parameter groups. The two optional groups are the first and the last
@@ -173,9 +175,9 @@ inline constexpr std::array<ParameterGroup, 7> kParameterGroups{{
 }};
 
 /// Returns the parameter groups that the surfels of a scene have.
-constexpr std::span<const ParameterGroup> groups_of(ParameterSet of) {
-    const std::size_t first = of.bends ? 0 : 1,
-                      last = kParameterGroups.size() - (kind_of(of.primitive).third_scale ? 0 : 1);
+constexpr std::span<const ParameterGroup> list_parameter_groups(ParameterSet parameter_set) {
+    const std::size_t first = parameter_set.bends ? 0 : 1,
+                      last = kParameterGroups.size() - (kind_of(parameter_set.primitive).third_scale ? 0 : 1);
     return std::span(kParameterGroups).subspan(first, last - first);
 }
 
@@ -186,12 +188,12 @@ inline constexpr const char* kPrimitiveKey = "primitive";
 /// @param key metadata key of the primitive
 /// @param has_array returns true if the file has an array with the name of a group
 /// @throws DataError if the key is missing or its value is not the name of a primitive
-ParameterSet stored_parameters(const std::map<std::string, std::string>& texts, const std::string& key,
-                               const std::function<bool(const char*)>& has_array);
+ParameterSet read_parameter_set(const std::map<std::string, std::string>& texts, const std::string& key,
+                                const std::function<bool(const char*)>& has_array);
 /// Returns the number of floats that one surfel's parameters have.
-constexpr std::uint32_t floats_per_surfel(ParameterSet of) {
+constexpr std::uint32_t count_floats_per_surfel(ParameterSet parameter_set) {
     std::uint32_t sum = 0;
-    for (const ParameterGroup& group : groups_of(of)) sum += group.floats();
+    for (const ParameterGroup& group : list_parameter_groups(parameter_set)) sum += group.floats();
     return sum;
 }
 
@@ -199,7 +201,7 @@ namespace shared {
 struct SurfelPointers;  // Device addresses of the parameter arrays.
 }
 /// Returns the device addresses of all parameter arrays, to be passed to kernels.
-shared::SurfelPointers pointers_of(const SurfelArrays& arrays);
+shared::SurfelPointers get_surfel_pointers(const SurfelArrays& arrays);
 
 /// List of the rows that are marked with 1 in an array. A kernel builds the list, and
 /// later kernels of the stream process only the listed rows. The list saves time on CPU
@@ -218,8 +220,8 @@ public:
     /// Returns the number of threads for a kernel that processes the list. The number
     /// does not depend on the length of the list, because only the device knows this
     /// length.
-    /// @param most number of threads for the longest possible list
-    std::size_t threads(std::size_t most) const;
+    /// @param max_count number of threads for the longest possible list
+    std::size_t threads(std::size_t max_count) const;
 
 private:
     struct Impl;
@@ -231,8 +233,8 @@ private:
 /// ray may hit the box. Between these times, the pose is interpolated. A box behind a
 /// spinning sensor is hit at the start and at the end of the sweep.
 /// @param half_size_m [3] half size of the box. 0 = unknown, so any ray may hit the box
-InstancePose pose_in_sweep(const Sequence& sequence, const PoseTrack& world_from_box,
-                           const glm::dvec3& half_size_m, const SweepMoment& sweep);
+InstancePose compute_pose_in_sweep(const Sequence& sequence, const PoseTrack& world_from_box,
+                                   const glm::dvec3& half_size_m, const SweepMoment& sweep);
 
 /// Inputs and outputs of activate_vjp(), which computes gradients of the parameters from
 /// gradients of the surfel records.
@@ -321,7 +323,7 @@ public:
     Primitive primitive() const;
     /// Returns the first row of an instance in the array of gradients with respect to the
     /// surfel records.
-    std::uint32_t first_gradient_row(std::size_t instance) const;
+    std::uint32_t get_first_gradient_row(std::size_t instance) const;
     /// Number of rows in the array of gradients with respect to the surfel records. Each
     /// surfel has one row for the first instance of its model, and one more row for each
     /// further instance of the model.

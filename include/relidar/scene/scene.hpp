@@ -107,8 +107,8 @@ struct Surfels {
 
     std::size_t size() const { return mean.size(); }
     ParameterSet parameters() const { return {primitive, bends}; }
-    void resize(std::size_t n) { resize(n, parameters()); }
-    void resize(std::size_t n, ParameterSet of);
+    void resize(std::size_t count) { resize(count, parameters()); }
+    void resize(std::size_t count, ParameterSet parameter_set);
     void add_gait();  ///< Adds a gait without motion to all surfels if they have no gait.
     /// Appends the surfels of another set. An empty set first adopts the other set's
     /// primitive. If only one set has a gait, the surfels without a gait get a gait
@@ -116,7 +116,7 @@ struct Surfels {
     /// @throws DataError if the primitives differ
     void append(const Surfels& other);
     /// Returns a reordered copy: surfel i of the result is surfel order[i] of this set.
-    Surfels permuted(const std::vector<std::uint32_t>& order) const;
+    Surfels reorder(const std::vector<std::uint32_t>& order) const;
     /// Returns a copy of surfels first ... first + count - 1.
     Surfels slice(std::size_t first, std::size_t count) const;
     /// Checks that all arrays have the same number of surfels.
@@ -172,8 +172,8 @@ struct Scene {
     Surfels surfels;
     std::vector<Model> models;
     std::vector<Instance> instances;
-    /// Drop probabilities of the log's LiDARs, one row per beam (Sequence::beam_number).
-    /// Empty if they were not estimated.
+    /// Drop probabilities of the log's LiDARs, one row per beam
+    /// (Sequence::find_beam_number). Empty if they were not estimated.
     DropTable sensor_drop;
     /// Background blocks in files, in addition to the surfels of model 0. Empty if the
     /// complete background is in memory.
@@ -195,7 +195,7 @@ struct DrivingScene {
 Scene make_background_scene(Surfels surfels);
 /// Returns a copy of the scene with another background, which replaces the old background
 /// and all blocks. The new surfels are sorted in kd-tree order.
-Scene with_background(const Scene& scene, const Surfels& background);
+Scene add_background(const Scene& scene, const Surfels& background);
 /// Copies a model and its surfels from another scene to the end of this scene.
 /// @return index of the new model
 std::uint32_t append_model(Scene& scene, const Scene& other, std::uint32_t model);
@@ -239,10 +239,10 @@ enum class ObjectKind {
 };
 /// Maps a class name of KITTI, KITTI-360, Waymo, Argoverse 2 or nuScenes to a kind.
 /// Returns `other` for an unknown name.
-ObjectKind object_kind(std::string_view category);
+ObjectKind parse_object_kind(std::string_view category);
 /// Returns the name of a kind as used in settings: "vehicle", "cyclist", "person" or
 /// "other".
-const char* name_of(ObjectKind kind);
+const char* get_name(ObjectKind kind);
 
 /// Treatment of moving objects without a label. `background`: their points belong to the
 /// background. `removed`: a point is removed if rays of other frames pass through it.
@@ -290,8 +290,8 @@ struct InitialiseOptions {
     bool second_returns = false;  ///< If true, second returns of the log also become surfels.
     /// Treatment of moving objects without a label. The default is the paper's.
     UnlabelledMovers unlabelled_movers = UnlabelledMovers::background;
-    /// Comma-separated kinds (object_kind()) or class names of the moving boxes that
-    /// become actors. all = every class. Empty = none.
+    /// Comma-separated kinds (parse_object_kind()) or class names of the moving boxes
+    /// that become actors. all = every class. Empty = none.
     std::string actor_classes = "all";
     /// If true, moving boxes of other classes are excluded from training. If false, they
     /// belong to the background (paper).
@@ -367,11 +367,11 @@ Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_p
 /// Returns the boxes that are removed from the background, but that have no instance in
 /// the scene. Their class is not selected, or they have too few points. Training ignores
 /// rays through these boxes, and renderings lack their returns.
-std::vector<BoxTrack> masked_boxes(const Scene& scene, const Sequence& sequence,
-                                   const InitialiseOptions& options);
+std::vector<BoxTrack> find_masked_boxes(const Scene& scene, const Sequence& sequence,
+                                        const InitialiseOptions& options);
 /// Returns the moving boxes that are removed from the background but are not selected as
 /// actors. Does not need a scene.
-std::vector<BoxTrack> unselected_boxes(const Sequence& sequence, const InitialiseOptions& options);
+std::vector<BoxTrack> find_unselected_boxes(const Sequence& sequence, const InitialiseOptions& options);
 /// Returns a list of track ids and classes, at most eight: "3 (Pedestrian), 7 (Tram)".
 std::string list_boxes(const std::vector<BoxTrack>& boxes);
 
@@ -399,22 +399,22 @@ Surfels freeze(const Scene& scene, const std::vector<InstancePose>& placed);
 /// Sorts points in kd-tree order, by recursive median splits along the longest axis. The
 /// median of a range is at (first + last) / 2.
 /// @return [n] permutation: position i of the sorted array holds point order[i]
-std::vector<std::uint32_t> kd_order(const std::vector<glm::vec3>& points);
+std::vector<std::uint32_t> compute_kd_order(const std::vector<glm::vec3>& points);
 
 /// Returns the extent of a model in metres. Training multiplies relative settings by this
 /// extent. For an actor, the extent is 4 times the diagonal of its box. For any
 /// other model, it is 3 times the 90th percentile of 2 |p - centre| over its surfels. A
 /// model without surfels has the extent 1.
-double model_extent(const Scene& scene, std::size_t model);
+double compute_model_extent(const Scene& scene, std::size_t model);
 /// Returns the extent of a box, 4 x its diagonal, metres.
 /// @param half_size_m [3] half size of the box, metres
-double box_extent(const glm::vec3& half_size_m);
+double compute_box_extent(const glm::vec3& half_size_m);
 /// Returns the extent of the background, metres: 3 x the 90th percentile of 2 |p -
 /// centre|.
-double background_extent(const Scene& scene);
+double compute_background_extent(const Scene& scene);
 
 /// Returns a copy of a scene without its surfels. The copy has models, instances, blocks
 /// and sensor drop probabilities.
-Scene layout_of(const Scene& scene);
+Scene copy_layout(const Scene& scene);
 
 }  // namespace relidar

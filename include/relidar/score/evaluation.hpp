@@ -82,11 +82,11 @@ struct BoxPoints {
 /// @param rendered  rendered image
 /// @param points_m [n] ranges at which the simulated points are placed
 /// @param real  measured image of the same rays
-/// @param seen  the sweep of both images
+/// @param sweep  the sweep of both images
 /// @param box  a box that is present at the time of the sweep
-BoxPoints points_in_box(const RangeImage& rendered, const std::vector<float>& points_m,
-                        const RangeImage& real, const Sequence& sequence, const SweepMoment& seen,
-                        const BoxTrack& box);
+BoxPoints collect_points_in_box(const RangeImage& rendered, const std::vector<float>& points_m,
+                                const RangeImage& real, const Sequence& sequence, const SweepMoment& sweep,
+                                const BoxTrack& box);
 
 /// Callback that receives each frame with its images after its metrics were computed. The
 /// callback may add metrics.
@@ -127,18 +127,18 @@ ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequ
 /// @param positions  indices of the frames in `sequence`
 /// @param progress  called before each frame and after the last one; if it throws, the
 /// evaluation stops
-/// @param see  called for each scored frame
+/// @param on_frame  called for each scored frame
 /// @throws DataError if a file with LPIPS weights is set and cannot be read
 Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
                            const std::vector<int>& positions, const Progress& progress = {},
-                           const FrameCallback& see = {});
+                           const FrameCallback& on_frame = {});
 
 /// Computes the mean metrics of scored frames.
 /// @param times  kernel times of the renderer that rendered the frames
 Evaluation summarise(std::vector<ScoredFrame> frames, const KernelTimes& times);
 
 /// Returns the mean time of a kernel launch in milliseconds, by kernel name.
-MetricRow mean_times(const KernelTimes& times);
+MetricRow compute_mean_times(const KernelTimes& times);
 
 /// Returns how the baseline with this name moves points in moving boxes. Both baselines
 /// consist of the points of the neighbouring training scans. "nearest" leaves the points
@@ -151,11 +151,11 @@ BoxMotion find_baseline(const std::string& name);
 /// @param name  "nearest" or "nearest-actors"
 /// @param sequence  the log, with its scans
 /// @param progress  called before each frame and after the last one
-/// @param see  called for each scored frame
+/// @param on_frame  called for each scored frame
 /// @throws UsageError for another name
 Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence,
                              const Split& split, const Progress& progress = {},
-                             const FrameCallback& see = {});
+                             const FrameCallback& on_frame = {});
 
 /// Reads the file with LPIPS weights, if the user has set one. Called before a long
 /// evaluation, so that a damaged file is reported at the start.
@@ -163,6 +163,6 @@ Evaluation evaluate_baseline(const std::string& name, const Config& config, cons
 void check_lpips_weights();
 /// Returns the path of the file with LPIPS weights, from the environment variable
 /// RELIDAR_LPIPS_WEIGHTS. If the path is empty, LPIPS is not computed.
-std::string lpips_weights_file();
+std::string find_lpips_weights();
 
 }  // namespace relidar

@@ -54,7 +54,7 @@ struct Region {
 ///                         all pixels, 0 if dropped, clamped to [1e-6, max_range_m]
 ///   peer/intensity_{rmse,mae,medae,psnr_db,ssim,lpips}
 ///                         all pixels, 0 if dropped, clamped to [1e-6, 1]
-///   peer/{cd_sq_m2,f_score}
+///   peer/{cd_sq_m2,compute_f_score}
 ///                         returned pixels; F-score at a squared distance of 0.05 m^2
 ///   strict/image_depth_*, strict/image_intensity_*
 ///                         like peer, with the strict drop threshold and without LPIPS
@@ -86,22 +86,22 @@ MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real,
 /// Returns the regions that reports show: all, moving_boxes, static, and the range bands
 /// range_0_20_m, range_20_40_m, range_40_80_m.
 /// @param moving [rows*columns] true for pixels whose return is in a moving box
-std::vector<Region> standard_regions(const RangeImage& real, const std::vector<bool>& moving);
+std::vector<Region> make_standard_regions(const RangeImage& real, const std::vector<bool>& moving);
 
 /// Returns a flag for each ray: true if its return is inside a moving box that the
 /// dataset labelled.
 /// @param sensor_offset  pose of the sensor that made the scan, in the frame of the log's
 /// sensor
 /// @return [n] true for rays with such a return
-std::vector<bool> moving_returns(const Sequence& sequence, const Frame& frame,
-                                 const Pose& sensor_offset = {});
+std::vector<bool> find_moving_returns(const Sequence& sequence, const Frame& frame,
+                                      const Pose& sensor_offset = {});
 /// Returns a flag for each ray: true if its return is inside a moving box that was
 /// discovered without a label.
 /// @param sensor_offset  pose of the sensor that made the scan, in the frame of the log's
 /// sensor
 /// @return [n] true for rays with such a return
-std::vector<bool> discovered_returns(const Sequence& sequence, const Frame& frame,
-                                     const Pose& sensor_offset = {});
+std::vector<bool> find_discovered_returns(const Sequence& sequence, const Frame& frame,
+                                          const Pose& sensor_offset = {});
 
 /// Computes the errors of the points that are written to point cloud files, with the
 /// strict protocol: points/{depth_*,cd_*,f_*}. The ranges of these points can differ from
@@ -134,13 +134,14 @@ enum class BoxMotion { stay, follow };
 /// Computes the baseline: moves the returns of the nearest earlier and later training
 /// frames of the same LiDAR into another sweep. Each point is moved to the time at which
 /// the head of the LiDAR faces it:
-///   p_sensor(t) = sensor_from_world(t) p_world,  t = facing_time(p_sensor)
+///   p_sensor(t) = sensor_from_world(t) p_world,  t = compute_facing_time(p_sensor)
 /// The result is not an image. It has one ray for each point, and the ray starts at the
 /// sensor origin.
 /// @param position  index of the sweep in sequence.frames; its scan is not read
 /// @param train  indices of the training frames, with their scans
 /// @throws DataError if there is no training frame
-Scan neighbour_points(const Sequence& sequence, int position, const std::vector<int>& train, BoxMotion boxes);
+Scan predict_neighbour_points(const Sequence& sequence, int position, const std::vector<int>& train,
+                              BoxMotion boxes);
 
 /// Assigns each point to the ray with the smallest angle to the point. If several points
 /// belong to a ray, the nearest point is kept. Skips points that are more than half a
@@ -175,19 +176,22 @@ public:
     explicit Lpips(LpipsWeights weights);
     ~Lpips();
     /// Returns the distance between two images for each of the five layers.
-    /// @param a [3,rows,columns] values intended for -1..1; other values are not clamped
-    /// @param b [3,rows,columns] like `a`
+    /// @param first [3,rows,columns] values intended for -1..1; other values are not
+    /// clamped
+    /// @param second [3,rows,columns] like `first`
     /// @throws DataError if the image is below 31 x 31 pixels, because the poolings then
     /// leave no pixel, or if an array has another size
-    std::array<double, 5> by_layer(const std::vector<float>& a, const std::vector<float>& b, int rows,
-                                   int columns) const;
+    std::array<double, 5> compute_layer_distances(const std::vector<float>& first,
+                                                  const std::vector<float>& second, int rows,
+                                                  int columns) const;
     /// Returns the distance between two images with a single channel, summed over all
     /// layers. The channel is repeated three times. Values are mapped from 0..1 to -1..1
     /// by x -> 2 x - 1, without clamping, like `normalize` in the published code.
     /// Published tables for LiDAR use ranges in metres as values.
-    /// @param a [rows*columns]
-    /// @param b [rows*columns]
-    double distance(const std::vector<double>& a, const std::vector<double>& b, int rows, int columns) const;
+    /// @param first [rows*columns]
+    /// @param second [rows*columns]
+    double distance(const std::vector<double>& first, const std::vector<double>& second, int rows,
+                    int columns) const;
 
 private:
     struct Impl;
@@ -196,18 +200,18 @@ private:
 
 /// Returns the structural similarity of two images with the defaults of scikit-image:
 /// uniform 7 x 7 window, sample covariance, borders of 3 pixels cropped.
-/// @param a [rows*columns]
-/// @param b [rows*columns]
+/// @param first [rows*columns]
+/// @param second [rows*columns]
 /// @throws DataError if the image is below 7 x 7 pixels or data_range is not positive
-double ssim(const std::vector<double>& a, const std::vector<double>& b, int rows, int columns,
-            double data_range);
+double compute_ssim(const std::vector<double>& first, const std::vector<double>& second, int rows,
+                    int columns, double data_range);
 
 /// Returns the exact distance from each query point to the nearest target point. Uses all
 /// cores.
 /// @return [n] metres
 /// @throws DataError if there is no target point or a coordinate is not finite
-std::vector<double> nearest_distances(const std::vector<glm::dvec3>& query,
-                                      const std::vector<glm::dvec3>& target);
+std::vector<double> compute_nearest_distances(const std::vector<glm::dvec3>& query,
+                                              const std::vector<glm::dvec3>& target);
 
 /// Returns the mean of each metric. Rows that lack a metric do not affect its mean.
 MetricRow mean(const std::vector<MetricRow>& rows);

@@ -31,7 +31,7 @@ struct ActorObservations {
 /// Marks the patches of an actor's box that were hit by rays, and returns the box
 /// surface.
 /// @param size_m [3] size of the box
-BoxSurface seen_surface(const glm::dvec3& size_m, const ActorObservations& sightings);
+BoxSurface compute_visible_surface(const glm::dvec3& size_m, const ActorObservations& sightings);
 /// Renders the training frames again and returns the points at which their rays hit each
 /// actor, by track. The frames are rendered with the log's LiDARs at their original
 /// poses. Therefore an object that hid an actor in the log also hides it here. A LiDAR
@@ -59,7 +59,7 @@ struct AssetFacts {
     /// with the mirror image of the other side.
     double completed = 0.0;
     /// Height of the box's bottom above the road, in metres. Computed by
-    /// ground_clearance().
+    /// measure_ground_clearance().
     double clearance_m = 0.0;
     double nearest_m = 0.0;  ///< Shortest range from which a ray hit the actor.
     std::size_t surfels = 0;
@@ -96,10 +96,10 @@ void save_asset(Asset asset, const std::filesystem::path& folder);
 AssetFacts read_asset_facts(const std::filesystem::path& folder);
 /// Returns the height of an asset's box above the road (AssetFacts::clearance_m). Returns
 /// nothing if the run is not an asset.
-std::optional<double> asset_clearance(const Run& run);
+std::optional<double> measure_asset_clearance(const Run& run);
 /// Returns the paths of all assets in a folder, sorted by name.
 /// @throws DataError if the folder contains no asset
-std::vector<std::filesystem::path> asset_folders(const std::filesystem::path& folder);
+std::vector<std::filesystem::path> list_asset_folders(const std::filesystem::path& folder);
 
 /// Returns the track of a run that has a single actor, for example an asset.
 /// @throws UsageError if the run has no actor or several

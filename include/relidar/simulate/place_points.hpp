@@ -27,6 +27,6 @@ enum class PointsOf {
 /// sensor's frame at the firing time of its ray.
 /// @throws DataError in the same cases as check_channels()
 Points place_points(const RenderedScan& scan, const Config& config,
-                    const std::optional<Pose>& dataset_from_points, PointsOf of = PointsOf::returns);
+                    const std::optional<Pose>& dataset_from_points, PointsOf selection = PointsOf::returns);
 
 }  // namespace relidar

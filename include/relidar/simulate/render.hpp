@@ -92,7 +92,7 @@ struct RenderedScan {
 
     /// Returns the pose of the sensor at the firing time of a ray, in the dataset's world
     /// frame.
-    Pose world_from_firing(std::size_t ray) const;
+    Pose get_firing_pose(std::size_t ray) const;
 };
 
 /// Finds unobserved sides of actors: sides for which the model has no data and that at
@@ -135,28 +135,28 @@ inline constexpr double kMuchUnseen = 0.2;
 
 /// Returns the [n] ranges, in metres, at which the points of a scan are placed. The
 /// setting `render.points` selects the median range or the range of the image.
-const std::vector<float>& point_ranges(const RenderedScan& scan, const Config& config);
+const std::vector<float>& select_point_ranges(const RenderedScan& scan, const Config& config);
 
 /// Returns the [n] spread of the ranges along each ray, in metres: |mean range - median
 /// range|. The spread is near 0 on a single surface, and large where a ray passes an
 /// edge. It is 0 if the transmittance T never falls below 0.5.
-std::vector<float> range_spread(const RenderedScan& scan);
+std::vector<float> compute_range_spread(const RenderedScan& scan);
 
 /// Computes the inputs of a ray-drop network for a scan.
 /// @param scan should have the channel `incidence`; without it all cosines are 0
 /// @param channels names of the input channels of the network
 /// @param first_origin_m [3] point that sensor positions are relative to, in the
-/// dataset's world frame; see first_origin()
-DropImage drop_image(const RenderedScan& scan, const std::vector<std::string>& channels,
-                     const glm::dvec3& first_origin_m);
+/// dataset's world frame; see get_first_origin()
+DropImage make_drop_image(const RenderedScan& scan, const std::vector<std::string>& channels,
+                          const glm::dvec3& first_origin_m);
 
 /// Returns the first position of the log's vehicle, in the dataset's world frame.
 /// @return [3] metres
-glm::dvec3 first_origin(const Sequence& sequence);
+glm::dvec3 get_first_origin(const Sequence& sequence);
 
 /// Returns the rendered intensities of a scan. Also returns the values from which random
 /// intensities are drawn: range, spread, incidence and elevation.
-RenderedIntensities rendered_intensities(const RenderedScan& scan);
+RenderedIntensities get_rendered_intensities(const RenderedScan& scan);
 
 /// Replaces the expected values of a scan by one random sample. A ray returns with
 /// probability 1 - drop_prob, independently of other rays. Random noise is added to the
@@ -220,8 +220,8 @@ bool has_rolling_shutter(const SensorChoice& sensor, const Config& config);
 /// at this time, returns the sensor unchanged. ScanRenderer calls this function for scans
 /// without a ScanRequest.
 /// @param frames frames of the log with their azimuth shifts
-SensorChoice sensor_in_sweep(const SensorChoice& sensor, std::span<const Frame> frames,
-                             std::span<const Lidar> lidars, double time_s);
+SensorChoice align_sensor_with_sweep(const SensorChoice& sensor, std::span<const Frame> frames,
+                                     std::span<const Lidar> lidars, double time_s);
 
 /// Returns the sensor that the setting `sensor.grid` selects: a LiDAR of the log, or a
 /// grid. For a grid, the setting `sensor.grid_method` selects one of two methods. Either
@@ -229,7 +229,7 @@ SensorChoice sensor_in_sweep(const SensorChoice& sensor, std::span<const Frame> 
 /// The range limits of the LiDAR are intersected with those of the dataset settings. If
 /// only the scans of a LiDAR are known, `rays` is empty and the caller must set the rays
 /// of each scan.
-SensorChoice configured_sensor(const Config& config, const Sequence& sequence, int lidar = 0);
+SensorChoice make_configured_sensor(const Config& config, const Sequence& sequence, int lidar = 0);
 /// Returns the sensor with this name, or the sensor in this file. Valid values are
 /// "native", the name of a sensor, a CSV file and the name of a grid. "kitti360" follows
 /// the setting `sensor.grid_method`.
@@ -237,9 +237,9 @@ SensorChoice choose_sensor(const std::string& name_or_file, const Config& config
                            int lidar = 0);
 
 /// Creates a SensorChoice for a sensor that replaces a LiDAR of the log.
-SensorChoice sensor_choice(const SensorModel& sensor, int lidar = 0);
+SensorChoice make_sensor_choice(const SensorModel& sensor, int lidar = 0);
 /// Creates a SensorChoice for a sensor of a rig, with its number of returns.
-SensorChoice sensor_choice(const MountedSensor& mounted, int lidar = 0);
+SensorChoice make_sensor_choice(const MountedSensor& mounted, int lidar = 0);
 
 /// Merges scans of all sensors of a rig into one scan without image order. Rays are in
 /// the frame of the rig, as if the rig were a single sensor. The beam numbers of each
@@ -299,8 +299,8 @@ public:
     /// each actor a second time, without all other surfaces.
     void compute_views();
     /// Sets the space that the log observed. All following scans are compared with this
-    /// space to set RenderedScan::unseen_share. An empty coverage switches the comparison
-    /// off.
+    /// space to set RenderedScan::compute_unseen_share. An empty coverage switches the
+    /// comparison off.
     void compare_with(const Coverage& coverage);
     /// Sets the statistical intensity model of each LiDAR of the log, for all following
     /// scans. If a scan is sampled, its intensities are drawn from this model. Otherwise,
@@ -339,12 +339,12 @@ public:
     /// weather or sample. Otherwise place_points() computes the points on the host. Both
     /// results are bitwise equal.
     /// @param points_at_s time of the sensor frame in which the points are expressed
-    /// @param when with `with_next`, the scan is submitted together with the next
+    /// @param mode with `with_next`, the scan is submitted together with the next
     /// request. Scans whose points the device computes are then rendered in parallel.
     /// @throws UsageError if kScansInFlight requested scans were not collected, and as
     /// render()
     void submit_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s,
-                       std::optional<std::uint64_t> sample = {}, Send when = Send::now);
+                       std::optional<std::uint64_t> sample = {}, Send mode = Send::now);
     /// Maximum number of requested scans whose points were not collected with
     /// wait_for_points(). Two requested scans are enough to keep the device busy.
     static constexpr std::size_t kScansInFlight = 64;
@@ -354,10 +354,10 @@ public:
     /// scan needs a copy of the scene on the device. If device memory is exhausted, the
     /// number is reduced.
     int side_by_side() const;
-    static int default_side_by_side(const Device& device);
+    static int choose_max_lanes(const Device& device);
     /// Sets the maximum number of scans that the device renders in parallel.
-    /// @throws UsageError if n is less than 1
-    void side_by_side(int n);
+    /// @throws UsageError if `count` is less than 1
+    void side_by_side(int count);
     /// Waits for the oldest requested scan and returns its points.
     /// @param memory points whose memory is reused
     /// @throws UsageError if no scan was requested
@@ -380,6 +380,6 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid);
 /// Returns the measured image of a frame with the pixels of the configured sensor, for
 /// comparison with a rendered image. For the native grid, the pixels are those of the
 /// scan. For any other grid, the points of the scan are binned into the grid.
-RangeImage real_image(const Config& config, const Scan& scan);
+RangeImage make_real_image(const Config& config, const Scan& scan);
 
 }  // namespace relidar

@@ -30,7 +30,7 @@ struct SensorChoice;
 
 /// Returns the names of all formats: the file extensions for single scans, and the
 /// recordings `mcap`, `rosbag` and `pcap`.
-std::vector<std::string> scan_formats();
+std::vector<std::string> list_scan_formats();
 /// Returns true if a format stores all scans in a single file. Only one process can write
 /// such a file.
 bool is_recording(const std::string& format);
@@ -47,7 +47,7 @@ struct PacketFormatOptions {
 
 /// Options for writing scans, and the metadata that the files contain.
 struct ScanFormat {
-    std::vector<std::string> formats{"npz"};  ///< names of formats, see scan_formats()
+    std::vector<std::string> formats{"npz"};  ///< names of formats, see list_scan_formats()
     PointFrame frame = PointFrame::sensor;
     /// Used only if points are in the sensor frame. True: all points are in the sensor
     /// frame at the scan's reference time. False: each point is in the sensor frame at
@@ -87,20 +87,20 @@ struct ScanFormat {
 };
 /// Returns the default format for scans of a run: npz files with rays in the sensor
 /// frame. The simulated sensor has the same poses as the log's sensor.
-ScanFormat scan_format(const Run& run, const SensorChoice& sensor);
+ScanFormat make_scan_format(const Run& run, const SensorChoice& sensor);
 /// Returns true if all points of a scan are in the same frame: the world frame, or the
 /// sensor frame at one time. This is the case if the points are converted, or if all rays
 /// are fired at the scan's time. In recordings, the frame has the time stamp of the
 /// message.
 bool is_deskewed(const ScanFormat& format);
 /// Sets the topic and the frame id of a sensor in recordings. The topic is
-/// /lidar/NAME/points, with topic_word(NAME), and the frame id is NAME. An empty name
-/// gives the topic /lidar/points and the frame id lidar.
+/// /lidar/NAME/points, with make_topic_word(NAME), and the frame id is NAME. An empty
+/// name gives the topic /lidar/points and the frame id lidar.
 /// @param name  name of the log's LiDAR or of the rig's sensor
-void name_in_recordings(ScanFormat& format, const std::string& name);
+void set_recording_name(ScanFormat& format, const std::string& name);
 /// Converts a name to a part of a topic name. Replaces characters that topics do not
 /// allow by _.
-std::string topic_word(const std::string& name);
+std::string make_topic_word(const std::string& name);
 
 /// Writes recordings: a file for each recording format, with all scans of a sensor or
 /// of the sensors of a rig. A file gets its final name when it is finished.
@@ -161,7 +161,7 @@ private:
 ///        second return, and in weather source_2;
 ///        each of RenderedScan::channels by its name, [rows,columns], or for vectors
 ///        [rows,columns,3];
-///        unseen: RenderedScan::unseen_share, if it is known;
+///        unseen: RenderedScan::compute_unseen_share, if it is known;
 ///        pose [4,4] world_from_sensor at time_s;
 ///        time_s, frame_number, frame, deskewed, sensor, run, units
 ///   exr  the images as float channels, metadata as string attributes
@@ -217,25 +217,25 @@ private:
 
 /// Returns the arrays of a scan's npz file, in the order of the file.
 /// @param frame  number of the frame
-std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame, const ScanFormat& format);
+std::vector<NamedArray> make_scan_arrays(const RenderedScan& scan, int frame, const ScanFormat& format);
 
 /// Returns the paths of files that an earlier rendering has written to a folder. The
 /// ScanFolder constructor would remove these files.
-std::vector<std::filesystem::path> scans_in(const std::filesystem::path& folder);
+std::vector<std::filesystem::path> list_scan_files(const std::filesystem::path& folder);
 
 /// Returns a picture of the ranges of an image in false colours. The colour scale uses
 /// the square root of the range, so that near objects have more contrast. The pictures of
 /// intensities and drop probabilities are gray. Pixels without a return are dark gray.
-Image range_picture(const RangeImage& image, double max_range_m);
-Image intensity_picture(const RangeImage& image);
-Image drop_picture(const RangeImage& image);
+Image draw_range_picture(const RangeImage& image, double max_range_m);
+Image draw_intensity_picture(const RangeImage& image);
+Image draw_drop_picture(const RangeImage& image);
 /// Returns a single picture with range, intensity and drop probability below each other.
-Image scan_picture(const RenderedScan& scan);
-/// Returns the factor by which stack() enlarges an image vertically. Without this factor,
-/// the picture would be too flat, because the rows of a LiDAR are farther apart than its
-/// columns.
-int picture_stretch(const RangeImage& image);
+Image draw_scan_picture(const RenderedScan& scan);
+/// Returns the factor by which stack_images() enlarges an image vertically. Without this
+/// factor, the picture would be too flat, because the rows of a LiDAR are farther apart
+/// than its columns.
+int compute_picture_stretch(const RangeImage& image);
 /// Returns [rows*columns] values: 1 for pixels with a return, 0 for all others.
-std::vector<float> returned_pixels(const RangeImage& image);
+std::vector<float> select_returned_pixels(const RangeImage& image);
 
 }  // namespace relidar

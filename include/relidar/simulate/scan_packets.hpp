@@ -13,7 +13,7 @@ namespace relidar {
 
 /// Converts a rendered scan to the form of a measured scan, in which rays without a
 /// return have range 0.
-Scan measured_scan(const RenderedScan& scan, const Config& config);
+Scan make_measured_scan(const RenderedScan& scan, const Config& config);
 
 /// Encoders of all sensors of a rig, or of a single sensor.
 class ScanPackets {

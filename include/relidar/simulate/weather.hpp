@@ -111,12 +111,12 @@ struct Echo {
 
 /// Returns the extinction coefficient alpha of the air in 1/m. Over R metres, the air
 /// transmits exp(-alpha R) of the light.
-double extinction(const Weather& weather);
+double compute_extinction(const Weather& weather);
 
 /// Returns the fraction of light that a smooth water surface reflects (Fresnel,
 /// unpolarised, n = 1.33).
 /// @param cosine  cosine of the angle of incidence in air, 0..1
-double mirrored_by_water(double cosine);
+double compute_water_reflectance(double cosine);
 /// Returns the light that wet ground returns to the source, divided by the light that dry
 /// ground returns (Lekner and Dorf 1988). Light passes the water surface twice. The
 /// ground scatters light, and total reflection keeps a part of this light in the water
@@ -124,10 +124,10 @@ double mirrored_by_water(double cosine);
 ///   (1 - F(cosine))^2 / (n^2 (1 - albedo p)),  p = 1 - (1 - mean of F over a diffuse surface's light) / n^2
 /// @param cosine  cosine of the angle of incidence in air, 0..1
 /// @param albedo  albedo of the dry ground, 0..1
-double wet_over_dry(double cosine, double albedo);
+double compute_wet_to_dry_ratio(double cosine, double albedo);
 /// Returns the fraction of the ground that is covered by a film of water. The fraction is
 /// 1 if the water is at least 1 mm deep, which is the assumed texture depth of asphalt.
-double film_share(double wet_mm);
+double compute_film_fraction(double wet_mm);
 
 /// Returns the noise of a receiver in sunlight: the standard deviation of the power after
 /// a matched filter, caused by shot noise. Three sources contribute radiance:
@@ -137,13 +137,13 @@ double film_share(double wet_mm);
 /// @param from_sun_rad  angle between ray and sun
 /// @param albedo  albedo of the surface that the ray hits; 0: none
 /// @param sees_sky  true if nothing is between the sensor and the sky
-double sun_noise(const Sun& sun, const WeatherSensor& sensor, double from_sun_rad, double albedo,
-                 bool sees_sky);
+double compute_sun_noise(const Sun& sun, const WeatherSensor& sensor, double from_sun_rad, double albedo,
+                         bool sees_sky);
 /// Returns how often noise exceeds a threshold, per metre of range. For Gaussian noise
 /// after a matched filter, the rate is exp(-level^2 / 2) / (2 sqrt(3) tau) per second
 /// (Rice 1945; RCA Electro-Optics Handbook 1974).
 /// @param level  threshold in standard deviations
-double false_returns_per_m(const WeatherSensor& sensor, double level);
+double compute_false_return_rate(const WeatherSensor& sensor, double level);
 
 struct WeatherInput;
 class EffectOnRays;
@@ -180,6 +180,6 @@ extern const WeatherEffect kFog, kRain, kSnow, kWetGround, kBlooming, kSunlight;
 inline constexpr const WeatherEffect* kWeatherEffects[] = {&kFog,       &kRain,     &kSnow,
                                                            &kWetGround, &kBlooming, &kSunlight};
 /// Lists the words of all effects and their meanings, for help texts.
-std::string weather_help();
+std::string make_weather_help();
 
 }  // namespace relidar

@@ -271,9 +271,9 @@ void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, con
                      const Config& config);
 /// Returns the name of the first setting that differs between two configs and prevents
 /// resuming the training. Returns an empty string if there is no such setting.
-std::string differing_setting(const Config& config, const Config& other);
+std::string find_differing_setting(const Config& config, const Config& other);
 /// Returns the training log that is stored in a checkpoint.
 /// @throws DataError if the checkpoint is not a training checkpoint
-std::vector<TrainProgress> resumed_log(const Checkpoint& checkpoint, const Config& config);
+std::vector<TrainProgress> read_resumed_log(const Checkpoint& checkpoint, const Config& config);
 
 }  // namespace relidar

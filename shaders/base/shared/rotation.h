@@ -18,7 +18,7 @@ RELIDAR_FUNCTION vec3 exact_cross(vec3 a, vec3 b) {
 
 /// Returns sin(x) / x as a series in x^2. Its error is at most 3e-7 for |x| <= pi. Term k
 /// has the factor 1 / (2k (2k + 1)).
-RELIDAR_FUNCTION float sine_over(float x2) {
+RELIDAR_FUNCTION float compute_sine_quotient(float x2) {
     RELIDAR_EXACT float sum = 1.0f - x2 * 0.00476190476f;
     sum = 1.0f - x2 * 0.00641025641f * sum;
     sum = 1.0f - x2 * 0.00909090909f * sum;
@@ -29,16 +29,17 @@ RELIDAR_FUNCTION float sine_over(float x2) {
     return sum;
 }
 
-/// Returns the point p rotated by the rotation vector w: exp([w]x) p. w is the axis times
-/// the angle, at most one full turn.
-RELIDAR_FUNCTION vec3 turned(vec3 w, vec3 p) {
-    RELIDAR_EXACT float half2 = 0.25f * (w.x * w.x + w.y * w.y + w.z * w.z);
+/// Returns the point `point` rotated by the rotation vector `rotation`: exp([rotation]x)
+/// point. rotation is the axis times the angle, at most one full turn.
+RELIDAR_FUNCTION vec3 rotate_point(vec3 rotation, vec3 point) {
+    RELIDAR_EXACT float half2 =
+        0.25f * (rotation.x * rotation.x + rotation.y * rotation.y + rotation.z * rotation.z);
     RELIDAR_EXACT float quarter2 = 0.25f * half2;
     // series for 1/2 and 1/4 of the rotation angle
-    float sine = sine_over(half2), quarter = sine_over(quarter2);
+    float sine = compute_sine_quotient(half2), quarter = compute_sine_quotient(quarter2);
     RELIDAR_EXACT float cosine = 1.0f - 0.5f * half2 * quarter * quarter;
-    vec3 once = exact_cross(w, p), twice = exact_cross(w, once);
-    RELIDAR_EXACT vec3 result = p + sine * (cosine * once + 0.5f * sine * twice);
+    vec3 once = exact_cross(rotation, point), twice = exact_cross(rotation, once);
+    RELIDAR_EXACT vec3 result = point + sine * (cosine * once + 0.5f * sine * twice);
     return result;
 }
 

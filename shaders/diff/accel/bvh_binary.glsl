@@ -11,12 +11,12 @@
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_BINARY_GLSL
 
 bool is_leaf(uint child) { return (child & RELIDAR_BVH_LEAF) != 0u; }
-uint surfels_of(uint decisions) { return decisions & 15u; }
-uint left_share(uint decisions, uint n_slots) { return (decisions >> (3u * n_slots - 2u)) & 7u; }
+uint count_surfels_in(uint decisions) { return decisions & 15u; }
+uint compute_left_share(uint decisions, uint n_slots) { return (decisions >> (3u * n_slots - 2u)) & 7u; }
 
 /// Returns the number of surfels in the subtree of a child, at most 15.
 uint count_surfels(BvhBinary tree, uint child) {
-    return is_leaf(child) ? 1u : surfels_of(tree.decisions.at[child]);
+    return is_leaf(child) ? 1u : count_surfels_in(tree.decisions.at[child]);
 }
 bool is_inner_slot(BvhBinary tree, uint child) { return count_surfels(tree, child) > RELIDAR_BVH_LEAF_SIZE; }
 
@@ -34,8 +34,8 @@ uint collect_slots(BvhBinary tree, uint node, out uint slots[RELIDAR_BVH_WIDTH])
         uint child = stack[--n], share = shares[n], left = 0u;
         if (!is_leaf(child)) {
             uint decisions = tree.decisions.at[child];
-            while (share > 1u && left_share(decisions, share) == 0u) --share;
-            if (share > 1u) left = left_share(decisions, share);
+            while (share > 1u && compute_left_share(decisions, share) == 0u) --share;
+            if (share > 1u) left = compute_left_share(decisions, share);
         }
         if (left == 0u) {
             slots[n_slots++] = child;

@@ -15,16 +15,16 @@ RELIDAR_PARAMS(BvhBoundsParams);
 
 void add_to_model(uint model, vec3 low, vec3 high) {
     for (uint c = 0u; c < 3u; ++c) {
-        atomicMin(params.bounds.at[6 * model + c], ordered_bits(low[c]));
-        atomicMin(params.bounds.at[6 * model + 3 + c], ordered_bits(-high[c]));
+        atomicMin(params.bounds.at[6 * model + c], to_ordered_bits(low[c]));
+        atomicMin(params.bounds.at[6 * model + 3 + c], to_ordered_bits(-high[c]));
     }
 }
 
 void main() {
-    uint base = workgroup_index() * RELIDAR_BVH_TILE + scan_thread();
+    uint base = get_workgroup_index() * RELIDAR_BVH_TILE + get_scan_thread();
     uint model = 0u;
-    Box bounds = empty_box();
-    for (uint i = base; i < min(base - scan_thread() + RELIDAR_BVH_TILE, params.n_surfels);
+    Box bounds = make_empty_box();
+    for (uint i = base; i < min(base - get_scan_thread() + RELIDAR_BVH_TILE, params.n_surfels);
          i += RELIDAR_BVH_WORKGROUP) {
         Box b = load_box(params.boxes, i);
         if (is_empty(b)) continue;
@@ -33,11 +33,11 @@ void main() {
         // model, the unsigned difference wraps to a large number.
         if (i - first_surfel >= params.models.at[model].n_surfels) {
             if (!is_empty(bounds)) add_to_model(model, bounds.low, bounds.high);
-            bounds = empty_box();
+            bounds = make_empty_box();
             model = find_model(params.models, params.n_models, i);
         }
         vec3 centre = 0.5 * b.low + 0.5 * b.high;
-        bounds = joined(bounds, Box(centre, centre));
+        bounds = join_boxes(bounds, Box(centre, centre));
     }
     if (subgroupAllEqual(model)) {
         bounds.low = subgroupMin(bounds.low);

@@ -45,30 +45,30 @@ shared uint nearest[ROOM];
 shared ivec4 task;
 
 /// Makes the writes of a subgroup to shared memory visible to all its lanes.
-void synchronise() {
+void synchronise_subgroup() {
     subgroupMemoryBarrierShared();
     subgroupBarrier();
 }
 
-/// Returns the number of leading bits that the sorted keys i and i + 1 have in common.
-/// Returns -1 at the ends of the model.
-int common_prefix(int i, int first, int last) {
-    if (i < first || i >= last) return -1;
-    uvec2 a = params.keys.at[i], b = params.keys.at[i + 1];
+/// Returns the number of leading bits that the sorted keys `index` and index + 1 have in
+/// common. Returns -1 at the ends of the model.
+int count_common_bits(int index, int first, int last) {
+    if (index < first || index >= last) return -1;
+    uvec2 a = params.keys.at[index], b = params.keys.at[index + 1];
     if (a.y != b.y) return 31 - findMSB(a.y ^ b.y);
     if (a.x != b.x) return 63 - findMSB(a.x ^ b.x);
-    return 95 - findMSB(uint(i ^ (i + 1)));
+    return 95 - findMSB(uint(index ^ (index + 1)));
 }
 
-Box box_of(uint i) { return Box(low_of[i], high_of[i]); }
+Box get_box(uint index) { return Box(low_of[index], high_of[index]); }
 
-Cluster cluster_of(uint i) { return Cluster(box_of(i), root_of[i], spare_of[i]); }
+Cluster cluster_of(uint index) { return Cluster(get_box(index), root_of[index], spare_of[index]); }
 
-void put_cluster(uint i, Cluster c) {
-    low_of[i] = c.box.low;
-    high_of[i] = c.box.high;
-    root_of[i] = c.root;
-    spare_of[i] = c.spare;
+void store_cluster(uint index, Cluster cluster) {
+    low_of[index] = cluster.box.low;
+    high_of[index] = cluster.box.high;
+    root_of[index] = cluster.root;
+    spare_of[index] = cluster.spare;
 }
 
 Cluster load_cluster(uint root) {
@@ -80,71 +80,72 @@ Cluster load_cluster(uint root) {
                    SharedUints(uvec2(params.tree.spares)).at[root]);
 }
 
-/// Loads the clusters of a range and appends them to the `n` clusters in shared memory.
-/// Returns the new number of clusters.
-uint load_clusters(int from, int to, uint n) {
+/// Loads the clusters of a range and appends them to the `count` clusters in shared
+/// memory. Returns the new number of clusters.
+uint load_clusters(int from, int to, uint count) {
     SharedUints roots = SharedUints(uvec2(params.clusters));
     uint n_range = min(uint(to - from) + 1u, KEPT);
     for (uint start = 0u; start < n_range; start += gl_SubgroupSize) {
         uint k = start + gl_SubgroupInvocationID;
         uint root = k < n_range ? roots.at[from + k] : RELIDAR_BVH_NO_NODE;
         uint end = subgroupMin(root == RELIDAR_BVH_NO_NODE ? k : n_range);
-        if (k < end) put_cluster(n + k, load_cluster(root));
-        if (end < start + gl_SubgroupSize) return n + min(end, n_range);
+        if (k < end) store_cluster(count + k, load_cluster(root));
+        if (end < start + gl_SubgroupSize) return count + min(end, n_range);
     }
-    return n + n_range;
+    return count + n_range;
 }
 
 /// Returns the neighbour for which the union of both bounding boxes is smallest. Of
 /// several equal neighbours, returns the first. This rule guarantees at least one pair of
 /// mutual nearest neighbours.
-uint nearest_to(uint i, uint n) {
-    Box own = box_of(i);
+uint find_nearest_cluster(uint index, uint count) {
+    Box own = get_box(index);
     float least = BOX_HUGE;
-    uint neighbour = i;
-    for (uint j = i - min(i, RADIUS); j < min(i + RADIUS + 1u, n); ++j) {
-        float area = half_area(joined(own, box_of(j)));
-        if (j == i || !(area < least)) continue;
+    uint neighbour = index;
+    for (uint j = index - min(index, RADIUS); j < min(index + RADIUS + 1u, count); ++j) {
+        float area = compute_half_area(join_boxes(own, get_box(j)));
+        if (j == index || !(area < least)) continue;
         least = area;
         neighbour = j;
     }
     return neighbour;
 }
 
-/// Creates a binary node whose children are the clusters a and b.
-Cluster merged(Cluster a, Cluster b) {
-    uint node = b.spare;
-    Box box = joined(a.box, b.box);
+/// Creates a binary node whose children are the clusters `first` and `second`.
+Cluster merge_clusters(Cluster first, Cluster second) {
+    uint node = second.spare;
+    Box box = join_boxes(first.box, second.box);
     store_shared_box(params.tree.boxes, node, box);
-    SharedUints(uvec2(params.tree.spares)).at[node] = a.spare;
-    params.tree.children.at[node] = uvec2(a.root, b.root);
-    write_costs(params.tree, node, Subtree(a.root, half_area(a.box)), Subtree(b.root, half_area(b.box)),
-                half_area(box));
-    return Cluster(box, node, a.spare);
+    SharedUints(uvec2(params.tree.spares)).at[node] = first.spare;
+    params.tree.children.at[node] = uvec2(first.root, second.root);
+    write_costs(params.tree, node, Subtree(first.root, compute_half_area(first.box)),
+                Subtree(second.root, compute_half_area(second.box)), compute_half_area(box));
+    return Cluster(box, node, first.spare);
 }
 
 /// Merges each pair of clusters that are mutual nearest neighbours.
 /// @return number of remaining clusters
-uint merge_mutual(uint n) {
-    for (uint i = gl_SubgroupInvocationID; i < n; i += gl_SubgroupSize) nearest[i] = nearest_to(i, n);
-    synchronise();
+uint merge_mutual(uint count) {
+    for (uint i = gl_SubgroupInvocationID; i < count; i += gl_SubgroupSize)
+        nearest[i] = find_nearest_cluster(i, count);
+    synchronise_subgroup();
     uint n_kept = 0u;
-    for (uint start = 0u; start < n; start += gl_SubgroupSize) {
+    for (uint start = 0u; start < count; start += gl_SubgroupSize) {
         uint i = start + gl_SubgroupInvocationID;
-        uint j = i < n ? nearest[i] : 0u;
-        bool mutual = i < n && nearest[j] == i, kept = i < n && !(mutual && j < i);
+        uint j = i < count ? nearest[i] : 0u;
+        bool mutual = i < count && nearest[j] == i, kept = i < count && !(mutual && j < i);
         Cluster c;
         if (kept) c = cluster_of(i);
-        if (kept && mutual) c = merged(c, cluster_of(j));
-        synchronise();
+        if (kept && mutual) c = merge_clusters(c, cluster_of(j));
+        synchronise_subgroup();
         uvec2 lanes = subgroupBallot(kept).xy, before = lanes & gl_SubgroupLtMask.xy;
         // Overwriting is safe here, because all lanes have already read their clusters
         // and the target index is at most i.
-        if (kept) put_cluster(n_kept + uint(bitCount(before.x) + bitCount(before.y)), c);
+        if (kept) store_cluster(n_kept + uint(bitCount(before.x) + bitCount(before.y)), c);
         n_kept += uint(bitCount(lanes.x) + bitCount(lanes.y));
     }
     memoryBarrierBuffer();  // later merges read these nodes
-    synchronise();
+    synchronise_subgroup();
     return n_kept;
 }
 
@@ -152,7 +153,7 @@ uint merge_mutual(uint n) {
 void join_ranges() {
     uint n = load_clusters(task.x, task.y, 0u);
     n = load_clusters(task.y + 1, task.z, n);
-    synchronise();
+    synchronise_subgroup();
     bool covers_model = task.w >= 0;
     while (n > (covers_model ? 1u : KEPT)) n = merge_mutual(n);
     if (covers_model) {
@@ -168,8 +169,8 @@ void join_ranges() {
 /// registers second continues with the joined range.
 /// @return true if the neighbour was registered before. Then `from` and `to` also include
 /// the neighbour
-bool meet_neighbour(inout int from, inout int to, out int split, int first, int last) {
-    bool leftward = common_prefix(from - 1, first, last) > common_prefix(to, first, last);
+bool join_neighbour_range(inout int from, inout int to, out int split, int first, int last) {
+    bool leftward = count_common_bits(from - 1, first, last) > count_common_bits(to, first, last);
     split = leftward ? from - 1 : to;
     uint other = atomicExchange(SharedUints(uvec2(params.other_ends)).at[split], uint(leftward ? to : from));
     if (other == RELIDAR_BVH_NO_NODE) return false;
@@ -179,7 +180,7 @@ bool meet_neighbour(inout int from, inout int to, out int split, int first, int 
 }
 
 void main() {
-    uint position = thread_index();
+    uint position = get_thread_index();
     bool climbing = position < params.n_surfels;
     int model = climbing ? int(find_model(params.models, params.n_models, position)) : 0;
     int first = int(params.models.at[model].first_surfel),
@@ -192,7 +193,7 @@ void main() {
     }
     while (subgroupAny(climbing)) {
         memoryBarrierBuffer();
-        if (climbing) climbing = meet_neighbour(from, to, split, first, last);
+        if (climbing) climbing = join_neighbour_range(from, to, split, first, last);
         memoryBarrierBuffer();
         bool covers_model = from == first && to == last,
              waiting = climbing && (covers_model || to - from >= int(KEPT));
@@ -200,9 +201,9 @@ void main() {
             uint first_lane = subgroupMin(waiting ? gl_SubgroupInvocationID : 0xffffffffu);
             bool next = gl_SubgroupInvocationID == first_lane;
             if (next) task = ivec4(from, split, to, covers_model ? model : -1);
-            synchronise();
+            synchronise_subgroup();
             join_ranges();
-            synchronise();
+            synchronise_subgroup();
             if (next) waiting = false;
         }
         if (covers_model) climbing = false;

@@ -12,30 +12,31 @@
 RELIDAR_PARAMS(BvhCostParams);
 shared float sums[64];  // cost of each subgroup
 
-float leaf_cost(uint node, uint first_surfel) {
+float compute_leaf_cost(uint node, uint first_surfel) {
     uint first_leaf = params.wide.nodes.at[node].first_leaf;
     uint leaves[2] = params.wide.nodes.at[node].leaves;
     float cost = 0.0;
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) {
         uint leaf = (leaves[s / 4u] >> (8u * (s % 4u))) & 255u, count = leaf >> 5;
-        Box b = empty_box();
+        Box b = make_empty_box();
         for (uint k = 0u; k < count; ++k)
-            b = joined(b, load_box(params.boxes,
-                                   first_surfel + params.wide.order.at[first_leaf + (leaf & 31u) + k]));
-        cost += half_area(b) * SURFEL_COST * float(count);
+            b = join_boxes(b, load_box(params.boxes,
+                                       first_surfel + params.wide.order.at[first_leaf + (leaf & 31u) + k]));
+        cost += compute_half_area(b) * SURFEL_COST * float(count);
     }
     return cost;
 }
 
 void main() {
-    uint group = workgroup_index(), node = group * RELIDAR_BVH_WORKGROUP + scan_thread();
+    uint group = get_workgroup_index(), node = group * RELIDAR_BVH_WORKGROUP + get_scan_thread();
     float cost = 0.0;
     if (node < min(params.bound, params.wide.count.at[0]))
-        cost = half_area(load_box(params.wide.boxes, node)) + leaf_cost(node, params.wide.links.at[node].y);
+        cost = compute_half_area(load_box(params.wide.boxes, node)) +
+               compute_leaf_cost(node, params.wide.links.at[node].y);
     cost = subgroupAdd(cost);
     if (subgroupElect()) sums[gl_SubgroupID] = cost;
     barrier();
-    if (scan_thread() != 0u) return;
+    if (get_scan_thread() != 0u) return;
     for (uint s = 1u; s < gl_NumSubgroups; ++s) cost += sums[s];
     if (group * RELIDAR_BVH_WORKGROUP < params.bound) params.partial.at[group] = cost;
 }

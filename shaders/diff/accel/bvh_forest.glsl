@@ -10,13 +10,15 @@ struct Box {
 };
 
 const float BOX_HUGE = 3.402823466e38;
-Box empty_box() { return Box(vec3(BOX_HUGE), vec3(-BOX_HUGE)); }
-bool is_empty(Box b) { return !(b.low.x <= b.high.x); }
-Box joined(Box a, Box b) { return Box(min(a.low, b.low), max(a.high, b.high)); }
+Box make_empty_box() { return Box(vec3(BOX_HUGE), vec3(-BOX_HUGE)); }
+bool is_empty(Box box) { return !(box.low.x <= box.high.x); }
+Box join_boxes(Box first, Box second) {
+    return Box(min(first.low, second.low), max(first.high, second.high));
+}
 
-Box load_box(Floats boxes, uint i) {
-    return Box(vec3(boxes.at[6 * i], boxes.at[6 * i + 1], boxes.at[6 * i + 2]),
-               vec3(boxes.at[6 * i + 3], boxes.at[6 * i + 4], boxes.at[6 * i + 5]));
+Box load_box(Floats boxes, uint index) {
+    return Box(vec3(boxes.at[6 * index], boxes.at[6 * index + 1], boxes.at[6 * index + 2]),
+               vec3(boxes.at[6 * index + 3], boxes.at[6 * index + 4], boxes.at[6 * index + 5]));
 }
 
 // Buffers for values that another subgroup of the same launch reads after a barrier or an
@@ -26,16 +28,16 @@ layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer Sha
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
 layout(buffer_reference, scalar, buffer_reference_align = 8) coherent buffer SharedUvec2s { uvec2 at[]; };
 
-Box load_shared_box(Floats boxes, uint i) {
+Box load_shared_box(Floats boxes, uint index) {
     SharedFloats b = SharedFloats(uvec2(boxes));
-    return Box(vec3(b.at[6 * i], b.at[6 * i + 1], b.at[6 * i + 2]),
-               vec3(b.at[6 * i + 3], b.at[6 * i + 4], b.at[6 * i + 5]));
+    return Box(vec3(b.at[6 * index], b.at[6 * index + 1], b.at[6 * index + 2]),
+               vec3(b.at[6 * index + 3], b.at[6 * index + 4], b.at[6 * index + 5]));
 }
-void store_shared_box(Floats boxes, uint i, Box value) {
+void store_shared_box(Floats boxes, uint index, Box value) {
     SharedFloats b = SharedFloats(uvec2(boxes));
     for (uint c = 0u; c < 3u; ++c) {
-        b.at[6 * i + c] = value.low[c];
-        b.at[6 * i + 3 + c] = value.high[c];
+        b.at[6 * index + c] = value.low[c];
+        b.at[6 * index + 3 + c] = value.high[c];
     }
 }
 
@@ -45,15 +47,15 @@ const float SURFEL_COST = 0.3;
 
 /// Returns half the surface area of a box. Limits each edge to 1e18 m, so that the result
 /// is finite.
-float half_area(Box b) {
-    vec3 e = clamp(b.high - b.low, vec3(0.0), vec3(1e18));
+float compute_half_area(Box box) {
+    vec3 e = clamp(box.high - box.low, vec3(0.0), vec3(1e18));
     return e.x * e.y + e.y * e.z + e.z * e.x;
 }
 
 /// Maps floats to unsigned integers that have the same order, so that integer atomics can
 /// compute minima.
-uint ordered_bits(float x) {
-    uint bits = floatBitsToUint(x);
+uint to_ordered_bits(float value) {
+    uint bits = floatBitsToUint(value);
     return (bits & 0x80000000u) != 0u ? ~bits : bits | 0x80000000u;
 }
 float from_ordered_bits(uint bits) {

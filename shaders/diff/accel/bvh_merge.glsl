@@ -12,10 +12,10 @@ struct Subtree {
 
 /// Loads the costs of a subtree. Entry k is the cost if the subtree may use at most k
 /// child slots of a wide node (1 ... 7). The cost of a leaf is the same for all k.
-void load_costs(BvhBinary tree, Subtree s, out float costs[RELIDAR_BVH_WIDTH]) {
+void load_costs(BvhBinary tree, Subtree subtree, out float costs[RELIDAR_BVH_WIDTH]) {
     for (uint k = 1u; k < RELIDAR_BVH_WIDTH; ++k)
-        costs[k] =
-            is_leaf(s.root) ? s.area * SURFEL_COST : SharedFloats(uvec2(tree.costs)).at[7u * s.root + k - 1u];
+        costs[k] = is_leaf(subtree.root) ? subtree.area * SURFEL_COST
+                                         : SharedFloats(uvec2(tree.costs)).at[7u * subtree.root + k - 1u];
 }
 
 /// Computes the costs of a node from the costs of both children. Also chooses how many
@@ -25,8 +25,8 @@ void write_costs(BvhBinary tree, uint node, Subtree left, Subtree right, float a
     load_costs(tree, left, in_left);
     load_costs(tree, right, in_right);
     SharedUints decided = SharedUints(uvec2(tree.decisions));
-    uint n_left = is_leaf(left.root) ? 1u : surfels_of(decided.at[left.root]),
-         n_right = is_leaf(right.root) ? 1u : surfels_of(decided.at[right.root]);
+    uint n_left = is_leaf(left.root) ? 1u : count_surfels_in(decided.at[left.root]),
+         n_right = is_leaf(right.root) ? 1u : count_surfels_in(decided.at[right.root]);
     uint n_surfels = min(n_left + n_right, 15u), decisions = n_surfels;
     float all = BOX_HUGE;
     uint share_of_all = 1u;

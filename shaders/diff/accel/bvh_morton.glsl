@@ -6,17 +6,19 @@
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MORTON_GLSL
 
 /// Inserts two zero bits before each bit of a 10-bit number, as a Morton code requires.
-uint spread(uint x) {
-    x = (x | (x << 16)) & 0x030000ffu;
-    x = (x | (x << 8)) & 0x0300f00fu;
-    x = (x | (x << 4)) & 0x030c30c3u;
-    return (x | (x << 2)) & 0x09249249u;
+uint spread_bits(uint cell) {
+    cell = (cell | (cell << 16)) & 0x030000ffu;
+    cell = (cell | (cell << 8)) & 0x0300f00fu;
+    cell = (cell | (cell << 4)) & 0x030c30c3u;
+    return (cell | (cell << 2)) & 0x09249249u;
 }
-uint interleave(uvec3 cell) { return spread(cell.x) << 2 | spread(cell.y) << 1 | spread(cell.z); }
+uint interleave_bits(uvec3 cell) {
+    return spread_bits(cell.x) << 2 | spread_bits(cell.y) << 1 | spread_bits(cell.z);
+}
 
 /// Returns the grid cell of a point. The grid covers the bounds with 2^bits cells along
 /// the longest edge. A NaN coordinate gives cell 0.
-uvec3 morton_cell(vec3 point, vec3 low, vec3 high, uint bits) {
+uvec3 compute_morton_cell(vec3 point, vec3 low, vec3 high, uint bits) {
     vec3 edges = high - low;
     float longest = max(max(edges.x, edges.y), edges.z), n_cells = float(1u << bits);
     float cells = longest > 0.0 && longest < 1e38 ? n_cells / longest : 0.0;

@@ -5,18 +5,18 @@
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_NODE_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_NODE_GLSL
 
-float decoded(float origin, uint q, float scale) {
-    precise float offset = float(q) * scale;  // exact: an 8-bit integer times a power of two
+float decode_bound(float origin, uint quantised, float scale) {
+    precise float offset = float(quantised) * scale;  // exact: an 8-bit integer times a power of two
     precise float x = origin + offset;
     return x;
 }
 
 /// Returns the smallest exponent e for which 255 steps of 2^(e - 127) reach from low to
 /// high. The steps are limited to normal floats between 2^-126 and 2^126.
-uint exponent_for(float low, float high) {
+uint compute_exponent(float low, float high) {
     uint bits = floatBitsToUint((high - low) / 255.0);
     uint e = clamp((bits >> 23) + ((bits & 0x7fffffu) != 0u ? 1u : 0u), 1u, 253u);
-    while (e < 253u && decoded(low, 255u, uintBitsToFloat(e << 23)) < high) ++e;
+    while (e < 253u && decode_bound(low, 255u, uintBitsToFloat(e << 23)) < high) ++e;
     return e;
 }
 
@@ -26,8 +26,8 @@ uint quantised(float origin, uint e, float low, float high) {
     float scale = uintBitsToFloat(e << 23), steps = uintBitsToFloat((254u - e) << 23);
     uint q_low = uint(clamp(floor((low - origin) * steps), 0.0, 255.0));
     uint q_high = uint(clamp(ceil((high - origin) * steps), 0.0, 255.0));
-    while (q_low > 0u && decoded(origin, q_low, scale) > low) --q_low;
-    while (q_high < 255u && decoded(origin, q_high, scale) < high) ++q_high;
+    while (q_low > 0u && decode_bound(origin, q_low, scale) > low) --q_low;
+    while (q_high < 255u && decode_bound(origin, q_high, scale) < high) ++q_high;
     return q_low | q_high << 8;
 }
 
@@ -39,16 +39,16 @@ struct NodeGrid {
 
 /// Returns the quantisation grid of a node.
 /// @param bounds bounding box of the node
-NodeGrid grid_of(Box bounds) {
+NodeGrid make_node_grid(Box bounds) {
     Box frame = is_empty(bounds) ? Box(vec3(0.0), vec3(0.0)) : bounds;
-    return NodeGrid(frame.low,
-                    uvec3(exponent_for(frame.low.x, frame.high.x), exponent_for(frame.low.y, frame.high.y),
-                          exponent_for(frame.low.z, frame.high.z)));
+    return NodeGrid(frame.low, uvec3(compute_exponent(frame.low.x, frame.high.x),
+                                     compute_exponent(frame.low.y, frame.high.y),
+                                     compute_exponent(frame.low.z, frame.high.z)));
 }
 
 /// Quantises the box of a child along all three axes, in the format of quantised().
 /// Returns an inverted box (low above high), which no ray hits, if the child is empty.
-uvec3 steps_of(NodeGrid grid, Box child) {
+uvec3 quantise_box(NodeGrid grid, Box child) {
     if (is_empty(child)) return uvec3(255u);
     return uvec3(quantised(grid.origin.x, grid.exponents.x, child.low.x, child.high.x),
                  quantised(grid.origin.y, grid.exponents.y, child.low.y, child.high.y),
@@ -75,12 +75,12 @@ void store_word(BvhNodes nodes, uint node, uint word, uvec3 low, uvec3 high) {
 /// node.
 /// @return bounding box of all children
 Box write_boxes(BvhNodes nodes, uint node, uint inner_mask, Box children[RELIDAR_BVH_WIDTH]) {
-    Box bounds = empty_box();
-    for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) bounds = joined(bounds, children[s]);
-    NodeGrid grid = grid_of(bounds);
+    Box bounds = make_empty_box();
+    for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) bounds = join_boxes(bounds, children[s]);
+    NodeGrid grid = make_node_grid(bounds);
     uvec3 low[2] = uvec3[](uvec3(0u), uvec3(0u)), high[2] = uvec3[](uvec3(0u), uvec3(0u));
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) {
-        uvec3 steps = steps_of(grid, children[s]);
+        uvec3 steps = quantise_box(grid, children[s]);
         low[s / 4u] |= (steps & 255u) << (8u * (s % 4u));
         high[s / 4u] |= (steps >> 8) << (8u * (s % 4u));
     }

@@ -26,49 +26,51 @@ RELIDAR_PARAMS(BvhRefitParams);
 const uint OF_NODE = LANES < RELIDAR_BVH_WIDTH ? LANES : RELIDAR_BVH_WIDTH;  // lanes per node
 const uint OF_LANE = RELIDAR_BVH_WIDTH / OF_NODE;                            // children per lane: 1 or 2
 uint lane() { return gl_SubgroupInvocationID % OF_NODE; }
-uint slot_of(uint k) { return k * OF_NODE + lane(); }
+uint get_slot(uint index) { return index * OF_NODE + lane(); }
 
 /// Returns the union of the boxes of all lanes that process the same node. Uses shuffles,
 /// so all lanes of the subgroup must call this function.
-Box joined_over_node(Box b) {
+Box join_boxes_over_node(Box box) {
     for (uint step = 1u; step < OF_NODE; step *= 2u)
-        b = joined(b, Box(subgroupShuffleXor(b.low, step), subgroupShuffleXor(b.high, step)));
-    return b;
+        box = join_boxes(box, Box(subgroupShuffleXor(box.low, step), subgroupShuffleXor(box.high, step)));
+    return box;
 }
-uvec3 joined_over_word(uvec3 bytes) {
+uvec3 join_bytes_over_word(uvec3 bytes) {
     for (uint step = 1u; step < 4u; step *= 2u) bytes |= subgroupShuffleXor(bytes, step);
     return bytes;
 }
-bool from_first_lane(bool value) { return subgroupShuffle(value, gl_SubgroupInvocationID - lane()); }
+bool broadcast_from_first_lane(bool value) {
+    return subgroupShuffle(value, gl_SubgroupInvocationID - lane());
+}
 
-Box child_box(uint node, uint slot, uint first_surfel, uint inner_mask) {
+Box make_child_box(uint node, uint slot, uint first_surfel, uint inner_mask) {
     if ((inner_mask >> slot & 1u) != 0u)
         return load_shared_box(params.wide.boxes, params.wide.nodes.at[node].first_child +
                                                       bitCount(inner_mask & ((1u << slot) - 1u)));
     uint leaf = params.wide.nodes.at[node].leaves[slot / 4u] >> (8u * (slot % 4u)) & 255u;
-    Box b = empty_box();
+    Box b = make_empty_box();
     uint first = params.wide.nodes.at[node].first_leaf + (leaf & 31u);
     for (uint k = 0u; k < leaf >> 5; ++k)
-        b = joined(b, load_box(params.boxes, first_surfel + params.wide.order.at[first + k]));
+        b = join_boxes(b, load_box(params.boxes, first_surfel + params.wide.order.at[first + k]));
     return b;
 }
 
 /// Computes the boxes of one node with a group of eight lanes. Uses shuffles, so groups
 /// without a node must also call this function.
 void refit_node(bool has_node, uint node, uint first_surfel, uint inner_mask) {
-    Box children[2], bounds = empty_box();
+    Box children[2], bounds = make_empty_box();
     for (uint k = 0u; k < OF_LANE; ++k) {
-        children[k] = empty_box();
-        if (has_node) children[k] = child_box(node, slot_of(k), first_surfel, inner_mask);
-        bounds = joined(bounds, children[k]);
+        children[k] = make_empty_box();
+        if (has_node) children[k] = make_child_box(node, get_slot(k), first_surfel, inner_mask);
+        bounds = join_boxes(bounds, children[k]);
     }
-    bounds = joined_over_node(bounds);
-    NodeGrid grid = grid_of(bounds);
+    bounds = join_boxes_over_node(bounds);
+    NodeGrid grid = make_node_grid(bounds);
     for (uint k = 0u; k < OF_LANE; ++k) {
-        uint slot = slot_of(k);
-        uvec3 steps = steps_of(grid, children[k]);
-        uvec3 low = joined_over_word((steps & 255u) << (8u * (slot % 4u))),
-              high = joined_over_word((steps >> 8) << (8u * (slot % 4u)));
+        uint slot = get_slot(k);
+        uvec3 steps = quantise_box(grid, children[k]);
+        uvec3 low = join_bytes_over_word((steps & 255u) << (8u * (slot % 4u))),
+              high = join_bytes_over_word((steps >> 8) << (8u * (slot % 4u)));
         if (has_node && slot % 4u == 0u) store_word(params.wide.nodes, node, slot / 4u, low, high);
     }
     if (!has_node || lane() != 0u) return;
@@ -81,18 +83,18 @@ void refit_node(bool has_node, uint node, uint first_surfel, uint inner_mask) {
 /// @param arrives true if this lane group has finished a child
 /// @param expected number of children of the parent
 /// @return true for the last child, which then sees the writes of all other children
-bool arrives_last(bool arrives, uint node, uint expected) {
+bool count_finished_child(bool arrives, uint node, uint expected) {
     bool last = false;
     memoryBarrierBuffer();
     if (arrives && lane() == 0u)
         last = atomicAdd(SharedUints(uvec2(params.wide.arrivals)).at[node], 1u) + 1u == expected;
     memoryBarrierBuffer();
-    return from_first_lane(last);
+    return broadcast_from_first_lane(last);
 }
 
 /// Computes the boxes of a node without inner children. Then does the same for each
 /// ancestor whose children are all finished.
-void refit_upwards(bool has_node, uint node) {
+void refit_ancestors(bool has_node, uint node) {
     uint inner_mask = has_node ? params.wide.nodes.at[node].exponents >> 24 : 1u;
     uvec2 link = has_node ? params.wide.links.at[node] : uvec2(RELIDAR_BVH_NO_NODE);
     // Skips nodes of models that are outside the requested range.
@@ -104,7 +106,7 @@ void refit_upwards(bool has_node, uint node) {
             node = link.x;
             inner_mask = params.wide.nodes.at[node].exponents >> 24;
         }
-        has_node = arrives_last(has_node, node, bitCount(inner_mask));
+        has_node = count_finished_child(has_node, node, bitCount(inner_mask));
         if (has_node) {
             if (lane() == 0u) params.wide.arrivals.at[node] = 0u;  // reset for the next launch
             link = params.wide.links.at[node];
@@ -114,9 +116,10 @@ void refit_upwards(bool has_node, uint node) {
 
 void main() {
     uint n_nodes = min(params.bound, params.wide.count.at[0]), together = LANES / OF_NODE;
-    uint subgroup = workgroup_index() * gl_NumSubgroups + gl_SubgroupID, n_subgroups = thread_count() / LANES;
+    uint subgroup = get_workgroup_index() * gl_NumSubgroups + gl_SubgroupID,
+         n_subgroups = get_thread_count() / LANES;
     for (uint first = subgroup * together; first < n_nodes; first += n_subgroups * together) {
         uint node = first + gl_SubgroupInvocationID / OF_NODE;
-        refit_upwards(node < n_nodes, node);
+        refit_ancestors(node < n_nodes, node);
     }
 }

@@ -5,8 +5,9 @@
 // tree without instances consists of one empty node.
 //
 // Uses one workgroup of 256 threads, because a scene has at most hundreds of instances.
-// Input: instances, model_of, models, model_boxes. Output: roots, top_nodes, top_order.
-// Memory traffic: at least 112 B read per instance. The sort takes n log^2 n steps.
+// Input: instances, model_of, models, model_boxes. Output: roots, count_top_nodes,
+// top_order. Memory traffic: at least 112 B read per instance. The sort takes n log^2 n
+// steps.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -31,19 +32,20 @@ void synchronise() {
 /// instance. The box includes a margin for the rounding error of the transform. A
 /// rotation moves a point by less than the angle times its distance from the model's
 /// origin.
-Box world_box(InstanceEntry m, Box model) {
-    vec3 x = cross(m.row1.xyz, m.row2.xyz), y = cross(m.row2.xyz, m.row0.xyz),
-         z = cross(m.row0.xyz, m.row1.xyz);
-    float determinant = dot(m.row0.xyz, x);
+Box make_world_box(InstanceEntry instance, Box model) {
+    vec3 x = cross(instance.row1.xyz, instance.row2.xyz), y = cross(instance.row2.xyz, instance.row0.xyz),
+         z = cross(instance.row0.xyz, instance.row1.xyz);
+    float determinant = dot(instance.row0.xyz, x);
     mat3 world_from_model = mat3(x, y, z) * (1.0 / determinant);
     mat3 size = mat3(abs(world_from_model[0]), abs(world_from_model[1]), abs(world_from_model[2]));
-    vec3 shift = vec3(m.row0.w, m.row1.w, m.row2.w);
+    vec3 shift = vec3(instance.row0.w, instance.row1.w, instance.row2.w);
     vec3 middle = 0.5 * model.low + 0.5 * model.high, half_size = 0.5 * model.high - 0.5 * model.low;
     vec3 centre = world_from_model * (middle - shift);
     vec3 grown = size * half_size + 2e-6 * (size * (abs(middle) + half_size + abs(shift)));
-    if (m.moves != 0u)
-        grown += 1.00001 * m.half_span_s *
-                 (abs(world_from_model * m.velocity) + length(m.turn_rate) * length(abs(middle) + half_size));
+    if (instance.moves != 0u)
+        grown += 1.00001 * instance.half_span_s *
+                 (abs(world_from_model * instance.velocity) +
+                  length(instance.turn_rate) * length(abs(middle) + half_size));
     return Box(centre - grown, centre + grown);
 }
 
@@ -51,20 +53,20 @@ Box world_box(InstanceEntry m, Box model) {
 /// or to ABSENT for absent instances.
 /// @return bounds of the box centres that this thread has computed
 Box place_instances() {
-    Box centres = empty_box();
-    for (uint i = scan_thread(); i < params.n_padded; i += RELIDAR_BVH_WORKGROUP) {
+    Box centres = make_empty_box();
+    for (uint i = get_scan_thread(); i < params.n_padded; i += RELIDAR_BVH_WORKGROUP) {
         bool present = false;
         if (i < params.n_instances) {
             uint model = params.model_of.at[i];
             InstanceEntry m = params.instances.at[i];
             bool placed = m.n_surfels > 0u && params.models.at[model].n_surfels > 0u;
             params.bvh.roots.at[i] = placed ? model : RELIDAR_BVH_NO_NODE;
-            Box b = placed ? load_box(params.model_boxes, model) : empty_box();
-            if (!is_empty(b)) b = world_box(m, b);
+            Box b = placed ? load_box(params.model_boxes, model) : make_empty_box();
+            if (!is_empty(b)) b = make_world_box(m, b);
             present = !is_empty(b);
             store_shared_box(params.boxes, i, b);
             if (present)
-                centres = joined(centres, Box(0.5 * b.low + 0.5 * b.high, 0.5 * b.low + 0.5 * b.high));
+                centres = join_boxes(centres, Box(0.5 * b.low + 0.5 * b.high, 0.5 * b.low + 0.5 * b.high));
         }
         SharedUvec2s(uvec2(params.keys)).at[i] = uvec2(present ? 0u : ABSENT, i);
         if (present) atomicAdd(group_present, 1u);
@@ -73,39 +75,41 @@ Box place_instances() {
 }
 
 /// Returns the union of the boxes of all threads of the workgroup.
-Box join_workgroup(Box b) {
-    b.low = subgroupMin(b.low);
-    b.high = subgroupMax(b.high);
+Box join_boxes_over_workgroup(Box box) {
+    box.low = subgroupMin(box.low);
+    box.high = subgroupMax(box.high);
     if (subgroupElect()) {
-        group_low[gl_SubgroupID] = b.low;
-        group_high[gl_SubgroupID] = b.high;
+        group_low[gl_SubgroupID] = box.low;
+        group_high[gl_SubgroupID] = box.high;
     }
     barrier();
-    for (uint s = 0u; s < gl_NumSubgroups; ++s) b = joined(b, Box(group_low[s], group_high[s]));
-    return b;
+    for (uint s = 0u; s < gl_NumSubgroups; ++s) box = join_boxes(box, Box(group_low[s], group_high[s]));
+    return box;
 }
 
 void write_codes(Box bounds) {
     SharedUvec2s keys = SharedUvec2s(uvec2(params.keys));
-    for (uint i = scan_thread(); i < params.n_instances; i += RELIDAR_BVH_WORKGROUP) {
+    for (uint i = get_scan_thread(); i < params.n_instances; i += RELIDAR_BVH_WORKGROUP) {
         if (keys.at[i].x == ABSENT) continue;
         Box b = load_shared_box(params.boxes, i);
-        uvec3 cell = morton_cell(0.5 * b.low + 0.5 * b.high, bounds.low, bounds.high, 10u);
-        keys.at[i].x = interleave(cell);
+        uvec3 cell = compute_morton_cell(0.5 * b.low + 0.5 * b.high, bounds.low, bounds.high, 10u);
+        keys.at[i].x = interleave_bits(cell);
     }
 }
 
-bool follows(uvec2 a, uvec2 b) { return a.x != b.x ? a.x > b.x : a.y > b.y; }
+bool is_key_after(uvec2 first, uvec2 second) {
+    return first.x != second.x ? first.x > second.x : first.y > second.y;
+}
 
 /// Sorts the keys by Morton code with a bitonic sort. Equal codes are sorted by instance.
 void sort_keys() {
     SharedUvec2s keys = SharedUvec2s(uvec2(params.keys));
     for (uint size = 2u; size <= params.n_padded; size *= 2u)
         for (uint reach = size / 2u; reach > 0u; reach /= 2u) {
-            for (uint pair = scan_thread(); pair < params.n_padded / 2u; pair += RELIDAR_BVH_WORKGROUP) {
+            for (uint pair = get_scan_thread(); pair < params.n_padded / 2u; pair += RELIDAR_BVH_WORKGROUP) {
                 uint i = (pair & ~(reach - 1u)) * 2u + (pair & (reach - 1u)), j = i + reach;
                 uvec2 a = keys.at[i], b = keys.at[j];
-                if (follows(a, b) != ((i & size) == 0u)) continue;
+                if (is_key_after(a, b) != ((i & size) == 0u)) continue;
                 keys.at[i] = b;
                 keys.at[j] = a;
             }
@@ -115,13 +119,13 @@ void sort_keys() {
 
 /// Writes a node of the top-level tree. Its children are nodes of the level below, or
 /// instances on the lowest level.
-/// @param n number of elements of the level below
-void write_node(uint node, uint first, uint n, uint first_below, bool lowest) {
+/// @param count number of elements of the level below
+void write_node(uint node, uint first, uint count, uint first_below, bool lowest) {
     Box children[RELIDAR_BVH_WIDTH];
     uint leaves[2] = uint[](0u, 0u), inner_mask = 0u;
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) {
-        children[s] = empty_box();
-        if (first + s >= n) continue;
+        children[s] = make_empty_box();
+        if (first + s >= count) continue;
         if (lowest) {
             uint instance = SharedUvec2s(uvec2(params.keys)).at[first + s].y;
             params.bvh.top_order.at[first + s] = instance;
@@ -140,10 +144,10 @@ void write_node(uint node, uint first, uint n, uint first_below, bool lowest) {
 }
 
 void main() {
-    if (workgroup_index() > 0u) return;
-    if (scan_thread() == 0u) group_present = 0u;
+    if (get_workgroup_index() > 0u) return;
+    if (get_scan_thread() == 0u) group_present = 0u;
     barrier();
-    Box bounds = join_workgroup(place_instances());
+    Box bounds = join_boxes_over_workgroup(place_instances());
     synchronise();
     write_codes(bounds);
     synchronise();
@@ -160,7 +164,7 @@ void main() {
     for (uint n = group_present;;) {
         uint n_level = max((n + 7u) / 8u, 1u);
         n_nodes -= n_level;
-        for (uint k = scan_thread(); k < n_level; k += RELIDAR_BVH_WORKGROUP)
+        for (uint k = get_scan_thread(); k < n_level; k += RELIDAR_BVH_WORKGROUP)
             write_node(n_nodes + k, 8u * k, n, first_below, lowest);
         synchronise();
         if (n_level == 1u) return;

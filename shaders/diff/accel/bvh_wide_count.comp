@@ -11,21 +11,21 @@
 #include "../../base/workgroup_scan.glsl"
 RELIDAR_PARAMS(BvhWideParams);
 
-uvec2 sums_of(uint demand) { return uvec2(demand & 255u, demand >> 8); }
+uvec2 unpack_demand(uint demand) { return uvec2(demand & 255u, demand >> 8); }
 
 void main() {
-    uint tile = workgroup_index();
+    uint tile = get_workgroup_index();
     if (tile >= params.n_tiles) return;
     // Number of consecutive nodes that a thread processes. Their data fill two cache
     // lines.
     const uint RUN = RELIDAR_BVH_TILE / RELIDAR_BVH_WORKGROUP;
-    uint first = tile * RELIDAR_BVH_TILE + scan_thread() * RUN, end = min(first + RUN, params.n_surfels);
+    uint first = tile * RELIDAR_BVH_TILE + get_scan_thread() * RUN, end = min(first + RUN, params.n_surfels);
     uvec2 sums = uvec2(0u), total;
-    for (uint node = first; node < end; ++node) sums += sums_of(params.demands.at[node]);
-    uvec2 before = workgroup_exclusive_add(sums, total);
+    for (uint node = first; node < end; ++node) sums += unpack_demand(params.demands.at[node]);
+    uvec2 before = compute_exclusive_sum(sums, total);
     for (uint node = first; node < end; ++node) {
         params.offsets.at[node] = before;
-        before += sums_of(params.demands.at[node]);
+        before += unpack_demand(params.demands.at[node]);
     }
-    if (scan_thread() == 0u) params.tiles.at[tile] = total;
+    if (get_scan_thread() == 0u) params.tiles.at[tile] = total;
 }

@@ -82,5 +82,5 @@ void main() {
         level_end += params.level_sizes.at[k];
     }
     if (UNTIL_DONE != 0u) mark_rest(begin);
-    else if (begin + thread_index() < level_end) mark(begin + thread_index());
+    else if (begin + get_thread_index() < level_end) mark(begin + get_thread_index());
 }

@@ -12,7 +12,7 @@
 RELIDAR_PARAMS(BvhWideParams);
 
 void main() {
-    uint entry = thread_index();
+    uint entry = get_thread_index();
     if (entry >= min(params.bound, params.wide.count.at[0])) return;
     uint node = params.queue.at[entry];
     if (node == RELIDAR_BVH_NO_NODE) return;

@@ -12,11 +12,11 @@ RELIDAR_PARAMS(BvhWideParams);
 void main() {
     uvec2 before = uvec2(0u);
     for (uint first = 0u; first < params.n_tiles; first += RELIDAR_BVH_WORKGROUP) {
-        uint tile = first + scan_thread();
+        uint tile = first + get_scan_thread();
         uvec2 total,
-            sum = workgroup_exclusive_add(tile < params.n_tiles ? params.tiles.at[tile] : uvec2(0u), total);
+            sum = compute_exclusive_sum(tile < params.n_tiles ? params.tiles.at[tile] : uvec2(0u), total);
         if (tile < params.n_tiles) params.tiles.at[tile] = before + sum;
         before += total;
     }
-    if (scan_thread() == 0u) params.wide.count.at[0] = params.n_models + before.x;
+    if (get_scan_thread() == 0u) params.wide.count.at[0] = params.n_models + before.x;
 }

@@ -20,11 +20,12 @@ float scale_of(vec3 axis) {
 
 /// Returns the largest distance from the model's origin at which a ray can hit the
 /// surfel. Returns 0 if the surfel can never be hit.
-float radius_of(SurfelRecord s) {
-    if (!(s.opacity > params.alpha_min)) return 0.0;
-    float k = sqrt(2.0 * log(s.opacity / params.alpha_min));
-    float u = scale_of(s.axis_u), v = scale_of(s.axis_v), w = has_third_scale() ? scale_of(s.normal) : 0.0;
-    float radius = (length(s.mean) + k * max(max(u, v), w)) * params.margin_scale + params.margin_m;
+float compute_radius(SurfelRecord record) {
+    if (!(record.opacity > params.alpha_min)) return 0.0;
+    float k = sqrt(2.0 * log(record.opacity / params.alpha_min));
+    float u = scale_of(record.axis_u), v = scale_of(record.axis_v),
+          w = has_third_scale() ? scale_of(record.normal) : 0.0;
+    float radius = (length(record.mean) + k * max(max(u, v), w)) * params.margin_scale + params.margin_m;
     return isnan(radius) || isinf(radius) ? 3.4e38 : radius;
 }
 
@@ -33,7 +34,7 @@ void add_to_model(uint model, float radius) {
 }
 
 void main() {
-    uint first = thread_index() * RELIDAR_RADIUS_STRETCH;
+    uint first = get_thread_index() * RELIDAR_RADIUS_STRETCH;
     if (first >= params.n_surfels) return;
     uint model = find_model(params.models, params.n_models, params.first_surfel + first);
     float radius = 0.0;
@@ -44,7 +45,7 @@ void main() {
             radius = 0.0;
             model = find_model(params.models, params.n_models, surfel);
         }
-        radius = max(radius, radius_of(params.records.at[surfel]));
+        radius = max(radius, compute_radius(params.records.at[surfel]));
     }
     add_to_model(model, radius);
 }

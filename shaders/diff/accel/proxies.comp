@@ -31,38 +31,38 @@ const float kCircumscribed = 0.66158453824961;
 const float kOuterRadius = 1.25840857236482;
 
 /// Returns a half axis of the proxy from a record axis a / s. The half axis has the
-/// direction of a. Its length is k s plus the margin.
-vec3 half_axis(vec3 axis, float k) {
+/// direction of a. Its length is `factor` s plus the margin.
+vec3 compute_half_axis(vec3 axis, float factor) {
     float inverse_scale = length(axis);
-    float half_size = k / inverse_scale * params.margin_scale + params.margin_m;
+    float half_size = factor / inverse_scale * params.margin_scale + params.margin_m;
     vec3 half_vector = axis / inverse_scale * half_size;
     return any(isnan(half_vector)) || any(isinf(half_vector)) ? vec3(0.0) : half_vector;
 }
 
 /// Writes the twelve corners of an icosahedron. Their order must match the triangles in
 /// src/diff/accel/hardware.cpp.
-void write_icosahedron(uint i, vec3 mean, vec3 u, vec3 v, vec3 w) {
+void write_icosahedron(uint index, vec3 mean, vec3 u, vec3 vector, vec3 w) {
     for (uint k = 0u; k < 12u; ++k) {
         float one = (k & 1u) != 0u ? -1.0 : 1.0, phi = (k & 2u) != 0u ? -kPhi : kPhi;
         vec3 at = k < 4u ? vec3(0.0, one, phi) : k < 8u ? vec3(one, phi, 0.0) : vec3(phi, 0.0, one);
-        vec3 corner = mean + kCircumscribed * (at.x * u + at.y * v + at.z * w);
-        for (uint c = 0u; c < 3u; ++c) params.vertices.at[36u * i + 3u * k + c] = corner[c];
+        vec3 corner = mean + kCircumscribed * (at.x * u + at.y * vector + at.z * w);
+        for (uint c = 0u; c < 3u; ++c) params.vertices.at[36u * index + 3u * k + c] = corner[c];
     }
-    float reach = (1.0 + kOuterRadius) * sqrt(max(max(dot(u, u), dot(v, v)), dot(w, w)));
+    float reach = (1.0 + kOuterRadius) * sqrt(max(max(dot(u, u), dot(vector, vector)), dot(w, w)));
     if (reach > 0.0) atomicMax(params.reach.at[0], floatBitsToUint(reach));
 }
 
 void main() {
-    uint i = params.first_surfel + thread_index();
-    if (thread_index() >= params.n_surfels) return;
+    uint i = params.first_surfel + get_thread_index();
+    if (get_thread_index() >= params.n_surfels) return;
     SurfelRecord s = params.records.at[i];
     vec3 u = vec3(0.0), v = vec3(0.0), w = vec3(0.0);
     bool visible = s.opacity > params.alpha_min;
     if (visible) {
         float k = sqrt(2.0 * log(s.opacity / params.alpha_min));
-        u = half_axis(s.axis_u, k);
-        v = half_axis(s.axis_v, k);
-        if (has_third_scale()) w = half_axis(s.normal, k);
+        u = compute_half_axis(s.axis_u, k);
+        v = compute_half_axis(s.axis_v, k);
+        if (has_third_scale()) w = compute_half_axis(s.normal, k);
     }
     if (BOXES != 0u) {
         // Half size of the smallest box around the ellipse or ellipsoid. Along x, it is
@@ -76,7 +76,7 @@ void main() {
         }
         return;
     }
-    if (proxy_triangles() == kProxy_icosahedron) {
+    if (count_proxy_triangles() == kProxy_icosahedron) {
         write_icosahedron(i, s.mean, u, v, w);
         return;
     }

@@ -30,19 +30,19 @@ bool rows_are_exchanged() {
 
 uint shared_row_index() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
 
-/// Adds `amount` to array[16 row + k]. If lanes exchange rows, the addition happens in
-/// the next add_row() of the same row.
-void add_float(Floats array, uint row, uint k, float amount) {
-    if (rows_are_exchanged()) shared_rows[shared_row_index() * kRowPitch + k] = amount;
-    else atomic_add(array, 16u * row + k, amount);
+/// Adds `amount` to array[16 row + index]. If lanes exchange rows, the addition happens
+/// in the next add_row() of the same row.
+void add_float(Floats array, uint row, uint index, float amount) {
+    if (rows_are_exchanged()) shared_rows[shared_row_index() * kRowPitch + index] = amount;
+    else atomic_add(array, 16u * row + index, amount);
 }
 
 /// Adds the rows of all lanes of the subgroup to the array. Does nothing unless lanes
 /// exchange rows. In that case all lanes must call this function together.
 /// @param row row of this lane, or kNoRow if this lane has no row
-/// @param wanted bit mask with bit k set if float k has a value. Must be equal in all
+/// @param is_needed bit mask with bit k set if float k has a value. Must be equal in all
 /// lanes
-void add_row(Floats array, uint row, uint wanted) {
+void add_row(Floats array, uint row, uint is_needed) {
     if (!rows_are_exchanged()) return;
     shared_targets[shared_row_index()] = row;
     subgroupBarrier();
@@ -54,7 +54,7 @@ void add_row(Floats array, uint row, uint wanted) {
         if (to == kNoRow) continue;
         for (uint k = lane; k < 16u; k += n) {
             float amount = shared_rows[from * kRowPitch + k];
-            if ((wanted & (1u << k)) != 0u && amount != 0.0) atomic_add(array, 16u * to + k, amount);
+            if ((is_needed & (1u << k)) != 0u && amount != 0.0) atomic_add(array, 16u * to + k, amount);
         }
     }
     subgroupBarrier();  // waits before the next rows are written

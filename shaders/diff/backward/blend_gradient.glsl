@@ -19,37 +19,37 @@ struct BlendState {
 };
 
 /// Returns true if the gradient of any blended value is not zero.
-bool has_gradient(RayGradient g) {
+bool has_gradient(RayGradient gradient) {
     bool any_gradient = false;
 #define RELIDAR_HAS(name, built, value, input, slope, meaning) \
-    any_gradient = any_gradient || (built && g.name != 0.0);
+    any_gradient = any_gradient || (built && gradient.name != 0.0);
     RELIDAR_BLENDED_VALUES(RELIDAR_HAS)
 #undef RELIDAR_HAS
     return any_gradient;
 }
 
 /// Returns the derivative of the loss with respect to the blending weight of a hit: the
-/// dot product g . c of gradients and channel values.
-float shade_of(TraceScene scene, Ray ray, RayGradient g, Hit hit) {
-    vec3 channels = hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
+/// dot product gradient . c of gradients and channel values.
+float compute_shade(TraceScene scene, Ray ray, RayGradient gradient, Hit hit) {
+    vec3 channels = evaluate_hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
     float shade = 0.0;
 #define RELIDAR_SHADE(name, built, value, input, slope, meaning) \
-    if (built) shade += g.name * (value);
+    if (built) shade += gradient.name * (value);
     RELIDAR_BLENDED_VALUES(RELIDAR_SHADE)
 #undef RELIDAR_SHADE
     return shade;
 }
 
-/// Blends the first n hits of the buffer from near to far. Subtracts their contributions
-/// from `state.remaining`.
-void blend_chunk(TraceScene scene, Ray ray, RayGradient g, uint n, inout BlendState state) {
-    for (uint i = 0u; i < n; ++i) {
-        Hit hit = hit_at(i);
+/// Blends the first `count` hits of the buffer from near to far. Subtracts their
+/// contributions from `state.remaining`.
+void blend_chunk(TraceScene scene, Ray ray, RayGradient gradient, uint count, inout BlendState state) {
+    for (uint i = 0u; i < count; ++i) {
+        Hit hit = load_hit(i);
         float alpha = min(hit.alpha, scene.alpha_max);
         chunk_transmittance[i] = state.transmittance;
         chunk_w[i] = alpha * state.transmittance;
-        chunk_shade[i] = shade_of(scene, ray, g, hit) - state.shift;
-        add_compensated(state.remaining, state.lost, -chunk_w[i] * chunk_shade[i]);
+        chunk_shade[i] = compute_shade(scene, ray, gradient, hit) - state.shift;
+        add_with_compensation(state.remaining, state.lost, -chunk_w[i] * chunk_shade[i]);
         state.transmittance *= 1.0 - alpha;
     }
 }

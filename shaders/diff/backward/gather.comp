@@ -19,18 +19,18 @@
 RELIDAR_PARAMS(GatherParams);
 #include "gather.glsl"
 
-/// Adds the gradient of hit i to the sums of this thread.
+/// Adds the gradient of hit `index` to the sums of this thread.
 /// @return the instance of the hit
-uint sum_hit(TraceScene scene, uint i, uint row) {
-    HitRecord h = params.hits.at[params.slots.at[i]];
+uint add_hit_gradients(TraceScene scene, uint index, uint row) {
+    HitRecord h = params.hits.at[params.slots.at[index]];
     InstanceEntry m = scene.instances.at[h.instance];
     DeviceRay entry = scene.rays.at[scene.first_ray + h.ray * scene.ray_stride];
     // Invalidates the cached ray, because this hit may belong to a different ray.
     entered_instance = kNoInstance;
     ray_basis_instance = kNoInstance;
     if (LIKELIHOOD != 0u) load_measurement(scene, h.ray);
-    HitGradient d = hit_gradient(scene, ray_of(entry), params.upstream.at[h.ray], h.instance,
-                                 row - m.first_row + m.first_surfel, h.w, h.d_alpha);
+    HitGradient d = compute_hit_gradient(scene, make_ray(entry), params.upstream.at[h.ray], h.instance,
+                                         row - m.first_row + m.first_surfel, h.w, h.d_alpha);
     for (uint k = 0u; k < 16u; ++k) sums[k] += d.lanes[k];
     if (SH_PER_SURFEL == 0u)
         for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k)
@@ -49,15 +49,15 @@ void finish_row(uint block, uint row, uint instance, bool begins_here, bool goes
         add_to_row(row, instance);
         return;
     }
-    uint part = begins_here ? tail_of(block) : head_of(block);
+    uint part = begins_here ? get_tail_index(block) : get_head_index(block);
     for (uint k = 0u; k < 16u; ++k) params.parts.at[part + k] = sums[k];
-    for (uint k = 16u; k < part_width(); ++k) params.parts.at[part + k] = sh_sums[k - 16u];
+    for (uint k = 16u; k < get_part_width(); ++k) params.parts.at[part + k] = sh_sums[k - 16u];
 }
 
 void main() {
-    uint block = thread_index(), first = block * RELIDAR_GATHER_BLOCK;
+    uint block = get_thread_index(), first = block * RELIDAR_GATHER_BLOCK;
     if (block == 0u) params.most_hits.at[0] = max(params.most_hits.at[0], params.n_hits.at[0]);
-    uint end = block_end(block);
+    uint end = get_block_end(block);
     if (first >= end) return;
     uint row = params.rows.at[first], instance = 0u;
     bool begins_here = first == 0u || params.rows.at[first - 1u] != row;
@@ -71,7 +71,7 @@ void main() {
             row = next;
             begins_here = true;
         }
-        instance = sum_hit(params.scene, i, row);
+        instance = add_hit_gradients(params.scene, i, row);
     }
     if (row < params.n_rows)
         finish_row(block, row, instance, begins_here, end < n_sorted() && params.rows.at[end] == row);

@@ -7,13 +7,13 @@
 float sums[16];
 float sh_sums[RELIDAR_SH_FLOATS];
 
-uint part_width() { return SH_PER_SURFEL != 0u ? 16u : 16u + RELIDAR_SH_FLOATS; }
+uint get_part_width() { return SH_PER_SURFEL != 0u ? 16u : 16u + RELIDAR_SH_FLOATS; }
 // Returns the index of the partial sum of a row that began in an earlier block.
-uint head_of(uint block) { return 2u * block * part_width(); }
+uint get_head_index(uint block) { return 2u * block * get_part_width(); }
 // Returns the index of the partial sum of a row that continues in the next block.
-uint tail_of(uint block) { return head_of(block) + part_width(); }
+uint get_tail_index(uint block) { return get_head_index(block) + get_part_width(); }
 uint n_sorted() { return min(params.n_hits.at[0], params.capacity); }
-uint block_end(uint block) { return min((block + 1u) * RELIDAR_GATHER_BLOCK, n_sorted()); }
+uint get_block_end(uint block) { return min((block + 1u) * RELIDAR_GATHER_BLOCK, n_sorted()); }
 
 void clear_sums() {
     for (uint k = 0u; k < 16u; ++k) sums[k] = 0.0;

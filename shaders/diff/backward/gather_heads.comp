@@ -12,28 +12,28 @@
 RELIDAR_PARAMS(GatherParams);
 #include "gather.glsl"
 
-bool begins_in(uint block, uint row) {
+bool is_row_start(uint block, uint row) {
     uint first = block * RELIDAR_GATHER_BLOCK;
     return params.rows.at[first] != row || first == 0u || params.rows.at[first - 1u] != row;
 }
 
 void add_part(uint part) {
     for (uint k = 0u; k < 16u; ++k) sums[k] += params.parts.at[part + k];
-    for (uint k = 16u; k < part_width(); ++k) sh_sums[k - 16u] += params.parts.at[part + k];
+    for (uint k = 16u; k < get_part_width(); ++k) sh_sums[k - 16u] += params.parts.at[part + k];
 }
 
 void main() {
-    uint block = thread_index(), n = n_sorted();
-    uint end = block_end(block);
+    uint block = get_thread_index(), n = n_sorted();
+    uint end = get_block_end(block);
     // the last row of this block does not continue
     if (end >= n || block * RELIDAR_GATHER_BLOCK >= end) return;
     uint row = params.rows.at[end - 1u];
-    if (row >= params.n_rows || params.rows.at[end] != row || !begins_in(block, row)) return;
+    if (row >= params.n_rows || params.rows.at[end] != row || !is_row_start(block, row)) return;
     clear_sums();
-    add_part(tail_of(block));
+    add_part(get_tail_index(block));
     for (uint later = block + 1u; end < n && params.rows.at[end] == row; ++later) {
-        add_part(head_of(later));
-        end = block_end(later);
+        add_part(get_head_index(later));
+        end = get_block_end(later);
     }
-    add_to_row(row, params.hits.at[params.slots.at[block_end(block) - 1u]].instance);
+    add_to_row(row, params.hits.at[params.slots.at[get_block_end(block) - 1u]].instance);
 }

@@ -20,22 +20,22 @@ struct HitGradient {
 
 /// Returns the gradient with respect to the ray direction, because spherical harmonics
 /// depend on the direction. The result is in the model frame.
-vec3 sh_direction_gradient(TraceScene scene, vec3 direction, uint surfel, vec3 d_channel) {
+vec3 compute_sh_direction_gradient(TraceScene scene, vec3 direction, uint surfel, vec3 d_channel) {
     float d_basis[16];
     for (uint k = 0u; k < 16u; ++k) d_basis[k] = 0.0;
     uint first = surfel * RELIDAR_SH_FLOATS;
     for (uint c = 0u; c < 3u; ++c)
-        for (uint k = 0u; k < sh_count(scene.sh_degree); ++k)
+        for (uint k = 0u; k < count_sh_coefficients(scene.sh_degree); ++k)
             d_basis[k] += d_channel[c] * scene.sh.at[first + c * RELIDAR_SH_COEFFICIENTS + k];
-    return sh_basis_vjp(direction, scene.sh_degree, d_basis);
+    return backpropagate_sh_basis(direction, scene.sh_degree, d_basis);
 }
 
 /// Computes the gradient of a hit.
-/// @param g gradients of the ray's blended values
+/// @param gradient gradients of the ray's blended values
 /// @param w blending weight of the hit
 /// @param d_alpha dL/d(sigma G). Must be 0 if alpha was clamped
-HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance, uint surfel, float w,
-                         float d_alpha) {
+HitGradient compute_hit_gradient(TraceScene scene, Ray ray, RayGradient gradient, uint instance, uint surfel,
+                                 float w, float d_alpha) {
     SurfelRecord record = scene.records.at[surfel];
     enter_instance(scene, ray, instance);
     vec3 origin = entered_origin, direction = entered_direction;
@@ -44,11 +44,11 @@ HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance
     float d_t = 0.0, nowhere = 0.0;
     vec3 d_channel = vec3(0.0);
 #define RELIDAR_SEND(name, built, value, input, slope, meaning) \
-    if (built) input += g.name * w * (slope);
+    if (built) input += gradient.name * w * (slope);
     RELIDAR_BLENDED_VALUES(RELIDAR_SEND)
 #undef RELIDAR_SEND
     if (SINGLE_DROP_LOGIT != 0u) d_channel.y = 0.0;
-    SurfelHitGradient d = intersect_vjp(record, origin, direction, hit, d_t, d_alpha);
+    SurfelHitGradient d = backpropagate_intersection(record, origin, direction, hit, d_t, d_alpha);
     // Floats 7, 11 and 15 of a row usually contain the gradient of the channel values. If
     // spherical harmonics (SH) are evaluated per hit, they contain the gradient of a
     // rotation of the SH direction.
@@ -57,7 +57,7 @@ HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance
         use_basis(scene, ray, instance);
         // The forward pass clamps negative intensities to 0, so their gradient is 0.
         if (!(evaluate_channel(scene, surfel, 0u) > 0.0)) d_channel.x = 0.0;
-        vec3 d_sh_direction = sh_direction_gradient(scene, direction, surfel, d_channel);
+        vec3 d_sh_direction = compute_sh_direction_gradient(scene, direction, surfel, d_channel);
         d.d_direction += d_sh_direction;
         others = cross(direction, d_sh_direction);
     }

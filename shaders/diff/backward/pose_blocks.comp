@@ -11,26 +11,26 @@
 #include "pose_sum.glsl"
 RELIDAR_PARAMS(PoseBlocksParams);
 
-vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1], a.at[i + 2]); }
+vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1], array.at[row + 2]); }
 
 /// Returns the gradient with respect to a small rotation of the view direction. A
 /// rotation of the model turns the view direction the opposite way, so the caller
 /// subtracts this gradient. Floats 7, 11 and 15 of a row contain it if spherical
 /// harmonics are evaluated per hit.
-vec3 turn(uint row) {
+vec3 load_turn(uint row) {
     return vec3(params.d_records.at[row + 7], params.d_records.at[row + 11], params.d_records.at[row + 15]);
 }
 
-bool is_zero(vec3 v) { return v == vec3(0.0); }
+bool is_zero(vec3 vector) { return vector == vec3(0.0); }
 
 /// Adds the gradient of one surfel to the sum. Skips surfels without a gradient, so that
 /// their records need not be loaded.
-void add_surfel(PoseBlock block, uint k, inout PoseSum sum) {
-    uint surfel = block.first_surfel + k, row = 16u * (block.first_row + k);
-    vec3 d_mean = load3(params.d_records, row), d_axis_u = load3(params.d_records, row + 4u);
-    vec3 d_axis_v = load3(params.d_records, row + 8u), d_normal = load3(params.d_records, row + 12u);
-    if (params.sh_per_surfel == 0u) sum.torque -= turn(row);
-    else if (block.with_view != 0u) sum.view += load3(params.d_view, 3u * surfel);
+void add_surfel(PoseBlock block, uint index, inout PoseSum sum) {
+    uint surfel = block.first_surfel + index, row = 16u * (block.first_row + index);
+    vec3 d_mean = load_vec3(params.d_records, row), d_axis_u = load_vec3(params.d_records, row + 4u);
+    vec3 d_axis_v = load_vec3(params.d_records, row + 8u), d_normal = load_vec3(params.d_records, row + 12u);
+    if (params.sh_per_surfel == 0u) sum.torque -= load_turn(row);
+    else if (block.with_view != 0u) sum.view += load_vec3(params.d_view, 3u * surfel);
     if (is_zero(d_mean) && is_zero(d_axis_u) && is_zero(d_axis_v) && is_zero(d_normal)) return;
     SurfelRecord s = params.records.at[surfel];
     sum.force += d_mean;
@@ -39,7 +39,7 @@ void add_surfel(PoseBlock block, uint k, inout PoseSum sum) {
 }
 
 void main() {
-    uint i = workgroup_index();
+    uint i = get_workgroup_index();
     if (i >= params.n_blocks) return;  // for the full workgroup
     PoseBlock block = params.blocks.at[i];
     PoseSum sum = PoseSum(vec3(0.0), vec3(0.0), vec3(0.0));

@@ -13,17 +13,17 @@
 #include "pose_sum.glsl"
 RELIDAR_PARAMS(PosesParams);
 
-vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1], a.at[i + 2]); }
+vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1], array.at[row + 2]); }
 
 void main() {
-    uint i = workgroup_index();
+    uint i = get_workgroup_index();
     if (i >= params.n_instances) return;  // for the full workgroup
     PoseSum sum = PoseSum(vec3(0.0), vec3(0.0), vec3(0.0));
     for (uint b = params.first_block.at[i] + gl_LocalInvocationIndex; b < params.first_block.at[i + 1u];
          b += gl_WorkGroupSize.x) {
-        sum.force += load3(params.sums, RELIDAR_POSE_SUMS * b);
-        sum.torque += load3(params.sums, RELIDAR_POSE_SUMS * b + 3u);
-        sum.view += load3(params.sums, RELIDAR_POSE_SUMS * b + 6u);
+        sum.force += load_vec3(params.sums, RELIDAR_POSE_SUMS * b);
+        sum.torque += load_vec3(params.sums, RELIDAR_POSE_SUMS * b + 3u);
+        sum.view += load_vec3(params.sums, RELIDAR_POSE_SUMS * b + 6u);
     }
     sum = add_over_workgroup(sum);
     if (gl_LocalInvocationIndex > 0u) return;

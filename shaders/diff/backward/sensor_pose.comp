@@ -9,17 +9,17 @@
 #include "../shared/backward.h"
 RELIDAR_PARAMS(SensorPoseParams);
 
-vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1], a.at[i + 2]); }
+vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1], array.at[row + 2]); }
 
 void main() {
-    if (thread_index() > 0u) return;
+    if (get_thread_index() > 0u) return;
     vec3 force = vec3(0.0), torque = vec3(0.0);
     for (uint i = 0u; i < params.n_instances; ++i) {
         InstanceEntry m = params.instances.at[i];
         vec3 origin = -(mat3(m.row0.xyz, m.row1.xyz, m.row2.xyz) * vec3(m.row0.w, m.row1.w, m.row2.w));
-        vec3 f = load3(params.d_poses, 6u * i);
+        vec3 f = load_vec3(params.d_poses, 6u * i);
         force += f;
-        torque += load3(params.d_poses, 6u * i + 3u) + cross(origin - params.view_origin, f);
+        torque += load_vec3(params.d_poses, 6u * i + 3u) + cross(origin - params.view_origin, f);
     }
     for (uint k = 0u; k < 3u; ++k) {
         params.d_sensor.at[k] = -force[k];

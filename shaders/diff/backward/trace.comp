@@ -34,16 +34,16 @@ vec3 d_ray_direction;
 /// addresses.
 /// @param row index of the surfel's gradient, or kNoRow if this lane has no surfel but
 /// must take part in the exchange
-void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient d) {
+void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient gradient) {
     bool others = SH_PER_SURFEL != 0u || params.with_turn != 0u;  // lanes 7, 11, 15
     for (uint k = 0u; k < 16u; ++k)
-        if (others || k % 4u != 3u || k == 3u) add_float(params.d_records, row, k, d.lanes[k]);
+        if (others || k % 4u != 3u || k == 3u) add_float(params.d_records, row, k, gradient.lanes[k]);
     add_row(params.d_records, row, others ? 0xffffu : 0x777fu);
     if (SH_PER_SURFEL != 0u) return;
-    uint n = sh_count(scene.sh_degree);
+    uint n = count_sh_coefficients(scene.sh_degree);
     for (uint c = 0u; c < 3u; ++c) {
         uint sh_row = row == kNoRow ? kNoRow : 3u * surfel + c;
-        for (uint k = 0u; k < n; ++k) add_float(params.d_sh, sh_row, k, d.d_channel[c] * ray_basis[k]);
+        for (uint k = 0u; k < n; ++k) add_float(params.d_sh, sh_row, k, gradient.d_channel[c] * ray_basis[k]);
         add_row(params.d_sh, sh_row, (1u << n) - 1u);
     }
 }
@@ -68,46 +68,51 @@ struct BlendedHit {
 /// gradients, the caller must call add_gradient() with the results.
 /// @param d output: gradient for add_gradient()
 /// @return `row` for add_gradient(), or kNoRow
-uint add_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHit b, out HitGradient d) {
-    uint first_surfel = scene.instances.at[b.instance].first_surfel;
-    uint row = b.surfel - first_surfel + scene.instances.at[b.instance].first_row;
-    if (!is_null(params.touched)) params.touched.at[b.surfel] = 1u;
+uint add_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient, BlendedHit blended_hit,
+             out HitGradient d) {
+    uint first_surfel = scene.instances.at[blended_hit.instance].first_surfel;
+    uint row = blended_hit.surfel - first_surfel + scene.instances.at[blended_hit.instance].first_row;
+    if (!is_null(params.touched)) params.touched.at[blended_hit.surfel] = 1u;
     // Eq. 9
-    float d_alpha = b.alpha > scene.alpha_max ? 0.0 : b.transmittance * b.shade - b.behind / (1.0 - b.alpha);
-    bool recorded = GATHER != 0u && b.slot < params.capacity;
+    float d_alpha = blended_hit.alpha > scene.alpha_max ? 0.0
+                                                        : blended_hit.transmittance * blended_hit.shade -
+                                                              blended_hit.behind / (1.0 - blended_hit.alpha);
+    bool recorded = GATHER != 0u && blended_hit.slot < params.capacity;
     if (recorded) {
-        params.hits.at[b.slot] = HitRecord(ray_index, b.instance, b.w, d_alpha);
-        params.rows.at[b.slot] = row;
+        params.hits.at[blended_hit.slot] = HitRecord(ray_index, blended_hit.instance, blended_hit.w, d_alpha);
+        params.rows.at[blended_hit.slot] = row;
         if (is_null(params.d_rays)) return kNoRow;
     }
-    d = hit_gradient(scene, ray, g, b.instance, b.surfel, b.w, d_alpha);
-    if (!recorded && !rows_are_exchanged()) add_gradient(scene, row, b.surfel, d);
-    d_ray_origin += world_vector(scene, d.d_origin);
-    d_ray_direction += world_vector(scene, d.d_direction);
+    d = compute_hit_gradient(scene, ray, gradient, blended_hit.instance, blended_hit.surfel, blended_hit.w,
+                             d_alpha);
+    if (!recorded && !rows_are_exchanged()) add_gradient(scene, row, blended_hit.surfel, d);
+    d_ray_origin += to_world_vector(scene, d.d_origin);
+    d_ray_direction += to_world_vector(scene, d.d_direction);
     return recorded ? kNoRow : row;
 }
 
 /// Loads hits into the hit buffer that the forward pass has stored.
-void load_kept_hits(uint first, uint n) {
-    uint list = thread_index();
+void load_kept_hits(uint first, uint count) {
+    uint list = get_thread_index();
     reset_hits(0.0);
     hits_closed = true;
-    for (uint i = 0u; i < min(n, CHUNK); ++i)
-        append_hit(params.kept.at[list_entry(params.n_kept, list, first + i)]);
+    for (uint i = 0u; i < min(count, CHUNK); ++i)
+        append_hit(params.kept.at[get_list_entry(params.n_kept, list, first + i)]);
 }
 
-/// Adds the gradients of the first n hits of the buffer, from far to near. If lanes
+/// Adds the gradients of the first `count` hits of the buffer, from far to near. If lanes
 /// exchange gradients, all lanes of a subgroup must call this function.
 /// @param slot index of the first hit's record
 /// @param behind sum of weight times shade over all later hits, including the background
-void add_chunk(TraceScene scene, Ray ray, uint ray_index, RayGradient g, uint slot, uint n, float behind) {
-    for (uint k = rows_are_exchanged() ? subgroupMax(n) : n; k > 0u; --k) {
+void add_chunk(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient, uint slot, uint count,
+               float behind) {
+    for (uint k = rows_are_exchanged() ? subgroupMax(count) : count; k > 0u; --k) {
         uint i = k - 1u, row = kNoRow, surfel = 0u;
         HitGradient d;
-        if (k <= n) {
-            Hit hit = hit_at(i);
+        if (k <= count) {
+            Hit hit = load_hit(i);
             surfel = hit.surfel;
-            row = add_hit(scene, ray, ray_index, g,
+            row = add_hit(scene, ray, ray_index, gradient,
                           BlendedHit(slot + i, hit.instance, hit.surfel, hit.alpha, chunk_transmittance[i],
                                      chunk_w[i], chunk_shade[i], behind),
                           d);
@@ -118,14 +123,14 @@ void add_chunk(TraceScene scene, Ray ray, uint ray_index, RayGradient g, uint sl
 }
 
 /// Returns the blending state at the start of a ray.
-BlendState start_blending(RenderedRay final, RayGradient g) {
-#define RELIDAR_REMAINS(name, built, value, input, slope, meaning) +g.name* final.name
+BlendState start_blending(RenderedRay final, RayGradient gradient) {
+#define RELIDAR_REMAINS(name, built, value, input, slope, meaning) +gradient.name* final.name
     precise float remaining = RELIDAR_CHANNEL_VALUES(RELIDAR_REMAINS);
 #undef RELIDAR_REMAINS
-    remaining += g.depth * final.depth;
+    remaining += gradient.depth * final.depth;
     BlendState state = BlendState(0.0, 1.0, remaining, 0.0);
 #define RELIDAR_REMAINS(name, built, value, input, slope, meaning) \
-    if (built) state.remaining += g.name * final.name;
+    if (built) state.remaining += gradient.name * final.name;
     RELIDAR_LOSS_VALUES(RELIDAR_REMAINS)
 #undef RELIDAR_REMAINS
     return state;
@@ -134,10 +139,10 @@ BlendState start_blending(RenderedRay final, RayGradient g) {
 /// Subtracts the value of the nearest hit in the buffer from all values and from the
 /// value of the background. This avoids differences of large numbers, which lose
 /// precision. It does not change Eq. 9, because all weights sum to 1.
-void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient g, inout BlendState state) {
-    state.shift = shade_of(scene, ray, g, hit_at(0u));
-    add_compensated(state.remaining, state.lost, -state.shift * final.weight);
-    add_compensated(state.remaining, state.lost, -state.shift * final.transmittance);
+void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient gradient, inout BlendState state) {
+    state.shift = compute_shade(scene, ray, gradient, load_hit(0u));
+    add_with_compensation(state.remaining, state.lost, -state.shift * final.weight);
+    add_with_compensation(state.remaining, state.lost, -state.shift * final.transmittance);
 }
 
 /// Computes the gradients of a ray.
@@ -145,10 +150,11 @@ void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient g, in
 /// lanes without a ray must call this function too
 /// @return number of blended hits. Smaller than final.n_hits if the search did not find
 /// all hits again
-uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient g, bool going) {
-    BlendState state = start_blending(final, g);
+uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient gradient,
+              bool going) {
+    BlendState state = start_blending(final, gradient);
     uint blended = 0u, start = GATHER != 0u ? params.first_hit.at[ray_index] : 0u;
-    Key after = first_key(scene);
+    Key after = get_first_key(scene);
     going = going && final.n_hits > 0u;
     for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && (rows_are_exchanged() ? subgroupAny(going) : going);
          ++pass) {
@@ -159,30 +165,30 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
             // the number of stored hits.
             bool kept = min(blended + CHUNK, final.n_hits) <= params.n_kept;
             if (kept) load_kept_hits(blended, final.n_hits - blended);
-            else next_hits(scene, ray, after, least_of_rest(scene, state.transmittance));
+            else find_next_hits(scene, ray, after, compute_min_transmittance(scene, state.transmittance));
             n = min(n_hits, final.n_hits - blended);
-            if (pass == 0u) start_shift(scene, ray, final, g, state);
+            if (pass == 0u) start_shift(scene, ray, final, gradient, state);
             blended += n;
-            blend_chunk(scene, ray, g, n, state);
+            blend_chunk(scene, ray, gradient, n, state);
             going = blended < final.n_hits && hits_closed;
             // the background has drop logit 1
-            behind = going ? state.remaining : state.transmittance * (g.drop_logit - state.shift);
-            if (going) after = hit_key(n_hits - 1u);
+            behind = going ? state.remaining : state.transmittance * (gradient.drop_logit - state.shift);
+            if (going) after = load_hit_key(n_hits - 1u);
         }
-        add_chunk(scene, ray, ray_index, g, slot, n, behind);
+        add_chunk(scene, ray, ray_index, gradient, slot, n, behind);
     }
     return blended;
 }
 
 /// Marks the records of a ray's hits as empty, from hit `first` on.
-void empty_slots(uint ray_index, uint first, uint n) {
+void clear_slots(uint ray_index, uint first, uint count) {
     uint start = params.first_hit.at[ray_index];
-    for (uint k = start + first; k < min(start + n, params.capacity); ++k)
+    for (uint k = start + first; k < min(start + count, params.capacity); ++k)
         params.rows.at[k] = RELIDAR_NO_ROW(params.n_rows);
 }
 
 void main() {
-    uint i = traced_ray(params.scene);
+    uint i = get_traced_ray(params.scene);
     bool inside = i < params.scene.n_rays;
     if (!inside) {
         if (!rows_are_exchanged()) return;
@@ -197,9 +203,9 @@ void main() {
     RayGradient g = params.upstream.at[i];
     RenderedRay final = params.rendered.at[i];
     if (LIKELIHOOD != 0u) load_measurement(params.scene, i);
-    uint blended = backward(params.scene, ray_of(entry), i, final, g, inside && has_gradient(g));
+    uint blended = backward(params.scene, make_ray(entry), i, final, g, inside && has_gradient(g));
     if (!inside) return;
-    if (GATHER != 0u) empty_slots(i, blended, final.n_hits);
+    if (GATHER != 0u) clear_slots(i, blended, final.n_hits);
     if (is_null(params.d_rays)) return;
     for (uint c = 0u; c < 3u; ++c) {
         params.d_rays.at[6u * i + c] = d_ray_origin[c];

@@ -13,7 +13,7 @@ RELIDAR_PARAMS(AllotParams);
 
 /// Returns (high * 2^32 + low) / d, rounded down, with a binary long division. Requires
 /// high < d, so that the result fits into 32 bits.
-uint divided(uint high, uint low, uint d) {
+uint divide_wide(uint high, uint low, uint d) {
     uint quotient = 0u, rest = high;
     for (int bit = 31; bit >= 0; --bit) {
         bool carry = rest >= 0x80000000u;
@@ -26,20 +26,20 @@ uint divided(uint high, uint low, uint d) {
 }
 
 /// Returns (weight * n_new + phase) / total_weight, computed with a 64-bit product.
-uint sum_before(uint weight) {
+uint sum_earlier_weights(uint weight) {
     if (params.total_weight == 0u) return 0u;
     uint high, low, carry;
     umulExtended(weight, params.n_new, high, low);
     low = uaddCarry(low, params.phase, carry);
-    return divided(high + carry, low, params.total_weight);
+    return divide_wide(high + carry, low, params.total_weight);
 }
 
 void main() {
-    uint i = thread_index();
+    uint i = get_thread_index();
     if (i >= params.n_surfels) return;
     uint action = params.action.at[i];
     uint before = params.cumulative.at[i];
-    uint copies = sum_before(before + params.weight.at[i]) - sum_before(before);
+    uint copies = sum_earlier_weights(before + params.weight.at[i]) - sum_earlier_weights(before);
     if (action != RELIDAR_DENSIFY_DROP && copies == 0u) params.action.at[i] = RELIDAR_DENSIFY_KEEP;
     params.n_rows.at[i] = action == RELIDAR_DENSIFY_DROP ? 0u : 1u + copies;
 }

@@ -17,11 +17,11 @@ void count(uint model, uint counter, uint amount) {
     atomicAdd(params.counters.at[RELIDAR_DENSIFY_COUNTERS * model + counter], amount);
 }
 
-/// Returns the sum of the absolute values of n floats. The sum is not finite if any float
-/// is not finite, so one test of the sum checks all floats.
-float magnitude(Floats array, uint first, uint n) {
+/// Returns the sum of the absolute values of `count` floats. The sum is not finite if any
+/// float is not finite, so one test of the sum checks all floats.
+float compute_magnitude(Floats array, uint first, uint count) {
     float sum = 0.0;
-    for (uint k = 0u; k < n; ++k) sum += abs(array.at[first + k]);
+    for (uint k = 0u; k < count; ++k) sum += abs(array.at[first + k]);
     return sum;
 }
 
@@ -29,26 +29,27 @@ bool has_third_scale() { return !is_null(params.surfels.log_scale_w); }
 
 /// Returns true if all parameters of a surfel are finite and within their valid range.
 /// @param scale three scales. The third scale is 1 unless the primitive is a 3D Gaussian
-bool is_surfel(uint i, vec4 q, vec3 scale) {
-    float sum = magnitude(params.surfels.mean, 3 * i, 3u) + magnitude(params.surfels.opacity_logit, i, 1u);
-    sum += magnitude(params.surfels.sh, RELIDAR_SH_FLOATS * i, RELIDAR_SH_FLOATS);
-    float q_length2 = dot(q, q);
+bool is_surfel(uint index, vec4 quaternion, vec3 scale) {
+    float sum = compute_magnitude(params.surfels.mean, 3 * index, 3u) +
+                compute_magnitude(params.surfels.opacity_logit, index, 1u);
+    sum += compute_magnitude(params.surfels.sh, RELIDAR_SH_FLOATS * index, RELIDAR_SH_FLOATS);
+    float q_length2 = dot(quaternion, quaternion);
     return !isnan(sum) && !isinf(sum) && q_length2 > 1e-30 && q_length2 < 1e30 &&
            all(greaterThan(scale, vec3(1e-6))) && all(lessThan(scale, vec3(1e6)));
 }
 
 /// Draws two random points of the surfel. Returns true if both points are outside the
 /// model's box.
-bool is_outside(uint i, vec4 q, vec3 scale, vec3 half_size) {
+bool is_outside(uint index, vec4 quaternion, vec3 scale, vec3 half_size) {
     if (!(half_size.x > 0.0)) return false;
-    vec3 mean = vec3(params.surfels.mean.at[3 * i], params.surfels.mean.at[3 * i + 1],
-                     params.surfels.mean.at[3 * i + 2]);
-    mat3 r = rotation_matrix(q);
+    vec3 mean = vec3(params.surfels.mean.at[3 * index], params.surfels.mean.at[3 * index + 1],
+                     params.surfels.mean.at[3 * index + 2]);
+    mat3 r = make_rotation_matrix(quaternion);
     for (uint draw = 0u; draw < 2u; ++draw) {
-        vec2 z = scale.xy * random_normal2(params.key, i, draw);
+        vec2 z = scale.xy * draw_normal_pair(params.key, index, draw);
         vec3 p = mean + z.x * r[0] + z.y * r[1];
         // Uses draws 4 and 5, because spawn.comp uses the draws 2 and 3.
-        if (has_third_scale()) p += scale.z * random_normal2(params.key, i, 4u + draw).x * r[2];
+        if (has_third_scale()) p += scale.z * draw_normal_pair(params.key, index, 4u + draw).x * r[2];
         if (!any(greaterThan(abs(p), half_size))) return false;
     }
     return true;
@@ -56,25 +57,26 @@ bool is_outside(uint i, vec4 q, vec3 scale, vec3 half_size) {
 
 /// Returns the action of a surfel that is not dropped: clone, split or keep. The action
 /// depends on the surfel's mean gradient norm.
-uint grow_by_gradient(uint i, float max_scale, float extent_m) {
-    uint n_seen = params.n_seen.at[i];
-    if (n_seen == 0u || !(params.gradient_sum.at[i] > params.gradient_threshold * float(n_seen)))
+uint grow_by_gradient(uint index, float max_scale, float extent_m) {
+    uint n_seen = params.n_seen.at[index];
+    if (n_seen == 0u || !(params.gradient_sum.at[index] > params.gradient_threshold * float(n_seen)))
         return RELIDAR_DENSIFY_KEEP;
     return max_scale < params.clone_extent_share * extent_m ? RELIDAR_DENSIFY_CLONE : RELIDAR_DENSIFY_SPLIT;
 }
 
 /// Returns the reason why a surfel is dropped, as an index of a counter. Returns
 /// RELIDAR_DENSIFY_KEPT if the surfel is kept.
-uint verdict(uint i, uint model, vec4 q, vec3 scale, float opacity, float max_scale) {
-    if (!is_surfel(i, q, scale)) return RELIDAR_DENSIFY_INVALID;
+uint classify_surfel(uint index, uint model, vec4 quaternion, vec3 scale, float opacity, float max_scale) {
+    if (!is_surfel(index, quaternion, scale)) return RELIDAR_DENSIFY_INVALID;
     if (opacity < params.min_opacity) return RELIDAR_DENSIFY_FAINT;
     if (max_scale > params.max_extent_share * params.extents.at[model]) return RELIDAR_DENSIFY_LARGE;
-    if (is_outside(i, q, scale, params.models.at[model].half_size)) return RELIDAR_DENSIFY_OUTSIDE;
+    if (is_outside(index, quaternion, scale, params.models.at[model].half_size))
+        return RELIDAR_DENSIFY_OUTSIDE;
     return RELIDAR_DENSIFY_KEPT;
 }
 
 void main() {
-    uint i = thread_index();
+    uint i = get_thread_index();
     if (i >= params.n_surfels) return;
     uint model = find_model(params.models, params.n_models, i);
     vec4 q = vec4(params.surfels.rotation.at[4 * i], params.surfels.rotation.at[4 * i + 1],
@@ -87,7 +89,7 @@ void main() {
     uint action = grow_by_gradient(i, max_scale, params.extents.at[model]);
     // A split divides the scale by 1.6, so the following test uses the smaller scale.
     if (action == RELIDAR_DENSIFY_SPLIT) max_scale /= 1.6;
-    uint why = verdict(i, model, q, scale, opacity, max_scale);
+    uint why = classify_surfel(i, model, q, scale, opacity, max_scale);
     uint weight = 0u;
     if (why != RELIDAR_DENSIFY_KEPT) {
         action = RELIDAR_DENSIFY_DROP;

@@ -9,7 +9,7 @@
 RELIDAR_PARAMS(ResetOpacityParams);
 
 void main() {
-    uint i = thread_index();
+    uint i = get_thread_index();
     if (i >= params.n_surfels) return;
     // The comparison is false for a NaN, so that the NaN stays. The next densification
     // counts NaNs.

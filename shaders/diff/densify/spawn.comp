@@ -21,19 +21,19 @@ void add_to_scales(uint row, float amount) {
 void split(uint row) {
     vec4 q;
     for (uint k = 0u; k < 4u; ++k) q[k] = params.surfels.rotation.at[4 * row + k];
-    mat3 r = rotation_matrix(q);
+    mat3 r = make_rotation_matrix(q);
     // uses draw 2, because classify.comp uses the draws 0 and 1
-    vec2 z = random_normal2(params.key, row, 2u);
+    vec2 z = draw_normal_pair(params.key, row, 2u);
     vec3 offset = z.x * exp(params.surfels.log_scale.at[2 * row]) * r[0] +
                   z.y * exp(params.surfels.log_scale.at[2 * row + 1]) * r[1];
     if (has_third_scale())
-        offset += random_normal2(params.key, row, 3u).x * exp(params.surfels.log_scale_w.at[row]) * r[2];
+        offset += draw_normal_pair(params.key, row, 3u).x * exp(params.surfels.log_scale_w.at[row]) * r[2];
     for (uint k = 0u; k < 3u; ++k) params.surfels.mean.at[3 * row + k] += offset[k];
     add_to_scales(row, -log(1.6));
 }
 
 void main() {
-    uint i = thread_index();
+    uint i = get_thread_index();
     if (i >= params.n_surfels) return;
     if (params.action.at[i] != RELIDAR_DENSIFY_SPLIT) return;
     for (uint k = 0u; k < params.n_rows.at[i]; ++k) split(params.starts.at[i] + k);

@@ -23,41 +23,42 @@
 RELIDAR_PARAMS(ForwardParams);
 #include "blend.glsl"
 
-/// Returns hit k of a sorted list. Returns the last hit if the list has no hit k.
-Hit listed_hit(uint list, uint k, uint n) {
-    return params.lists.hits.at[list_entry(params.lists.room, list, min(k, n - 1u))];
+/// Returns hit `index` of a sorted list. Returns the last hit if the list has no hit
+/// `index`.
+Hit load_listed_hit(uint list, uint index, uint count) {
+    return params.lists.hits.at[get_list_entry(params.lists.room, list, min(index, count - 1u))];
 }
 
-/// Blends the n > 0 hits of a list. Loads hits two iterations ahead and their channel
+/// Blends the count > 0 hits of a list. Loads hits two iterations ahead and their channel
 /// values one iteration ahead, to hide the latency of the loads.
 /// @return true if the transmittance fell below the limit within the list
-bool blend_list(uint list, uint n, Ray ray, inout Blended b) {
-    Hit next = listed_hit(list, 0u, n), after_next = listed_hit(list, 1u, n);
-    vec3 next_channels = channels_of(params.scene, ray, next);
+bool blend_list(uint list, uint count, Ray ray, inout Blended blended) {
+    Hit next = load_listed_hit(list, 0u, count), after_next = load_listed_hit(list, 1u, count);
+    vec3 next_channels = compute_hit_channels(params.scene, ray, next);
     Key last = Key(-1.0, 0u, 0u);
-    for (uint k = 0u; k < n; ++k) {
+    for (uint k = 0u; k < count; ++k) {
         Hit hit = next;
         vec3 channels = next_channels;
         next = after_next;
-        after_next = listed_hit(list, k + 2u, n);
-        next_channels = channels_of(params.scene, ray, next);
+        after_next = load_listed_hit(list, k + 2u, count);
+        next_channels = compute_hit_channels(params.scene, ray, next);
         Key key = Key(hit.t, hit.instance, hit.surfel);
         if (key == last) continue;  // skips a hit that the driver reported twice
         last = key;
-        if (ends_before(params.scene, hit, b.ray.transmittance)) return true;
-        if (params.kept_in_lists == 0u || b.ray.n_hits != k) keep_hit(b.ray.n_hits, hit);
-        blend_hit(params.scene, ray, hit, channels, b);
+        if (is_blocked_before(params.scene, hit, blended.ray.transmittance)) return true;
+        if (params.kept_in_lists == 0u || blended.ray.n_hits != k) keep_hit(blended.ray.n_hits, hit);
+        blend_hit(params.scene, ray, hit, channels, blended);
     }
     return false;
 }
 
 void main() {
-    uint list = thread_index(), i = traced_ray(params.scene);
+    uint list = get_thread_index(), i = get_traced_ray(params.scene);
     if (i >= params.scene.n_rays) return;
     uint length = params.lists.lengths.at[list];
     if (length == RELIDAR_LIST_UNFIT) return;
     DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
-    Ray ray = ray_of(entry);
+    Ray ray = make_ray(entry);
     Blended b = start_blending(params.scene, i);
     uint n = length & ~RELIDAR_LIST_CLOSED;
     bool ended = n > 0u && blend_list(list, n, ray, b);

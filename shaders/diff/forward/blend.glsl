@@ -23,36 +23,36 @@ Blended start_blending(TraceScene scene, uint ray_index) {
     b.ray.n_hits = 0u;
     b.ray.instance = RELIDAR_NO_INSTANCE;
     b.normal = vec3(0.0);
-    b.surfaces = no_surfaces();
+    b.surfaces = make_empty_surfaces();
     if (LIKELIHOOD != 0u) load_measurement(scene, ray_index);
     ray_basis_instance = kNoInstance;
     return b;
 }
 
-vec3 channels_of(TraceScene scene, Ray ray, Hit hit) {
-    return hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
+vec3 compute_hit_channels(TraceScene scene, Ray ray, Hit hit) {
+    return evaluate_hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
 }
 
 /// Returns the transmittance of the ray behind a hit.
 /// @param transmittance transmittance before the hit
-float left_behind(TraceScene scene, Hit hit, float transmittance) {
+float compute_transmittance_behind(TraceScene scene, Hit hit, float transmittance) {
     return transmittance * (1.0 - min(hit.alpha, scene.alpha_max));
 }
 
 /// Returns true if a hit reduces the transmittance below the limit. The ray then ends
 /// before this hit, and the hit is not blended.
-bool ends_before(TraceScene scene, Hit hit, float transmittance) {
-    return left_behind(scene, hit, transmittance) < scene.transmittance_min;
+bool is_blocked_before(TraceScene scene, Hit hit, float transmittance) {
+    return compute_transmittance_behind(scene, hit, transmittance) < scene.transmittance_min;
 }
 
 /// Adds the next hit of the ray to the blended values.
 void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 channels, inout Blended b) {
-    float next = left_behind(scene, hit, b.ray.transmittance),
+    float next = compute_transmittance_behind(scene, hit, b.ray.transmittance),
           w = min(hit.alpha, scene.alpha_max) * b.ray.transmittance;
-    if (NORMAL != 0u) b.normal += w * facing_normal(scene, ray, hit.instance, hit.surfel);
+    if (NORMAL != 0u) b.normal += w * compute_facing_normal(scene, ray, hit.instance, hit.surfel);
     if (MODE != 0u) add_to_surface(hit.t, w, params.surface_gap_m, b.surfaces);  // docs/method.md, M13
 #define RELIDAR_BLEND(name, built, value, input, slope, meaning) \
-    if (built) add_compensated(b.ray.name, b.lost.name, w*(value));
+    if (built) add_with_compensation(b.ray.name, b.lost.name, w*(value));
     RELIDAR_BLENDED_VALUES(RELIDAR_BLEND)
 #undef RELIDAR_BLEND
     bool crosses = b.ray.transmittance > 0.5 && next <= 0.5;
@@ -62,18 +62,18 @@ void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 channels, inout Blended 
     ++b.ray.n_hits;
 }
 
-/// Stores hit k of this thread's ray for the backward pass. Hits are numbered in the
-/// order in which they are blended.
-void keep_hit(uint k, Hit hit) {
-    if (k < params.n_kept) params.kept.at[list_entry(params.n_kept, thread_index(), k)] = hit;
+/// Stores hit `index` of this thread's ray for the backward pass. Hits are numbered in
+/// the order in which they are blended.
+void keep_hit(uint index, Hit hit) {
+    if (index < params.n_kept) params.kept.at[get_list_entry(params.n_kept, get_thread_index(), index)] = hit;
 }
 
 /// Adds the background to the blended values and writes the result of the ray.
 void finish_blending(uint ray_index, inout Blended b) {
     if (params.n_kept > 0u && b.ray.n_hits > params.n_kept) atomicAdd(params.n_overfull.at[0], 1u);
     // the background has intensity 0, hit logit 0 and drop logit 1
-    add_compensated(b.ray.drop_logit, b.lost.drop_logit, b.ray.transmittance);
-    weigh_surface(b.surfaces);
+    add_with_compensation(b.ray.drop_logit, b.lost.drop_logit, b.ray.transmittance);
+    keep_heavier_surface(b.surfaces);
     if (NORMAL != 0u || MODE != 0u)
         params.surfaces.at[ray_index] = RenderedSurface(b.normal, b.surfaces.heaviest_t);
     params.rendered.at[ray_index] = b.ray;

@@ -7,10 +7,10 @@ RELIDAR_CONSTANT(uint, NORMAL, 0u);
 
 /// Returns the unit normal of a surfel in the world frame, on the side that faces the
 /// sensor.
-vec3 facing_normal(TraceScene scene, Ray ray, uint instance, uint surfel) {
+vec3 compute_facing_normal(TraceScene scene, Ray ray, uint instance, uint surfel) {
     enter_instance(scene, ray, instance);
     vec3 normal = scene.records.at[surfel].normal;
     float side = exact_dot(normal, entered_direction) > 0.0 ? -1.0 : 1.0;
-    return side * world_vector(scene, normal);
+    return side * to_world_vector(scene, normal);
 }
 #endif

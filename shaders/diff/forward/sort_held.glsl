@@ -2,11 +2,11 @@
 // Sorts a hit list with at most HELD hits per lane. sort_hits.comp defines HELD, EACH and
 // SORT and then includes this file, once per list size.
 
-#define LOAD(h)                                            \
-    {                                                      \
-        place[h] = h * LANES + lane;                       \
-        t[h] = 1e38;                                       \
-        if (place[h] < n) t[h] = hit_of(list, place[h]).t; \
+#define LOAD(h)                                                      \
+    {                                                                \
+        place[h] = h * LANES + lane;                                 \
+        t[h] = 1e38;                                                 \
+        if (place[h] < n) t[h] = load_hit_of_list(list, place[h]).t; \
     }
 
 // One step of a bitonic sorting network: compares hits whose positions differ in one bit,
@@ -14,28 +14,28 @@
 // order.
 #define IS_UPWARD(h) (((lane * HELD + h) & run) == 0u)
 
-#define EXCHANGE_BETWEEN_LANES(h)                                                     \
-    {                                                                                 \
-        float other = subgroupShuffleXor(t[h], apart / HELD);                         \
-        uint other_place = subgroupShuffleXor(place[h], apart / HELD);                \
-        bool other_first = other < t[h];                                              \
-        if (other == t[h]) other_first = tied_before(list, n, other_place, place[h]); \
-        bool takes = other_first == (is_low == IS_UPWARD(h));                         \
-        t[h] = takes ? other : t[h];                                                  \
-        place[h] = takes ? other_place : place[h];                                    \
+#define EXCHANGE_BETWEEN_LANES(h)                                                       \
+    {                                                                                   \
+        float other = subgroupShuffleXor(t[h], apart / HELD);                           \
+        uint other_place = subgroupShuffleXor(place[h], apart / HELD);                  \
+        bool other_first = other < t[h];                                                \
+        if (other == t[h]) other_first = is_tie_before(list, n, other_place, place[h]); \
+        bool takes = other_first == (is_low == IS_UPWARD(h));                           \
+        t[h] = takes ? other : t[h];                                                    \
+        place[h] = takes ? other_place : place[h];                                      \
     }
 
-#define EXCHANGE_WITHIN_LANE(h, by)                                                \
-    if ((h & by) == 0u) {                                                          \
-        float low = t[h], high = t[h | by];                                        \
-        uint low_place = place[h], high_place = place[h | by];                     \
-        bool high_first = high < low;                                              \
-        if (high == low) high_first = tied_before(list, n, high_place, low_place); \
-        bool swaps = high_first == IS_UPWARD(h);                                   \
-        t[h] = swaps ? high : low;                                                 \
-        t[h | by] = swaps ? low : high;                                            \
-        place[h] = swaps ? high_place : low_place;                                 \
-        place[h | by] = swaps ? low_place : high_place;                            \
+#define EXCHANGE_WITHIN_LANE(h, by)                                                  \
+    if ((h & by) == 0u) {                                                            \
+        float low = t[h], high = t[h | by];                                          \
+        uint low_place = place[h], high_place = place[h | by];                       \
+        bool high_first = high < low;                                                \
+        if (high == low) high_first = is_tie_before(list, n, high_place, low_place); \
+        bool swaps = high_first == IS_UPWARD(h);                                     \
+        t[h] = swaps ? high : low;                                                   \
+        t[h | by] = swaps ? low : high;                                              \
+        place[h] = swaps ? high_place : low_place;                                   \
+        place[h | by] = swaps ? low_place : high_place;                              \
     }
 #define EXCHANGE_BY_1(h) EXCHANGE_WITHIN_LANE(h, 1u)
 #define EXCHANGE_BY_2(h) EXCHANGE_WITHIN_LANE(h, 2u)
@@ -43,10 +43,10 @@
 #define EXCHANGE_BY_8(h) EXCHANGE_WITHIN_LANE(h, 8u)
 
 #define READ(h) \
-    if (lane * HELD + h < n) hits[h] = hit_of(list, place[h]);
+    if (lane * HELD + h < n) hits[h] = load_hit_of_list(list, place[h]);
 #define STORE(h)             \
     if (lane * HELD + h < n) \
-        params.lists.hits.at[list_entry(params.lists.room, list, lane * HELD + h)] = hits[h];
+        params.lists.hits.at[get_list_entry(params.lists.room, list, lane * HELD + h)] = hits[h];
 
 void SORT(uint list, uint n) {
     uint lane = gl_SubgroupInvocationID, place[HELD];

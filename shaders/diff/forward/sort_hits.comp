@@ -13,16 +13,19 @@ RELIDAR_PARAMS(SortHitsParams);
 
 RELIDAR_CONSTANT(uint, LANES, 32u);
 
-Hit hit_of(uint list, uint place) { return params.lists.hits.at[list_entry(params.lists.room, list, place)]; }
+Hit load_hit_of_list(uint list, uint place) {
+    return params.lists.hits.at[get_list_entry(params.lists.room, list, place)];
+}
 
-/// Returns true if hit a comes before hit b, when both have the same distance. A hit that
-/// was reported twice keeps its order. Positions beyond the end of the list come last.
-bool tied_before(uint list, uint n, uint a, uint b) {
-    if (a >= n || b >= n) return a < b;
-    Hit hit_a = hit_of(list, a), hit_b = hit_of(list, b);
+/// Returns true if hit a comes before hit `second`, when both have the same distance. A
+/// hit that was reported twice keeps its order. Positions beyond the end of the list come
+/// last.
+bool is_tie_before(uint list, uint count, uint first, uint second) {
+    if (first >= count || second >= count) return first < second;
+    Hit hit_a = load_hit_of_list(list, first), hit_b = load_hit_of_list(list, second);
     Key key_a = Key(hit_a.t, hit_a.instance, hit_a.surfel),
         key_b = Key(hit_b.t, hit_b.instance, hit_b.surfel);
-    return before(key_a, key_b) || (key_a == key_b && a < b);
+    return is_key_before(key_a, key_b) || (key_a == key_b && first < second);
 }
 
 // Macros unroll the loops over the hits of a lane. Each number of hits has a separate
@@ -57,7 +60,7 @@ bool tied_before(uint list, uint n, uint a, uint b) {
 
 void main() {
     // correct only because all subgroups are full
-    uint list = workgroup_index() * RELIDAR_SORTED_TOGETHER + gl_SubgroupID;
+    uint list = get_workgroup_index() * RELIDAR_SORTED_TOGETHER + gl_SubgroupID;
     uint length = list < params.lists.n ? params.lists.lengths.at[list] : 0u,
          n = length & ~RELIDAR_LIST_CLOSED;
     // Executes a barrier although this list needs no sort, because lavapipe treats a

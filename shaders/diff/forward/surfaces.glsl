@@ -15,24 +15,24 @@ struct Surfaces {
     float heaviest_t;  // mean of t over the surface with the largest weight
 };
 
-Surfaces no_surfaces() { return Surfaces(-1e30, 0.0, 0.0, 0.0, 0.0, 0.0); }
+Surfaces make_empty_surfaces() { return Surfaces(-1e30, 0.0, 0.0, 0.0, 0.0, 0.0); }
 
 /// Stores the current surface as the result if its weight exceeds the largest weight so
 /// far. If both weights are equal, the nearer surface stays.
-void weigh_surface(inout Surfaces s) {
-    if (!(s.weight > s.heaviest)) return;
-    s.heaviest = s.weight;
-    s.heaviest_t = s.start + s.moment / s.weight;
+void keep_heavier_surface(inout Surfaces surfaces) {
+    if (!(surfaces.weight > surfaces.heaviest)) return;
+    surfaces.heaviest = surfaces.weight;
+    surfaces.heaviest_t = surfaces.start + surfaces.moment / surfaces.weight;
 }
 
-void add_to_surface(float t, float w, float gap, inout Surfaces s) {
-    if (t - s.last_t > gap) {
-        weigh_surface(s);
-        s.start = t;
-        s.weight = s.moment = 0.0;
+void add_to_surface(float t, float w, float gap, inout Surfaces surfaces) {
+    if (t - surfaces.last_t > gap) {
+        keep_heavier_surface(surfaces);
+        surfaces.start = t;
+        surfaces.weight = surfaces.moment = 0.0;
     }
-    s.last_t = t;
-    s.weight += w;
-    s.moment += w * (t - s.start);
+    surfaces.last_t = t;
+    surfaces.weight += w;
+    surfaces.moment += w * (t - surfaces.start);
 }
 #endif

@@ -15,29 +15,29 @@ RELIDAR_PARAMS(ForwardParams);
 
 void render(TraceScene scene, Ray ray, uint ray_index) {
     Blended b = start_blending(scene, ray_index);
-    Key after = first_key(scene);
+    Key after = get_first_key(scene);
     bool ended = false;
     for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && !ended; ++pass) {
-        next_hits(scene, ray, after, least_of_rest(scene, b.ray.transmittance));
+        find_next_hits(scene, ray, after, compute_min_transmittance(scene, b.ray.transmittance));
         for (uint i = 0u; i < n_hits; ++i) {
-            Hit hit = hit_at(i);
-            ended = ends_before(scene, hit, b.ray.transmittance);
+            Hit hit = load_hit(i);
+            ended = is_blocked_before(scene, hit, b.ray.transmittance);
             if (ended) break;
             keep_hit(b.ray.n_hits, hit);
-            blend_hit(scene, ray, hit, channels_of(scene, ray, hit), b);
+            blend_hit(scene, ray, hit, compute_hit_channels(scene, ray, hit), b);
         }
         if (!hits_closed) ended = true;
-        else after = hit_key(n_hits - 1u);
+        else after = load_hit_key(n_hits - 1u);
     }
     if (!ended) atomicAdd(scene.pass_cap_count.at[0], 1u);
     finish_blending(ray_index, b);
 }
 
 void main() {
-    uint i = traced_ray(params.scene);
+    uint i = get_traced_ray(params.scene);
     if (i >= params.scene.n_rays) return;
-    if (!is_null(params.lists.lengths) && params.lists.lengths.at[thread_index()] != RELIDAR_LIST_UNFIT)
+    if (!is_null(params.lists.lengths) && params.lists.lengths.at[get_thread_index()] != RELIDAR_LIST_UNFIT)
         return;
     DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
-    render(params.scene, ray_of(entry), i);
+    render(params.scene, make_ray(entry), i);
 }

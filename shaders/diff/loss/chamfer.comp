@@ -16,7 +16,7 @@
 RELIDAR_PARAMS(ChamferParams);
 
 void main() {
-    uint k = thread_index();
+    uint k = get_thread_index();
     float squares_m2 = 0.0;
     if (k < params.n_rays) {
         uint b = params.nearest_measured.at[k], a = params.nearest_simulated.at[k];

@@ -18,10 +18,10 @@ struct Nearest {
     uint index;
 };
 
-float squared_length(vec3 d) {
-    precise float sum = d.x * d.x;
-    precise float y = d.y * d.y;
-    precise float z = d.z * d.z;
+float compute_squared_length(vec3 direction) {
+    precise float sum = direction.x * direction.x;
+    precise float y = direction.y * direction.y;
+    precise float z = direction.z * direction.z;
     sum = sum + y;
     sum = sum + z;
     return sum;
@@ -29,16 +29,16 @@ float squared_length(vec3 d) {
 
 /// Returns the squared distance between a point and a box. The distance to an empty box
 /// is infinite, because the square of RELIDAR_NO_POINT overflows to infinity.
-float squared_distance(vec3 query, vec3 low, vec3 high) {
-    return squared_length(max(max(low - query, query - high), vec3(0.0)));
+float compute_squared_distance(vec3 query, vec3 low, vec3 high) {
+    return compute_squared_length(max(max(low - query, query - high), vec3(0.0)));
 }
 
-void visit_point(uint i, inout Nearest best) {
-    vec3 p = params.cloud.points.at[i];
-    float squared = squared_length(best.query - p);
+void visit_point(uint index, inout Nearest best) {
+    vec3 p = params.cloud.points.at[index];
+    float squared = compute_squared_length(best.query - p);
     if (p.x < RELIDAR_NO_POINT && squared < best.squared_m2) {
         best.squared_m2 = squared;
-        best.index = i;
+        best.index = index;
     }
 }
 
@@ -50,41 +50,41 @@ struct Cells {
     uint across;  // number of points or tiles per row of the image
 };
 
-Cells cells_of(uint cell, uvec2 items, uint cells_across) {
+Cells make_cells(uint cell, uvec2 items, uint cells_across) {
     uvec2 cell_size = uvec2(params.tile_rows, params.tile_columns),
           begin = uvec2(cell / cells_across, cell % cells_across) * cell_size;
     return Cells(begin, min(begin + cell_size, items), items.y);
 }
 
-uvec2 cells_over(uvec2 items) {
+uvec2 count_cells(uvec2 items) {
     uvec2 cell = uvec2(params.tile_rows, params.tile_columns);
     return (items + cell - 1u) / cell;
 }
 
 void visit_tile(uint tile, uvec2 points, uint tiles_across, inout Nearest best) {
-    if (!(squared_distance(best.query, params.cloud.tile_low.at[tile], params.cloud.tile_high.at[tile]) <
-          best.squared_m2))
+    if (!(compute_squared_distance(best.query, params.cloud.tile_low.at[tile],
+                                   params.cloud.tile_high.at[tile]) < best.squared_m2))
         return;
-    Cells c = cells_of(tile, points, tiles_across);
+    Cells c = make_cells(tile, points, tiles_across);
     for (uint row = c.begin.x; row < c.end.x; ++row)
         for (uint column = c.begin.y; column < c.end.y; ++column) visit_point(row * c.across + column, best);
 }
 
 void main() {
-    uint k = thread_index();
+    uint k = get_thread_index();
     if (k >= params.rows * params.columns) return;
     Nearest best = Nearest(params.queries.at[k], uintBitsToFloat(0x7f800000u), RELIDAR_NO_INDEX);
     if (best.query.x < RELIDAR_NO_POINT) {
-        uvec2 points = uvec2(params.rows, params.columns), tiles = cells_over(points),
-              groups = cells_over(tiles);
+        uvec2 points = uvec2(params.rows, params.columns), tiles = count_cells(points),
+              groups = count_cells(tiles);
         visit_point(k, best);
         visit_tile(k / params.columns / params.tile_rows * tiles.y + k % params.columns / params.tile_columns,
                    points, tiles.y, best);
         for (uint group = 0u; group < groups.x * groups.y; ++group) {
-            if (!(squared_distance(best.query, params.cloud.group_low.at[group],
-                                   params.cloud.group_high.at[group]) < best.squared_m2))
+            if (!(compute_squared_distance(best.query, params.cloud.group_low.at[group],
+                                           params.cloud.group_high.at[group]) < best.squared_m2))
                 continue;
-            Cells c = cells_of(group, tiles, groups.y);
+            Cells c = make_cells(group, tiles, groups.y);
             for (uint row = c.begin.x; row < c.end.x; ++row)
                 for (uint column = c.begin.y; column < c.end.y; ++column)
                     visit_tile(row * c.across + column, points, tiles.y, best);

@@ -17,13 +17,13 @@ const float kLeastWeight = 0.1;
 
 /// Returns the range of the simulated point of a ray. Returns 0 if the ray has no
 /// simulated point, or if a value is NaN.
-float simulated_range(RenderedRay r) {
-    if (!(r.weight > kLeastWeight) || !(r.drop_logit < r.hit_logit)) return 0.0;
-    return params.normalised_depth != 0u ? r.depth / r.weight : r.depth;
+float get_simulated_range(RenderedRay ray) {
+    if (!(ray.weight > kLeastWeight) || !(ray.drop_logit < ray.hit_logit)) return 0.0;
+    return params.normalised_depth != 0u ? ray.depth / ray.weight : ray.depth;
 }
 
 void main() {
-    uint k = thread_index();
+    uint k = get_thread_index();
     vec2 is_point = vec2(0.0);
     if (k < params.n_rays) {
         uint i = params.first_ray + k * params.ray_stride;
@@ -31,8 +31,8 @@ void main() {
         DeviceRay ray = params.rays.at[i];
         // subtracts the first ray's origin, to keep float precision
         vec3 origin = ray.origin - params.rays.at[params.first_ray].origin;
-        vec2 range =
-            target.weight > 0.0 ? vec2(simulated_range(params.rendered.at[k]), target.range_m) : vec2(0.0);
+        vec2 range = target.weight > 0.0 ? vec2(get_simulated_range(params.rendered.at[k]), target.range_m)
+                                         : vec2(0.0);
         if (range.x > 0.0) is_point.x = 1.0;
         if (range.y > 0.0) is_point.y = 1.0;
         params.simulated.at[k] = is_point.x > 0.0 ? origin + range.x * ray.direction : vec3(RELIDAR_NO_POINT);

@@ -13,7 +13,7 @@
 RELIDAR_PARAMS(ChamferParams);
 
 void main() {
-    uint k = thread_index();
+    uint k = get_thread_index();
     if (k >= params.n_rays) return;
     uint b = params.nearest_measured.at[k];
     // Returns if this ray has no simulated point, or if no measured point exists. In both

@@ -17,20 +17,20 @@ RELIDAR_PARAMS(ImageLossParams);
 /// Computes the L1 loss of the depth, and adds its derivative to the gradient. The depth
 /// is D, or D / W if it is normalised.
 /// @return value of this loss term
-float depth_term(RenderedRay r, float range_m, inout RayGradient g) {
-    float weight = max(r.weight, 1e-3);
+float compute_depth_term(RenderedRay ray, float range_m, inout RayGradient g) {
+    float weight = max(ray.weight, 1e-3);
     float scale = params.normalised_depth != 0u ? 1.0 / weight : 1.0;
-    float error = r.depth * scale - range_m;
+    float error = ray.depth * scale - range_m;
     float d_error = params.depth_weight * sign(error);
     g.depth += d_error * scale;
-    if (params.normalised_depth != 0u && r.weight > 1e-3) g.weight -= d_error * r.depth * scale * scale;
+    if (params.normalised_depth != 0u && ray.weight > 1e-3) g.weight -= d_error * ray.depth * scale * scale;
     return params.depth_weight * abs(error);
 }
 
 /// Computes the Huber loss of an intensity error e. The loss is e^2 / (2 delta) for |e| <
 /// delta, otherwise |e| - delta / 2. If delta is 0, this is the L1 loss.
 /// @return value of this loss term
-float intensity_term(float error, inout RayGradient g) {
+float compute_intensity_term(float error, inout RayGradient g) {
     float delta = params.intensity_delta, size = abs(error);
     bool squared = size < delta;
     g.intensity += params.intensity_weight * (squared ? error / delta : sign(error));
@@ -40,8 +40,8 @@ float intensity_term(float error, inout RayGradient g) {
 /// Computes the negative log probability of the measured outcome (return or no return).
 /// Evaluates log(1 + exp(x)) without overflow.
 /// @return value of this loss term
-float drop_term(RenderedRay r, bool dropped, inout RayGradient g) {
-    float x = r.drop_logit - r.hit_logit;
+float compute_drop_term(RenderedRay ray, bool dropped, inout RayGradient g) {
+    float x = ray.drop_logit - ray.hit_logit;
     float probability = 1.0 / (1.0 + exp(-x));
     float d_x = params.drop_weight * (probability - (dropped ? 1.0 : 0.0));
     g.drop_logit += d_x;
@@ -52,22 +52,22 @@ float drop_term(RenderedRay r, bool dropped, inout RayGradient g) {
 
 /// Computes all loss terms of a ray with a known measurement: depth, intensity, ray drop
 /// and opacity.
-vec4 ray_terms(RenderedRay r, DeviceTarget target, inout RayGradient g) {
+vec4 compute_ray_terms(RenderedRay ray, DeviceTarget target, inout RayGradient g) {
     vec4 terms = vec4(0.0);
     bool dropped = !(target.range_m > 0.0);
     if (!dropped) {
-        terms.x = depth_term(r, target.range_m, g);
-        terms.y = intensity_term(r.intensity - target.intensity, g);
-        float missing = 1.0 - r.weight;
+        terms.x = compute_depth_term(ray, target.range_m, g);
+        terms.y = compute_intensity_term(ray.intensity - target.intensity, g);
+        float missing = 1.0 - ray.weight;
         g.weight -= 2.0 * params.opacity_weight * missing;
         terms.w = params.opacity_weight * missing * missing;
     }
-    terms.z = drop_term(r, dropped, g);
+    terms.z = compute_drop_term(ray, dropped, g);
     return terms;
 }
 
 void main() {
-    uint i = thread_index();
+    uint i = get_thread_index();
     vec4 terms = vec4(0.0);
     if (i < params.n_rays) {
         DeviceTarget target = params.targets.at[params.first_ray + i * params.ray_stride];
@@ -75,7 +75,7 @@ void main() {
 #define RELIDAR_START(name, built, value, input, slope, meaning) g.name = 0.0;
         RELIDAR_BLENDED_VALUES(RELIDAR_START)
 #undef RELIDAR_START
-        if (target.weight > 0.0) terms = ray_terms(params.rendered.at[i], target, g);
+        if (target.weight > 0.0) terms = compute_ray_terms(params.rendered.at[i], target, g);
         params.upstream.at[i] = g;
     }
     add_to_sum(params.terms, kTerm_depth, terms.x);

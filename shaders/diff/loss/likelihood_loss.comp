@@ -11,21 +11,21 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(LikelihoodLossParams);
 
-/// Returns the loss of ray i, which must have a return. Adds the derivative of the loss
-/// to the ray's gradient.
-float ray_term(uint i) {
+/// Returns the loss of ray `index`, which must have a return. Adds the derivative of the
+/// loss to the ray's gradient.
+float compute_ray_term(uint index) {
     float explained =
-        params.likelihood_floor + (1.0 - params.likelihood_floor) * params.rendered.at[i].likelihood;
-    params.upstream.at[i].likelihood += -params.weight * (1.0 - params.likelihood_floor) / explained;
+        params.likelihood_floor + (1.0 - params.likelihood_floor) * params.rendered.at[index].likelihood;
+    params.upstream.at[index].likelihood += -params.weight * (1.0 - params.likelihood_floor) / explained;
     return -params.weight * log(explained);
 }
 
 void main() {
-    uint i = thread_index();
+    uint i = get_thread_index();
     float term = 0.0;
     if (i < params.n_rays) {
         DeviceTarget target = params.targets.at[params.first_ray + i * params.ray_stride];
-        if (target.weight > 0.0 && target.range_m > 0.0) term = ray_term(i);
+        if (target.weight > 0.0 && target.range_m > 0.0) term = compute_ray_term(i);
     }
     add_to_sum(params.terms, kTerm_likelihood, term);
 }

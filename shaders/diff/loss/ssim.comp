@@ -29,17 +29,17 @@ struct Window {
 /// Computes the weighted mean, variance and covariance of the intensities in the window
 /// around a pixel. Subtracts the value of the centre pixel first, because the sums would
 /// otherwise lose precision in flat regions.
-Window window_around(uint i) {
-    vec2 centre = vec2(params.rendered.at[i].intensity, target_of(i).intensity);
+Window compute_window_statistics(uint index) {
+    vec2 centre = vec2(params.rendered.at[index].intensity, load_target(index).intensity);
     float sum = 0.0, products = 0.0;
     vec2 values = vec2(0.0), squares = vec2(0.0);
     for (int row = -kSsimRadius; row <= kSsimRadius; ++row) {
         for (int column = -kSsimRadius; column <= kSsimRadius; ++column) {
-            uint j = window_pixel(i, row, column);
+            uint j = get_window_pixel(index, row, column);
             if (j == kNoPixel) continue;
-            DeviceTarget t = target_of(j);
+            DeviceTarget t = load_target(j);
             if (!is_scored(t)) continue;
-            float w = window_weight(row, column);
+            float w = get_window_weight(row, column);
             vec2 v = vec2(params.rendered.at[j].intensity, t.intensity) - centre;
             sum += w;
             values += w * v;
@@ -52,15 +52,15 @@ Window window_around(uint i) {
                   products / sum - shifted.x * shifted.y);
 }
 
-/// Computes the similarity loss of pixel i. Writes its derivatives to `statistics`.
+/// Computes the similarity loss of pixel `index`. Writes its derivatives to `statistics`.
 /// @return the loss of the pixel
-float similarity_term(uint i) {
-    Window w = window_around(i);
+float compute_similarity_term(uint index) {
+    Window w = compute_window_statistics(index);
     float a1 = 2.0 * w.mean.x * w.mean.y + kC1, a2 = 2.0 * w.covariance + kC2;
     float b1 = dot(w.mean, w.mean) + kC1, b2 = w.variance.x + w.variance.y + kC2;
     float s = a1 * a2 / (b1 * b2);
     float scale = -params.weight / w.sum;
-    uint at = i * RELIDAR_SSIM_FLOATS;
+    uint at = index * RELIDAR_SSIM_FLOATS;
     params.statistics.at[at] = scale * (2.0 * w.mean.y * a2 / (b1 * b2) - 2.0 * w.mean.x * s / b1);
     params.statistics.at[at + 1u] = scale * -2.0 * s / b2;
     params.statistics.at[at + 2u] = scale * 2.0 * a1 / (b1 * b2);
@@ -70,7 +70,8 @@ float similarity_term(uint i) {
 }
 
 void main() {
-    uint i = thread_index();
-    float term = i < params.rows * params.columns && is_scored(target_of(i)) ? similarity_term(i) : 0.0;
+    uint i = get_thread_index();
+    float term =
+        i < params.rows * params.columns && is_scored(load_target(i)) ? compute_similarity_term(i) : 0.0;
     add_to_sum(params.terms, kTerm_ssim, term);
 }

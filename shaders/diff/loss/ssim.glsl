@@ -11,21 +11,23 @@ const uint kNoPixel = 0xffffffffu;
 // exp(-d^2 / 4.5)
 const float kGaussian[6] = float[](1.0, 0.80073740, 0.41111229, 0.13533528, 0.028565500, 0.0038659201);
 
-/// Returns the index of the pixel at an offset from pixel `i`. Returns kNoPixel if that
-/// pixel would be outside the image.
-uint window_pixel(uint i, int row_offset, int column_offset) {
+/// Returns the index of the pixel at an offset from pixel `index`. Returns kNoPixel if
+/// that pixel would be outside the image.
+uint get_window_pixel(uint index, int row_offset, int column_offset) {
     int columns = int(params.columns);
-    int row = int(i / params.columns) + row_offset, column = int(i % params.columns) + column_offset;
+    int row = int(index / params.columns) + row_offset, column = int(index % params.columns) + column_offset;
     if (params.circular != 0u && columns > 2 * kSsimRadius) column = (column + columns) % columns;
     return row >= 0 && row < int(params.rows) && column >= 0 && column < columns
                ? uint(row * columns + column)
                : kNoPixel;
 }
 
-float window_weight(int row_offset, int column_offset) {
+float get_window_weight(int row_offset, int column_offset) {
     return kGaussian[abs(row_offset)] * kGaussian[abs(column_offset)];
 }
 
-DeviceTarget target_of(uint i) { return params.targets.at[params.first_ray + i * params.ray_stride]; }
-bool is_scored(DeviceTarget t) { return t.weight > 0.0 && t.range_m > 0.0; }
+DeviceTarget load_target(uint index) {
+    return params.targets.at[params.first_ray + index * params.ray_stride];
+}
+bool is_scored(DeviceTarget target) { return target.weight > 0.0 && target.range_m > 0.0; }
 #endif

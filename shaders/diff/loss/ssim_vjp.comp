@@ -12,15 +12,15 @@ RELIDAR_PARAMS(SsimParams);
 #include "ssim.glsl"
 
 void main() {
-    uint q = thread_index();
-    if (q >= params.rows * params.columns || !is_scored(target_of(q))) return;
-    float x = params.rendered.at[q].intensity, y = target_of(q).intensity, sum = 0.0;
+    uint q = get_thread_index();
+    if (q >= params.rows * params.columns || !is_scored(load_target(q))) return;
+    float x = params.rendered.at[q].intensity, y = load_target(q).intensity, sum = 0.0;
     for (int row = -kSsimRadius; row <= kSsimRadius; ++row) {
         for (int column = -kSsimRadius; column <= kSsimRadius; ++column) {
-            uint p = window_pixel(q, row, column);
-            if (p == kNoPixel || !is_scored(target_of(p))) continue;
+            uint p = get_window_pixel(q, row, column);
+            if (p == kNoPixel || !is_scored(load_target(p))) continue;
             uint at = p * RELIDAR_SSIM_FLOATS;
-            sum += window_weight(row, column) *
+            sum += get_window_weight(row, column) *
                    (params.statistics.at[at] +
                     (x - params.statistics.at[at + 3u]) * params.statistics.at[at + 1u] +
                     (y - params.statistics.at[at + 4u]) * params.statistics.at[at + 2u]);

@@ -15,10 +15,10 @@ RELIDAR_PARAMS(SurfelLossParams);
 /// Returns the penalty for one standard deviation of a surfel.
 /// @param largest_m largest standard deviation that has no penalty, m
 /// @param write true: adds the derivative to d_log_scale
-float scale_term(Floats log_scale, Floats d_log_scale, uint at, float largest_m, bool write) {
-    float relative = exp(log_scale.at[at]) / largest_m;
+float compute_scale_term(Floats log_scale, Floats d_log_scale, uint index, float largest_m, bool write) {
+    float relative = exp(log_scale.at[index]) / largest_m;
     if (!(relative > 1.0)) return 0.0;
-    if (write) d_log_scale.at[at] += params.box_weight * relative;
+    if (write) d_log_scale.at[index] += params.box_weight * relative;
     return relative - 1.0;
 }
 
@@ -26,29 +26,33 @@ float scale_term(Floats log_scale, Floats d_log_scale, uint at, float largest_m,
 /// size - 1), plus the penalty for large standard deviations.
 /// @param write true: adds the derivatives to the gradients
 /// @return penalty of the surfel
-float box_term(uint i, ModelEntry model, bool write) {
+float compute_box_term(uint index, ModelEntry model, bool write) {
     if (!all(greaterThan(model.half_size, vec3(0.0)))) return 0.0;  // the model has no box
     float term = 0.0, largest_m = params.box_scale_share * model.half_diagonal;
     for (uint axis = 0u; axis < 3u; ++axis) {
-        float mean = params.surfels.mean.at[3u * i + axis], outside = abs(mean) / model.half_size[axis] - 1.0;
+        float mean = params.surfels.mean.at[3u * index + axis],
+              outside = abs(mean) / model.half_size[axis] - 1.0;
         if (!(outside > 0.0)) continue;
         term += outside;
         if (write)
-            params.d_surfels.mean.at[3u * i + axis] += params.box_weight * sign(mean) / model.half_size[axis];
+            params.d_surfels.mean.at[3u * index + axis] +=
+                params.box_weight * sign(mean) / model.half_size[axis];
     }
     Floats log_scale = params.surfels.log_scale, d_log_scale = params.d_surfels.log_scale;
     for (uint axis = 0u; axis < 2u; ++axis)
-        term += scale_term(log_scale, d_log_scale, 2u * i + axis, largest_m, write);
+        term += compute_scale_term(log_scale, d_log_scale, 2u * index + axis, largest_m, write);
     Floats third = params.surfels.log_scale_w;
-    if (!is_null(third)) term += scale_term(third, params.d_surfels.log_scale_w, i, largest_m, write);
+    if (!is_null(third))
+        term += compute_scale_term(third, params.d_surfels.log_scale_w, index, largest_m, write);
     return params.box_weight * term;
 }
 
 void main() {
-    uint k = thread_index(), i = params.first_surfel + k;
+    uint k = get_thread_index(), i = params.first_surfel + k;
     bool is_surfel = k < params.n_surfels;
     bool write = is_surfel && (is_null(params.touched) || params.touched.at[i] != 0u);
     float box = 0.0;
-    if (is_surfel) box = box_term(i, params.models.at[find_model(params.models, params.n_models, i)], write);
+    if (is_surfel)
+        box = compute_box_term(i, params.models.at[find_model(params.models, params.n_models, i)], write);
     add_to_sum(params.terms, kTerm_box, box);
 }

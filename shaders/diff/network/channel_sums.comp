@@ -22,15 +22,15 @@ uint begin_of(uint part, uint of_image) {
 /// Returns the contribution of one pixel to the gradients dL/d(beta) and dL/d(gamma) of a
 /// normalisation.
 /// @param plane index of the first pixel of this channel
-vec2 gradients_at(uint pixel, uint plane, uint d_plane, uint place, vec2 affine, vec2 moments) {
+vec2 compute_gradients_at(uint pixel, uint plane, uint d_plane, uint place, vec2 affine, vec2 moments) {
     float x = params.from.values.at[plane + pixel];
-    float passes = gate(affine.x * x + affine.y, place + pixel, params.dropout_key, params.dropout);
+    float passes = compute_gate(affine.x * x + affine.y, place + pixel, params.dropout_key, params.dropout);
     float g = params.d_to.values.at[d_plane + pixel] * passes;
     return vec2(g, g * (x - moments.x) * moments.y);
 }
 
 void main() {
-    uint job = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
+    uint job = get_workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
          lane = gl_SubgroupInvocationID;
     uint channel = job % params.n_channels, part = min(job / params.n_channels, params.n_parts - 1u);
     uint of_image = params.n_parts / params.n_images, image = part / of_image;
@@ -42,7 +42,7 @@ void main() {
         uint place = (image * params.n_channels + channel) * params.n_pixels;
         vec2 affine = params.scale_shift.at[channel], moments = params.moments.at[channel];
         for (uint i = begin + lane; i < end; i += LANES)
-            sum += gradients_at(i, plane, d_plane, place, affine, moments);
+            sum += compute_gradients_at(i, plane, d_plane, place, affine, moments);
     } else {
         for (uint i = begin + lane; i < end; i += LANES) sum.x += params.from.values.at[plane + i];
     }

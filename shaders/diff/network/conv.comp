@@ -40,7 +40,7 @@ void load_tile(uint first_out, uint first_in) {
     for (uint k = gl_LocalInvocationIndex; k < kIn * TAPS * kOut; k += gl_WorkGroupSize.x) {
         uint o = min(first_out + k % kOut, params.n_out - 1u),
              i = min(first_in + k / (kOut * TAPS), params.n_in - 1u);
-        tile[k] = params.weights.at[weight_index(o, i, k / kOut % TAPS)];
+        tile[k] = params.weights.at[get_weight_index(o, i, k / kOut % TAPS)];
     }
 }
 
@@ -54,17 +54,17 @@ void stage_tile(uint first_out, uint first_in) {
 
 /// Loads this lane's part of the weights of one input channel and one tap (position in
 /// the 3x3 kernel). Later the lanes exchange their parts.
-void load_weights(uint first_out, uint i, uint tap, out float held[kHeld]) {
+void load_weights(uint first_out, uint index, uint tap, out float held[kHeld]) {
     [[unroll]] for (uint k = 0u; k < kHeld; ++k) {
         uint o = min(first_out + k * LANES + gl_SubgroupInvocationID, params.n_out - 1u);
-        held[k] = params.weights.at[weight_index(o, i, tap)];
+        held[k] = params.weights.at[get_weight_index(o, index, tap)];
     }
 }
 
 void main() {
     uint n_pixels = params.rows * params.columns,
          segments = (params.columns + LANES * PIXELS - 1u) / (LANES * PIXELS);
-    uint out_tiles = (params.n_out + kOut - 1u) / kOut, group = workgroup_index(),
+    uint out_tiles = (params.n_out + kOut - 1u) / kOut, group = get_workgroup_index(),
          lane = gl_SubgroupInvocationID;
     uint segment = group / out_tiles * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
          line = segment / segments;
@@ -102,7 +102,7 @@ void main() {
                 if (!STAGED) load_weights(first_out, i, tap, held);
                 float seen[PIXELS];
                 [[unroll]] for (uint p = 0u; p < PIXELS; ++p) seen[p] =
-                    kx == 0u ? v[p] : from_lane(v[p], v[min(p + 1u, kLoads - 1u)], kx);
+                    kx == 0u ? v[p] : read_from_lane(v[p], v[min(p + 1u, kLoads - 1u)], kx);
                 [[unroll]] for (uint o = 0u; o < kOut; ++o) {
                     float w = STAGED ? tile[(i % kIn * TAPS + tap) * kOut + o]
                                      : subgroupBroadcast(held[o / LANES], o % LANES);

@@ -22,15 +22,16 @@ RELIDAR_PARAMS(ConvWeightsParams);
 const uint kOut = RELIDAR_CONV_OUT, kIn = TAPS == 1u ? RELIDAR_CONV_IN : 1u, kLines = TAPS == 1u ? 1u : 3u;
 
 float sum[kOut * kIn * TAPS];  // partial sums of this lane, indexed [out, in, tap]
-// Input pixels of each line, [in, line]. `before` contains the LANES columns that start
-// one column before the lane's column. `next` contains the LANES columns after these.
+// Input pixels of each line, [in, line]. `is_key_before` contains the LANES columns that
+// start one column before the lane's column. `next` contains the LANES columns after
+// these.
 float before[kIn * kLines], next[kIn * kLines];
 float d_out[kOut];  // d_to of the lane's column
 
 /// Adds the contribution of LANES columns of a row to the sums of this lane.
 void add_columns() {
     [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) [[unroll]] for (uint kx = 0u; kx < kLines; ++kx) {
-        float seen = kx == 0u ? before[k] : from_lane(before[k], next[k], kx);
+        float seen = kx == 0u ? before[k] : read_from_lane(before[k], next[k], kx);
         [[unroll]] for (uint o = 0u; o < kOut; ++o) sum[o * kIn * TAPS + k * kLines + kx] += d_out[o] * seen;
     }
 }
@@ -38,7 +39,7 @@ void add_columns() {
 void main() {
     uint in_tiles = (params.n_in + kIn - 1u) / kIn, out_tiles = (params.n_out + kOut - 1u) / kOut,
          lane = gl_SubgroupInvocationID;
-    uint job = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
+    uint job = get_workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
          part = job / (in_tiles * out_tiles);
     uint first_in = job % in_tiles * kIn, first_out = job / in_tiles % out_tiles * kOut;
     uint n_lines = params.n_images * params.rows, n_pixels = params.rows * params.columns;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Copies stored samples into a batch of normalised input images for the ray-drop network.
-// Shifts each image by `turn` columns, which is a rotation of the scene around the
+// Shifts each image by `load_turn` columns, which is a rotation of the scene around the
 // sensor. Channels that describe the sensor's pixels are not shifted. One thread per
 // pixel. Input: samples, targets, chosen, turn, scale_shift. Output: images, start,
 // target.
@@ -11,7 +11,7 @@
 RELIDAR_PARAMS(DropInputsParams);
 
 void main() {
-    uint i = thread_index(), n_pixels = params.rows * params.columns;
+    uint i = get_thread_index(), n_pixels = params.rows * params.columns;
     if (i >= params.n_images * n_pixels) return;
     uint image = i / n_pixels, at = i % n_pixels, x = at % params.columns;
     uint seen = at - x + (x + params.columns - params.turn.at[image] % params.columns) % params.columns,

@@ -15,16 +15,17 @@ RELIDAR_PARAMS(DropLossParams);
 
 /// Returns two values of a pixel: its cross-entropy, and 1 if the predicted class is
 /// correct, otherwise 0.
-vec2 compare(uint i, float x, float probability) {
-    float target = is_null(params.target) ? -1.0 : params.target.at[i];
+vec2 compare(uint index, float value, float probability) {
+    float target = is_null(params.target) ? -1.0 : params.target.at[index];
     bool known = target >= 0.0;
-    if (!is_null(params.d_logit)) params.d_logit.at[i] = known ? params.weight * (probability - target) : 0.0;
-    float entropy = max(x, 0.0) - x * target + log(1.0 + exp(-abs(x)));  // avoids overflow
-    return known ? vec2(entropy, (x > 0.0) == (target > 0.5) ? 1.0 : 0.0) : vec2(0.0);
+    if (!is_null(params.d_logit))
+        params.d_logit.at[index] = known ? params.weight * (probability - target) : 0.0;
+    float entropy = max(value, 0.0) - value * target + log(1.0 + exp(-abs(value)));  // avoids overflow
+    return known ? vec2(entropy, (value > 0.0) == (target > 0.5) ? 1.0 : 0.0) : vec2(0.0);
 }
 
 void main() {
-    uint part = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID;
+    uint part = get_workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID;
     if (part >= params.n_parts) return;
     uint begin = params.n / params.n_parts * part + min(part, params.n % params.n_parts);
     uint end = begin + params.n / params.n_parts + (part < params.n % params.n_parts ? 1u : 0u);

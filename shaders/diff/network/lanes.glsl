@@ -4,11 +4,12 @@
 #ifndef RELIDAR_INCLUDED_DIFF_NETWORK_LANES_GLSL
 #define RELIDAR_INCLUDED_DIFF_NETWORK_LANES_GLSL
 
-/// Returns the value `a` of the lane k positions after this lane. If this position is
-/// beyond the last lane, returns the value `b` of one of the first lanes.
-float from_lane(float a, float b, uint k) {
-    uint lane = gl_SubgroupInvocationID + k;
-    float of_a = subgroupShuffle(a, lane % LANES), of_b = subgroupShuffle(b, lane % LANES);
+/// Returns the value `first` of the lane `index` positions after this lane. If this
+/// position is beyond the last lane, returns the value `second` of one of the first
+/// lanes.
+float read_from_lane(float first, float second, uint index) {
+    uint lane = gl_SubgroupInvocationID + index;
+    float of_a = subgroupShuffle(first, lane % LANES), of_b = subgroupShuffle(second, lane % LANES);
     return lane < LANES ? of_a : of_b;
 }
 #endif

@@ -17,7 +17,7 @@ const uint kRows = RELIDAR_MATMUL_ROWS, kHeld = (kRows + LANES - 1u) / LANES;
 void main() {
     uint tiles_x = (params.columns + LANES - 1u) / LANES, tiles_y = (params.rows + kRows - 1u) / kRows,
          lane = gl_SubgroupInvocationID;
-    uint job = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
+    uint job = get_workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
          matrix = job / (tiles_x * tiles_y);
     bool there = matrix < params.n_batch * params.n_heads;
     matrix = there ? matrix : 0u;

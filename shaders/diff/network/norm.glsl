@@ -9,7 +9,7 @@
 /// Returns the factor that ReLU and dropout apply to a normalised value. It is 0 for a
 /// negative or dropped value, otherwise 1 / (1 - dropout).
 /// @param place index of the value in the layer
-float gate(float normalised, uint place, uint key, float dropout) {
+float compute_gate(float normalised, uint place, uint key, float dropout) {
     if (dropout <= 0.0) return normalised > 0.0 ? 1.0 : 0.0;
     float drawn = float(pcg4d(uvec4(key, place, 0u, 0u)).x >> 8u) * (1.0 / 16777216.0);
     return normalised > 0.0 && drawn >= dropout ? 1.0 / (1.0 - dropout) : 0.0;
@@ -18,18 +18,21 @@ float gate(float normalised, uint place, uint key, float dropout) {
 // Returns the number of workgroups that process one channel of an image. A workgroup
 // never processes two channels, so that it computes the channel index only once. Integer
 // divisions are slow on a CPU.
-uint stretches(uint n_pixels) {
+uint count_workgroups_per_plane(uint n_pixels) {
     uint stretch = gl_WorkGroupSize.x * RELIDAR_NORM_PIXELS;
     return (n_pixels + stretch - 1u) / stretch;
 }
-uint plane_of_workgroup(uint n_pixels) { return workgroup_index() / stretches(n_pixels); }
-uint first_pixel(uint n_pixels) {
-    return workgroup_index() % stretches(n_pixels) * (gl_WorkGroupSize.x * RELIDAR_NORM_PIXELS) +
+uint get_plane_of_workgroup(uint n_pixels) {
+    return get_workgroup_index() / count_workgroups_per_plane(n_pixels);
+}
+uint get_first_pixel(uint n_pixels) {
+    return get_workgroup_index() % count_workgroups_per_plane(n_pixels) *
+               (gl_WorkGroupSize.x * RELIDAR_NORM_PIXELS) +
            gl_LocalInvocationIndex;
 }
 
 /// Returns the index of a channel in a tensor, counted over the channels of all images.
-uint plane_in(ImageSlice slice, uint plane, uint n_channels) {
+uint get_plane_index(ImageSlice slice, uint plane, uint n_channels) {
     return plane / n_channels * slice.channels + slice.first + plane % n_channels;
 }
 #endif

@@ -11,11 +11,12 @@ RELIDAR_PARAMS(ResampleParams);
 #include "resample.glsl"
 
 void main() {
-    uint i = thread_index(), n_small = params.small_rows * params.small_columns;
+    uint i = get_thread_index(), n_small = params.small_rows * params.small_columns;
     if (i >= params.n_images * params.n_channels * n_small) return;
     uint x = i % params.small_columns, y = i / params.small_columns % params.small_rows;
     uint channel = i / n_small % params.n_channels, image = i / (n_small * params.n_channels);
-    uint first = large_at(params.pooled.channels, params.pooled.first, image, channel, 2u * y, 2u * x),
+    uint first =
+             load_large_pixel(params.pooled.channels, params.pooled.first, image, channel, 2u * y, 2u * x),
          largest = 0u;
     float value = params.pooled.values.at[first];
     for (uint k = 1u; k < 4u; ++k) {
@@ -24,7 +25,8 @@ void main() {
         largest = v > value ? off : largest;
         value = max(value, v);
     }
-    uint to = large_at(params.to.channels, params.to.first, image, channel, 2u * y, 2u * x) + largest;
-    float d = params.from.values.at[small_at(params.from.channels, params.from.first, image, channel, y, x)];
+    uint to = load_large_pixel(params.to.channels, params.to.first, image, channel, 2u * y, 2u * x) + largest;
+    float d = params.from.values
+                  .at[load_small_pixel(params.from.channels, params.from.first, image, channel, y, x)];
     params.to.values.at[to] = params.to.values.at[to] + d;
 }

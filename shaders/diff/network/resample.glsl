@@ -4,10 +4,10 @@
 #ifndef RELIDAR_INCLUDED_DIFF_NETWORK_RESAMPLE_GLSL
 #define RELIDAR_INCLUDED_DIFF_NETWORK_RESAMPLE_GLSL
 
-uint large_at(uint channels, uint first, uint image, uint channel, uint y, uint x) {
+uint load_large_pixel(uint channels, uint first, uint image, uint channel, uint y, uint x) {
     return ((image * channels + first + channel) * params.rows + y) * params.columns + x;
 }
-uint small_at(uint channels, uint first, uint image, uint channel, uint y, uint x) {
+uint load_small_pixel(uint channels, uint first, uint image, uint channel, uint y, uint x) {
     return ((image * channels + first + channel) * params.small_rows + y) * params.small_columns + x;
 }
 
@@ -16,14 +16,14 @@ uint small_at(uint channels, uint first, uint image, uint channel, uint y, uint 
 /// that upsampling and its derivative agree on every device.
 /// @param left output: the left pixel
 /// @param share output: interpolation weight of the right pixel
-void neighbours(int at, uint n_large, uint n_small, out int left, out float share) {
+void find_neighbour_pixels(int position, uint n_large, uint n_small, out int left, out float share) {
     // position in units of half a large pixel
-    int unit = 2 * int(n_large), place = (2 * at + 1) * int(n_small) - int(n_large);
+    int unit = 2 * int(n_large), place = (2 * position + 1) * int(n_small) - int(n_large);
     left = place < 0 ? -1 : place / unit;
     share = float(place - left * unit) / float(unit);
 }
 
 /// Clamps rows outside the image to the first or last row, and wraps columns around.
-uint row_of(int y) { return uint(clamp(y, 0, int(params.small_rows) - 1)); }
-uint column_of(int x) { return uint(x + int(params.small_columns)) % params.small_columns; }
+uint get_row(int y) { return uint(clamp(y, 0, int(params.small_rows) - 1)); }
+uint get_column(int value) { return uint(value + int(params.small_columns)) % params.small_columns; }
 #endif

@@ -40,9 +40,9 @@ void update(uint row, uint block, uint within, bool has_gradient, float learning
 }
 
 /// Updates all active columns of a row, or only one float.
-/// @param i index of the row, or index of the float if PER_FLOAT
-void step_row(uint i) {
-    uint n_updated = params.n_blocks * params.n_active, row = PER_FLOAT ? i / n_updated : i;
+/// @param index index of the row, or index of the float if PER_FLOAT
+void step_row(uint index) {
+    uint n_updated = params.n_blocks * params.n_active, row = PER_FLOAT ? index / n_updated : index;
     if (!is_null(params.rows)) row = params.rows.at[row];
     bool has_gradient = is_null(params.touched) || params.touched.at[row] != 0u;
     float learning_rate = params.learning_rate;
@@ -50,7 +50,7 @@ void step_row(uint i) {
         learning_rate *=
             params.model_scale.at[find_model(params.models, params.n_models, params.first_row + row)];
     if (PER_FLOAT) {
-        uint k = i % n_updated;
+        uint k = index % n_updated;
         update(row, k / params.n_active * params.block, k % params.n_active, has_gradient, learning_rate);
         return;
     }
@@ -63,5 +63,5 @@ void step_row(uint i) {
 void main() {
     uint n_rows = is_null(params.rows) ? params.n_rows : params.n_listed.at[0];
     uint n = PER_FLOAT ? n_rows * params.n_blocks * params.n_active : n_rows;
-    for (uint i = thread_index(); i < n; i += thread_count()) step_row(i);
+    for (uint i = get_thread_index(); i < n; i += get_thread_count()) step_row(i);
 }

@@ -137,7 +137,7 @@ struct BvhRefitParams {
 
 /// Parameters of accel/bvh_top.comp, which builds the top-level tree over all instances.
 struct BvhTopParams {
-    BvhPointers bvh;                             // output: roots, top_nodes, top_order
+    BvhPointers bvh;                             // output: roots, count_top_nodes, top_order
     Instances instances;                         // input [n_instances]
     RELIDAR_OF(Uints, InstanceModels) model_of;  // input [n_instances]
     Models models;                               // input [n_models]

@@ -7,7 +7,7 @@
 void find_hits(TraceScene scene, Ray ray, Key after) {
     for (uint instance = 0u; instance < scene.n_instances; ++instance) {
         uint count = scene.instances.at[instance].n_surfels;
-        for (uint i = 0u; i < count; ++i) offer(scene, ray, after, instance, i);
+        for (uint i = 0u; i < count; ++i) test_found_surfel(scene, ray, after, instance, i);
     }
 }
 #endif

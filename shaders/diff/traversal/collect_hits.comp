@@ -8,25 +8,25 @@
 RELIDAR_PARAMS(CollectHitsParams);
 
 void main() {
-    uint ray_index = traced_ray(params.scene);
+    uint ray_index = get_traced_ray(params.scene);
     if (ray_index >= params.scene.n_rays) return;
     DeviceRay entry = params.scene.rays.at[params.scene.first_ray + ray_index * params.scene.ray_stride];
-    Ray ray = ray_of(entry);
-    Key after = first_key(params.scene);
+    Ray ray = make_ray(entry);
+    Key after = get_first_key(params.scene);
     uint count = 0u;
     bool more = true;
     for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && more; ++pass) {
-        next_hits(params.scene, ray, after, 0.0);
+        find_next_hits(params.scene, ray, after, 0.0);
         for (uint i = 0u; i < n_hits; ++i, ++count) {
             if (count >= params.max_hits) continue;
             uint slot = ray_index * params.max_hits + count;
-            Hit hit = hit_at(i);
+            Hit hit = load_hit(i);
             params.t.at[slot] = hit.t;
             params.instance.at[slot] = hit.instance;
             params.surfel.at[slot] = hit.surfel;
         }
         more = hits_closed;
-        if (more) after = hit_key(n_hits - 1u);
+        if (more) after = load_hit_key(n_hits - 1u);
     }
     if (more) atomicAdd(params.scene.pass_cap_count.at[0], 1u);
     params.counts.at[ray_index] = count;

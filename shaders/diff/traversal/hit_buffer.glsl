@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Buffer for the nearest hits of a ray. Each thread has one buffer with at most CHUNK
-// hits. next_hits() fills the buffer and sorts it from near to far.
+// hits. find_next_hits() fills the buffer and sorts it from near to far.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_HIT_BUFFER_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_HIT_BUFFER_GLSL
 RELIDAR_CONSTANT(uint, CHUNK, 16u);
@@ -37,14 +37,14 @@ float least_transmittance;
 // Indices of the hits after the search, sorted from near to far.
 uint hit_place[SLOTS];
 
-Hit placed_hit(uint place) {
+Hit load_sorted_hit(uint place) {
     return Hit(placed_t[place], placed_alpha[place], placed_instance[place], placed_surfel[place]);
 }
-Key placed_key(uint place) { return Key(placed_t[place], placed_instance[place], placed_surfel[place]); }
+Key load_sorted_key(uint place) { return Key(placed_t[place], placed_instance[place], placed_surfel[place]); }
 
-/// Returns hit i of the sorted buffer. Hit 0 is the nearest hit.
-Hit hit_at(uint i) { return placed_hit(hit_place[i]); }
-Key hit_key(uint i) { return placed_key(hit_place[i]); }
+/// Returns hit `index` of the sorted buffer. Hit 0 is the nearest hit.
+Hit load_hit(uint index) { return load_sorted_hit(hit_place[index]); }
+Key load_hit_key(uint index) { return load_sorted_key(hit_place[index]); }
 
 /// Writes a hit to an entry of the buffer.
 void place_hit(uint place, Hit hit) {
@@ -62,7 +62,7 @@ void append_hit(Hit hit) {
 }
 
 /// Writes the indices of all hits to hit_place, sorted from near to far.
-void order_hits() {
+void sort_hit_indices() {
     uint place = next_nearer[CHUNK];
     for (uint i = n_hits; i > 0u; --i) {
         hit_place[i - 1u] = place;
@@ -83,18 +83,18 @@ uint drop_farthest(float left) {
 }
 
 /// Returns the transmittance of the ray before the farthest hit in the buffer.
-float left_before_farthest(float alpha_max) {
+float compute_transmittance_before_farthest(float alpha_max) {
     return hits_transmittance / (1.0 - min(placed_alpha[next_nearer[CHUNK]], alpha_max));
 }
 
 /// Removes the farthest hits if the nearer hits already reduce the transmittance below
 /// the limit, because the removed hits cannot contribute.
-void cut_by_transmittance(float alpha_max) {
+void drop_invisible_hits(float alpha_max) {
     // Returns early in the usual case. Without this test, a CPU would execute the loop
     // body once.
     if (!(hits_transmittance < least_transmittance)) return;
     while (n_hits > 1u) {
-        float left = left_before_farthest(alpha_max);
+        float left = compute_transmittance_before_farthest(alpha_max);
         if (!(left < least_transmittance)) return;
         uint place = drop_farthest(left);
         next_nearer[place] = free_place;
@@ -105,8 +105,8 @@ void cut_by_transmittance(float alpha_max) {
 
 /// Returns the index of an entry for a new hit. It is an entry of a removed hit or an
 /// unused entry.
-uint insertion_index(float alpha_max) {
-    if (n_hits == CHUNK) return drop_farthest(left_before_farthest(alpha_max));
+uint find_insertion_index(float alpha_max) {
+    if (n_hits == CHUNK) return drop_farthest(compute_transmittance_before_farthest(alpha_max));
     uint place = free_place;
     if (place == CHUNK) return n_places++;
     free_place = next_nearer[place];
@@ -121,17 +121,17 @@ void insert(Key key, float alpha, float alpha_max) {
         float t = placed_t[nearer];
         if (!(t >= key.t)) break;
         if (t == key.t) {  // hits at equal distances are rare
-            Key present_key = placed_key(nearer);
+            Key present_key = load_sorted_key(nearer);
             // Ignores a hit that is already in the buffer. A hit arrives twice if the ray
             // crosses two triangles of the same proxy, or if the driver reports a box
             // twice.
             if (present_key == key) return;
-            if (before(present_key, key)) break;
+            if (is_key_before(present_key, key)) break;
         }
         farther = nearer;
         nearer = next_nearer[nearer];
     }
-    uint slot = insertion_index(alpha_max);
+    uint slot = find_insertion_index(alpha_max);
     // If the farther neighbour was removed to make space, its entry now belongs to the
     // new hit. The sentinel then becomes the farther neighbour.
     if (slot == farther) farther = CHUNK;
@@ -143,21 +143,21 @@ void insert(Key key, float alpha, float alpha_max) {
     ++n_hits;
     hits_transmittance *= 1.0 - min(alpha, alpha_max);
     if (n_hits == CHUNK) hits_closed = true;
-    cut_by_transmittance(alpha_max);
+    drop_invisible_hits(alpha_max);
     if (hits_closed) farthest_t = placed_t[next_nearer[CHUNK]];
 }
 
 /// Returns the distance of the farthest hit in the buffer. If hits_closed is true, the
 /// buffer accepts no hits behind this distance.
-float last_hit_t() { return farthest_t; }
+float get_last_hit_t() { return farthest_t; }
 
 /// Returns true if a hit is too far away to contribute in this pass.
 bool is_behind(Key key) {
     if (!hits_closed || key.t < farthest_t) return false;
-    return key.t > farthest_t || !before(key, placed_key(next_nearer[CHUNK]));
+    return key.t > farthest_t || !is_key_before(key, load_sorted_key(next_nearer[CHUNK]));
 }
 
-void reset_hits(float least) {
+void reset_hits(float min_transmittance) {
     n_hits = 0u;
     n_places = 0u;
     free_place = CHUNK;
@@ -166,6 +166,6 @@ void reset_hits(float least) {
     latest_t = -kFar;
     hits_closed = false;
     hits_transmittance = 1.0;
-    least_transmittance = least;
+    least_transmittance = min_transmittance;
 }
 #endif

@@ -27,17 +27,17 @@ float farthest_t;  // Distance of the farthest hit since the ray was last shorte
 
 /// Returns the distance of the last hit that can contribute. If hits_closed is true, the
 /// list accepts no hits behind this distance.
-float last_hit_t() { return end_t; }
+float get_last_hit_t() { return end_t; }
 
 /// Returns true if a hit is too far away to contribute.
 bool is_behind(Key key) { return hits_closed && key.t > end_t; }
 
 /// Returns the factor by which one reported hit reduces the transmittance.
-float left_by(float alpha) {
+float compute_transmittance_factor(float alpha) {
 #ifdef RELIDAR_TRAVERSAL_RAY_QUERY
     // The driver reports an icosahedron twice, where the ray enters it and where the ray
     // leaves it. The square root makes both reports together count once.
-    if (proxy_triangles() == kProxy_icosahedron) return sqrt(1.0 - alpha);
+    if (count_proxy_triangles() == kProxy_icosahedron) return sqrt(1.0 - alpha);
 #endif
     return 1.0 - alpha;
 }
@@ -50,9 +50,10 @@ void insert(Key key, float alpha, float alpha_max) {
         end_t = 0.0;
         return;
     }
-    listed.hits.at[list_entry(listed.room, list_index, slot)] = Hit(key.t, alpha, key.instance, key.surfel);
+    listed.hits.at[get_list_entry(listed.room, list_index, slot)] =
+        Hit(key.t, alpha, key.instance, key.surfel);
     farthest_t = max(farthest_t, key.t);
-    set_transmittance *= left_by(min(alpha, alpha_max));
+    set_transmittance *= compute_transmittance_factor(min(alpha, alpha_max));
     if (set_transmittance < least_transmittance) {
         hits_closed = true;
         end_t = farthest_t;
@@ -62,14 +63,14 @@ void insert(Key key, float alpha, float alpha_max) {
 }
 
 /// Does nothing, because kernel forward/sort_hits sorts the list later.
-void order_hits() {}
+void sort_hit_indices() {}
 
-void reset_hits(float least) {
+void reset_hits(float min_transmittance) {
     n_hits = 0u;
     hits_closed = false;
     end_t = 0.0;
     set_transmittance = 1.0;
-    least_transmittance = least;
+    least_transmittance = min_transmittance;
     farthest_t = 0.0;
 }
 #endif

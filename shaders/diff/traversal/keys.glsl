@@ -9,17 +9,18 @@ struct Key {
     uint surfel;
 };
 
-bool before(Key a, Key b) {
-    if (a.t != b.t) return a.t < b.t;
-    if (a.instance != b.instance) return a.instance < b.instance;
-    return a.surfel < b.surfel;
+bool is_key_before(Key first, Key second) {
+    if (first.t != second.t) return first.t < second.t;
+    if (first.instance != second.instance) return first.instance < second.instance;
+    return first.surfel < second.surfel;
 }
 
-/// Returns the index in memory of hit k of a thread's hit list. `room` is the capacity of
-/// a list. RELIDAR_SIDE_BY_SIDE lists are interleaved, so that reads use complete cache
-/// sectors. This is true if each lane reads a separate list, and also if all lanes read
-/// one list together.
-uint list_entry(uint room, uint list, uint k) {
-    return ((list / RELIDAR_SIDE_BY_SIDE) * room + k) * RELIDAR_SIDE_BY_SIDE + list % RELIDAR_SIDE_BY_SIDE;
+/// Returns the index in memory of hit `index` of a thread's hit list. `capacity` is the
+/// capacity of a list. RELIDAR_SIDE_BY_SIDE lists are interleaved, so that reads use
+/// complete cache sectors. This is true if each lane reads a separate list, and also if
+/// all lanes read one list together.
+uint get_list_entry(uint capacity, uint list, uint index) {
+    return ((list / RELIDAR_SIDE_BY_SIDE) * capacity + index) * RELIDAR_SIDE_BY_SIDE +
+           list % RELIDAR_SIDE_BY_SIDE;
 }
 #endif

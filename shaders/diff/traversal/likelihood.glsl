@@ -22,7 +22,7 @@ void load_measurement(TraceScene scene, uint ray) {
 
 /// Returns the likelihood k = 1 / (1 + ((t - z) / s)^2) of a hit at distance t. z is the
 /// measured range, and s is its scale. Returns 0 if no range was measured.
-float range_kernel(float t) {
+float evaluate_range_kernel(float t) {
     if (!(measured_range > 0.0)) return 0.0;
     float d = (t - measured_range) * measured_per_scale;
     return 1.0 / (1.0 + d * d);
@@ -30,8 +30,8 @@ float range_kernel(float t) {
 
 /// Returns the derivative of the likelihood k with respect to t: dk/dt = -2 (t - z) / s^2
 /// k^2.
-float range_kernel_by_t(float t) {
-    float k = range_kernel(t);
+float differentiate_range_kernel(float t) {
+    float k = evaluate_range_kernel(t);
     return -2.0 * (t - measured_range) * measured_per_scale * measured_per_scale * k * k;
 }
 #endif

@@ -9,7 +9,7 @@ struct Ray {
     float time_s;    // Firing time relative to the reference time of the sweep, or RELIDAR_NO_TIME.
 };
 
-Ray ray_of(DeviceRay entry) { return Ray(entry.origin, entry.direction, entry.time_s); }
+Ray make_ray(DeviceRay entry) { return Ray(entry.origin, entry.direction, entry.time_s); }
 
 // Cached ray in the frame of the last instance. Consecutive surfels usually belong to the
 // same instance, so the cache avoids most transforms.
@@ -31,8 +31,8 @@ vec3 entered_turn = vec3(0.0);
 /// Tiles are numbered down the image first, then across. A driver such as lavapipe gives
 /// each of its threads one contiguous range of workgroups. With this order, all ranges
 /// contain sky and ground in similar shares, so they take a similar time.
-uint traced_ray(TraceScene scene) {
-    uint i = thread_index();
+uint get_traced_ray(TraceScene scene) {
+    uint i = get_thread_index();
     if (scene.columns == 0u) return i;
     uint tile = i >> 5u, down = (scene.n_rays / scene.columns + 1u) >> 1u;
     uint x = (tile / down) * 16u + ((i >> 1u) & 12u) + (i & 3u);
@@ -40,12 +40,14 @@ uint traced_ray(TraceScene scene) {
     return x < scene.columns ? y * scene.columns + x : scene.n_rays;
 }
 
-vec3 model_point(InstanceEntry m, vec3 p) {
-    return vec3(exact_dot(m.row0.xyz, p) + m.row0.w, exact_dot(m.row1.xyz, p) + m.row1.w,
-                exact_dot(m.row2.xyz, p) + m.row2.w);
+vec3 to_model_point(InstanceEntry instance, vec3 point) {
+    return vec3(exact_dot(instance.row0.xyz, point) + instance.row0.w,
+                exact_dot(instance.row1.xyz, point) + instance.row1.w,
+                exact_dot(instance.row2.xyz, point) + instance.row2.w);
 }
-vec3 model_vector(InstanceEntry m, vec3 d) {
-    return vec3(exact_dot(m.row0.xyz, d), exact_dot(m.row1.xyz, d), exact_dot(m.row2.xyz, d));
+vec3 to_model_vector(InstanceEntry instance, vec3 direction) {
+    return vec3(exact_dot(instance.row0.xyz, direction), exact_dot(instance.row1.xyz, direction),
+                exact_dot(instance.row2.xyz, direction));
 }
 
 vec3 exact_cross(vec3 a, vec3 b) {
@@ -53,19 +55,19 @@ vec3 exact_cross(vec3 a, vec3 b) {
     return product;
 }
 
-/// Rotates a vector p by a Rodrigues vector g (axis times tangent of half the angle).
-/// This keeps the length of p exactly, so the distance t is the same in the world and in
-/// a rotated model.
-vec3 turned_by(vec3 g, vec3 p) {
-    vec3 q = exact_cross(g, p), r = exact_cross(g, q);
-    precise vec3 result = p + 2.0 / (1.0 + exact_dot(g, g)) * (q + r);
+/// Rotates a vector `point` by a Rodrigues vector `rotation` (axis times tangent of half
+/// the angle). This keeps the length of `point` exactly, so the distance t is the same in
+/// the world and in a rotated model.
+vec3 rotate_by_rodrigues(vec3 rotation, vec3 point) {
+    vec3 q = exact_cross(rotation, point), r = exact_cross(rotation, q);
+    precise vec3 result = point + 2.0 / (1.0 + exact_dot(rotation, rotation)) * (q + r);
     return result;
 }
 
 /// Converts a rotation vector (axis times angle) to a Rodrigues vector (axis times
 /// tangent of half the angle). The series is exact to float precision for angles of up to
 /// half a radian.
-vec3 rodrigues_vector(vec3 turn) {
+vec3 to_rodrigues_vector(vec3 turn) {
     float x = 0.25 * exact_dot(turn, turn);
     precise vec3 g =
         0.5 * (1.0 + x * (1.0 / 3.0 + x * (2.0 / 15.0 + x * (17.0 / 315.0 + x * (62.0 / 2835.0))))) * turn;
@@ -73,16 +75,16 @@ vec3 rodrigues_vector(vec3 turn) {
 }
 
 /// Transforms the cached ray into the frame of a moving model at the ray's firing time.
-void follow_motion(TraceScene scene, uint instance, float time_s) {
+void apply_motion(TraceScene scene, uint instance, float time_s) {
     vec3 velocity = scene.instances.at[instance].velocity, turn_rate = scene.instances.at[instance].turn_rate;
     float span_s = scene.instances.at[instance].half_span_s;
     precise float since_s = clamp(time_s - scene.instances.at[instance].middle_s, -span_s, span_s);
     if (time_s == RELIDAR_NO_TIME) since_s = 0.0;
     precise vec3 origin = entered_origin - since_s * velocity;
     precise vec3 turn = since_s * turn_rate;
-    entered_turn = rodrigues_vector(turn);
-    entered_origin = turned_by(-entered_turn, origin);
-    entered_direction = turned_by(-entered_turn, entered_direction);
+    entered_turn = to_rodrigues_vector(turn);
+    entered_origin = rotate_by_rodrigues(-entered_turn, origin);
+    entered_direction = rotate_by_rodrigues(-entered_turn, entered_direction);
 }
 
 /// Transforms the ray into the frame of an instance's model, using the model's pose at
@@ -93,19 +95,19 @@ void enter_instance(TraceScene scene, Ray ray, uint instance) {
     InstanceEntry m = scene.instances.at[instance];
     entered_instance = instance;
     entered_first_surfel = m.first_surfel;
-    entered_origin = model_point(m, ray.origin);
-    entered_direction = model_vector(m, ray.direction);
+    entered_origin = to_model_point(m, ray.origin);
+    entered_direction = to_model_vector(m, ray.direction);
     entered_turn = vec3(0.0);
-    if (m.moves != 0u) follow_motion(scene, instance, ray.time_s);
+    if (m.moves != 0u) apply_motion(scene, instance, ray.time_s);
 }
 
 /// Rotates a vector from the frame of the current instance's model into the world frame.
 /// Loads the instance only here, because an earlier load would occupy 12 registers during
 /// the search.
-vec3 world_vector(TraceScene scene, vec3 g) {
+vec3 to_world_vector(TraceScene scene, vec3 gradient) {
     InstanceEntry m = scene.instances.at[entered_instance];
-    vec3 v = g;
-    if (m.moves != 0u) v = turned_by(entered_turn, g);
+    vec3 v = gradient;
+    if (m.moves != 0u) v = rotate_by_rodrigues(entered_turn, gradient);
     return m.row0.xyz * v.x + m.row1.xyz * v.y + m.row2.xyz * v.z;
 }
 #endif

@@ -20,7 +20,7 @@ RELIDAR_CONSTANT(uint, BOXES, 0u);
 
 /// Returns true if the distance between the ray and the origin of the model is less than
 /// `radius`.
-bool comes_near(float radius) {
+bool is_near_model(float radius) {
     float along = dot(entered_origin, entered_direction);
     vec3 nearest = along < 0.0 ? entered_origin - along * entered_direction : entered_origin;
     float reached = 1.00001 * radius + 1e-5 * length(entered_origin);
@@ -39,7 +39,7 @@ struct Search {
 
 /// Sets the parameters of a ray query for one moving instance.
 /// @return false if the ray cannot hit the instance
-bool search_moving(TraceScene scene, Ray ray, MovingInstance moving, out Search search) {
+bool search_moving_instance(TraceScene scene, Ray ray, MovingInstance moving, out Search search) {
     enter_instance(scene, ray, moving.instance);
     InstanceEntry m = scene.instances.at[moving.instance];
     vec3 from_model = entered_origin - vec3(m.row0.w, m.row1.w, m.row2.w);
@@ -48,20 +48,21 @@ bool search_moving(TraceScene scene, Ray ray, MovingInstance moving, out Search 
                        m.row2.xyz * entered_direction.z;
     search.mask = moving.mask;
     search.instance = moving.instance;
-    return comes_near(scene.model_radii.at[moving.model]);
+    return is_near_model(scene.model_radii.at[moving.model]);
 }
 
 void find_hits(TraceScene scene, Ray ray, Key after) {
-    float start = search_start(after);
-    float reach = BOXES == 0u && proxy_triangles() == kProxy_icosahedron ? scene.proxy_reach.at[0] : 0.0;
+    float start = compute_search_start(after);
+    float reach =
+        BOXES == 0u && count_proxy_triangles() == kProxy_icosahedron ? scene.proxy_reach.at[0] : 0.0;
     rayQueryEXT query;
     for (uint k = 0u; k <= scene.n_moving; ++k) {
         Search search = Search(ray.origin, ray.direction, RELIDAR_STANDING_MASK, RELIDAR_NO_INSTANCE);
-        if (k > 0u && !search_moving(scene, ray, scene.moving.at[k - 1u], search)) continue;
+        if (k > 0u && !search_moving_instance(scene, ray, scene.moving.at[k - 1u], search)) continue;
         float end = 1e30;  // distance at which the query stops
         // Limits the query to the distance of the farthest hit if earlier queries have
         // already filled the hit buffer.
-        if (hits_closed) end = max(last_hit_t() - start, 0.0) + (1e-4 + 1e-5 * last_hit_t()) + reach;
+        if (hits_closed) end = max(get_last_hit_t() - start, 0.0) + (1e-4 + 1e-5 * get_last_hit_t()) + reach;
         rayQueryInitializeEXT(query, accelerationStructureEXT(uvec2(scene.tlas)), gl_RayFlagsNoOpaqueEXT,
                               search.mask, search.origin + start * search.direction, 0.0, search.direction,
                               end);
@@ -70,10 +71,11 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
             uint primitive = uint(rayQueryGetIntersectionPrimitiveIndexEXT(query, false));
             // Skips other instances that have the same cull mask.
             if (search.instance != RELIDAR_NO_INSTANCE && instance != search.instance) continue;
-            offer(scene, ray, after, instance, BOXES != 0u ? primitive : primitive / proxy_triangles());
+            test_found_surfel(scene, ray, after, instance,
+                              BOXES != 0u ? primitive : primitive / count_proxy_triangles());
             if (!hits_closed) continue;
-            float bound = max(last_hit_t() - start, 0.0);
-            bound += 1e-4 + 1e-5 * last_hit_t();
+            float bound = max(get_last_hit_t() - start, 0.0);
+            bound += 1e-4 + 1e-5 * get_last_hit_t();
             if (BOXES != 0u) {
                 if (bound < end) {
                     rayQueryGenerateIntersectionEXT(query, bound);

@@ -19,14 +19,15 @@ uint ray_basis_instance;
 void use_basis(TraceScene scene, Ray ray, uint instance) {
     if (SH_PER_SURFEL != 0u || ray_basis_instance == instance) return;
     enter_instance(scene, ray, instance);
-    sh_basis(entered_direction, scene.sh_degree, ray_basis);
+    evaluate_sh_basis(entered_direction, scene.sh_degree, ray_basis);
     ray_basis_instance = instance;
 }
 
 float evaluate_channel(TraceScene scene, uint surfel, uint channel) {
     float value = 0.5;
     uint first = surfel * RELIDAR_SH_FLOATS + channel * RELIDAR_SH_COEFFICIENTS;
-    for (uint k = 0u; k < sh_count(scene.sh_degree); ++k) value += ray_basis[k] * scene.sh.at[first + k];
+    for (uint k = 0u; k < count_sh_coefficients(scene.sh_degree); ++k)
+        value += ray_basis[k] * scene.sh.at[first + k];
     return value;
 }
 
@@ -35,7 +36,7 @@ float evaluate_channel(TraceScene scene, uint surfel, uint channel) {
 vec3 evaluate_channels(TraceScene scene, uint surfel) {
     vec3 value = vec3(0.5);
     uint x = surfel * RELIDAR_SH_FLOATS, y = x + RELIDAR_SH_COEFFICIENTS, z = y + RELIDAR_SH_COEFFICIENTS;
-    for (uint k = 0u; k < sh_count(scene.sh_degree); ++k) {
+    for (uint k = 0u; k < count_sh_coefficients(scene.sh_degree); ++k) {
         float hit_logit = SINGLE_DROP_LOGIT != 0u ? 0.0 : scene.sh.at[y + k];
         value += ray_basis[k] * vec3(scene.sh.at[x + k], hit_logit, scene.sh.at[z + k]);
     }
@@ -43,7 +44,7 @@ vec3 evaluate_channels(TraceScene scene, uint surfel) {
 }
 
 /// Returns the channel values of a hit: intensity (at least 0), hit logit and drop logit.
-vec3 hit_channels(TraceScene scene, Ray ray, uint instance, uint surfel, SurfelRecord record) {
+vec3 evaluate_hit_channels(TraceScene scene, Ray ray, uint instance, uint surfel, SurfelRecord record) {
     if (SH_PER_SURFEL != 0u)
         return vec3(record.intensity, SINGLE_DROP_LOGIT != 0u ? 0.0 : record.hit_logit, record.drop_logit);
     use_basis(scene, ray, instance);

@@ -19,45 +19,46 @@ struct SharedWords {
     uint part[kMostParts];
 };
 
-/// Loads n words of a struct. Each lane of the subgroup loads different words.
-/// @param from,first,n must be equal in all lanes
-SharedWords load_words(Uints from, uint first, uint n) {
+/// Loads `count` words of a struct. Each lane of the subgroup loads different words.
+/// @param from,first,count must be equal in all lanes
+SharedWords load_words(Uints from, uint first, uint count) {
     SharedWords words;
     [[unroll]] for (uint p = 0u; p < kMostParts; ++p) {
         words.part[p] = 0u;
-        if (p * gl_SubgroupSize < n)
-            words.part[p] = from.at[first + min(p * gl_SubgroupSize + gl_SubgroupInvocationID, n - 1u)];
+        if (p * gl_SubgroupSize < count)
+            words.part[p] = from.at[first + min(p * gl_SubgroupSize + gl_SubgroupInvocationID, count - 1u)];
     }
     return words;
 }
 
-/// Returns word k of the struct to all lanes.
-/// @param k  must be equal in all lanes
-uint word_of(SharedWords words, uint k) {
+/// Returns word `index` of the struct to all lanes.
+/// @param index  must be equal in all lanes
+uint get_word(SharedWords words, uint index) {
     uint part = words.part[0];
-    [[unroll]] for (uint p = 1u; p < kMostParts; ++p) if (k >= p * gl_SubgroupSize) part = words.part[p];
-    return subgroupShuffle(part, k % gl_SubgroupSize);
+    [[unroll]] for (uint p = 1u; p < kMostParts; ++p) if (index >= p * gl_SubgroupSize) part = words.part[p];
+    return subgroupShuffle(part, index % gl_SubgroupSize);
 }
 
-vec3 vec3_of(SharedWords words, uint k) {
-    return uintBitsToFloat(uvec3(word_of(words, k), word_of(words, k + 1u), word_of(words, k + 2u)));
+vec3 get_vec3(SharedWords words, uint index) {
+    return uintBitsToFloat(
+        uvec3(get_word(words, index), get_word(words, index + 1u), get_word(words, index + 2u)));
 }
 
 BvhNode load_node(BvhNodes nodes, uint index) {
     SharedWords words = load_words(Uints(uvec2(nodes)), index * kNodeWords, kNodeWords);
     BvhNode node;
-    node.origin = vec3_of(words, 0u);
-    node.exponents = word_of(words, 3u);
-    node.first_child = word_of(words, 4u);
-    node.first_leaf = word_of(words, 5u);
+    node.origin = get_vec3(words, 0u);
+    node.exponents = get_word(words, 3u);
+    node.first_child = get_word(words, 4u);
+    node.first_leaf = get_word(words, 5u);
     [[unroll]] for (uint k = 0u; k < 2u; ++k) {
-        node.leaves[k] = word_of(words, 6u + k);
-        node.low_x[k] = word_of(words, 8u + k);
-        node.low_y[k] = word_of(words, 10u + k);
-        node.low_z[k] = word_of(words, 12u + k);
-        node.high_x[k] = word_of(words, 14u + k);
-        node.high_y[k] = word_of(words, 16u + k);
-        node.high_z[k] = word_of(words, 18u + k);
+        node.leaves[k] = get_word(words, 6u + k);
+        node.low_x[k] = get_word(words, 8u + k);
+        node.low_y[k] = get_word(words, 10u + k);
+        node.low_z[k] = get_word(words, 12u + k);
+        node.high_x[k] = get_word(words, 14u + k);
+        node.high_y[k] = get_word(words, 16u + k);
+        node.high_z[k] = get_word(words, 18u + k);
     }
     return node;
 }
@@ -66,11 +67,11 @@ BvhNode load_node(BvhNodes nodes, uint index) {
 SurfelRecord load_record(Records records, uint surfel) {
     SharedWords words = load_words(Uints(uvec2(records)), surfel * kRecordWords, kRecordWords);
     SurfelRecord record;
-    record.mean = vec3_of(words, 0u);
-    record.opacity = uintBitsToFloat(word_of(words, 3u));
-    record.axis_u = vec3_of(words, 4u);
-    record.axis_v = vec3_of(words, 8u);
-    record.normal = vec3_of(words, 12u);
+    record.mean = get_vec3(words, 0u);
+    record.opacity = uintBitsToFloat(get_word(words, 3u));
+    record.axis_u = get_vec3(words, 4u);
+    record.axis_v = get_vec3(words, 8u);
+    record.normal = get_vec3(words, 12u);
     return record;
 }
 #endif

@@ -83,7 +83,7 @@ void set_box_ray(inout BoxRay ray, vec3 origin, vec3 direction) {
     ray.inverse = 1.0 / mix(direction, least, lessThan(abs(direction), vec3(kLeastSlope)));
 }
 
-uint byte_of(uvec2 bytes, uint slot) {
+uint get_byte(uvec2 bytes, uint slot) {
     return ((slot < 4u ? bytes.x : bytes.y) >> (8u * (slot & 3u))) & 255u;
 }
 
@@ -91,7 +91,7 @@ uint byte_of(uvec2 bytes, uint slot) {
 /// @param t output: distance at which the ray enters each box that it intersects
 /// @return bit mask of the boxes that the ray intersects within [start, end]. May include
 /// unused child slots
-uint meet_boxes(BvhNode node, BoxRay ray, out float t[RELIDAR_BVH_WIDTH]) {
+uint intersect_boxes(BvhNode node, BoxRay ray, out float t[RELIDAR_BVH_WIDTH]) {
     vec3 scale =
         uintBitsToFloat((uvec3(node.exponents, node.exponents >> 8u, node.exponents >> 16u) & 255u) << 23u) *
         ray.inverse;
@@ -110,9 +110,9 @@ uint meet_boxes(BvhNode node, BoxRay ray, out float t[RELIDAR_BVH_WIDTH]) {
     uint met = 0u;
     [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) {
         vec3 enter =
-            vec3(byte_of(near[0], slot), byte_of(near[1], slot), byte_of(near[2], slot)) * scale + near_at;
+            vec3(get_byte(near[0], slot), get_byte(near[1], slot), get_byte(near[2], slot)) * scale + near_at;
         vec3 leave =
-            vec3(byte_of(far[0], slot), byte_of(far[1], slot), byte_of(far[2], slot)) * scale + far_at;
+            vec3(get_byte(far[0], slot), get_byte(far[1], slot), get_byte(far[2], slot)) * scale + far_at;
         t[slot] = max(max(enter.x, enter.y), max(enter.z, ray.start));
         float last = min(min(leave.x, leave.y), min(leave.z, ray.end));
         if (!(t[slot] > last)) met |= 1u << slot;
@@ -134,12 +134,13 @@ void push_entry(uint entry, float t) {
 /// towards the ray's origin.
 /// @param first stack entry of the first inner child
 /// @param inner bit mask of the inner children
-/// @param met bit mask of the children whose boxes the ray intersects
-void push_lane_children(uint first, uint inner, uint met, float t[RELIDAR_BVH_WIDTH]) {
+/// @param hit_mask bit mask of the children whose boxes the ray intersects
+void push_lane_children(uint first, uint inner, uint hit_mask, float t[RELIDAR_BVH_WIDTH]) {
     const uint kThere = 0x80000000u;
     uint key[RELIDAR_BVH_WIDTH];
     [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) key[slot] =
-        (inner & met & (1u << slot)) != 0u ? ((floatBitsToUint(t[slot]) >> 1u) & ~7u) | kThere | slot : 0u;
+        (inner & hit_mask & (1u << slot)) != 0u ? ((floatBitsToUint(t[slot]) >> 1u) & ~7u) | kThere | slot
+                                                : 0u;
     const uint kPairs[38] =
         uint[](0u, 1u, 2u, 3u, 4u, 5u, 6u, 7u, 0u, 2u, 1u, 3u, 4u, 6u, 5u, 7u, 1u, 2u, 5u, 6u, 0u, 4u, 3u, 7u,
                1u, 5u, 2u, 6u, 1u, 4u, 3u, 6u, 2u, 4u, 3u, 5u, 3u, 4u);
@@ -158,7 +159,7 @@ void push_lane_children(uint first, uint inner, uint met, float t[RELIDAR_BVH_WI
 
 /// Pushes the inner children that any ray of the subgroup must visit, for joint
 /// traversal. All rays use the order of the subgroup's first ray.
-void push_children(uint first, uint inner, uint opened, uint met, float t[RELIDAR_BVH_WIDTH]) {
+void push_children(uint first, uint inner, uint opened, uint hit_mask, float t[RELIDAR_BVH_WIDTH]) {
     float key[RELIDAR_BVH_WIDTH];
     [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) key[slot] =
         subgroupBroadcastFirst(t[slot]);
@@ -175,17 +176,17 @@ void push_children(uint first, uint inner, uint opened, uint met, float t[RELIDA
         }
         left &= ~(1u << farthest);
         push_entry(first + bitCount(inner & ((1u << farthest) - 1u)),
-                   (met & (1u << farthest)) != 0u ? own : kNever);
+                   (hit_mask & (1u << farthest)) != 0u ? own : kNever);
     } while (left != 0u);
 }
 
 /// Returns a bit mask of the surfels or instances in the opened leaf children of a node.
 /// Bit k belongs to leaf entry k of the node.
-uint leaf_entries(BvhNode node, uint opened) {
+uint collect_leaf_entries(BvhNode node, uint opened) {
     uvec2 leaves = uvec2(node.leaves[0], node.leaves[1]);
     uint entries = 0u;
     [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) {
-        uint leaf = byte_of(leaves, slot);
+        uint leaf = get_byte(leaves, slot);
         if ((opened & (1u << slot)) != 0u) entries |= ((1u << (leaf >> 5u)) - 1u) << (leaf & 31u);
     }
     return entries;
@@ -201,14 +202,14 @@ uint pop_nearest(inout uint entries) {
 
 /// Returns true if all lanes of this subgroup are active, so that they can load a struct
 /// together. Lanes at the end of a batch may have no ray.
-bool shares_loads() {
+bool can_share_loads() {
     return TOGETHER == kSharesLoads && subgroupBallotBitCount(subgroupBallot(true)) == gl_SubgroupSize;
 }
 
 /// Tests leaf entries of a node against all rays of a full subgroup.
 /// @param entries bit mask of the entries. Must be equal in all lanes
-void offer_together(TraceScene scene, Key after, uint instance, uint first_surfel, uint first_leaf,
-                    uint entries) {
+void test_entries_in_subgroup(TraceScene scene, Key after, uint instance, uint first_surfel, uint first_leaf,
+                              uint entries) {
     if (entries == 0u) return;
     do {  // one iteration per block of gl_SubgroupSize entries
         uint first = uint(findLSB(entries)) / gl_SubgroupSize * gl_SubgroupSize,
@@ -225,24 +226,24 @@ void offer_together(TraceScene scene, Key after, uint instance, uint first_surfe
             uint lane = pop_nearest(entries) - first, surfel = subgroupShuffle(lane_surfel, lane);
             SurfelRecord record = load_record(scene.records, surfel);
             record.mean.x = subgroupShuffle(lane_x, lane);
-            offer_record(scene, after, instance, surfel, record);
+            test_record(scene, after, instance, surfel, record);
         } while (entries != 0u && uint(findLSB(entries)) < end);
     } while (entries != 0u);
 }
 
 /// Tests leaf entries of a node against one ray. Loads the next record before it tests
 /// the current record, to hide the latency of the load.
-void offer_alone(TraceScene scene, Key after, uint instance, uint first_leaf, uint entries) {
+void test_entries_of_ray(TraceScene scene, Key after, uint instance, uint first_leaf, uint entries) {
     while (entries != 0u) {
         uint entry = first_leaf + pop_nearest(entries),
              next_entry = entries != 0u ? first_leaf + uint(findLSB(entries)) : entry;
         uint surfel = entered_first_surfel + scene.bvh.order.at[entry],
              next_surfel = entered_first_surfel + scene.bvh.order.at[next_entry];
         SurfelRecord record = scene.records.at[surfel], next_record = scene.records.at[next_surfel];
-        offer_record(scene, after, instance, surfel, record);
+        test_record(scene, after, instance, surfel, record);
         if (entries == 0u) return;
         entries &= entries - 1u;
-        offer_record(scene, after, instance, next_surfel, next_record);
+        test_record(scene, after, instance, next_surfel, next_record);
     }
 }
 
@@ -260,17 +261,17 @@ void enter_tree(TraceScene scene, Ray ray, uint instance, inout BoxRay walked) {
 /// @param full_subgroup true if all lanes of the subgroup are active, so that they can
 /// load the node together
 /// @return number of tested surfels
-uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, bool full_subgroup,
-               inout BoxRay walked) {
+uint visit_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, bool full_subgroup,
+                inout BoxRay walked) {
     bool in_model = tree != RELIDAR_BVH_NO_NODE;
     BvhNodes nodes = in_model ? scene.bvh.nodes : scene.bvh.top_nodes;
     BvhNode node;
     if (full_subgroup) node = load_node(nodes, index);
     else node = nodes.at[index];
     float t[RELIDAR_BVH_WIDTH];
-    uint met = meet_boxes(node, walked, t);
+    uint met = intersect_boxes(node, walked, t);
     uint opened = TOGETHER != 0u ? subgroupOr(met) : met;
-    uint entries = leaf_entries(node, opened);
+    uint entries = collect_leaf_entries(node, opened);
     uint first = node.first_child | (in_model ? 0u : kTopEntry), inner = node.exponents >> 24u;
     if (TOGETHER != 0u) push_children(first, inner, opened, met, t);
     else push_lane_children(first, inner, met, t);
@@ -283,27 +284,27 @@ uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, bool
     uint n_tested = uint(bitCount(entries)),
          first_surfel = TOGETHER != 0u ? subgroupBroadcastFirst(entered_first_surfel) : entered_first_surfel;
     if (full_subgroup) {
-        offer_together(scene, after, tree, first_surfel, node.first_leaf, entries);
+        test_entries_in_subgroup(scene, after, tree, first_surfel, node.first_leaf, entries);
     } else if (TOGETHER != 0u) {
         while (entries != 0u)
-            offer_surfel(scene, after, tree,
-                         first_surfel + scene.bvh.order.at[node.first_leaf + pop_nearest(entries)]);
+            test_surfel(scene, after, tree,
+                        first_surfel + scene.bvh.order.at[node.first_leaf + pop_nearest(entries)]);
     } else {
-        offer_alone(scene, after, tree, node.first_leaf, entries);
+        test_entries_of_ray(scene, after, tree, node.first_leaf, entries);
     }
-    if (hits_closed) walked.end = last_hit_t() + (1e-4 + 1e-5 * last_hit_t());
+    if (hits_closed) walked.end = get_last_hit_t() + (1e-4 + 1e-5 * get_last_hit_t());
     return n_tested;
 }
 
 void find_hits(TraceScene scene, Ray ray, Key after) {
     BoxRay walked;
-    walked.start = search_start(after);
+    walked.start = compute_search_start(after);
     walked.end = kNever;
     // Instance whose model the ray currently traverses, or RELIDAR_BVH_NO_NODE for the
     // top-level tree.
     uint instance = RELIDAR_BVH_NO_NODE;
     uint n_nodes = 0u, n_tested = 0u;
-    bool full_subgroup = shares_loads();
+    bool full_subgroup = can_share_loads();
     enter_tree(scene, ray, instance, walked);
     stack_size = 0u;
     stack_full = false;
@@ -331,7 +332,7 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
         if (tree != instance) enter_tree(scene, ray, tree, walked);
         instance = tree;
         ++n_nodes;
-        n_tested += open_node(scene, ray, after, tree, entry & ~kTopEntry, full_subgroup, walked);
+        n_tested += visit_node(scene, ray, after, tree, entry & ~kTopEntry, full_subgroup, walked);
     }
     if (stack_full) atomicAdd(scene.pass_cap_count.at[0], 1u);
     if (COUNT_VISITS != 0u) {

@@ -1,13 +1,13 @@
-// SPDX-License-Identifier: Apache-2.0
-// Interface of all traversal methods. next_hits() finds the nearest hits of a ray that
-// come after the sort key `after`. It writes at most CHUNK hits to the hit buffer, sorted
-// by the key (t, instance, surfel), each surfel at most once. In kernels with
-// RELIDAR_APPENDS_HITS, next_hits() writes all hits that can contribute to the ray's hit
-// list, unordered.
+// SPDX-License-Identifier: Apache-2.0 Interface of all traversal methods.
+// find_next_hits() finds the nearest hits of a ray that come after the sort key `after`.
+// It writes at most CHUNK hits to the hit buffer, sorted by the key (t, instance,
+// surfel), each surfel at most once. In kernels with RELIDAR_APPENDS_HITS,
+// find_next_hits() writes all hits that can contribute to the ray's hit list, unordered.
 //
-// A traversal method only calls offer() with the surfels that a ray may hit. This file
-// and hit_buffer.glsl or hit_list.glsl intersect the surfels, sort the hits and remove
-// duplicates. Therefore all methods give the same hits. See README.md in this folder.
+// A traversal method only calls test_found_surfel() with the surfels that a ray may hit.
+// This file and hit_buffer.glsl or hit_list.glsl intersect the surfels, sort the hits and
+// remove duplicates. Therefore all methods give the same hits. See README.md in this
+// folder.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_TRAVERSAL_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_TRAVERSAL_GLSL
 #include "keys.glsl"
@@ -28,40 +28,40 @@ const uint SLOTS = 65u;
 /// Intersects the ray with a surfel that the traversal has found. Inserts the hit if the
 /// ray hits the surfel.
 /// @param surfel index in the scene. The surfel must belong to the current instance
-void offer_record(TraceScene scene, Key after, uint instance, uint surfel, SurfelRecord record) {
+void test_record(TraceScene scene, Key after, uint instance, uint surfel, SurfelRecord record) {
     SurfelHit hit;
     if (!intersect(record, entered_origin, entered_direction, hit)) return;
     if (!(hit.alpha >= scene.alpha_min)) return;
     Key key = Key(hit.t, instance, surfel);
-    if (!before(after, key)) return;
+    if (!is_key_before(after, key)) return;
     if (is_behind(key)) return;
     insert(key, hit.alpha, scene.alpha_max);
 }
 
-void offer_surfel(TraceScene scene, Key after, uint instance, uint surfel) {
-    offer_record(scene, after, instance, surfel, scene.records.at[surfel]);
+void test_surfel(TraceScene scene, Key after, uint instance, uint surfel) {
+    test_record(scene, after, instance, surfel, scene.records.at[surfel]);
 }
 
 /// Loads a surfel that the traversal has found, and tests it against the ray.
 /// @param local_surfel index relative to the first surfel of the instance
-void offer(TraceScene scene, Ray ray, Key after, uint instance, uint local_surfel) {
+void test_found_surfel(TraceScene scene, Ray ray, Key after, uint instance, uint local_surfel) {
     enter_instance(scene, ray, instance);
-    offer_surfel(scene, after, instance, entered_first_surfel + local_surfel);
+    test_surfel(scene, after, instance, entered_first_surfel + local_surfel);
 }
 
 /// Returns a sort key before all hits that the sensor can see. The sensor does not see
 /// hits at t <= near_m.
-Key first_key(TraceScene scene) { return Key(scene.near_m, 0xffffffffu, 0xffffffffu); }
+Key get_first_key(TraceScene scene) { return Key(scene.near_m, 0xffffffffu, 0xffffffffu); }
 
 /// Returns the distance at which a continued search may start, because all nearer hits
 /// are already known. The margin is much larger than the rounding error of t in any
 /// traversal method.
-float search_start(Key after) { return max(after.t - (1e-4 + 1e-5 * after.t), 0.0); }
+float compute_search_start(Key after) { return max(after.t - (1e-4 + 1e-5 * after.t), 0.0); }
 
 /// Returns the transmittance of further hits at which the ray ends. The factor 0.99
 /// allows for rounding of their product.
 /// @param transmittance transmittance of the ray so far
-float least_of_rest(TraceScene scene, float transmittance) {
+float compute_min_transmittance(TraceScene scene, float transmittance) {
     return 0.99 * scene.transmittance_min / transmittance;
 }
 
@@ -73,9 +73,9 @@ float least_of_rest(TraceScene scene, float transmittance) {
 #include "brute_force.glsl"
 #endif
 
-void next_hits(TraceScene scene, Ray ray, Key after, float least) {
-    reset_hits(least);
+void find_next_hits(TraceScene scene, Ray ray, Key after, float min_transmittance) {
+    reset_hits(min_transmittance);
     find_hits(scene, ray, after);
-    order_hits();
+    sort_hit_indices();
 }
 #endif

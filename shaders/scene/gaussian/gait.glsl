@@ -21,12 +21,12 @@ struct Gait {
 const float kTurn = 6.283185307;
 
 /// Returns the motion state of a surfel at a phase of its actor's motion.
-/// @param at phase, 0 to 1. A negative value means that the model is rigid, so its
+/// @param phase phase, 0 to 1. A negative value means that the model is rigid, so its
 /// surfels do not move
-Gait gait_of(Floats gaits, uint surfel, float at) {
-    if (is_null(gaits) || at < 0.0) return Gait(0.0, vec3(0.0), 0.0, 1.0, 0.0, 1.0);
+Gait load_gait(Floats gaits, uint surfel, float phase) {
+    if (is_null(gaits) || phase < 0.0) return Gait(0.0, vec3(0.0), 0.0, 1.0, 0.0, 1.0);
     uint i = 5u * surfel;
-    float off = at - gaits.at[i];
+    float off = phase - gaits.at[i];
     // Wraps the phase difference to half a cycle, because sine and cosine are most
     // accurate there.
     off = kTurn * (off - round(off));
@@ -40,10 +40,10 @@ Gait gait_of(Floats gaits, uint surfel, float at) {
 /// Computes the gradient of the five gait parameters.
 /// @param d_mean gradient of the moved mean
 /// @param d_presence gradient of the factor on the opacity
-void gait_vjp(Gait g, vec3 d_mean, float d_presence, out float d_gait[5]) {
-    d_gait[0] = -kTurn * (g.cosine * dot(g.swing, d_mean) -
-                          g.sharpness * g.sharpness * g.sine * g.presence * d_presence);
-    d_gait[1] = 2.0 * g.sharpness * g.less * g.presence * d_presence;
-    for (uint k = 0u; k < 3u; ++k) d_gait[2u + k] = g.sine * d_mean[k];
+void backpropagate_gait(Gait gait, vec3 d_mean, float d_presence, out float d_gait[5]) {
+    d_gait[0] = -kTurn * (gait.cosine * dot(gait.swing, d_mean) -
+                          gait.sharpness * gait.sharpness * gait.sine * gait.presence * d_presence);
+    d_gait[1] = 2.0 * gait.sharpness * gait.less * gait.presence * d_presence;
+    for (uint k = 0u; k < 3u; ++k) d_gait[2u + k] = gait.sine * d_mean[k];
 }
 #endif

@@ -19,28 +19,29 @@
 const float kTolerance_m = 5e-5;
 
 /// Converts a vector to units of standard deviations of the Gaussian.
-vec3 whitened(SurfelRecord s, vec3 v) {
-    return vec3(exact_dot(s.axis_u, v), exact_dot(s.axis_v, v), exact_dot(s.normal, v));
+vec3 whiten_vector(SurfelRecord record, vec3 vector) {
+    return vec3(exact_dot(record.axis_u, vector), exact_dot(record.axis_v, vector),
+                exact_dot(record.normal, vector));
 }
 
 /// Intersects a ray with a 3D Gaussian.
 /// @param origin  origin of the ray, model frame, m
 /// @param direction  direction of the ray, model frame, unit length
 /// @return false if a value is not finite
-bool intersect_gaussian(SurfelRecord s, vec3 origin, vec3 direction, out SurfelHit hit) {
-    precise vec3 to_mean = s.mean - origin;
-    vec3 b = whitened(s, direction);
+bool intersect_gaussian(SurfelRecord record, vec3 origin, vec3 direction, out SurfelHit hit) {
+    precise vec3 to_mean = record.mean - origin;
+    vec3 b = whiten_vector(record, direction);
     float length2 = exact_dot(b, b);
-    precise float t = exact_dot(whitened(s, to_mean), b) / length2;
+    precise float t = exact_dot(whiten_vector(record, to_mean), b) / length2;
     precise vec3 p = t * direction - to_mean;
-    vec3 q = whitened(s, p);
+    vec3 q = whiten_vector(record, p);
     precise float off = clamp(exact_dot(q, b) / length2, -kTolerance_m, kTolerance_m);
     precise vec3 at_rest = q - off * b;
     hit.t = t;
     hit.u = at_rest.x;
     hit.v = at_rest.y;
     hit.w = at_rest.z;
-    precise float alpha = s.opacity * exp(-0.5 * exact_dot(at_rest, at_rest));
+    precise float alpha = record.opacity * exp(-0.5 * exact_dot(at_rest, at_rest));
     hit.alpha = alpha;
     return length2 > 0.0 && !isinf(t) && !isnan(t) && !isnan(hit.alpha);
 }
@@ -51,22 +52,22 @@ bool intersect_gaussian(SurfelRecord s, vec3 origin, vec3 direction, out SurfelH
 ///
 /// @param d_t dL/dt at fixed alpha
 /// @param d_alpha dL/d(sigma G). Must be 0 if alpha was clamped
-SurfelHitGradient intersect_gaussian_vjp(SurfelRecord s, vec3 origin, vec3 direction, SurfelHit hit,
-                                         float d_t, float d_alpha) {
+SurfelHitGradient backpropagate_gaussian_intersection(SurfelRecord record, vec3 origin, vec3 direction,
+                                                      SurfelHit hit, float d_t, float d_alpha) {
     SurfelHitGradient g;
     vec3 q = vec3(hit.u, hit.v, hit.w);
-    vec3 p = hit.t * direction - (s.mean - origin);
-    vec3 b = whitened(s, direction);
+    vec3 p = hit.t * direction - (record.mean - origin);
+    vec3 b = whiten_vector(record, direction);
     float e = d_t / dot(b, b);
     vec3 d_point = -d_alpha * hit.alpha * q - e * b;  // dL/d(A (o - mean))
-    vec3 d_mean = -(d_point.x * s.axis_u + d_point.y * s.axis_v + d_point.z * s.normal);
+    vec3 d_mean = -(d_point.x * record.axis_u + d_point.y * record.axis_v + d_point.z * record.normal);
     g.d_mean = d_mean;
     g.d_axis_u = d_point.x * p - e * q.x * direction;
     g.d_axis_v = d_point.y * p - e * q.y * direction;
     g.d_normal = d_point.z * p - e * q.z * direction;
-    g.d_opacity = d_alpha * hit.alpha / s.opacity;
+    g.d_opacity = d_alpha * hit.alpha / record.opacity;
     g.d_origin = -d_mean;
-    g.d_direction = -hit.t * d_mean - e * (q.x * s.axis_u + q.y * s.axis_v + q.z * s.normal);
+    g.d_direction = -hit.t * d_mean - e * (q.x * record.axis_u + q.y * record.axis_v + q.z * record.normal);
     return g;
 }
 #endif

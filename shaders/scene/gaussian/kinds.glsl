@@ -22,7 +22,7 @@ bool has_third_scale() {
     return false;
 }
 
-uint proxy_triangles() {
+uint count_proxy_triangles() {
 #define RELIDAR_PRIMITIVE(number, name, label, third_scale, normals, proxy) \
     if (PRIMITIVE == number) return kProxy_##proxy;
     RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)

@@ -11,18 +11,18 @@
 /// Intersects a ray with a surfel or 3D Gaussian. The caller must compare the resulting
 /// alpha with the threshold.
 /// @return true if the ray hits the primitive
-bool intersect(SurfelRecord s, vec3 origin, vec3 direction, out SurfelHit hit) {
-    if (PRIMITIVE == kPrimitive_gaussian) return intersect_gaussian(s, origin, direction, hit);
-    return intersect_surfel(s, origin, direction, hit);
+bool intersect(SurfelRecord record, vec3 origin, vec3 direction, out SurfelHit hit) {
+    if (PRIMITIVE == kPrimitive_gaussian) return intersect_gaussian(record, origin, direction, hit);
+    return intersect_surfel(record, origin, direction, hit);
 }
 
 /// Derivative of intersect().
 /// @param d_t dL/dt at fixed alpha
 /// @param d_alpha dL/d(sigma G). Must be 0 if alpha was clamped
-SurfelHitGradient intersect_vjp(SurfelRecord s, vec3 origin, vec3 direction, SurfelHit hit, float d_t,
-                                float d_alpha) {
+SurfelHitGradient backpropagate_intersection(SurfelRecord record, vec3 origin, vec3 direction, SurfelHit hit,
+                                             float d_t, float d_alpha) {
     if (PRIMITIVE == kPrimitive_gaussian)
-        return intersect_gaussian_vjp(s, origin, direction, hit, d_t, d_alpha);
-    return intersect_surfel_vjp(s, origin, direction, hit, d_t, d_alpha);
+        return backpropagate_gaussian_intersection(record, origin, direction, hit, d_t, d_alpha);
+    return backpropagate_surfel_intersection(record, origin, direction, hit, d_t, d_alpha);
 }
 #endif

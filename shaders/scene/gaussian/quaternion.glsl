@@ -4,11 +4,11 @@
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_QUATERNION_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_QUATERNION_GLSL
 
-/// Returns the rotation matrix of q / |q|. Its columns are the surfel's axes a_u and a_v,
-/// and its normal.
-mat3 rotation_matrix(vec4 q) {
-    q = normalize(q);
-    float w = q.x, x = q.y, y = q.z, z = q.w;
+/// Returns the rotation matrix of `quaternion` / |quaternion|. Its columns are the
+/// surfel's axes a_u and a_v, and its normal.
+mat3 make_rotation_matrix(vec4 quaternion) {
+    quaternion = normalize(quaternion);
+    float w = quaternion.x, x = quaternion.y, y = quaternion.z, z = quaternion.w;
     return mat3(vec3(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
                 vec3(2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
                 vec3(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)));
@@ -16,9 +16,9 @@ mat3 rotation_matrix(vec4 q) {
 
 /// Returns dL/dq from dL/dR. Column j of `d_matrix` is the gradient of column j of the
 /// rotation matrix R.
-vec4 rotation_matrix_vjp(vec4 q, mat3 d_matrix) {
-    float inverse_length = inversesqrt(dot(q, q));
-    vec4 unit = q * inverse_length;
+vec4 backpropagate_rotation_matrix(vec4 quaternion, mat3 d_matrix) {
+    float inverse_length = inversesqrt(dot(quaternion, quaternion));
+    vec4 unit = quaternion * inverse_length;
     float w = unit.x, x = unit.y, y = unit.z, z = unit.w;
     vec3 du = d_matrix[0], dv = d_matrix[1], dn = d_matrix[2];
     vec4 d_unit;

@@ -12,15 +12,15 @@ const float kSh2[5] = float[](1.0925484305920792, -1.0925484305920792, 0.3153915
 const float kSh3[7] = float[](-0.5900435899266435, 2.890611442640554, -0.4570457994644658, 0.3731763325901154,
                               -0.4570457994644658, 1.445305721320277, -0.5900435899266435);
 
-uint sh_count(uint degree) { return (degree + 1u) * (degree + 1u); }
+uint count_sh_coefficients(uint degree) { return (degree + 1u) * (degree + 1u); }
 
 /// Computes the SH basis functions for a unit direction. Functions above the given degree
 /// are set to 0.
-void sh_basis(vec3 d, uint degree, out float basis[16]) {
+void evaluate_sh_basis(vec3 direction, uint degree, out float basis[16]) {
     for (int k = 0; k < 16; ++k) basis[k] = 0.0;
     basis[0] = kSh0;
     if (degree < 1u) return;
-    float x = d.x, y = d.y, z = d.z;
+    float x = direction.x, y = direction.y, z = direction.z;
     basis[1] = -kSh1 * y;
     basis[2] = kSh1 * z;
     basis[3] = -kSh1 * x;
@@ -41,12 +41,12 @@ void sh_basis(vec3 d, uint degree, out float basis[16]) {
     basis[15] = kSh3[6] * x * (xx - 3.0 * yy);
 }
 
-/// Returns dL/d(direction) from dL/d(basis). The caller must also apply the derivative of
-/// the direction's normalisation.
-vec3 sh_basis_vjp(vec3 d, uint degree, float d_basis[16]) {
+/// Returns dL/direction(direction) from dL/direction(basis). The caller must also apply
+/// the derivative of the direction's normalisation.
+vec3 backpropagate_sh_basis(vec3 direction, uint degree, float d_basis[16]) {
     vec3 g = vec3(0.0);
     if (degree < 1u) return g;
-    float x = d.x, y = d.y, z = d.z;
+    float x = direction.x, y = direction.y, z = direction.z;
     g += vec3(-kSh1 * d_basis[3], -kSh1 * d_basis[1], kSh1 * d_basis[2]);
     if (degree < 2u) return g;
     g += d_basis[4] * kSh2[0] * vec3(y, x, 0.0);

@@ -24,17 +24,17 @@ float exact_dot(vec3 a, vec3 b) {
 /// @param direction  direction of the ray, model frame
 /// @return false if the ray is parallel to the surfel's plane (n . d = 0) or a value is
 /// not finite
-bool intersect_surfel(SurfelRecord s, vec3 origin, vec3 direction, out SurfelHit hit) {
-    precise vec3 to_mean = s.mean - origin;
-    precise float facing = exact_dot(s.normal, direction);
-    precise float t = exact_dot(s.normal, to_mean) / facing;
+bool intersect_surfel(SurfelRecord record, vec3 origin, vec3 direction, out SurfelHit hit) {
+    precise vec3 to_mean = record.mean - origin;
+    precise float facing = exact_dot(record.normal, direction);
+    precise float t = exact_dot(record.normal, to_mean) / facing;
     precise vec3 p = t * direction - to_mean;
     hit.t = t;
-    hit.u = exact_dot(s.axis_u, p);
-    hit.v = exact_dot(s.axis_v, p);
+    hit.u = exact_dot(record.axis_u, p);
+    hit.v = exact_dot(record.axis_v, p);
     hit.w = 0.0;
     precise float exponent = -0.5 * (hit.u * hit.u + hit.v * hit.v);
-    precise float alpha = s.opacity * exp(exponent);
+    precise float alpha = record.opacity * exp(exponent);
     hit.alpha = alpha;
     return facing != 0.0 && !isinf(t) && !isnan(t) && !isnan(hit.alpha);
 }
@@ -54,19 +54,19 @@ struct SurfelHitGradient {
 /// Derivative of intersect_surfel().
 /// @param d_t dL/dt at fixed u, v
 /// @param d_alpha dL/d(sigma G). Must be 0 if alpha was clamped
-SurfelHitGradient intersect_surfel_vjp(SurfelRecord s, vec3 origin, vec3 direction, SurfelHit hit, float d_t,
-                                       float d_alpha) {
+SurfelHitGradient backpropagate_surfel_intersection(SurfelRecord record, vec3 origin, vec3 direction,
+                                                    SurfelHit hit, float d_t, float d_alpha) {
     SurfelHitGradient g;
-    vec3 p = hit.t * direction - (s.mean - origin);
+    vec3 p = hit.t * direction - (record.mean - origin);
     float d_u = -d_alpha * hit.alpha * hit.u;
     float d_v = -d_alpha * hit.alpha * hit.v;
-    vec3 d_p = d_u * s.axis_u + d_v * s.axis_v;
+    vec3 d_p = d_u * record.axis_u + d_v * record.axis_v;
     d_t += dot(d_p, direction);
-    vec3 dt_dmean = s.normal / dot(s.normal, direction);  // dt/d(mean) = n / (n . d)
-    g.d_opacity = d_alpha * hit.alpha / s.opacity;
+    vec3 dt_dmean = record.normal / dot(record.normal, direction);  // dt/d(mean) = n / (n . d)
+    g.d_opacity = d_alpha * hit.alpha / record.opacity;
     g.d_axis_u = d_u * p;
     g.d_axis_v = d_v * p;
-    g.d_normal = -d_t * p / dot(s.normal, direction);  // dt/dn = (mean - p_hit) / (n . d)
+    g.d_normal = -d_t * p / dot(record.normal, direction);  // dt/dn = (mean - p_hit) / (n . d)
     g.d_mean = d_t * dt_dmean - d_p;
     g.d_origin = d_p - d_t * dt_dmean;
     g.d_direction = hit.t * (d_p - d_t * dt_dmean);

@@ -12,8 +12,8 @@ RELIDAR_PARAMS(DropChannelsParams);
 // +-9.2.
 const float kLeastProbability = 1e-4;
 
-float channel_of(uint i, uint channel) {
-    MeasuredRay m = params.measured.at[i];
+float get_channel_value(uint index, uint channel) {
+    MeasuredRay m = params.measured.at[index];
     if (channel == RELIDAR_DROP_LOG_RANGE) return log(1.0 + max(m.median_range_m, 0.0));
     if (channel == RELIDAR_DROP_INTENSITY) return m.intensity;
     if (channel == RELIDAR_DROP_LOGIT) {
@@ -23,13 +23,13 @@ float channel_of(uint i, uint channel) {
     if (channel == RELIDAR_DROP_WEIGHT) return m.weight;
     if (channel == RELIDAR_DROP_SPREAD) return log(1.0 + abs(m.median_range_m - m.mean_range_m));
     if (channel == RELIDAR_DROP_COSINE) return m.incidence;
-    return channel == RELIDAR_DROP_ELEVATION ? params.rays.at[i].direction.z
+    return channel == RELIDAR_DROP_ELEVATION ? params.rays.at[index].direction.z
                                              : params.origin[channel - RELIDAR_DROP_ORIGIN];
 }
 
 void main() {
-    uint i = thread_index();
+    uint i = get_thread_index();
     if (i >= params.n_rays) return;
     for (uint c = 0u; c < params.n_channels; ++c)
-        params.samples.at[c * params.n_rays + i] = channel_of(i, params.channels.at[c]);
+        params.samples.at[c * params.n_rays + i] = get_channel_value(i, params.channels.at[c]);
 }

@@ -15,7 +15,7 @@ RELIDAR_PARAMS(MeasureRaysParams);
 
 /// Returns the intensity factor at a range. Interpolates linearly between the entries of
 /// the response table. Outside the table, returns the factor of the first or last entry.
-float fall_at(float range_m) {
+float interpolate_falloff(float range_m) {
     if (params.n_response == 0u) return 1.0;
     vec2 before = params.response.at[0];
     if (range_m < before.x) return before.y;
@@ -30,31 +30,32 @@ float fall_at(float range_m) {
 /// Returns the range of a ray of the range image, without the range offset of its beam.
 /// @param mode_m range of the surface with the largest weight
 /// @param normalised blended depth divided by blended weight, D / W
-float chosen_range(RenderedRay r, float mode_m, float normalised) {
-    if (params.range_kind == RELIDAR_RANGE_EXPECTED) return r.depth;
-    if (r.weight < params.min_weight) return 0.0;
+float choose_range(RenderedRay ray, float mode_m, float normalised) {
+    if (params.range_kind == RELIDAR_RANGE_EXPECTED) return ray.depth;
+    if (ray.weight < params.min_weight) return 0.0;
     if (params.range_kind == RELIDAR_RANGE_MODE) return mode_m;
-    return params.range_kind == RELIDAR_RANGE_MEDIAN && r.median_depth > 0.0 ? r.median_depth : normalised;
+    return params.range_kind == RELIDAR_RANGE_MEDIAN && ray.median_depth > 0.0 ? ray.median_depth
+                                                                               : normalised;
 }
 
-float measured_range(float surface_m, SensorBeam beam) {
+float to_measured_range(float surface_m, SensorBeam beam) {
     return surface_m > 0.0 ? max(surface_m + beam.range_offset_m, 0.0) : surface_m;
 }
 /// Returns true if a range is within the limits of the sensor. Must give the same result
 /// as RangeLimits::contains() on the host.
-bool within_limits(float range_m) {
+bool is_within_limits(float range_m) {
     return range_m > 0.0 && range_m >= params.min_range_m && range_m <= params.max_range_m;
 }
 
 /// Returns the cosine of the incidence angle between a ray and the blended normal.
 /// Returns 0 if the normal is zero.
-float incidence(vec3 normal, vec3 direction) {
+float compute_incidence(vec3 normal, vec3 direction) {
     float size = length(normal);
     return size > 0.0 ? clamp(-dot(normal, direction) / size, 0.0, 1.0) : 0.0;
 }
 
 void main() {
-    uint i = thread_index();
+    uint i = get_thread_index();
     if (i >= params.n_rays) return;
     RenderedRay r = params.rendered.at[i];
     RenderedSurface surface = params.surfaces.at[min(i, params.n_surfaces - 1u)];
@@ -62,19 +63,19 @@ void main() {
     SensorBeam beam = SensorBeam(0.0, 1.0, 0.0);
     if (channel < params.n_beams) beam = params.beams.at[channel];
     bool dominated = r.median_depth > 0.0, is_met = r.weight >= params.min_weight;
-    float normalised = r.depth / r.weight, chosen_m = chosen_range(r, surface.mode, normalised);
+    float normalised = r.depth / r.weight, chosen_m = choose_range(r, surface.mode, normalised);
     float surface_m = dominated ? r.median_depth : chosen_m;
     MeasuredRay m;
-    m.range_m = measured_range(chosen_m, beam);
-    m.median_range_m = measured_range(surface_m, beam);
-    m.mean_range_m = measured_range(dominated ? normalised : surface_m, beam);
-    m.intensity =
-        clamp(beam.intensity_gain * fall_at(surface_m) * r.intensity + beam.intensity_offset, 0.0, 1.0);
+    m.range_m = to_measured_range(chosen_m, beam);
+    m.median_range_m = to_measured_range(surface_m, beam);
+    m.mean_range_m = to_measured_range(dominated ? normalised : surface_m, beam);
+    m.intensity = clamp(
+        beam.intensity_gain * interpolate_falloff(surface_m) * r.intensity + beam.intensity_offset, 0.0, 1.0);
     float returns = params.rays.at[i].sees * (1.0 - 1.0 / (1.0 + exp(r.hit_logit - r.drop_logit)));
     m.drop_prob =
-        1.0 - (is_met && within_limits(m.range_m) && within_limits(m.median_range_m) ? returns : 0.0);
+        1.0 - (is_met && is_within_limits(m.range_m) && is_within_limits(m.median_range_m) ? returns : 0.0);
     m.weight = r.weight;
-    m.incidence = is_met ? incidence(surface.normal, params.fired.at[i].direction) : 0.0;
+    m.incidence = is_met ? compute_incidence(surface.normal, params.fired.at[i].direction) : 0.0;
     m.instance = is_met ? r.instance : RELIDAR_NO_INSTANCE;
     params.measured.at[i] = m;
 }

@@ -7,7 +7,7 @@
 /// Returns the last pose before a time. If the time is before all poses, returns the
 /// first pose. If the time is after all poses, returns the second to last pose, because
 /// the last motion then continues.
-SensorPose pose_before(SensorPoses poses, uint n_poses, float time_offset_s) {
+SensorPose find_pose_before(SensorPoses poses, uint n_poses, float time_offset_s) {
     uint k = 0u;
     while (k + 2u < n_poses && poses.at[k + 1u].time_offset_s <= time_offset_s) ++k;
     return poses.at[k];

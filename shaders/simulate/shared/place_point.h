@@ -14,14 +14,14 @@
 RELIDAR_SHARED_BEGIN
 
 /// Returns the end point of a ray in the sensor frame at the firing time.
-RELIDAR_FUNCTION vec3 ray_end(vec3 origin, vec3 direction, float range_m) {
+RELIDAR_FUNCTION vec3 compute_ray_end(vec3 origin, vec3 direction, float range_m) {
     RELIDAR_EXACT vec3 end = origin + range_m * direction;
     return end;
 }
 
 /// Returns the fraction (0 to 1) of the motion between two sensor poses that is complete
 /// at a firing time.
-RELIDAR_FUNCTION float way_share(SensorPose pose, float time_offset_s) {
+RELIDAR_FUNCTION float compute_motion_fraction(SensorPose pose, float time_offset_s) {
     RELIDAR_EXACT float share = (time_offset_s - pose.time_offset_s) * pose.per_s;
     return share;
 }
@@ -29,18 +29,18 @@ RELIDAR_FUNCTION float way_share(SensorPose pose, float time_offset_s) {
 /// Transforms a direction from the sensor frame at the firing time to the frame in which
 /// the sensor poses are given.
 /// @param pose last pose before the firing time
-RELIDAR_FUNCTION vec3 place_direction(SensorPose pose, float time_offset_s, vec3 d) {
-    RELIDAR_EXACT vec3 rotated = d.x * pose.x + d.y * pose.y + d.z * pose.z;
-    RELIDAR_EXACT vec3 turn = way_share(pose, time_offset_s) * pose.turn;
-    return turned(turn, rotated);
+RELIDAR_FUNCTION vec3 to_world_direction(SensorPose pose, float time_offset_s, vec3 direction) {
+    RELIDAR_EXACT vec3 rotated = direction.x * pose.x + direction.y * pose.y + direction.z * pose.z;
+    RELIDAR_EXACT vec3 turn = compute_motion_fraction(pose, time_offset_s) * pose.turn;
+    return rotate_point(turn, rotated);
 }
 
 /// Transforms a point from the sensor frame at the firing time to the frame in which the
 /// sensor poses are given.
 /// @param pose last pose before the firing time
-RELIDAR_FUNCTION vec3 place_point(SensorPose pose, float time_offset_s, vec3 p) {
-    RELIDAR_EXACT vec3 moved = pose.position_rest + way_share(pose, time_offset_s) * pose.way;
-    vec3 rotated = place_direction(pose, time_offset_s, p);
+RELIDAR_FUNCTION vec3 place_point(SensorPose pose, float time_offset_s, vec3 point) {
+    RELIDAR_EXACT vec3 moved = pose.position_rest + compute_motion_fraction(pose, time_offset_s) * pose.way;
+    vec3 rotated = to_world_direction(pose, time_offset_s, point);
     RELIDAR_EXACT vec3 result = pose.position + (moved + rotated);
     return result;
 }

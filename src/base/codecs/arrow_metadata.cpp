@@ -22,8 +22,8 @@ constexpr std::uint8_t kTypeInt = 2, kTypeFloat = 3, kTypeUtf8 = 5;
 constexpr std::uint8_t kHeaderDictionary = 2, kHeaderRecords = 3;
 constexpr std::int8_t kCodecLz4 = 0, kCodecZstd = 1;
 
-[[noreturn]] void malformed(const char* what) {
-    throw DataError(fmt::format("the metadata are malformed ({}), expected an Arrow IPC file", what));
+[[noreturn]] void throw_malformed(const char* description) {
+    throw DataError(fmt::format("the metadata are malformed ({}), expected an Arrow IPC file", description));
 }
 
 /// Aligned copy of a flatbuffer. The copy is needed because the flatbuffer verifier
@@ -34,7 +34,7 @@ struct Bytes {
 
     explicit Bytes(std::string_view bytes)
         : words(bytes.size() / 8 + 1), verifier(data(), bytes.size(), options()) {
-        if (bytes.size() >= FLATBUFFERS_MAX_BUFFER_SIZE) malformed("too long");
+        if (bytes.size() >= FLATBUFFERS_MAX_BUFFER_SIZE) throw_malformed("too long");
         std::memcpy(words.data(), bytes.data(), bytes.size());
     }
     const std::uint8_t* data() const { return reinterpret_cast<const std::uint8_t*>(words.data()); }
@@ -52,34 +52,35 @@ class Table {
 public:
     static Table root(Bytes& bytes) {
         const auto offset = bytes.verifier.VerifyOffset(std::size_t(0));
-        if (offset == 0) malformed("root");
+        if (offset == 0) throw_malformed("root");
         return {bytes, bytes.data() + offset};
     }
 
     template <class T>
-    T scalar(int field, T otherwise) const {
-        if (!table_->VerifyField<T>(bytes_->verifier, entry(field), sizeof(T))) malformed("number");
-        return table_->GetField<T>(entry(field), otherwise);
+    T scalar(int field, T default_value) const {
+        if (!table_->VerifyField<T>(bytes_->verifier, entry(field), sizeof(T))) throw_malformed("number");
+        return table_->GetField<T>(entry(field), default_value);
     }
     std::optional<Table> table(int field) const {
         const std::uint8_t* at = pointer(field);
         return at ? std::optional<Table>(Table(*bytes_, at)) : std::nullopt;
     }
-    Table needed(int field, const char* what) const {
+    Table read_required_table(int field, const char* description) const {
         const std::optional<Table> found = table(field);
-        if (!found) malformed(what);
+        if (!found) throw_malformed(description);
         return *found;
     }
     std::string name(int field) const {
         const auto* text = reinterpret_cast<const flatbuffers::String*>(pointer(field));
-        if (!text || !bytes_->verifier.VerifyString(text) || text->size() > kLongestName) malformed("name");
+        if (!text || !bytes_->verifier.VerifyString(text) || text->size() > kLongestName)
+            throw_malformed("name");
         return text->str();
     }
     /// Returns the structs of a vector field. The vector contains its length (4 bytes),
     /// followed by structs that may be unaligned.
     template <class Struct>
     std::vector<Struct> structs(int field) const {
-        const std::uint8_t* vector = verified_vector(field, sizeof(Struct));
+        const std::uint8_t* vector = verify_vector(field, sizeof(Struct));
         std::vector<Struct> values(vector ? flatbuffers::ReadScalar<flatbuffers::uoffset_t>(vector) : 0);
         if (!values.empty())
             std::memcpy(values.data(), vector + sizeof(flatbuffers::uoffset_t),
@@ -87,13 +88,13 @@ public:
         return values;
     }
     std::vector<Table> tables(int field) const {
-        const std::uint8_t* vector = verified_vector(field, sizeof(flatbuffers::uoffset_t));
+        const std::uint8_t* vector = verify_vector(field, sizeof(flatbuffers::uoffset_t));
         std::vector<Table> all;
         const std::size_t n = vector ? flatbuffers::ReadScalar<flatbuffers::uoffset_t>(vector) : 0;
         for (std::size_t i = 0; i < n; ++i) {
             const std::uint8_t* element = vector + (i + 1) * sizeof(flatbuffers::uoffset_t);
             const auto offset = bytes_->verifier.VerifyOffset(std::size_t(element - bytes_->data()));
-            if (offset == 0) malformed("table");
+            if (offset == 0) throw_malformed("table");
             all.push_back(Table(*bytes_, element + offset));
         }
         return all;
@@ -102,7 +103,7 @@ public:
 private:
     Table(Bytes& bytes, const std::uint8_t* at)
         : bytes_(&bytes), table_(reinterpret_cast<const flatbuffers::Table*>(at)) {
-        if (!table_->VerifyTableStart(bytes.verifier)) malformed("table");
+        if (!table_->VerifyTableStart(bytes.verifier)) throw_malformed("table");
         // Ends the verifier's check of the table immediately, because this parser limits
         // the nesting depth itself.
         bytes.verifier.EndTable();
@@ -111,12 +112,13 @@ private:
     static flatbuffers::voffset_t entry(int field) { return flatbuffers::voffset_t(4 + 2 * field); }
 
     const std::uint8_t* pointer(int field) const {
-        if (!table_->VerifyOffset(bytes_->verifier, entry(field))) malformed("offset");
+        if (!table_->VerifyOffset(bytes_->verifier, entry(field))) throw_malformed("offset");
         return table_->GetPointer<const std::uint8_t*>(entry(field));
     }
-    const std::uint8_t* verified_vector(int field, std::size_t element_bytes) const {
+    const std::uint8_t* verify_vector(int field, std::size_t element_bytes) const {
         const std::uint8_t* vector = pointer(field);
-        if (vector && !bytes_->verifier.VerifyVectorOrString(vector, element_bytes)) malformed("vector");
+        if (vector && !bytes_->verifier.VerifyVectorOrString(vector, element_bytes))
+            throw_malformed("vector");
         return vector;
     }
 
@@ -124,24 +126,24 @@ private:
     const flatbuffers::Table* table_;
 };
 
-Field::Type integer_type(const Table& table) {
+Field::Type parse_integer_type(const Table& table) {
     const auto bits = table.scalar<std::int32_t>(0, 0);
-    if (bits != 8 && bits != 16 && bits != 32 && bits != 64) malformed("width of integers");
+    if (bits != 8 && bits != 16 && bits != 32 && bits != 64) throw_malformed("width of integers");
     return {Kind::integer, bits, table.scalar<std::uint8_t>(1, 0) != 0};
 }
 
-Field::Type floating_type(const Table& table) {
+Field::Type parse_float_type(const Table& table) {
     const auto precision = table.scalar<std::int16_t>(0, 0);
-    if (precision < 0 || precision > 2) malformed("precision");
+    if (precision < 0 || precision > 2) throw_malformed("precision");
     return {Kind::floating, 16 << precision, true};
 }
 
-Field field_of(const Table& table) {
+Field parse_field(const Table& table) {
     Field field;
     field.name = table.name(0);
     const auto type = table.scalar<std::uint8_t>(2, 0);
-    if (type == kTypeInt) field.type = integer_type(table.needed(3, "type"));
-    else if (type == kTypeFloat) field.type = floating_type(table.needed(3, "type"));
+    if (type == kTypeInt) field.type = parse_integer_type(table.read_required_table(3, "type"));
+    else if (type == kTypeFloat) field.type = parse_float_type(table.read_required_table(3, "type"));
     else if (type != kTypeUtf8)
         throw DataError(fmt::format(
             "column '{}' has the Arrow type {}, expected integers, floating point numbers or utf8 "
@@ -150,13 +152,13 @@ Field field_of(const Table& table) {
     if (const std::optional<Table> encoding = table.table(4)) {
         const std::optional<Table> index = encoding->table(1);
         field.dictionary = {encoding->scalar<std::int64_t>(0, 0),
-                            index ? integer_type(*index) : Field::Type{Kind::integer, 32, true}};
+                            index ? parse_integer_type(*index) : Field::Type{Kind::integer, 32, true}};
     }
     return field;
 }
 
 /// Returns the compression codec of the buffers of a record batch.
-Codec codec_of(const Table& batch) {
+Codec parse_codec(const Table& batch) {
     const std::optional<Table> compression = batch.table(3);
     if (!compression) return Codec::none;
     const auto codec = compression->scalar<std::int8_t>(0, kCodecLz4);
@@ -170,11 +172,11 @@ Codec codec_of(const Table& batch) {
 
 Footer parse_footer(std::string_view bytes) {
     Bytes copy(bytes);
-    const Table footer = Table::root(copy), schema = footer.needed(1, "schema");
+    const Table footer = Table::root(copy), schema = footer.read_required_table(1, "schema");
     if (schema.scalar<std::int16_t>(0, 0) != 0)
         throw DataError("the numbers are big-endian, expected little-endian");
     Footer parsed;
-    for (const Table& field : schema.tables(1)) parsed.fields.push_back(field_of(field));
+    for (const Table& field : schema.tables(1)) parsed.fields.push_back(parse_field(field));
     parsed.dictionaries = footer.structs<Block>(2);
     parsed.batches = footer.structs<Block>(3);
     return parsed;
@@ -184,15 +186,15 @@ RecordBatch parse_batch(std::string_view bytes) {
     Bytes copy(bytes);
     const Table message = Table::root(copy);
     const auto type = message.scalar<std::uint8_t>(1, 0);
-    if (type != kHeaderDictionary && type != kHeaderRecords) malformed("kind of message");
-    const Table header = message.needed(2, "header");
+    if (type != kHeaderDictionary && type != kHeaderRecords) throw_malformed("kind of message");
+    const Table header = message.read_required_table(2, "header");
     RecordBatch batch;
     if (type == kHeaderDictionary) batch.dictionary = header.scalar<std::int64_t>(0, 0);
-    const Table records = type == kHeaderDictionary ? header.needed(1, "dictionary") : header;
+    const Table records = type == kHeaderDictionary ? header.read_required_table(1, "dictionary") : header;
     batch.length = records.scalar<std::int64_t>(0, 0);
     batch.nodes = records.structs<Node>(1);
     batch.buffers = records.structs<Buffer>(2);
-    batch.codec = codec_of(records);
+    batch.codec = parse_codec(records);
     return batch;
 }
 

@@ -22,7 +22,7 @@ namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
-using report_detail::system_message;
+using report_detail::get_system_message;
 
 [[noreturn]] void fail(const fs::path& path, std::string why) {
     // Replaces line breaks in the messages of libraries, because our error messages have
@@ -45,7 +45,7 @@ struct TemporaryFile {
 /// Returns the path of the file to write. For a symbolic link, returns its target, so
 /// that the link stays. Rejects targets that are not regular files, because renaming
 /// would replace a device with a file.
-fs::path final_path(const fs::path& path) {
+fs::path resolve_final_path(const fs::path& path) {
     if (!path.has_filename()) fail(path, "the path has no file name");
     std::error_code error;
     const fs::file_status status = fs::status(path, error);
@@ -57,8 +57,8 @@ fs::path final_path(const fs::path& path) {
     const fs::path folder = path.has_parent_path() ? path.parent_path() : fs::path(".");
     const fs::file_status parent = fs::status(folder, error);
     if (!fs::exists(parent))
-        fail(path,
-             fmt::format("folder '{}': {}", folder.string(), system_message(error ? error.value() : ENOENT)));
+        fail(path, fmt::format("folder '{}': {}", folder.string(),
+                               get_system_message(error ? error.value() : ENOENT)));
     if (!fs::is_directory(parent)) fail(path, fmt::format("'{}' is not a folder", folder.string()));
     return folder / path.filename();
 }
@@ -81,10 +81,10 @@ void call_writer(const fs::path& path, const fs::path& temporary,
 
 void flush_file(const fs::path& path, const fs::path& temporary) {
     const int file = ::open(temporary.c_str(), O_RDONLY | O_CLOEXEC);
-    if (file < 0) fail(path, "cannot reopen the written file: " + system_message(errno));
+    if (file < 0) fail(path, "cannot reopen the written file: " + get_system_message(errno));
     const int result = ::fsync(file), error = errno;
     ::close(file);
-    if (result != 0) fail(path, "cannot flush the file to disk: " + system_message(error));
+    if (result != 0) fail(path, "cannot flush the file to disk: " + get_system_message(error));
 }
 
 /// Flushes the folder, so that the new file name survives a power failure. Ignores
@@ -96,30 +96,30 @@ void flush_folder(const fs::path& path) {
     const int result = ::fsync(folder), error = errno;
     ::close(folder);
     if (result != 0 && error != EINVAL && error != ENOTSUP && error != EROFS)
-        fail(path, "cannot flush its folder to disk: " + system_message(error));
+        fail(path, "cannot flush its folder to disk: " + get_system_message(error));
 }
 
 }  // namespace
 
-fs::path temporary_path(const fs::path& path) {
+fs::path make_temporary_path(const fs::path& path) {
     // Makes temporary names unique, because two threads may write the same file.
     static std::atomic<unsigned> count{0};
     return path.parent_path() / fmt::format(".{}.tmp-{}-{}", path.filename().string(), ::getpid(), count++);
 }
 
 void write_atomically(const fs::path& path, const std::function<void(const fs::path&)>& write) {
-    const fs::path target = final_path(path);
-    TemporaryFile temporary{temporary_path(target)};
+    const fs::path target = resolve_final_path(path);
+    TemporaryFile temporary{make_temporary_path(target)};
     call_writer(path, temporary.path, write);
     flush_file(path, temporary.path);
     if (::rename(temporary.path.c_str(), target.c_str()) != 0)
-        fail(path, "cannot rename the temporary file: " + system_message(errno));
+        fail(path, "cannot rename the temporary file: " + get_system_message(errno));
     temporary.renamed = true;
     flush_folder(target);
 }
 
 void remove_temporaries(const fs::path& folder) {
-    // Pattern that matches the names from temporary_path().
+    // Pattern that matches the names from make_temporary_path().
     static const std::regex kTemporary(R"(\..+\.tmp-[0-9]+-[0-9]+)");
     std::error_code failed;
     std::vector<fs::path> temporary_paths;

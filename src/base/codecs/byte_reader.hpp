@@ -31,16 +31,16 @@ public:
         std::memcpy(&value, take(sizeof value).data(), sizeof value);
         return value;
     }
-    std::string_view take(std::uint64_t n) {
-        if (n > bytes_.size() - at_)
+    std::string_view take(std::uint64_t count) {
+        if (count > bytes_.size() - at_)
             throw DataError(fmt::format("the data are truncated: {} bytes are left, expected {}",
-                                        bytes_.size() - at_, n));
-        const std::string_view part = bytes_.substr(at_, std::size_t(n));
-        at_ += std::size_t(n);
+                                        bytes_.size() - at_, count));
+        const std::string_view part = bytes_.substr(at_, std::size_t(count));
+        at_ += std::size_t(count);
         return part;
     }
     /// Returns a byte string that is stored with a 4-byte length before it.
-    std::string_view sized() { return take(number<std::uint32_t>()); }
+    std::string_view read_sized_string() { return take(number<std::uint32_t>()); }
     std::size_t at() const { return at_; }
     std::size_t left() const { return bytes_.size() - at_; }
     std::string_view rest() { return take(left()); }

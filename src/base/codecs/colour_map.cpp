@@ -43,7 +43,7 @@ constexpr Colour kNoValue{44, 44, 48};    // Dark gray for pixels without a valu
 constexpr std::uint8_t kSeparator = 128;  // Gray value of the line between images.
 constexpr int kSeparatorRows = 2;
 
-std::span<const Colour> stops_of(const std::string& map) {
+std::span<const Colour> get_colour_stops(const std::string& map) {
     if (map == "turbo") return kTurbo;
     if (map == "gray") return kGray;
     if (map == "heat") return kHeat;
@@ -63,23 +63,23 @@ Colour interpolate(std::span<const Colour> stops, double t) {
     return colour;
 }
 
-void check_count(const char* name, std::size_t found, std::size_t expected) {
-    if (found != expected)
+void check_count(const char* name, std::size_t count, std::size_t expected) {
+    if (count != expected)
         throw DataError(
-            fmt::format("cannot colour an image: found {} values of {}, expected {}", found, name, expected));
+            fmt::format("cannot colour an image: found {} values of {}, expected {}", count, name, expected));
 }
 
 }  // namespace
 
-Image colour_map(const std::vector<float>& values, int rows, int columns, float low, float high,
-                 const std::string& map, const std::vector<float>& mask) {
+Image apply_colour_map(const std::vector<float>& values, int rows, int columns, float low, float high,
+                       const std::string& map, const std::vector<float>& mask) {
     const std::size_t n = std::size_t(std::max(rows, 0)) * std::size_t(std::max(columns, 0));
     check_count("the image", values.size(), n);
     if (!mask.empty()) check_count("the mask", mask.size(), n);
     if (!std::isfinite(low) || !std::isfinite(high))
         throw DataError(fmt::format(
             "cannot colour an image: found the range {} to {}, expected finite values", low, high));
-    const std::span<const Colour> stops = stops_of(map);
+    const std::span<const Colour> stops = get_colour_stops(map);
     // Avoids a division by zero. A constant image gets the lowest colour.
     const double span = high > low ? double(high) - double(low) : 1.0;
 
@@ -95,7 +95,7 @@ Image colour_map(const std::vector<float>& values, int rows, int columns, float 
     return image;
 }
 
-Image stack(const std::vector<Image>& images, int stretch) {
+Image stack_images(const std::vector<Image>& images, int stretch) {
     if (stretch < 1)
         throw UsageError(
             fmt::format("cannot stack images: found the stretch {}, expected at least 1", stretch));

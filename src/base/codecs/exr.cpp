@@ -27,11 +27,11 @@ class MemoryStream : public OPENEXR_IMF_NAMESPACE::OStream {
 public:
     MemoryStream() : OStream("memory") {}
 
-    void write(const char bytes[], int n) override {
-        if (n <= 0) return;
-        const std::size_t end = position_ + std::size_t(n);
+    void write(const char bytes[], int count) override {
+        if (count <= 0) return;
+        const std::size_t end = position_ + std::size_t(count);
         if (end > content.size()) content.resize(end);
-        std::memcpy(content.data() + position_, bytes, std::size_t(n));
+        std::memcpy(content.data() + position_, bytes, std::size_t(count));
         position_ = end;
     }
     std::uint64_t tellp() override { return position_; }

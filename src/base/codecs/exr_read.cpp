@@ -46,10 +46,10 @@ public:
         std::memcpy(&value, bytes(sizeof value).data(), sizeof value);
         return value;
     }
-    std::string_view bytes(std::size_t n) {
-        if (n > file_.size() - at_) throw DataError("the header is truncated");
-        at_ += n;
-        return std::string_view(file_).substr(at_ - n, n);
+    std::string_view bytes(std::size_t count) {
+        if (count > file_.size() - at_) throw DataError("the header is truncated");
+        at_ += count;
+        return std::string_view(file_).substr(at_ - count, count);
     }
     /// Returns the next name. A zero byte marks the end of a name.
     std::string name() {
@@ -109,10 +109,10 @@ void read_channels(std::string_view bytes, ImageHeader& image_header) {
         const std::int32_t x = items.number(), y = items.number();
         if (x != 1 || y != 1)
             throw DataError(fmt::format("channel '{}' is subsampled by {} x {}, expected all pixels",
-                                        excerpt(name), x, y));
+                                        make_excerpt(name), x, y));
         if (std::find(image_header.channels.begin(), image_header.channels.end(), name) !=
             image_header.channels.end())
-            throw DataError(fmt::format("channel '{}' occurs twice, expected it once", excerpt(name)));
+            throw DataError(fmt::format("channel '{}' occurs twice, expected it once", make_excerpt(name)));
         image_header.channels.push_back(name);
         if (image_header.channels.size() > kMostChannels)
             throw DataError(fmt::format("the image has more than {} channels", kMostChannels));
@@ -148,8 +148,8 @@ void check_layout(const std::string& name, const std::string& type, std::string_
                                                                    {"v3f", 12},
                                                                    {"v3i", 12}};
     if (const auto known = kSizes.find(type); known != kSizes.end() && known->second != bytes.size())
-        throw DataError(fmt::format("attribute '{}' of type '{}' has {} bytes, expected {}", excerpt(name),
-                                    type, bytes.size(), known->second));
+        throw DataError(fmt::format("attribute '{}' of type '{}' has {} bytes, expected {}",
+                                    make_excerpt(name), type, bytes.size(), known->second));
     if (type == "chlist") {
         ImageHeader of_others;
         read_channels(bytes, of_others);
@@ -160,7 +160,7 @@ void check_layout(const std::string& name, const std::string& type, std::string_
             const std::int32_t size = items.number();
             if (size < 0)
                 throw DataError(fmt::format("attribute '{}' has an invalid text length of {} bytes",
-                                            excerpt(name), size));
+                                            make_excerpt(name), size));
             items.bytes(std::size_t(size));
         }
     }
@@ -188,15 +188,15 @@ ImageHeader read_header(const std::string& file) {
         const std::int32_t size = header.number();
         if (size < 0)
             throw DataError(
-                fmt::format("attribute '{}' has an invalid size of {} bytes", excerpt(name), size));
+                fmt::format("attribute '{}' has an invalid size of {} bytes", make_excerpt(name), size));
         const std::string_view bytes = header.bytes(std::size_t(size));
         if (!seen.insert(name).second)
-            throw DataError(fmt::format("attribute '{}' occurs twice", excerpt(name)));
+            throw DataError(fmt::format("attribute '{}' occurs twice", make_excerpt(name)));
         // Rejects attribute types that contain sizes, because this function does not
         // check these sizes.
         if (type == "idmanifest" || type == "preview" || type == "bytes")
-            throw DataError(
-                fmt::format("attribute '{}' has the type '{}', which is not supported", excerpt(name), type));
+            throw DataError(fmt::format("attribute '{}' has the type '{}', which is not supported",
+                                        make_excerpt(name), type));
         check_layout(name, type, bytes);
         if (name == "dataWindow") read_window(bytes, image_header);
         if (name == "compression") read_compression(bytes, image_header);
@@ -234,8 +234,8 @@ class MemoryInput : public imf::IStream {
 public:
     explicit MemoryInput(const std::string& bytes) : IStream("memory"), bytes_(bytes) {}
 
-    bool read(char out[], int n) override {
-        const std::size_t n_bytes = std::size_t(std::max(n, 0));
+    bool read(char out[], int count) override {
+        const std::size_t n_bytes = std::size_t(std::max(count, 0));
         if (n_bytes > bytes_.size() - std::min(position_, bytes_.size())) throw DataError("it is truncated");
         std::memcpy(out, bytes_.data() + position_, n_bytes);
         position_ += n_bytes;
@@ -279,7 +279,7 @@ ExrImage read_exr(const std::filesystem::path& path) {
         throw DataError(message.starts_with(path.string()) ? message
                                                            : fmt::format("{}: {}", path.string(), message));
     } catch (const std::exception& error) {  // OpenEXR throws its own exceptions.
-        throw DataError(fmt::format("{}: {}", path.string(), excerpt(error.what())));
+        throw DataError(fmt::format("{}: {}", path.string(), make_excerpt(error.what())));
     }
 }
 

@@ -31,23 +31,24 @@ constexpr std::size_t kMostRows = 64, kMostText = 1024;
 constexpr std::size_t kPadding = 64;  // Maximum number of padding bytes at the end of a buffer.
 
 template <class T>
-T load(std::string_view bytes, std::size_t at) {
+T load(std::string_view bytes, std::size_t offset) {
     T value;
-    std::memcpy(&value, bytes.data() + at, sizeof value);
+    std::memcpy(&value, bytes.data() + offset, sizeof value);
     return value;
 }
 
-/// Returns n bytes from an offset. Throws an error if the range is negative or exceeds
-/// the bytes.
-std::string_view part(std::string_view bytes, std::int64_t offset, std::int64_t n, const char* what) {
-    if (offset < 0 || n < 0 || std::uint64_t(offset) > bytes.size() ||
-        std::uint64_t(n) > bytes.size() - std::uint64_t(offset))
+/// Returns `count` bytes from an offset. Throws an error if the range is negative or
+/// exceeds the bytes.
+std::string_view part(std::string_view bytes, std::int64_t offset, std::int64_t count,
+                      const char* description) {
+    if (offset < 0 || count < 0 || std::uint64_t(offset) > bytes.size() ||
+        std::uint64_t(count) > bytes.size() - std::uint64_t(offset))
         throw DataError(fmt::format("{} should be at byte {} with {} bytes, but the file has only {} bytes",
-                                    what, offset, n, bytes.size()));
-    return bytes.substr(std::size_t(offset), std::size_t(n));
+                                    description, offset, count, bytes.size()));
+    return bytes.substr(std::size_t(offset), std::size_t(count));
 }
 
-std::string_view footer_of(std::string_view bytes) {
+std::string_view find_footer(std::string_view bytes) {
     constexpr std::size_t kHead = 8, kTail = 4 + kMagic.size();
     if (bytes.size() < kHead + kTail || !bytes.starts_with(kMagic))
         throw DataError(fmt::format(
@@ -61,7 +62,7 @@ std::string_view footer_of(std::string_view bytes) {
 
 /// Reads the record batch at a position of the file. Its message begins with 0xFFFFFFFF
 /// and the length of its flatbuffer.
-Batch batch_at(std::string_view bytes, const arrow::Block& block) {
+Batch read_batch_at(std::string_view bytes, const arrow::Block& block) {
     constexpr std::int64_t kPrefix = 8;
     const std::string_view message = part(bytes, block.offset, block.metadata_bytes, "a message");
     if (std::int64_t(message.size()) < kPrefix || load<std::uint32_t>(message, 0) != 0xFFFFFFFFu)
@@ -75,8 +76,8 @@ Batch batch_at(std::string_view bytes, const arrow::Block& block) {
 /// Returns a buffer of a record batch, decompressed, with at least n_bytes. Checks the
 /// stored length before it allocates memory. The length may exceed n_bytes only by
 /// padding.
-std::string buffer_of(const Batch& batch, std::size_t at, std::size_t n_bytes) {
-    const arrow::Buffer& place = batch.layout.buffers.at(at);
+std::string read_buffer(const Batch& batch, std::size_t index, std::size_t n_bytes) {
+    const arrow::Buffer& place = batch.layout.buffers.at(index);
     std::string_view stored = part(batch.body, place.offset, place.length, "a buffer");
     bool compressed = batch.layout.codec != Codec::none && !stored.empty();
     std::int64_t n = std::int64_t(stored.size());
@@ -100,7 +101,7 @@ std::string buffer_of(const Batch& batch, std::size_t at, std::size_t n_bytes) {
 
 /// Returns the number of rows of a column in a record batch. Throws an error if the
 /// column has missing values.
-std::size_t rows_of(const Batch& batch, std::size_t node, std::size_t last_buffer) {
+std::size_t count_rows_of_batch(const Batch& batch, std::size_t node, std::size_t last_buffer) {
     if (node >= batch.layout.nodes.size() || last_buffer >= batch.layout.buffers.size())
         throw DataError(
             fmt::format("found a record batch with {} columns and {} buffers, expected more of them",
@@ -117,8 +118,8 @@ std::size_t rows_of(const Batch& batch, std::size_t node, std::size_t last_buffe
 template <class Stored, class T, class Convert>
 void push_as(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
              const Convert& convert) {
-    const std::size_t n = rows_of(batch, column.node, column.buffer + 1);
-    const std::string bytes = buffer_of(batch, column.buffer + 1, n * sizeof(Stored));
+    const std::size_t n = count_rows_of_batch(batch, column.node, column.buffer + 1);
+    const std::string bytes = read_buffer(batch, column.buffer + 1, n * sizeof(Stored));
     for (std::size_t i = 0; i < n; ++i) values.push_back(convert(load<Stored>(bytes, i * sizeof(Stored))));
 }
 
@@ -159,33 +160,35 @@ void append_floats(std::vector<double>& values, const Batch& batch, const Feathe
 
 /// Appends the texts of a column to `values`. Text i is stored between the offsets i and
 /// i + 1.
-/// @param most maximum number of text bytes
+/// @param max_count maximum number of text bytes
 void append_texts(std::vector<std::string>& values, const Batch& batch, std::size_t node,
-                  std::size_t first_buffer, std::size_t most) {
-    const std::size_t n = rows_of(batch, node, first_buffer + 2);
+                  std::size_t first_buffer, std::size_t max_count) {
+    const std::size_t n = count_rows_of_batch(batch, node, first_buffer + 2);
     if (n == 0) return;  // Without rows, writers may omit the offsets.
-    const std::string offsets = buffer_of(batch, first_buffer + 1, (n + 1) * sizeof(std::int32_t));
-    const auto offset = [&](std::size_t i) { return load<std::int32_t>(offsets, i * sizeof(std::int32_t)); };
+    const std::string offsets = read_buffer(batch, first_buffer + 1, (n + 1) * sizeof(std::int32_t));
+    const auto offset = [&](std::size_t index) {
+        return load<std::int32_t>(offsets, index * sizeof(std::int32_t));
+    };
     for (std::size_t i = 0; i < n; ++i)
         if (offset(i) < 0 || offset(i + 1) < offset(i))
             throw DataError(fmt::format("text {} goes from offset {} to {}, expected increasing offsets", i,
                                         offset(i), offset(i + 1)));
-    if (std::size_t(offset(n)) > most)
-        throw DataError(fmt::format("found {} bytes of text, expected at most {}", offset(n), most));
-    const std::string characters = buffer_of(batch, first_buffer + 2, std::size_t(offset(n)));
+    if (std::size_t(offset(n)) > max_count)
+        throw DataError(fmt::format("found {} bytes of text, expected at most {}", offset(n), max_count));
+    const std::string characters = read_buffer(batch, first_buffer + 2, std::size_t(offset(n)));
     for (std::size_t i = 0; i < n; ++i)
         values.push_back(characters.substr(std::size_t(offset(i)), std::size_t(offset(i + 1) - offset(i))));
 }
 
 /// Returns the total number of rows of all record batches.
-/// @throws DataError if the number exceeds `most`
-std::size_t count_rows(const std::vector<Batch>& batches, std::size_t most) {
+/// @throws DataError if the number exceeds `max_count`
+std::size_t count_rows(const std::vector<Batch>& batches, std::size_t max_count) {
     std::size_t rows = 0;
     for (const Batch& batch : batches) {
         const std::int64_t n = batch.layout.length;
-        if (n < 0 || std::uint64_t(n) > most - rows)
+        if (n < 0 || std::uint64_t(n) > max_count - rows)
             throw DataError(
-                fmt::format("found a batch of {} rows, expected at most {} rows", n, most - rows));
+                fmt::format("found a batch of {} rows, expected at most {} rows", n, max_count - rows));
         rows += std::size_t(n);
     }
     return rows;
@@ -197,7 +200,7 @@ Feather::Feather(const std::filesystem::path& file) : Feather(file.string(), rea
 
 Feather::Feather(std::string name, std::string bytes) : name_(std::move(name)), bytes_(std::move(bytes)) {
     try {
-        arrow::Footer footer = arrow::parse_footer(footer_of(bytes_));
+        arrow::Footer footer = arrow::parse_footer(find_footer(bytes_));
         Column at;
         for (Field& field : footer.fields) {
             const std::size_t n_buffers = field.count_buffers();
@@ -209,7 +212,7 @@ Feather::Feather(std::string name, std::string bytes) : name_(std::move(name)), 
         std::int64_t left = std::int64_t(bytes_.size());
         const auto read = [&](const std::vector<arrow::Block>& blocks, std::vector<Batch>& batches) {
             for (const arrow::Block& block : blocks) {
-                batches.push_back(batch_at(bytes_, block));
+                batches.push_back(read_batch_at(bytes_, block));
                 left -= block.metadata_bytes + block.body_bytes;
                 if (left < 0) throw DataError("the record batches are longer than the file");
             }
@@ -229,7 +232,7 @@ const Feather::Column& Feather::find(const std::string& name) const {
         if (column.field.name == name) return column;
         names += (names.empty() ? "" : ", ") + column.field.name;
     }
-    throw DataError(fmt::format("the file has no such column, expected one of '{}'", excerpt(names)));
+    throw DataError(fmt::format("the file has no such column, expected one of '{}'", make_excerpt(names)));
 }
 
 template <class Task>

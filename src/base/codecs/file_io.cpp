@@ -17,18 +17,18 @@
 
 namespace relidar::report_detail {
 
-std::string note_line(const std::pair<std::string, std::string>& note) {
+std::string format_note_line(const std::pair<std::string, std::string>& note) {
     std::string line = note.first + " " + note.second;
     std::replace_if(
-        line.begin(), line.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, ' ');
+        line.begin(), line.end(), [](unsigned char character) { return std::iscntrl(character) != 0; }, ' ');
     return line;
 }
 
-std::string system_message(int error) { return std::generic_category().message(error); }
+std::string get_system_message(int error) { return std::generic_category().message(error); }
 
 OutputFile::OutputFile(const std::filesystem::path& path) : file_(std::fopen(path.c_str(), "wb")) {
     if (!file_)
-        throw DataError("cannot create a temporary file in the same folder: " + system_message(errno));
+        throw DataError("cannot create a temporary file in the same folder: " + get_system_message(errno));
 }
 
 OutputFile::~OutputFile() {
@@ -37,7 +37,7 @@ OutputFile::~OutputFile() {
 
 void OutputFile::write(const void* data, std::size_t n_bytes) {
     if (n_bytes > 0 && std::fwrite(data, 1, n_bytes, file_) != n_bytes)
-        throw DataError(fmt::format("cannot write {} bytes: {}", n_bytes, system_message(errno)));
+        throw DataError(fmt::format("cannot write {} bytes: {}", n_bytes, get_system_message(errno)));
 }
 
 void OutputFile::close() {
@@ -45,7 +45,7 @@ void OutputFile::close() {
     const int flush_error = errno;
     const bool closed = std::fclose(std::exchange(file_, nullptr)) == 0;
     if (!flushed || !closed)
-        throw DataError("cannot write the last bytes: " + system_message(flushed ? errno : flush_error));
+        throw DataError("cannot write the last bytes: " + get_system_message(flushed ? errno : flush_error));
 }
 
 void write_file(const std::filesystem::path& path, std::string_view bytes) {
@@ -62,17 +62,18 @@ std::vector<std::byte> read_file(const std::filesystem::path& path) {
     };
     std::error_code error;
     const auto status = std::filesystem::status(path, error);
-    if (!std::filesystem::exists(status)) fail(system_message(error ? error.value() : ENOENT));
+    if (!std::filesystem::exists(status)) fail(get_system_message(error ? error.value() : ENOENT));
     if (!std::filesystem::is_regular_file(status)) fail("it is not a regular file");
     const auto size = std::filesystem::file_size(path, error);
     if (error) fail(error.message());
 
     std::FILE* file = std::fopen(path.c_str(), "rb");
-    if (!file) fail(system_message(errno));
+    if (!file) fail(get_system_message(errno));
     const std::unique_ptr<std::FILE, int (*)(std::FILE*)> guard(file, std::fclose);
     std::vector<std::byte> bytes(size);
     if (size > 0 && std::fread(bytes.data(), 1, size, file) != size)
-        fail(std::ferror(file) ? system_message(errno) : "the file became shorter while it was being read");
+        fail(std::ferror(file) ? get_system_message(errno)
+                               : "the file became shorter while it was being read");
     return bytes;
 }
 

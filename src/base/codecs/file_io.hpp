@@ -45,9 +45,9 @@ void write_file(const std::filesystem::path& path, std::string_view bytes);
 std::vector<std::byte> read_file(const std::filesystem::path& path);
 
 /// Returns a metadata entry (key and value) as one line for a file header.
-std::string note_line(const std::pair<std::string, std::string>& note);
+std::string format_note_line(const std::pair<std::string, std::string>& note);
 
 /// Returns the text for a system error number (errno), like strerror.
-std::string system_message(int error);
+std::string get_system_message(int error);
 
 }  // namespace relidar::report_detail

@@ -41,7 +41,7 @@ void append_text(std::string& bytes, std::string_view text) {
     bytes += text;
 }
 
-std::string pairs_of(const McapWriter::Values& values) {
+std::string format_pairs(const McapWriter::Values& values) {
     std::string pairs;
     for (const auto& [key, value] : values) append_text(pairs, key), append_text(pairs, value);
     return pairs;
@@ -91,7 +91,7 @@ std::uint16_t McapWriter::add_channel(std::uint16_t schema, std::string_view top
     n_messages_[id] = 0;
     std::string body;
     append(body, id), append(body, schema);
-    append_text(body, topic), append_text(body, encoding), append_text(body, pairs_of(metadata));
+    append_text(body, topic), append_text(body, encoding), append_text(body, format_pairs(metadata));
     channels_ += record(kChannel, body);
     put(record(kChannel, body));
     return id;
@@ -99,7 +99,7 @@ std::uint16_t McapWriter::add_channel(std::uint16_t schema, std::string_view top
 
 void McapWriter::add_metadata(std::string_view name, const Values& values) {
     std::string body, index;
-    append_text(body, name), append_text(body, pairs_of(values));
+    append_text(body, name), append_text(body, format_pairs(values));
     const std::string metadata = record(kMetadata, body);
     append(index, written_), append(index, std::uint64_t(metadata.size())), append_text(index, name);
     metadata_indices_ += record(kMetadataIndex, index);

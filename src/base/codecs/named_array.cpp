@@ -19,13 +19,13 @@ namespace {
 
 template <class T>
 NamedArray make(std::string name, std::vector<std::size_t> shape, const char* dtype, const T* values,
-                std::size_t n) {
+                std::size_t count) {
     NamedArray array{std::move(name), dtype, std::move(shape), {}};
-    if (array.count() != n)
-        throw DataError(fmt::format("array '{}' has {} values, expected {} for the shape [{}]", array.name, n,
-                                    array.count(), fmt::join(array.shape, ", ")));
-    array.bytes.resize(n * sizeof(T));
-    if (n > 0) std::memcpy(array.bytes.data(), values, array.bytes.size());
+    if (array.count() != count)
+        throw DataError(fmt::format("array '{}' has {} values, expected {} for the shape [{}]", array.name,
+                                    count, array.count(), fmt::join(array.shape, ", ")));
+    array.bytes.resize(count * sizeof(T));
+    if (count > 0) std::memcpy(array.bytes.data(), values, array.bytes.size());
     return array;
 }
 
@@ -60,7 +60,7 @@ template <class Out>
 using Converter = std::vector<Out> (*)(const NamedArray&);
 
 template <class Out>
-Converter<Out> converter(std::string_view dtype) {
+Converter<Out> find_converter(std::string_view dtype) {
     static constexpr std::array<std::pair<std::string_view, Converter<Out>>, 12> kConverters{{
         {"f2", convert<Out, Half>},
         {"f4", convert<Out, float>},
@@ -81,9 +81,9 @@ Converter<Out> converter(std::string_view dtype) {
 }
 
 template <class Out>
-std::vector<Out> values_of(const NamedArray& array) {
+std::vector<Out> convert_values(const NamedArray& array) {
     report_detail::check_array(array);
-    const Converter<Out> function = converter<Out>(array.dtype);
+    const Converter<Out> function = find_converter<Out>(array.dtype);
     if (!function)
         throw DataError(
             fmt::format("array '{}' has the type '{}', which is not a number type", array.name, array.dtype));
@@ -91,7 +91,7 @@ std::vector<Out> values_of(const NamedArray& array) {
 }
 
 /// Converts UTF-8 to Unicode code points. Replaces each invalid byte with U+FFFD.
-std::u32string code_points(std::string_view utf8) {
+std::u32string decode_code_points(std::string_view utf8) {
     // Minimum code point for each length of a UTF-8 sequence. A smaller code point in a
     // longer sequence is invalid (overlong encoding).
     constexpr char32_t kReplacement = 0xFFFD, kLeast[] = {0, 0x80, 0x800, 0x10000};
@@ -121,7 +121,7 @@ std::u32string code_points(std::string_view utf8) {
 
 namespace report_detail {
 
-std::size_t item_size(std::string_view dtype) {
+std::size_t get_item_size(std::string_view dtype) {
     if (dtype.starts_with('S') || dtype.starts_with('U')) {
         std::uint32_t length = 0;
         const auto [end, error] = std::from_chars(dtype.data() + 1, dtype.data() + dtype.size(), length);
@@ -129,12 +129,13 @@ std::size_t item_size(std::string_view dtype) {
                    ? length * (dtype[0] == 'U' ? sizeof(char32_t) : 1)
                    : 0;
     }
-    if (!converter<float>(dtype)) return 0;
+    if (!find_converter<float>(dtype)) return 0;
     return std::size_t(dtype[1] - '0');
 }
 
-std::optional<std::size_t> byte_count(const std::vector<std::size_t>& shape, std::size_t item_size) {
-    std::size_t product = item_size;
+std::optional<std::size_t> compute_byte_count(const std::vector<std::size_t>& shape,
+                                              std::size_t get_item_size) {
+    std::size_t product = get_item_size;
     bool overflow = false, empty = false;
     for (std::size_t extent : shape) {
         empty = empty || extent == 0;
@@ -147,11 +148,11 @@ std::optional<std::size_t> byte_count(const std::vector<std::size_t>& shape, std
 
 void check_array(const NamedArray& array) {
     if (array.name.empty()) throw DataError("an array has no name");
-    const std::size_t size = item_size(array.dtype);
+    const std::size_t size = get_item_size(array.dtype);
     if (size == 0)
         throw DataError(
             fmt::format("array '{}' has the type '{}', which is not supported", array.name, array.dtype));
-    const auto expected = byte_count(array.shape, size);
+    const auto expected = compute_byte_count(array.shape, size);
     if (!expected || *expected != array.bytes.size())
         throw DataError(
             fmt::format("array '{}' has {} bytes, which do not fit the shape [{}] and the type {}",
@@ -161,7 +162,7 @@ void check_array(const NamedArray& array) {
 }  // namespace report_detail
 
 std::size_t NamedArray::count() const {
-    const auto n = report_detail::byte_count(shape, 1);
+    const auto n = report_detail::compute_byte_count(shape, 1);
     if (!n)
         throw DataError(
             fmt::format("array '{}' has the shape [{}], which is too large", name, fmt::join(shape, ", ")));
@@ -173,23 +174,25 @@ const NamedArray* find_array(const std::vector<NamedArray>& arrays, std::string_
     return found == arrays.end() ? nullptr : &*found;
 }
 
-std::vector<float> NamedArray::as_float() const { return values_of<float>(*this); }
-std::vector<double> NamedArray::as_double() const { return values_of<double>(*this); }
+std::vector<float> NamedArray::as_float() const { return convert_values<float>(*this); }
+std::vector<double> NamedArray::as_double() const { return convert_values<double>(*this); }
 
-NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values, std::size_t n) {
-    return make(std::move(name), std::move(shape), "f4", values, n);
+NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values,
+                      std::size_t count) {
+    return make(std::move(name), std::move(shape), "f4", values, count);
 }
-NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values, std::size_t n) {
-    return make(std::move(name), std::move(shape), "f8", values, n);
+NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values,
+                      std::size_t count) {
+    return make(std::move(name), std::move(shape), "f8", values, count);
 }
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::int32_t* values,
-                      std::size_t n) {
-    return make(std::move(name), std::move(shape), "i4", values, n);
+                      std::size_t count) {
+    return make(std::move(name), std::move(shape), "i4", values, count);
 }
 
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::uint16_t* values,
-                      std::size_t n) {
-    return make(std::move(name), std::move(shape), "u2", values, n);
+                      std::size_t count) {
+    return make(std::move(name), std::move(shape), "u2", values, count);
 }
 
 NamedArray make_text(std::string name, const std::string& text) {
@@ -202,7 +205,7 @@ NamedArray make_text_array(std::string name, const std::vector<std::string>& tex
     std::vector<std::u32string> letters;
     std::size_t length = 1;
     for (const std::string& text : texts)
-        length = std::max(length, letters.emplace_back(code_points(text)).size());
+        length = std::max(length, letters.emplace_back(decode_code_points(text)).size());
     const std::size_t size = length * sizeof(char32_t);
     NamedArray array{std::move(name),
                      fmt::format("U{}", length),

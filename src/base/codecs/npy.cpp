@@ -53,18 +53,18 @@ private:
         throw DataError("the npy header " + why);
     }
 
-    bool peek(char c) {
+    bool peek(char character) {
         while (!text_.empty() && (text_[0] == ' ' || text_[0] == '\n' || text_[0] == '\t'))
             text_.remove_prefix(1);
-        return !text_.empty() && text_[0] == c;
+        return !text_.empty() && text_[0] == character;
     }
-    bool accept(char c) {
-        if (!peek(c)) return false;
+    bool accept(char character) {
+        if (!peek(character)) return false;
         text_.remove_prefix(1);
         return true;
     }
-    void expect(char c) {
-        if (!accept(c)) refuse("is malformed");
+    void expect(char character) {
+        if (!accept(character)) refuse("is malformed");
     }
     bool accept_word(std::string_view word) {
         peek(' ');
@@ -108,26 +108,26 @@ private:
     std::string_view text_;
 };
 
-std::string type_of(const std::string& descr) {
+std::string parse_type_descriptor(const std::string& descr) {
     const std::string_view type = std::string_view(descr).substr(descr.empty() ? 0 : 1);
     const char order = descr.empty() ? '?' : descr[0];
-    const std::size_t size = item_size(type);
+    const std::size_t size = get_item_size(type);
     if (size == 0) throw DataError(fmt::format("type '{}' is not supported", descr));
     if (order != '<' && !(order == '|' && (size == 1 || type.starts_with('S'))))
         throw DataError(fmt::format("type '{}' is not little-endian", descr));
     return std::string(type);
 }
 
-std::uint32_t little_endian(const std::byte* bytes, std::size_t n) {
+std::uint32_t little_endian(const std::byte* bytes, std::size_t count) {
     std::uint32_t value = 0;
-    std::memcpy(&value, bytes, n);
+    std::memcpy(&value, bytes, count);
     return value;
 }
 
 }  // namespace
 
-std::string npy_header(const NamedArray& array) {
-    const char order = item_size(array.dtype) == 1 || array.dtype.starts_with('S') ? '|' : '<';
+std::string make_npy_header(const NamedArray& array) {
+    const char order = get_item_size(array.dtype) == 1 || array.dtype.starts_with('S') ? '|' : '<';
     std::string shape;
     for (std::size_t extent : array.shape) shape += fmt::format("{}, ", extent);
     if (array.shape.size() > 1) shape.resize(shape.size() - 2);
@@ -162,10 +162,10 @@ NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& byte
 
     HeaderParser header({reinterpret_cast<const char*>(bytes.data()) + start, length});
     header.parse();
-    NamedArray array{name, type_of(*header.descr), *header.shape, {}};
+    NamedArray array{name, parse_type_descriptor(*header.descr), *header.shape, {}};
     if (*header.fortran_order)
         throw DataError("the values are in Fortran (column-major) order, expected row-major");
-    const auto expected = byte_count(array.shape, item_size(array.dtype));
+    const auto expected = compute_byte_count(array.shape, get_item_size(array.dtype));
     const std::size_t found = bytes.size() - start - length;
     if (!expected || *expected != found)
         throw DataError(fmt::format("the {} bytes of values do not fit the shape of the array", found));

@@ -13,7 +13,7 @@
 namespace relidar::report_detail {
 
 /// Returns the .npy header (version 1.0) of an array, padded to a multiple of 64 bytes.
-std::string npy_header(const NamedArray& array);
+std::string make_npy_header(const NamedArray& array);
 
 /// Parses the bytes of a .npy file. Supports versions 1 to 3, little-endian numbers and
 /// row-major order.

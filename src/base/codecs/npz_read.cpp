@@ -123,9 +123,10 @@ void apply_zip64(NpzEntry& entry, std::span<const std::byte> extra) {
     }
 }
 
-/// Parses the zip directory entry at position `at`. Then advances `at` to the next entry.
-NpzEntry parse_entry(std::span<const std::byte> directory, std::size_t& at) {
-    const auto record = directory.subspan(at);
+/// Parses the zip directory entry at position `offset`. Then advances `offset` to the
+/// next entry.
+NpzEntry parse_entry(std::span<const std::byte> directory, std::size_t& offset) {
+    const auto record = directory.subspan(offset);
     if (get<std::uint32_t>(record, 0) != kCentralSignature || record.size() < kCentralSize)
         throw DataError("the zip directory is damaged");
     NpzEntry entry;
@@ -141,7 +142,7 @@ NpzEntry parse_entry(std::span<const std::byte> directory, std::size_t& at) {
         throw DataError("the zip directory is truncated");
     entry.name.assign(reinterpret_cast<const char*>(record.data()) + kCentralSize, n_name);
     apply_zip64(entry, record.subspan(kCentralSize + n_name, n_extra));
-    at += kCentralSize + n_name + n_extra + n_comment;
+    offset += kCentralSize + n_name + n_extra + n_comment;
     return entry;
 }
 

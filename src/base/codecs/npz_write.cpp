@@ -90,14 +90,14 @@ void append_common(std::string& bytes, const Entry& entry) {
     append(bytes, std::uint16_t(0));  // Zip field: length of the extra field.
 }
 
-std::string local_header(const Entry& entry) {
+std::string make_local_header(const Entry& entry) {
     std::string bytes;
     append(bytes, kLocalHeader);
     append_common(bytes, entry);
     return bytes + entry.name;
 }
 
-std::string central_header(const Entry& entry) {
+std::string make_central_header(const Entry& entry) {
     std::string bytes;
     append(bytes, kCentralHeader);
     append(bytes, kVersion);  // Zip field: version of the writer.
@@ -122,16 +122,16 @@ std::string end_record(std::size_t n_entries, std::size_t directory_size, std::s
     return bytes;
 }
 
-void check_size(const std::string& what, std::uint64_t n_bytes) {
+void check_size(const std::string& description, std::uint64_t n_bytes) {
     if (n_bytes >= kLimit)
-        throw DataError(
-            fmt::format("{} has {} bytes, but npz files have at most 4 GiB; use safetensors", what, n_bytes));
+        throw DataError(fmt::format("{} has {} bytes, but npz files have at most 4 GiB; use safetensors",
+                                    description, n_bytes));
 }
 
 /// Writes an array to the zip file at `offset`.
 /// @return directory entry of the array
 Entry write_entry(report_detail::OutputFile& file, const NamedArray& array, std::size_t offset) {
-    const std::string header = report_detail::npy_header(array);
+    const std::string header = report_detail::make_npy_header(array);
     check_size(fmt::format("array '{}'", array.name), header.size() + array.bytes.size());
     Deflater deflater;
     deflater.add(header.data(), header.size(), false);
@@ -139,7 +139,7 @@ Entry write_entry(report_detail::OutputFile& file, const NamedArray& array, std:
     check_size("the archive", offset + deflater.packed.size() + array.name.size() + 1024);
     const Entry entry{array.name + ".npy", deflater.crc, std::uint32_t(deflater.packed.size()),
                       std::uint32_t(header.size() + array.bytes.size()), std::uint32_t(offset)};
-    file.write(local_header(entry));
+    file.write(make_local_header(entry));
     file.write(deflater.packed);
     return entry;
 }
@@ -166,8 +166,8 @@ void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>&
         std::string directory;
         for (const NamedArray& array : arrays) {
             const Entry entry = write_entry(file, array, offset);
-            offset += local_header(entry).size() + entry.packed_size;
-            directory += central_header(entry);
+            offset += make_local_header(entry).size() + entry.packed_size;
+            directory += make_central_header(entry);
         }
         check_size("the archive", offset + directory.size());
         file.write(directory);

@@ -25,7 +25,7 @@ void append_big_endian(std::string& bytes, std::uint32_t value) {
 
 /// Returns a PNG text chunk (iTXt) with a name and an uncompressed UTF-8 text. We write
 /// this chunk ourselves, because the simplified interface of libpng cannot write text.
-std::string text_chunk(const std::string& name, const std::string& text) {
+std::string make_text_chunk(const std::string& name, const std::string& text) {
     // Five zero bytes follow the name. They mean: end of the name, not compressed,
     // compression method 0, empty language, and empty translated name.
     const std::string body = "iTXt" + name + std::string(5, '\0') + text;
@@ -64,7 +64,7 @@ std::vector<std::uint8_t> encode_png(const Image& image, const FileNotes& notes)
     if (!done) throw DataError("cannot encode a PNG image: " + message);
     bytes.resize(size);
     std::string chunks;
-    for (const auto& [name, text] : notes) chunks += text_chunk(name, text);
+    for (const auto& [name, text] : notes) chunks += make_text_chunk(name, text);
     bytes.insert(bytes.begin() + kAfterHeader, chunks.begin(), chunks.end());
     return bytes;
 }

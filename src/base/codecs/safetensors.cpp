@@ -24,8 +24,8 @@ namespace relidar {
 namespace {
 
 using Json = nlohmann::json;
-using report_detail::byte_count;
-using report_detail::item_size;
+using report_detail::compute_byte_count;
+using report_detail::get_item_size;
 
 // Maximum size of a header in bytes. The format allows 100 MB, but a parsed header needs
 // 24 times as much memory. Our headers have only a few kB.
@@ -50,7 +50,7 @@ constexpr std::array<std::pair<std::string_view, std::string_view>, 12> kTypes{{
 
 /// Returns the safetensors name of a numpy type.
 /// @throws DataError if safetensors has no such type, for example text
-std::string tensor_type(const std::string& dtype) {
+std::string get_tensor_type(const std::string& dtype) {
     const auto it =
         std::find_if(kTypes.begin(), kTypes.end(), [&](const auto& type) { return type.second == dtype; });
     if (it == kTypes.end())
@@ -58,12 +58,12 @@ std::string tensor_type(const std::string& dtype) {
     return std::string(it->first);
 }
 
-std::string numpy_type(const std::string& name, const std::string& type) {
+std::string get_numpy_type(const std::string& name, const std::string& type) {
     const auto it =
         std::find_if(kTypes.begin(), kTypes.end(), [&](const auto& known) { return known.first == type; });
     if (it == kTypes.end())
         throw DataError(
-            fmt::format("array '{}' has the type '{}', which is not supported", name, excerpt(type)));
+            fmt::format("array '{}' has the type '{}', which is not supported", name, make_excerpt(type)));
     return std::string(it->second);
 }
 
@@ -80,7 +80,7 @@ std::string make_header(const std::vector<NamedArray>& arrays,
             throw DataError(fmt::format("array name '{}' is reserved or used twice", array.name));
         const std::size_t end = offset + array.bytes.size();
         header[array.name] = {
-            {"dtype", tensor_type(array.dtype)}, {"shape", array.shape}, {"data_offsets", {offset, end}}};
+            {"dtype", get_tensor_type(array.dtype)}, {"shape", array.shape}, {"data_offsets", {offset, end}}};
         offset = end;
     }
     std::string text = header.dump();
@@ -125,7 +125,7 @@ Header parse_header(const std::vector<std::byte>& file) {
     for (const std::string& name : header.names) {
         if (name.size() > kMaxName)
             throw DataError(fmt::format("the name of array '{}' has {} bytes, expected at most {}",
-                                        excerpt(name), name.size(), kMaxName));
+                                        make_excerpt(name), name.size(), kMaxName));
     }
     return header;
 }
@@ -158,12 +158,12 @@ std::pair<NamedArray, Range> parse_tensor(const std::string& name, const Json& e
     if (!entry.is_object() || !entry.contains("dtype") || !entry["dtype"].is_string())
         throw DataError(fmt::format("array '{}' has no string 'dtype'", name));
     NamedArray array{
-        name, numpy_type(name, entry["dtype"].get<std::string>()), integers(name, entry, "shape"), {}};
+        name, get_numpy_type(name, entry["dtype"].get<std::string>()), integers(name, entry, "shape"), {}};
     const std::vector<std::size_t> offsets = integers(name, entry, "data_offsets");
     if (offsets.size() != 2 || offsets[0] > offsets[1] || offsets[1] > n_data)
         throw DataError(fmt::format("array '{}': data_offsets [{}] are outside the {} bytes of data", name,
                                     fmt::join(offsets, ", "), n_data));
-    const auto expected = byte_count(array.shape, item_size(array.dtype));
+    const auto expected = compute_byte_count(array.shape, get_item_size(array.dtype));
     if (!expected || *expected != offsets[1] - offsets[0])
         throw DataError(fmt::format("array '{}' has {} bytes, which do not fit its shape", name,
                                     offsets[1] - offsets[0]));
@@ -175,7 +175,7 @@ std::map<std::string, std::string> parse_metadata(const Json& entry) {
     if (!entry.is_object()) throw DataError("__metadata__ is not an object");
     for (const auto& [key, value] : entry.items()) {
         if (!value.is_string())
-            throw DataError(fmt::format("__metadata__ '{}' is not a string", excerpt(key)));
+            throw DataError(fmt::format("__metadata__ '{}' is not a string", make_excerpt(key)));
         result[key] = value.get<std::string>();
     }
     return result;
@@ -192,8 +192,9 @@ std::vector<NamedArray> parse_tensors(const std::vector<std::byte>& file,
         if (name == kMetadata) file_metadata = parse_metadata(entry);
         else entries.push_back(parse_tensor(name, entry, n_data));
     }
-    std::stable_sort(entries.begin(), entries.end(), [](const auto& a, const auto& b) {
-        return std::pair(a.second.begin, a.second.end) < std::pair(b.second.begin, b.second.end);
+    std::stable_sort(entries.begin(), entries.end(), [](const auto& first, const auto& second) {
+        return std::pair(first.second.begin, first.second.end) <
+               std::pair(second.second.begin, second.second.end);
     });
     std::size_t covered = 0;
     std::vector<NamedArray> arrays;

@@ -38,7 +38,7 @@ T number_at(const char* bytes) {
 
 }  // namespace
 
-std::uint32_t masked_crc32c(std::string_view bytes) {
+std::uint32_t compute_masked_crc32c(std::string_view bytes) {
     static constexpr std::array<std::uint32_t, 256> kTable = make_table();
     std::uint32_t c = ~0u;
     for (const char byte : bytes) c = kTable[(c ^ static_cast<unsigned char>(byte)) & 0xFF] ^ (c >> 8);
@@ -47,7 +47,7 @@ std::uint32_t masked_crc32c(std::string_view bytes) {
 }
 
 TfRecords::TfRecords(std::filesystem::path file) : file_(std::move(file)) {
-    if (!path_exists(file_)) throw DataError(fmt::format("{}: no such file", file_.string()));
+    if (!does_path_exist(file_)) throw DataError(fmt::format("{}: no such file", file_.string()));
     std::ifstream in(file_, std::ios::binary | std::ios::ate);
     const std::streamoff end = in ? std::streamoff(in.tellg()) : -1;
     if (end < 0) throw DataError(fmt::format("cannot read {}", file_.string()));
@@ -58,7 +58,7 @@ TfRecords::TfRecords(std::filesystem::path file) : file_(std::move(file)) {
         if (left < kHeader || !in.read(header.data(), kHeader))
             throw DataError(
                 fmt::format("{} is truncated: its header has {} bytes, expected {}", where, left, kHeader));
-        if (number_at<std::uint32_t>(&header[8]) != masked_crc32c({header.data(), 8}))
+        if (number_at<std::uint32_t>(&header[8]) != compute_masked_crc32c({header.data(), 8}))
             throw DataError(fmt::format(
                 "{}: the checksum (CRC) of its length is wrong, expected a TFRecord file", where));
         const auto size = number_at<std::uint64_t>(header.data());
@@ -87,7 +87,7 @@ std::string TfRecords::read(std::size_t record) const {
             fmt::format("{}: record {}: cannot read its {} bytes", file_.string(), record, data.size()));
     const auto crc = number_at<std::uint32_t>(&data[place.size]);
     data.resize(place.size);
-    if (crc != masked_crc32c(data))
+    if (crc != compute_masked_crc32c(data))
         throw DataError(
             fmt::format("{}: record {}: the checksum (CRC) of its data is wrong; the file is damaged",
                         file_.string(), record));

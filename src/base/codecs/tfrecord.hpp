@@ -14,7 +14,7 @@ namespace relidar {
 
 /// Returns the CRC-32C (Castagnoli) of bytes in the masked form of TFRecord: rotated
 /// right by 15 bits, plus 0xa282ead8.
-std::uint32_t masked_crc32c(std::string_view bytes);
+std::uint32_t compute_masked_crc32c(std::string_view bytes);
 
 /// Reads records of a TFRecord file. The data of a record is read from the file only when
 /// it is requested.

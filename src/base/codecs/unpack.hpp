@@ -7,11 +7,13 @@
 
 namespace relidar {
 
-/// Decompresses one lz4 frame into `to`. `to` must have exactly the uncompressed size.
+/// Decompresses one lz4 frame into `target`. `target` must have exactly the uncompressed
+/// size.
 /// @throws DataError if the frame is damaged or has a different uncompressed size
-void unpack_lz4(std::string_view from, std::span<char> to);
-/// Decompresses one zstd frame into `to`. `to` must have exactly the uncompressed size.
+void unpack_lz4(std::string_view from, std::span<char> target);
+/// Decompresses one zstd frame into `target`. `target` must have exactly the uncompressed
+/// size.
 /// @throws DataError if the frame is damaged or has a different uncompressed size
-void unpack_zstd(std::string_view from, std::span<char> to);
+void unpack_zstd(std::string_view from, std::span<char> target);
 
 }  // namespace relidar

@@ -34,14 +34,14 @@ constexpr std::uint32_t kRefitThreadsOfCpu = 1 << 12;
 
 /// Rounds the length of a scratch array up to a multiple of 4 words, so that the next
 /// array starts at a multiple of 16 bytes.
-std::uint32_t padded(std::uint32_t n) { return (n + 3) / 4 * 4; }
+std::uint32_t pad_count(std::uint32_t count) { return (count + 3) / 4 * 4; }
 
-std::uint32_t groups_of(std::uint32_t n_threads) { return (n_threads + kWorkgroup - 1) / kWorkgroup; }
-std::uint32_t tiles_of(std::uint32_t n) { return (n + RELIDAR_BVH_TILE - 1) / RELIDAR_BVH_TILE; }
+std::uint32_t count_workgroups(std::uint32_t n_threads) { return (n_threads + kWorkgroup - 1) / kWorkgroup; }
+std::uint32_t count_tiles(std::uint32_t count) { return (count + RELIDAR_BVH_TILE - 1) / RELIDAR_BVH_TILE; }
 
 /// Returns the number of lanes in a subgroup of the device.
 /// @throws DeviceError if the device lacks a feature that the kernels need
-std::uint32_t subgroup_size(const Device& device) {
+std::uint32_t get_subgroup_size(const Device& device) {
     const DeviceInfo& info = device.info();
     if (!info.software)
         throw DeviceError(fmt::format("cannot use software traversal on {}: the device lacks {}", info.name,
@@ -49,20 +49,20 @@ std::uint32_t subgroup_size(const Device& device) {
     return static_cast<std::uint32_t>(info.subgroup_size);
 }
 
-std::vector<std::uint32_t> model_of_instances(const DeviceScene& scene) {
+std::vector<std::uint32_t> list_models_of_instances(const DeviceScene& scene) {
     std::vector<std::uint32_t> models;
     for (const Instance& instance : scene.layout().instances) models.push_back(instance.model);
     return models;
 }
 
-/// Returns the number of nodes in the top-level tree over n instances. Each node has
-/// eight children.
-std::uint32_t top_nodes(std::uint32_t n) {
+/// Returns the number of nodes in the top-level tree over `count` instances. Each node
+/// has eight children.
+std::uint32_t count_top_nodes(std::uint32_t count) {
     std::uint32_t n_nodes = 0;
     do {
-        n = std::max((n + 7) / 8, 1u);
-        n_nodes += n;
-    } while (n > 1);
+        count = std::max((count + 7) / 8, 1u);
+        n_nodes += count;
+    } while (count > 1);
     return n_nodes;
 }
 
@@ -120,15 +120,15 @@ struct Bvh::Impl {
     shared::BvhWide wide() const;
     template <class T, class Meaning>
     Address<T, Meaning> at(std::uint32_t words_a_surfel) const {
-        return scratch.address_as<T, Meaning>(words_a_surfel * std::size_t(padded(n)));
+        return scratch.address_as<T, Meaning>(words_a_surfel * std::size_t(pad_count(n)));
     }
     /// Returns the offset of one of two sets of sort keys. The sorted keys end in set 0.
     /// The costs of the binary nodes later overwrite set 1.
-    std::uint32_t keys_at(int set) const { return set == 0 ? kKeysAt : kCostsAt; }
+    std::uint32_t get_keys_offset(int set) const { return set == 0 ? kKeysAt : kCostsAt; }
     SortSet sort_set(int set) const;
     std::uint32_t levels() const;
     void collapse(Stream& stream, const DeviceScene& scene);
-    std::uint32_t key_bits() const {
+    std::uint32_t get_key_bits() const {
         return 3 * RELIDAR_BVH_MORTON_BITS +
                static_cast<std::uint32_t>(std::bit_width(std::max(n_models, 1u) - 1));
     }
@@ -144,35 +144,36 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
     : n(scene.size()),
       n_models(static_cast<std::uint32_t>(scene.layout().models.size())),
       n_instances(static_cast<std::uint32_t>(scene.layout().instances.size())),
-      bound(node_bound(n, n_models)),
-      n_refitting(coalesces(d) ? RELIDAR_BVH_WIDTH * bound
-                               : std::min(RELIDAR_BVH_WIDTH * bound, kRefitThreadsOfCpu)),
+      bound(compute_max_nodes(n, n_models)),
+      n_refitting(prefers_coalesced_access(d) ? RELIDAR_BVH_WIDTH * bound
+                                              : std::min(RELIDAR_BVH_WIDTH * bound, kRefitThreadsOfCpu)),
       proxies(
           d, "diff/accel/proxies",
           {{ConstantId::BOXES, 2u}, {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(scene.primitive())}}),
       bounds_kernel(d, "diff/accel/bvh_bounds", {kShares}, Subgroups::full),
       keys_kernel(d, "diff/accel/bvh_keys"),
       sort(d, n, 2),
-      cluster(d, "diff/accel/bvh_cluster", {{ConstantId::WORKGROUP_SIZE, subgroup_size(d)}}, Subgroups::full),
+      cluster(d, "diff/accel/bvh_cluster", {{ConstantId::WORKGROUP_SIZE, get_subgroup_size(d)}},
+              Subgroups::full),
       wide_mark(d, "diff/accel/bvh_wide_mark"),
       wide_mark_rest(d, "diff/accel/bvh_wide_mark", {kShares, {ConstantId::UNTIL_DONE, 1u}}),
       wide_count(d, "diff/accel/bvh_wide_count", {kShares}, Subgroups::full),
       wide_scan(d, "diff/accel/bvh_wide_scan", {kShares}, Subgroups::full),
       wide_place(d, "diff/accel/bvh_wide_place"),
       wide_emit(d, "diff/accel/bvh_wide_emit"),
-      refit_kernel(d, "diff/accel/bvh_refit", {{ConstantId::LANES, subgroup_size(d)}}, Subgroups::full),
+      refit_kernel(d, "diff/accel/bvh_refit", {{ConstantId::LANES, get_subgroup_size(d)}}, Subgroups::full),
       top(d, "diff/accel/bvh_top", {kShares}, Subgroups::full),
       cost_kernel(d, "diff/accel/bvh_cost", {kShares}, Subgroups::full),
-      model_of(d, std::span<const std::uint32_t>(model_of_instances(scene)), "models of the instances"),
+      model_of(d, std::span<const std::uint32_t>(list_models_of_instances(scene)), "models of the instances"),
       boxes(d, 6 * std::size_t(n), "surfel boxes"),
       bounds(d, 6 * std::size_t(n_models), "model bounds"),
       scratch(d,
-              std::max(kScratchWords * std::size_t(padded(n)),
-                       kSlotsAt * std::size_t(padded(n)) + 8 * std::size_t(bound)),
+              std::max(kScratchWords * std::size_t(pad_count(n)),
+                       kSlotsAt * std::size_t(pad_count(n)) + 8 * std::size_t(bound)),
               "acceleration structure scratch"),
       queue(d, bound, "collapse queue"),
       level_sizes(d, levels() + 1, "collapse levels"),
-      tiles(d, tiles_of(n), "collapse sums"),
+      tiles(d, count_tiles(n), "collapse sums"),
       nodes(d, bound, "wide nodes"),
       order(d, n, "surfels in leaf order"),
       links(d, bound, "wide node links"),
@@ -181,11 +182,11 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       count(d, 1, "wide node count"),
       roots(d, n_instances, "instance roots"),
       top_order(d, n_instances, "instances in leaf order"),
-      top_node_array(d, top_nodes(n_instances), "top nodes"),
-      top_boxes(d, 6 * (std::size_t(n_instances) + top_nodes(n_instances)), "instance boxes"),
+      top_node_array(d, count_top_nodes(n_instances), "top nodes"),
+      top_boxes(d, 6 * (std::size_t(n_instances) + count_top_nodes(n_instances)), "instance boxes"),
       top_keys(d, std::bit_ceil(std::max(n_instances, 1u)), "instance keys"),
-      cost_sums(d, groups_of(bound), "cost sums"),
-      costs(d, groups_of(bound) * sizeof(float), "cost sums") {}
+      cost_sums(d, count_workgroups(bound), "cost sums"),
+      costs(d, count_workgroups(bound) * sizeof(float), "cost sums") {}
 
 /// Returns the number of launches of bvh_wide_mark, which processes one tree level per
 /// launch. This is 4 more than the number of levels of a full tree with the same
@@ -214,7 +215,7 @@ shared::BvhWide Bvh::Impl::wide() const {
 }
 
 SortSet Bvh::Impl::sort_set(int set) const {
-    return {.keys = at<std::uint32_t, shared::SortKeys>(keys_at(set)),
+    return {.keys = at<std::uint32_t, shared::SortKeys>(get_keys_offset(set)),
             .order = at<std::uint32_t, shared::SortOrder>(set == 0 ? kValuesAt : kCostsAt + 2)};
 }
 
@@ -234,24 +235,24 @@ void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const Accel
 
 SortSet Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
     stream.fill(bounds, 0xffffffffu);
-    run(stream, bounds_kernel, std::size_t(tiles_of(n)) * kWorkgroup,
+    run(stream, bounds_kernel, std::size_t(count_tiles(n)) * kWorkgroup,
         {.boxes = boxes.address(),
          .models = scene.models().address(),
          .bounds = bounds.address(),
          .n_surfels = n,
          .n_models = n_models});
     // Selects the set in which the sort starts, so that the sorted keys end in set 0.
-    const int first_set = static_cast<int>(RadixSort::passes(key_bits()) % 2);
+    const int first_set = static_cast<int>(RadixSort::passes(get_key_bits()) % 2);
     run(stream, keys_kernel, n,
         {.records = scene.records().address(),
          .models = scene.models().address(),
          .bounds = bounds.address(),
-         .keys = at<glm::uvec2, shared::MortonKeys>(keys_at(first_set)),
+         .keys = at<glm::uvec2, shared::MortonKeys>(get_keys_offset(first_set)),
          .other_ends = at<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
          .demands = at<std::uint32_t, shared::SlotDemands>(kDemandsAt),
          .n_surfels = n,
          .n_models = n_models});
-    return sort.run(stream, sort_set(first_set), sort_set(1 - first_set), key_bits());
+    return sort.run(stream, sort_set(first_set), sort_set(1 - first_set), get_key_bits());
 }
 
 void Bvh::Impl::collapse(Stream& stream, const DeviceScene& scene) {
@@ -268,7 +269,7 @@ void Bvh::Impl::collapse(Stream& stream, const DeviceScene& scene) {
                                  .surfels = at<std::uint32_t, shared::SortedSurfels>(kValuesAt),
                                  .models = scene.models().address(),
                                  .n_surfels = n,
-                                 .n_tiles = tiles_of(n),
+                                 .n_tiles = count_tiles(n),
                                  .n_models = n_models,
                                  .bound = bound,
                                  .level = 0};
@@ -276,7 +277,7 @@ void Bvh::Impl::collapse(Stream& stream, const DeviceScene& scene) {
          ++params.level, width = std::min<std::uint64_t>(width * RELIDAR_BVH_WIDTH, bound))
         run(stream, wide_mark, width, params);
     run(stream, wide_mark_rest, kWorkgroup, params);
-    run(stream, wide_count, std::size_t(tiles_of(n)) * kWorkgroup, params);
+    run(stream, wide_count, std::size_t(count_tiles(n)) * kWorkgroup, params);
     run(stream, wide_scan, kWorkgroup, params);
     run(stream, wide_place, bound, params);
     run(stream, wide_emit, bound, params);

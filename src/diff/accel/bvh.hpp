@@ -71,7 +71,7 @@ public:
 
     /// Returns the maximum number of nodes in the trees of all models. n surfels need at
     /// most n / 4 nodes, plus one root per model.
-    static std::uint32_t node_bound(std::uint32_t n_surfels, std::uint32_t n_models) {
+    static std::uint32_t compute_max_nodes(std::uint32_t n_surfels, std::uint32_t n_models) {
         return n_surfels / 4 + n_models;
     }
 

@@ -25,17 +25,18 @@ struct Structure {
     VkAccelerationStructureKHR handle = VK_NULL_HANDLE;
     std::uint64_t address = 0;
 
-    Structure(Device& owner, VkAccelerationStructureTypeKHR type, VkDeviceSize size, const std::string& what)
-        : device(&impl_of(owner)) {
-        storage = std::make_unique<Buffer>(owner, size, what);
+    Structure(Device& owner, VkAccelerationStructureTypeKHR type, VkDeviceSize size,
+              const std::string& description)
+        : device(&get_impl(owner)) {
+        storage = std::make_unique<Buffer>(owner, size, description);
         if (device->compile_only) return;
         VkAccelerationStructureCreateInfoKHR info{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_CREATE_INFO_KHR};
-        info.buffer = impl_of(*storage).handle;
+        info.buffer = get_impl(*storage).handle;
         info.size = size;
         info.type = type;
         gpu::check(vkCreateAccelerationStructureKHR(device->device, &info, nullptr, &handle),
                    "vkCreateAccelerationStructureKHR");
-        gpu::name_object(device->device, VK_OBJECT_TYPE_ACCELERATION_STRUCTURE_KHR, handle, what);
+        gpu::name_object(device->device, VK_OBJECT_TYPE_ACCELERATION_STRUCTURE_KHR, handle, description);
         VkAccelerationStructureDeviceAddressInfoKHR query{
             VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_DEVICE_ADDRESS_INFO_KHR};
         query.accelerationStructure = handle;
@@ -57,15 +58,15 @@ struct BuildInput {
     VkAccelerationStructureBuildRangeInfoKHR range{};
 
     /// Returns the memory sizes that a build needs.
-    /// @param n number of primitives or instances
-    VkAccelerationStructureBuildSizesInfoKHR sizes(Device::Impl& device, std::uint32_t n) {
-        range.primitiveCount = n;
+    /// @param count number of primitives or instances
+    VkAccelerationStructureBuildSizesInfoKHR sizes(Device::Impl& device, std::uint32_t count) {
+        range.primitiveCount = count;
         info.geometryCount = 1;
         info.pGeometries = &geometry;
         VkAccelerationStructureBuildSizesInfoKHR result{
             VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_BUILD_SIZES_INFO_KHR};
         vkGetAccelerationStructureBuildSizesKHR(
-            device.device, VK_ACCELERATION_STRUCTURE_BUILD_TYPE_DEVICE_KHR, &info, &n, &result);
+            device.device, VK_ACCELERATION_STRUCTURE_BUILD_TYPE_DEVICE_KHR, &info, &count, &result);
         return result;
     }
 
@@ -107,12 +108,12 @@ const Mesh kIcosahedron{
     12, {0, 1, 8, 0, 1, 10, 0, 4, 5,  0, 4, 8, 0, 5, 10, 1, 6, 7,  1, 6, 8, 1, 7,  10, 2, 3, 9, 2, 3,  11,
          2, 4, 5, 2, 4, 9,  2, 5, 11, 3, 6, 7, 3, 6, 9,  3, 7, 11, 4, 8, 9, 5, 10, 11, 6, 8, 9, 7, 10, 11}};
 
-/// Returns the vertex indices of n equal meshes whose vertices are stored one after
+/// Returns the vertex indices of `count` equal meshes whose vertices are stored one after
 /// another.
-std::vector<std::uint32_t> triangle_indices(const Mesh& mesh, std::uint32_t n) {
+std::vector<std::uint32_t> make_triangle_indices(const Mesh& mesh, std::uint32_t count) {
     std::vector<std::uint32_t> indices;
-    indices.reserve(mesh.corners.size() * n);
-    for (std::uint32_t i = 0; i < n; ++i)
+    indices.reserve(mesh.corners.size() * count);
+    for (std::uint32_t i = 0; i < count; ++i)
         for (const std::uint32_t corner : mesh.corners) indices.push_back(mesh.n_corners * i + corner);
     return indices;
 }
@@ -174,7 +175,7 @@ void HardwareAccel::Impl::describe_model(const Model& model) {
         input.geometry.geometryType = VK_GEOMETRY_TYPE_AABBS_KHR;
         input.geometry.geometry.aabbs = {VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_AABBS_DATA_KHR,
                                          nullptr,
-                                         {impl_of(geometry.buffer()).address + 24ull * model.first},
+                                         {get_impl(geometry.buffer()).address + 24ull * model.first},
                                          24};
     } else {
         input.geometry.geometryType = VK_GEOMETRY_TYPE_TRIANGLES_KHR;
@@ -183,11 +184,11 @@ void HardwareAccel::Impl::describe_model(const Model& model) {
         t.sType = VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_TRIANGLES_DATA_KHR;
         t.vertexFormat = VK_FORMAT_R32G32B32_SFLOAT;
         t.vertexData.deviceAddress =
-            impl_of(geometry.buffer()).address + 12ull * mesh.n_corners * model.first;
+            get_impl(geometry.buffer()).address + 12ull * mesh.n_corners * model.first;
         t.vertexStride = 12;
         t.maxVertex = mesh.n_corners * std::max(model.count, 1u) - 1;
         t.indexType = VK_INDEX_TYPE_UINT32;
-        t.indexData.deviceAddress = impl_of(indices.buffer()).address;
+        t.indexData.deviceAddress = get_impl(indices.buffer()).address;
     }
     input.info.type = VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR;
     input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR |
@@ -237,9 +238,9 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
         device, std::size_t(scene.size()) * (a.proxy == Proxy::boxes ? 6 : 3 * a.mesh.n_corners), "proxies");
     if (a.proxy == Proxy::triangles)
         a.indices = Array<std::uint32_t>(
-            device, std::span<const std::uint32_t>(triangle_indices(a.mesh, largest)), "proxy indices");
+            device, std::span<const std::uint32_t>(make_triangle_indices(a.mesh, largest)), "proxy indices");
 
-    const std::uint64_t alignment = impl_of(device).scratch_alignment;
+    const std::uint64_t alignment = get_impl(device).scratch_alignment;
     VkDeviceSize scratch_bytes = 0;
     a.blas_input.reserve(layout.models.size());
     for (const Model& model : layout.models) {
@@ -250,7 +251,7 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
             a.blas.push_back(nullptr);
             continue;
         }
-        const VkAccelerationStructureBuildSizesInfoKHR sizes = a.blas_input.back().sizes(impl_of(device), n);
+        const VkAccelerationStructureBuildSizesInfoKHR sizes = a.blas_input.back().sizes(get_impl(device), n);
         a.blas.push_back(std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR,
                                                      sizes.accelerationStructureSize,
                                                      "bottom level of " + model.name));
@@ -264,12 +265,12 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
     a.tlas_input.info.type = VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR;
     a.tlas_input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR;
     const VkAccelerationStructureBuildSizesInfoKHR sizes = a.tlas_input.sizes(
-        impl_of(device), static_cast<std::uint32_t>(std::max<std::size_t>(layout.instances.size(), 1)));
+        get_impl(device), static_cast<std::uint32_t>(std::max<std::size_t>(layout.instances.size(), 1)));
     a.tlas = std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR,
                                          sizes.accelerationStructureSize, "top level");
     scratch_bytes = std::max(scratch_bytes, sizes.buildScratchSize);
     a.scratch = Buffer(device, scratch_bytes + alignment, "acceleration structure scratch");
-    a.scratch_address = (impl_of(a.scratch).address + alignment - 1) / alignment * alignment;
+    a.scratch_address = (get_impl(a.scratch).address + alignment - 1) / alignment * alignment;
 }
 
 HardwareAccel::~HardwareAccel() = default;
@@ -325,13 +326,13 @@ void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const Accel
         inputs.push_back(a.blas_input[i]);
     }
     if (!inputs.empty())
-        record_builds(impl_of(stream), refit ? "accel/refit" : "accel/build", std::move(inputs));
+        record_builds(get_impl(stream), refit ? "accel/refit" : "accel/build", std::move(inputs));
     move(stream, scene);
 }
 
 void HardwareAccel::move(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
-    Stream::Impl& s = impl_of(stream);
+    Stream::Impl& s = get_impl(stream);
     a.tlas_input.geometry.geometry.instances.data.deviceAddress = a.write_instances(s, scene);
     a.tlas_input.prepare(*a.tlas, false, a.scratch_address);
     record_builds(s, "accel/top_level", {a.tlas_input});

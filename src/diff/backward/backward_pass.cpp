@@ -25,7 +25,7 @@ constexpr std::uint32_t kMostHitsPerRay = 4096;
 /// atomics. Then both methods take about the same time, but atomics need no memory.
 /// Devices without float atomics use records, because their compare-and-swap loops
 /// conflict if many rays hit one surfel.
-bool gathers(const Device& device, Reduction reduction, ShDirection direction) {
+bool uses_gathering(const Device& device, Reduction reduction, ShDirection direction) {
     if (reduction != Reduction::automatic) return reduction == Reduction::gather;
     return direction == ShDirection::ray || !device.info().float_atomics;
 }
@@ -34,8 +34,9 @@ bool gathers(const Device& device, Reduction reduction, ShDirection direction) {
 /// them with atomics. The time of an atomic instruction depends on the number of cache
 /// sectors on a GPU, but on the number of lanes on a CPU. The exchange requires maximal
 /// reconvergence, because lanes leave the loops over hits at different times.
-bool exchanges_rows(const Device& device, const BackwardOptions& backward, bool gathered) {
-    return !gathered && backward.coalesced_atomics.value_or(coalesces(device) && reconverges(device));
+bool uses_row_exchange(const Device& device, const BackwardOptions& backward, bool gathered) {
+    return !gathered &&
+           backward.coalesced_atomics.value_or(prefers_coalesced_access(device) && does_reconverge(device));
 }
 
 }  // namespace
@@ -50,12 +51,12 @@ struct BackwardPass::Impl {
     /// the forward pass has already reported it.
     Array<std::uint32_t, shared::PassCapCount> pass_cap;
 
-    static std::vector<Constant> constants(const Device& device, const ImageModel& m, Proxy proxy,
+    static std::vector<Constant> constants(const Device& device, const ImageModel& model, Proxy proxy,
                                            const TraceOptions& options, const BackwardOptions& backward) {
-        std::vector<Constant> all = trace_constants(device, proxy, options, m);
-        const bool gathered = gathers(device, backward.reduction, m.sh_direction);
+        std::vector<Constant> all = trace_constants(device, proxy, options, model);
+        const bool gathered = uses_gathering(device, backward.reduction, model.sh_direction);
         all.push_back({ConstantId::GATHER, gathered ? 1u : 0u});
-        const bool exchanged = exchanges_rows(device, backward, gathered);
+        const bool exchanged = uses_row_exchange(device, backward, gathered);
         all.push_back({ConstantId::COALESCED_ATOMICS, exchanged ? 1u : 0u});
         // Uses one subgroup per workgroup, because lavapipe treats a subgroup barrier as
         // a barrier of the full workgroup.
@@ -69,10 +70,11 @@ struct BackwardPass::Impl {
          const BackwardOptions& backward)
         : model(m),
           options(o),
-          trace(device, "diff/backward/trace", accumulating_variant(device, traversal_variant(device)),
+          trace(device, "diff/backward/trace",
+                choose_accumulating_variant(device, get_traversal_variant(device)),
                 constants(device, m, proxy, o, backward)),
           poses(device),
-          gather(gathers(device, backward.reduction, m.sh_direction)
+          gather(uses_gathering(device, backward.reduction, m.sh_direction)
                      ? std::make_unique<HitGather>(device, m, backward.hits_per_ray, o)
                      : nullptr),
           pass_cap(device, 1, "pass cap count") {}

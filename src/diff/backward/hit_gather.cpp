@@ -26,8 +26,8 @@ HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits
     : device_(device),
       hits_per_ray_(hits_per_ray),
       part_floats_(model.sh_direction == ShDirection::surfel ? 16u : 16u + RELIDAR_SH_FLOATS),
-      gather_(device, "diff/backward/gather", accumulating_variant(device), constants(model, options)),
-      heads_kernel_(device, "diff/backward/gather_heads", accumulating_variant(device),
+      gather_(device, "diff/backward/gather", choose_accumulating_variant(device), constants(model, options)),
+      heads_kernel_(device, "diff/backward/gather_heads", choose_accumulating_variant(device),
                     constants(model, options)),
       most_hits_(device, std::vector<std::uint32_t>{0u}, "most hits of a batch"),
       n_hits_(device, 1, "hits of a batch"),
@@ -71,9 +71,9 @@ void HitGather::fill(shared::BackwardParams& params) const {
 }
 
 void HitGather::run(Stream& stream, const shared::BackwardParams& params) {
-    const auto set = [&](int i) {
-        return SortSet{.keys = rows_[i].address().as<shared::SortKeys>(),
-                       .order = slots_[i].address().as<shared::SortOrder>()};
+    const auto set = [&](int index) {
+        return SortSet{.keys = rows_[index].address().as<shared::SortKeys>(),
+                       .order = slots_[index].address().as<shared::SortOrder>()};
     };
     const SortSet sorted =
         sort_->run(stream, set(0), set(1), static_cast<std::uint32_t>(std::bit_width(params.n_rows)),

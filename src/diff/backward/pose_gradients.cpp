@@ -21,14 +21,14 @@ struct BlockTable {
     std::vector<std::uint32_t> first;  ///< [instances + 1] first block of each instance
 };
 
-BlockTable block_table(const DeviceScene& scene) {
+BlockTable make_block_table(const DeviceScene& scene) {
     const Scene& layout = scene.layout();
     BlockTable table;
     std::vector<bool> viewed(layout.models.size(), false);
     for (std::size_t i = 0; i < layout.instances.size(); ++i) {
         const std::uint32_t model = layout.instances[i].model;
         const std::uint32_t n = layout.models[model].count, first = layout.models[model].first,
-                            first_row = scene.first_gradient_row(i);
+                            first_row = scene.get_first_gradient_row(i);
         table.first.push_back(static_cast<std::uint32_t>(table.blocks.size()));
         for (std::uint32_t k = 0; k < n; k += kBlock)
             table.blocks.push_back(
@@ -42,7 +42,7 @@ BlockTable block_table(const DeviceScene& scene) {
 }  // namespace
 
 Gradients::PoseSums::PoseSums(Device& device, const DeviceScene& scene) {
-    const BlockTable table = block_table(scene);
+    const BlockTable table = make_block_table(scene);
     blocks = Array<shared::PoseBlock>(device, table.blocks, "pose blocks");
     first_block = Array<std::uint32_t>(device, table.first, "first pose blocks");
     sums = {device, RELIDAR_POSE_SUMS * table.blocks.size(), "pose sums"};

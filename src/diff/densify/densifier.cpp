@@ -23,7 +23,7 @@ namespace {
 
 constexpr float kUnbounded = std::numeric_limits<float>::infinity();
 
-double logit(double p) { return std::log(p / (1.0 - p)); }
+double logit(double probability) { return std::log(probability / (1.0 - probability)); }
 
 /// Thresholds that decide which surfels are dropped or grow.
 struct Rules {
@@ -72,21 +72,21 @@ struct Densifier::Impl {
           spawn(d, "diff/densify/spawn"),
           reset_opacity(d, "diff/densify/reset_opacity") {
         for (std::size_t model = 0; model < scene.models.size(); ++model)
-            extents_m.push_back(model_extent(scene, model));
+            extents_m.push_back(compute_model_extent(scene, model));
     }
 
     std::uint64_t random(Draw draw, int step) const {
-        return hash64(hash64(seed, std::uint64_t(draw)), std::uint64_t(step));
+        return combine_hashes(combine_hashes(seed, std::uint64_t(draw)), std::uint64_t(step));
     }
-    Rules rules_at(int step) const;
+    Rules get_rules_at(int step) const;
     std::vector<ModelCounts> counts(Stream& stream, const DeviceScene& scene, const Rules& rules, int step);
-    std::uint32_t make_room(DeviceScene& scene, Adam& adam, std::uint32_t wanted, double others_bytes,
+    std::uint32_t make_room(DeviceScene& scene, Adam& adam, std::uint32_t requested, double others_bytes,
                             std::string& why);
     DensifyReport apply(Stream& stream, DeviceScene& scene, Adam& adam, const Rules& rules, int step,
                         double others_bytes);
 };
 
-Rules Densifier::Impl::rules_at(int step) const {
+Rules Densifier::Impl::get_rules_at(int step) const {
     Rules rules{min_opacity, kUnbounded};
     if (step > options.large_from) rules.max_extent_share = static_cast<float>(options.max_extent_share);
     return rules;
@@ -98,14 +98,14 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
     const std::vector<float> extents(extents_m.begin(), extents_m.end());
     stream.fill(counters);
     relidar::run(stream, classify, scene.size(),
-                 {.surfels = pointers_of(scene.parameters()),
+                 {.surfels = get_surfel_pointers(scene.parameters()),
                   .gradient_sum = s.gradient_sum.address(),
                   .n_seen = s.n_seen.address(),
                   .action = arrays.action.address(),
                   .weight = arrays.weight.address(),
                   .counters = counters.address(),
                   .models = scene.models().address(),
-                  .extents = impl_of(stream).values(extents).as<shared::ModelExtents>(),
+                  .extents = get_impl(stream).values(extents).as<shared::ModelExtents>(),
                   .min_opacity = rules.min_opacity,
                   .max_extent_share = rules.max_extent_share,
                   .clone_extent_share = static_cast<float>(options.clone_extent_share),
@@ -123,22 +123,22 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
 
 /// Allocates memory for a densification. If the memory is not sufficient, tries smaller
 /// sizes.
-/// @param wanted requested number of surfels
+/// @param requested requested number of surfels
 /// @param why receives the reason if the memory is not sufficient
-/// @return number of surfels, at most `wanted`, for which the arrays have space
+/// @return number of surfels, at most `requested`, for which the arrays have space
 /// afterwards
-std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::uint32_t wanted,
+std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::uint32_t requested,
                                          double others_bytes, std::string& why) {
     const std::uint32_t before = scene.size();
     // bytes per surfel of parameters, Adam moments and records
-    const double others = 4.0 * (3.0 * floats_per_surfel(scene.parameters().parameters()) + 16.0);
+    const double others = 4.0 * (3.0 * count_floats_per_surfel(scene.parameters().parameters()) + 16.0);
     const double bytes = double(arrays.bytes_per_surfel()) + others;
     const auto fits = [&](std::uint32_t target, double capacity) {
         const std::uint32_t now = arrays.capacity();
         const bool grows = capacity > now;
         const double while_copied = grows ? 4.0 * kShFloats * now : 0.0;
-        why = missing_memory(device,
-                             others_bytes * target + (grows ? bytes * (capacity - now) + while_copied : 0.0));
+        why = describe_missing_memory(
+            device, others_bytes * target + (grows ? bytes * (capacity - now) + while_copied : 0.0));
         if (!why.empty() || !grows) return why.empty();
         try {
             const std::uint32_t n = static_cast<std::uint32_t>(capacity);
@@ -151,7 +151,7 @@ std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::ui
         }
         return why.empty();
     };
-    for (std::uint32_t growth = wanted > before ? wanted - before : 0; growth > 0;
+    for (std::uint32_t growth = requested > before ? requested - before : 0; growth > 0;
          growth = growth >= 16 ? growth / 2 : 0) {
         const std::uint32_t target = before + growth;
         const double generous =
@@ -162,20 +162,21 @@ std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::ui
             (!there && fits(target, target)))
             return target;
     }
-    return std::min(wanted, before);
+    return std::min(requested, before);
 }
 
 DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& adam, const Rules& rules,
                                      int step, double others_bytes) {
     const std::uint32_t before = scene.size();
     const std::vector<ModelCounts> counted = counts(stream, scene, rules, step);
-    GrowthPlan plan = limited_to(plan_growth(counted, options, random(Draw::phase, step)), memory_limit);
+    GrowthPlan plan =
+        limit_growth_plan(plan_growth(counted, options, random(Draw::phase, step)), memory_limit);
     std::string why;
     const std::uint32_t room = make_room(scene, adam, plan.size(), others_bytes, why);
     std::string note;
     if (room < plan.size()) {
         memory_limit = room;
-        plan = limited_to(plan, room);
+        plan = limit_growth_plan(plan, room);
         note = fmt::format("densification stops at {} surfels: {}", room, why);
     }
     DensifyReport report = report_of(counted, plan);
@@ -190,7 +191,7 @@ DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& a
     arrays.move(stream, adam.moment1(), true, plan.size());
     arrays.move(stream, adam.moment2(), true, plan.size());
     relidar::run(stream, spawn, before,
-                 {.surfels = pointers_of(scene.parameters()),
+                 {.surfels = get_surfel_pointers(scene.parameters()),
                   .action = arrays.action.address(),
                   .n_rows = arrays.n_rows.address(),
                   .starts = arrays.starts.address(),
@@ -237,7 +238,7 @@ bool Densifier::due(int step) const {
 }
 
 DensifyReport Densifier::run(Stream& stream, DeviceScene& scene, Adam& adam, int step, double others_bytes) {
-    return impl_->apply(stream, scene, adam, impl_->rules_at(step), step, others_bytes);
+    return impl_->apply(stream, scene, adam, impl_->get_rules_at(step), step, others_bytes);
 }
 
 void Densifier::after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step) {

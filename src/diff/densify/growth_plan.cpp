@@ -7,7 +7,7 @@
 
 namespace relidar {
 
-std::uint32_t GrowthPlan::sum_before(std::uint64_t weight) const {
+std::uint32_t GrowthPlan::sum_earlier_weights(std::uint64_t weight) const {
     return total_weight == 0 ? 0u : static_cast<std::uint32_t>((weight * n_new + phase) / total_weight);
 }
 
@@ -18,7 +18,8 @@ std::vector<Model> GrowthPlan::ranges(std::vector<Model> models,
     for (std::size_t i = 0; i < models.size(); ++i) {
         const std::uint64_t above = weight + counts[i][RELIDAR_DENSIFY_WEIGHT];
         models[i].first = next;
-        models[i].count = counts[i][RELIDAR_DENSIFY_KEPT] + sum_before(above) - sum_before(weight);
+        models[i].count =
+            counts[i][RELIDAR_DENSIFY_KEPT] + sum_earlier_weights(above) - sum_earlier_weights(weight);
         next += models[i].count;
         weight = above;
     }
@@ -35,10 +36,10 @@ GrowthPlan plan_growth(const std::vector<ModelCounts>& counts, const DensifyOpti
     if (plan.total_weight == 0) return plan;
     plan.phase = static_cast<std::uint32_t>(random % plan.total_weight);
     plan.n_new = plan.total_weight;  // one new surfel per growing surfel, because each has weight 1
-    return limited_to(plan, static_cast<std::uint32_t>(options.max_surfels));
+    return limit_growth_plan(plan, static_cast<std::uint32_t>(options.max_surfels));
 }
 
-GrowthPlan limited_to(GrowthPlan plan, std::uint32_t size) {
+GrowthPlan limit_growth_plan(GrowthPlan plan, std::uint32_t size) {
     plan.n_new = std::min(plan.n_new, size > plan.survivors ? size - plan.survivors : 0u);
     return plan;
 }

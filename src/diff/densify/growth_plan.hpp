@@ -28,7 +28,7 @@ struct GrowthPlan {
     /// Returns the number of copies that all surfels before a position receive together.
     /// Must use the same formula as kernel diff/densify/allot.
     /// @param weight sum of the weights of these surfels
-    std::uint32_t sum_before(std::uint64_t weight) const;
+    std::uint32_t sum_earlier_weights(std::uint64_t weight) const;
     /// Returns copies of the models with their new surfel ranges.
     std::vector<Model> ranges(std::vector<Model> models, const std::vector<ModelCounts>& counts) const;
 };
@@ -40,7 +40,7 @@ GrowthPlan plan_growth(const std::vector<ModelCounts>& counts, const DensifyOpti
                        std::uint64_t random);
 /// Reduces the number of new surfels so that the total is at most `size`. Survivors
 /// always stay.
-GrowthPlan limited_to(GrowthPlan plan, std::uint32_t size);
+GrowthPlan limit_growth_plan(GrowthPlan plan, std::uint32_t size);
 
 /// Adds the counts of all models and returns them as a report.
 DensifyReport report_of(const std::vector<ModelCounts>& counts, const GrowthPlan& plan);

@@ -11,12 +11,13 @@
 
 namespace relidar {
 
-Rearrangement::Rearrangement(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames, ParameterSet of)
+Rearrangement::Rearrangement(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames,
+                             ParameterSet parameter_set)
     : device_(device),
       prefix_sum_(device),
       allot_(device, "diff/densify/allot"),
       move_(device, "diff/densify/move") {
-    spare_.primitive = of.primitive, spare_.bends = of.bends;
+    spare_.primitive = parameter_set.primitive, spare_.bends = parameter_set.bends;
     statistics.n_words = std::max(1u, (n_frames + 31) / 32);
     reserve(n_surfels);
     Stream stream(device);
@@ -25,17 +26,17 @@ Rearrangement::Rearrangement(Device& device, std::uint32_t n_surfels, std::uint3
     stream.finish();
 }
 
-void Rearrangement::reserve(std::uint32_t n) {
-    const std::size_t n_words = std::size_t(n) * statistics.n_words;
-    prefix_sum_.reserve(device_, n);
-    spare_.reserve(device_, n, "spare surfel");
-    statistics.gradient_sum.reserve(device_, n, "gradient statistics");
-    statistics.n_seen.reserve(device_, n, "seen batches");
+void Rearrangement::reserve(std::uint32_t count) {
+    const std::size_t n_words = std::size_t(count) * statistics.n_words;
+    prefix_sum_.reserve(device_, count);
+    spare_.reserve(device_, count, "spare surfel");
+    statistics.gradient_sum.reserve(device_, count, "gradient statistics");
+    statistics.n_seen.reserve(device_, count, "seen batches");
     statistics.frames.reserve(device_, n_words, "seen frames");
     spare_frames_.reserve(device_, n_words, "spare seen frames");
     for (Array<std::uint32_t>* array :
          std::initializer_list<Array<std::uint32_t>*>{&action, &weight, &starts, &n_rows})
-        array->reserve(device_, n, "densification");
+        array->reserve(device_, count, "densification");
 }
 
 std::uint32_t Rearrangement::capacity() const {
@@ -47,7 +48,7 @@ std::uint32_t Rearrangement::capacity() const {
 }
 
 std::size_t Rearrangement::bytes_per_surfel() const {
-    return 4 * (floats_per_surfel(spare_.parameters()) + 6 + 2 * statistics.n_words);
+    return 4 * (count_floats_per_surfel(spare_.parameters()) + 6 + 2 * statistics.n_words);
 }
 
 void Rearrangement::allot(Stream& stream, const GrowthPlan& plan, std::uint32_t before) {
@@ -84,7 +85,7 @@ void Rearrangement::move_rows(Stream& stream, Array<T>& rows, Array<T>& spare, s
 }
 
 void Rearrangement::move(Stream& stream, SurfelArrays& set, bool fresh, std::uint32_t after) {
-    for (const ParameterGroup& group : groups_of(set.parameters()))
+    for (const ParameterGroup& group : list_parameter_groups(set.parameters()))
         move_rows(stream, group.mutable_device(set), group.mutable_device(spare_), group.floats(), fresh);
     set.n = after;
 }

@@ -14,7 +14,7 @@ namespace relidar {
 
 /// Tests whether `n_bytes` bytes of device memory can be allocated, and frees them again.
 /// @return an empty string, or the reason why the allocation failed
-inline std::string missing_memory(Device& device, double n_bytes) {
+inline std::string describe_missing_memory(Device& device, double n_bytes) {
     // allocates in pieces, because drivers limit the size of one allocation
     constexpr double kPiece = double(256 << 20);
     std::vector<Buffer> pieces;

@@ -12,7 +12,7 @@ namespace relidar {
 std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene, const Accel& accel,
                                         const RayBatch& batch, const ImageModel& model,
                                         const TraceOptions& options) {
-    if (device.traversal() != Traversal::software || tests_every_surfel(device)) return std::nullopt;
+    if (device.traversal() != Traversal::software || must_test_every_surfel(device)) return std::nullopt;
     std::vector<Constant> constants = trace_constants(device, accel.proxy(), options, model);
     constants.push_back({ConstantId::COUNT_VISITS, 1u});
     const Kernel<shared::ForwardParams> trace(device, "diff/forward/trace", KernelVariant("@software_bvh"),
@@ -35,7 +35,7 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
                                     .kept_in_lists = 0,
                                     .surface_gap_m = options.mode_gap_m.value_or(0.0f)};
     std::optional<HitLists> lists;
-    if (appends_hits(device, options)) {
+    if (uses_hit_lists(device, options)) {
         // lists with space for all hits
         lists.emplace(device, KernelVariant("@software_bvh"), constants, RELIDAR_MOST_ROOM);
         lists->run(stream, batch, params);

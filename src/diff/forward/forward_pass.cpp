@@ -25,12 +25,12 @@ struct ForwardPass::Impl {
     Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& o)
         : model(m),
           options(o),
-          trace(device, "diff/forward/trace", traversal_variant(device),
+          trace(device, "diff/forward/trace", get_traversal_variant(device),
                 trace_constants(device, proxy, o, m)),
           pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count"),
           n_overfull(device, std::vector<std::uint32_t>{0u}, "rays with more hits than are kept") {
-        if (appends_hits(device, o))
-            lists.emplace(device, traversal_variant(device), trace_constants(device, proxy, o, m),
+        if (uses_hit_lists(device, o))
+            lists.emplace(device, get_traversal_variant(device), trace_constants(device, proxy, o, m),
                           o.list_room);
     }
 };
@@ -63,9 +63,9 @@ void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& acc
         .scene = trace_scene(scene, accel, batch, impl_->model, impl_->options, impl_->pass_cap.address()),
         .lists = {},
         .rendered = rendered.address(),
-        .kept = address_of(kept ? &kept->hits : nullptr),
+        .kept = get_address(kept ? &kept->hits : nullptr),
         .n_overfull = impl_->n_overfull.address(),
-        .surfaces = address_of(surfaces),
+        .surfaces = get_address(surfaces),
         .n_kept = kept ? kept->per_ray : 0,
         .kept_in_lists = 0,
         .surface_gap_m = impl_->options.mode_gap_m.value_or(0.0f)};

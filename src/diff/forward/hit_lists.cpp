@@ -17,7 +17,7 @@ constexpr std::size_t kMostLists = std::size_t(1) << 24;
 
 /// Returns the maximum size of all hit lists in bytes: one eighth of the device's memory.
 /// Assumes 8 GiB of memory if the size is unknown.
-std::size_t max_bytes(const Device& device) {
+std::size_t compute_max_bytes(const Device& device) {
     const std::size_t memory = device.info().memory_bytes;
     return (memory ? memory : std::size_t(8) << 30) / 8;
 }
@@ -30,11 +30,13 @@ Kernel<shared::SortHitsParams> sort_kernel(Device& device) {
             Subgroups::full};
 }
 
-std::size_t bytes_of(std::size_t n_lists, std::uint32_t room) { return n_lists * room * sizeof(shared::Hit); }
+std::size_t compute_list_bytes(std::size_t n_lists, std::uint32_t capacity) {
+    return n_lists * capacity * sizeof(shared::Hit);
+}
 
 }  // namespace
 
-std::uint32_t max_list_capacity(const Device& device) {
+std::uint32_t compute_max_list_capacity(const Device& device) {
     return std::min<std::uint32_t>(
         RELIDAR_MOST_ROOM, RELIDAR_MOST_HELD * static_cast<std::uint32_t>(device.info().subgroup_size));
 }
@@ -45,7 +47,7 @@ HitLists::HitLists(Device& device, const KernelVariant& variant, const std::vect
       append_(device, "diff/forward/append", variant, constants),
       blend_(device, "diff/forward/blend", constants),
       sort_(sort_kernel(device)),
-      most_room_(max_list_capacity(device)),
+      most_room_(compute_max_list_capacity(device)),
       room_(std::min(static_cast<std::uint32_t>(room), most_room_)),
       n_overflows_(device, std::vector<std::uint32_t>{0u}, "rays with more hits than fit into their lists"),
       overflows_(device, sizeof(std::uint32_t), "rays with more hits than fit into their lists") {}
@@ -56,7 +58,7 @@ void HitLists::make_hits(std::size_t n_lists) {
     const std::uint32_t wanted = room_;
     hits_ = {};
     for (; room_ > 0; room_ /= 2) {
-        if (bytes_of(n_lists, room_) > max_bytes(device_)) continue;
+        if (compute_list_bytes(n_lists, room_) > compute_max_bytes(device_)) continue;
         try {
             hits_ = Array<shared::Hit>(device_, n_lists * room_, "lists of hits");
             break;
@@ -72,7 +74,7 @@ void HitLists::make_hits(std::size_t n_lists) {
 /// may wait for it. Reads the count only after its submission is finished, so that the
 /// host never waits here.
 bool HitLists::needs_more_room(Stream& stream) {
-    if (!overflows_.pending() || impl_of(stream).last_ticket + 1 < counted_until_ + Stream::Impl::kSlots)
+    if (!overflows_.pending() || get_impl(stream).last_ticket + 1 < counted_until_ + Stream::Impl::kSlots)
         return false;
     std::uint32_t count = 0;
     std::memcpy(&count, overflows_.wait(stream), sizeof count);
@@ -115,7 +117,7 @@ shared::HitLists HitLists::make_room(Stream& stream, std::size_t n_threads, cons
 void HitLists::count_overflows(Stream& stream) {
     if (!grows_ || room_ >= most_room_ || overflows_.pending()) return;
     overflows_.record(stream, n_overflows_.buffer(), sizeof(std::uint32_t));
-    counted_until_ = impl_of(stream).last_ticket + 1;
+    counted_until_ = get_impl(stream).last_ticket + 1;
 }
 
 void HitLists::run(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,

@@ -14,14 +14,14 @@ namespace relidar {
 
 /// Returns true if rays write their hits to lists in memory. On a CPU, an ordered buffer
 /// per ray is faster, because it stays in the cache and needs no second launch.
-inline bool appends_hits(const Device& device, const TraceOptions& options) {
+inline bool uses_hit_lists(const Device& device, const TraceOptions& options) {
     return options.order == HitOrder::automatic ? device.info().type != "CPU"
                                                 : options.order == HitOrder::lists;
 }
 
 /// Returns the maximum number of hits in a list. It is limited because a subgroup of the
 /// device must be able to sort the list.
-std::uint32_t max_list_capacity(const Device& device);
+std::uint32_t compute_max_list_capacity(const Device& device);
 
 class HitLists {
 public:

@@ -71,7 +71,7 @@ Renderer::~Renderer() {
         if (!impl_->local_stream) impl_->stream.finish();
     } catch (const Error&) {  // nothing to do, because a lost device no longer uses memory
     }
-    impl_of(impl_->device).wait_idle();
+    get_impl(impl_->device).wait_idle();
 }
 
 void Renderer::place(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m) {

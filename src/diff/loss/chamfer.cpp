@@ -37,14 +37,15 @@ struct Cloud {
     Array<glm::vec3, shared::GroupLows> group_low;
     Array<glm::vec3, shared::GroupHighs> group_high;
 
-    /// Allocates a point cloud. An image with one column has the most tiles, ceil(n / 4),
-    /// so n / 4 + 1 tiles are always enough. This is also true for groups of tiles.
-    Cloud(Device& device, std::size_t n, const std::string& what)
-        : points(device, n, what + " points"),
-          tile_low(device, n / 4 + 1, what + " tiles"),
-          tile_high(device, n / 4 + 1, what + " tiles"),
-          group_low(device, n / 16 + 2, what + " groups"),
-          group_high(device, n / 16 + 2, what + " groups") {}
+    /// Allocates a point cloud. An image with one column has the most tiles, ceil(count /
+    /// 4), so `count` / 4 + 1 tiles are always enough. This is also true for groups of
+    /// tiles.
+    Cloud(Device& device, std::size_t count, const std::string& description)
+        : points(device, count, description + " points"),
+          tile_low(device, count / 4 + 1, description + " tiles"),
+          tile_high(device, count / 4 + 1, description + " tiles"),
+          group_low(device, count / 16 + 2, description + " groups"),
+          group_high(device, count / 16 + 2, description + " groups") {}
     shared::ChamferCloud pointers() const {
         return {.points = points.address(),
                 .tile_low = tile_low.address(),
@@ -69,71 +70,71 @@ struct ChamferLoss::Impl {
     Kernel<shared::ChamferParams> chamfer, vjp;
     std::uint32_t n_rays = 0;  ///< number of rays of the last batch
 
-    Impl(Device& device, const LossWeights& w, std::size_t n)
+    Impl(Device& device, const LossWeights& w, std::size_t count)
         : weights(w),
-          simulated(device, n, "simulated"),
-          measured(device, n, "measured"),
-          nearest_measured(device, n, "nearest measured"),
-          nearest_simulated(device, n, "nearest simulated"),
-          d_found(device, 2 * n, "gradients of found points"),
+          simulated(device, count, "simulated"),
+          measured(device, count, "measured"),
+          nearest_measured(device, count, "nearest measured"),
+          nearest_simulated(device, count, "nearest simulated"),
+          d_found(device, 2 * count, "gradients of found points"),
           counts(device, 2, "points"),
-          points(device, "diff/loss/chamfer_points", accumulating_variant(device)),
+          points(device, "diff/loss/chamfer_points", choose_accumulating_variant(device)),
           boxes(device, "diff/loss/chamfer_boxes"),
           nearest(device, "diff/loss/chamfer_nearest"),
-          chamfer(device, "diff/loss/chamfer", accumulating_variant(device)),
+          chamfer(device, "diff/loss/chamfer", choose_accumulating_variant(device)),
           vjp(device, "diff/loss/chamfer_vjp") {}
 
-    void bound_tiles(Stream& stream, const Cloud& cloud, const Levels& l) const {
-        RELIDAR_ASSERT_LE(std::size_t(l.tiles.x) * l.tiles.y, cloud.tile_low.size());
-        relidar::run(stream, boxes, std::size_t(l.tiles.x) * l.tiles.y,
+    void bound_tiles(Stream& stream, const Cloud& cloud, const Levels& levels) const {
+        RELIDAR_ASSERT_LE(std::size_t(levels.tiles.x) * levels.tiles.y, cloud.tile_low.size());
+        relidar::run(stream, boxes, std::size_t(levels.tiles.x) * levels.tiles.y,
                      {.low = cloud.points.address().as<shared::LowCorners>(),
                       .high = cloud.points.address().as<shared::HighCorners>(),
                       .tile_low = cloud.tile_low.address(),
                       .tile_high = cloud.tile_high.address(),
-                      .rows = l.points.x,
-                      .columns = l.points.y,
-                      .tile_rows = l.tile.x,
-                      .tile_columns = l.tile.y});
+                      .rows = levels.points.x,
+                      .columns = levels.points.y,
+                      .tile_rows = levels.tile.x,
+                      .tile_columns = levels.tile.y});
     }
-    void bound_groups(Stream& stream, const Cloud& cloud, const Levels& l) const {
-        RELIDAR_ASSERT_LE(std::size_t(l.groups.x) * l.groups.y, cloud.group_low.size());
-        relidar::run(stream, boxes, std::size_t(l.groups.x) * l.groups.y,
+    void bound_groups(Stream& stream, const Cloud& cloud, const Levels& levels) const {
+        RELIDAR_ASSERT_LE(std::size_t(levels.groups.x) * levels.groups.y, cloud.group_low.size());
+        relidar::run(stream, boxes, std::size_t(levels.groups.x) * levels.groups.y,
                      {.low = cloud.tile_low.address().as<shared::LowCorners>(),
                       .high = cloud.tile_high.address().as<shared::HighCorners>(),
                       .tile_low = cloud.group_low.address().as<shared::TileLows>(),
                       .tile_high = cloud.group_high.address().as<shared::TileHighs>(),
-                      .rows = l.tiles.x,
-                      .columns = l.tiles.y,
-                      .tile_rows = l.tile.x,
-                      .tile_columns = l.tile.y});
+                      .rows = levels.tiles.x,
+                      .columns = levels.tiles.y,
+                      .tile_rows = levels.tile.x,
+                      .tile_columns = levels.tile.y});
     }
     void search(Stream& stream, const Cloud& from, const Cloud& to, const Array<std::uint32_t>& found,
-                const Levels& l) const {
+                const Levels& levels) const {
         relidar::run(stream, nearest, n_rays,
                      {.queries = from.points.address().as<shared::QueryPoints>(),
                       .cloud = to.pointers(),
                       .nearest = found.address(),
-                      .rows = l.points.x,
-                      .columns = l.points.y,
-                      .tile_rows = l.tile.x,
-                      .tile_columns = l.tile.y});
+                      .rows = levels.points.x,
+                      .columns = levels.points.y,
+                      .tile_rows = levels.tile.x,
+                      .tile_columns = levels.tile.y});
     }
     /// Submits kernels that find nearest points in both directions. Both directions run
     /// concurrently on the device.
-    void search(Stream& stream, const Levels& l) const {
+    void search(Stream& stream, const Levels& levels) const {
         {
             const Concurrent both(stream);
-            bound_tiles(stream, simulated, l);
-            bound_tiles(stream, measured, l);
+            bound_tiles(stream, simulated, levels);
+            bound_tiles(stream, measured, levels);
         }
         {
             const Concurrent both(stream);
-            bound_groups(stream, simulated, l);
-            bound_groups(stream, measured, l);
+            bound_groups(stream, simulated, levels);
+            bound_groups(stream, measured, levels);
         }
         const Concurrent both(stream);
-        search(stream, simulated, measured, nearest_measured, l);
-        search(stream, measured, simulated, nearest_simulated, l);
+        search(stream, simulated, measured, nearest_measured, levels);
+        search(stream, measured, simulated, nearest_simulated, levels);
     }
 };
 

@@ -7,7 +7,7 @@
 namespace relidar {
 namespace {
 
-constexpr bool are_in_order() {
+constexpr bool are_terms_in_order() {
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) index,
     const std::size_t indices[] = {RELIDAR_LOSS_TERMS(RELIDAR_TERM)};
 #undef RELIDAR_TERM
@@ -16,7 +16,7 @@ constexpr bool are_in_order() {
         if (index != next++) return false;
     return true;
 }
-static_assert(are_in_order(), "the places of loss terms count up from 0");
+static_assert(are_terms_in_order(), "the places of loss terms count up from 0");
 
 }  // namespace
 

@@ -15,8 +15,8 @@ namespace relidar {
 
 namespace {
 
-bool has_box(const Model& m) {
-    return m.half_size_m.x > 0.0f && m.half_size_m.y > 0.0f && m.half_size_m.z > 0.0f;
+bool has_box(const Model& model) {
+    return model.half_size_m.x > 0.0f && model.half_size_m.y > 0.0f && model.half_size_m.z > 0.0f;
 }
 
 }  // namespace
@@ -27,7 +27,7 @@ struct SurfelLoss::Impl {
 };
 
 SurfelLoss::SurfelLoss(Device& device, const LossWeights& weights)
-    : impl_(new Impl{weights, {device, "diff/loss/surfel_loss", accumulating_variant(device)}}) {}
+    : impl_(new Impl{weights, {device, "diff/loss/surfel_loss", choose_accumulating_variant(device)}}) {}
 SurfelLoss::~SurfelLoss() = default;
 std::unique_ptr<Loss> make_surfel_loss(Device& device, const LossWeights& weights, std::uint32_t) {
     return std::make_unique<SurfelLoss>(device, weights);
@@ -47,9 +47,9 @@ void SurfelLoss::regularise(Stream& stream, const DeviceScene& scene, const Surf
     }
     if (!(w.box > 0.0f) || first >= end) return;
     relidar::run(stream, impl_->kernel, end - first,
-                 {.surfels = pointers_of(scene.parameters()),
-                  .d_surfels = pointers_of(*gradients.d_surfels),
-                  .touched = address_of(gradients.touched),
+                 {.surfels = get_surfel_pointers(scene.parameters()),
+                  .d_surfels = get_surfel_pointers(*gradients.d_surfels),
+                  .touched = get_address(gradients.touched),
                   .terms = terms.address(),
                   .models = scene.models().address(),
                   .box_scale_share = w.box_scale_share,

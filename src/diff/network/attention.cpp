@@ -12,7 +12,7 @@ namespace {
 
 constexpr std::uint32_t kAttentionThreads = 64;  // threads per workgroup
 
-std::vector<Constant> attention_constants(std::uint32_t lanes) {
+std::vector<Constant> make_attention_constants(std::uint32_t lanes) {
     return {{ConstantId::LANES, lanes}, {ConstantId::WORKGROUP_SIZE, kAttentionThreads}};
 }
 
@@ -29,7 +29,7 @@ shared::MatrixView view_heads(const Slice& slice, std::uint32_t heads, bool tran
             .unused = 0};
 }
 
-shared::MatrixView of_shares(const Tensor& shares, const Grid& grid, std::uint32_t heads, bool transposed) {
+shared::MatrixView view_shares(const Tensor& shares, const Grid& grid, std::uint32_t heads, bool transposed) {
     const auto pixels = std::uint32_t(grid.pixels());
     return {.values = shares.values.address(),
             .first = 0,
@@ -45,8 +45,8 @@ shared::MatrixView of_shares(const Tensor& shares, const Grid& grid, std::uint32
 Attention::Attention(Device& device, std::uint32_t heads)
     : heads_(heads),
       lanes_(std::uint32_t(device.info().subgroup_size)),
-      matmul_(device, "diff/network/matmul", attention_constants(lanes_), Subgroups::full),
-      softmax_(device, "diff/network/softmax", attention_constants(lanes_), Subgroups::full) {}
+      matmul_(device, "diff/network/matmul", make_attention_constants(lanes_), Subgroups::full),
+      softmax_(device, "diff/network/softmax", make_attention_constants(lanes_), Subgroups::full) {}
 
 AttentionState Attention::make_state(Device& device, const Grid& grid, bool with_gradients) const {
     const auto channels = std::uint32_t(heads_ * grid.pixels());
@@ -73,17 +73,17 @@ void Attention::run_softmax(Stream& stream, AttentionState& state, const Grid& g
          .n = pixels});
 }
 
-void Attention::forward(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& to) {
-    const std::uint32_t channels = to.channels, size = channels / heads_,
-                        pixels = std::uint32_t(to.grid.pixels());
+void Attention::forward(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& output) {
+    const std::uint32_t channels = output.channels, size = channels / heads_,
+                        pixels = std::uint32_t(output.grid.pixels());
     RELIDAR_ASSERT_EQ(qkv.channels, 3 * channels);
     const Slice query = qkv.part(0, channels), key = qkv.part(channels, channels),
                 value = qkv.part(2 * channels, channels);
-    const Grid& grid = to.grid;
+    const Grid& grid = output.grid;
     multiply(stream,
              {.a = view_heads(query, heads_, true),
               .b = view_heads(key, heads_, false),
-              .c = of_shares(state.share, grid, heads_, false),
+              .c = view_shares(state.share, grid, heads_, false),
               .n_batch = 0,
               .n_heads = 0,
               .rows = pixels,
@@ -94,8 +94,8 @@ void Attention::forward(Stream& stream, const Slice& qkv, AttentionState& state,
     run_softmax(stream, state, grid, false);
     multiply(stream,
              {.a = view_heads(value, heads_, false),
-              .b = of_shares(state.share, grid, heads_, true),
-              .c = view_heads(to, heads_, false),
+              .b = view_shares(state.share, grid, heads_, true),
+              .c = view_heads(output, heads_, false),
               .n_batch = 0,
               .n_heads = 0,
               .rows = size,
@@ -115,12 +115,12 @@ void Attention::vjp(Stream& stream, const Slice& qkv, AttentionState& state, con
                 d_value = d_qkv.part(2 * channels, channels);
     const Grid& grid = d_to.grid;
     const float scale = 1.0f / std::sqrt(float(size));
-    const auto product = [&](const shared::MatrixView& a, const shared::MatrixView& b,
+    const auto product = [&](const shared::MatrixView& first, const shared::MatrixView& second,
                              const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner,
                              float factor) {
         multiply(stream,
-                 {.a = a,
-                  .b = b,
+                 {.a = first,
+                  .b = second,
                   .c = c,
                   .n_batch = 0,
                   .n_heads = 0,
@@ -131,15 +131,15 @@ void Attention::vjp(Stream& stream, const Slice& qkv, AttentionState& state, con
                  grid);
     };
     // computes d_value = d_to share
-    product(view_heads(d_to, heads_, false), of_shares(state.share, grid, heads_, false),
+    product(view_heads(d_to, heads_, false), view_shares(state.share, grid, heads_, false),
             view_heads(d_value, heads_, false), size, pixels, 1.0f);
     // Computes d_share = d_to^T value. The derivative of the softmax follows.
     product(view_heads(d_to, heads_, true), view_heads(value, heads_, false),
-            of_shares(state.d_share, grid, heads_, false), pixels, size, 1.0f);
+            view_shares(state.d_share, grid, heads_, false), pixels, size, 1.0f);
     run_softmax(stream, state, grid, true);
-    product(view_heads(key, heads_, false), of_shares(state.d_share, grid, heads_, true),
+    product(view_heads(key, heads_, false), view_shares(state.d_share, grid, heads_, true),
             view_heads(d_query, heads_, false), size, pixels, scale);
-    product(view_heads(query, heads_, false), of_shares(state.d_share, grid, heads_, false),
+    product(view_heads(query, heads_, false), view_shares(state.d_share, grid, heads_, false),
             view_heads(d_key, heads_, false), size, pixels, scale);
 }
 

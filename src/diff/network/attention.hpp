@@ -25,8 +25,8 @@ public:
     /// Computes to[h] = V softmax(K^T Q / sqrt(channels per head)) for each head h.
     /// @param qkv query Q, key K and value V of each pixel, [n, 3 channels, rows,
     /// columns]
-    /// @param to output, [n, channels, rows, columns]
-    void forward(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& to);
+    /// @param output output, [n, channels, rows, columns]
+    void forward(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& output);
     void vjp(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& d_to, const Slice& d_qkv);
 
 private:

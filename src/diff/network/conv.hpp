@@ -24,19 +24,21 @@ public:
     /// Computes the convolution to = bias + weights * from.
     /// @param weights [to.channels, from.channels, taps]
     /// @param bias [to.channels], or a null address
-    /// @param accumulate true: adds the result to `to` instead of overwriting `to`
-    void forward(Stream& stream, const Slice& from, Weights weights, Bias bias, const Slice& to,
+    /// @param accumulate true: adds the result to `output` instead of overwriting
+    /// `output`
+    void forward(Stream& stream, const Slice& input, Weights weights, Bias bias, const Slice& output,
                  bool accumulate = false);
     /// Computes dL/d(from) from dL/d(to).
     /// @param accumulate true: adds the result to `d_from` instead of overwriting
     /// `d_from`
-    void input_vjp(Stream& stream, const Slice& d_to, Weights weights, const Slice& d_from,
-                   bool accumulate = false);
+    void backpropagate_input(Stream& stream, const Slice& d_to, Weights weights, const Slice& d_from,
+                             bool accumulate = false);
     /// Computes dL/d(weights), [to.channels, from.channels, taps]. Adds in a fixed order,
     /// so that the result is the same in every run.
-    void weights_vjp(Stream& stream, const Slice& from, const Slice& d_to, Weights d_weights);
-    /// Returns the number of floats that weights_vjp() needs for its partial sums.
-    std::size_t partial_floats(const Grid& grid, std::uint32_t n_in, std::uint32_t n_out) const;
+    void backpropagate_weights(Stream& stream, const Slice& input, const Slice& d_to, Weights d_weights);
+    /// Returns the number of floats that backpropagate_weights() needs for its partial
+    /// sums.
+    std::size_t count_partial_floats(const Grid& grid, std::uint32_t n_in, std::uint32_t n_out) const;
     void reserve(Device& device, std::size_t floats) {
         partial_.reserve(device, floats, "partial sums of weights");
     }
@@ -51,8 +53,8 @@ private:
     Array<float, shared::PartSums> partial_;
 
     void run_conv(Stream& stream, const shared::ConvParams& params) const;
-    std::size_t conv_threads(const shared::ConvParams& params) const;
-    std::size_t weights_threads(const shared::ConvWeightsParams& params) const;
+    std::size_t count_conv_threads(const shared::ConvParams& params) const;
+    std::size_t count_weights_threads(const shared::ConvWeightsParams& params) const;
 };
 
 }  // namespace relidar::refine

@@ -13,10 +13,10 @@ namespace {
 
 template <class Joined, class Values>
 Joined joined(Device& device, std::span<const DropImage> images, const Values& values,
-              const std::string& what) {
+              const std::string& description) {
     std::size_t n = 0;
     for (const DropImage& image : images) n += values(image).size();
-    Joined all(device, n, what);
+    Joined all(device, n, description);
     std::size_t first = 0;
     for (const DropImage& image : images) {
         all.upload(std::span<const float>(values(image)), first);
@@ -25,7 +25,7 @@ Joined joined(Device& device, std::span<const DropImage> images, const Values& v
     return all;
 }
 
-Array<glm::vec2> pairs(Device& device, const std::vector<float>& values) {
+Array<glm::vec2> make_pairs(Device& device, const std::vector<float>& values) {
     std::vector<glm::vec2> result;
     for (std::size_t i = 0; i + 1 < values.size(); i += 2) result.emplace_back(values[i], values[i + 1]);
     return Array<glm::vec2>(device, std::span<const glm::vec2>(result), "normalisation of inputs");
@@ -33,7 +33,7 @@ Array<glm::vec2> pairs(Device& device, const std::vector<float>& values) {
 
 }  // namespace
 
-std::vector<float> normalisation_of(const std::vector<DropImage>& images, std::size_t n_channels) {
+std::vector<float> compute_normalisation(const std::vector<DropImage>& images, std::size_t n_channels) {
     std::vector<float> scale_shift;
     for (std::size_t c = 0; c < n_channels; ++c) {
         double n = 0.0, sum = 0.0, squares = 0.0;
@@ -43,9 +43,9 @@ std::vector<float> normalisation_of(const std::vector<DropImage>& images, std::s
                 for (std::size_t i = c * pixels; i < (c + 1) * pixels; ++i) work(double(image.channels[i]));
             }
         };
-        for_each([&](double x) { n += 1.0, sum += x; });
+        for_each([&](double value) { n += 1.0, sum += value; });
         const double mean = sum / n;
-        for_each([&](double x) { squares += (x - mean) * (x - mean); });
+        for_each([&](double value) { squares += (value - mean) * (value - mean); });
         const double deviation = std::sqrt(squares / n), scale = deviation > 1e-6 ? 1.0 / deviation : 0.0;
         scale_shift.push_back(float(scale));
         scale_shift.push_back(float(-mean * scale));
@@ -55,10 +55,10 @@ std::vector<float> normalisation_of(const std::vector<DropImage>& images, std::s
 
 DropInputs::DropInputs(Device& device, const DropNetwork& network)
     : n_channels_(std::uint32_t(network.inputs.size())),
-      n_fixed_(fixed_channels(network)),
-      logit_channel_(logit_channel(network)),
+      n_fixed_(count_fixed_channels(network)),
+      logit_channel_(get_logit_channel(network)),
       kernel_(device, "diff/network/drop_inputs"),
-      scale_shift_(pairs(device, network.normalisation)) {}
+      scale_shift_(make_pairs(device, network.normalisation)) {}
 
 void DropInputs::keep(Device& device, std::span<const DropImage> images) {
     samples_ = joined<decltype(samples_)>(
@@ -69,8 +69,8 @@ void DropInputs::keep(Device& device, std::span<const DropImage> images) {
         "measured drops");
     known_.clear();
     for (const DropImage& image : images)
-        known_.push_back(std::size_t(
-            std::count_if(image.dropped.begin(), image.dropped.end(), [](float x) { return x >= 0.0f; })));
+        known_.push_back(std::size_t(std::count_if(image.dropped.begin(), image.dropped.end(),
+                                                   [](float value) { return value >= 0.0f; })));
 }
 
 void DropInputs::make(Stream& stream, std::span<const Chosen> chosen, const Tensor& images) {
@@ -100,8 +100,8 @@ void DropInputs::make(Stream& stream, std::span<const Chosen> chosen, shared::Dr
         turns.push_back(c.turn);
     }
     start_.reserve(stream.device(), images.grid.all_pixels(), "rendered logits");
-    params.chosen = impl_of(stream).values(samples).as<shared::ChosenSamples>();
-    params.turn = impl_of(stream).values(turns).as<shared::SampleTurns>();
+    params.chosen = get_impl(stream).values(samples).as<shared::ChosenSamples>();
+    params.turn = get_impl(stream).values(turns).as<shared::SampleTurns>();
     params.scale_shift = scale_shift_.address();
     params.images = images.values.address();
     params.start = start_.address();

@@ -15,7 +15,7 @@ namespace relidar::refine {
 
 /// Returns scale and shift of each input channel, [channels, 2]. They give the channel
 /// the mean 0 and the standard deviation 1 over all images. A constant channel becomes 0.
-std::vector<float> normalisation_of(const std::vector<DropImage>& images, std::size_t n_channels);
+std::vector<float> compute_normalisation(const std::vector<DropImage>& images, std::size_t n_channels);
 
 class DropInputs {
 public:

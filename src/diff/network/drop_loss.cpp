@@ -20,7 +20,7 @@ DropLoss::DropLoss(Device& device, std::size_t n_pixels)
               {{ConstantId::LANES, lanes_}, {ConstantId::WORKGROUP_SIZE, kLossThreads}}, Subgroups::full),
       partial_(device, 2 * n_parts_, "sums of cross-entropies") {}
 
-void DropLoss::run(Stream& stream, std::size_t n, const DropLossArrays& arrays, std::size_t known) {
+void DropLoss::run(Stream& stream, std::size_t count, const DropLossArrays& arrays, std::size_t n_known) {
     const std::uint32_t of_workgroup = kLossThreads / lanes_;
     relidar::run(stream, kernel_, std::size_t((n_parts_ + of_workgroup - 1) / of_workgroup) * kLossThreads,
                  {.logit = arrays.logit,
@@ -29,20 +29,20 @@ void DropLoss::run(Stream& stream, std::size_t n, const DropLossArrays& arrays, 
                   .d_logit = arrays.d_logit,
                   .probability = arrays.probability,
                   .partial = partial_.address(),
-                  .n = std::uint32_t(n),
+                  .n = std::uint32_t(count),
                   .n_parts = n_parts_,
-                  .weight = 1.0f / float(std::max<std::size_t>(known, 1))});
+                  .weight = 1.0f / float(std::max<std::size_t>(n_known, 1))});
 }
 
-DropScore DropLoss::score(std::size_t known) const {
+DropScore DropLoss::score(std::size_t n_known) const {
     DropScore score;
     const std::vector<float> partial = partial_.download();
     for (std::size_t part = 0; part < n_parts_; ++part) {
         score.entropy += double(partial[2 * part]);
         score.accuracy += double(partial[2 * part + 1]);
     }
-    score.entropy /= double(std::max<std::size_t>(known, 1));
-    score.accuracy /= double(std::max<std::size_t>(known, 1));
+    score.entropy /= double(std::max<std::size_t>(n_known, 1));
+    score.accuracy /= double(std::max<std::size_t>(n_known, 1));
     return score;
 }
 

@@ -30,13 +30,13 @@ class DropLoss {
 public:
     DropLoss(Device& device, std::size_t n_pixels);
 
-    /// Submits the kernel that computes the loss of n pixels.
-    /// @param known number of pixels with a known target. The derivative is divided by
+    /// Submits the kernel that computes the loss of `count` pixels.
+    /// @param n_known number of pixels with a known target. The derivative is divided by
     /// this number
-    void run(Stream& stream, std::size_t n, const DropLossArrays& arrays, std::size_t known);
+    void run(Stream& stream, std::size_t count, const DropLossArrays& arrays, std::size_t n_known);
     /// Returns loss and accuracy of the last run, which must be finished.
-    /// @param known number of pixels with a known target
-    DropScore score(std::size_t known) const;
+    /// @param n_known number of pixels with a known target
+    DropScore score(std::size_t n_known) const;
 
 private:
     std::uint32_t lanes_, n_parts_;

@@ -35,7 +35,7 @@ const Known& find_known(const std::string& name) {
                                      {"paper", 32, {1, 2, 4, 8, 8}, 8, 9, false, 16, {0.1, true}},
                                      {"pixel", 16, {1}, 0, 1, true, 1, {}}};
     const auto found = std::find_if(std::begin(networks), std::end(networks),
-                                    [&](const Known& known) { return name == known.name; });
+                                    [&](const Known& repository) { return name == repository.name; });
     if (found == std::end(networks))
         throw UsageError(fmt::format("refine.network: found \"{}\", expected small, paper or pixel", name));
     return *found;
@@ -43,7 +43,7 @@ const Known& find_known(const std::string& name) {
 
 }  // namespace
 
-std::vector<std::string> drop_channel_names(const RefineOptions& options) {
+std::vector<std::string> list_drop_channels(const RefineOptions& options) {
     std::vector<std::string> names{"log_range", "intensity", "drop_logit"};
     if (options.network != "paper") names.insert(names.end(), {"weight", "spread", "cosine"});
     if (options.rays != "none") names.emplace_back("elevation");
@@ -52,12 +52,12 @@ std::vector<std::string> drop_channel_names(const RefineOptions& options) {
 }
 
 std::size_t count_parameters(const RefineOptions& options) {
-    return refine::UnetPlan(refine::shape_of(options)).n_parameters;
+    return refine::UnetPlan(refine::make_network_shape(options)).n_parameters;
 }
 
 namespace refine {
 
-DropNetwork shape_of(const RefineOptions& options) {
+DropNetwork make_network_shape(const RefineOptions& options) {
     const Known& known = find_known(options.network);
     const int width = options.width > 0 ? options.width : int(known.width);
     const int levels = options.levels >= 0 ? options.levels : int(known.factors.size()) - 1;
@@ -67,7 +67,7 @@ DropNetwork shape_of(const RefineOptions& options) {
             "{} channels and {} levels",
             width, levels, kMostWidth, kMostLevels));
     DropNetwork network;
-    network.inputs = drop_channel_names(options);
+    network.inputs = list_drop_channels(options);
     for (int l = 0; l <= levels; ++l)
         network.widths.push_back(std::uint32_t(width) *
                                  known.factors[std::min(std::size_t(l), known.factors.size() - 1)]);
@@ -82,44 +82,44 @@ DropNetwork shape_of(const RefineOptions& options) {
     return network;
 }
 
-int batch_of(const RefineOptions& options) {
+int get_batch_size(const RefineOptions& options) {
     return options.batch > 0 ? options.batch : find_known(options.network).batch;
 }
 
-Regularisation regularisation_of(const RefineOptions& options) {
+Regularisation make_regularisation(const RefineOptions& options) {
     return find_known(options.network).in_training;
 }
 
-std::uint32_t logit_channel(const DropNetwork& network) {
+std::uint32_t get_logit_channel(const DropNetwork& network) {
     return std::uint32_t(std::find(network.inputs.begin(), network.inputs.end(), "drop_logit") -
                          network.inputs.begin());
 }
 
-std::uint32_t fixed_channels(const DropNetwork& network) {
+std::uint32_t count_fixed_channels(const DropNetwork& network) {
     return std::uint32_t(std::count_if(
         network.inputs.begin(), network.inputs.end(),
         [](const std::string& name) { return name == "elevation" || name.starts_with("origin"); }));
 }
 
-void check_image(const DropNetwork& network, const DropImage& image, const std::string& what) {
+void check_image(const DropNetwork& network, const DropImage& image, const std::string& description) {
     const int side = network.smallest_side();
     if (image.rows < side || image.columns < side)
         throw DataError(fmt::format(
-            "{}: found {} x {} pixels, expected at least {} x {} pixels for a network with {} levels", what,
-            image.rows, image.columns, side, side, network.widths.size() - 1));
+            "{}: found {} x {} pixels, expected at least {} x {} pixels for a network with {} levels",
+            description, image.rows, image.columns, side, side, network.widths.size() - 1));
     const std::size_t pixels = std::size_t(image.rows) * std::size_t(image.columns),
                       n = pixels * network.inputs.size();
     if (image.channels.size() != n || (!image.dropped.empty() && image.dropped.size() != pixels))
         throw DataError(fmt::format(
-            "{}: found {} channel values and {} drop values, expected {} and {} for {} x {} pixels", what,
-            image.channels.size(), image.dropped.size(), n, pixels, image.rows, image.columns));
-    const auto bad =
-        std::find_if(image.channels.begin(), image.channels.end(), [](float x) { return !std::isfinite(x); });
+            "{}: found {} channel values and {} drop values, expected {} and {} for {} x {} pixels",
+            description, image.channels.size(), image.dropped.size(), n, pixels, image.rows, image.columns));
+    const auto bad = std::find_if(image.channels.begin(), image.channels.end(),
+                                  [](float value) { return !std::isfinite(value); });
     if (bad != image.channels.end()) {
         const auto at = std::size_t(bad - image.channels.begin());
         throw DataError(
-            fmt::format("{}: the input {} at row {} and column {} is {}, expected a finite number", what,
-                        network.inputs[at / pixels], at % pixels / std::size_t(image.columns),
+            fmt::format("{}: the input {} at row {} and column {} is {}, expected a finite number",
+                        description, network.inputs[at / pixels], at % pixels / std::size_t(image.columns),
                         at % std::size_t(image.columns), *bad));
     }
 }

@@ -14,11 +14,11 @@ namespace relidar::refine {
 /// Returns a network without parameters, with the shape that the options describe.
 /// @throws UsageError if the network is unknown, too wide or too deep, or the number of
 /// heads does not divide the channels
-DropNetwork shape_of(const RefineOptions& options);
+DropNetwork make_network_shape(const RefineOptions& options);
 
 /// Returns the number of images per training step.
 /// @throws UsageError if the network is unknown
-int batch_of(const RefineOptions& options);
+int get_batch_size(const RefineOptions& options);
 
 /// Training settings that reduce overfitting. Small networks hardly profit from dropout,
 /// and rotating the images makes them less accurate.
@@ -30,18 +30,18 @@ struct Regularisation {
 };
 /// Returns the training settings that reduce overfitting of a network.
 /// @throws UsageError if the network is unknown
-Regularisation regularisation_of(const RefineOptions& options);
+Regularisation make_regularisation(const RefineOptions& options);
 
 /// Returns the index of the input channel that contains the rendered drop logit.
-std::uint32_t logit_channel(const DropNetwork& network);
+std::uint32_t get_logit_channel(const DropNetwork& network);
 
 /// Returns the number of input channels that describe the sensor's pixels. They are the
 /// last channels.
-std::uint32_t fixed_channels(const DropNetwork& network);
+std::uint32_t count_fixed_channels(const DropNetwork& network);
 
 /// Checks the size and the values of an image.
-/// @param what description of the image for error messages
+/// @param description description of the image for error messages
 /// @throws DataError if the image has the wrong size or values that are not finite
-void check_image(const DropNetwork& network, const DropImage& image, const std::string& what);
+void check_image(const DropNetwork& network, const DropImage& image, const std::string& description);
 
 }  // namespace relidar::refine

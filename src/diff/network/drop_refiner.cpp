@@ -19,17 +19,17 @@
 namespace relidar {
 namespace {
 
-const DropNetwork& checked(const DropNetwork& network) {
+const DropNetwork& check_network(const DropNetwork& network) {
     if (network.widths.empty() || network.inputs.empty() || (network.taps != 1 && network.taps != 9))
         throw DataError(
             "cannot use the ray-drop network: its list of channels or inputs is empty or its kernel "
             "size is invalid");
     const refine::UnetPlan plan(network);
-    const auto check = [](const char* what, std::size_t found, std::size_t expected) {
+    const auto check = [](const char* description, std::size_t found, std::size_t expected) {
         if (found != expected)
             throw DataError(
                 fmt::format("cannot use the ray-drop network: found {} {}, expected {} for its channels",
-                            found, what, expected));
+                            found, description, expected));
     };
     check("parameters", network.parameters.size(), plan.n_parameters);
     check("running moments", network.running.size(), plan.n_running);
@@ -40,7 +40,7 @@ const DropNetwork& checked(const DropNetwork& network) {
 }  // namespace
 
 void compile_drop_network(Device& device, const RefineOptions& options) {
-    DropNetwork network = refine::shape_of(options);
+    DropNetwork network = refine::make_network_shape(options);
     const refine::UnetPlan plan(network);
     refine::initialise(network, plan, 0);
     network.normalisation.assign(2 * network.inputs.size(), 0.0f);
@@ -81,11 +81,11 @@ struct DropPass::Impl {
     DropNetwork network;
     std::list<ShapedNetwork> shaped;  ///< most recently used first
 
-    Impl(Device& d, const DropNetwork& n) : device(d), network(checked(n)) {
+    Impl(Device& d, const DropNetwork& n) : device(d), network(check_network(n)) {
         shaped.emplace_front(device, network);
     }
 
-    ShapedNetwork& network_for(Stream& stream, const refine::Grid& image) {
+    ShapedNetwork& get_network_for_shape(Stream& stream, const refine::Grid& image) {
         auto place = std::ranges::find(shaped, image, &ShapedNetwork::grid);
         const bool is_new = place == shaped.end();
         if (is_new) place = std::ranges::find(shaped, refine::Grid{}, &ShapedNetwork::grid);
@@ -118,7 +118,7 @@ const Array<float, shared::DropProbabilities>& DropPass::run(
             rows, columns, side));
     const refine::Grid grid{1, std::uint32_t(rows), std::uint32_t(columns)};
     RELIDAR_ASSERT_LE(r.network.inputs.size() * grid.pixels(), channels.size());
-    ShapedNetwork& shaped = r.network_for(stream, grid);
+    ShapedNetwork& shaped = r.get_network_for_shape(stream, grid);
     const refine::DropInputs::Chosen whole{};
     shaped.inputs.make(stream, {&whole, 1}, channels.address(), shaped.unet.inputs());
     shaped.unet.evaluate(stream);

@@ -40,9 +40,9 @@ void check_images(const DropNetwork& network, const std::vector<DropImage>& imag
 }
 
 DropNetwork start(const std::vector<DropImage>& images, const RefineOptions& options, std::uint64_t seed) {
-    DropNetwork network = shape_of(options);
+    DropNetwork network = make_network_shape(options);
     check_images(network, images);
-    network.normalisation = normalisation_of(images, network.inputs.size());
+    network.normalisation = compute_normalisation(images, network.inputs.size());
     initialise(network, UnetPlan(network), seed);
     return network;
 }
@@ -65,7 +65,7 @@ struct DropTraining::Impl {
         : network(start(images, o, seed)),
           options(o),
           n_images(images.size()),
-          batch(std::min<std::size_t>(std::size_t(batch_of(o)), images.size())),
+          batch(std::min<std::size_t>(std::size_t(get_batch_size(o)), images.size())),
           grid{std::uint32_t(batch), std::uint32_t(images[0].rows), std::uint32_t(images[0].columns)},
           inputs(device, network),
           unet(device, network),
@@ -86,7 +86,7 @@ DropTraining::DropTraining(Device& device, const std::vector<DropImage>& images,
 DropTraining::~DropTraining() = default;
 
 std::size_t DropTraining::batch() const { return impl_->batch; }
-std::size_t DropTraining::steps_of_epoch() const { return impl_->n_images / impl_->batch; }
+std::size_t DropTraining::count_steps_per_epoch() const { return impl_->n_images / impl_->batch; }
 const KernelTimes& DropTraining::times() const { return impl_->stream.times(); }
 
 DropScore DropTraining::step(std::span<const DropInputs::Chosen> chosen, int step, int n_steps) {
@@ -94,7 +94,8 @@ DropScore DropTraining::step(std::span<const DropInputs::Chosen> chosen, int ste
     std::size_t known = 0;
     for (const DropInputs::Chosen& c : chosen) known += t.inputs.known(c.sample);
     t.inputs.make(t.stream, chosen, t.unet.inputs());
-    t.unet.forward(t.stream, std::uint32_t(step) * kKeysOfStep, float(regularisation_of(t.options).dropout));
+    t.unet.forward(t.stream, std::uint32_t(step) * kKeysOfStep,
+                   float(make_regularisation(t.options).dropout));
     t.loss.run(
         t.stream, t.grid.all_pixels(),
         {.logit = t.unet.logit().values.address().as<shared::DropLogits>(),
@@ -104,7 +105,7 @@ DropScore DropTraining::step(std::span<const DropInputs::Chosen> chosen, int ste
         known);
     t.unet.backward(t.stream);
     t.adam.step(t.stream, t.unet.parameters(), t.unet.gradients(),
-                exponential_schedule(t.options.rate, kLastRate * t.options.rate, step, n_steps), step);
+                interpolate_exponentially(t.options.rate, kLastRate * t.options.rate, step, n_steps), step);
     t.stream.finish();
     return t.loss.score(known);
 }

@@ -25,7 +25,7 @@ public:
     std::size_t batch() const;  ///< images per step
     /// Returns the number of steps per epoch. Images that do not fill a batch are not
     /// used in this epoch, but may be used in other epochs.
-    std::size_t steps_of_epoch() const;
+    std::size_t count_steps_per_epoch() const;
 
     /// Trains the network on one batch.
     /// @param step number of the step, starting at 1

@@ -10,17 +10,18 @@ namespace {
 
 constexpr std::uint32_t kTaps = 9;
 
-std::vector<float> numbers(std::size_t n) {
-    std::vector<float> values(n);
-    for (std::size_t i = 0; i < n; ++i) values[i] = float(i % 257) / 128.0f - 1.0f;
+std::vector<float> numbers(std::size_t count) {
+    std::vector<float> values(count);
+    for (std::size_t i = 0; i < count; ++i) values[i] = float(i % 257) / 128.0f - 1.0f;
     return values;
 }
 
-Array<float, shared::ConvWeights> filled(Device& device, std::size_t n, const char* what) {
-    return {device, std::span<const float>(numbers(n)), what};
+Array<float, shared::ConvWeights> make_filled_array(Device& device, std::size_t count,
+                                                    const char* description) {
+    return {device, std::span<const float>(numbers(count)), description};
 }
 
-refine::Tensor images(Device& device, const ConvolutionSize& size, std::uint32_t channels) {
+refine::Tensor make_image_tensor(Device& device, const ConvolutionSize& size, std::uint32_t channels) {
     refine::Tensor result(device, channels, {1, size.rows, size.columns}, "images");
     result.values.upload(numbers(result.values.size()));
     return result;
@@ -36,12 +37,12 @@ struct MeasuredConvolution::Impl {
 
     Impl(Device& device, const ConvolutionSize& size)
         : conv(device, kTaps),
-          from(images(device, size, size.n_in)),
-          to(images(device, size, size.n_out)),
-          weights(filled(device, std::size_t(size.n_in) * size.n_out * kTaps, "weights")),
-          d_weights(filled(device, weights.size(), "gradient of weights")),
+          from(make_image_tensor(device, size, size.n_in)),
+          to(make_image_tensor(device, size, size.n_out)),
+          weights(make_filled_array(device, std::size_t(size.n_in) * size.n_out * kTaps, "weights")),
+          d_weights(make_filled_array(device, weights.size(), "gradient of weights")),
           stream(device) {
-        conv.reserve(device, conv.partial_floats(from.grid, size.n_in, size.n_out));
+        conv.reserve(device, conv.count_partial_floats(from.grid, size.n_in, size.n_out));
     }
 };
 
@@ -54,13 +55,15 @@ void MeasuredConvolution::forward() {
     impl_->stream.finish();
 }
 
-void MeasuredConvolution::by_input() {
-    impl_->conv.input_vjp(impl_->stream, impl_->to.all(), impl_->weights.address(), impl_->from.all());
+void MeasuredConvolution::run_input_gradient() {
+    impl_->conv.backpropagate_input(impl_->stream, impl_->to.all(), impl_->weights.address(),
+                                    impl_->from.all());
     impl_->stream.finish();
 }
 
-void MeasuredConvolution::by_weights() {
-    impl_->conv.weights_vjp(impl_->stream, impl_->from.all(), impl_->to.all(), impl_->d_weights.address());
+void MeasuredConvolution::run_weights_gradient() {
+    impl_->conv.backpropagate_weights(impl_->stream, impl_->from.all(), impl_->to.all(),
+                                      impl_->d_weights.address());
     impl_->stream.finish();
 }
 

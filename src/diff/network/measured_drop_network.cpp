@@ -11,12 +11,12 @@
 namespace relidar {
 namespace {
 
-std::vector<DropImage> noise(const RefineOptions& options, int rows, int columns) {
+std::vector<DropImage> make_noise_images(const RefineOptions& options, int rows, int columns) {
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
     std::mt19937 random(1);
-    const DropImage empty{rows, columns, std::vector<float>(drop_channel_names(options).size() * n),
+    const DropImage empty{rows, columns, std::vector<float>(list_drop_channels(options).size() * n),
                           std::vector<float>(n)};
-    std::vector<DropImage> images(std::size_t(refine::batch_of(options)), empty);
+    std::vector<DropImage> images(std::size_t(refine::get_batch_size(options)), empty);
     for (DropImage& image : images) {
         for (float& x : image.channels) x = float(random() % 1024) / 512.0f - 1.0f;
         for (float& x : image.dropped) x = float(random() % 2);
@@ -24,14 +24,14 @@ std::vector<DropImage> noise(const RefineOptions& options, int rows, int columns
     return images;
 }
 
-double operations_of(const DropNetwork& network, refine::Grid grid) {
+double count_operations(const DropNetwork& network, refine::Grid grid) {
     const refine::UnetPlan plan(network);
     double sum = 0.0;
     const auto add = [&](const refine::ConvLayer& layer) {
         sum += 2.0 * double(layer.n_in) * double(layer.n_out) * double(layer.taps) * double(grid.pixels());
     };
     add(plan.head), add(plan.tail);
-    for (std::size_t level = 0; level < network.widths.size(); ++level, grid = refine::pooled(grid))
+    for (std::size_t level = 0; level < network.widths.size(); ++level, grid = refine::halve_grid(grid))
         for (std::size_t k = 0; k < 2; ++k) {
             if (level > 0) add(plan.down[2 * level - 2 + k].conv);
             if (2 * level + k < plan.up.size()) add(plan.up[2 * level + k].conv);
@@ -52,7 +52,7 @@ struct MeasuredDropNetwork::Impl {
     int steps = 0;
 
     Impl(Device& device, const RefineOptions& options, int rows, int columns)
-        : images(noise(options, rows, columns)),
+        : images(make_noise_images(options, rows, columns)),
           training(device, images, options, 1, device.info().timestamps),
           refiner(device, training.download()) {
         for (std::uint32_t i = 0; i < images.size(); ++i) chosen.push_back({i, 7 * i});
@@ -67,8 +67,8 @@ void MeasuredDropNetwork::step() { impl_->training.step(impl_->chosen, ++impl_->
 void MeasuredDropNetwork::infer() { impl_->refiner.refine(impl_->images[0]); }
 double MeasuredDropNetwork::operations() const {
     const DropImage& image = impl_->images[0];
-    return operations_of(impl_->refiner.network(),
-                         {1, std::uint32_t(image.rows), std::uint32_t(image.columns)});
+    return count_operations(impl_->refiner.network(),
+                            {1, std::uint32_t(image.rows), std::uint32_t(image.columns)});
 }
 const KernelTimes& MeasuredDropNetwork::times() const { return impl_->training.times(); }
 

@@ -29,8 +29,8 @@ public:
     ~MeasuredConvolution();
 
     void forward();
-    void by_input();    ///< computes the derivative with respect to the image
-    void by_weights();  ///< computes the derivative with respect to the weights
+    void run_input_gradient();    ///< computes the derivative with respect to the image
+    void run_weights_gradient();  ///< computes the derivative with respect to the weights
 
 private:
     struct Impl;

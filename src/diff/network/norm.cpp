@@ -15,17 +15,17 @@ constexpr float kMomentum = 0.1f, kEpsilon = 1e-5f;
 
 /// Returns the number of parts into which the pixels of a batch are split for sums. Each
 /// part is within one image.
-std::uint32_t norm_parts(const Grid& grid) {
+std::uint32_t count_norm_parts(const Grid& grid) {
     return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.pixels() / 4096, 1, 64));
 }
 /// Returns the number of threads that the kernels need for all pixels of a slice.
-std::size_t threads_of(const Slice& slice) {
+std::size_t count_threads(const Slice& slice) {
     constexpr std::size_t kStretch = std::size_t(kNormThreads) * RELIDAR_NORM_PIXELS;
     return std::size_t(slice.grid.n) * slice.channels * ((slice.grid.pixels() + kStretch - 1) / kStretch) *
            kNormThreads;
 }
 
-std::vector<Constant> in_subgroups(std::uint32_t lanes) {
+std::vector<Constant> make_subgroup_constants(std::uint32_t lanes) {
     return {{ConstantId::LANES, lanes}, {ConstantId::WORKGROUP_SIZE, kNormThreads}};
 }
 
@@ -33,14 +33,14 @@ std::vector<Constant> in_subgroups(std::uint32_t lanes) {
 
 Norm::Norm(Device& device)
     : lanes_(std::uint32_t(device.info().subgroup_size)),
-      sums_(device, "diff/network/channel_sums", in_subgroups(lanes_), Subgroups::full),
+      sums_(device, "diff/network/channel_sums", make_subgroup_constants(lanes_), Subgroups::full),
       finish_(device, "diff/network/norm_finish"),
       norm_(device, "diff/network/norm", {{ConstantId::WORKGROUP_SIZE, kNormThreads}}),
       norm_vjp_(device, "diff/network/norm_vjp", {{ConstantId::WORKGROUP_SIZE, kNormThreads}}),
       sum_parts_(device, "diff/network/sum_parts") {}
 
 void Norm::reserve(Device& device, std::uint32_t channels, const Grid& grid) {
-    partial_.reserve(device, 2 * std::size_t(channels) * norm_parts(grid), "partial sums of channels");
+    partial_.reserve(device, 2 * std::size_t(channels) * count_norm_parts(grid), "partial sums of channels");
 }
 
 void Norm::run_sums(Stream& stream, shared::ChannelSumsParams params) const {
@@ -49,98 +49,98 @@ void Norm::run_sums(Stream& stream, shared::ChannelSumsParams params) const {
     run(stream, sums_, std::size_t((jobs + of_workgroup - 1) / of_workgroup) * kNormThreads, params);
 }
 
-void Norm::finish(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state,
+void Norm::finish(Stream& stream, const Slice& input, const NormWeights& weights, NormState& state,
                   bool training) const {
-    run(stream, finish_, from.channels,
+    run(stream, finish_, input.channels,
         {.partial = partial_.address(),
          .beta_gamma = weights.beta_gamma,
          .running = weights.running,
          .moments = state.moments.address(),
          .scale_shift = state.scale_shift.address(),
-         .n_channels = from.channels,
-         .n_parts = norm_parts(from.grid),
-         .n_images = from.grid.n,
-         .n_pixels = std::uint32_t(from.grid.pixels()),
+         .n_channels = input.channels,
+         .n_parts = count_norm_parts(input.grid),
+         .n_images = input.grid.n,
+         .n_pixels = std::uint32_t(input.grid.pixels()),
          .training = training ? 1u : 0u,
          .momentum = kMomentum,
          .epsilon = kEpsilon});
 }
 
-void Norm::apply(Stream& stream, const Slice& from, const NormState& state, const Slice& to,
+void Norm::apply(Stream& stream, const Slice& input, const NormState& state, const Slice& output,
                  bool training) const {
-    RELIDAR_ASSERT_EQ(from.channels * from.grid.all_pixels(), to.channels * to.grid.all_pixels());
-    run(stream, norm_, threads_of(from),
-        {.from = from.view,
-         .to = to.view,
+    RELIDAR_ASSERT_EQ(input.channels * input.grid.all_pixels(), output.channels * output.grid.all_pixels());
+    run(stream, norm_, count_threads(input),
+        {.from = input.view,
+         .to = output.view,
          .scale_shift = state.scale_shift.address(),
-         .n_images = from.grid.n,
-         .n_pixels = std::uint32_t(from.grid.pixels()),
-         .n_channels = from.channels,
+         .n_images = input.grid.n,
+         .n_pixels = std::uint32_t(input.grid.pixels()),
+         .n_channels = input.channels,
          .dropout_key = state.dropout_key,
          .dropout = training ? state.dropout : 0.0f});
 }
 
-void Norm::forward(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state,
-                   const Slice& to) {
-    run_sums(stream, {.from = from.view,
-                      .d_to = from.view,
+void Norm::forward(Stream& stream, const Slice& input, const NormWeights& weights, NormState& state,
+                   const Slice& output) {
+    run_sums(stream, {.from = input.view,
+                      .d_to = input.view,
                       .partial = partial_.address(),
                       .scale_shift = {},
                       .moments = {},
                       .kind = shared::kSums_moments,
-                      .n_images = from.grid.n,
-                      .n_pixels = std::uint32_t(from.grid.pixels()),
-                      .n_channels = from.channels,
-                      .n_parts = norm_parts(from.grid),
+                      .n_images = input.grid.n,
+                      .n_pixels = std::uint32_t(input.grid.pixels()),
+                      .n_channels = input.channels,
+                      .n_parts = count_norm_parts(input.grid),
                       .dropout_key = 0,
                       .dropout = 0.0f});
-    finish(stream, from, weights, state, true);
-    apply(stream, from, state, to, true);
+    finish(stream, input, weights, state, true);
+    apply(stream, input, state, output, true);
 }
 
-void Norm::evaluate(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state,
-                    const Slice& to) {
-    finish(stream, from, weights, state, false);
-    apply(stream, from, state, to, false);
+void Norm::evaluate(Stream& stream, const Slice& input, const NormWeights& weights, NormState& state,
+                    const Slice& output) {
+    finish(stream, input, weights, state, false);
+    apply(stream, input, state, output, false);
 }
 
-void Norm::vjp(Stream& stream, const Slice& from, const NormState& state, const Slice& d_to,
+void Norm::vjp(Stream& stream, const Slice& input, const NormState& state, const Slice& d_to,
                const Slice& d_from, const NormGradient& gradient, bool accumulate) {
-    const auto n_pixels = std::uint32_t(from.grid.pixels()), n_parts = norm_parts(from.grid);
-    run_sums(stream, {.from = from.view,
+    const auto n_pixels = std::uint32_t(input.grid.pixels()), n_parts = count_norm_parts(input.grid);
+    run_sums(stream, {.from = input.view,
                       .d_to = d_to.view,
                       .partial = partial_.address(),
                       .scale_shift = state.scale_shift.address(),
                       .moments = state.moments.address(),
                       .kind = shared::kSums_norm_vjp,
-                      .n_images = from.grid.n,
+                      .n_images = input.grid.n,
                       .n_pixels = n_pixels,
-                      .n_channels = from.channels,
+                      .n_channels = input.channels,
                       .n_parts = n_parts,
                       .dropout_key = state.dropout_key,
                       .dropout = state.dropout});
-    run(stream, sum_parts_, 2 * from.channels,
+    run(stream, sum_parts_, 2 * input.channels,
         {.partial = partial_.address(),
          .sum = gradient.all.address_as<float, shared::SumOfParts>(gradient.first),
          .n_parts = n_parts,
-         .n = 2 * from.channels});
-    run(stream, norm_vjp_, threads_of(from),
-        {.from = from.view,
+         .n = 2 * input.channels});
+    run(stream, norm_vjp_, count_threads(input),
+        {.from = input.view,
          .d_to = d_to.view,
          .d_from = d_from.view,
          .d_beta_gamma = gradient.all.address_as<glm::vec2, shared::BetaGamma>(gradient.first),
          .scale_shift = state.scale_shift.address(),
          .moments = state.moments.address(),
-         .n_images = from.grid.n,
+         .n_images = input.grid.n,
          .n_pixels = n_pixels,
-         .n_channels = from.channels,
+         .n_channels = input.channels,
          .dropout_key = state.dropout_key,
          .dropout = state.dropout,
          .accumulate = accumulate ? 1u : 0u});
 }
 
-void Norm::bias_vjp(Stream& stream, const Slice& d_to, Address<float, shared::ConvBias> d_bias) {
-    const std::uint32_t n_parts = norm_parts(d_to.grid);
+void Norm::backpropagate_bias(Stream& stream, const Slice& d_to, Address<float, shared::ConvBias> d_bias) {
+    const std::uint32_t n_parts = count_norm_parts(d_to.grid);
     run_sums(stream, {.from = d_to.view,
                       .d_to = d_to.view,
                       .partial = partial_.address(),

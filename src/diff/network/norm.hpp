@@ -42,21 +42,21 @@ public:
     /// Computes to = dropout(relu(gamma x^ + beta)) for training. x^ is the input,
     /// normalised with mean and variance of the batch. Updates the running mean and
     /// variance.
-    void forward(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state,
-                 const Slice& to);
+    void forward(Stream& stream, const Slice& input, const NormWeights& weights, NormState& state,
+                 const Slice& output);
     /// Computes the layer for inference. Uses the running mean and variance, and no
     /// dropout.
-    void evaluate(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state,
-                  const Slice& to);
+    void evaluate(Stream& stream, const Slice& input, const NormWeights& weights, NormState& state,
+                  const Slice& output);
     /// Computes dL/d(from) and dL/d(beta, gamma) from dL/d(to). Requires an earlier
     /// forward().
     /// @param accumulate true: adds the result to `d_from` instead of overwriting
     /// `d_from`
-    void vjp(Stream& stream, const Slice& from, const NormState& state, const Slice& d_to,
+    void vjp(Stream& stream, const Slice& input, const NormState& state, const Slice& d_to,
              const Slice& d_from, const NormGradient& gradient, bool accumulate = false);
     /// Computes the sum of each channel over the pixels of all images, [channels]. This
     /// sum is the gradient of a bias.
-    void bias_vjp(Stream& stream, const Slice& d_to, Address<float, shared::ConvBias> d_bias);
+    void backpropagate_bias(Stream& stream, const Slice& d_to, Address<float, shared::ConvBias> d_bias);
     /// Allocates memory for images with this number of channels and pixels.
     void reserve(Device& device, std::uint32_t channels, const Grid& grid);
 
@@ -70,9 +70,9 @@ private:
     Array<float, shared::PartSums> partial_;
 
     void run_sums(Stream& stream, shared::ChannelSumsParams params) const;
-    void apply(Stream& stream, const Slice& from, const NormState& state, const Slice& to,
+    void apply(Stream& stream, const Slice& input, const NormState& state, const Slice& output,
                bool training) const;
-    void finish(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state,
+    void finish(Stream& stream, const Slice& input, const NormWeights& weights, NormState& state,
                 bool training) const;
 };
 

@@ -9,21 +9,21 @@ namespace relidar::refine {
 
 /// Returns the size of the pooled image: half the rows and half the columns, rounded
 /// down.
-Grid pooled(const Grid& grid);
+Grid halve_grid(const Grid& grid);
 
 class Resample {
 public:
     explicit Resample(Device& device);
 
     /// Computes the maximum of each block of 2 x 2 pixels (max pooling).
-    /// @param to output images of size pooled(from.grid)
-    void pool(Stream& stream, const Slice& from, const Slice& to);
+    /// @param output output images of size halve_grid(from.grid)
+    void pool(Stream& stream, const Slice& input, const Slice& output);
     /// Computes the derivative of pool() and adds it to d_from.
-    void pool_vjp(Stream& stream, const Slice& from, const Slice& d_to, const Slice& d_from);
-    /// Enlarges `from` to the image size of `to` by bilinear interpolation.
-    void upsample(Stream& stream, const Slice& from, const Slice& to);
+    void backpropagate_pool(Stream& stream, const Slice& input, const Slice& d_to, const Slice& d_from);
+    /// Enlarges `input` to the image size of `output` by bilinear interpolation.
+    void upsample(Stream& stream, const Slice& input, const Slice& output);
     /// Computes dL/d(from) from dL/d(to), the derivative of upsample().
-    void upsample_vjp(Stream& stream, const Slice& d_to, const Slice& d_from);
+    void backpropagate_upsample(Stream& stream, const Slice& d_to, const Slice& d_from);
 
 private:
     Kernel<shared::ResampleParams> pool_, pool_vjp_, upsample_, upsample_vjp_;

@@ -23,8 +23,8 @@ struct Grid {
     friend bool operator==(const Grid&, const Grid&) = default;
 };
 
-/// Returns the number of groups of `size` elements that n elements need.
-inline std::uint32_t tiles(std::uint32_t n, std::uint32_t size) { return (n + size - 1) / size; }
+/// Returns the number of groups of `size` elements that `count` elements need.
+inline std::uint32_t tiles(std::uint32_t count, std::uint32_t size) { return (count + size - 1) / size; }
 
 /// View of consecutive channels of a tensor.
 struct Slice {
@@ -32,8 +32,8 @@ struct Slice {
     std::uint32_t channels = 0;
     Grid grid;
 
-    Slice part(std::uint32_t first, std::uint32_t n) const {
-        return {{view.values, view.channels, view.first + first}, n, grid};
+    Slice part(std::uint32_t first, std::uint32_t count) const {
+        return {{view.values, view.channels, view.first + first}, count, grid};
     }
 };
 
@@ -43,8 +43,8 @@ struct Tensor {
     Array<float> values;
 
     Tensor() = default;
-    Tensor(Device& device, std::uint32_t n_channels, const Grid& g, const std::string& what)
-        : channels(n_channels), grid(g), values(device, n_channels * g.all_pixels(), what) {}
+    Tensor(Device& device, std::uint32_t n_channels, const Grid& g, const std::string& description)
+        : channels(n_channels), grid(g), values(device, n_channels * g.all_pixels(), description) {}
     Slice all() const { return {{values.address(), channels, 0}, channels, grid}; }
 };
 

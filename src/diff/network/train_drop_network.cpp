@@ -19,11 +19,11 @@ namespace {
 
 /// Draws the order and the rotations of the images for one epoch. Each epoch has a
 /// separate random generator, so that its values do not depend on earlier epochs.
-std::vector<refine::DropInputs::Chosen> draw_epoch(std::size_t n, int columns, bool turn, std::uint64_t seed,
-                                                   int epoch) {
+std::vector<refine::DropInputs::Chosen> draw_epoch(std::size_t count, int columns, bool turn,
+                                                   std::uint64_t seed, int epoch) {
     std::mt19937_64 random(seed * 1000003u + std::uint64_t(epoch));
-    std::vector<refine::DropInputs::Chosen> chosen(n);
-    for (std::size_t i = 0; i < n; ++i) {
+    std::vector<refine::DropInputs::Chosen> chosen(count);
+    for (std::size_t i = 0; i < count; ++i) {
         const std::size_t j = random() % (i + 1);  // inside-out variant of the Fisher-Yates shuffle
         if (i != j) chosen[i].sample = chosen[j].sample;
         chosen[j].sample = std::uint32_t(i);
@@ -43,7 +43,7 @@ struct Course {
 
     Course(const refine::DropTraining& training, const RefineOptions& options, const RefineState& start)
         : batch(training.batch()),
-          n_steps(training.steps_of_epoch()),
+          n_steps(training.count_steps_per_epoch()),
           entropy(start.entropy),
           accuracy(start.accuracy),
           before_s(start.seconds) {
@@ -66,12 +66,12 @@ struct Course {
     }
     int epoch() const { return int(std::size_t(report.step - 1) / n_steps); }
 
-    void add(const refine::DropScore& score, std::size_t k) {
+    void add(const refine::DropScore& score, std::size_t index) {
         entropy += score.entropy;
         accuracy += score.accuracy;
         report.epoch = epoch() + 1;
-        report.entropy = entropy / double(k + 1);
-        report.accuracy = accuracy / double(k + 1);
+        report.entropy = entropy / double(index + 1);
+        report.accuracy = accuracy / double(index + 1);
         report.seconds =
             before_s + std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
         if (!std::isfinite(score.entropy))
@@ -80,7 +80,7 @@ struct Course {
                 "number; use a smaller refine.rate",
                 score.entropy, report.step));
     }
-    RefineState put_into(RefineState state) const {
+    RefineState copy_state_into(RefineState state) const {
         state.step = report.step;
         state.entropy = entropy;
         state.accuracy = accuracy;
@@ -97,12 +97,12 @@ DropNetwork train_drop_network(Device& device, const std::vector<DropImage>& ima
     refine::DropTraining training(device, images, options, seed);
     Course course(training, options, start ? *start : RefineState{});
     if (start) training.restore(*start);
-    const auto state = [&] { return course.put_into(training.state()); };
+    const auto state = [&] { return course.copy_state_into(training.state()); };
     std::vector<refine::DropInputs::Chosen> order;
     while (course.report.step < course.report.n_steps) {
         const std::size_t k = course.advance();
         if (k == 0 || order.empty())
-            order = draw_epoch(images.size(), images[0].columns, refine::regularisation_of(options).turns,
+            order = draw_epoch(images.size(), images[0].columns, refine::make_regularisation(options).turns,
                                seed, course.epoch());
         const auto chosen = std::span(order).subspan(k * course.batch, course.batch);
         course.add(training.step(chosen, course.report.step, course.report.n_steps), k);

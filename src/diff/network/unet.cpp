@@ -22,10 +22,10 @@ Unet::Unet(Device& device, const DropNetwork& network)
 }
 
 Slice Unet::skip(std::size_t level) const {
-    return levels_[level].joined.all().part(below_channels(widths_, level), widths_[level]);
+    return levels_[level].joined.all().part(count_channels_below(widths_, level), widths_[level]);
 }
 Slice Unet::d_skip(std::size_t level) const {
-    return levels_[level].d_joined.all().part(below_channels(widths_, level), widths_[level]);
+    return levels_[level].d_joined.all().part(count_channels_below(widths_, level), widths_[level]);
 }
 
 void Unet::reserve_block(Device& device, const Block& block, const Grid& grid, BlockState& state) {
@@ -34,8 +34,8 @@ void Unet::reserve_block(Device& device, const Block& block, const Grid& grid, B
     norm_.reserve(device, block.conv.n_in, grid);
     if (!with_gradients_) return;
     most_active_ = std::max(most_active_, block.conv.n_in * grid.all_pixels());
-    Conv& conv = conv_of(block.conv);
-    conv.reserve(device, conv.partial_floats(grid, block.conv.n_in, block.conv.n_out));
+    Conv& conv = get_conv(block.conv);
+    conv.reserve(device, conv.count_partial_floats(grid, block.conv.n_in, block.conv.n_out));
 }
 
 void Unet::reserve_level(Device& device, std::size_t level, const Grid& grid) {
@@ -56,7 +56,7 @@ void Unet::reserve_level(Device& device, std::size_t level, const Grid& grid) {
     }
     tensors(l.joined, l.d_joined, count_joined_channels(widths_, level), grid);
     tensors(l.up_between, l.d_up_between, count_joined_channels(widths_, level), grid);
-    tensors(l.up, l.d_up, up_channels(widths_, level), grid);
+    tensors(l.up, l.d_up, count_up_channels(widths_, level), grid);
     for (std::size_t k = 0; k < 2; ++k)
         reserve_block(device, plan_.up[2 * level + k], grid, up_states_[2 * level + k]);
 }
@@ -76,10 +76,10 @@ void Unet::reserve(Device& device, const Grid& grid, bool with_gradients) {
     if (with_gradients) d_logit_ = Tensor(device, 1, grid, "gradient of drop logits");
     if (with_gradients) gradients_.reserve(device, parameters_.size(), "gradients of the network");
     Grid at = grid;
-    for (std::size_t level = 0; level < levels_.size(); ++level, at = pooled(at))
+    for (std::size_t level = 0; level < levels_.size(); ++level, at = halve_grid(at))
         reserve_level(device, level, at);
     for (const ConvLayer* layer : {&plan_.head, &plan_.tail})
-        conv1_.reserve(device, conv1_.partial_floats(grid, layer->n_in, layer->n_out));
+        conv1_.reserve(device, conv1_.count_partial_floats(grid, layer->n_in, layer->n_out));
     norm_.reserve(device, 1, grid);
     norm_.reserve(device, widths_[0], grid);
     if (attention_) reserve_attention(device);
@@ -95,20 +95,20 @@ void Unet::reserve_attention(Device& device) {
     attended_ = Tensor(device, channels, smallest, "attention");
     mixed_ = Tensor(device, channels, smallest, "attention added");
     attention_state_ = attention_->make_state(device, smallest, with_gradients_);
-    conv1_.reserve(device, conv1_.partial_floats(smallest, channels, channels));
+    conv1_.reserve(device, conv1_.count_partial_floats(smallest, channels, channels));
     if (!with_gradients_) return;
     d_qkv_ = Tensor(device, 3 * channels, smallest, "gradient of queries");
     d_attended_ = Tensor(device, channels, smallest, "gradient of attention");
     d_mixed_ = Tensor(device, channels, smallest, "gradient of attention added");
 }
 
-void Unet::run_block(Stream& stream, const Block& block, BlockState& state, const Slice& from,
-                     const Slice& to, Mode mode) {
+void Unet::run_block(Stream& stream, const Block& block, BlockState& state, const Slice& input,
+                     const Slice& output, Mode mode) {
     const NormWeights norm_weights{parameters_.address_as<glm::vec2, shared::BetaGamma>(block.beta_gamma),
                                    running_.address_as<glm::vec2, shared::RunningMoments>(block.running)};
-    if (mode == Mode::train) norm_.forward(stream, from, norm_weights, state.norm, state.active.all());
-    else norm_.evaluate(stream, from, norm_weights, state.norm, state.active.all());
-    conv_of(block.conv).forward(stream, state.active.all(), weights(block.conv.weights), {}, to);
+    if (mode == Mode::train) norm_.forward(stream, input, norm_weights, state.norm, state.active.all());
+    else norm_.evaluate(stream, input, norm_weights, state.norm, state.active.all());
+    get_conv(block.conv).forward(stream, state.active.all(), weights(block.conv.weights), {}, output);
 }
 
 void Unet::attend(Stream& stream, Mode mode) {
@@ -133,7 +133,7 @@ void Unet::run(Stream& stream, Mode mode) {
     if (attention_) attend(stream, mode);
     for (std::size_t l = plan_.up.size() / 2; l-- > 0;) {
         const Level& level = levels_[l];
-        if (const std::uint32_t below = below_channels(widths_, l); below > 0) {
+        if (const std::uint32_t below = count_channels_below(widths_, l); below > 0) {
             const bool smallest = l + 1 == n_levels;
             resample_.upsample(stream, smallest && attention_ ? mixed_.all() : levels_[l + 1].up.all(),
                                level.joined.all().part(0, below));
@@ -159,57 +159,61 @@ void Unet::forward(Stream& stream, std::uint32_t dropout_key, float dropout) {
 
 void Unet::evaluate(Stream& stream) { run(stream, Mode::evaluate); }
 
-void Unet::conv_vjp(Stream& stream, const ConvLayer& layer, const Slice& from, const Slice& d_to) {
-    conv_of(layer).weights_vjp(stream, from, d_to,
-                               gradients_.address_as<float, shared::ConvWeights>(layer.weights));
-    if (layer.bias) norm_.bias_vjp(stream, d_to, gradients_.address_as<float, shared::ConvBias>(*layer.bias));
+void Unet::backpropagate_conv(Stream& stream, const ConvLayer& layer, const Slice& input, const Slice& d_to) {
+    get_conv(layer).backpropagate_weights(stream, input, d_to,
+                                          gradients_.address_as<float, shared::ConvWeights>(layer.weights));
+    if (layer.bias)
+        norm_.backpropagate_bias(stream, d_to, gradients_.address_as<float, shared::ConvBias>(*layer.bias));
 }
 
-void Unet::block_vjp(Stream& stream, const Block& block, BlockState& state, const Slice& from,
-                     const Slice& d_to, const Slice& d_from, bool accumulate) {
-    const Slice d_active{{scratch_.values.address(), block.conv.n_in, 0}, block.conv.n_in, from.grid};
-    conv_vjp(stream, block.conv, state.active.all(), d_to);
-    conv_of(block.conv).input_vjp(stream, d_to, weights(block.conv.weights), d_active);
-    norm_.vjp(stream, from, state.norm, d_active, d_from, {gradients_, block.beta_gamma}, accumulate);
+void Unet::backpropagate_block(Stream& stream, const Block& block, BlockState& state, const Slice& input,
+                               const Slice& d_to, const Slice& d_from, bool accumulate) {
+    const Slice d_active{{scratch_.values.address(), block.conv.n_in, 0}, block.conv.n_in, input.grid};
+    backpropagate_conv(stream, block.conv, state.active.all(), d_to);
+    get_conv(block.conv).backpropagate_input(stream, d_to, weights(block.conv.weights), d_active);
+    norm_.vjp(stream, input, state.norm, d_active, d_from, {gradients_, block.beta_gamma}, accumulate);
 }
 
-void Unet::attend_vjp(Stream& stream) {
+void Unet::backpropagate_attention(Stream& stream) {
     const Level& smallest = levels_.back();
-    conv_vjp(stream, plan_.project, attended_.all(), d_mixed_.all());
-    conv1_.input_vjp(stream, d_mixed_.all(), weights(plan_.project.weights), d_attended_.all());
+    backpropagate_conv(stream, plan_.project, attended_.all(), d_mixed_.all());
+    conv1_.backpropagate_input(stream, d_mixed_.all(), weights(plan_.project.weights), d_attended_.all());
     attention_->vjp(stream, qkv_.all(), attention_state_, d_attended_.all(), d_qkv_.all());
     stream.copy(d_mixed_.values.buffer(), smallest.d_up.values.buffer(),
                 d_mixed_.values.size() * sizeof(float));
-    block_vjp(stream, *plan_.query, query_state_, smallest.up.all(), d_qkv_.all(), smallest.d_up.all(), true);
+    backpropagate_block(stream, *plan_.query, query_state_, smallest.up.all(), d_qkv_.all(),
+                        smallest.d_up.all(), true);
 }
 
 void Unet::backward(Stream& stream) {
     const std::size_t n_levels = widths_.size() - 1;
-    conv_vjp(stream, plan_.tail, levels_[0].up.all(), d_logit_.all());
-    conv1_.input_vjp(stream, d_logit_.all(), weights(plan_.tail.weights), levels_[0].d_up.all());
+    backpropagate_conv(stream, plan_.tail, levels_[0].up.all(), d_logit_.all());
+    conv1_.backpropagate_input(stream, d_logit_.all(), weights(plan_.tail.weights), levels_[0].d_up.all());
     for (std::size_t l = 0; l < plan_.up.size() / 2; ++l) {
         const Level& level = levels_[l];
         const Slice between = level.up_between.all(), d_between = level.d_up_between.all();
-        block_vjp(stream, plan_.up[2 * l + 1], up_states_[2 * l + 1], between, level.d_up.all(), d_between);
-        block_vjp(stream, plan_.up[2 * l], up_states_[2 * l], level.joined.all(), d_between,
-                  level.d_joined.all());
-        if (const std::uint32_t below = below_channels(widths_, l); below > 0) {
+        backpropagate_block(stream, plan_.up[2 * l + 1], up_states_[2 * l + 1], between, level.d_up.all(),
+                            d_between);
+        backpropagate_block(stream, plan_.up[2 * l], up_states_[2 * l], level.joined.all(), d_between,
+                            level.d_joined.all());
+        if (const std::uint32_t below = count_channels_below(widths_, l); below > 0) {
             const bool smallest = l + 1 == n_levels;
-            resample_.upsample_vjp(stream, level.d_joined.all().part(0, below),
-                                   smallest && attention_ ? d_mixed_.all() : levels_[l + 1].d_up.all());
+            resample_.backpropagate_upsample(
+                stream, level.d_joined.all().part(0, below),
+                smallest && attention_ ? d_mixed_.all() : levels_[l + 1].d_up.all());
         }
     }
-    if (attention_) attend_vjp(stream);
+    if (attention_) backpropagate_attention(stream);
     for (std::size_t l = n_levels; l > 0; --l) {
         const Level& level = levels_[l];
         const Slice d_to = l < n_levels ? d_skip(l) : level.d_up.all(), between = level.down_between.all();
-        block_vjp(stream, plan_.down[2 * l - 1], down_states_[2 * l - 1], between, d_to,
-                  level.d_down_between.all());
-        block_vjp(stream, plan_.down[2 * l - 2], down_states_[2 * l - 2], level.pooled.all(),
-                  level.d_down_between.all(), level.d_pooled.all());
-        resample_.pool_vjp(stream, skip(l - 1), level.d_pooled.all(), d_skip(l - 1));
+        backpropagate_block(stream, plan_.down[2 * l - 1], down_states_[2 * l - 1], between, d_to,
+                            level.d_down_between.all());
+        backpropagate_block(stream, plan_.down[2 * l - 2], down_states_[2 * l - 2], level.pooled.all(),
+                            level.d_down_between.all(), level.d_pooled.all());
+        resample_.backpropagate_pool(stream, skip(l - 1), level.d_pooled.all(), d_skip(l - 1));
     }
-    conv_vjp(stream, plan_.head, inputs_.all(), d_skip(0));
+    backpropagate_conv(stream, plan_.head, inputs_.all(), d_skip(0));
 }
 
 }  // namespace relidar::refine

@@ -45,11 +45,12 @@ struct UnetPlan {
     explicit UnetPlan(const DropNetwork& network);
 };
 
-/// Each function returns a number of channels at one level of the decoder. up_channels()
-/// counts the output. below_channels() counts the input from the smaller images.
-/// count_joined_channels() counts that input and the skip connection together.
-std::uint32_t up_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
-std::uint32_t below_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
+/// Each function returns a number of channels at one level of the decoder.
+/// count_up_channels() counts the output. count_channels_below() counts the input from
+/// the smaller images. count_joined_channels() counts that input and the skip connection
+/// together.
+std::uint32_t count_up_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
+std::uint32_t count_channels_below(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t count_joined_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 
 /// Initialises the parameters with Kaiming's uniform distribution. Normalisations start
@@ -128,20 +129,20 @@ private:
     Conv::Bias bias(std::size_t first) const {
         return parameters_.address_as<float, shared::ConvBias>(first);
     }
-    Conv& conv_of(const ConvLayer& layer) { return layer.taps == 1 ? conv1_ : conv3_; }
+    Conv& get_conv(const ConvLayer& layer) { return layer.taps == 1 ? conv1_ : conv3_; }
     Slice skip(std::size_t level) const;
     Slice d_skip(std::size_t level) const;
     void reserve_level(Device& device, std::size_t level, const Grid& grid);
     void reserve_attention(Device& device);
     void reserve_block(Device& device, const Block& block, const Grid& grid, BlockState& state);
-    void run_block(Stream& stream, const Block& block, BlockState& state, const Slice& from, const Slice& to,
-                   Mode mode);
-    void block_vjp(Stream& stream, const Block& block, BlockState& state, const Slice& from,
-                   const Slice& d_to, const Slice& d_from, bool accumulate = false);
-    void conv_vjp(Stream& stream, const ConvLayer& layer, const Slice& from, const Slice& d_to);
+    void run_block(Stream& stream, const Block& block, BlockState& state, const Slice& input,
+                   const Slice& output, Mode mode);
+    void backpropagate_block(Stream& stream, const Block& block, BlockState& state, const Slice& input,
+                             const Slice& d_to, const Slice& d_from, bool accumulate = false);
+    void backpropagate_conv(Stream& stream, const ConvLayer& layer, const Slice& input, const Slice& d_to);
     void run(Stream& stream, Mode mode);
     void attend(Stream& stream, Mode mode);
-    void attend_vjp(Stream& stream);
+    void backpropagate_attention(Stream& stream);
 };
 
 }  // namespace relidar::refine

@@ -10,9 +10,9 @@
 namespace relidar::refine {
 namespace {
 
-std::size_t take(std::size_t& n, std::size_t floats) {
-    const std::size_t first = n;
-    n += (floats + 3) / 4 * 4;
+std::size_t take(std::size_t& count, std::size_t floats) {
+    const std::size_t first = count;
+    count += (floats + 3) / 4 * 4;
     return first;
 }
 
@@ -44,22 +44,24 @@ UnetPlan::UnetPlan(const DropNetwork& network) {
     for (std::size_t l = 0; l < std::max<std::size_t>(n_levels, 1); ++l) {
         const std::uint32_t joined = count_joined_channels(w, l);
         up.push_back(block(joined, joined, network.taps));
-        up.push_back(block(joined, up_channels(w, l), network.taps));
+        up.push_back(block(joined, count_up_channels(w, l), network.taps));
     }
     tail = conv(w[0], 1, 1, true);
 }
 
-std::uint32_t up_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
+std::uint32_t count_up_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
     return level == 0 ? widths[0] : widths[level] / 2;
 }
 
-std::uint32_t below_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
+std::uint32_t count_channels_below(const std::vector<std::uint32_t>& widths, std::size_t level) {
     const std::size_t n_levels = widths.size() - 1;
-    return level >= n_levels ? 0 : level + 1 == n_levels ? widths[n_levels] : up_channels(widths, level + 1);
+    return level >= n_levels       ? 0
+           : level + 1 == n_levels ? widths[n_levels]
+                                   : count_up_channels(widths, level + 1);
 }
 
 std::uint32_t count_joined_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
-    return below_channels(widths, level) + widths[level];
+    return count_channels_below(widths, level) + widths[level];
 }
 
 void initialise(DropNetwork& network, const UnetPlan& plan, std::uint64_t seed) {

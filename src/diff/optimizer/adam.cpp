@@ -15,7 +15,7 @@
 
 namespace relidar {
 
-double exponential_schedule(double start, double end, int step, int n_steps) {
+double interpolate_exponentially(double start, double end, int step, int n_steps) {
     const double s = n_steps > 0 ? std::clamp(double(step) / n_steps, 0.0, 1.0) : 1.0;
     return std::exp((1.0 - s) * std::log(start) + s * std::log(end));
 }
@@ -26,7 +26,7 @@ namespace {
 // threads.
 constexpr std::uint32_t kStreamingThreads = 128;
 
-std::vector<Constant> adam_constants(bool per_float) {
+std::vector<Constant> make_adam_constants(bool per_float) {
     return {{ConstantId::PER_FLOAT, per_float ? 1u : 0u}, {ConstantId::WORKGROUP_SIZE, kStreamingThreads}};
 }
 
@@ -40,19 +40,19 @@ struct Adam::Impl {
     Kernel<shared::AdamParams> kernel;
     std::optional<TouchedList> list;  ///< set if only the rows that have a gradient are updated
 
-    Impl(Device& device, std::uint32_t n_surfels, const AdamOptions& o, ParameterSet of)
+    Impl(Device& device, std::uint32_t n_surfels, const AdamOptions& o, ParameterSet parameter_set)
         : options(o),
-          per_float(coalesces(device)),
-          moment1(device, n_surfels - std::min(o.n_fixed, n_surfels), "first moment", of),
-          moment2(device, moment1.n, "second moment", of),
+          per_float(prefers_coalesced_access(device)),
+          moment1(device, n_surfels - std::min(o.n_fixed, n_surfels), "first moment", parameter_set),
+          moment2(device, moment1.n, "second moment", parameter_set),
           max_log_scale(device, 0, "bounds of scales"),
-          kernel(device, "diff/optimizer/adam", adam_constants(per_float)) {
+          kernel(device, "diff/optimizer/adam", make_adam_constants(per_float)) {
         if (options.only_touched) list.emplace(device);
     }
 };
 
-Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, ParameterSet of)
-    : impl_(new Impl(device, n_surfels, options, of)) {
+Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, ParameterSet parameter_set)
+    : impl_(new Impl(device, n_surfels, options, parameter_set)) {
     Stream stream(device);
     impl_->moment1.fill_zero(stream);
     impl_->moment2.fill_zero(stream);
@@ -83,7 +83,7 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g,
     if (listed) a.list->find(stream, touched->address(first), n_rows);
     const std::uint32_t active_harmonics = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));
     const Concurrent groups(stream);  // launches may overlap, because the groups are independent
-    for (const ParameterGroup& group : groups_of(p.parameters())) {
+    for (const ParameterGroup& group : list_parameter_groups(p.parameters())) {
         const std::uint32_t stride = group.floats(), block = group.harmonics ? group.row[1] : stride;
         const std::uint32_t n_active = group.harmonics ? active_harmonics : block, n_blocks = stride / block;
         // For spherical harmonics, the learning rate of all coefficients except the
@@ -103,7 +103,7 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g,
              .n_listed = listed ? a.list->count() : Address<std::uint32_t, shared::TouchedCount>{},
              .bounds = group.scales && a.max_log_scale.size() > 0 ? a.max_log_scale.address(first)
                                                                   : Address<float, shared::ScaleBounds>{},
-             .model_scale = (by_model ? impl_of(stream).values(rates.mean_factors) : Address<float>{})
+             .model_scale = (by_model ? get_impl(stream).values(rates.mean_factors) : Address<float>{})
                                 .as<shared::ModelRates>(),
              .models = by_model ? rates.models->address() : Address<shared::ModelEntry>{},
              .learning_rate = static_cast<float>(rates.*group.rate * rest_factor),
@@ -130,15 +130,15 @@ struct ArrayAdam::Impl {
     Array<float, shared::SecondMoments> moment2;
     Kernel<shared::AdamParams> kernel;
 
-    Impl(Device& device, std::size_t n, const AdamOptions& o)
+    Impl(Device& device, std::size_t count, const AdamOptions& o)
         : options(o),
-          moment1(device, n, "first moment"),
-          moment2(device, n, "second moment"),
-          kernel(device, "diff/optimizer/adam", adam_constants(true)) {}
+          moment1(device, count, "first moment"),
+          moment2(device, count, "second moment"),
+          kernel(device, "diff/optimizer/adam", make_adam_constants(true)) {}
 };
 
-ArrayAdam::ArrayAdam(Device& device, std::size_t n, const AdamOptions& options)
-    : impl_(new Impl(device, n, options)) {
+ArrayAdam::ArrayAdam(Device& device, std::size_t count, const AdamOptions& options)
+    : impl_(new Impl(device, count, options)) {
     Stream stream(device);
     stream.fill(impl_->moment1);
     stream.fill(impl_->moment2);

@@ -26,9 +26,9 @@ struct Lane {
 
 /// Converts the gradients of rendered values to the memory layout that the backward pass
 /// expects.
-std::vector<shared::RayGradient> ray_gradients(const RenderedGradients& d, std::size_t n_rays) {
+std::vector<shared::RayGradient> make_ray_gradients(const RenderedGradients& gradients, std::size_t n_rays) {
     using shared::RayGradient;
-#define RELIDAR_LANE(name, built, value, input, slope, meaning) {#name, d.name, &RayGradient::name},
+#define RELIDAR_LANE(name, built, value, input, slope, meaning) {#name, gradients.name, &RayGradient::name},
     const Lane lanes[] = {RELIDAR_IMAGE_VALUES(RELIDAR_LANE)};
 #undef RELIDAR_LANE
     std::vector<RayGradient> result(n_rays);
@@ -46,8 +46,8 @@ std::vector<shared::RayGradient> ray_gradients(const RenderedGradients& d, std::
 
 /// Downloads an array from the device. Returns an empty vector if the gradient was not
 /// requested, because the array is then empty.
-std::vector<float> values_of(const Array<float>& array, std::size_t n) {
-    return array.size() ? array.download(n) : std::vector<float>{};
+std::vector<float> values_of(const Array<float>& array, std::size_t count) {
+    return array.size() ? array.download(count) : std::vector<float>{};
 }
 
 }  // namespace
@@ -102,7 +102,7 @@ HostGradients DifferentiableRenderer::backward(const RenderedGradients& d_render
     if (last.rays.rays == nullptr)
         throw UsageError("cannot compute gradients: nothing was rendered; call forward() first");
     stream().finish();
-    impl_->upstream.upload(ray_gradients(d_rendered, n_rays));
+    impl_->upstream.upload(make_ray_gradients(d_rendered, n_rays));
     record_backward();
     stream().finish();
     const Gradients& g = *impl_->gradients;

@@ -20,7 +20,7 @@ namespace {
 constexpr int kSurfels = 300, kRays = 256;
 
 /// Returns surfels in a ring around the origin. Most rays hit several of them.
-Surfels ring_of_surfels() {
+Surfels make_surfel_ring() {
     std::mt19937 random(1);
     const auto uniform = [&](float low, float high) {
         return low + (high - low) * float(random()) / 4294967296.0f;
@@ -39,7 +39,7 @@ Surfels ring_of_surfels() {
     return surfels;
 }
 
-WorldRays rays_around() {
+WorldRays make_rays_around() {
     WorldRays rays;
     for (int i = 0; i < kRays; ++i) {
         const float angle = 6.2831853f * float(i) / kRays, up = 0.1f * float(i % 5 - 2);
@@ -52,7 +52,7 @@ WorldRays rays_around() {
 /// Renders the ring of surfels. If `state` selects a refit, moves the surfels by 0.2 m
 /// after the build.
 Rendering render_ring(Device& device, const AccelOptions& accel, TreeState state) {
-    Surfels surfels = ring_of_surfels();
+    Surfels surfels = make_surfel_ring();
     Renderer renderer(device, make_background_scene(surfels), {}, {.accel = accel});
     renderer.place(glm::vec3(0.0f));
     if (state == TreeState::refitted) {
@@ -61,19 +61,19 @@ Rendering render_ring(Device& device, const AccelOptions& accel, TreeState state
         renderer.upload(surfels);
         renderer.place(glm::vec3(0.0f));
     }
-    return renderer.forward(rays_around());
+    return renderer.forward(make_rays_around());
 }
 
 /// Returns the largest subgroup size that gives correct results. Does not test the
 /// driver's default size.
 /// @param wrong description of the wrong result with the default size
-int right_subgroup_size(const DeviceOptions& options, const Device& device, const std::string& wrong) {
-    const std::vector<int> sizes = subgroup_sizes(device);
+int find_working_subgroup_size(const DeviceOptions& options, const Device& device, const std::string& wrong) {
+    const std::vector<int> sizes = list_subgroup_sizes(device);
     for (auto lanes = sizes.rbegin(); lanes != sizes.rend(); ++lanes) {
         if (*lanes == device.info().subgroup_size) continue;
         const Trusting trusting(DeviceTrust{.subgroup_size = *lanes});
         Device other(options);
-        if (wrong_subgroups(other).empty()) return *lanes;
+        if (find_wrong_subgroups(other).empty()) return *lanes;
     }
     throw DeviceError(fmt::format(
         "cannot use {} ({}): subgroups of {} lanes give wrong results ({}), and no other size is right",
@@ -100,13 +100,13 @@ DeviceTrust check_first_use(const DeviceOptions& options) {
     const Trusting trusting(DeviceTrust{});
     Device device(options);
     DeviceTrust trust;
-    if (device.info().float_atomics) trust.float_atomics = sum_error(device, false) == 0.0;
-    trust.float_swaps = sum_error(device, true) == 0.0;
+    if (device.info().float_atomics) trust.float_atomics = compute_sum_error(device, false) == 0.0;
+    trust.float_swaps = compute_sum_error(device, true) == 0.0;
     // Checks subgroups only if the subgroup size is known, because kernels do not rely on
     // subgroups otherwise.
     if (device.info().software)
-        if (const std::string wrong = wrong_subgroups(device); !wrong.empty())
-            trust.subgroup_size = right_subgroup_size(options, device, wrong);
+        if (const std::string wrong = find_wrong_subgroups(device); !wrong.empty())
+            trust.subgroup_size = find_working_subgroup_size(options, device, wrong);
     if (device.traversal() != Traversal::ray_query) return trust;
     int n_wrong = 0;
     if (trust.subgroup_size == 0) {

@@ -19,7 +19,7 @@ CollectedHits collect_hits(Device& device, const PlacedScene& placed, const Worl
     on_device.set_poses(placed.world_from_instance);
     Accel accel(device, on_device, placed.accel);
     const Kernel<shared::CollectHitsParams> kernel(
-        device, "diff/traversal/collect_hits", traversal_variant(device),
+        device, "diff/traversal/collect_hits", get_traversal_variant(device),
         trace_constants(device, accel.proxy(), placed.trace, placed.model));
     const std::size_t n = rays.size();
     const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(to_device_rays(rays)), "rays");

@@ -21,7 +21,7 @@ std::size_t trace_threads(const RayBatch& batch) {
     return (rows + 1) / 2 * ((std::size_t(batch.columns) + 15) / 16) * 32;
 }
 
-std::uint32_t recommended_kept_hits(std::uint32_t per_ray, std::uint64_t n_overfull) {
+std::uint32_t recommend_kept_hits(std::uint32_t per_ray, std::uint64_t n_overfull) {
     constexpr std::uint32_t kMost = 256;
     return n_overfull > 0 ? std::max(per_ray, std::min(2 * per_ray, kMost)) : per_ray;
 }

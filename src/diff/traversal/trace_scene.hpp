@@ -52,15 +52,15 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& acc
     traced.ray_stride = batch.stride;
     traced.columns = batch.columns;
     if (options.likelihood) {
-        traced.targets = address_of(batch.targets);
+        traced.targets = get_address(batch.targets);
         traced.likelihood_scale_m = options.likelihood->scale_m;
     }
     return traced;
 }
 
 /// Returns the suffix of the kernel variant for the traversal method of the device.
-inline KernelVariant traversal_variant(const Device& device) {
-    if (tests_every_surfel(device)) return KernelVariant("@brute_force");
+inline KernelVariant get_traversal_variant(const Device& device) {
+    if (must_test_every_surfel(device)) return KernelVariant("@brute_force");
     return KernelVariant(device.traversal() == Traversal::software ? "@software_bvh" : "@ray_query");
 }
 
@@ -69,7 +69,7 @@ inline KernelVariant traversal_variant(const Device& device) {
 /// lanes can diverge. 1 means that all rays of a subgroup traverse the tree together. 2
 /// (CPU) also loads surfels cooperatively, because the lanes of a CPU are elements of one
 /// vector. Joint traversal is faster on lavapipe (docs/performance.md).
-inline std::uint32_t walks_together(const Device& device, const TraceOptions& options) {
+inline std::uint32_t get_walk_constant(const Device& device, const TraceOptions& options) {
     const bool is_cpu = device.info().type == "CPU";
     if (options.walk == Walk::automatic ? !is_cpu : options.walk == Walk::lane) return 0;
     return is_cpu ? 2 : 1;
@@ -81,7 +81,7 @@ inline std::vector<Constant> trace_constants(const Device& device, Proxy proxy, 
     return {{ConstantId::CHUNK, static_cast<std::uint32_t>(options.chunk)},
             {ConstantId::BOXES, proxy == Proxy::boxes ? 1u : 0u},
             {ConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
-            {ConstantId::TOGETHER, walks_together(device, options)},
+            {ConstantId::TOGETHER, get_walk_constant(device, options)},
             {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
             {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
             {ConstantId::NORMAL, options.normals ? 1u : 0u},

@@ -20,15 +20,15 @@ constexpr int kMostMissing = 8;
 
 /// Returns the head azimuth of each firing, from the first to the last. For a firing
 /// without points, interpolates its deviation from a constant rotation.
-std::map<int, double> head_azimuths(const Points& points, const std::vector<int>& numbers,
-                                    const SpinningSensor& sensor, double step_rad) {
-    const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
+std::map<int, double> compute_head_azimuths(const Points& points, const std::vector<int>& numbers,
+                                            const SpinningSensor& sensor, double step_rad) {
+    const std::vector<BeamGeometry> beams = make_beam_geometries(sensor.beams);
     // For each firing, sum over its points of exp(i * deviation from a constant
     // rotation).
     std::map<int, std::complex<double>> sums;
     for (std::size_t i = 0; i < points.size(); ++i)
         sums[numbers[i]] +=
-            std::polar(1.0, beams[points.ring[i]].head_azimuth(glm::dvec3(points.position_m[i])) -
+            std::polar(1.0, beams[points.ring[i]].compute_head_azimuth(glm::dvec3(points.position_m[i])) -
                                 numbers[i] * step_rad);
     std::map<int, double> heads;
     for (auto at = sums.begin(); at != sums.end(); ++at) {
@@ -57,7 +57,7 @@ void add_end_of_turn(std::map<int, double>& heads, int columns, double step_rad)
 
 Sweep arrange_firings(Points& points, const std::vector<int>& numbers, const SpinningSensor& sensor,
                       double step_rad) {
-    std::map<int, double> heads = head_azimuths(points, numbers, sensor, step_rad);
+    std::map<int, double> heads = compute_head_azimuths(points, numbers, sensor, step_rad);
     add_end_of_turn(heads, sensor.columns, step_rad);
     std::vector<std::pair<double, int>> by_azimuth;
     for (const auto& [number, head] : heads) by_azimuth.emplace_back(-head, number);

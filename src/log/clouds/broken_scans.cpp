@@ -9,20 +9,20 @@
 
 namespace relidar {
 
-bool BrokenScans::has(std::size_t i) const {
+bool BrokenScans::has(std::size_t index) const {
     const std::lock_guard guard(lock_);
-    return reasons_.contains(i);
+    return reasons_.contains(index);
 }
 
-void BrokenScans::add(std::size_t i, const std::string& reason) {
+void BrokenScans::add(std::size_t index, const std::string& reason) {
     const std::lock_guard guard(lock_);
-    reasons_.try_emplace(i, reason);
+    reasons_.try_emplace(index, reason);
 }
 
-void BrokenScans::tell(Sequence& sequence, std::size_t n) const {
-    if (!reasons_.empty() && reasons_.size() == n)
-        throw DataError(fmt::format("{}: all {} scans are broken; the first error is: {}", sequence.source, n,
-                                    reasons_.begin()->second));
+void BrokenScans::tell(Sequence& sequence, std::size_t count) const {
+    if (!reasons_.empty() && reasons_.size() == count)
+        throw DataError(fmt::format("{}: all {} scans are broken; the first error is: {}", sequence.source,
+                                    count, reasons_.begin()->second));
     for (const auto& [i, reason] : reasons_)
         sequence.notes.push_back(fmt::format("a broken scan is skipped: {}", reason));
 }

@@ -20,31 +20,32 @@ class BrokenScans {
 public:
     explicit BrokenScans(bool skip) : skip_(skip) {}
 
-    /// Runs one step of reading scan i. If the step fails and broken scans are skipped,
-    /// stores the error. Does nothing if an earlier step of scan i has failed. Several
-    /// threads can call this function at the same time.
+    /// Runs one step of reading scan `index`. If the step fails and broken scans are
+    /// skipped, stores the error. Does nothing if an earlier step of scan `index` has
+    /// failed. Several threads can call this function at the same time.
     /// @throws DataError of the step, unless broken scans are skipped
     template <class Step>
-    void attempt(std::size_t i, const Step& step) {
-        if (has(i)) return;
+    void attempt(std::size_t index, const Step& step) {
+        if (has(index)) return;
         try {
             step();
         } catch (const DataError& error) {
             if (!skip_) throw DataError(std::string(error.what()) + kWayOut);
-            add(i, error.what());
+            add(index, error.what());
         }
     }
 
-    bool has(std::size_t i) const;
-    /// Marks scan i as broken, regardless of the setting. Used for scans that can be read
-    /// but are incomplete, because missing points would be treated as dropped rays.
-    void add(std::size_t i, const std::string& reason);
+    bool has(std::size_t index) const;
+    /// Marks scan `index` as broken, regardless of the setting. Used for scans that can
+    /// be read but are incomplete, because missing points would be treated as dropped
+    /// rays.
+    void add(std::size_t index, const std::string& reason);
     std::size_t size() const { return reasons_.size(); }
 
     /// Adds a note to the log for each broken scan.
-    /// @param n  total number of scans
+    /// @param count  total number of scans
     /// @throws DataError if all scans are broken
-    void tell(Sequence& sequence, std::size_t n) const;
+    void tell(Sequence& sequence, std::size_t count) const;
     /// Removes the frames of broken scans from the log and adds a note for each of them.
     /// Also removes poses that no other frame uses. Scan numbers must be indices of
     /// frames.

@@ -32,36 +32,39 @@ constexpr double kBoxReach_m =
 constexpr double kLargestOrigin_m = 1000.0;
 constexpr double kWidestBeam_rad = 6.3;  // maximum divergence of a beam, as a full angle
 
-[[noreturn]] void fail(const std::string& where, const std::string& found, const std::string& expected) {
-    throw DataError(fmt::format("{}: found {}, expected {}", where, found, expected));
+[[noreturn]] void fail(const std::string& location, const std::string& found_value,
+                       const std::string& expected) {
+    throw DataError(fmt::format("{}: found {}, expected {}", location, found_value, expected));
 }
 
-bool is_finite(const glm::dvec3& v) { return std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z); }
+bool is_finite(const glm::dvec3& vector) {
+    return std::isfinite(vector.x) && std::isfinite(vector.y) && std::isfinite(vector.z);
+}
 
-void check_pose(const Pose& pose, const std::string& where) {
+void check_pose(const Pose& pose, const std::string& location) {
     const double largest =
         std::max({std::abs(pose.translation.x), std::abs(pose.translation.y), std::abs(pose.translation.z)});
     if (!is_finite(pose.translation) || largest > kFarthest_m)
-        fail(where,
+        fail(location,
              fmt::format("the position ({}, {}, {})", pose.translation.x, pose.translation.y,
                          pose.translation.z),
              fmt::format("coordinates of at most {} m from the origin of the world", kFarthest_m));
     if (!(std::abs(glm::length(pose.rotation) - 1.0) <= kUnit))
-        fail(where, fmt::format("a quaternion of length {}", glm::length(pose.rotation)), "length 1");
+        fail(location, fmt::format("a quaternion of length {}", glm::length(pose.rotation)), "length 1");
 }
 
 /// Checks a track. Its times must increase, and each time must have one pose.
-void check_track(const PoseTrack& track, const std::string& where) {
+void check_track(const PoseTrack& track, const std::string& location) {
     if (track.pose.empty() || track.pose.size() != track.time_s.size())
-        fail(where, fmt::format("{} poses and {} times", track.pose.size(), track.time_s.size()),
+        fail(location, fmt::format("{} poses and {} times", track.pose.size(), track.time_s.size()),
              "at least one pose, and as many times as poses");
     for (std::size_t k = 0; k < track.pose.size(); ++k) {
         const double before = k == 0 ? -INFINITY : track.time_s[k - 1];
         if (!std::isfinite(track.time_s[k]) || !(track.time_s[k] > before))
-            fail(fmt::format("{}, pose {}", where, k),
+            fail(fmt::format("{}, pose {}", location, k),
                  fmt::format("the time {} s after the time {} s", track.time_s[k], before),
                  "finite and increasing times");
-        check_pose(track.pose[k], fmt::format("{}, pose {}", where, k));
+        check_pose(track.pose[k], fmt::format("{}, pose {}", location, k));
     }
 }
 
@@ -118,15 +121,15 @@ void check_frame_times(const Sequence& sequence) {
              fmt::format("{} poses, one for the time of each frame", pose + 1));
 }
 
-void check_sizes(const Scan& scan, const std::string& where) {
+void check_sizes(const Scan& scan, const std::string& location) {
     const RayTable& rays = scan.rays;
     if (rays.rows < 0 || rays.columns < 0 || std::size_t(rays.rows) * std::size_t(rays.columns) > kMaxRays)
-        fail(where, fmt::format("{} rows and {} columns", rays.rows, rays.columns),
+        fail(location, fmt::format("{} rows and {} columns", rays.rows, rays.columns),
              fmt::format("at most {} rays", kMaxRays));
     const std::size_t n = std::size_t(rays.rows) * std::size_t(rays.columns);
     const auto check = [&](const char* field, std::size_t size) {
         if (size != n)
-            fail(fmt::format("{}, {}", where, field), fmt::format("{} entries", size),
+            fail(fmt::format("{}, {}", location, field), fmt::format("{} entries", size),
                  fmt::format("{} x {} entries", rays.rows, rays.columns));
     };
     check("rays.origin", rays.origin.size());
@@ -144,16 +147,16 @@ void check_sizes(const Scan& scan, const std::string& where) {
 
 /// Returns the name of the invalid field of a return. Returns null if range and intensity
 /// are valid. NaN is invalid.
-const char* wrong_return(float range_m, float intensity) {
+const char* describe_wrong_return(float range_m, float intensity) {
     if (!(range_m >= 0.0f && range_m <= kFarthest_m)) return "range_m";
     if (!(intensity >= 0.0f && intensity <= (range_m > 0.0f ? 1.0f : 0.0f))) return "intensity";
     return nullptr;
 }
 
-void check_scan(const Scan& scan, std::size_t n_beams, const std::string& where) {
-    check_sizes(scan, where);
+void check_scan(const Scan& scan, std::size_t n_beams, const std::string& location) {
+    check_sizes(scan, location);
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-        const auto ray = [&](const char* field) { return fmt::format("{}, ray {}, {}", where, i, field); };
+        const auto ray = [&](const char* field) { return fmt::format("{}, ray {}, {}", location, i, field); };
         const glm::dvec3 origin(scan.rays.origin[i]), direction(scan.rays.direction[i]);
         if (!is_finite(origin) || glm::length(origin) > kLargestOrigin_m)
             fail(ray("rays.origin"), fmt::format("({}, {}, {})", origin.x, origin.y, origin.z),
@@ -166,15 +169,15 @@ void check_scan(const Scan& scan, std::size_t n_beams, const std::string& where)
         if (n_beams > 0 && scan.rays.channel[i] >= n_beams)
             fail(ray("rays.channel"), fmt::format("{}", scan.rays.channel[i]),
                  fmt::format("the index of one of {} beams", n_beams));
-        if (const double angle = scan.rays.divergence_of(i); !(angle >= 0.0 && angle <= kWidestBeam_rad))
+        if (const double angle = scan.rays.compute_divergence(i); !(angle >= 0.0 && angle <= kWidestBeam_rad))
             fail(ray("divergence"), fmt::format("{}", angle),
                  fmt::format("an angle from 0 to {} rad", kWidestBeam_rad));
-        if (const char* field = wrong_return(scan.range_m[i], scan.intensity[i]))
+        if (const char* field = describe_wrong_return(scan.range_m[i], scan.intensity[i]))
             fail(ray(field),
                  fmt::format("a range of {} m and an intensity of {}", scan.range_m[i], scan.intensity[i]),
                  "a range above 0 m and an intensity from 0 to 1, or both 0 for a dropped ray");
         for (const SecondReturn& f : scan.second_returns)
-            if (wrong_return(f.range_m[i], f.intensity[i]) ||
+            if (describe_wrong_return(f.range_m[i], f.intensity[i]) ||
                 (scan.range_m[i] == 0.0f && f.range_m[i] != 0.0f))
                 fail(ray("second return"),
                      fmt::format("a second return with range {} m and intensity {} after a first return at "
@@ -249,9 +252,9 @@ void check_sequence(const Sequence& sequence) {
     check_lidars(sequence);
     check_track(sequence.world_from_vehicle, sequence.name + ": the vehicle");
     check_frame_times(sequence);
-    parallel_for(static_cast<int>(sequence.frames.size()), [&](int i) {
-        const Frame& frame = sequence.frames[std::size_t(i)];
-        check_scan(frame.scan, sequence.lidar_of(frame).sensor.beams.size(),
+    parallel_for(static_cast<int>(sequence.frames.size()), [&](int index) {
+        const Frame& frame = sequence.frames[std::size_t(index)];
+        check_scan(frame.scan, sequence.get_lidar(frame).sensor.beams.size(),
                    fmt::format("{}: frame {}", sequence.name, frame.index));
     });
     check_boxes(sequence);

@@ -27,8 +27,8 @@ struct TimeRange {
 
 /// Returns the first and the last point time of each cloud. Skips clouds whose points
 /// have no times.
-std::vector<TimeRange> ranges_of(const std::vector<folder::PointTable>& clouds,
-                                 const std::vector<double>& stamps_s) {
+std::vector<TimeRange> list_time_ranges(const std::vector<folder::PointTable>& clouds,
+                                        const std::vector<double>& stamps_s) {
     std::vector<TimeRange> ranges;
     for (std::size_t c = 0; c < clouds.size(); ++c) {
         TimeRange range{INFINITY, -INFINITY, stamps_s[c]};
@@ -43,9 +43,11 @@ std::vector<TimeRange> ranges_of(const std::vector<folder::PointTable>& clouds,
     return ranges;
 }
 
-TimeZero zero_of(const std::vector<TimeRange>& ranges, double unit_s) {
+TimeZero find_time_zero(const std::vector<TimeRange>& ranges, double unit_s) {
     const auto all = [&](auto test) { return std::ranges::all_of(ranges, test); };
-    const auto is_near = [&](double a, double b) { return std::abs(a - b) <= kBesideStamp_s; };
+    const auto is_near = [&](double first, double second) {
+        return std::abs(first - second) <= kBesideStamp_s;
+    };
     if (all([&](const TimeRange& r) {
             return is_near(r.first * unit_s, 0.0) && is_near(r.last * unit_s, 0.0);
         }))
@@ -67,7 +69,7 @@ void find_time_unit(CloudUnits& units, const std::vector<TimeRange>& ranges, dou
     for (const TimeUnit& unit : kTimeUnits) {
         const double turns = span * unit.seconds / step_s;
         if (!(turns >= kLeastSpan && turns <= kMostSpan)) continue;
-        units.zero = zero_of(ranges, unit.seconds);
+        units.zero = find_time_zero(ranges, unit.seconds);
         units.time_unit_s = unit.seconds;
         units.about = fmt::format(
             "times of points are read in {}, {}; a cloud lasts {:.1f} ms from its first to "
@@ -95,7 +97,7 @@ void find_time_unit(CloudUnits& units, const std::vector<TimeRange>& ranges, dou
 CloudUnits find_units(const std::vector<folder::PointTable>& clouds, const std::vector<double>& stamps_s,
                       double step_s) {
     CloudUnits units;
-    find_time_unit(units, ranges_of(clouds, stamps_s), step_s);
+    find_time_unit(units, list_time_ranges(clouds, stamps_s), step_s);
     units.meaning = folder::find_meaning(clouds);
     return units;
 }

@@ -21,8 +21,8 @@ constexpr double kLeastShare = 0.005, kMostShare = 0.95;
 constexpr std::size_t kFewest = 64;     // minimum number of returns that have the largest range
 constexpr std::size_t kFewestRows = 2;  // minimum number of beams with a return at the largest range
 
-float rounded(float range_m) { return kRound_m * std::round(range_m / kRound_m); }
-bool is_same_range(float a, float b) { return std::abs(a - b) <= kSameRange * b; }
+float round_range(float range_m) { return kRound_m * std::round(range_m / kRound_m); }
+bool is_same_range(float first, float second) { return std::abs(first - second) <= kSameRange * second; }
 
 /// The returns of a LiDAR that are at its largest range.
 struct FarReturns {
@@ -51,7 +51,7 @@ FarReturns find_far(const Sequence& sequence, int lidar) {
 bool is_marker(const FarReturns& far) {
     const double share = double(far.n) / double(std::max<std::size_t>(far.n_all, 1));
     return far.n >= kFewest && far.rows.size() >= kFewestRows && share >= kLeastShare &&
-           share <= kMostShare && is_same_range(far.range_m, rounded(far.range_m));
+           share <= kMostShare && is_same_range(far.range_m, round_range(far.range_m));
 }
 
 }  // namespace
@@ -62,12 +62,12 @@ void drop_far_marker(Sequence& sequence) {
         if (!is_marker(far)) continue;
         for (Frame& frame : sequence.frames)
             if (frame.lidar == int(l))
-                drop_outside(frame.scan, {0.0, double(far.range_m) * (1.0 - double(kSameRange))});
+                drop_outside_limits(frame.scan, {0.0, double(far.range_m) * (1.0 - double(kSameRange))});
         const std::string& name = sequence.lidars[l].name;
         sequence.notes.push_back(fmt::format(
             "range{}: {} of {} points have exactly the largest range, {} m, and are read as rays without "
             "return",
-            name.empty() ? "" : " of " + name, far.n, far.n_all, rounded(far.range_m)));
+            name.empty() ? "" : " of " + name, far.n, far.n_all, round_range(far.range_m)));
     }
 }
 

@@ -26,18 +26,19 @@ constexpr double kSorted = 0.9;
 // between rings.
 constexpr double kInRing = 0.5;
 
-double azimuth_of_point(const glm::vec3& p) { return std::atan2(double(p.y), double(p.x)); }
-double elevation_of_point(const glm::vec3& p) {
-    return std::atan2(double(p.z), std::hypot(double(p.x), double(p.y)));
+double compute_point_azimuth(const glm::vec3& point) { return std::atan2(double(point.y), double(point.x)); }
+double compute_point_elevation(const glm::vec3& point) {
+    return std::atan2(double(point.z), std::hypot(double(point.x), double(point.y)));
 }
 
 /// Returns 1 if the azimuth increases at most points of the file. Returns -1 if it
 /// decreases at most points. Otherwise returns nothing.
-std::optional<double> direction_of(const Points& points) {
+std::optional<double> estimate_direction(const Points& points) {
     std::size_t n_up = 0, n_down = 0;
     for (std::size_t i = 1; i < points.size(); ++i) {
         const double step = std::remainder(
-            azimuth_of_point(points.position_m[i]) - azimuth_of_point(points.position_m[i - 1]), 2.0 * kPi);
+            compute_point_azimuth(points.position_m[i]) - compute_point_azimuth(points.position_m[i - 1]),
+            2.0 * kPi);
         n_up += step > 0.0, n_down += step < 0.0;
     }
     const double least = kMostlyOneWay * double(points.size());
@@ -47,11 +48,11 @@ std::optional<double> direction_of(const Points& points) {
 }
 
 /// Returns the unwrapped azimuth of each point, counted from the start of the file.
-std::vector<double> turned_azimuths(const Points& points, double turning) {
+std::vector<double> unwrap_azimuths_of_points(const Points& points, double turning) {
     std::vector<double> turned;
     turned.reserve(points.size());
     for (std::size_t i = 0; i < points.size(); ++i) {
-        const double azimuth = turning * azimuth_of_point(points.position_m[i]);
+        const double azimuth = turning * compute_point_azimuth(points.position_m[i]);
         if (i == 0) {
             turned.push_back(azimuth);
             continue;
@@ -82,12 +83,12 @@ std::vector<std::uint16_t> number_turns(const std::vector<double>& turned, doubl
 
 /// Returns the median elevation of each ring. Uses only the farther half of the points,
 /// because the beam origin changes the elevation of near points.
-std::vector<double> elevations_of_rings(const Points& points, const std::vector<std::uint16_t>& ring) {
+std::vector<double> compute_ring_elevations(const Points& points, const std::vector<std::uint16_t>& ring) {
     std::vector<std::vector<std::pair<float, double>>> seen;  // range and elevation
     for (std::size_t i = 0; i < points.size(); ++i) {
         if (ring[i] >= seen.size()) seen.resize(std::size_t(ring[i]) + 1);
         seen[ring[i]].emplace_back(glm::length(points.position_m[i]),
-                                   elevation_of_point(points.position_m[i]));
+                                   compute_point_elevation(points.position_m[i]));
     }
     std::vector<double> elevations;
     for (auto& points_of_ring : seen) {
@@ -99,28 +100,28 @@ std::vector<double> elevations_of_rings(const Points& points, const std::vector<
         std::nth_element(points_of_ring.begin(), half, points_of_ring.end());
         std::vector<double> far;
         for (auto p = half; p != points_of_ring.end(); ++p) far.push_back(p->second);
-        elevations.push_back(median_of(far));
+        elevations.push_back(compute_median(far));
     }
     return elevations;
 }
 
 /// Returns the median distance between the elevations of points and of their rings.
-double spread_in_rings(const Points& points, const std::vector<std::uint16_t>& ring,
-                       const std::vector<double>& elevations) {
+double compute_median_ring_deviation(const Points& points, const std::vector<std::uint16_t>& ring,
+                                     const std::vector<double>& elevations) {
     std::vector<double> off;
     off.reserve(points.size());
     for (std::size_t i = 0; i < points.size(); ++i)
-        off.push_back(std::abs(elevation_of_point(points.position_m[i]) - elevations[ring[i]]));
-    return median_of(off);
+        off.push_back(std::abs(compute_point_elevation(points.position_m[i]) - elevations[ring[i]]));
+    return compute_median(off);
 }
 
 /// Returns the mean distance between the elevations of points and of their rings. If a
 /// few points are in a wrong ring, the mean increases, but the median does not.
-double mean_off_rings(const Points& points, const std::vector<std::uint16_t>& ring,
-                      const std::vector<double>& elevations) {
+double compute_mean_ring_deviation(const Points& points, const std::vector<std::uint16_t>& ring,
+                                   const std::vector<double>& elevations) {
     double sum = 0.0;
     for (std::size_t i = 0; i < points.size(); ++i)
-        sum += std::abs(elevation_of_point(points.position_m[i]) - elevations[ring[i]]);
+        sum += std::abs(compute_point_elevation(points.position_m[i]) - elevations[ring[i]]);
     return sum / double(points.size());
 }
 
@@ -135,7 +136,7 @@ double find_first_azimuth(const Points& points, const std::vector<double>& turne
     }
     const auto spread = [&](double first_rad) {
         const std::vector<std::uint16_t> ring = number_turns(some_turned, first_rad);
-        return mean_off_rings(some, ring, elevations_of_rings(some, ring));
+        return compute_mean_ring_deviation(some, ring, compute_ring_elevations(some, ring));
     };
     double least = INFINITY, best_rad = 0.0;
     for (const int step_deg : {10, 1}) {
@@ -162,7 +163,7 @@ bool are_rings(const Points& points, const std::vector<std::uint16_t>& ring,
     }
     if (steps.empty() || double(std::max(n_up, n_down)) < kSorted * double(elevations.size() - 1))
         return false;
-    return spread_in_rings(points, ring, elevations) < kInRing * median_of(steps);
+    return compute_median_ring_deviation(points, ring, elevations) < kInRing * compute_median(steps);
 }
 
 }  // namespace
@@ -170,17 +171,17 @@ bool are_rings(const Points& points, const std::vector<std::uint16_t>& ring,
 FileOrder::FileOrder(const std::vector<Points>& scans) {
     const auto fullest = std::ranges::max_element(scans, {}, &Points::size);
     if (fullest == scans.end()) return;
-    const std::optional<double> turning = direction_of(*fullest);
+    const std::optional<double> turning = estimate_direction(*fullest);
     if (!turning) return;
     turning_ = *turning;
-    const std::vector<double> turned = turned_azimuths(*fullest, turning_);
+    const std::vector<double> turned = unwrap_azimuths_of_points(*fullest, turning_);
     if (turned.back() - turned.front() < 2.0 * kPi * double(kFewestRings - 1)) return;
     first_azimuth_rad_ = find_first_azimuth(*fullest, turned);
     for (const Points& scan : scans) {
-        if (direction_of(scan) != turning) continue;
+        if (estimate_direction(scan) != turning) continue;
         const std::vector<std::uint16_t> ring =
-            number_turns(turned_azimuths(scan, turning_), first_azimuth_rad_);
-        std::vector<double> elevations = elevations_of_rings(scan, ring);
+            number_turns(unwrap_azimuths_of_points(scan, turning_), first_azimuth_rad_);
+        std::vector<double> elevations = compute_ring_elevations(scan, ring);
         // Use the scan with the most rings, because there each beam has returns.
         if (elevations.size() > elevation_rad_.size() && are_rings(scan, ring, elevations))
             elevation_rad_ = std::move(elevations);
@@ -190,8 +191,8 @@ FileOrder::FileOrder(const std::vector<Points>& scans) {
 void FileOrder::set_rings(Points& points) const {
     points.ring.clear();
     if (points.size() == 0) return;
-    points.ring = number_turns(turned_azimuths(points, turning_), first_azimuth_rad_);
-    const std::vector<double> elevations = elevations_of_rings(points, points.ring);
+    points.ring = number_turns(unwrap_azimuths_of_points(points, turning_), first_azimuth_rad_);
+    const std::vector<double> elevations = compute_ring_elevations(points, points.ring);
     if (elevations.size() == n_rings()) return;
     std::vector<std::uint16_t> nearest;
     for (const double elevation : elevations) {

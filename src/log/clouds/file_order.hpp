@@ -19,7 +19,7 @@ public:
     /// @param scans  some scans of the LiDAR
     explicit FileOrder(const std::vector<Points>& scans);
     /// Returns true if the files store points ring by ring, with at least 4 rings.
-    bool shows_rings() const { return !elevation_rad_.empty(); }
+    bool has_ring_numbers() const { return !elevation_rad_.empty(); }
     std::size_t n_rings() const { return elevation_rad_.size(); }
     /// Sets the ring of each point. Ring 0 is the first ring in the files. If a scan has
     /// fewer rings than the others, each of its rings gets the number of the ring with

@@ -33,9 +33,9 @@ constexpr double kMostColumns = 1.1;
 constexpr std::size_t kFewestSteps = 16;
 constexpr std::size_t kMostRings = 4096;
 
-double azimuth_of(const glm::vec3& p) { return std::atan2(double(p.y), double(p.x)); }
+double compute_azimuth(const glm::vec3& point) { return std::atan2(double(point.y), double(point.x)); }
 
-double middle_of(std::vector<double>& values, double share) {
+double interpolate_quantile(std::vector<double>& values, double share) {
     const auto at = values.begin() + std::ptrdiff_t(share * double(values.size() - 1));
     std::nth_element(values.begin(), at, values.end());
     return *at;
@@ -48,12 +48,12 @@ struct Ring {
 };
 using Rings = std::vector<Ring>;
 
-Rings rings_of(const Points& scan, std::size_t n_rings) {
+Rings group_points_by_ring(const Points& scan, std::size_t n_rings) {
     Rings rings(n_rings);
     for (std::size_t i = 0; i < scan.size(); ++i) {
         if (!scan.return_number.empty() && scan.return_number[i] != 1) continue;
         rings[scan.ring[i]].point.push_back(i);
-        rings[scan.ring[i]].azimuth_rad.push_back(azimuth_of(scan.position_m[i]));
+        rings[scan.ring[i]].azimuth_rad.push_back(compute_azimuth(scan.position_m[i]));
     }
     return rings;
 }
@@ -61,7 +61,8 @@ Rings rings_of(const Points& scan, std::size_t n_rings) {
 /// Returns the median elevation of each ring. Uses only the farther half of the points,
 /// because the beam origin changes the elevation of near points. Returns nothing for a
 /// ring without points.
-std::vector<std::optional<double>> elevations_of(const std::vector<Points>& scans, std::size_t n_rings) {
+std::vector<std::optional<double>> estimate_elevations(const std::vector<Points>& scans,
+                                                       std::size_t n_rings) {
     struct Seen {
         double range_m, elevation_rad;
     };
@@ -75,11 +76,12 @@ std::vector<std::optional<double>> elevations_of(const std::vector<Points>& scan
     for (std::size_t r = 0; r < n_rings; ++r) {
         if (seen[r].empty()) continue;
         const auto half = seen[r].begin() + std::ptrdiff_t(seen[r].size() / 2);
-        std::nth_element(seen[r].begin(), half, seen[r].end(),
-                         [](const Seen& a, const Seen& b) { return a.range_m < b.range_m; });
+        std::nth_element(seen[r].begin(), half, seen[r].end(), [](const Seen& first, const Seen& second) {
+            return first.range_m < second.range_m;
+        });
         std::vector<double> far;
         for (auto s = half; s != seen[r].end(); ++s) far.push_back(s->elevation_rad);
-        elevations[r] = middle_of(far, 0.5);
+        elevations[r] = interpolate_quantile(far, 0.5);
     }
     return elevations;
 }
@@ -87,7 +89,7 @@ std::vector<std::optional<double>> elevations_of(const std::vector<Points>& scan
 /// Estimates the number of columns per revolution from the azimuth steps between
 /// neighbouring points of a ring. Uses the lower quartile of the steps, because a step
 /// across dropped rays spans several columns.
-int columns_by_steps(const Points& scan, const Rings& rings) {
+int estimate_columns(const Points& scan, const Rings& rings) {
     std::vector<double> steps;
     for (const Ring& ring : rings) {
         std::vector<double> azimuths = ring.azimuth_rad;
@@ -102,12 +104,12 @@ int columns_by_steps(const Points& scan, const Rings& rings) {
             fmt::format("cannot fit a spinning LiDAR to {} points in {} rings: only {} pairs of "
                         "consecutive points differ in azimuth, expected at least {}",
                         scan.size(), rings.size(), steps.size(), kFewestSteps));
-    return int(std::lround(2.0 * kPi / middle_of(steps, 0.25)));
+    return int(std::lround(2.0 * kPi / interpolate_quantile(steps, 0.25)));
 }
 
 /// Returns the complex sum S_r(N) of exp(i N azimuth) for each ring r, where N is the
 /// number of columns.
-std::vector<std::complex<double>> phases_of(const Rings& rings, int columns) {
+std::vector<std::complex<double>> compute_phases(const Rings& rings, int columns) {
     std::vector<std::complex<double>> sums;
     for (const Ring& ring : rings) {
         std::complex<double> sum = 0.0;
@@ -117,11 +119,11 @@ std::vector<std::complex<double>> phases_of(const Rings& rings, int columns) {
     return sums;
 }
 
-/// Returns the sum of |S_r(N)| over all rings, for n consecutive values of N that start
-/// with `first`. Computes exp(i N azimuth) by multiplying the previous value with exp(i
-/// azimuth).
-std::vector<double> lengths_of(const Rings& rings, int first, std::size_t n) {
-    std::vector<double> lengths(n, 0.0);
+/// Returns the sum of |S_r(N)| over all rings, for `count` consecutive values of N that
+/// start with `first`. Computes exp(i N azimuth) by multiplying the previous value with
+/// exp(i azimuth).
+std::vector<double> compute_lengths(const Rings& rings, int first, std::size_t count) {
+    std::vector<double> lengths(count, 0.0);
     for (const Ring& ring : rings) {
         std::vector<std::complex<double>> turned, step;
         for (const double azimuth : ring.azimuth_rad) {
@@ -147,11 +149,11 @@ struct Lattice {
 };
 
 Lattice find_lattice(const Points& scan, const Rings& rings) {
-    Lattice lattice{columns_by_steps(scan, rings), std::vector<double>(rings.size(), 0.0)};
+    Lattice lattice{estimate_columns(scan, rings), std::vector<double>(rings.size(), 0.0)};
     const int reach = std::max(1, int(kTried * lattice.columns)),
               first = std::max(1, lattice.columns - reach);
     const std::vector<double> lengths =
-        lengths_of(rings, first, std::size_t(lattice.columns + reach + 1 - first));
+        compute_lengths(rings, first, std::size_t(lattice.columns + reach + 1 - first));
     const auto best = std::ranges::max_element(lengths);
     if (*best <= kCoherent * double(scan.size())) {
         // A ring has at most one first return per column, so use the largest number of
@@ -163,7 +165,7 @@ Lattice find_lattice(const Points& scan, const Rings& rings) {
         return lattice;
     }
     lattice.columns = first + int(best - lengths.begin());
-    const std::vector<std::complex<double>> sums = phases_of(rings, lattice.columns);
+    const std::vector<std::complex<double>> sums = compute_phases(rings, lattice.columns);
     const std::complex<double> common = std::accumulate(sums.begin(), sums.end(), std::complex<double>(0.0));
     for (std::size_t r = 0; r < rings.size(); ++r)
         lattice.offset_rad[r] =
@@ -178,11 +180,11 @@ std::optional<double> estimate_turning_rate(const Points& scan, const Rings& rin
     if (scan.time_offset_s.empty()) return std::nullopt;
     double turned = 0.0, passed_s = 0.0;
     for (const Ring& ring : rings) {
-        const auto time_of = [&](std::size_t k) { return scan.time_offset_s[ring.point[k]]; };
+        const auto time_of = [&](std::size_t index) { return scan.time_offset_s[ring.point[index]]; };
         std::vector<std::size_t> order(ring.point.size());
         std::iota(order.begin(), order.end(), std::size_t(0));
         std::sort(order.begin(), order.end(),
-                  [&](std::size_t a, std::size_t b) { return time_of(a) < time_of(b); });
+                  [&](std::size_t first, std::size_t second) { return time_of(first) < time_of(second); });
         for (std::size_t k = 1; k < order.size(); ++k) {
             const double step =
                 std::remainder(ring.azimuth_rad[order[k]] - ring.azimuth_rad[order[k - 1]], 2.0 * kPi);
@@ -218,15 +220,16 @@ FittedSensor fit_sensor(const std::vector<Points>& scans, double period_s) {
             fmt::format("cannot fit a spinning LiDAR: a point has ring {}, expected a number "
                         "below {}",
                         n_rings - 1, kMostRings));
-    const Rings rings = rings_of(*fullest, n_rings);
+    const Rings rings = group_points_by_ring(*fullest, n_rings);
     const Lattice lattice = find_lattice(*fullest, rings);
-    const std::vector<std::optional<double>> elevations = elevations_of(scans, n_rings);
+    const std::vector<std::optional<double>> elevations = estimate_elevations(scans, n_rings);
 
     std::vector<std::size_t> order;  // ring numbers, sorted from the highest to the lowest ring
     for (std::size_t r = 0; r < n_rings; ++r)
         if (elevations[r]) order.push_back(r);
-    std::stable_sort(order.begin(), order.end(),
-                     [&](std::size_t a, std::size_t b) { return *elevations[a] > *elevations[b]; });
+    std::stable_sort(order.begin(), order.end(), [&](std::size_t first, std::size_t second) {
+        return *elevations[first] > *elevations[second];
+    });
     FittedSensor fitted{{}, std::vector<std::uint16_t>(n_rings, kNoBeam)};
     SpinningSensor& sensor = fitted.sensor;
     for (const std::size_t r : order) {

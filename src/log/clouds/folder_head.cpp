@@ -31,16 +31,16 @@ constexpr double kFarthestWorld_m = 1e9;  // limit of the world's origin
 constexpr std::int64_t kMaxFrame = 99999999;
 constexpr std::size_t kMostFieldsOfPoint = 64;  // maximum number of fields of a point
 
-std::string text_or(const JsonField& field, const std::string& key, const std::string& usual,
-                    std::size_t most = kLongestName) {
-    return field.has(key) ? field.at(key).text(most) : usual;
+std::string read_text_or(const JsonField& field, const std::string& key, const std::string& default_value,
+                         std::size_t max_count = kLongestName) {
+    return field.has(key) ? field.at(key).text(max_count) : default_value;
 }
 
-bool flag_or(const JsonField& field, const std::string& key, bool usual) {
-    return field.has(key) ? field.at(key).boolean() : usual;
+bool read_flag_or(const JsonField& field, const std::string& key, bool default_value) {
+    return field.has(key) ? field.at(key).boolean() : default_value;
 }
 
-std::vector<std::string> texts_or_none(const JsonField& field, const std::string& key) {
+std::vector<std::string> read_texts_or_none(const JsonField& field, const std::string& key) {
     std::vector<std::string> texts;
     if (!field.has(key)) return texts;
     for (std::size_t i = 0; i < field.at(key).size(); ++i)
@@ -49,16 +49,16 @@ std::vector<std::string> texts_or_none(const JsonField& field, const std::string
 }
 
 /// Returns the index of the field's text in a list of allowed words.
-std::size_t choice(const JsonField& field, const std::vector<std::string>& words) {
+std::size_t read_choice(const JsonField& field, const std::vector<std::string>& words) {
     const auto at = std::find(words.begin(), words.end(), field.text());
     if (at == words.end())
-        field.fail(
-            fmt::format("found \"{}\"{}", excerpt(field.text()), did_you_mean(field.text(), words, "\"")),
-            fmt::format("expected one of: {}", fmt::join(words, ", ")));
+        field.fail(fmt::format("found \"{}\"{}", make_excerpt(field.text()),
+                               suggest_name(field.text(), words, "\"")),
+                   fmt::format("expected one of: {}", fmt::join(words, ", ")));
     return std::size_t(at - words.begin());
 }
 
-glm::dquat quaternion(const JsonField& field) {
+glm::dquat read_quaternion(const JsonField& field) {
     const auto q = field.numbers<4>();
     const glm::dquat rotation(q[0], q[1], q[2], q[3]);
     if (std::abs(glm::length(rotation) - 1.0) > 1e-3)
@@ -68,15 +68,15 @@ glm::dquat quaternion(const JsonField& field) {
     return rotation;
 }
 
-Pose mounting(const JsonField& field, const std::string& where) {
+Pose read_mounting(const JsonField& field, const std::string& location) {
     if (field.is_array()) {
         const auto m = field.numbers<16>();
-        return rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
-                          {m[3], m[7], m[11]}, where);
+        return make_rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
+                               {m[3], m[7], m[11]}, location);
     }
     field.check_members({"translation", "quaternion"});
     const auto t = field.at("translation").numbers<3>();
-    return {quaternion(field.at("quaternion")), {t[0], t[1], t[2]}};
+    return {read_quaternion(field.at("quaternion")), {t[0], t[1], t[2]}};
 }
 
 /// Sets the sensor of a LiDAR. Reads the name of a built-in sensor or of a sensor file.
@@ -89,7 +89,7 @@ void name_sensor(const JsonField& field, const fs::path& folder, bool spins, Lid
         find_sensor(is_file(".csv") || is_file(".json") || is_file(".npz") ? (folder / name).string() : name,
                     {}, max_range_m);
     if (!std::holds_alternative<SpinningSensor>(model.pattern) && spins)
-        field.fail(fmt::format("found the sensor {}, which does not spin", excerpt(name)),
+        field.fail(fmt::format("found the sensor {}, which does not spin", make_excerpt(name)),
                    "expected a spinning sensor, or \"spins\": false");
     set_sensor(lidar, model);
 }
@@ -101,7 +101,7 @@ void read_sensor(const JsonField& field, bool spins, Lidar& lidar) {
     const double max_range_m = lidar.sensor.max_range_m;
     const PatternKind* kind = find_pattern_kind(field);
     const JsonField members = kind ? field.at(kind->name) : field;
-    set_sensor(lidar, kind ? read_sensor_json(field, "") : spinning_kind().parse(field, ""));
+    set_sensor(lidar, kind ? read_sensor_json(field, "") : make_spinning_kind().parse(field, ""));
     if (lidar.pattern && spins)
         field.fail(fmt::format("found a sensor of kind {}, which does not spin", kind->name),
                    "expected a spinning sensor, or \"spins\": false");
@@ -113,13 +113,13 @@ HeadLidar read_lidar(const JsonField& field, const std::string& file, const fs::
                      double max_range_m) {
     field.check_members({"name", "vehicle_from_sensor", "sensor", "scans", "spins", "ring_0"});
     HeadLidar lidar;
-    lidar.lidar.name = text_or(field, "name", "");
+    lidar.lidar.name = read_text_or(field, "name", "");
     lidar.lidar.sensor.max_range_m = max_range_m;
     if (field.has("vehicle_from_sensor"))
-        lidar.lidar.vehicle_from_sensor =
-            mounting(field.at("vehicle_from_sensor"),
-                     fmt::format("{}: LiDAR '{}', vehicle_from_sensor", file, excerpt(lidar.lidar.name)));
-    lidar.spins = flag_or(field, "spins", true);
+        lidar.lidar.vehicle_from_sensor = read_mounting(
+            field.at("vehicle_from_sensor"),
+            fmt::format("{}: LiDAR '{}', vehicle_from_sensor", file, make_excerpt(lidar.lidar.name)));
+    lidar.spins = read_flag_or(field, "spins", true);
     if (field.has("sensor") && field.at("sensor").is_text())
         name_sensor(field.at("sensor"), folder, lidar.spins, lidar.lidar);
     else if (field.has("sensor")) read_sensor(field.at("sensor"), lidar.spins, lidar.lidar);
@@ -127,8 +127,8 @@ HeadLidar read_lidar(const JsonField& field, const std::string& file, const fs::
     if (lidar.has_beams && !lidar.spins)
         field.at("spins").fail("found false for a LiDAR with beams",
                                "expected true, or a LiDAR without beams");
-    lidar.scans = text_or(field, "scans", "", kLongestPath);
-    lidar.lowest_first = field.has("ring_0") && choice(field.at("ring_0"), {"highest", "lowest"}) == 1;
+    lidar.scans = read_text_or(field, "scans", "", kLongestPath);
+    lidar.lowest_first = field.has("ring_0") && read_choice(field.at("ring_0"), {"highest", "lowest"}) == 1;
     return lidar;
 }
 
@@ -148,26 +148,26 @@ std::vector<HeadLidar> read_lidars(const JsonField& root, const std::string& fil
     return lidars;
 }
 
-int lidar_number(const JsonField& entry, const std::vector<HeadLidar>& lidars) {
+int find_lidar_number(const JsonField& entry, const std::vector<HeadLidar>& lidars) {
     if (!entry.has("lidar") && lidars.size() == 1) return 0;
     const std::string name = entry.at("lidar").text();
     const auto at =
         std::find_if(lidars.begin(), lidars.end(), [&](const HeadLidar& l) { return l.lidar.name == name; });
     if (at == lidars.end())
-        entry.at("lidar").fail(fmt::format("found \"{}\"", excerpt(name)),
+        entry.at("lidar").fail(fmt::format("found \"{}\"", make_excerpt(name)),
                                "expected the name of a LiDAR in \"lidars\"");
     return int(at - lidars.begin());
 }
 
-std::vector<HeadFrame> listed_frames(const JsonField& field, const std::vector<HeadLidar>& lidars,
-                                     const fs::path& folder) {
+std::vector<HeadFrame> read_listed_frames(const JsonField& field, const std::vector<HeadLidar>& lidars,
+                                          const fs::path& folder) {
     std::vector<HeadFrame> frames;
     for (std::size_t i = 0; i < field.size(); ++i) {
         const JsonField entry = field.at(i);
         entry.check_members({"number", "time_s", "lidar", "scan"});
         frames.push_back({int(entry.at("number").integer(0, kMaxFrame)),
                           entry.at("time_s").number(-kLargestOfHead, kLargestOfHead),
-                          lidar_number(entry, lidars), folder / entry.at("scan").text(kLongestPath)});
+                          find_lidar_number(entry, lidars), folder / entry.at("scan").text(kLongestPath)});
     }
     if (frames.empty()) field.fail("found no frame", "expected at least one frame");
     return frames;
@@ -184,8 +184,8 @@ bool is_text(const fs::path& file) { return file.extension() == ".csv" || file.e
 
 /// Lists the scan files in the folder of each LiDAR, sorted by name. Sets the times of
 /// the frames from the constant frame rate `rate_hz`.
-std::vector<HeadFrame> frames_in_folders(double rate_hz, const std::vector<HeadLidar>& lidars,
-                                         const fs::path& folder) {
+std::vector<HeadFrame> find_frames_in_folders(double rate_hz, const std::vector<HeadLidar>& lidars,
+                                              const fs::path& folder) {
     std::vector<HeadFrame> frames;
     for (std::size_t l = 0; l < lidars.size(); ++l) {
         int number = 0;
@@ -212,7 +212,7 @@ std::vector<HeadFrame> frames_in_folders(double rate_hz, const std::vector<HeadL
 
 PointUnits read_units(const JsonField& root) {
     PointUnits units;
-    units.columns = texts_or_none(root, "columns");
+    units.columns = read_texts_or_none(root, "columns");
     if (units.columns.size() > kMostFieldsOfPoint)
         root.at("columns").fail(fmt::format("found {}", units.columns.size()),
                                 fmt::format("expected at most {} names", kMostFieldsOfPoint));
@@ -220,9 +220,9 @@ PointUnits read_units(const JsonField& root) {
         units.intensity_max = root.at("intensity_max").number(1e-12, kLargestOfHead);
     constexpr double kSeconds[] = {1.0, 1e-3, 1e-6, 1e-9};
     if (root.has("time_unit"))
-        units.time_unit_s = kSeconds[choice(root.at("time_unit"), {"s", "ms", "us", "ns"})];
+        units.time_unit_s = kSeconds[read_choice(root.at("time_unit"), {"s", "ms", "us", "ns"})];
     units.absolute_times =
-        root.has("point_times") && choice(root.at("point_times"), {"offsets", "absolute"}) == 1;
+        root.has("point_times") && read_choice(root.at("point_times"), {"offsets", "absolute"}) == 1;
     return units;
 }
 
@@ -239,22 +239,23 @@ Head read_head(const fs::path& folder, double max_range_m) {
         root.at("format").fail("found another format", fmt::format("expected \"{}\"", kFormat));
     root.at("version").integer(1, kVersion);
     Head head;
-    head.name = text_or(root, "name", folder.filename().string());
+    head.name = read_text_or(root, "name", folder.filename().string());
     head.conventions =
-        text_or(root, "conventions", "Sensor frame: x forward, y left, z up, in metres.", kLongestText);
-    head.notes = texts_or_none(root, "notes");
+        read_text_or(root, "conventions", "Sensor frame: x forward, y left, z up, in metres.", kLongestText);
+    head.notes = read_texts_or_none(root, "notes");
     head.lidars = read_lidars(root, file, folder, max_range_m);
     if (root.has("frames") == root.has("rate_hz"))
         root.fail(root.has("frames") ? "found both \"frames\" and \"rate_hz\""
                                      : "found neither \"frames\" nor \"rate_hz\"",
                   "expected exactly one of the two keys");
     head.frames = root.has("frames")
-                      ? listed_frames(root.at("frames"), head.lidars, folder)
-                      : frames_in_folders(root.at("rate_hz").number(1e-3, 1e3), head.lidars, folder);
-    std::stable_sort(head.frames.begin(), head.frames.end(), [](const HeadFrame& a, const HeadFrame& b) {
-        return std::pair(a.time_s, a.lidar) < std::pair(b.time_s, b.lidar);
-    });
-    head.motion_compensated = flag_or(root, "motion_compensated", false);
+                      ? read_listed_frames(root.at("frames"), head.lidars, folder)
+                      : find_frames_in_folders(root.at("rate_hz").number(1e-3, 1e3), head.lidars, folder);
+    std::stable_sort(head.frames.begin(), head.frames.end(),
+                     [](const HeadFrame& first, const HeadFrame& second) {
+                         return std::pair(first.time_s, first.lidar) < std::pair(second.time_s, second.lidar);
+                     });
+    head.motion_compensated = read_flag_or(root, "motion_compensated", false);
     head.units = read_units(root);
     std::vector<std::string> skipped;
     std::ranges::copy_if(head.units.columns, std::back_inserter(skipped),

@@ -42,7 +42,7 @@ bool are_ranges(const FieldValues& ranges, const std::vector<glm::vec3>& points,
             !marked[i] && std::isfinite(distance_m) && distance_m > 0.0)
             ratios.push_back(ranges[i] / distance_m);
     if (ratios.empty()) return false;
-    const double unit = median_of(ratios);
+    const double unit = compute_median(ratios);
     const auto n = std::ranges::count_if(
         ratios, [unit](double ratio) { return std::abs(ratio - unit) <= kTolerance * unit; });
     return double(n) >= kFewest * double(ratios.size());
@@ -51,7 +51,7 @@ bool are_ranges(const FieldValues& ranges, const std::vector<glm::vec3>& points,
 /// Returns for each point whether its field `range` marks a ray without a return. Returns
 /// an empty array if the points have no such field, or if the field does not contain the
 /// distances of the points.
-std::vector<char> marked_by_range(const PointTable& table, const std::vector<glm::vec3>& points) {
+std::vector<char> find_far_points(const PointTable& table, const std::vector<glm::vec3>& points) {
     const FieldValues* ranges = table.find(PointValue::range);
     std::vector<char> marked;
     if (!ranges) return marked;
@@ -71,7 +71,7 @@ std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> find_returns(
         xyz[std::size_t(axis)]->visit([&](const auto& value_at) {
             for (std::size_t i = 0; i < table.n; ++i) all[i][axis] = float(value_at(i));
         });
-    const std::vector<char> marked = marked_by_range(table, all);
+    const std::vector<char> marked = find_far_points(table, all);
     std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> returns;
     returns.first.reserve(table.n);
     for (std::size_t i = 0; i < table.n; ++i)
@@ -105,24 +105,24 @@ struct Conversion {
     void to(std::vector<T>& values, const FieldValues* field, const OfValue& of_value) const {
         if (!field) return;
         values.resize(kept.size());
-        each(*field, of_value, [&](std::size_t k, T value) { values[k] = value; });
+        each(*field, of_value, [&](std::size_t index, T value) { values[index] = value; });
     }
 };
 
 /// Returns the number that the file uses for first returns. Some files count returns from
 /// 1, others from 0. So the function returns the smallest number, because every scan has
 /// first returns.
-double first_return_number(const FieldValues& number, std::size_t n) {
+double find_first_return_number(const FieldValues& number, std::size_t count) {
     double least = number[0];
     number.visit([&](const auto& number_at) {
-        for (std::size_t i = 1; i < n; ++i)
+        for (std::size_t i = 1; i < count; ++i)
             if (const auto value = double(number_at(i)); value < least) least = value;
     });
     return least == 1.0 ? 1.0 : 0.0;
 }
 
 template <class T>
-void rearrange(std::vector<T>& values, const std::vector<std::size_t>& order) {
+void reorder_values(std::vector<T>& values, const std::vector<std::size_t>& order) {
     if (values.empty()) return;
     std::vector<T> arranged;
     arranged.reserve(values.size());
@@ -137,12 +137,14 @@ void number_returns(Points& points, const std::vector<double>& type) {
     const std::size_t n = points.size();
     std::vector<std::size_t> order(n);
     std::iota(order.begin(), order.end(), std::size_t(0));
-    const auto ray = [&](std::size_t i) { return std::pair(points.ring[i], points.time_offset_s[i]); };
-    const auto strength = [&](std::size_t i) {
-        return std::pair(is_strongest(type[i]), points.intensity[i]);
+    const auto ray = [&](std::size_t index) {
+        return std::pair(points.ring[index], points.time_offset_s[index]);
     };
-    std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
-        return ray(a) != ray(b) ? ray(a) < ray(b) : strength(a) > strength(b);
+    const auto strength = [&](std::size_t index) {
+        return std::pair(is_strongest(type[index]), points.intensity[index]);
+    };
+    std::stable_sort(order.begin(), order.end(), [&](std::size_t first, std::size_t second) {
+        return ray(first) != ray(second) ? ray(first) < ray(second) : strength(first) > strength(second);
     });
     points.return_number.assign(n, 1);
     for (std::size_t k = 1; k < n; ++k) {
@@ -152,54 +154,56 @@ void number_returns(Points& points, const std::vector<double>& type) {
         if (ray(i) == ray(before) && 1.0f - glm::dot(a, b) < kOneRay)
             points.return_number[i] = std::uint8_t(std::min(points.return_number[before] + 1, 8));
     }
-    rearrange(points.position_m, order);
-    rearrange(points.intensity, order);
-    rearrange(points.ring, order);
-    rearrange(points.time_offset_s, order);
-    rearrange(points.return_number, order);
+    reorder_values(points.position_m, order);
+    reorder_values(points.intensity, order);
+    reorder_values(points.ring, order);
+    reorder_values(points.time_offset_s, order);
+    reorder_values(points.return_number, order);
 }
 
-std::uint8_t return_of(double number, const std::string& where) {
+std::uint8_t convert_return_number(double number, const std::string& location) {
     if (!(number >= 0.0 && number < 8.0))
         throw DataError(fmt::format("{}: the return number is {}, expected 0 (the strongest return) to 7",
-                                    where, number));
+                                    location, number));
     return std::uint8_t(number);
 }
 
 }  // namespace
 
-Points points_of(const PointTable& table, const PointUnits& units, double time_s, const std::string& where) {
+Points make_points(const PointTable& table, const PointUnits& units, double time_s,
+                   const std::string& location) {
     const auto *x = table.find(PointValue::x), *y = table.find(PointValue::y), *z = table.find(PointValue::z);
     if (!x || !y || !z)
-        throw DataError(fmt::format("{}: the field {} is missing, expected x, y and z", where,
+        throw DataError(fmt::format("{}: the field {} is missing, expected x, y and z", location,
                                     !x   ? "x"
                                     : !y ? "y"
                                          : "z"));
     Points points;
-    Conversion convert{{}, where};
+    Conversion convert{{}, location};
     std::tie(convert.kept, points.position_m) = find_returns(table, {x, y, z}, units);
     for (std::size_t k = 0; k < convert.kept.size(); ++k) {
         const glm::vec3 p = glm::abs(points.position_m[k]);
         if (std::max({p.x, p.y, p.z}) <= kFarthestCoordinate_m) continue;
         const std::size_t i = convert.kept[k];
         throw DataError(fmt::format("{}: point {} is ({}, {}, {}), expected coordinates of at most {} m",
-                                    where, i, (*x)[i], (*y)[i], (*z)[i], kFarthestCoordinate_m));
+                                    location, i, (*x)[i], (*y)[i], (*z)[i], kFarthestCoordinate_m));
     }
     const std::string of_point;  // Conversion adds the point's number
     const auto* intensity = table.find(units.intensity_field);
     if (!intensity) intensity = table.find(PointValue::intensity);
     if (!intensity) points.intensity.assign(convert.kept.size(), 0.0f);
     convert.to(points.intensity, intensity,
-               [&](double value) { return unit_intensity(value, units, of_point); });
+               [&](double value) { return convert_intensity(value, units, of_point); });
     convert.to(points.ring, table.find(PointValue::ring),
-               [&](double value) { return ring_number(value, of_point); });
+               [&](double value) { return convert_ring_number(value, of_point); });
     convert.to(points.time_offset_s, table.find(PointValue::time),
-               [&](double value) { return time_offset(value, units, time_s, of_point); });
+               [&](double value) { return convert_time_offset(value, units, time_s, of_point); });
     const auto *number = table.find(PointValue::return_number), *type = table.find(PointValue::return_type);
     if (number) {
-        const double first = first_return_number(*number, table.n);
-        convert.to(points.return_number, number,
-                   [&](double value) { return std::uint8_t(1 + return_of(value - first, of_point)); });
+        const double first = find_first_return_number(*number, table.n);
+        convert.to(points.return_number, number, [&](double value) {
+            return std::uint8_t(1 + convert_return_number(value - first, of_point));
+        });
     } else if (type && !points.ring.empty() && !points.time_offset_s.empty()) {
         std::vector<double> types;
         convert.to(types, type, [](double value) { return value; });

@@ -13,12 +13,13 @@
 namespace relidar::folder {
 
 /// Converts a table of points to relidar's units. Finds the meaning of each field by its
-/// name (see value_of_field()). If the table has Nebula's field return_type, points with
-/// the same ring, time and direction become returns of one ray. Omits rays without a
+/// name (see find_value_of_field()). If the table has Nebula's field return_type, points
+/// with the same ring, time and direction become returns of one ray. Omits rays without a
 /// return: points that is_return() rejects, and points at the position units.no_return.
 /// @param time_s  time that is subtracted from absolute point times
 /// @throws DataError with the number of the invalid point
-Points points_of(const PointTable& table, const PointUnits& units, double time_s, const std::string& where);
+Points make_points(const PointTable& table, const PointUnits& units, double time_s,
+                   const std::string& location);
 
 /// Interface that provides the scan of each frame, from files of a folder or from
 /// messages of a recording. Several threads can call the functions at the same time.

@@ -67,19 +67,19 @@ public:
     FileScans(const Sequence& sequence, const Head& head, const std::vector<fs::path>& files)
         : sequence_(sequence), head_(head), files_(files) {}
 
-    std::string name(std::size_t i) const override { return files_[i].string(); }
-    bool has_points(std::size_t i) const override { return !is_image_file(files_[i]); }
-    Points points(std::size_t i) const override {
-        const PointTable table = read_point_file(files_[i], head_.units.columns);
-        check_deskewed(table.is_deskewed, head_, name(i));
-        return points_of(table, head_.units, sequence_.frames[i].time_s, name(i));
+    std::string name(std::size_t index) const override { return files_[index].string(); }
+    bool has_points(std::size_t index) const override { return !is_image_file(files_[index]); }
+    Points points(std::size_t index) const override {
+        const PointTable table = read_point_file(files_[index], head_.units.columns);
+        check_deskewed(table.is_deskewed, head_, name(index));
+        return make_points(table, head_.units, sequence_.frames[index].time_s, name(index));
     }
-    Scan rays(std::size_t i) const override {
-        const Frame& frame = sequence_.frames[i];
-        const ImageSource source{head_, head_.lidars[std::size_t(frame.lidar)], sequence_.lidar_of(frame),
+    Scan rays(std::size_t index) const override {
+        const Frame& frame = sequence_.frames[index];
+        const ImageSource source{head_, head_.lidars[std::size_t(frame.lidar)], sequence_.get_lidar(frame),
                                  frame.time_s};
-        return files_[i].extension() == ".exr" ? read_scan_exr(files_[i], source)
-                                               : read_scan_npz(files_[i], source);
+        return files_[index].extension() == ".exr" ? read_scan_exr(files_[index], source)
+                                                   : read_scan_npz(files_[index], source);
     }
 
 private:
@@ -116,32 +116,32 @@ public:
             !head_.motion_compensated || std::none_of(plans_.begin(), plans_.end(), stands);
     }
 
-    void read(std::size_t i) {
-        Frame& frame = sequence_.frames[i];
-        if (!source_.has_points(i)) {
-            frame.scan = source_.rays(i);
+    void read(std::size_t index) {
+        Frame& frame = sequence_.frames[index];
+        if (!source_.has_points(index)) {
+            frame.scan = source_.rays(index);
             return;
         }
         const Plan& plan = plans_[std::size_t(frame.lidar)];
-        const SpinningSensor& sensor = sequence_.lidar_of(frame).sensor;
-        const auto sample = samples_.find(i);
-        Points points = sample == samples_.end() ? read_points(i, plan.undo) : std::move(sample->second);
+        const SpinningSensor& sensor = sequence_.get_lidar(frame).sensor;
+        const auto sample = samples_.find(index);
+        Points points = sample == samples_.end() ? read_points(index, plan.undo) : std::move(sample->second);
         if (plan.has_rings == points.ring.empty() || plan.has_times == points.time_offset_s.empty())
             throw DataError(fmt::format(
                 "{}: its points have {} and {}, unlike the points of other scans of this LiDAR; expected the "
                 "same fields in all scans",
-                source_.name(i), points.ring.empty() ? "no rings" : "rings",
+                source_.name(index), points.ring.empty() ? "no rings" : "rings",
                 points.time_offset_s.empty() ? "no times" : "times"));
         if (!plan.ordered) {
-            frame.scan = unordered_scan(points);
+            frame.scan = make_unordered_scan(points);
             return;
         }
         if (plan.order) plan.order->set_rings(points);
-        if (plan.has_rings || plan.order) points = renumbered(points, plan, i);
+        if (plan.has_rings || plan.order) points = renumber_rings(points, plan, index);
         else recover_rings(points, sensor.beams);
-        frame.scan = spinning_scan(points, sensor, even_sweep(points, sensor));
-        n_first_[i] = count_first_returns(points);
-        behind_[i] = n_first_[i] - std::min(n_first_[i], frame.scan.count_returns());
+        frame.scan = make_spinning_scan(points, sensor, make_even_sweep(points, sensor));
+        n_first_[index] = count_first_returns(points);
+        behind_[index] = n_first_[index] - std::min(n_first_[index], frame.scan.count_returns());
     }
 
     void report_left_out() {
@@ -182,9 +182,9 @@ private:
         note(name.empty() ? text : fmt::format("LiDAR '{}': {}", name, text));
     }
 
-    Points read_points(std::size_t i, bool undo) const {
-        const Frame& frame = sequence_.frames[i];
-        Points points = source_.points(i);
+    Points read_points(std::size_t index, bool undo) const {
+        const Frame& frame = sequence_.frames[index];
+        Points points = source_.points(index);
         if (undo && !points.time_offset_s.empty())
             undo_compensation(points, sequence_.world_from_sensor(frame.lidar), frame.time_s);
         return points;
@@ -192,7 +192,7 @@ private:
 
     /// Returns the duration of a revolution if the user states it. Otherwise, returns the
     /// median time between frames of the LiDAR.
-    double frame_step_s(std::size_t lidar) const {
+    double estimate_frame_step_s(std::size_t lidar) const {
         if (head_.lidars[lidar].turn_s > 0.0) return head_.lidars[lidar].turn_s;
         std::vector<double> steps;
         double before_s = NAN;
@@ -208,20 +208,20 @@ private:
 
     /// Sets the sweep period of a LiDAR whose files contain rays. If the beams of the
     /// LiDAR are unknown, it does not rotate, so the period is 0.
-    void check_rays(std::size_t l) {
-        SpinningSensor& sensor = sequence_.lidars[l].sensor;
-        if (!head_.lidars[l].has_beams) sensor.period_s = 0.0;
-        else if (sensor.period_s == 0.0) sensor.period_s = frame_step_s(l);
+    void check_rays(std::size_t lidar) {
+        SpinningSensor& sensor = sequence_.lidars[lidar].sensor;
+        if (!head_.lidars[lidar].has_beams) sensor.period_s = 0.0;
+        else if (sensor.period_s == 0.0) sensor.period_s = estimate_frame_step_s(lidar);
     }
 
-    void make_plan(std::size_t l, const std::vector<std::size_t>& frames) {
-        Plan& plan = plans_[l];
+    void make_plan(std::size_t lidar, const std::vector<std::size_t>& frames) {
+        Plan& plan = plans_[lidar];
         std::vector<Points> samples;
         std::vector<std::size_t> of_sample;  // frame of each sample
-        const auto add_sample = [&](std::size_t i) {
-            broken_.attempt(i, [&] {
-                samples.push_back(read_points(i, head_.motion_compensated && has_poses_));
-                of_sample.push_back(i);
+        const auto add_sample = [&](std::size_t index) {
+            broken_.attempt(index, [&] {
+                samples.push_back(read_points(index, head_.motion_compensated && has_poses_));
+                of_sample.push_back(index);
             });
         };
         const std::size_t n = std::min(kSamples, frames.size());
@@ -231,17 +231,18 @@ private:
         plan.has_rings = !samples[0].ring.empty();
         plan.has_times = !samples[0].time_offset_s.empty();
         plan.undo = head_.motion_compensated && has_poses_ && plan.has_times;
-        SpinningSensor& sensor = sequence_.lidars[l].sensor;
-        if (sensor.period_s == 0.0 || !head_.lidars[l].has_beams) sensor.period_s = frame_step_s(l);
-        if (head_.lidars[l].has_beams) use_stored_beams(l);
-        else if (head_.lidars[l].spins) fit_beams(l, samples);
+        SpinningSensor& sensor = sequence_.lidars[lidar].sensor;
+        if (sensor.period_s == 0.0 || !head_.lidars[lidar].has_beams)
+            sensor.period_s = estimate_frame_step_s(lidar);
+        if (head_.lidars[lidar].has_beams) use_stored_beams(lidar);
+        else if (head_.lidars[lidar].spins) fit_beams(lidar, samples);
         if (!plan.ordered) sensor.period_s = 0.0;
         if (plan.ordered && !plan.has_times && !head_.motion_compensated)
-            note(l,
+            note(lidar,
                  "the points have no times; their times are computed from their azimuths for a head that "
                  "faces forward at the time of the frame");
         if (head_.motion_compensated && !plan.undo)
-            note(l,
+            note(lidar,
                  "the scans are motion-compensated, which cannot be undone without times of points and "
                  "poses; all rays start at the position of the sensor at the time of the frame");
         for (std::size_t k = 0; k < samples.size(); ++k) {
@@ -251,36 +252,37 @@ private:
         }
     }
 
-    void use_stored_beams(std::size_t l) {
-        Plan& plan = plans_[l];
-        const std::size_t n = sequence_.lidars[l].sensor.beams.size();
+    void use_stored_beams(std::size_t lidar) {
+        Plan& plan = plans_[lidar];
+        const std::size_t n = sequence_.lidars[lidar].sensor.beams.size();
         plan.ordered = true;
         for (std::size_t k = 0; k < n; ++k)
-            plan.beam_of_ring.push_back(std::uint16_t(head_.lidars[l].lowest_first ? n - 1 - k : k));
+            plan.beam_of_ring.push_back(std::uint16_t(head_.lidars[lidar].lowest_first ? n - 1 - k : k));
         if (!plan.has_rings)
-            note(l,
+            note(lidar,
                  "the points have no rings; each point is assigned to the beam with the nearest "
                  "elevation");
     }
 
-    void fit_beams(std::size_t l, std::vector<Points>& samples) {
-        Plan& plan = plans_[l];
-        SpinningSensor& sensor = sequence_.lidars[l].sensor;
-        if (!plan.has_rings && !find_rings(l, samples)) {
-            note(l,
+    void fit_beams(std::size_t lidar, std::vector<Points>& samples) {
+        Plan& plan = plans_[lidar];
+        SpinningSensor& sensor = sequence_.lidars[lidar].sensor;
+        if (!plan.has_rings && !find_rings(lidar, samples)) {
+            note(lidar,
                  "the points have no rings, and neither their order nor their elevations show the rings; "
                  "therefore dropped rays and the order of the rays in an image are unknown" +
-                     way_out(l));
+                     suggest_sensor_setting(lidar));
             return;
         }
         const double step_s = sensor.period_s;
-        std::optional<SpinningSensor> found = fitted(l, samples, step_s);
+        std::optional<SpinningSensor> found = fit_sensor_to_samples(lidar, samples, step_s);
         std::string why = found ? explain_missing_head(samples, *found, step_s) : "";
-        if (found && why.empty() && !plan.has_rings) why = why_thinned(samples, *found);
+        if (found && why.empty() && !plan.has_rings) why = explain_thinning(samples, *found);
         if (!why.empty()) {
-            note(l, fmt::format("{}, so the sensor does not spin: each point becomes one ray, and dropped "
-                                "rays are unknown{}",
-                                why, plan.has_rings ? "" : way_out(l)));
+            note(lidar,
+                 fmt::format("{}, so the sensor does not spin: each point becomes one ray, and dropped "
+                             "rays are unknown{}",
+                             why, plan.has_rings ? "" : suggest_sensor_setting(lidar)));
             found = std::nullopt;
         }
         if (!found) plan.order.reset();
@@ -291,17 +293,17 @@ private:
         found->divergence_rad = sensor.divergence_rad;
         sensor = *found;
         plan.ordered = true;
-        note(l, fmt::format("a sensor with {} beams and {} columns was fitted to the points{}",
-                            found->beams.size(), found->columns,
-                            plan.order        ? ", which have no rings; their order in the file shows the "
-                                                "rings"
-                            : !plan.has_rings ? ", which have no rings"
-                                              : ""));
+        note(lidar, fmt::format("a sensor with {} beams and {} columns was fitted to the points{}",
+                                found->beams.size(), found->columns,
+                                plan.order ? ", which have no rings; their order in the file shows the "
+                                             "rings"
+                                : !plan.has_rings ? ", which have no rings"
+                                                  : ""));
     }
 
     /// Computes ring numbers for points that have none. Returns false if the rings cannot
     /// be derived from the elevations or from the order of the points.
-    bool find_rings(std::size_t l, std::vector<Points>& samples) {
+    bool find_rings(std::size_t lidar, std::vector<Points>& samples) {
         // Try the elevations before the order, because the rings of an Ouster begin at
         // different azimuths and the order cannot show them.
         if (const std::vector<Beam> beams = find_beams(samples); !beams.empty()) {
@@ -309,21 +311,22 @@ private:
             return true;
         }
         const FileOrder order(samples);
-        if (!order.shows_rings()) return false;
+        if (!order.has_ring_numbers()) return false;
         for (Points& sample : samples) order.set_rings(sample);
-        plans_[l].order = order;
+        plans_[lidar].order = order;
         return true;
     }
 
     /// Returns a hint for the user: sequence.json can state the sensor. Returns an empty
     /// string if the log is not a plain folder.
-    std::string way_out(std::size_t l) const {
-        return head_.lidars[l].is_guessed ? ""
-                                          : "; use \"sensor\" of the LiDAR in sequence.json to set its "
-                                            "beams";
+    std::string suggest_sensor_setting(std::size_t lidar) const {
+        return head_.lidars[lidar].is_guessed ? ""
+                                              : "; use \"sensor\" of the LiDAR in sequence.json to set its "
+                                                "beams";
     }
 
-    std::optional<SpinningSensor> fitted(std::size_t l, const std::vector<Points>& samples, double period_s) {
+    std::optional<SpinningSensor> fit_sensor_to_samples(std::size_t lidar, const std::vector<Points>& samples,
+                                                        double period_s) {
         try {
             const FittedSensor fit = fit_sensor(samples, period_s);
             if (fit.sensor.beams.size() * std::size_t(fit.sensor.columns) > kMaxRays)
@@ -331,35 +334,36 @@ private:
                     fmt::format("the fitted sensor has {} beams and {} columns, expected at "
                                 "most {} rays",
                                 fit.sensor.beams.size(), fit.sensor.columns, kMaxRays));
-            plans_[l].beam_of_ring = fit.beam_of_ring;
+            plans_[lidar].beam_of_ring = fit.beam_of_ring;
             return fit.sensor;
         } catch (const DataError& error) {
-            if (head_.lidars[l].is_guessed) {
-                note(l, fmt::format("{}; therefore each point becomes one ray, and dropped rays are unknown",
-                                    error.what()));
+            if (head_.lidars[lidar].is_guessed) {
+                note(lidar,
+                     fmt::format("{}; therefore each point becomes one ray, and dropped rays are unknown",
+                                 error.what()));
                 return std::nullopt;
             }
             throw DataError(
                 fmt::format("{}: LiDAR '{}': {}; use \"spins\": false in sequence.json to read each point "
                             "as one ray",
-                            sequence_.source, sequence_.lidars[l].name, error.what()));
+                            sequence_.source, sequence_.lidars[lidar].name, error.what()));
         }
     }
 
     /// Replaces the ring numbers of the file by relidar's beam numbers. Removes points
     /// whose ring is not a known beam.
-    Points renumbered(const Points& points, const Plan& plan, std::size_t i) {
+    Points renumber_rings(const Points& points, const Plan& plan, std::size_t index) {
         Points kept;
         for (std::size_t p = 0; p < points.size(); ++p) {
             const std::uint16_t ring = points.ring[p],
                                 beam = ring < plan.beam_of_ring.size() ? plan.beam_of_ring[ring] : kNoBeam;
-            if (beam == kNoBeam && head_.lidars[std::size_t(sequence_.frames[i].lidar)].has_beams)
+            if (beam == kNoBeam && head_.lidars[std::size_t(sequence_.frames[index].lidar)].has_beams)
                 throw DataError(
                     fmt::format("{}: a point has ring {}, expected the number of one of {} "
                                 "beams",
-                                source_.name(i), ring, plan.beam_of_ring.size()));
+                                source_.name(index), ring, plan.beam_of_ring.size()));
             if (beam == kNoBeam) {
-                ++left_out_[i];
+                ++left_out_[index];
                 continue;
             }
             kept.position_m.push_back(points.position_m[p]);
@@ -428,7 +432,7 @@ void find_units(Head& head, const std::vector<fs::path>& files, std::vector<std:
 
 /// Returns the indices of the frames whose scans will be read.
 /// @param max_scans  maximum number of scans per LiDAR
-std::vector<std::size_t> frames_to_read(const Sequence& sequence, int max_scans) {
+std::vector<std::size_t> select_frames_to_read(const Sequence& sequence, int max_scans) {
     std::vector<std::vector<std::size_t>> own(sequence.lidars.size());
     for (std::size_t i = 0; i < sequence.frames.size(); ++i)
         own[std::size_t(sequence.frames[i].lidar)].push_back(i);
@@ -448,9 +452,9 @@ void read_scans(Sequence& sequence, const Head& head, const ScanSource& source,
     BrokenScans broken(options.skip_broken);
     Reader reader(sequence, head, source, options.poses_file != kNoPoses, broken);
     reader.find_sensors();
-    const std::vector<std::size_t> frames = frames_to_read(sequence, options.max_scans);
-    for_each_with_progress(frames.size(), options.progress, "reading scans", [&](std::size_t k) {
-        broken.attempt(frames[k], [&] { reader.read(frames[k]); });
+    const std::vector<std::size_t> frames = select_frames_to_read(sequence, options.max_scans);
+    for_each_with_progress(frames.size(), options.progress, "reading scans", [&](std::size_t index) {
+        broken.attempt(frames[index], [&] { reader.read(frames[index]); });
     });
     reader.report_left_out();
     broken.leave_out(sequence);

@@ -12,7 +12,7 @@
 
 namespace relidar {
 
-Pose rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& where) {
+Pose make_rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& location) {
     const glm::dmat3 excess = glm::transpose(rotation) * rotation - glm::dmat3(1.0);
     double worst = 0.0;
     for (int c = 0; c < 3; ++c) {
@@ -22,7 +22,7 @@ Pose rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const
         throw DataError(fmt::format(
             "{}: the 3x3 block is not a rotation: R^T R differs from the identity by {:.3g} and the "
             "determinant is {:.3g}, expected an orthonormal matrix within 0.001",
-            where, worst, glm::determinant(rotation)));
+            location, worst, glm::determinant(rotation)));
     }
     return {glm::normalize(glm::quat_cast(rotation)), translation};
 }
@@ -36,12 +36,12 @@ Frame& add_frame(Sequence& sequence, int index, double time_s, const Pose& world
     return sequence.frames.emplace_back(Frame{index, time_s, {}, lidar});
 }
 
-void recentre(Sequence& sequence) {
+void recentre_sequence(Sequence& sequence) {
     const std::vector<Pose>& poses = sequence.world_from_vehicle.pose;
-    if (!poses.empty()) recentre(sequence, poses[poses.size() / 2].translation);
+    if (!poses.empty()) recentre_sequence(sequence, poses[poses.size() / 2].translation);
 }
 
-void recentre(Sequence& sequence, glm::dvec3 origin_m) {
+void recentre_sequence(Sequence& sequence, glm::dvec3 origin_m) {
     sequence.world_offset_m += origin_m;
     for (Pose& pose : sequence.world_from_vehicle.pose) pose.translation -= origin_m;
     for (BoxTrack& box : sequence.boxes)

@@ -17,24 +17,24 @@ int HeadLattice::tick(double head_azimuth_rad) const {
     return static_cast<int>(t < 0 ? t + n_ticks : t);
 }
 
-double HeadLattice::azimuth_of(int tick) const {
+double HeadLattice::compute_azimuth(int tick) const {
     return std::remainder(zero_rad + tick * tick_rad(), 2.0 * kPi);
 }
 
-Sweep even_sweep(const Points& points, const SpinningSensor& sensor) {
+Sweep make_even_sweep(const Points& points, const SpinningSensor& sensor) {
     Sweep sweep{{sensor.columns, 0.0}, {}};
-    const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
+    const std::vector<BeamGeometry> beams = make_beam_geometries(sensor.beams);
     const BeamGeometry ideal((Beam()));
     // The phase of this sum is the mean distance of the head azimuths from the grid.
     std::complex<double> sum = 0.0;
     for (std::size_t i = 0; i < points.size(); ++i) {
         const BeamGeometry& beam = points.ring[i] < beams.size() ? beams[points.ring[i]] : ideal;
-        sum += std::polar(1.0, sensor.columns * beam.head_azimuth(glm::dvec3(points.position_m[i])));
+        sum += std::polar(1.0, sensor.columns * beam.compute_head_azimuth(glm::dvec3(points.position_m[i])));
     }
     sweep.lattice.zero_rad = std::arg(sum) / sensor.columns;
     // List the grid steps in descending order. The first one is the step nearest to +pi.
     int last = sweep.lattice.tick(kPi);
-    if (sweep.lattice.azimuth_of(last) < 0.0) last = (last + sensor.columns - 1) % sensor.columns;
+    if (sweep.lattice.compute_azimuth(last) < 0.0) last = (last + sensor.columns - 1) % sensor.columns;
     for (int i = 0; i < sensor.columns; ++i)
         sweep.firings.push_back((last - i + sensor.columns) % sensor.columns);
     return sweep;

@@ -22,16 +22,17 @@ constexpr double kOtherPeriod = 0.2;
 // minimum number of points of a ring; rings with fewer points are ignored
 constexpr std::size_t kFewestPoints = 50;
 
-double elevation_of(const glm::vec3& p) {
-    return std::atan2(double(p.z), std::hypot(double(p.x), double(p.y)));
+double compute_elevation(const glm::vec3& point) {
+    return std::atan2(double(point.z), std::hypot(double(point.x), double(point.y)));
 }
 
 /// Computes the spread of the elevations in each ring. Returns the median over all rings.
-double spread_of_rings(const Points& scan) {
+double compute_ring_spread(const Points& scan) {
     std::vector<std::vector<std::pair<float, double>>> rings;  // range and elevation
     for (std::size_t i = 0; i < scan.size(); ++i) {
         if (scan.ring[i] >= rings.size()) rings.resize(std::size_t(scan.ring[i]) + 1);
-        rings[scan.ring[i]].emplace_back(glm::length(scan.position_m[i]), elevation_of(scan.position_m[i]));
+        rings[scan.ring[i]].emplace_back(glm::length(scan.position_m[i]),
+                                         compute_elevation(scan.position_m[i]));
     }
     std::vector<double> spreads;
     for (auto& ring : rings) {
@@ -48,7 +49,7 @@ double spread_of_rings(const Points& scan) {
 }
 
 /// Returns the widest azimuth range in which no scan has a point.
-double widest_gap(const std::vector<Points>& scans) {
+double compute_widest_gap(const std::vector<Points>& scans) {
     constexpr std::size_t kBins = 360;
     std::array<bool, kBins> seen{};
     for (const Points& scan : scans)
@@ -70,12 +71,12 @@ std::string explain_missing_head(const std::vector<Points>& scans, const Spinnin
                                  double step_s) {
     const auto fullest = std::ranges::max_element(scans, {}, &Points::size);
     if (fullest == scans.end()) return "";
-    if (const double spread = spread_of_rings(*fullest); spread > kMostSpread_rad)
+    if (const double spread = compute_ring_spread(*fullest); spread > kMostSpread_rad)
         return fmt::format(
             "the points of one ring differ in elevation by {:.1f} degrees, probably because clouds of "
             "several LiDARs were merged",
             spread * 180.0 / kPi);
-    const double gap = widest_gap(scans);
+    const double gap = compute_widest_gap(scans);
     if (gap < kLeastGap_rad) return "";
     const std::string window =
         fmt::format("all points are within {:.0f} degrees of azimuth", 360.0 - gap * 180.0 / kPi);

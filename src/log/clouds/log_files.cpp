@@ -70,7 +70,7 @@ std::vector<int> list_scans(const fs::path& folder, int begin, int end) {
     std::vector<int> all, frames;
     bool text_scans = false;
     for (const fs::path& file : list_folder(folder)) {
-        const auto number = file_number(file.stem().string());
+        const auto number = parse_file_number(file.stem().string());
         if (file.extension() == ".bin" && number) all.push_back(*number);
         else if (file.extension() == ".bin" &&
                  file.stem().string().find_first_not_of("0123456789") == std::string::npos)

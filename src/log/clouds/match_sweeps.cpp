@@ -6,7 +6,7 @@
 
 namespace relidar {
 
-double median_step_s(std::vector<double> times_s) {
+double compute_median_step_s(std::vector<double> times_s) {
     if (times_s.size() < 2) return 0.1;
     std::ranges::sort(times_s);
     std::vector<double> steps;
@@ -20,8 +20,8 @@ std::vector<std::optional<std::size_t>> match_sweeps(const std::vector<double>& 
                                                      const std::vector<double>& other_s, double most_s) {
     std::vector<std::optional<std::size_t>> beside(main_s.size());
     for (std::size_t i = 0; i < other_s.size(); ++i) {
-        const auto distance_s = [&](std::size_t k, std::size_t other) {
-            return std::abs(other_s[other] - main_s[k]);
+        const auto distance_s = [&](std::size_t index, std::size_t other) {
+            return std::abs(other_s[other] - main_s[index]);
         };
         const auto after = std::ranges::lower_bound(main_s, other_s[i]);
         std::size_t k = std::min(std::size_t(after - main_s.begin()), main_s.size() - 1);

@@ -10,7 +10,7 @@ namespace relidar {
 
 /// Returns the median time between two consecutive sweeps of a LiDAR. Returns 0.1 s if
 /// there is only one sweep.
-double median_step_s(std::vector<double> times_s);
+double compute_median_step_s(std::vector<double> times_s);
 
 /// Assigns sweeps of another LiDAR to the sweeps of the main LiDAR. Each sweep of the
 /// main LiDAR gets the sweep with the nearest time. No sweep is assigned twice. The

@@ -47,7 +47,8 @@ constexpr OtherFormat kOtherFormats[] = {
 
 std::string describe_other_format(const std::filesystem::path& file) {
     std::string ending = file.extension().string();
-    std::ranges::transform(ending, ending.begin(), [](unsigned char c) { return char(std::tolower(c)); });
+    std::ranges::transform(ending, ending.begin(),
+                           [](unsigned char character) { return char(std::tolower(character)); });
     for (const OtherFormat& format : kOtherFormats)
         if (ending == format.ending)
             return fmt::format("{}, which relidar cannot read; {}", format.what, format.tool);

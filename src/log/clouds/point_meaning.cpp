@@ -25,9 +25,9 @@ constexpr std::size_t kFewestMarked = 16;
 constexpr std::size_t kLooks = 1024;  // maximum number of points in which repeated positions are searched
 
 template <class Use>
-void for_each_value(const FieldValues& field, std::size_t n, const Use& use) {
+void for_each_value(const FieldValues& field, std::size_t count, const Use& use) {
     field.visit([&](const auto& value_at) {
-        for (std::size_t i = 0; i < n; ++i) use(double(value_at(i)));
+        for (std::size_t i = 0; i < count; ++i) use(double(value_at(i)));
     });
 }
 
@@ -35,7 +35,7 @@ bool is_zero(const std::vector<PointTable>& clouds, const std::string& field) {
     bool is_zero = true;
     for (const PointTable& cloud : clouds)
         if (const FieldValues* values = cloud.find(field))
-            for_each_value(*values, cloud.n, [&](double v) { is_zero = is_zero && !(v != 0.0); });
+            for_each_value(*values, cloud.n, [&](double value) { is_zero = is_zero && !(value != 0.0); });
     return is_zero;
 }
 
@@ -50,35 +50,35 @@ void choose_intensity(const std::vector<PointTable>& clouds, PointMeaning& meani
     const bool is_usual = meaning.intensity_field == "intensity" || meaning.intensity_field == "reflectivity";
     if (used == names.end())
         meaning.notes.push_back(
-            fmt::format("the intensity field '{}' is 0 for all points", excerpt(names[0])));
+            fmt::format("the intensity field '{}' is 0 for all points", make_excerpt(names[0])));
     else if (used != names.begin())
         meaning.notes.push_back(
             fmt::format("intensities are read from the field '{}', because '{}' is 0 for all points",
-                        excerpt(*used), excerpt(names[0])));
+                        make_excerpt(*used), make_excerpt(names[0])));
     else if (!is_usual)
-        meaning.notes.push_back(fmt::format("intensities are read from the field '{}'", excerpt(*used)));
+        meaning.notes.push_back(fmt::format("intensities are read from the field '{}'", make_excerpt(*used)));
 }
 
 void list_unread(const std::vector<PointTable>& clouds, PointMeaning& meaning) {
     std::set<std::string> unread;
     for (const PointTable& cloud : clouds)
-        for (const std::string& name : cloud.unread) unread.insert(excerpt(name));
+        for (const std::string& name : cloud.unread) unread.insert(make_excerpt(name));
     if (unread.empty()) return;
     meaning.notes.push_back(
         fmt::format("fields of the points that are not read: {} (intensities: {})", fmt::join(unread, ", "),
                     meaning.intensity_field.empty() ? "none, because no field has a known name of "
                                                       "intensities"
-                                                    : "'" + excerpt(meaning.intensity_field) + "'"));
+                                                    : "'" + make_excerpt(meaning.intensity_field) + "'"));
 }
 
 /// Returns the position that many points of a cloud share exactly. Returns nothing if no
 /// position is repeated often enough.
-std::optional<glm::vec3> repeated_position(const PointTable& cloud) {
+std::optional<glm::vec3> find_repeated_position(const PointTable& cloud) {
     const std::array<const FieldValues*, 3> xyz = {cloud.find(PointValue::x), cloud.find(PointValue::y),
                                                    cloud.find(PointValue::z)};
     if (!xyz[0] || !xyz[1] || !xyz[2]) return std::nullopt;
-    const auto point = [&](std::size_t i) {
-        return std::array{float((*xyz[0])[i]), float((*xyz[1])[i]), float((*xyz[2])[i])};
+    const auto point = [&](std::size_t index) {
+        return std::array{float((*xyz[0])[index]), float((*xyz[1])[index]), float((*xyz[2])[index])};
     };
     const auto is_real = [](const std::array<float, 3>& p) { return is_return(glm::vec3(p[0], p[1], p[2])); };
     std::vector<std::array<float, 3>> some;
@@ -102,7 +102,7 @@ std::optional<glm::vec3> repeated_position(const PointTable& cloud) {
 }  // namespace
 
 IntensityScale find_scale(std::vector<double>& intensities) {
-    std::erase_if(intensities, [](double v) { return !std::isfinite(v); });
+    std::erase_if(intensities, [](double value) { return !std::isfinite(value); });
     if (intensities.empty()) return {};
     const auto [lowest, highest] = std::ranges::minmax(intensities);
     IntensityScale scale;
@@ -131,11 +131,11 @@ PointMeaning find_meaning(const std::vector<PointTable>& clouds) {
     std::vector<double> intensities;
     for (const PointTable& cloud : clouds)
         if (const FieldValues* values = cloud.find(meaning.intensity_field))
-            for_each_value(*values, cloud.n, [&](double v) { intensities.push_back(v); });
+            for_each_value(*values, cloud.n, [&](double value) { intensities.push_back(value); });
     meaning.scale = find_scale(intensities);
     if (!meaning.scale.about.empty()) meaning.notes.push_back(meaning.scale.about);
     for (const PointTable& cloud : clouds)
-        if (!meaning.no_return) meaning.no_return = repeated_position(cloud);
+        if (!meaning.no_return) meaning.no_return = find_repeated_position(cloud);
     if (meaning.no_return)
         meaning.notes.push_back(
             fmt::format("many points have exactly the position ({}, {}, {}); they are read as rays without "

@@ -27,9 +27,9 @@ struct PcdHeader {
     std::size_t length = 0;  ///< bytes of the header
 };
 
-std::vector<std::string> words_of(std::string_view line) {
+std::vector<std::string> split_words(std::string_view line) {
     std::vector<std::string> words;
-    for (line = trimmed(line); !line.empty(); line = trimmed(line)) {
+    for (line = trim_spaces(line); !line.empty(); line = trim_spaces(line)) {
         const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
         words.emplace_back(line.substr(0, end));
         line.remove_prefix(end);
@@ -37,36 +37,37 @@ std::vector<std::string> words_of(std::string_view line) {
     return words;
 }
 
-std::vector<double> numbers_of(const std::vector<std::string>& words, const std::string& where) {
+std::vector<double> parse_numbers(const std::vector<std::string>& words, const std::string& location) {
     std::vector<double> numbers;
     for (std::size_t i = 1; i < words.size(); ++i) {
         const auto number = parse_number(words[i]);
         if (!number || !(*number >= 0.0 && *number <= 1e9) || *number != double(std::int64_t(*number)))
-            throw DataError(fmt::format("{}: found {} '{}', expected a whole number", where, words[0],
-                                        excerpt(words[i])));
+            throw DataError(fmt::format("{}: found {} '{}', expected a whole number", location, words[0],
+                                        make_excerpt(words[i])));
         numbers.push_back(*number);
     }
     if (numbers.empty())
-        throw DataError(fmt::format("{}: the line {} has no number, expected at least one", where, words[0]));
+        throw DataError(
+            fmt::format("{}: the line {} has no number, expected at least one", location, words[0]));
     return numbers;
 }
 
-PcdHeader parse_pcd_header(std::string_view bytes, const std::string& where) {
+PcdHeader parse_pcd_header(std::string_view bytes, const std::string& location) {
     PcdHeader header;
     while (header.data.empty()) {
         const std::size_t end = bytes.find('\n', header.length);
         if (end == std::string_view::npos)
             throw DataError(
-                fmt::format("{}: the line DATA is missing, expected the header of a PCD file", where));
-        const std::vector<std::string> words = words_of(bytes.substr(header.length, end - header.length));
+                fmt::format("{}: the line DATA is missing, expected the header of a PCD file", location));
+        const std::vector<std::string> words = split_words(bytes.substr(header.length, end - header.length));
         header.length = end + 1;
         if (words.empty() || words[0].front() == '#') continue;
         if (words[0] == "FIELDS") header.names.assign(words.begin() + 1, words.end());
-        else if (words[0] == "SIZE") header.sizes = numbers_of(words, where);
-        else if (words[0] == "COUNT") header.counts = numbers_of(words, where);
-        else if (words[0] == "WIDTH") header.width = numbers_of(words, where)[0];
-        else if (words[0] == "HEIGHT") header.height = numbers_of(words, where)[0];
-        else if (words[0] == "POINTS") header.points = numbers_of(words, where)[0];
+        else if (words[0] == "SIZE") header.sizes = parse_numbers(words, location);
+        else if (words[0] == "COUNT") header.counts = parse_numbers(words, location);
+        else if (words[0] == "WIDTH") header.width = parse_numbers(words, location)[0];
+        else if (words[0] == "HEIGHT") header.height = parse_numbers(words, location)[0];
+        else if (words[0] == "POINTS") header.points = parse_numbers(words, location)[0];
         else if (words[0] == "TYPE")
             for (std::size_t i = 1; i < words.size(); ++i) header.types += words[i].front();
         else if (words[0] == "DATA") header.data = words.size() == 2 ? words[1] : "?";
@@ -74,57 +75,58 @@ PcdHeader parse_pcd_header(std::string_view bytes, const std::string& where) {
             throw DataError(
                 fmt::format("{}: found a line that starts with '{}', expected the header of a "
                             "PCD file",
-                            where, excerpt(words[0])));
+                            location, make_excerpt(words[0])));
     }
     if (header.points < 0.0) header.points = header.width * header.height;
     if (header.counts.empty()) header.counts.assign(header.names.size(), 1.0);
     return header;
 }
 
-std::vector<PointField> fields_of(const PcdHeader& header, const std::string& where) {
+std::vector<PointField> list_fields(const PcdHeader& header, const std::string& location) {
     const std::size_t n = header.names.size();
     if (n == 0 || n > kMostPcdFields || header.sizes.size() != n || header.types.size() != n ||
         header.counts.size() != n)
         throw DataError(fmt::format(
             "{}: found {} FIELDS, {} SIZE, {} TYPE and {} COUNT, expected the same "
             "number of each, 1 to {}",
-            where, n, header.sizes.size(), header.types.size(), header.counts.size(), kMostPcdFields));
+            location, n, header.sizes.size(), header.types.size(), header.counts.size(), kMostPcdFields));
     std::vector<PointField> fields;
     double record = 0.0;
     for (std::size_t i = 0; i < n; ++i) {
         if (header.counts[i] < 1.0)
-            throw DataError(fmt::format("{}: COUNT of the field '{}' is 0, expected at least 1", where,
-                                        excerpt(header.names[i])));
+            throw DataError(fmt::format("{}: COUNT of the field '{}' is 0, expected at least 1", location,
+                                        make_excerpt(header.names[i])));
         record += header.sizes[i] * header.counts[i];
         fields.push_back(
             {header.names[i], header.types[i], std::size_t(header.sizes[i]), std::size_t(header.counts[i])});
     }
     if (record > double(kMostBytes))
-        throw DataError(fmt::format("{}: a point has {} bytes (SIZE and COUNT), expected at most {}", where,
-                                    record, kMostBytes));
+        throw DataError(fmt::format("{}: a point has {} bytes (SIZE and COUNT), expected at most {}",
+                                    location, record, kMostBytes));
     return fields;
 }
 
-[[noreturn]] void fail_packed(const std::string& where) {
-    throw DataError(
-        fmt::format("{}: the compressed data is damaged, expected LZF data of the size in the file", where));
+[[noreturn]] void throw_packed_error(const std::string& location) {
+    throw DataError(fmt::format(
+        "{}: the compressed data is damaged, expected LZF data of the size in the file", location));
 }
 
 /// Decompresses LZF data. If a byte b is less than 32, b + 1 literal bytes follow.
 /// Otherwise, the byte and the next one or two bytes are a reference to earlier output.
 /// They contain the length and the distance.
-std::string unpack_lzf(std::string_view packed, std::size_t size, const std::string& where) {
+std::string unpack_lzf(std::string_view packed, std::size_t size, const std::string& location) {
     std::string out;
     out.reserve(size);
     std::size_t at = 0;
     const auto next = [&] {
         return at < packed.size() ? std::size_t(static_cast<unsigned char>(packed[at++]))
-                                  : (fail_packed(where), 0);
+                                  : (throw_packed_error(location), 0);
     };
     while (at < packed.size()) {
         const std::size_t control = next();
         if (control < 32) {
-            if (control + 1 > packed.size() - at || control + 1 > size - out.size()) fail_packed(where);
+            if (control + 1 > packed.size() - at || control + 1 > size - out.size())
+                throw_packed_error(location);
             out.append(packed.substr(at, control + 1));
             at += control + 1;
             continue;
@@ -133,22 +135,22 @@ std::string unpack_lzf(std::string_view packed, std::size_t size, const std::str
         if (length == 7) length += next();
         length += 2;
         const std::size_t back = ((control & 31) << 8) + next() + 1;
-        if (back > out.size() || length > size - out.size()) fail_packed(where);
+        if (back > out.size() || length > size - out.size()) throw_packed_error(location);
         // Copy single bytes, because the source may overlap the bytes that are written.
         for (std::size_t i = 0; i < length; ++i) out += out[out.size() - back];
     }
-    if (out.size() != size) fail_packed(where);
+    if (out.size() != size) throw_packed_error(location);
     return out;
 }
 
 /// Decompresses the points of a PCD file. The data consists of two sizes and the
 /// compressed bytes. The result is stored field by field.
-std::string unpack(std::string_view data, const std::string& where) {
+std::string unpack(std::string_view data, const std::string& location) {
     if (data.size() < 8)
         throw DataError(
             fmt::format("{}: the file is truncated: found {} bytes after the header, expected "
                         "at least 8 with the sizes of the data",
-                        where, data.size()));
+                        location, data.size()));
     std::uint32_t packed = 0, size = 0;
     std::memcpy(&packed, data.data(), 4);
     std::memcpy(&size, data.data() + 4, 4);
@@ -157,23 +159,23 @@ std::string unpack(std::string_view data, const std::string& where) {
         throw DataError(
             fmt::format("{}: found sizes of {} compressed and {} unpacked bytes, but the file has {} bytes "
                         "of compressed data",
-                        where, packed, size, data.size()));
-    return unpack_lzf(data.substr(0, packed), size, where);
+                        location, packed, size, data.size()));
+    return unpack_lzf(data.substr(0, packed), size, location);
 }
 
 }  // namespace
 
-PointTable read_pcd(const SharedBytes& file, const std::string& where) {
-    const PcdHeader header = parse_pcd_header(file.bytes, where);
-    const std::vector<PointField> fields = fields_of(header, where);
+PointTable read_pcd(const SharedBytes& file, const std::string& location) {
+    const PcdHeader header = parse_pcd_header(file.bytes, location);
+    const std::vector<PointField> fields = list_fields(header, location);
     const std::string_view data = file.bytes.substr(header.length);
     const std::size_t n = std::size_t(header.points);
-    if (header.data == "ascii") return read_lines(data, fields, n, where);
-    if (header.data == "binary") return read_packed(file.with(data), fields, n, Packing::by_point, where);
+    if (header.data == "ascii") return read_lines(data, fields, n, location);
+    if (header.data == "binary") return read_packed(file.with(data), fields, n, Packing::by_point, location);
     if (header.data == "binary_compressed")
-        return read_packed(share_bytes(unpack(data, where)), fields, n, Packing::by_field, where);
-    throw DataError(fmt::format("{}: found DATA '{}', expected ascii, binary or binary_compressed", where,
-                                excerpt(header.data)));
+        return read_packed(share_bytes(unpack(data, location)), fields, n, Packing::by_field, location);
+    throw DataError(fmt::format("{}: found DATA '{}', expected ascii, binary or binary_compressed", location,
+                                make_excerpt(header.data)));
 }
 
 }  // namespace relidar::folder

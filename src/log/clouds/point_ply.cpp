@@ -31,7 +31,7 @@ PointField field_of(const std::string& type, const std::string& name, const std:
     throw DataError(
         fmt::format("{}: the property '{}' has the type '{}', expected a number type (lists "
                     "are not supported)",
-                    where, excerpt(name), excerpt(type)));
+                    where, make_excerpt(name), make_excerpt(type)));
 }
 
 struct PlyHeader {
@@ -41,7 +41,7 @@ struct PlyHeader {
     std::size_t length = 0;  ///< bytes of the header
 };
 
-void parse_line(const std::string& line, PlyHeader& header, int& elements, const std::string& where) {
+void parse_line(const std::string& line, PlyHeader& header, int& elements, const std::string& location) {
     std::istringstream words(line);
     std::string keyword, a, b;
     words >> keyword >> a >> b;
@@ -51,45 +51,45 @@ void parse_line(const std::string& line, PlyHeader& header, int& elements, const
         const auto n = parse_number(b);
         if (++elements == 1 && (a != "vertex" || !n || !(*n >= 0.0 && *n <= 1e9)))
             throw DataError(fmt::format("{}: found '{}', expected 'element vertex N' as the first element",
-                                        where, excerpt(line)));
+                                        location, make_excerpt(line)));
         if (elements == 1) header.n = std::size_t(*n);
     } else if (keyword == "property" && elements == 1) {
         if (header.fields.size() >= kMostPlyFields)
             throw DataError(fmt::format("{}: found more than {} properties of a vertex, expected fewer",
-                                        where, kMostPlyFields));
-        header.fields.push_back(field_of(a, b, where));
+                                        location, kMostPlyFields));
+        header.fields.push_back(field_of(a, b, location));
     }
 }
 
-PlyHeader parse_ply_header(std::string_view bytes, const std::string& where) {
+PlyHeader parse_ply_header(std::string_view bytes, const std::string& location) {
     PlyHeader header;
     int elements = 0;
     if (!bytes.starts_with("ply"))
-        throw DataError(fmt::format("{}: the file does not begin with 'ply', expected a PLY file", where));
+        throw DataError(fmt::format("{}: the file does not begin with 'ply', expected a PLY file", location));
     for (std::string_view line; line != "end_header";) {
         const std::size_t end = bytes.find('\n', header.length);
         if (end == std::string_view::npos)
             throw DataError(
                 fmt::format("{}: the line end_header is missing, expected the header of a PLY "
                             "file",
-                            where));
-        line = trimmed(bytes.substr(header.length, end - header.length));
+                            location));
+        line = trim_spaces(bytes.substr(header.length, end - header.length));
         header.length = end + 1;
-        parse_line(std::string(line), header, elements, where);
+        parse_line(std::string(line), header, elements, location);
     }
     return header;
 }
 
 }  // namespace
 
-PointTable read_ply(const SharedBytes& file, const std::string& where) {
-    const PlyHeader header = parse_ply_header(file.bytes, where);
+PointTable read_ply(const SharedBytes& file, const std::string& location) {
+    const PlyHeader header = parse_ply_header(file.bytes, location);
     const std::string_view data = file.bytes.substr(header.length);
-    if (header.format == "ascii") return read_lines(data, header.fields, header.n, where);
+    if (header.format == "ascii") return read_lines(data, header.fields, header.n, location);
     if (header.format == "binary_little_endian")
-        return read_packed(file.with(data), header.fields, header.n, Packing::by_point, where);
-    throw DataError(fmt::format("{}: found the format '{}', expected ascii or binary_little_endian", where,
-                                excerpt(header.format)));
+        return read_packed(file.with(data), header.fields, header.n, Packing::by_point, location);
+    throw DataError(fmt::format("{}: found the format '{}', expected ascii or binary_little_endian", location,
+                                make_excerpt(header.format)));
 }
 
 }  // namespace relidar::folder

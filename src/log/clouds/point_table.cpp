@@ -76,9 +76,10 @@ std::size_t find_name(std::string_view name) {
 
 /// Returns the index of a field in kFieldNames. Ignores upper case and prefixes of the
 /// name. Returns kNotRead if relidar does not read the field.
-std::size_t row_of_field(std::string_view field) {
-    std::string name(trimmed(field));
-    std::ranges::transform(name, name.begin(), [](unsigned char c) { return char(std::tolower(c)); });
+std::size_t find_row_of_field(std::string_view field) {
+    std::string name(trim_spaces(field));
+    std::ranges::transform(name, name.begin(),
+                           [](unsigned char character) { return char(std::tolower(character)); });
     // VeloView and ParaView store x, y and z as elements 0, 1 and 2 of a vector.
     for (const char axis : {'0', '1', '2'})
         if (name.starts_with("points") && name.ends_with(std::string(":") + axis))
@@ -102,18 +103,18 @@ constexpr NumberTypeRow kNumberTypes[] = {{'F', 4, NumberType::f4, "f4"}, {'F', 
                                           {'U', 1, NumberType::u1, "u1"}, {'U', 2, NumberType::u2, "u2"},
                                           {'U', 4, NumberType::u4, "u4"}, {'U', 8, NumberType::u8, "u8"}};
 
-NumberType type_of(const PointField& field, const std::string& where) {
+NumberType parse_point_type(const PointField& field, const std::string& location) {
     for (const NumberTypeRow& row : kNumberTypes)
         if (row.kind == field.kind && row.size == field.size) return row.type;
-    throw DataError(
-        fmt::format("{}: the field '{}' has the type {}{}, expected F4, F8, or I or U with 1, 2, 4 or 8 "
-                    "bytes",
-                    where, excerpt(field.name), excerpt(std::string(1, field.kind)), field.size));
+    throw DataError(fmt::format(
+        "{}: the field '{}' has the type {}{}, expected F4, F8, or I or U with 1, 2, 4 or 8 "
+        "bytes",
+        location, make_excerpt(field.name), make_excerpt(std::string(1, field.kind)), field.size));
 }
 
-void check_count(std::size_t n, const std::string& where) {
-    if (n == 0 || n > kMostPoints)
-        throw DataError(fmt::format("{}: found {} points, expected 1 to {}", where, n, kMostPoints));
+void check_count(std::size_t count, const std::string& location) {
+    if (count == 0 || count > kMostPoints)
+        throw DataError(fmt::format("{}: found {} points, expected 1 to {}", location, count, kMostPoints));
 }
 
 PointTable read_bin(const fs::path& file, const std::vector<std::string>& columns) {
@@ -164,8 +165,8 @@ PointTable read_npy_points(const fs::path& file, const std::vector<std::string>&
 
 }  // namespace
 
-std::optional<PointValue> value_of_field(std::string_view name) {
-    const std::size_t row = row_of_field(name);
+std::optional<PointValue> find_value_of_field(std::string_view name) {
+    const std::size_t row = find_row_of_field(name);
     return row == kNotRead ? std::nullopt : std::optional(kFieldNames[row].value);
 }
 
@@ -173,7 +174,7 @@ std::vector<std::string> PointTable::names(PointValue value) const {
     // A field with exactly the listed name has priority over other spellings of the name.
     std::vector<std::tuple<std::size_t, bool, std::string>> ranked;
     for (const auto& [name, values] : fields_) {
-        const std::size_t row = row_of_field(name);
+        const std::size_t row = find_row_of_field(name);
         if (row != kNotRead && kFieldNames[row].value == value)
             ranked.emplace_back(row, name != kFieldNames[row].name, name);
     }
@@ -193,39 +194,41 @@ const FieldValues* PointTable::find(PointValue value) const {
     return all.empty() ? nullptr : find(all[0]);
 }
 
-void PointTable::add(const std::string& name, const FieldValues& values, const std::string& where) {
+void PointTable::add(const std::string& name, const FieldValues& values, const std::string& location) {
     if (!fields_.emplace(name, values).second)
-        throw DataError(fmt::format("{}: the field '{}' occurs twice, expected it once", where, name));
+        throw DataError(fmt::format("{}: the field '{}' occurs twice, expected it once", location, name));
 }
 
 void PointTable::remove(PointValue value) {
-    std::erase_if(fields_, [&](const auto& field) { return value_of_field(field.first) == value; });
+    std::erase_if(fields_, [&](const auto& field) { return find_value_of_field(field.first) == value; });
 }
 
-PointTable read_packed(const SharedBytes& data, const std::vector<PointField>& fields, std::size_t n,
-                       Packing packing, const std::string& where) {
-    check_count(n, where);
+PointTable read_packed(const SharedBytes& data, const std::vector<PointField>& fields, std::size_t count,
+                       Packing packing, const std::string& location) {
+    check_count(count, location);
     std::size_t record = 0;
     for (const PointField& field : fields) {
         if (field.size == 0 || field.count == 0)
             throw DataError(fmt::format("{}: field '{}' has no values, expected at least one per point",
-                                        where, excerpt(field.name)));
+                                        location, make_excerpt(field.name)));
         record += field.size * field.count;
     }
-    if (data.bytes.size() / n < record)
+    if (data.bytes.size() / count < record)
         throw DataError(
             fmt::format("{}: the file is truncated: found {} bytes of points, expected {} "
                         "points of {} bytes",
-                        where, data.bytes.size(), n, record));
-    PointTable table(n);
+                        location, data.bytes.size(), count, record));
+    PointTable table(count);
     table.keep(data.memory);
     std::size_t before = 0;  // number of bytes of the previous fields in a point
     for (const PointField& field : fields) {
         const std::size_t width = field.size * field.count;
         if (is_point_field(field.name)) {
-            const char* first = data.bytes.data() + (packing == Packing::by_point ? before : before * n);
-            table.add(field.name,
-                      {type_of(field, where), first, packing == Packing::by_point ? record : width}, where);
+            const char* first = data.bytes.data() + (packing == Packing::by_point ? before : before * count);
+            table.add(
+                field.name,
+                {parse_point_type(field, location), first, packing == Packing::by_point ? record : width},
+                location);
         } else if (field.name != kPadding) {
             table.unread.push_back(field.name);
         }
@@ -256,7 +259,7 @@ PointTable read_lines(std::string_view text, const std::vector<PointField>& fiel
         const auto numbers = parse_numbers(text.substr(0, end));
         if (!numbers || numbers->size() != width)
             throw DataError(fmt::format("{}: point {} is '{}', expected {} numbers", where, i,
-                                        excerpt(text.substr(0, end)), width));
+                                        make_excerpt(text.substr(0, end)), width));
         for (Column& column : kept) column.values[i] = (*numbers)[column.place];
         text.remove_prefix(std::min(end + 1, text.size()));
     }
@@ -310,7 +313,7 @@ PointTable read_point_file(const fs::path& file, const std::vector<std::string>&
     throw DataError(
         fmt::format("{}: found the file name ending '{}', expected .npz, .exr, .pcd, .ply, .bin, .npy, "
                     ".csv or .xyz",
-                    file.string(), excerpt(ending)));
+                    file.string(), make_excerpt(ending)));
 }
 
 }  // namespace relidar::folder

@@ -26,8 +26,8 @@ enum class PointValue { x, y, z, intensity, ring, time, return_number, return_ty
 /// Returns the meaning of a field by its name. Ignores upper case and prefixes such as
 /// "scalar_". Returns nothing for fields that relidar does not read, such as colours and
 /// normals.
-std::optional<PointValue> value_of_field(std::string_view name);
-inline bool is_point_field(std::string_view name) { return value_of_field(name).has_value(); }
+std::optional<PointValue> find_value_of_field(std::string_view name);
+inline bool is_point_field(std::string_view name) { return find_value_of_field(name).has_value(); }
 
 enum class NumberType : std::uint8_t { f4, f8, i1, i2, i4, i8, u1, u2, u4, u8 };
 
@@ -70,9 +70,9 @@ public:
         }
     }
     /// Returns the value of one point. To read all values, use visit(), which is faster.
-    double operator[](std::size_t i) const {
+    double operator[](std::size_t index) const {
         double value = 0.0;
-        visit([&](const auto& value_at) { value = double(value_at(i)); });
+        visit([&](const auto& value_at) { value = double(value_at(index)); });
         return value;
     }
 
@@ -83,9 +83,9 @@ private:
 
     template <class T>
     auto reader() const {
-        return [first = first_, step = step_](std::size_t i) {
+        return [first = first_, step = step_](std::size_t index) {
             T value;
-            std::memcpy(&value, first + i * step, sizeof value);
+            std::memcpy(&value, first + index * step, sizeof value);
             return value;
         };
     }
@@ -112,14 +112,14 @@ public:
     /// find() returns.
     std::vector<std::string> names(PointValue value) const;
     /// Adds a field to the table.
-    /// @param where  name of the file, for error messages
+    /// @param location  name of the file, for error messages
     /// @throws DataError if the field already exists
-    void add(const std::string& name, const FieldValues& values, const std::string& where);
+    void add(const std::string& name, const FieldValues& values, const std::string& location);
     template <class T>
-    void add(const std::string& name, NumberType type, std::vector<T> values, const std::string& where) {
+    void add(const std::string& name, NumberType type, std::vector<T> values, const std::string& location) {
         const auto memory = std::make_shared<const std::vector<T>>(std::move(values));
         keep(memory);
-        add(name, {type, reinterpret_cast<const char*>(memory->data()), sizeof(T)}, where);
+        add(name, {type, reinterpret_cast<const char*>(memory->data()), sizeof(T)}, location);
     }
     void remove(PointValue value);
     /// Stores a shared pointer to the memory of field values, so that the memory is not
@@ -150,12 +150,12 @@ enum class Packing {
 
 /// Returns a table of binary little-endian numbers. Does not copy the values.
 /// @throws DataError if a number type does not exist or if the data is too short
-PointTable read_packed(const SharedBytes& data, const std::vector<PointField>& fields, std::size_t n,
-                       Packing packing, const std::string& where);
-/// Parses n lines of numbers that are separated by blanks. Returns a table of the
+PointTable read_packed(const SharedBytes& data, const std::vector<PointField>& fields, std::size_t count,
+                       Packing packing, const std::string& location);
+/// Parses `count` lines of numbers that are separated by blanks. Returns a table of the
 /// numbers.
-PointTable read_lines(std::string_view text, const std::vector<PointField>& fields, std::size_t n,
-                      const std::string& where);
+PointTable read_lines(std::string_view text, const std::vector<PointField>& fields, std::size_t count,
+                      const std::string& location);
 
 /// Returns true if the extension of a file is a supported point cloud format.
 bool is_point_file(const std::filesystem::path& file);
@@ -168,18 +168,18 @@ bool is_image_file(const std::filesystem::path& file);
 PointTable read_point_file(const std::filesystem::path& file, const std::vector<std::string>& columns);
 
 /// Reads a PCD or PLY file. The header of the file describes the fields.
-PointTable read_pcd(const SharedBytes& file, const std::string& where);
-PointTable read_ply(const SharedBytes& file, const std::string& where);
+PointTable read_pcd(const SharedBytes& file, const std::string& location);
+PointTable read_ply(const SharedBytes& file, const std::string& location);
 
 /// Reads lines of numbers that are separated by blanks, commas or semicolons. The first
 /// line may contain the names of the fields.
 /// @param columns  names of the fields if the file has no header. If empty, the fields
 /// are x y z, or x y z intensity.
 PointTable read_text_points(const SharedBytes& file, const std::vector<std::string>& columns,
-                            const std::string& where);
+                            const std::string& location);
 
 /// Returns true if the bytes are a .npy file whose elements have named fields.
 bool is_structured_npy(std::string_view bytes);
-PointTable read_structured_npy(const SharedBytes& file, const std::string& where);
+PointTable read_structured_npy(const SharedBytes& file, const std::string& location);
 
 }  // namespace relidar::folder

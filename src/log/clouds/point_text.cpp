@@ -18,9 +18,9 @@ namespace {
 constexpr std::size_t kMostTextFields = 1024;
 constexpr std::size_t kNpyPrefix = 8;  // size of the magic string and the version of a .npy file
 
-std::vector<PointField> names_in(std::string_view line) {
+std::vector<PointField> split_names(std::string_view line) {
     std::vector<PointField> fields;
-    for (line = trimmed(line); !line.empty(); line = trimmed(line)) {
+    for (line = trim_spaces(line); !line.empty(); line = trim_spaces(line)) {
         const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
         std::string name(line.substr(0, end));
         std::erase(name, '"');
@@ -30,30 +30,30 @@ std::vector<PointField> names_in(std::string_view line) {
     return fields;
 }
 
-std::vector<PointField> fields_named(const std::vector<std::string>& names) {
+std::vector<PointField> make_named_fields(const std::vector<std::string>& names) {
     std::vector<PointField> fields;
     for (const std::string& name : names) fields.push_back({name, 'F', sizeof(double)});
     return fields;
 }
 
 /// Returns the fields of a text file that has no header.
-/// @param n  number of values per line
-std::vector<PointField> fields_without_header(std::size_t n, const std::vector<std::string>& columns,
-                                              const std::string& where) {
-    if (columns.size() == n) return fields_named(columns);
-    if (columns.empty() && n == 3) return fields_named({"x", "y", "z"});
-    if (columns.empty() && n == 4) return fields_named({"x", "y", "z", "intensity"});
+/// @param count  number of values per line
+std::vector<PointField> make_default_fields(std::size_t count, const std::vector<std::string>& columns,
+                                            const std::string& location) {
+    if (columns.size() == count) return make_named_fields(columns);
+    if (columns.empty() && count == 3) return make_named_fields({"x", "y", "z"});
+    if (columns.empty() && count == 4) return make_named_fields({"x", "y", "z", "intensity"});
     throw DataError(
         fmt::format("{}: found {} numbers per line and no header, expected names in the first line, or "
                     "\"columns\" in sequence.json",
-                    where, n));
+                    location, count));
 }
 
 /// Parses the list of fields in the header of a structured numpy array: [('x', '<f4'),
 /// ...].
 class FieldList {
 public:
-    FieldList(std::string_view text, const std::string& where) : text_(text), where_(where) {}
+    FieldList(std::string_view text, const std::string& location) : text_(text), where_(location) {}
 
     std::vector<PointField> parse() {
         std::vector<PointField> fields;
@@ -94,17 +94,17 @@ private:
     [[noreturn]] void fail() const {
         throw DataError(fmt::format("{}: the npy header is malformed, expected fields of numbers", where_));
     }
-    bool peek(char c) {
+    bool peek(char character) {
         while (!text_.empty() && (text_[0] == ' ' || text_[0] == '\n')) text_.remove_prefix(1);
-        return !text_.empty() && text_[0] == c;
+        return !text_.empty() && text_[0] == character;
     }
-    bool accept(char c) {
-        if (!peek(c)) return false;
+    bool accept(char character) {
+        if (!peek(character)) return false;
         text_.remove_prefix(1);
         return true;
     }
-    void expect(char c) {
-        if (!accept(c)) fail();
+    void expect(char character) {
+        if (!accept(character)) fail();
     }
     std::string quoted() {
         expect('\'');
@@ -121,7 +121,7 @@ private:
         if (type.size() < 3 || !size || !(*size >= 1.0 && *size <= 65536.0)) fail();
         if (type[0] == '>')
             throw DataError(fmt::format("{}: the field '{}' is big-endian, expected little-endian", where_,
-                                        excerpt(name)));
+                                        make_excerpt(name)));
         if (type[1] == 'V' || name.empty()) return {std::string(kPadding), 'U', 1, std::size_t(*size)};
         const char kind = type[1] == 'f' ? 'F' : type[1] == 'i' ? 'I' : 'U';
         return {name, kind, std::size_t(*size)};
@@ -131,53 +131,58 @@ private:
 }  // namespace
 
 PointTable read_text_points(const SharedBytes& file, const std::vector<std::string>& columns,
-                            const std::string& where) {
+                            const std::string& location) {
     std::string text(file.bytes);
     std::ranges::replace_if(
-        text, [](char c) { return c == ',' || c == ';' || c == '\r' || c == '\t'; }, ' ');
-    std::string_view rest = trimmed(text);
+        text,
+        [](char character) {
+            return character == ',' || character == ';' || character == '\r' || character == '\t';
+        },
+        ' ');
+    std::string_view rest = trim_spaces(text);
     const auto first_line = [&] { return rest.substr(0, std::min(rest.find('\n'), rest.size())); };
     const auto skip_line = [&] { rest.remove_prefix(std::min(first_line().size() + 1, rest.size())); };
     std::vector<PointField> fields;
     if (const auto numbers = parse_numbers(first_line()); numbers && numbers->size() == 1) skip_line();
     if (const auto numbers = parse_numbers(first_line()); numbers) {
-        fields = fields_without_header(numbers->size(), columns, where);
+        fields = make_default_fields(numbers->size(), columns, location);
     } else {
-        std::string_view names = trimmed(first_line());
+        std::string_view names = trim_spaces(first_line());
         names.remove_prefix(std::min(names.find_first_not_of("#/ "), names.size()));
-        fields = names_in(names);
+        fields = split_names(names);
         skip_line();
     }
     if (fields.size() > kMostTextFields)
-        throw DataError(
-            fmt::format("{}: found {} fields, expected at most {}", where, fields.size(), kMostTextFields));
+        throw DataError(fmt::format("{}: found {} fields, expected at most {}", location, fields.size(),
+                                    kMostTextFields));
     const auto n = rest.empty() ? 0 : std::size_t(std::ranges::count(rest, '\n')) + 1;
-    return read_lines(rest, fields, n, where);
+    return read_lines(rest, fields, n, location);
 }
 
 bool is_structured_npy(std::string_view bytes) {
     const std::string_view header = bytes.substr(0, 256);
     const std::size_t at = header.find("'descr':");
     return header.starts_with("\x93NUMPY") && at != header.npos &&
-           trimmed(header.substr(at + 8)).starts_with('[');
+           trim_spaces(header.substr(at + 8)).starts_with('[');
 }
 
-PointTable read_structured_npy(const SharedBytes& file, const std::string& where) {
+PointTable read_structured_npy(const SharedBytes& file, const std::string& location) {
     const std::string_view bytes = file.bytes;
     const std::size_t n_length = bytes.size() > kNpyPrefix && bytes[6] == 1 ? 2 : 4;
     if (bytes.size() < kNpyPrefix + n_length)
-        throw DataError(fmt::format("{}: the npy header is truncated", where));
+        throw DataError(fmt::format("{}: the npy header is truncated", location));
     std::uint32_t length = 0;
     std::memcpy(&length, bytes.data() + kNpyPrefix, n_length);
     const std::size_t start = kNpyPrefix + n_length;
-    if (length > bytes.size() - start) throw DataError(fmt::format("{}: the npy header is truncated", where));
+    if (length > bytes.size() - start)
+        throw DataError(fmt::format("{}: the npy header is truncated", location));
     const std::string_view header = bytes.substr(start, length);
     const std::size_t fields_at = header.find("'descr':"), shape_at = header.find("'shape':");
     if (fields_at == header.npos || shape_at == header.npos)
-        throw DataError(fmt::format("{}: the npy header has no descr or no shape, expected both", where));
-    const std::vector<PointField> fields = FieldList(header.substr(fields_at + 8), where).parse();
-    const std::size_t n = FieldList(header.substr(shape_at + 8), where).shape();
-    return read_packed(file.with(bytes.substr(start + length)), fields, n, Packing::by_point, where);
+        throw DataError(fmt::format("{}: the npy header has no descr or no shape, expected both", location));
+    const std::vector<PointField> fields = FieldList(header.substr(fields_at + 8), location).parse();
+    const std::size_t n = FieldList(header.substr(shape_at + 8), location).shape();
+    return read_packed(file.with(bytes.substr(start + length)), fields, n, Packing::by_point, location);
 }
 
 }  // namespace relidar::folder

@@ -33,47 +33,47 @@ bool is_compared(const glm::vec3& point_m) {
 
 void ScanPairs::add(double first_s, std::vector<glm::vec3> first_m, double second_s,
                     std::vector<glm::vec3> second_m) {
-    std::erase_if(first_m, [](const glm::vec3& p) { return !is_compared(p); });
-    std::erase_if(second_m, [](const glm::vec3& p) { return !is_compared(p); });
+    std::erase_if(first_m, [](const glm::vec3& point) { return !is_compared(point); });
+    std::erase_if(second_m, [](const glm::vec3& point) { return !is_compared(point); });
     if (!first_m.empty() && !second_m.empty())
         pairs_.push_back({first_s, second_s, std::move(first_m), std::move(second_m)});
 }
 
-double ScanPairs::overlap(const PoseTrack& world_from_vehicle) const {
+double ScanPairs::compute_overlap(const PoseTrack& world_from_vehicle) const {
     double sum = 0.0;
     for (const Pair& pair : pairs_) {
         const Pose first_from_second =
             inverse(world_from_vehicle.at(pair.first_s)) * world_from_vehicle.at(pair.second_s);
         std::unordered_set<std::uint64_t> cells;
-        for (const glm::vec3& p : pair.first_m) cells.insert(cell_key(glm::dvec3(p), kCell_m));
+        for (const glm::vec3& p : pair.first_m) cells.insert(make_cell_key(glm::dvec3(p), kCell_m));
         std::size_t n = 0;
         for (const glm::vec3& p : pair.second_m)
-            n += cells.contains(cell_key(first_from_second * glm::dvec3(p), kCell_m));
+            n += cells.contains(make_cell_key(first_from_second * glm::dvec3(p), kCell_m));
         sum += double(n) / double(pair.second_m.size());
     }
     return pairs_.empty() ? 0.0 : sum / double(pairs_.size());
 }
 
 std::size_t choose_reading(const std::vector<PoseReading>& readings, const ReadPairs& read_pairs,
-                           const std::string& where, std::vector<std::string>& notes) {
+                           const std::string& location, std::vector<std::string>& notes) {
     std::vector<double> forward;
     for (const PoseReading& reading : readings) {
         const stamped::Driving driving = stamped::find_driving(reading.world_from_vehicle);
         forward.push_back(driving.n_steps < kFewestSteps ? 0.0 : driving.mean.x);
     }
-    const auto is_possible = [&](std::size_t k) {
-        return forward[k] >= kForward && forward[k] >= forward[0] + kMoreForward;
+    const auto is_possible = [&](std::size_t index) {
+        return forward[index] >= kForward && forward[index] >= forward[0] + kMoreForward;
     };
     std::size_t n_possible = 0;
     for (std::size_t k = 1; k < readings.size(); ++k) n_possible += is_possible(k);
     if (n_possible == 0) return 0;
     const ScanPairs scans = read_pairs ? read_pairs() : ScanPairs();
     std::size_t best = 0;
-    double best_overlap = scans.overlap(readings[0].world_from_vehicle) + kMoreOverlap;
+    double best_overlap = scans.compute_overlap(readings[0].world_from_vehicle) + kMoreOverlap;
     for (std::size_t k = 1; k < readings.size(); ++k) {
         if (!is_possible(k)) continue;
         if (scans.empty() && (readings[k].needs_scans || best > 0)) continue;
-        const double overlap = scans.overlap(readings[k].world_from_vehicle);
+        const double overlap = scans.compute_overlap(readings[k].world_from_vehicle);
         if (!scans.empty() && overlap <= best_overlap) continue;
         best = k;
         best_overlap = overlap;
@@ -82,7 +82,7 @@ std::size_t choose_reading(const std::vector<PoseReading>& readings, const ReadP
         notes.push_back(
             fmt::format("{}: poses are read as {}, because then {:.2f} m of each metre of driving are "
                         "forward, but only {:.2f} m if poses are read as {}",
-                        where, readings[best].about, forward[best], forward[0], readings[0].about));
+                        location, readings[best].about, forward[best], forward[0], readings[0].about));
     return best;
 }
 

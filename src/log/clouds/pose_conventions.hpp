@@ -33,7 +33,7 @@ public:
     /// Returns how well the scans overlap with the given poses. For each pair, this is
     /// the share of points of the second scan that have a point of the first scan in the
     /// same cell.
-    double overlap(const PoseTrack& world_from_vehicle) const;
+    double compute_overlap(const PoseTrack& world_from_vehicle) const;
 
 private:
     struct Pair {
@@ -51,8 +51,8 @@ using ReadPairs = std::function<ScanPairs()>;
 /// @param readings  possible meanings, at least one
 /// @param read_pairs  reads pairs of scans; called only if the motion contradicts the
 /// documented meaning; may be null
-/// @param where  name of the file, for the note
+/// @param location  name of the file, for the note
 std::size_t choose_reading(const std::vector<PoseReading>& readings, const ReadPairs& read_pairs,
-                           const std::string& where, std::vector<std::string>& notes);
+                           const std::string& location, std::vector<std::string>& notes);
 
 }  // namespace relidar::folder

@@ -30,12 +30,14 @@ constexpr double kStray = 0.005;
 // beam origins shift the elevations of near points by a few beams.
 constexpr std::ptrdiff_t kReach = 6;
 
-double elevation_of(const glm::dvec3& v) { return std::atan2(v.z, std::hypot(v.x, v.y)); }
+double compute_elevation(const glm::dvec3& vector) {
+    return std::atan2(vector.z, std::hypot(vector.x, vector.y));
+}
 
 /// Returns elevations of points, in ascending order. For each degree of elevation, uses
 /// only the farther half of the points, because beam origins change the elevation of near
 /// points. The selection is per degree, because downward beams have no far points.
-std::vector<double> far_elevations(const std::vector<Points>& scans) {
+std::vector<double> collect_far_elevations(const std::vector<Points>& scans) {
     struct Seen {
         float range_m;
         double elevation_rad;
@@ -43,14 +45,15 @@ std::vector<double> far_elevations(const std::vector<Points>& scans) {
     std::vector<std::vector<Seen>> seen(181);  // points by degree of elevation
     for (const Points& scan : scans)
         for (const glm::vec3& p : scan.position_m) {
-            const double elevation = elevation_of(glm::dvec3(p));
+            const double elevation = compute_elevation(glm::dvec3(p));
             seen[std::size_t((elevation / kPi + 0.5) * 180.0)].push_back({glm::length(p), elevation});
         }
     std::vector<double> elevations;
     for (std::vector<Seen>& degree : seen) {
         const auto half = degree.begin() + std::ptrdiff_t(degree.size() / 2);
-        std::nth_element(degree.begin(), half, degree.end(),
-                         [](const Seen& a, const Seen& b) { return a.range_m < b.range_m; });
+        std::nth_element(degree.begin(), half, degree.end(), [](const Seen& first, const Seen& second) {
+            return first.range_m < second.range_m;
+        });
         for (auto s = half; s != degree.end(); ++s) elevations.push_back(s->elevation_rad);
     }
     std::sort(elevations.begin(), elevations.end());
@@ -64,7 +67,7 @@ struct Band {
 
 /// Returns the bands of the histogram. A band is a group of consecutive bins that are not
 /// empty.
-std::vector<Band> bands_of(const std::vector<double>& elevations) {
+std::vector<Band> find_bands(const std::vector<double>& elevations) {
     const int n_bins = int(kPi / kBin_rad) + 1;
     const auto bin = [](double elevation) { return int((elevation + kPi / 2) / kBin_rad); };
     std::vector<int> count(std::size_t(n_bins) + 1, 0);
@@ -103,7 +106,7 @@ bool are_separate(const std::vector<Band>& bands) {
 }  // namespace
 
 std::vector<Beam> find_beams(const std::vector<Points>& scans) {
-    const std::vector<Band> bands = bands_of(far_elevations(scans));
+    const std::vector<Band> bands = find_bands(collect_far_elevations(scans));
     if (bands.size() < kFewestBands || !are_separate(bands)) return {};
     std::vector<Beam> beams;
     for (auto band = bands.rbegin(); band != bands.rend(); ++band)
@@ -118,14 +121,14 @@ void recover_rings(Points& points, const std::vector<Beam>& beams) {
             "to 65535");
     std::vector<std::uint16_t> rising(beams.size());
     std::iota(rising.begin(), rising.end(), std::uint16_t(0));
-    const auto elevation = [&](std::uint16_t k) { return beams[k].elevation_rad; };
+    const auto elevation = [&](std::uint16_t index) { return beams[index].elevation_rad; };
     std::stable_sort(rising.begin(), rising.end(),
-                     [&](auto a, auto b) { return elevation(a) < elevation(b); });
-    const std::vector<BeamGeometry> geometry = geometries_of(beams);
+                     [&](auto first, auto second) { return elevation(first) < elevation(second); });
+    const std::vector<BeamGeometry> geometry = make_beam_geometries(beams);
     points.ring.clear();
     for (const glm::vec3& point : points.position_m) {
         const glm::dvec3 p(point);
-        const double seen = elevation_of(p);
+        const double seen = compute_elevation(p);
         const auto nearest =
             std::partition_point(rising.begin(), rising.end(), [&](auto k) { return elevation(k) < seen; });
         const auto begin = nearest - std::min(kReach, nearest - rising.begin()),
@@ -133,8 +136,8 @@ void recover_rings(Points& points, const std::vector<Beam>& beams) {
         std::uint16_t best = *begin;
         double least = INFINITY;
         for (auto k = begin; k != end; ++k) {
-            const glm::dvec3 origin = geometry[*k].ray(geometry[*k].head_azimuth(p)).origin_m;
-            const double miss = std::abs(elevation_of(p - origin) - elevation(*k));
+            const glm::dvec3 origin = geometry[*k].ray(geometry[*k].compute_head_azimuth(p)).origin_m;
+            const double miss = std::abs(compute_elevation(p - origin) - elevation(*k));
             if (miss < least) least = miss, best = *k;
         }
         points.ring.push_back(best);

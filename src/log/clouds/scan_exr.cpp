@@ -20,7 +20,7 @@ constexpr const char* kAxes[] = {".x", ".y", ".z"};
 /// Combines three channels into one array of vectors. Does nothing if the image lacks one
 /// of the channels.
 void add_vectors(const ExrImage& image, const std::string& channel, const std::string& name,
-                 const std::string& where, std::vector<NamedArray>& arrays) {
+                 const std::string& location, std::vector<NamedArray>& arrays) {
     const std::vector<float>* axis[3] = {};
     std::size_t n_found = 0;
     for (std::size_t k = 0; k < 3; ++k) {
@@ -34,7 +34,7 @@ void add_vectors(const ExrImage& image, const std::string& channel, const std::s
         throw DataError(
             fmt::format("{}: found only {} of the channels {}.x, .y and .z, expected all three "
                         "or none",
-                        where, n_found, channel));
+                        location, n_found, channel));
     std::vector<float> values;
     values.reserve(axis[0]->size() * 3);
     for (std::size_t i = 0; i < axis[0]->size(); ++i)
@@ -43,12 +43,12 @@ void add_vectors(const ExrImage& image, const std::string& channel, const std::s
                                 values.size()));
 }
 
-std::vector<NamedArray> arrays_of(const ExrImage& image, const std::string& where) {
+std::vector<NamedArray> list_arrays(const ExrImage& image, const std::string& location) {
     if (!image.channels.contains("range")) {
         std::vector<std::string> names;
         for (const auto& [name, values] : image.channels)
-            if (names.size() < 8) names.push_back(excerpt(name));
-        throw DataError(fmt::format("{}: the channel 'range' is missing; found the channels {}", where,
+            if (names.size() < 8) names.push_back(make_excerpt(name));
+        throw DataError(fmt::format("{}: the channel 'range' is missing; found the channels {}", location,
                                     fmt::join(names, ", ")));
     }
     std::vector<NamedArray> arrays;
@@ -56,8 +56,8 @@ std::vector<NamedArray> arrays_of(const ExrImage& image, const std::string& wher
         if (name.find('.') == std::string::npos)
             arrays.push_back(make_array(name, {std::size_t(image.rows), std::size_t(image.columns)},
                                         values.data(), values.size()));
-    add_vectors(image, "direction", "directions", where, arrays);
-    add_vectors(image, "origin", "origin", where, arrays);
+    add_vectors(image, "direction", "directions", location, arrays);
+    add_vectors(image, "origin", "origin", location, arrays);
     // coordinate frame of the points, which relidar stores in rendered images
     const auto frame = image.notes.find("points_in");
     const bool moved = frame != image.notes.end() &&
@@ -69,13 +69,13 @@ std::vector<NamedArray> arrays_of(const ExrImage& image, const std::string& wher
 
 /// Completes a LiDAR without beams by the sensor that the image names. Accepts only names
 /// of built-in sensors. Otherwise, an image could cause any file to be read.
-Lidar completed(Lidar lidar, const ExrImage& image) {
+Lidar complete_lidar(Lidar lidar, const ExrImage& image) {
     const auto note = image.notes.find("sensor");
     if (note == image.notes.end() || !lidar.sensor.beams.empty() || lidar.pattern) return lidar;
     if (!find_built_in_sensor(note->second.substr(0, note->second.rfind(':')))) return lidar;
     const SensorModel model = find_sensor(note->second);
     if (const auto* spinning = std::get_if<SpinningSensor>(&model.pattern)) lidar.sensor = *spinning;
-    else lidar.pattern = fixed_pattern(model);
+    else lidar.pattern = get_fixed_pattern(model);
     return lidar;
 }
 
@@ -84,10 +84,11 @@ Lidar completed(Lidar lidar, const ExrImage& image) {
 Scan read_scan_exr(const std::filesystem::path& file, const ImageSource& source) {
     const ExrImage image = read_exr(file);
     const std::string where = file.string();
-    std::vector<NamedArray> arrays = arrays_of(image, where);
-    if (find_array(arrays, "directions")) return scan_of_images(where, std::move(arrays), source);
-    const Lidar lidar = completed(source.lidar, image);
-    return scan_of_images(where, std::move(arrays), {source.head, source.of_head, lidar, source.time_s});
+    std::vector<NamedArray> arrays = list_arrays(image, where);
+    if (find_array(arrays, "directions")) return make_scan_from_images(where, std::move(arrays), source);
+    const Lidar lidar = complete_lidar(source.lidar, image);
+    return make_scan_from_images(where, std::move(arrays),
+                                 {source.head, source.of_head, lidar, source.time_s});
 }
 
 }  // namespace relidar::folder

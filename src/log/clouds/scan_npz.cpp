@@ -22,8 +22,8 @@ constexpr std::size_t kMostReturns = 8;
 /// each ray of the image.
 class Arrays {
 public:
-    Arrays(const std::string& where, std::vector<NamedArray> arrays)
-        : where_(where), arrays_(std::move(arrays)) {
+    Arrays(const std::string& location, std::vector<NamedArray> arrays)
+        : where_(location), arrays_(std::move(arrays)) {
         const std::vector<std::size_t>& shape = at("range").shape;
         if (shape.empty() || shape.size() > 2 || at("range").count() > kMaxRays)
             throw DataError(
@@ -48,9 +48,9 @@ public:
         return at(name).as_double()[0];
     }
     /// Returns the values of an array, one number per ray.
-    /// @param usual  value for all rays if the file does not contain the array
-    std::vector<double> image(const std::string& name, double usual) const {
-        return find(name) ? values(name, 1) : std::vector<double>(rows * columns, usual);
+    /// @param default_value  value for all rays if the file does not contain the array
+    std::vector<double> image(const std::string& name, double default_value) const {
+        return find(name) ? values(name, 1) : std::vector<double>(rows * columns, default_value);
     }
     /// Returns the values of an array with `width` numbers per ray.
     /// @throws DataError if the file does not contain the array
@@ -66,8 +66,8 @@ public:
         for (std::size_t i = 0; i < v.size(); i += 3) vectors.emplace_back(v[i], v[i + 1], v[i + 2]);
         return vectors;
     }
-    std::string ray(const char* name, std::size_t i) const {
-        return fmt::format("{}: {} of ray {}", where_, name, i);
+    std::string ray(const char* name, std::size_t index) const {
+        return fmt::format("{}: {} of ray {}", where_, name, index);
     }
     const std::string& where() const { return where_; }
 
@@ -76,7 +76,7 @@ private:
     std::vector<NamedArray> arrays_;
 };
 
-std::vector<float> ranges_of(const Arrays& arrays, const std::string& name) {
+std::vector<float> read_ranges(const Arrays& arrays, const std::string& name) {
     const std::vector<double> found = arrays.values(name, 1), drop = arrays.image("drop_prob", 0.0);
     std::vector<float> range_m;
     for (std::size_t i = 0; i < found.size(); ++i) {
@@ -91,20 +91,20 @@ std::vector<float> ranges_of(const Arrays& arrays, const std::string& name) {
     return range_m;
 }
 
-std::vector<float> intensities_of(const Arrays& arrays, const std::string& name,
-                                  const std::vector<float>& range_m, const PointUnits& units) {
+std::vector<float> read_intensities(const Arrays& arrays, const std::string& name,
+                                    const std::vector<float>& range_m, const PointUnits& units) {
     const std::vector<double> found = arrays.image(name, 0.0);
     std::vector<float> intensity;
     for (std::size_t i = 0; i < found.size(); ++i)
-        intensity.push_back(range_m[i] > 0.0f ? unit_intensity(found[i], units, arrays.ray(name.c_str(), i))
-                                              : 0.0f);
+        intensity.push_back(
+            range_m[i] > 0.0f ? convert_intensity(found[i], units, arrays.ray(name.c_str(), i)) : 0.0f);
     return intensity;
 }
 
 /// Returns the rays of the sensor model. Used for images that do not contain ray
 /// directions.
-RayTable sensor_rays(const Arrays& arrays, const ImageSource& source) {
-    RayTable rays = nominal_rays(source.lidar, source.time_s);
+RayTable make_sensor_rays(const Arrays& arrays, const ImageSource& source) {
+    RayTable rays = make_nominal_rays(source.lidar, source.time_s);
     if (rays.size() == 0)
         throw DataError(fmt::format(
             "{}: the array of ray directions is missing; add it, or set the sensor of the LiDAR in "
@@ -141,11 +141,12 @@ void read_stored_fields(const Arrays& arrays, const ImageSource& source, RayTabl
     if (arrays.find("time")) {
         const std::vector<double> time = arrays.values("time", 1);
         for (std::size_t i = 0; i < n; ++i)
-            rays.time_offset_s[i] = time_offset(time[i], units, source.time_s, arrays.ray("time", i));
+            rays.time_offset_s[i] = convert_time_offset(time[i], units, source.time_s, arrays.ray("time", i));
     }
     if (arrays.find("ring")) {
         const std::vector<double> ring = arrays.values("ring", 1);
-        for (std::size_t i = 0; i < n; ++i) rays.channel[i] = ring_number(ring[i], arrays.ray("ring", i));
+        for (std::size_t i = 0; i < n; ++i)
+            rays.channel[i] = convert_ring_number(ring[i], arrays.ray("ring", i));
     }
     if (arrays.find("divergence_rad")) {
         rays.divergence_rad = static_cast<float>(arrays.number("divergence_rad"));
@@ -157,7 +158,7 @@ void read_stored_fields(const Arrays& arrays, const ImageSource& source, RayTabl
     }
 }
 
-RayTable rays_of_scan(const Arrays& arrays) {
+RayTable make_rays_of_scan(const Arrays& arrays) {
     RayTable rays;
     rays.rows = int(arrays.rows);
     rays.columns = int(arrays.columns);
@@ -171,76 +172,78 @@ RayTable rays_of_scan(const Arrays& arrays) {
 
 }  // namespace
 
-void check_deskewed(bool is_deskewed, const Head& head, const std::string& where) {
+void check_deskewed(bool is_deskewed, const Head& head, const std::string& location) {
     if (is_deskewed && !head.motion_compensated)
         throw DataError(
             fmt::format("{}: the rays are motion-compensated or in the world frame, expected rays that "
                         "start at the sensor at their own times; render without --deskew and --frame "
                         "world, or set \"motion_compensated\": true",
-                        where));
+                        location));
 }
 
-float unit_intensity(double found, const PointUnits& units, const std::string& where) {
-    if (!std::isfinite(found))
-        throw DataError(fmt::format("{}: the intensity is {}, expected a finite number", where, found));
-    if (units.intensity_max) return float(std::clamp(found / *units.intensity_max, 0.0, 1.0));
-    if (found < 0.0 || found > 1.0)
+float convert_intensity(double value, const PointUnits& units, const std::string& location) {
+    if (!std::isfinite(value))
+        throw DataError(fmt::format("{}: the intensity is {}, expected a finite number", location, value));
+    if (units.intensity_max) return float(std::clamp(value / *units.intensity_max, 0.0, 1.0));
+    if (value < 0.0 || value > 1.0)
         throw DataError(
             fmt::format("{}: the intensity is {}, expected 0 to 1, or \"intensity_max\" in "
                         "sequence.json",
-                        where, found));
-    return float(found);
+                        location, value));
+    return float(value);
 }
 
-float time_offset(double found, const PointUnits& units, double frame_time_s, const std::string& where) {
+float convert_time_offset(double value, const PointUnits& units, double frame_time_s,
+                          const std::string& location) {
     const double offset_s =
-        (found - units.time_zero) * units.time_unit_s - (units.absolute_times ? frame_time_s : 0.0);
+        (value - units.time_zero) * units.time_unit_s - (units.absolute_times ? frame_time_s : 0.0);
     if (!(std::abs(offset_s) <= kLongestOffset_s))
         throw DataError(
             fmt::format("{}: the time {} is {} s away from the time of the frame, expected at most {} s; "
                         "\"time_unit\" and \"point_times\" in sequence.json define the meaning of times",
-                        where, found, offset_s, kLongestOffset_s));
+                        location, value, offset_s, kLongestOffset_s));
     return float(offset_s);
 }
 
-std::uint16_t ring_number(double found, const std::string& where) {
-    if (!(found >= 0.0 && found < kNoBeam) || found != std::floor(found))
+std::uint16_t convert_ring_number(double value, const std::string& location) {
+    if (!(value >= 0.0 && value < kNoBeam) || value != std::floor(value))
         throw DataError(
-            fmt::format("{}: the ring is {}, expected a whole number below {}", where, found, kNoBeam));
-    return std::uint16_t(found);
+            fmt::format("{}: the ring is {}, expected a whole number below {}", location, value, kNoBeam));
+    return std::uint16_t(value);
 }
 
-Scan scan_of_images(const std::string& where, std::vector<NamedArray> given, const ImageSource& source) {
+Scan make_scan_from_images(const std::string& location, std::vector<NamedArray> given,
+                           const ImageSource& source) {
     const Head& head = source.head;
     const bool has_rays = find_array(given, "directions") != nullptr;
     const NamedArray* range = find_array(given, "range");
     if (!has_rays && source.of_head.lowest_first && range && range->shape.size() == 2)
         flip_rows(given, range->shape[0]);
-    const Arrays arrays(where, std::move(given));
+    const Arrays arrays(location, std::move(given));
     const NamedArray* deskewed = arrays.find("deskewed");
     check_deskewed(deskewed && deskewed->count() == 1 && deskewed->as_float()[0] != 0.0f, head,
                    arrays.where());
     Scan scan;
-    scan.rays = has_rays ? rays_of_scan(arrays) : sensor_rays(arrays, source);
+    scan.rays = has_rays ? make_rays_of_scan(arrays) : make_sensor_rays(arrays, source);
     read_stored_fields(arrays, source, scan.rays);
     // A rendered file contains the median range and the mean range. Use the median,
     // because the mean may be between two surfaces.
     const std::vector<float> range_m =
-        ranges_of(arrays, arrays.find("median_range") ? "median_range" : "range");
+        read_ranges(arrays, arrays.find("median_range") ? "median_range" : "range");
     scan.range_m = to_scan_array(range_m);
-    scan.intensity = to_scan_array(intensities_of(arrays, "intensity", range_m, head.units));
+    scan.intensity = to_scan_array(read_intensities(arrays, "intensity", range_m, head.units));
     for (std::size_t number = 2; number <= kMostReturns && arrays.find(fmt::format("range_{}", number));
          ++number) {
-        SecondReturn echo{ranges_of(arrays, fmt::format("range_{}", number)), {}};
+        SecondReturn echo{read_ranges(arrays, fmt::format("range_{}", number)), {}};
         echo.intensity =
-            intensities_of(arrays, fmt::format("intensity_{}", number), echo.range_m, head.units);
+            read_intensities(arrays, fmt::format("intensity_{}", number), echo.range_m, head.units);
         scan.second_returns.push_back(std::move(echo));
     }
     return scan;
 }
 
 Scan read_scan_npz(const std::filesystem::path& file, const ImageSource& source) {
-    return scan_of_images(file.string(), read_npz(file), source);
+    return make_scan_from_images(file.string(), read_npz(file), source);
 }
 
 void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool motion_compensated) {
@@ -250,9 +253,9 @@ void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool mo
     const auto add = [&](const std::string& name, const auto& values) {
         arrays.push_back(make_array(name, shape, values.data(), values.size()));
     };
-    const auto add_vectors = [&](const char* name, const ScanArray<glm::vec3>& v) {
-        arrays.push_back(
-            make_array(name, {shape[0], shape[1], 3}, v.empty() ? nullptr : &v.front().x, v.size() * 3));
+    const auto add_vectors = [&](const char* name, const ScanArray<glm::vec3>& vector) {
+        arrays.push_back(make_array(name, {shape[0], shape[1], 3},
+                                    vector.empty() ? nullptr : &vector.front().x, vector.size() * 3));
     };
     add("range", scan.range_m);
     add("intensity", scan.intensity);

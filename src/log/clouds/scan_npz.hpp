@@ -34,8 +34,9 @@ Scan read_scan_npz(const std::filesystem::path& file, const ImageSource& source)
 /// differ
 Scan read_scan_exr(const std::filesystem::path& file, const ImageSource& source);
 /// Creates a scan from the named arrays of an npz or EXR file.
-/// @param where  name of the file, for error messages
-Scan scan_of_images(const std::string& where, std::vector<NamedArray> arrays, const ImageSource& source);
+/// @param location  name of the file, for error messages
+Scan make_scan_from_images(const std::string& location, std::vector<NamedArray> arrays,
+                           const ImageSource& source);
 
 /// Writes a scan to an npz file. A reader gets exactly the same values. Exception: all
 /// rays of a motion-compensated scan get the time 0.
@@ -45,17 +46,18 @@ void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool mo
 /// @param is_deskewed  true if the scan file states that its points are
 /// motion-compensated (deskewed) or in the world frame
 /// @throws DataError if sequence.json does not state the same
-void check_deskewed(bool is_deskewed, const Head& head, const std::string& where);
+void check_deskewed(bool is_deskewed, const Head& head, const std::string& location);
 
 /// Converts an intensity from a file to the range 0 to 1.
 /// @throws DataError if the intensity is not a number. If sequence.json states no
 /// maximum, also if the intensity is outside 0 to 1.
-float unit_intensity(double found, const PointUnits& units, const std::string& where);
+float convert_intensity(double value, const PointUnits& units, const std::string& location);
 /// Converts a point time from a file to seconds relative to the time of the frame.
 /// @throws DataError if the result is longer than any sweep
-float time_offset(double found, const PointUnits& units, double frame_time_s, const std::string& where);
+float convert_time_offset(double value, const PointUnits& units, double frame_time_s,
+                          const std::string& location);
 /// Converts a ring number from a file to an integer.
 /// @throws DataError if the number is not a valid beam number
-std::uint16_t ring_number(double found, const std::string& where);
+std::uint16_t convert_ring_number(double value, const std::string& location);
 
 }  // namespace relidar::folder

@@ -1,7 +1,7 @@
-// SPDX-License-Identifier: Apache-2.0
-// Assigns points to the rays that measured them. The ray of beam k at head azimuth theta
-// is beam_ray(beam_k, theta). The range is |point - origin|. The firing time is the
-// measured time. If the points have no times, it is
+// SPDX-License-Identifier: Apache-2.0 Assigns points to the rays that measured them. The
+// ray of beam k at head azimuth theta is compute_beam_ray(beam_k, theta). The range is
+// |point - origin|. The firing time is the measured time. If the points have no times, it
+// is
 //   -theta / (2 pi) * period   (clockwise, 0 = facing forward)
 #include <relidar/log/clouds.hpp>
 
@@ -34,18 +34,18 @@ struct ImageCells {
 
 /// Returns the index of the return that a point belongs to: 0 for the first return of the
 /// ray.
-std::size_t number_of(const Points& points, std::size_t point) {
+std::size_t get_ring_number(const Points& points, std::size_t point) {
     return points.return_number.empty() ? 0 : std::size_t(points.return_number[point]) - 1;
 }
 
 /// Checks that all arrays have one entry per point and that the ring numbers are valid.
 /// @param n_beams  number of beams; 0 if rings are not needed
 void check_points(const Points& points, std::size_t n_beams) {
-    const auto check = [&](const char* field, std::size_t n, bool may_be_empty) {
-        if (n != points.size() && !(may_be_empty && n == 0))
+    const auto check = [&](const char* field, std::size_t count, bool may_be_empty) {
+        if (count != points.size() && !(may_be_empty && count == 0))
             throw UsageError(
-                fmt::format("cannot make a scan: found {} values of {} for the points, expected {}", field, n,
-                            points.size()));
+                fmt::format("cannot make a scan: found {} values of {} for the points, expected {}", field,
+                            count, points.size()));
     };
     check("intensity", points.intensity.size(), false);
     check("ring", points.ring.size(), n_beams == 0);
@@ -58,7 +58,7 @@ void check_points(const Points& points, std::size_t n_beams) {
                 fmt::format("cannot make a scan: point {} has ring {}, expected the index of "
                             "one of {} beams",
                             i, points.ring[i], n_beams));
-        if (number_of(points, i) >= kMostReturns)
+        if (get_ring_number(points, i) >= kMostReturns)
             throw UsageError(
                 fmt::format("cannot make a scan: point {} has return number {}, expected 1 to "
                             "{}",
@@ -68,7 +68,7 @@ void check_points(const Points& points, std::size_t n_beams) {
 
 /// Returns for each azimuth step of the head the index of the firing with the nearest
 /// azimuth step.
-std::vector<int> nearest_firings(const std::vector<int>& firings, int n_ticks) {
+std::vector<int> find_nearest_firings(const std::vector<int>& firings, int n_ticks) {
     std::vector<int> nearest(static_cast<std::size_t>(n_ticks), kEmpty);
     for (std::size_t f = 0; f < firings.size(); ++f)
         nearest[static_cast<std::size_t>(firings[f])] = static_cast<int>(f);
@@ -91,8 +91,8 @@ std::vector<int> fill_columns(const Sweep& sweep, int columns) {
     int spare = columns - static_cast<int>(n);
     const double step = 2.0 * kPi / columns;
     for (std::size_t f = 0; f + 1 < n && spare > 0; ++f) {
-        const double gap =
-            sweep.lattice.azimuth_of(sweep.firings[f]) - sweep.lattice.azimuth_of(sweep.firings[f + 1]);
+        const double gap = sweep.lattice.compute_azimuth(sweep.firings[f]) -
+                           sweep.lattice.compute_azimuth(sweep.firings[f + 1]);
         const int missing = std::min(static_cast<int>(std::lround(gap / step)) - 1, spare);
         if (missing > 0) repeat[f] += missing, spare -= missing;
     }
@@ -114,7 +114,7 @@ public:
                const std::vector<double>& head_rad)
         : points_(points), sensor_(sensor), sweep_(sweep), head_rad_(head_rad) {
         firing_of.reserve(points.size());
-        if (points.firing.empty()) nearest_ = nearest_firings(sweep.firings, sweep.lattice.n_ticks);
+        if (points.firing.empty()) nearest_ = find_nearest_firings(sweep.firings, sweep.lattice.n_ticks);
         cells_of(0);
         for (std::size_t i = 0; i < points.size(); ++i) add(i);
         for (std::size_t i = 0; i < points.size(); ++i) add_beyond(i);
@@ -131,7 +131,7 @@ private:
     /// [azimuth steps] nearest firing; used only if points have no firing numbers
     std::vector<int> nearest_;
 
-    float range_of(int point) const {
+    float compute_range(int point) const {
         return glm::length(points_.position_m[static_cast<std::size_t>(point)]);
     }
 
@@ -142,19 +142,21 @@ private:
         return by_return[number];
     }
 
-    std::size_t nearest_firing(std::size_t i) const {
-        return static_cast<std::size_t>(nearest_[std::size_t(sweep_.lattice.tick(head_rad_[i]))]);
+    std::size_t find_nearest_firing(std::size_t index) const {
+        return static_cast<std::size_t>(nearest_[std::size_t(sweep_.lattice.tick(head_rad_[index]))]);
     }
 
-    void add(std::size_t i) {
-        const std::size_t ring = points_.ring[i], n = sweep_.firings.size(), number = number_of(points_, i);
-        const double range = range_of(static_cast<int>(i));
+    void add(std::size_t index) {
+        const std::size_t ring = points_.ring[index], n = sweep_.firings.size(),
+                          number = get_ring_number(points_, index);
+        const double range = compute_range(static_cast<int>(index));
         firing_of.push_back(kEmpty);
         if (range > sensor_.max_range_m || range < kLeastRange_m) return;
-        const std::size_t firing = points_.firing.empty() ? nearest_firing(i) : points_.firing[i];
+        const std::size_t firing =
+            points_.firing.empty() ? find_nearest_firing(index) : points_.firing[index];
         firing_of.back() = static_cast<int>(firing);
         ImageCells& cells = cells_of(number);
-        int point = static_cast<int>(i);
+        int point = static_cast<int>(index);
         for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
             // Do not move a second return to another firing, because it must be on the
             // ray of its first return.
@@ -162,29 +164,31 @@ private:
             std::swap(cells.at(ring, f), point);
             break;
         }
-        if (point != kEmpty && range < range_of(cells.at(ring, firing))) cells.at(ring, firing) = point;
+        if (point != kEmpty && range < compute_range(cells.at(ring, firing))) cells.at(ring, firing) = point;
     }
 
     /// Assigns a point beyond the maximum range of the sensor to its ray. Does nothing if
     /// the ray already has a point.
-    void add_beyond(std::size_t i) {
-        if (!(double(range_of(static_cast<int>(i))) > sensor_.max_range_m)) return;
-        const std::size_t firing = points_.firing.empty() ? nearest_firing(i) : points_.firing[i];
-        int& point = cells_of(number_of(points_, i)).at(points_.ring[i], firing);
-        if (point == kEmpty) point = static_cast<int>(i);
+    void add_beyond(std::size_t index) {
+        if (!(double(compute_range(static_cast<int>(index))) > sensor_.max_range_m)) return;
+        const std::size_t firing =
+            points_.firing.empty() ? find_nearest_firing(index) : points_.firing[index];
+        int& point = cells_of(get_ring_number(points_, index)).at(points_.ring[index], firing);
+        if (point == kEmpty) point = static_cast<int>(index);
     }
 };
 
 /// Returns the time of each firing, which is the mean time of its points. For a firing
 /// without points, extrapolates the time from the nearest firing with points.
-std::vector<double> firing_times(const Points& points, const SpinningSensor& sensor, const Sweep& sweep,
-                                 const std::vector<int>& firing_of) {
+std::vector<double> compute_firing_times(const Points& points, const SpinningSensor& sensor,
+                                         const Sweep& sweep, const std::vector<int>& firing_of) {
     const std::size_t n = sweep.firings.size();
     const auto turning_time = [&](double azimuth_rad) {
         return (sensor.clockwise ? -azimuth_rad : azimuth_rad) / (2.0 * kPi) * sensor.period_s;
     };
     std::vector<double> time_s(n), sum(n, 0.0), count(n, 0.0);
-    for (std::size_t f = 0; f < n; ++f) time_s[f] = turning_time(sweep.lattice.azimuth_of(sweep.firings[f]));
+    for (std::size_t f = 0; f < n; ++f)
+        time_s[f] = turning_time(sweep.lattice.compute_azimuth(sweep.firings[f]));
     for (std::size_t i = 0; i < points.time_offset_s.size(); ++i)
         if (firing_of[i] != kEmpty)
             sum[std::size_t(firing_of[i])] += double(points.time_offset_s[i]),
@@ -199,9 +203,9 @@ std::vector<double> firing_times(const Points& points, const SpinningSensor& sen
             else if (f >= d) from = f - d;
         }
         if (count[from] == 0.0) return time_s;
-        const double step = std::remainder(
-            sweep.lattice.azimuth_of(sweep.firings[f]) - sweep.lattice.azimuth_of(sweep.firings[from]),
-            2.0 * kPi);
+        const double step = std::remainder(sweep.lattice.compute_azimuth(sweep.firings[f]) -
+                                               sweep.lattice.compute_azimuth(sweep.firings[from]),
+                                           2.0 * kPi);
         measured[f] = sum[from] / count[from] + turning_time(step);
     }
     return measured;
@@ -222,10 +226,10 @@ void resize(Scan& scan, int rows, int columns, std::size_t n_second_returns) {
 
 /// Marks a ray as dropped: sets its direction to the nominal direction of the beam, and
 /// its range to 0.
-void set_dropped(Scan& scan, std::size_t at, const BeamGeometry& beam, double head_rad) {
+void set_dropped(Scan& scan, std::size_t ray, const BeamGeometry& beam, double head_rad) {
     const BeamRay model = beam.ray(head_rad);
-    scan.rays.origin[at] = glm::vec3(model.origin_m);
-    scan.rays.direction[at] = glm::vec3(model.direction);
+    scan.rays.origin[ray] = glm::vec3(model.origin_m);
+    scan.rays.direction[ray] = glm::vec3(model.direction);
 }
 
 /// Sets the direction and range of a ray with a return. The direction is from the beam's
@@ -233,31 +237,31 @@ void set_dropped(Scan& scan, std::size_t at, const BeamGeometry& beam, double he
 /// nothing.
 /// @param head_rad  azimuth of the head at the time of the point. It gives the exact
 /// origin even if the firings have only regular azimuth steps.
-bool set_returned(Scan& scan, std::size_t at, const BeamGeometry& beam, double head_rad, const Points& points,
-                  std::size_t i) {
-    const glm::dvec3 p(points.position_m[i]);
+bool set_returned(Scan& scan, std::size_t ray, const BeamGeometry& beam, double head_rad,
+                  const Points& points, std::size_t index) {
+    const glm::dvec3 p(points.position_m[index]);
     const glm::dvec3 origin = beam.ray(head_rad).origin_m;
     const double range = glm::length(p - origin);
     if (!(range > kLeastRange_m)) return false;
-    scan.rays.origin[at] = glm::vec3(origin);
-    scan.rays.direction[at] = glm::vec3((p - origin) / range);
-    scan.range_m[at] = static_cast<float>(range);
-    scan.intensity[at] = glm::clamp(points.intensity[i], 0.0f, 1.0f);
-    if (!points.time_offset_s.empty()) scan.rays.time_offset_s[at] = points.time_offset_s[i];
+    scan.rays.origin[ray] = glm::vec3(origin);
+    scan.rays.direction[ray] = glm::vec3((p - origin) / range);
+    scan.range_m[ray] = static_cast<float>(range);
+    scan.intensity[ray] = glm::clamp(points.intensity[index], 0.0f, 1.0f);
+    if (!points.time_offset_s.empty()) scan.rays.time_offset_s[ray] = points.time_offset_s[index];
     return true;
 }
 
 /// Adds the second return of a ray. Does nothing if the ray has no first return.
-void set_second_return(Scan& scan, std::size_t at, const Points& points, std::size_t i) {
-    if (scan.range_m[at] == 0.0f) return;
-    SecondReturn& echo = scan.second_returns[number_of(points, i) - 1];
-    echo.range_m[at] = glm::distance(points.position_m[i], scan.rays.origin[at]);
-    echo.intensity[at] = glm::clamp(points.intensity[i], 0.0f, 1.0f);
+void set_second_return(Scan& scan, std::size_t ray, const Points& points, std::size_t index) {
+    if (scan.range_m[ray] == 0.0f) return;
+    SecondReturn& echo = scan.second_returns[get_ring_number(points, index) - 1];
+    echo.range_m[ray] = glm::distance(points.position_m[index], scan.rays.origin[ray]);
+    echo.intensity[ray] = glm::clamp(points.intensity[index], 0.0f, 1.0f);
 }
 
 }  // namespace
 
-Scan spinning_scan(const Points& points, const SpinningSensor& sensor, const Sweep& sweep) {
+Scan make_spinning_scan(const Points& points, const SpinningSensor& sensor, const Sweep& sweep) {
     check_points(points, sensor.beams.size());
     if (sensor.columns < 1 || sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays ||
         sweep.lattice.n_ticks > kMostTicks)
@@ -276,22 +280,22 @@ Scan spinning_scan(const Points& points, const SpinningSensor& sensor, const Swe
                 fmt::format("cannot make a scan: a point has firing {}, expected the index of "
                             "one of {} firings",
                             firing, sweep.firings.size()));
-    const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
+    const std::vector<BeamGeometry> beams = make_beam_geometries(sensor.beams);
     std::vector<double> head_rad(points.size());
     for (std::size_t i = 0; i < points.size(); ++i)
-        head_rad[i] = beams[points.ring[i]].head_azimuth(glm::dvec3(points.position_m[i]));
+        head_rad[i] = beams[points.ring[i]].compute_head_azimuth(glm::dvec3(points.position_m[i]));
     Assignment assigned(points, sensor, sweep, head_rad);
-    const std::vector<double> times = firing_times(points, sensor, sweep, assigned.firing_of);
+    const std::vector<double> times = compute_firing_times(points, sensor, sweep, assigned.firing_of);
     const std::vector<int> slot = fill_columns(sweep, sensor.columns);
     std::vector<double> firing_rad;
-    for (const int tick : sweep.firings) firing_rad.push_back(sweep.lattice.azimuth_of(tick));
+    for (const int tick : sweep.firings) firing_rad.push_back(sweep.lattice.compute_azimuth(tick));
     const int columns = sensor.columns;
     Scan scan;
     resize(scan, static_cast<int>(sensor.beams.size()), columns, assigned.by_return.size() - 1);
     scan.rays.divergence_rad = static_cast<float>(sensor.divergence_rad);
     std::size_t at = 0;
     for (std::size_t ring = 0; ring < sensor.beams.size(); ++ring) {
-        const int shift = column_shift(sensor.beams[ring], columns);
+        const int shift = compute_column_shift(sensor.beams[ring], columns);
         for (int column = 0; column < columns; ++column, ++at) {
             const std::size_t firing = static_cast<std::size_t>(
                 slot[static_cast<std::size_t>(((column + shift) % columns + columns) % columns)]);
@@ -309,7 +313,7 @@ Scan spinning_scan(const Points& points, const SpinningSensor& sensor, const Swe
     return scan;
 }
 
-Scan unordered_scan(const Points& points) {
+Scan make_unordered_scan(const Points& points) {
     check_points(points, 0);
     std::vector<std::size_t> first;  // [rays] index of the point that is the first return of each ray
     std::size_t n_second_returns = 0;
@@ -317,8 +321,8 @@ Scan unordered_scan(const Points& points) {
         throw UsageError(
             fmt::format("cannot make a scan: found {} points, expected at most {}", points.size(), kMaxRays));
     for (std::size_t i = 0; i < points.size(); ++i) {
-        n_second_returns = std::max(n_second_returns, number_of(points, i));
-        if (number_of(points, i) == 0 && glm::length(points.position_m[i]) > float(kLeastRange_m))
+        n_second_returns = std::max(n_second_returns, get_ring_number(points, i));
+        if (get_ring_number(points, i) == 0 && glm::length(points.position_m[i]) > float(kLeastRange_m))
             first.push_back(i);
     }
     Scan scan;
@@ -331,7 +335,7 @@ Scan unordered_scan(const Points& points) {
         scan.rays.channel[at] = points.ring.empty() ? std::uint16_t(0) : points.ring[i];
         scan.range_m[at] = range;
         scan.intensity[at] = glm::clamp(points.intensity[i], 0.0f, 1.0f);
-        for (std::size_t k = i + 1; k < points.size() && number_of(points, k) > 0; ++k)
+        for (std::size_t k = i + 1; k < points.size() && get_ring_number(points, k) > 0; ++k)
             set_second_return(scan, at, points, k);
     }
     return scan;

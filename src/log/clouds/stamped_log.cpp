@@ -40,27 +40,28 @@ constexpr double kLargestCoordinate_m = 1e8;
 
 /// Parses a time stamp in a table. Accepts a fraction and an exponent, because some
 /// programs write them.
-std::optional<std::int64_t> stamp_of_cell(std::string_view cell) {
+std::optional<std::int64_t> parse_stamp_cell(std::string_view cell) {
     if (const auto whole = parse_stamp(cell)) return whole;
     const std::optional<double> number = parse_number(cell);
     if (!number || !(*number >= 0.0 && *number < 9e18)) return std::nullopt;
     return std::int64_t(std::llround(*number));
 }
 
-StampedRow row_of(const std::vector<std::string_view>& cells, std::size_t n_values,
-                  const std::string& where) {
-    StampedRow row{0, {}, where};
-    const std::optional<std::int64_t> stamp = stamp_of_cell(cells[0]);
-    if (!stamp) throw DataError(fmt::format("{}: found '{}', expected a time", where, excerpt(cells[0])));
+StampedRow parse_row(const std::vector<std::string_view>& cells, std::size_t n_values,
+                     const std::string& location) {
+    StampedRow row{0, {}, location};
+    const std::optional<std::int64_t> stamp = parse_stamp_cell(cells[0]);
+    if (!stamp)
+        throw DataError(fmt::format("{}: found '{}', expected a time", location, make_excerpt(cells[0])));
     row.stamp = *stamp;
     if (cells.size() < n_values + 1)
-        throw DataError(
-            fmt::format("{}: found {} cells, expected a time and {} numbers", where, cells.size(), n_values));
+        throw DataError(fmt::format("{}: found {} cells, expected a time and {} numbers", location,
+                                    cells.size(), n_values));
     for (std::size_t c = 1; c <= n_values; ++c) {
         const std::optional<double> number = parse_number(cells[c]);
         if (!number || !(std::abs(*number) <= kLargestCoordinate_m))
-            throw DataError(fmt::format("{}: cell {} is '{}', expected a number of at most {:g}", where,
-                                        c + 1, excerpt(cells[c]), kLargestCoordinate_m));
+            throw DataError(fmt::format("{}: cell {} is '{}', expected a number of at most {:g}", location,
+                                        c + 1, make_excerpt(cells[c]), kLargestCoordinate_m));
         row.values.push_back(*number);
     }
     return row;
@@ -83,12 +84,13 @@ public:
     StampedPoints(const Sequence& sequence, const std::vector<fs::path>& files, const PointFormat& format)
         : sequence_(sequence), files_(files), format_(format) {}
 
-    std::string name(std::size_t i) const override { return files_[i].string(); }
+    std::string name(std::size_t index) const override { return files_[index].string(); }
     bool has_points(std::size_t) const override { return true; }
-    Points points(std::size_t i) const override {
-        folder::PointTable table = folder::read_point_file(files_[i], format_.units.columns);
-        if (format_.complete) format_.complete(table, name(i));
-        Points points = folder::points_of(table, format_.units, sequence_.frames[i].time_s, name(i));
+    Points points(std::size_t index) const override {
+        folder::PointTable table = folder::read_point_file(files_[index], format_.units.columns);
+        if (format_.complete) format_.complete(table, name(index));
+        Points points =
+            folder::make_points(table, format_.units, sequence_.frames[index].time_s, name(index));
         const double c = std::cos(format_.turned_rad), s = std::sin(format_.turned_rad);
         for (glm::vec3& p : points.position_m) {
             const glm::dvec3 own(p);
@@ -97,8 +99,8 @@ public:
         if (!format_.beams.empty()) recover_rings(points, format_.beams);
         return points;
     }
-    Scan rays(std::size_t i) const override {
-        throw DataError(fmt::format("{}: the scan has no points, expected at least one", name(i)));
+    Scan rays(std::size_t index) const override {
+        throw DataError(fmt::format("{}: the scan has no points, expected at least one", name(index)));
     }
 
 private:
@@ -205,10 +207,10 @@ std::vector<StampedRow> read_rows(const fs::path& file, std::size_t n_values) {
     const std::vector<std::string> lines = split_lines(read_text(file));
     std::vector<StampedRow> rows;
     for (std::size_t l = 0; l < lines.size(); ++l) {
-        if (trimmed(lines[l]).empty()) continue;
-        const std::vector<std::string_view> cells = csv_cells(lines[l]);
+        if (trim_spaces(lines[l]).empty()) continue;
+        const std::vector<std::string_view> cells = split_csv_cells(lines[l]);
         if (l == 0 && !parse_number(cells[0])) continue;  // skips a first line with column names
-        StampedRow row = row_of(cells, n_values, fmt::format("{} line {}", file.string(), l + 1));
+        StampedRow row = parse_row(cells, n_values, fmt::format("{} line {}", file.string(), l + 1));
         if (!rows.empty() && row.stamp == rows.back().stamp) continue;
         if (!rows.empty() && row.stamp < rows.back().stamp)
             throw DataError(fmt::format("{}: found the time {} after {}, expected increasing times",
@@ -290,12 +292,12 @@ std::vector<fs::path> add_frames(Sequence& sequence, const StampedLog& log, cons
             without.size(), without.size() + files.size(), without.front()->number, without.back()->number,
             log.poses_file.filename().string()));
     kitti::use_pose_file(sequence, options.poses_file);
-    recentre(sequence);
+    recentre_sequence(sequence);
     return files;
 }
 
 void check_poses(const fs::path& file, const DatasetOptions& options) {
-    if (!options.poses_file.empty() || path_exists(file)) return;
+    if (!options.poses_file.empty() || does_path_exist(file)) return;
     throw DataError(
         fmt::format("{}: no such file; expected poses; use dataset.poses=FILE to name another file, or "
                     "dataset.poses=none to estimate the poses from the scans",

@@ -22,7 +22,7 @@ constexpr double kReach_m = 50.0;
 
 /// Returns the maximum distance by which a correction moves a point. The point is at most
 /// kReach_m from the sensor.
-double size_of(const Pose& correction) {
+double measure_correction(const Pose& correction) {
     const double sine =
         glm::length(glm::dvec3(correction.rotation.x, correction.rotation.y, correction.rotation.z));
     return glm::length(correction.translation) + kReach_m * 2.0 * std::asin(std::min(sine, 1.0));
@@ -31,8 +31,9 @@ double size_of(const Pose& correction) {
 /// Computes the corrections of one sweep by time, relative to the time of the frame. A
 /// correction transforms from the true sensor pose to the pose that is interpolated
 /// between frames.
-PoseTrack corrections(const Sequence& sequence, const Frame& frame, const PoseAt& world_from_vehicle) {
-    const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
+PoseTrack compute_corrections(const Sequence& sequence, const Frame& frame,
+                              const PoseAt& world_from_vehicle) {
+    const Pose& mounted = sequence.get_lidar(frame).vehicle_from_sensor;
     const auto [first, last] = std::ranges::minmax(frame.scan.rays.time_offset_s);
     const int n = 1 + static_cast<int>(std::ceil(double(last - first) / kStep_s));
     PoseTrack track;
@@ -50,7 +51,7 @@ PoseTrack corrections(const Sequence& sequence, const Frame& frame, const PoseAt
 /// @return maximum distance in metres by which a point is moved
 double place_rays_of(Frame& frame, const PoseTrack& corrections) {
     double farthest_m = 0.0;
-    for (const Pose& pose : corrections.pose) farthest_m = std::max(farthest_m, size_of(pose));
+    for (const Pose& pose : corrections.pose) farthest_m = std::max(farthest_m, measure_correction(pose));
     if (farthest_m < kLeast_m) return 0.0;
     RayTable& rays = frame.scan.rays;
     for (std::size_t i = 0; i < rays.size(); ++i) {
@@ -68,11 +69,11 @@ double place_rays_of(Frame& frame, const PoseTrack& corrections) {
 std::string place_rays(Sequence& sequence, const PoseAt& world_from_vehicle) {
     if (!sequence.rolling_shutter) return "";
     std::vector<double> moved_m(sequence.frames.size(), 0.0);
-    parallel_for(static_cast<int>(sequence.frames.size()), [&](int i) {
-        Frame& frame = sequence.frames[std::size_t(i)];
+    parallel_for(static_cast<int>(sequence.frames.size()), [&](int index) {
+        Frame& frame = sequence.frames[std::size_t(index)];
         if (frame.scan.rays.size() == 0) return;
-        const PoseTrack track = corrections(sequence, frame, world_from_vehicle);
-        if (!track.pose.empty()) moved_m[std::size_t(i)] = place_rays_of(frame, track);
+        const PoseTrack track = compute_corrections(sequence, frame, world_from_vehicle);
+        if (!track.pose.empty()) moved_m[std::size_t(index)] = place_rays_of(frame, track);
     });
     const auto n = std::ranges::count_if(moved_m, [](double m) { return m > 0.0; });
     return n == 0 ? ""

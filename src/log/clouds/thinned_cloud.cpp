@@ -16,7 +16,7 @@ constexpr double kRegular = 1.5;      // A step is regular if it is at most this
 constexpr double kShortest_rad = 1e-5, kLongest_rad = 0.2;
 
 /// Returns the share of regular azimuth steps between neighbouring points of a ring.
-double regular_share(const Points& scan) {
+double compute_regular_share(const Points& scan) {
     std::vector<std::pair<std::uint16_t, double>> places;  // ring and azimuth
     for (std::size_t i = 0; i < scan.size(); ++i)
         places.emplace_back(scan.ring[i],
@@ -36,7 +36,7 @@ double regular_share(const Points& scan) {
 
 }  // namespace
 
-std::string why_thinned(const std::vector<Points>& scans, const SpinningSensor& fitted) {
+std::string explain_thinning(const std::vector<Points>& scans, const SpinningSensor& fitted) {
     const auto fullest = std::ranges::max_element(scans, {}, &Points::size);
     if (fullest == scans.end()) return "";
     const double filled = double(fullest->size()) / (double(fitted.beams.size()) * fitted.columns);
@@ -45,7 +45,7 @@ std::string why_thinned(const std::vector<Points>& scans, const SpinningSensor& 
             "the points fill only {:.0f} % of the rays of {} beams and {} columns, so "
             "points were probably removed from the cloud",
             100.0 * filled, fitted.beams.size(), fitted.columns);
-    if (const double share = regular_share(*fullest); share < kFewRegular)
+    if (const double share = compute_regular_share(*fullest); share < kFewRegular)
         return fmt::format(
             "only {:.0f} % of the azimuth steps between points are regular, so points were "
             "probably removed from the cloud",

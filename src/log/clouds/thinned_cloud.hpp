@@ -15,6 +15,6 @@ namespace relidar {
 /// neighbouring points are equal.
 /// @param scans  some scans with rings; the rings may have been estimated
 /// @param fitted  sensor that was fitted to these scans
-std::string why_thinned(const std::vector<Points>& scans, const SpinningSensor& fitted);
+std::string explain_thinning(const std::vector<Points>& scans, const SpinningSensor& fitted);
 
 }  // namespace relidar

@@ -21,12 +21,12 @@ struct Place {
     std::uint32_t bit;
 };
 
-Place place_of(const glm::ivec3& cell) {
+Place make_place(const glm::ivec3& cell) {
     const glm::ivec3 block = cell >> 3, within = cell & 7;
     return {block, std::uint32_t(within.x + kEdge * (within.y + kEdge * within.z))};
 }
 
-std::uint64_t key_of(const glm::ivec3& block) { return cell_key(glm::dvec3(block), 1.0); }
+std::uint64_t key_of(const glm::ivec3& block) { return make_cell_key(glm::dvec3(block), 1.0); }
 
 bool is_near(const glm::dvec3& point_m) {
     return std::abs(point_m.x) < kFarthestPoint_m && std::abs(point_m.y) < kFarthestPoint_m &&
@@ -36,7 +36,7 @@ bool is_near(const glm::dvec3& point_m) {
 /// Calls visit(cell, length_m) for each cell that a line segment crosses, in order along
 /// the segment.
 template <class Visit>
-void walk(const glm::dvec3& from_m, const glm::dvec3& to_m, const Visit& visit) {
+void visit_cells(const glm::dvec3& from_m, const glm::dvec3& to_m, const Visit& visit) {
     if (!is_near(from_m) || !is_near(to_m)) return;
     const glm::dvec3 a = from_m / Coverage::kCell_m, way = (to_m - from_m) / Coverage::kCell_m;
     glm::ivec3 cell(glm::floor(a));
@@ -72,8 +72,8 @@ void Coverage::add(const glm::dvec3& from_m, const glm::dvec3& to_m) {
     // Block of the previous cell. It is kept because the next cell is usually in the same
     // block.
     Block* block = nullptr;
-    walk(from_m, to_m, [&](const glm::ivec3& cell, double) {
-        const Place place = place_of(cell);
+    visit_cells(from_m, to_m, [&](const glm::ivec3& cell, double) {
+        const Place place = make_place(cell);
         if (!block || block->place != place.block) {
             block = &blocks_[key_of(place.block)];
             block->place = place.block;
@@ -96,8 +96,8 @@ double Coverage::share(const glm::dvec3& from_m, const glm::dvec3& to_m) const {
     double within_m = 0.0, length_m = 0.0;
     const Block* block = nullptr;
     glm::ivec3 at(std::numeric_limits<int>::max());  // index of the block that `block` points to
-    walk(from_m, to_m, [&](const glm::ivec3& cell, double crossed_m) {
-        const Place place = place_of(cell);
+    visit_cells(from_m, to_m, [&](const glm::ivec3& cell, double crossed_m) {
+        const Place place = make_place(cell);
         if (place.block != at) {
             at = place.block;
             const auto found = blocks_.find(key_of(at));

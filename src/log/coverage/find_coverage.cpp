@@ -26,7 +26,7 @@ struct Look {
 /// of its path is then the smaller of two ranges: the next return above and the next
 /// return below. If there is no return above, the length is max_range_m.
 /// @param range_m [rows] ranges of the returns, 0 if the ray was dropped
-std::vector<double> looked_m(const std::vector<double>& range_m, double max_range_m) {
+std::vector<double> compute_observed_length_m(const std::vector<double>& range_m, double max_range_m) {
     const std::size_t n = range_m.size();
     std::vector<double> above(n, 0.0), result(n, 0.0);  // range of the nearest return above each row
     for (std::size_t row = 1; row < n; ++row)
@@ -40,44 +40,44 @@ std::vector<double> looked_m(const std::vector<double>& range_m, double max_rang
 }
 
 /// Marks the space between two neighbouring rays as observed.
-void add_between(Coverage& coverage, const Look& a, const Look& b) {
-    const double length_m = std::min(a.length_m, b.length_m);
-    const int n =
-        static_cast<int>(length_m * glm::distance(a.ray.direction, b.ray.direction) / Coverage::kCell_m);
+void add_between(Coverage& coverage, const Look& first, const Look& second) {
+    const double length_m = std::min(first.length_m, second.length_m);
+    const int n = static_cast<int>(length_m * glm::distance(first.ray.direction, second.ray.direction) /
+                                   Coverage::kCell_m);
     for (int k = 1; k <= n; ++k) {
         const double s = double(k) / (n + 1);
-        const glm::dvec3 origin_m = glm::mix(a.ray.origin_m, b.ray.origin_m, s);
-        coverage.add(origin_m,
-                     origin_m + length_m * glm::normalize(glm::mix(a.ray.direction, b.ray.direction, s)));
+        const glm::dvec3 origin_m = glm::mix(first.ray.origin_m, second.ray.origin_m, s);
+        coverage.add(origin_m, origin_m + length_m * glm::normalize(glm::mix(first.ray.direction,
+                                                                             second.ray.direction, s)));
     }
 }
 
 /// Returns n so that only every n-th column is processed. The skipped columns cross the
 /// same cells as the processed columns.
-std::size_t column_step(const Lidar& lidar, double max_range_m) {
+std::size_t choose_column_step(const Lidar& lidar, double max_range_m) {
     const double step_m =
         lidar.sensor.columns > 0 ? 2.0 * kPi / lidar.sensor.columns * max_range_m : Coverage::kCell_m;
     return static_cast<std::size_t>(std::clamp(Coverage::kCell_m / step_m, 1.0, 16.0));
 }
 
-Coverage coverage_of(const Sequence& sequence, const PoseTrack& world_from_sensor, const Frame& frame,
-                     double max_range_m) {
+Coverage compute_coverage(const Sequence& sequence, const PoseTrack& world_from_sensor, const Frame& frame,
+                          double max_range_m) {
     Coverage coverage;
     const Scan& scan = frame.scan;
     const std::size_t columns = std::size_t(std::max(scan.rays.columns, 1)),
                       rows = scan.range_m.size() / columns;
-    const std::size_t step = rows > 1 ? column_step(sequence.lidar_of(frame), max_range_m) : 1;
+    const std::size_t step = rows > 1 ? choose_column_step(sequence.get_lidar(frame), max_range_m) : 1;
     std::vector<double> range_m(rows);
     std::vector<Look> looks(rows);
     for (std::size_t column = 0; column < columns; column += step) {
         for (std::size_t row = 0; row < rows; ++row)
             range_m[row] = std::min(double(scan.range_m[row * columns + column]), max_range_m);
-        const std::vector<double> length_m = looked_m(range_m, max_range_m);
+        const std::vector<double> length_m = compute_observed_length_m(range_m, max_range_m);
         for (std::size_t row = 0; row < rows; ++row) {
             looks[row].length_m = length_m[row];
             if (!(length_m[row] > 0.0)) continue;
-            looks[row].ray = world_ray(world_from_sensor, frame.time_s, scan.rays, row * columns + column,
-                                       sequence.rolling_shutter);
+            looks[row].ray = make_world_ray(world_from_sensor, frame.time_s, scan.rays,
+                                            row * columns + column, sequence.rolling_shutter);
             coverage.add(looks[row].ray.origin_m, looks[row].end_m());
             if (row > 0 && looks[row - 1].length_m > 0.0) add_between(coverage, looks[row - 1], looks[row]);
         }
@@ -91,13 +91,13 @@ Coverage find_coverage(const Sequence& sequence, const PoseTrack& world_from_veh
                        const std::vector<int>& positions, double max_range_m) {
     std::vector<PoseTrack> world_from_sensor;
     for (const Lidar& lidar : sequence.lidars)
-        world_from_sensor.push_back(mounted_track(world_from_vehicle, lidar.vehicle_from_sensor));
+        world_from_sensor.push_back(make_mounted_track(world_from_vehicle, lidar.vehicle_from_sensor));
     Coverage all;
     std::mutex mutex;
-    parallel_for(static_cast<int>(positions.size()), [&](int i) {
-        const Frame& frame = sequence.frames[std::size_t(positions[std::size_t(i)])];
+    parallel_for(static_cast<int>(positions.size()), [&](int index) {
+        const Frame& frame = sequence.frames[std::size_t(positions[std::size_t(index)])];
         const Coverage one =
-            coverage_of(sequence, world_from_sensor[std::size_t(frame.lidar)], frame, max_range_m);
+            compute_coverage(sequence, world_from_sensor[std::size_t(frame.lidar)], frame, max_range_m);
         const std::lock_guard lock(mutex);
         all.add(one);
     });

@@ -25,10 +25,11 @@ constexpr double kMostRange = 65535.0;
 /// points with the angles of the product, so other angles would give wrong points.
 void check_beams(const Layout& layout, const SpinningSensor& sensor) {
     const auto nominal = std::get<SpinningSensor>(find_built_in_sensor(layout.sensor)->pattern);
-    const bool fits = nominal.beams.size() == sensor.beams.size() &&
-                      std::ranges::equal(nominal.beams, sensor.beams, [](const Beam& a, const Beam& b) {
-                          return std::abs(a.elevation_rad - b.elevation_rad) < kMostAngle_rad;
-                      });
+    const bool fits =
+        nominal.beams.size() == sensor.beams.size() &&
+        std::ranges::equal(nominal.beams, sensor.beams, [](const Beam& first, const Beam& second) {
+            return std::abs(first.elevation_rad - second.elevation_rad) < kMostAngle_rad;
+        });
     if (!fits)
         throw UsageError(fmt::format(
             "cannot write packets of {}: found {} beams whose elevations differ from the data sheet, "
@@ -43,13 +44,15 @@ void check_beams(const Layout& layout, const SpinningSensor& sensor) {
 
 }  // namespace
 
-const Layout& layout_of(const std::string& product) {
+const Layout& find_layout_of_product(const std::string& product) {
     return *std::ranges::find_if(kLayouts, [&](const Layout& row) { return product == row.name; });
 }
 
-std::int64_t unix_ns(double time_s, std::int64_t start_ns) { return start_ns + std::llround(1e9 * time_s); }
+std::int64_t to_unix_ns(double time_s, std::int64_t start_ns) {
+    return start_ns + std::llround(1e9 * time_s);
+}
 
-std::uint8_t reflectivity_of(const LaserReturn& echo) {
+std::uint8_t to_reflectivity(const LaserReturn& echo) {
     return std::uint8_t(std::lround(255.0 * std::clamp(double(echo.intensity), 0.0, 1.0)));
 }
 
@@ -85,7 +88,7 @@ void BlockWriter::append_returns(std::string& bytes, const FiredColumn& column, 
         const double range = std::round(double(echo.range_m) / range_unit_m);
         const bool is_valid = range >= 1.0 && range <= kMostRange;
         append(bytes, is_valid ? std::uint16_t(range) : std::uint16_t(0));
-        append(bytes, is_valid ? reflectivity_of(echo) : std::uint8_t(0));
+        append(bytes, is_valid ? to_reflectivity(echo) : std::uint8_t(0));
         bytes.append(layout_.unit_bytes - 3, '\0');
     }
 }
@@ -104,9 +107,10 @@ void BlockWriter::append_blocks(std::string& bytes, std::span<const FiredColumn>
     }
 }
 
-std::int64_t BlockWriter::packet_ns(std::span<const FiredColumn> columns, double FiredColumn::*time) const {
-    if (layout_.at_end) return unix_ns(columns.back().*time - 1e-6 * layout_.shift_us, start_ns_);
-    return unix_ns(columns.front().*time - 1e-6 * layout_.shift_us, start_ns_);
+std::int64_t BlockWriter::compute_packet_time_ns(std::span<const FiredColumn> columns,
+                                                 double FiredColumn::*time) const {
+    if (layout_.at_end) return to_unix_ns(columns.back().*time - 1e-6 * layout_.shift_us, start_ns_);
+    return to_unix_ns(columns.front().*time - 1e-6 * layout_.shift_us, start_ns_);
 }
 
 }  // namespace relidar::packets

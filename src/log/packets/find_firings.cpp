@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Groups the rays of a scan by firing, because a packet stores complete firings. In an
-// image, firing f of a beam is stored in the column f - column_shift(beam).
+// image, firing f of a beam is stored in the column f - compute_column_shift(beam).
 #include <algorithm>
 #include <cmath>
 
@@ -28,7 +28,7 @@ public:
                 "cannot write packets of {}: the scan has {} rows, expected one row for each of the {} "
                 "beams",
                 sensor.name, scan.rays.rows, sensor.beams.size()));
-        for (const Beam& beam : sensor.beams) shift_.push_back(column_shift(beam, columns_));
+        for (const Beam& beam : sensor.beams) shift_.push_back(compute_column_shift(beam, columns_));
     }
     std::size_t n_rings() const { return shift_.size(); }
     int n_firings() const { return columns_; }
@@ -44,7 +44,7 @@ private:
 
 /// Measures how well laser delays fit a scan: for each firing, the difference between the
 /// latest and the earliest time of its returns. Returns the sum over all firings.
-double time_spread(const Scan& scan, const FiringImage& image, const std::vector<double>& offset_us) {
+double compute_time_spread(const Scan& scan, const FiringImage& image, const std::vector<double>& offset_us) {
     double sum_us = 0.0;
     for (int firing = 0; firing < image.n_firings(); ++firing) {
         double first = INFINITY, last = -INFINITY;
@@ -61,8 +61,8 @@ double time_spread(const Scan& scan, const FiringImage& image, const std::vector
 
 /// Computes time and azimuth of one firing from its rays. Uses only the rays with a
 /// return, because their directions are measured. If no ray has a return, uses all rays.
-FiredColumn fired_column(const Scan& scan, const FiringImage& image, int firing,
-                         const std::vector<BeamGeometry>& beams, const std::vector<double>& offset_us) {
+FiredColumn make_fired_column(const Scan& scan, const FiringImage& image, int firing,
+                              const std::vector<BeamGeometry>& beams, const std::vector<double>& offset_us) {
     FiredColumn column{.is_measured = true, .returns = {}};
     column.returns.resize(image.n_rings());
     std::size_t n_returned = 0, n_used = 0;
@@ -79,8 +79,8 @@ FiredColumn fired_column(const Scan& scan, const FiringImage& image, int firing,
         const std::size_t ray = image.ray(ring, firing);
         const double range_m = n_returned > 0 ? double(scan.range_m[ray]) : kFar_m;
         if (range_m <= 0.0) continue;
-        const double head = beams[ring].head_azimuth(glm::dvec3(scan.rays.origin[ray]) +
-                                                     glm::dvec3(scan.rays.direction[ray]) * range_m);
+        const double head = beams[ring].compute_head_azimuth(glm::dvec3(scan.rays.origin[ray]) +
+                                                             glm::dvec3(scan.rays.direction[ray]) * range_m);
         east += std::cos(head), north += std::sin(head);
         column.time_s += double(scan.rays.time_offset_s[ray]) - 1e-6 * offset_us[ring];
         ++n_used;
@@ -141,17 +141,20 @@ std::vector<FiredColumn> find_firings(const Scan& scan, double time_s, const Spi
     // lasers of a firing have the same time. Check which of the two cases fits the times
     // better.
     const std::vector<double> no_offset(offset_us.size(), 0.0);
-    const bool has_laser_times = time_spread(scan, image, offset_us) < time_spread(scan, image, no_offset);
-    const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
+    const bool has_laser_times =
+        compute_time_spread(scan, image, offset_us) < compute_time_spread(scan, image, no_offset);
+    const std::vector<BeamGeometry> beams = make_beam_geometries(sensor.beams);
     std::vector<FiredColumn> columns;
     for (int firing = 0; firing < image.n_firings(); ++firing)
-        columns.push_back(fired_column(scan, image, firing, beams, has_laser_times ? offset_us : no_offset));
+        columns.push_back(
+            make_fired_column(scan, image, firing, beams, has_laser_times ? offset_us : no_offset));
     if (has_laser_times) correct_empty_times(columns, sensor.period_s);
     sort_by_rotation(columns, sensor.period_s);
     // A log may store a firing twice to complete its image, so remove the duplicates.
-    const auto repeated = std::ranges::unique(columns, [&](const FiredColumn& a, const FiredColumn& b) {
-        return 1e6 * std::abs(a.time_s - b.time_s) < kSameFiring_us;
-    });
+    const auto repeated =
+        std::ranges::unique(columns, [&](const FiredColumn& first, const FiredColumn& second) {
+            return 1e6 * std::abs(first.time_s - second.time_s) < kSameFiring_us;
+        });
     columns.erase(repeated.begin(), repeated.end());
     for (FiredColumn& column : columns) column.time_s += time_s;
     return columns;

@@ -44,7 +44,9 @@ constexpr HesaiProduct kHesais[] = {
 class HesaiFormat : public PacketFormat {
 public:
     HesaiFormat(const HesaiProduct& product, const SpinningSensor& sensor, const PacketOptions& options)
-        : product_(product), sensor_(sensor), blocks_(layout_of(product.sensor), sensor, options) {}
+        : product_(product),
+          sensor_(sensor),
+          blocks_(find_layout_of_product(product.sensor), sensor, options) {}
 
     int port() const override { return kHesaiPort; }
     int firings() const override { return blocks_.firings(); }
@@ -59,7 +61,7 @@ public:
             // between the start of the block and the firing of the laser is subtracted
             const double azimuth_rad =
                 -beam.azimuth_offset_rad - 2e-6 * kPi / sensor_.period_s * blocks_.offsets_us()[ring];
-            const std::size_t laser = blocks_.laser_of(ring);
+            const std::size_t laser = blocks_.find_laser(ring);
             lines[laser] = fmt::format("{},{:.4f},{:.4f}\n", laser + 1, beam.elevation_rad * 180.0 / kPi,
                                        azimuth_rad * 180.0 / kPi);
         }
@@ -69,8 +71,8 @@ public:
     }
 
     SensorPacket write(std::span<const FiredColumn> columns, std::uint32_t number) const override {
-        SensorPacket packet{blocks_.packet_ns(columns, &FiredColumn::time_s), {}};
-        const std::int64_t clock_ns = blocks_.packet_ns(columns, &FiredColumn::clock_s);
+        SensorPacket packet{blocks_.compute_packet_time_ns(columns, &FiredColumn::time_s), {}};
+        const std::int64_t clock_ns = blocks_.compute_packet_time_ns(columns, &FiredColumn::clock_s);
         std::string& bytes = packet.bytes;
         bytes.append(product_.header.begin(), product_.header.begin() + std::ptrdiff_t(product_.n_header));
         // In the manual of the XT32, the first of two blocks stores the last return.
@@ -114,7 +116,7 @@ private:
 
 }  // namespace
 
-std::vector<std::string> hesai_names() {
+std::vector<std::string> list_hesai_names() {
     std::vector<std::string> names;
     for (const HesaiProduct& product : kHesais) names.emplace_back(product.sensor);
     return names;

@@ -27,13 +27,13 @@ constexpr std::size_t kEndBytes = 32;  // size of the header and of the footer o
 constexpr std::uint32_t kEncoderTicks = 90112;
 
 /// Returns Ouster's name of a product line, such as "OS-1-64" for "OS1-64".
-std::string product_line(const std::string& name) {
+std::string get_product_line(const std::string& name) {
     return name.starts_with("OS") && name.size() > 3 && name[3] == '-' ? "OS-" + name.substr(2) : name;
 }
 
 /// Returns the first and the last column of the smallest azimuth window that contains all
 /// firing columns. The window may wrap around from the last column to column 0.
-std::array<int, 2> window_of(const std::vector<bool>& fired) {
+std::array<int, 2> find_azimuth_window(const std::vector<bool>& fired) {
     const int n = int(fired.size());
     // longest series of columns that do not fire; `begin` is the column after this series
     int begin = 0, longest = 0;
@@ -47,8 +47,8 @@ std::array<int, 2> window_of(const std::vector<bool>& fired) {
 
 /// Returns the metadata of a sensor as JSON text. In the metadata, the x axis of Ouster's
 /// LiDAR frame points backward. The sensor frame is the frame that relidar uses.
-std::string metadata_of(const SpinningSensor& sensor, const std::string& profile,
-                        const std::array<int, 2>& window) {
+std::string make_ouster_metadata(const SpinningSensor& sensor, const std::string& profile,
+                                 const std::array<int, 2>& window) {
     std::vector<double> altitude_deg, azimuth_deg;
     std::vector<int> shift;
     for (const Beam& beam : sensor.beams) {
@@ -57,7 +57,7 @@ std::string metadata_of(const SpinningSensor& sensor, const std::string& profile
         shift.push_back(int(std::lround(azimuth_deg.back() * sensor.columns / 360.0)));
     }
     const nlohmann::ordered_json json = {
-        {"prod_line", product_line(sensor.name)},
+        {"prod_line", get_product_line(sensor.name)},
         {"prod_sn", kSerial},
         {"status", "RUNNING"},
         {"lidar_mode", fmt::format("{}x{}", sensor.columns, std::lround(1.0 / sensor.period_s))},
@@ -81,8 +81,8 @@ public:
     OusterWriter(const SpinningSensor& sensor, const PacketOptions& options)
         : start_ns_(options.start_ns),
           sensor_(sensor),
-          format_(read_ouster_metadata(metadata_of(sensor, profile_name(options), {0, sensor.columns - 1}),
-                                       sensor.name)) {
+          format_(read_ouster_metadata(
+              make_ouster_metadata(sensor, profile_name(options), {0, sensor.columns - 1}), sensor.name)) {
         if (format_->profile->returns < options.returns)
             throw UsageError(fmt::format(
                 "cannot write packets of {0}: the packet format {1} has only one return per ray, expected "
@@ -98,7 +98,7 @@ public:
         return std::vector<double>(format_->sensor.beams.size(), 0.0);
     }
     PacketCalibration calibration(const std::vector<bool>& fired) const override {
-        return {".json", metadata_of(sensor_, format_->profile->name, window_of(fired))};
+        return {".json", make_ouster_metadata(sensor_, format_->profile->name, find_azimuth_window(fired))};
     }
 
     SensorPacket write(std::span<const FiredColumn> columns, std::uint32_t number) const override {
@@ -108,8 +108,8 @@ public:
         SensorPacket packet;
         if (!is_legacy) append_header(packet.bytes, frame);
         for (const FiredColumn& column : columns) {
-            const std::int64_t time_ns = unix_ns(column.time_s, start_ns_);
-            const int position = column_number(column);
+            const std::int64_t time_ns = to_unix_ns(column.time_s, start_ns_);
+            const int position = get_column_number(column);
             append(packet.bytes, std::uint64_t(std::max<std::int64_t>(time_ns, 0)));
             append(packet.bytes, std::uint16_t(position));
             if (is_legacy) {
@@ -137,7 +137,7 @@ private:
         return options.returns == 2 ? "RNG19_RFL8_SIG16_NIR16_DUAL" : "RNG19_RFL8_SIG16_NIR16";
     }
 
-    int column_number(const FiredColumn& column) const {
+    int get_column_number(const FiredColumn& column) const {
         const double place = (column.azimuth_deg - 180.0) / 360.0 * columns();
         return int((std::lround(place) + columns()) % columns());
     }
@@ -166,14 +166,15 @@ private:
 
     /// Writes range and reflectivity of a return into a pixel. Ouster measures the range
     /// from the axis of rotation, not from the beam origin.
-    void set_return(std::string& pixel, std::size_t at, const LaserReturn& echo, double start_m) const {
+    void set_return(std::string& pixel, std::size_t offset, const LaserReturn& echo, double start_m) const {
         const OusterProfile& profile = *format_->profile;
         if (echo.range_m <= 0.0f) return;
         const double range = std::round((double(echo.range_m) + start_m) / profile.range_unit_m);
         if (!(range >= 1.0 && range <= double(profile.range_bits))) return;
         const auto number = std::uint32_t(range);
-        for (std::size_t k = 0; k < 4 && number >> (8 * k) != 0; ++k) pixel[at + k] = char(number >> (8 * k));
-        pixel[at + profile.reflectivity_at] = char(reflectivity_of(echo));
+        for (std::size_t k = 0; k < 4 && number >> (8 * k) != 0; ++k)
+            pixel[offset + k] = char(number >> (8 * k));
+        pixel[offset + profile.reflectivity_at] = char(to_reflectivity(echo));
     }
 };
 

@@ -33,7 +33,7 @@ void append_big(std::string& bytes, unsigned value) {
 }
 
 /// Returns the checksum of an IPv4 header (RFC 791).
-unsigned ip_checksum(std::string_view header) {
+unsigned compute_ip_checksum(std::string_view header) {
     unsigned sum = 0;
     for (std::size_t i = 0; i + 1 < header.size(); i += 2)
         sum += static_cast<unsigned char>(header[i]) * 256u + static_cast<unsigned char>(header[i + 1]);
@@ -43,13 +43,13 @@ unsigned ip_checksum(std::string_view header) {
 
 /// Returns the Ethernet frame that transports one UDP datagram.
 /// @param number  identification number of the datagram in the IPv4 header
-std::string ethernet_frame(const std::string& payload, int port, unsigned number) {
+std::string make_ethernet_frame(const std::string& payload, int port, unsigned number) {
     std::string ip;
     for (const unsigned value :
          {0x4500u, unsigned(kIpBytes + kUdpBytes + payload.size()), number, 0x4000u, 0x4011u, 0u})
         append_big(ip, value);
     ip += std::string("\xC0\xA8\x01\xC9\xFF\xFF\xFF\xFF", 8);  // 192.168.1.201 to all
-    const unsigned sum = ip_checksum(ip);
+    const unsigned sum = compute_ip_checksum(ip);
     ip[10] = char(sum >> 8), ip[11] = char(sum & 0xFF);
     std::string frame = std::string("\xFF\xFF\xFF\xFF\xFF\xFF\x02\0\0\0\0\x01\x08\0", 14) + ip;
     append_big(frame, unsigned(port)), append_big(frame, unsigned(port));
@@ -63,7 +63,7 @@ void check_written(const std::ofstream& out, const fs::path& file) {
 
 }  // namespace
 
-std::string ouster_profile_of(const fs::path& file) {
+std::string read_ouster_profile(const fs::path& file) {
     std::error_code failed;
     if (!fs::is_regular_file(file, failed) || file.extension() != ".json") return {};
     const std::string text = read_text(file);
@@ -98,7 +98,7 @@ PacketCapture::PacketCapture(const fs::path& file, int port)
 void PacketCapture::add(const std::vector<SensorPacket>& packets) {
     constexpr std::int64_t kSecond = 1'000'000'000;
     for (const SensorPacket& packet : packets) {
-        const std::string frame = ethernet_frame(packet.bytes, port_, n_written_++);
+        const std::string frame = make_ethernet_frame(packet.bytes, port_, n_written_++);
         std::string head;
         append(head, std::uint32_t(packet.time_ns / kSecond));
         append(head, std::uint32_t(packet.time_ns % kSecond));

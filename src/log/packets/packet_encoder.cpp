@@ -33,14 +33,14 @@ std::unique_ptr<PacketFormat> make_format(const SpinningSensor& sensor, const Pa
          {packets::make_velodyne_format, packets::make_hesai_format, packets::make_ouster_format})
         if (auto format = make(sensor, options)) return format;
     throw UsageError(fmt::format("cannot write packets of the sensor \"{}\", expected one of {}", sensor.name,
-                                 packet_sensors()));
+                                 list_packet_sensors()));
 }
 
 }  // namespace
 
-std::string packet_sensors() {
+std::string list_packet_sensors() {
     std::string names;
-    for (const auto& of_maker : {packets::velodyne_names(), packets::hesai_names()})
+    for (const auto& of_maker : {packets::list_velodyne_names(), packets::list_hesai_names()})
         for (const std::string& name : of_maker) names += name + ", ";
     return names + "an Ouster (OS0-32, OS1-64 and so on, or its metadata)";
 }
@@ -95,7 +95,7 @@ struct PacketEncoder::Impl {
 
     /// Returns the position of a firing minus the position of the firing `from`. The
     /// result is less than 1 if the firing is not later than `from`.
-    double steps_between(const Anchor& from, const FiredColumn& firing) const {
+    double count_steps_between(const Anchor& from, const FiredColumn& firing) const {
         const double by_time = (firing.time_s - from.time_s) / cycle_s();
         if (has_columns()) {
             const double n = format->columns();
@@ -110,8 +110,8 @@ struct PacketEncoder::Impl {
 
     /// Returns the position of a firing minus the position of the last firing. Returns 0
     /// for a firing without returns whose position already has a firing.
-    std::int64_t steps_to(const FiredColumn& firing) const {
-        const double steps = steps_between(*last, firing);
+    std::int64_t count_steps_to(const FiredColumn& firing) const {
+        const double steps = count_steps_between(*last, firing);
         if (steps < 1.0 && !firing.has_returns) return 0;
         if (steps < 1.0)
             throw UsageError(
@@ -125,14 +125,14 @@ struct PacketEncoder::Impl {
     /// Returns the position of the first firing. In a log, the times of packets jitter,
     /// and the time jumps where a packet starts. If such a jump is found, the new packets
     /// start at the same firings as the packets of the log.
-    std::int64_t first_position(const std::vector<FiredColumn>& firings_of_scan) const {
+    std::int64_t find_first_position(const std::vector<FiredColumn>& firings_of_scan) const {
         if (has_columns()) return column_of(firings_of_scan.front());
         if (!options.times_jitter) return 1;
         std::vector<int> n_jumps(std::size_t(firings()), 0);
         std::int64_t place = 0;
         for (std::size_t i = 1; i < firings_of_scan.size(); ++i) {
             const FiredColumn &firing = firings_of_scan[i], &before = firings_of_scan[i - 1];
-            const double steps = steps_between({place, before.time_s, before.azimuth_deg}, firing);
+            const double steps = count_steps_between({place, before.time_s, before.azimuth_deg}, firing);
             place += std::max<std::int64_t>(std::llround(steps), 1);
             if (1e6 * std::abs(firing.time_s - before.time_s - steps * cycle_s()) > kJump_us)
                 ++n_jumps[std::size_t(place % firings())];
@@ -145,7 +145,7 @@ struct PacketEncoder::Impl {
     /// adds these firings without returns. Logs contain such gaps, because they store no
     /// firings without returns at the end of a turn, and frames may be farther apart than
     /// one turn.
-    std::int64_t longest_gap() const {
+    std::int64_t get_longest_gap() const {
         return std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / cycle_s());
     }
 
@@ -192,10 +192,10 @@ struct PacketEncoder::Impl {
     }
 
     void add(FiredColumn firing, std::int64_t start) {
-        std::int64_t position = last ? last->position + steps_to(firing) : start;
+        std::int64_t position = last ? last->position + count_steps_to(firing) : start;
         if (last && position == last->position) return;
         if (has_columns()) fired[std::size_t(position % format->columns())] = true;
-        else if (last && position - last->position > longest_gap()) {
+        else if (last && position - last->position > get_longest_gap()) {
             end_packets();
             position = (packet + 1) * firings() + 1;
         } else if (last) fill_gap(firing, position);
@@ -259,7 +259,7 @@ PacketEncoder::~PacketEncoder() = default;
 
 std::vector<SensorPacket> PacketEncoder::encode(const Scan& scan, double time_s) {
     std::vector<FiredColumn> firings = packets::find_firings(scan, time_s, impl_->sensor, impl_->offsets_us);
-    const std::int64_t start = impl_->last ? 0 : impl_->first_position(firings);
+    const std::int64_t start = impl_->last ? 0 : impl_->find_first_position(firings);
     for (FiredColumn& firing : firings) impl_->add(std::move(firing), start);
     return std::exchange(impl_->complete, {});
 }

@@ -92,12 +92,13 @@ public:
     int firings() const;
     const std::vector<double>& offsets_us() const { return offsets_us_; }
     /// Returns the manufacturer's index of the laser of a ring, from 0.
-    std::size_t laser_of(std::size_t ring) const { return laser_of_[ring]; }
+    std::size_t find_laser(std::size_t ring) const { return laser_of_[ring]; }
     /// Appends all blocks of a packet.
     void append_blocks(std::string& bytes, std::span<const FiredColumn> columns, double range_unit_m) const;
     /// Returns the time of a packet in nanoseconds since 1970.
     /// @param time  FiredColumn::time_s or FiredColumn::clock_s
-    std::int64_t packet_ns(std::span<const FiredColumn> columns, double FiredColumn::*time) const;
+    std::int64_t compute_packet_time_ns(std::span<const FiredColumn> columns,
+                                        double FiredColumn::*time) const;
 
 private:
     const Layout& layout_;
@@ -111,14 +112,14 @@ private:
 };
 
 /// Returns the packet layout of a product. Layouts are stored in the table kLayouts.
-const Layout& layout_of(const std::string& product);
+const Layout& find_layout_of_product(const std::string& product);
 /// Returns the names of the sensors whose packets this manufacturer's format can write.
-std::vector<std::string> velodyne_names();
-std::vector<std::string> hesai_names();
+std::vector<std::string> list_velodyne_names();
+std::vector<std::string> list_hesai_names();
 
 /// Converts a time of the log to nanoseconds since 1970.
-std::int64_t unix_ns(double time_s, std::int64_t start_ns);
+std::int64_t to_unix_ns(double time_s, std::int64_t start_ns);
 /// Converts the intensity of a return (0 to 1) to a reflectivity of one byte.
-std::uint8_t reflectivity_of(const LaserReturn& echo);
+std::uint8_t to_reflectivity(const LaserReturn& echo);
 
 }  // namespace relidar::packets

@@ -22,7 +22,7 @@ constexpr VelodyneProduct kVelodynes[] = {
 class VelodyneFormat : public PacketFormat {
 public:
     VelodyneFormat(const VelodyneProduct& product, const SpinningSensor& sensor, const PacketOptions& options)
-        : code_(product.code), blocks_(layout_of(product.sensor), sensor, options) {}
+        : code_(product.code), blocks_(find_layout_of_product(product.sensor), sensor, options) {}
 
     int port() const override { return kVelodynePort; }
     int firings() const override { return blocks_.firings(); }
@@ -30,8 +30,8 @@ public:
     std::vector<double> offsets_us() const override { return blocks_.offsets_us(); }
 
     SensorPacket write(std::span<const FiredColumn> columns, std::uint32_t) const override {
-        SensorPacket packet{blocks_.packet_ns(columns, &FiredColumn::time_s), {}};
-        const std::int64_t clock_ns = blocks_.packet_ns(columns, &FiredColumn::clock_s);
+        SensorPacket packet{blocks_.compute_packet_time_ns(columns, &FiredColumn::time_s), {}};
+        const std::int64_t clock_ns = blocks_.compute_packet_time_ns(columns, &FiredColumn::clock_s);
         blocks_.append_blocks(packet.bytes, columns, blocks_.layout().range_unit_m);
         append(packet.bytes, std::uint32_t((clock_ns + 500) % kHour_ns / 1000));
         append(packet.bytes, blocks_.is_dual() ? kDual : kStrongest);
@@ -46,7 +46,7 @@ private:
 
 }  // namespace
 
-std::vector<std::string> velodyne_names() {
+std::vector<std::string> list_velodyne_names() {
     std::vector<std::string> names;
     for (const VelodyneProduct& product : kVelodynes) names.emplace_back(product.sensor);
     return names;

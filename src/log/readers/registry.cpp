@@ -68,7 +68,7 @@ constexpr DatasetKind kKinds[] = {
     {"pcap", ".pcap .pcapng", "a capture of LiDAR packets", load_ros_bag},
 };
 
-std::vector<std::string> kind_names() {
+std::vector<std::string> list_kind_names() {
     std::vector<std::string> names;
     for (const DatasetKind& kind : kKinds) names.emplace_back(kind.name);
     return names;
@@ -79,17 +79,18 @@ const DatasetKind& find_kind(const std::string& name) {
         if (name == kind.name) return kind;
     }
     throw UsageError(fmt::format("the dataset kind '{}' is unknown{} (known: {})", name,
-                                 did_you_mean(name, kind_names(), "'"), fmt::join(kind_names(), ", ")));
+                                 suggest_name(name, list_kind_names(), "'"),
+                                 fmt::join(list_kind_names(), ", ")));
 }
 
 bool has_marker(const fs::path& path, std::string_view marker) {
-    if (!marker.starts_with('.') && !marker.ends_with('*')) return path_exists(path / marker);
+    if (!marker.starts_with('.') && !marker.ends_with('*')) return does_path_exist(path / marker);
     const auto matches = [&](const fs::path& file) {
         return marker.starts_with('.')
                    ? file.extension() == marker
                    : file.filename().string().starts_with(marker.substr(0, marker.size() - 1));
     };
-    if (!path_exists(path)) return false;
+    if (!does_path_exist(path)) return false;
     if (!fs::is_directory(path)) return marker.starts_with('.') && matches(path);
     const std::vector<fs::path> files = list_folder(path);
     return std::any_of(files.begin(), files.end(), matches);
@@ -127,17 +128,17 @@ void check_bare_folder(const fs::path& path) {
 
 /// Returns the range of the farthest return of a LiDAR, rounded up to full metres.
 /// Returns 80 m if the log contains no return.
-double farthest_return_m(const Sequence& sequence, int lidar) {
+double find_farthest_return_m(const Sequence& sequence, int lidar) {
     // ignores farther points, because no LiDAR on a vehicle measures such ranges
     constexpr float kFarthest_m = 1000.0f;
     constexpr double kWithoutReturns_m = 80.0;
     std::vector<float> farthest(sequence.frames.size(), 0.0f);
-    parallel_for(static_cast<int>(farthest.size()), [&](int i) {
-        const Frame& frame = sequence.frames[std::size_t(i)];
+    parallel_for(static_cast<int>(farthest.size()), [&](int index) {
+        const Frame& frame = sequence.frames[std::size_t(index)];
         if (frame.lidar != lidar) return;
         const auto look = [&](float range_m) {
             if (range_m <= kFarthest_m)
-                farthest[std::size_t(i)] = std::max(farthest[std::size_t(i)], range_m);
+                farthest[std::size_t(index)] = std::max(farthest[std::size_t(index)], range_m);
         };
         for (const float range_m : frame.scan.range_m) look(range_m);
         for (const SecondReturn& second : frame.scan.second_returns)
@@ -153,7 +154,7 @@ void find_farthest(Sequence& sequence) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         SpinningSensor& sensor = sequence.lidars[l].sensor;
         if (std::isfinite(sensor.max_range_m)) continue;
-        sensor.max_range_m = farthest_return_m(sequence, static_cast<int>(l));
+        sensor.max_range_m = find_farthest_return_m(sequence, static_cast<int>(l));
         const std::string& name = sequence.lidars[l].name;
         sequence.notes.push_back(fmt::format(
             "maximum range{}: {} m, the farthest return, because the limit of the sensor is unknown",
@@ -217,16 +218,16 @@ void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& cou
 void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
     find_farthest(sequence);
     for (Lidar& lidar : sequence.lidars) {
-        const RangeLimits limits = overlap(lidar.sensor.range_limits(), wanted);
+        const RangeLimits limits = intersect_limits(lidar.sensor.range_limits(), wanted);
         lidar.sensor.min_range_m = limits.min_m;
         lidar.sensor.max_range_m = limits.max_m;
     }
     std::vector<OutsideRange> counts(sequence.frames.size());
-    parallel_for(static_cast<int>(counts.size()), [&](int i) {
-        Frame& frame = sequence.frames[std::size_t(i)];
-        const RangeLimits limits = sequence.lidar_of(frame).sensor.range_limits();
-        counts[std::size_t(i)] = count_outside(frame.scan, limits);
-        drop_outside(frame.scan, limits);
+    parallel_for(static_cast<int>(counts.size()), [&](int index) {
+        Frame& frame = sequence.frames[std::size_t(index)];
+        const RangeLimits limits = sequence.get_lidar(frame).sensor.range_limits();
+        counts[std::size_t(index)] = count_outside(frame.scan, limits);
+        drop_outside_limits(frame.scan, limits);
     });
     note_outside_range(sequence, counts);
 }
@@ -235,10 +236,10 @@ void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
 /// intensities are 0.
 void note_missing_intensities(Sequence& sequence) {
     std::vector<char> has_returns(sequence.frames.size(), 0), has_intensities(sequence.frames.size(), 0);
-    parallel_for(static_cast<int>(has_returns.size()), [&](int i) {
-        const Scan& scan = sequence.frames[std::size_t(i)].scan;
-        has_returns[std::size_t(i)] = scan.count_returns() > 0;
-        has_intensities[std::size_t(i)] =
+    parallel_for(static_cast<int>(has_returns.size()), [&](int index) {
+        const Scan& scan = sequence.frames[std::size_t(index)].scan;
+        has_returns[std::size_t(index)] = scan.count_returns() > 0;
+        has_intensities[std::size_t(index)] =
             std::ranges::any_of(scan.intensity, [](float v) { return v > 0.0f; });
     });
     if (std::ranges::count(has_returns, 1) > 0 && std::ranges::count(has_intensities, 1) == 0)
@@ -278,7 +279,7 @@ void keep_lidars(Sequence& sequence, const std::vector<std::string>& names) {
 
 /// Splits a text of the form "kind:path" into kind and path. Returns an empty kind if the
 /// text has no such prefix.
-std::pair<std::string, fs::path> parted(const std::string& dataset) {
+std::pair<std::string, fs::path> split_kind_and_path(const std::string& dataset) {
     std::error_code failed;
     const std::size_t colon = dataset.find(':');
     const bool has_kind =
@@ -290,14 +291,14 @@ std::pair<std::string, fs::path> parted(const std::string& dataset) {
 /// Returns the row of the table that can read a dataset.
 /// @param sequence  name of the drive that the user requested; may be empty
 /// @throws UsageError if a drive is requested but the dataset contains only one drive
-const DatasetKind& reader_of(const std::string& dataset, const std::string& sequence) {
-    const auto [kind, path] = parted(dataset);
+const DatasetKind& find_reader(const std::string& dataset, const std::string& sequence) {
+    const auto [kind, path] = split_kind_and_path(dataset);
     const std::string name = kind.empty() ? recognise_dataset(path) : kind;
     const DatasetKind& reader = find_kind(name);
     if (!sequence.empty() && !reader.holds_drives)
         throw UsageError(
             fmt::format("dataset.sequence: found '{}', but {} is a single drive; do not set dataset.sequence",
-                        excerpt(sequence), reader.describe));
+                        make_excerpt(sequence), reader.describe));
     return reader;
 }
 
@@ -313,11 +314,11 @@ void check_range(const FrameRange& range) {
 void find_sweeps(Sequence& sequence) {
     std::vector<RayTable> nominal;
     for (const Lidar& lidar : sequence.lidars)
-        nominal.push_back(lidar.pattern ? RayTable{} : nominal_rays(lidar, 0.0));
-    parallel_for(static_cast<int>(sequence.frames.size()), [&](int i) {
-        Frame& frame = sequence.frames[std::size_t(i)];
-        frame.start = find_start(frame.scan.rays, sequence.lidar_of(frame));
-        frame.azimuth_shift_rad = find_azimuth_shift(frame.scan, sequence.lidar_of(frame).sensor,
+        nominal.push_back(lidar.pattern ? RayTable{} : make_nominal_rays(lidar, 0.0));
+    parallel_for(static_cast<int>(sequence.frames.size()), [&](int index) {
+        Frame& frame = sequence.frames[std::size_t(index)];
+        frame.start = find_start(frame.scan.rays, sequence.get_lidar(frame));
+        frame.azimuth_shift_rad = find_azimuth_shift(frame.scan, sequence.get_lidar(frame).sensor,
                                                      nominal[std::size_t(frame.lidar)]);
     });
 }
@@ -355,8 +356,8 @@ std::string recognise_dataset(const fs::path& path) {
         fmt::format("{} is not a dataset of a known format, expected one of: {}", path.string(), known));
 }
 
-std::string absolute_dataset(const std::string& dataset) {
-    const auto [kind, path] = parted(dataset);
+std::string make_dataset_absolute(const std::string& dataset) {
+    const auto [kind, path] = split_kind_and_path(dataset);
     if (path.empty()) return dataset;
     // without a trailing slash
     const std::string absolute = (fs::absolute(path) / "").lexically_normal().parent_path().string();
@@ -370,7 +371,8 @@ Sequence load_sequence(const std::string& dataset, const DatasetOptions& options
             "the range limits are {} to {} m, expected 0 <= dataset.min_range_m < dataset.max_range_m",
             options.min_range_m, options.max_range_m));
     }
-    Sequence sequence = reader_of(dataset, options.sequence).load(parted(dataset).second, options);
+    Sequence sequence =
+        find_reader(dataset, options.sequence).load(split_kind_and_path(dataset).second, options);
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
     check_sequence(sequence);
     check_gaps(sequence);

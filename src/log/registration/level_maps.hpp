@@ -38,7 +38,7 @@ public:
     /// Returns the plane at a point. Searches from `level` to coarser levels, and returns
     /// the first plane. The coarser levels are needed because distant points are sparse
     /// and form planes only in large cells. Returns null if no level has a plane.
-    const Plane* finest_plane(const glm::dvec3& point_m, int level) const {
+    const Plane* find_finest_plane(const glm::dvec3& point_m, int level) const {
         const Plane* plane = nullptr;
         for (int l = level; l >= 0 && !plane; --l) plane = maps_[std::size_t(l)].at(point_m);
         return plane;

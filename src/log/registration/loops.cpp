@@ -74,7 +74,7 @@ public:
         std::optional<LoopClosure> before;
         for (std::size_t later = 0; later < keys_.size(); ++later) {
             if (later % 16 == 0 && !options_.proceed(double(later) / double(keys_.size()))) return result;
-            const std::optional<std::size_t> earlier = nearest_earlier(later);
+            const std::optional<std::size_t> earlier = find_nearest_earlier_pose(later);
             if (!earlier) continue;
             if (before && before->later + 3 < later) before.reset();
             const std::optional<LoopClosure> found = find(*earlier, later, before);
@@ -98,16 +98,17 @@ private:
     std::optional<std::size_t> map_of_;
 
     const Pose& pose(std::size_t key) const { return track_.pose[keys_[key]]; }
-    double driven_length_m(std::size_t key) const { return way_m_[keys_[key]]; }
+    double compute_driven_length_m(std::size_t key) const { return way_m_[keys_[key]]; }
 
-    std::optional<std::size_t> nearest_earlier(std::size_t later) const {
+    std::optional<std::size_t> find_nearest_earlier_pose(std::size_t later) const {
         std::optional<std::size_t> nearest;
         double least_m = 1e30;
-        for (std::size_t key = 0; key < later && driven_length_m(later) - driven_length_m(key) > kApart_m;
-             ++key) {
+        for (std::size_t key = 0;
+             key < later && compute_driven_length_m(later) - compute_driven_length_m(key) > kApart_m; ++key) {
             const double distance_m = glm::distance(pose(key).translation, pose(later).translation);
-            const double near_m =
-                std::min(kNear_m + kNearShare * (driven_length_m(later) - driven_length_m(key)), kFarthest_m);
+            const double near_m = std::min(
+                kNear_m + kNearShare * (compute_driven_length_m(later) - compute_driven_length_m(key)),
+                kFarthest_m);
             if (distance_m > near_m || distance_m >= least_m) continue;
             least_m = distance_m;
             nearest = key;
@@ -121,7 +122,7 @@ private:
         maps_.clear();
         std::vector<glm::dvec3> points_m;
         for (std::size_t key = 0; key < keys_.size(); ++key) {
-            if (std::abs(driven_length_m(key) - driven_length_m(about)) > kMap_m) continue;
+            if (std::abs(compute_driven_length_m(key) - compute_driven_length_m(about)) > kMap_m) continue;
             for (const ThinPoint& point : scans_[keys_[key]])
                 points_m.push_back(place(track_, point).point_m);
         }
@@ -140,21 +141,21 @@ private:
         return points;
     }
 
-    double coarse_share(const std::vector<PlacedPoint>& points, const Pose& at) const {
+    double compute_coarse_share(const std::vector<PlacedPoint>& points, const Pose& pose) const {
         const std::size_t step = std::max<std::size_t>(1, points.size() / kGridPoints);
         std::size_t n = 0, on_planes = 0;
         for (std::size_t i = 0; i < points.size(); i += step, ++n) {
-            const glm::dvec3 p = at * points[i].point_m;
-            const Plane* plane = maps_.finest_plane(p, 0);
-            on_planes += plane && weight_of(glm::dot(plane->normal, p - plane->point_m),
-                                            options_.first.scale_m) > 0.25;
+            const glm::dvec3 p = pose * points[i].point_m;
+            const Plane* plane = maps_.find_finest_plane(p, 0);
+            on_planes += plane && compute_weight(glm::dot(plane->normal, p - plane->point_m),
+                                                 options_.first.scale_m) > 0.25;
         }
         return double(on_planes) / double(std::max<std::size_t>(n, 1));
     }
 
     /// Tries a grid of start positions around a pose. Returns the start pose with the
     /// most points on planes, minus a penalty for the distance from the prediction.
-    Pose best_start(const std::vector<PlacedPoint>& points, const Pose& about, double reach_m) const {
+    Pose find_best_start(const std::vector<PlacedPoint>& points, const Pose& about, double reach_m) const {
         std::vector<glm::dvec3> offsets;
         const auto steps = [&](double widest_m) {
             return int(std::ceil(std::min(reach_m, widest_m) / kGrid_m));
@@ -163,42 +164,42 @@ private:
         for (int x = -wide; x <= wide; ++x)
             for (int y = -wide; y <= wide; ++y)
                 for (int z = -high; z <= high; ++z) offsets.emplace_back(x, y, z);
-        const auto start_at = [&](std::size_t i) {
-            return Pose{about.rotation, about.translation + kGrid_m * offsets[i]};
+        const auto start_at = [&](std::size_t index) {
+            return Pose{about.rotation, about.translation + kGrid_m * offsets[index]};
         };
         std::vector<double> scores(offsets.size());
-        parallel_for(static_cast<int>(offsets.size()), [&](int i) {
-            scores[std::size_t(i)] = coarse_share(points, start_at(std::size_t(i))) -
-                                     kGridPenalty * glm::length(offsets[std::size_t(i)]);
+        parallel_for(static_cast<int>(offsets.size()), [&](int index) {
+            scores[std::size_t(index)] = compute_coarse_share(points, start_at(std::size_t(index))) -
+                                         kGridPenalty * glm::length(offsets[std::size_t(index)]);
         });
         return start_at(std::size_t(std::ranges::max_element(scores) - scores.begin()));
     }
 
     /// Performs one Gauss-Newton step that moves a scan as a rigid body onto the map.
     /// @return length of the step
-    double step(const std::vector<PlacedPoint>& points, Pose& at, int level, double& share) const {
+    double step(const std::vector<PlacedPoint>& points, Pose& pose, int level, double& share) const {
         const double scale_m = maps_.round(level).scale_m;
         const RigidEquations equations =
             parallel_reduce(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
                 RigidEquations part;
                 for (const PlacedPoint& point : std::span(points).subspan(begin, end - begin)) {
-                    const glm::dvec3 p = at * point.point_m;
-                    if (const Plane* plane = maps_.finest_plane(p, level))
-                        part.add(row_of({p, at.translation}, *plane, scale_m));
+                    const glm::dvec3 p = pose * point.point_m;
+                    if (const Plane* plane = maps_.find_finest_plane(p, level))
+                        part.add(row_of({p, pose.translation}, *plane, scale_m));
                 }
                 return part;
             });
         share = double(equations.n_on_planes()) / double(points.size());
         if (equations.empty()) return 0.0;
         const Twist x = equations.solve(kLoopPrior);
-        at = moved(at, x);
-        return length_m(x);
+        pose = moved(pose, x);
+        return compute_length_m(x);
     }
 
-    double settle(const std::vector<PlacedPoint>& points, Pose& at) const {
+    double settle(const std::vector<PlacedPoint>& points, Pose& pose) const {
         double share = 0.0;
         for (int level = 0; level < LevelMaps::kLevels; ++level)
-            for (int i = 0; i < kMostLoopSteps && step(points, at, level, share) > kLoopStep_m; ++i) {}
+            for (int i = 0; i < kMostLoopSteps && step(points, pose, level, share) > kLoopStep_m; ++i) {}
         return share;
     }
 
@@ -206,24 +207,25 @@ private:
                                     const std::optional<LoopClosure>& before) {
         make_map(earlier);
         const std::vector<PlacedPoint> points = points_of(later);
-        const double reach_m = 1.0 + kNearShare * (driven_length_m(later) - driven_length_m(earlier));
-        Pose at = before ? carried(before->off, pose(before->later), pose(later))
-                         : best_start(points, pose(later), reach_m);
+        const double reach_m =
+            1.0 + kNearShare * (compute_driven_length_m(later) - compute_driven_length_m(earlier));
+        Pose at = before ? move_with_pose(before->off, pose(before->later), pose(later))
+                         : find_best_start(points, pose(later), reach_m);
         double share = settle(points, at);
         // If the prediction from the previous loop closure fails, try the grid of start
         // positions.
         if (before && share < kLeastShare) {
-            at = best_start(points, pose(later), reach_m);
+            at = find_best_start(points, pose(later), reach_m);
             share = settle(points, at);
         }
         if (share < kLeastShare) return std::nullopt;
-        return LoopClosure{earlier, later, twist_between(pose(later), at)};
+        return LoopClosure{earlier, later, compute_twist(pose(later), at)};
     }
 
-    /// The correction moves the pose `at`. Returns the pose `other` after the same
-    /// motion, so that the pose of `other` relative to `at` does not change.
-    static Pose carried(const Twist& correction, const Pose& at, const Pose& other) {
-        const Pose world_from_world = moved(at, correction) * inverse(at);
+    /// The correction moves the pose `pose`. Returns the pose `other` after the same
+    /// motion, so that the pose of `other` relative to `pose` does not change.
+    static Pose move_with_pose(const Twist& correction, const Pose& pose, const Pose& other) {
+        const Pose world_from_world = moved(pose, correction) * inverse(pose);
         return world_from_world * other;
     }
 
@@ -233,23 +235,24 @@ private:
         std::vector<Eigen::Triplet<double>> h;
         Eigen::VectorXd g;
 
-        void add(std::size_t a, std::size_t b, const glm::dvec3& from_a_to_b, const Twist& off,
+        void add(std::size_t first, std::size_t second, const glm::dvec3& from_a_to_b, const Twist& off,
                  const Vector6& weight) {
-            const Matrix6 ja = -carried_by(from_a_to_b);
+            const Matrix6 ja = -make_motion_matrix(from_a_to_b);
             const Matrix6 jb = Matrix6::Identity();
             const Vector6 target = Eigen::Map<const Vector6>(off.data());
-            const auto block = [&](std::size_t i, std::size_t j, const Matrix6& m) {
+            const auto block = [&](std::size_t index, std::size_t j, const Matrix6& matrix) {
                 for (int r = 0; r < 6; ++r)
                     for (int c = 0; c < 6; ++c)
-                        if (m(r, c) != 0.0) h.emplace_back(int(6 * i) + r, int(6 * j) + c, m(r, c));
+                        if (matrix(r, c) != 0.0)
+                            h.emplace_back(int(6 * index) + r, int(6 * j) + c, matrix(r, c));
             };
             const Matrix6 wa = weight.asDiagonal() * ja, wb = weight.asDiagonal() * jb;
-            block(a, a, ja.transpose() * wa);
-            block(a, b, ja.transpose() * wb);
-            block(b, a, jb.transpose() * wa);
-            block(b, b, jb.transpose() * wb);
-            g.segment<6>(6 * Eigen::Index(a)) += wa.transpose() * target;
-            g.segment<6>(6 * Eigen::Index(b)) += wb.transpose() * target;
+            block(first, first, ja.transpose() * wa);
+            block(first, second, ja.transpose() * wb);
+            block(second, first, jb.transpose() * wa);
+            block(second, second, jb.transpose() * wb);
+            g.segment<6>(6 * Eigen::Index(first)) += wa.transpose() * target;
+            g.segment<6>(6 * Eigen::Index(second)) += wb.transpose() * target;
         }
     };
 
@@ -263,12 +266,13 @@ private:
     Eigen::VectorXd solve(const std::vector<double>& believed) const {
         const std::size_t n = keys_.size();
         Equations equations{{}, Eigen::VectorXd::Zero(6 * Eigen::Index(n))};
-        const auto between_keys = [&](std::size_t a, std::size_t b) {
-            return pose(b).translation - pose(a).translation;
+        const auto between_keys = [&](std::size_t first, std::size_t second) {
+            return pose(second).translation - pose(first).translation;
         };
         for (std::size_t k = 0; k + 1 < n; ++k)
             equations.add(k, k + 1, between_keys(k, k + 1), Twist{},
-                          weights(kWay_m, kWay_rad, kKey_m / (driven_length_m(k + 1) - driven_length_m(k))));
+                          weights(kWay_m, kWay_rad,
+                                  kKey_m / (compute_driven_length_m(k + 1) - compute_driven_length_m(k))));
         for (std::size_t i = 0; i < places_.size(); ++i)
             equations.add(places_[i].earlier, places_[i].later,
                           between_keys(places_[i].earlier, places_[i].later), places_[i].off,
@@ -280,16 +284,16 @@ private:
     }
 
     /// Returns the correction of a pose that moves rigidly with a corrected key pose.
-    Vector6 carried_to(std::size_t k, std::size_t key, const Eigen::VectorXd& x) const {
-        return carried_by(track_.pose[k].translation - pose(key).translation) *
-               x.segment<6>(6 * Eigen::Index(key));
+    Vector6 move_with_key_pose(std::size_t index, std::size_t key, const Eigen::VectorXd& solution) const {
+        return make_motion_matrix(track_.pose[index].translation - pose(key).translation) *
+               solution.segment<6>(6 * Eigen::Index(key));
     }
 
     /// Returns the difference, in metres, between a loop closure and the corrected key
     /// poses.
-    double contradiction_m(const LoopClosure& place, const Eigen::VectorXd& x) const {
-        const Vector6 moves =
-            x.segment<6>(6 * Eigen::Index(place.later)) - carried_to(keys_[place.later], place.earlier, x);
+    double compute_contradiction_m(const LoopClosure& place, const Eigen::VectorXd& solution) const {
+        const Vector6 moves = solution.segment<6>(6 * Eigen::Index(place.later)) -
+                              move_with_key_pose(keys_[place.later], place.earlier, solution);
         return (moves.head<3>() - Eigen::Vector3d(place.off[0], place.off[1], place.off[2])).norm();
     }
 
@@ -299,7 +303,7 @@ private:
         for (int i = 0; i < kReweighted; ++i) {
             x = solve(believed);
             for (std::size_t k = 0; k < places_.size(); ++k)
-                believed[k] = weight_of(contradiction_m(places_[k], x), kBelieved_m);
+                believed[k] = compute_weight(compute_contradiction_m(places_[k], x), kBelieved_m);
         }
         for (std::size_t k = 0; k < places_.size(); ++k) {
             if (believed[k] < 0.25) continue;
@@ -312,10 +316,11 @@ private:
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
             while (key + 1 < keys_.size() && keys_[key + 1] <= k) ++key;
             const std::size_t next = std::min(key + 1, keys_.size() - 1);
-            const double length = driven_length_m(next) - driven_length_m(key);
-            const double s =
-                length > 0.0 ? glm::clamp((way_m_[k] - driven_length_m(key)) / length, 0.0, 1.0) : 0.0;
-            const Vector6 c = (1.0 - s) * carried_to(k, key, x) + s * carried_to(k, next, x);
+            const double length = compute_driven_length_m(next) - compute_driven_length_m(key);
+            const double s = length > 0.0
+                                 ? glm::clamp((way_m_[k] - compute_driven_length_m(key)) / length, 0.0, 1.0)
+                                 : 0.0;
+            const Vector6 c = (1.0 - s) * move_with_key_pose(k, key, x) + s * move_with_key_pose(k, next, x);
             result.track.pose[k] = moved(track_.pose[k], {c[0], c[1], c[2], c[3], c[4], c[5]});
         }
     }

@@ -52,8 +52,10 @@ constexpr int kTrialScans = 4;
 // m/s at 10 Hz.
 constexpr double kTrialStep_m = 0.5, kFastest_m = 4.0, kBackwards_m = 1.0;
 
-/// Returns the relative motion from pose a to pose b, scaled by the factor s.
-Pose scaled_motion(const Pose& a, const Pose& b, double s) { return interpolate(Pose{}, inverse(a) * b, s); }
+/// Returns the relative motion from pose a to pose `second`, scaled by the factor s.
+Pose scale_motion(const Pose& first, const Pose& second, double fraction) {
+    return interpolate(Pose{}, inverse(first) * second, fraction);
+}
 
 /// Section of a log. The poses of a section are estimated one after the other.
 struct Stretch {
@@ -62,7 +64,7 @@ struct Stretch {
 
 /// Divides a log into overlapping sections. The last section can be up to twice as long
 /// as the other sections.
-std::vector<Stretch> stretches_of(std::size_t n_poses) {
+std::vector<Stretch> divide_into_stretches(std::size_t n_poses) {
     std::vector<Stretch> stretches{{0, n_poses}};
     for (std::size_t begin = kStretch; begin + kStretch <= n_poses; begin += kStretch) {
         stretches.back().end = begin;
@@ -73,25 +75,25 @@ std::vector<Stretch> stretches_of(std::size_t n_poses) {
 
 class Follower {
 public:
-    Follower(const PoseTrack& given, const OdometryOptions& options, std::size_t begin,
+    Follower(const PoseTrack& initial_track, const OdometryOptions& options, std::size_t begin,
              std::optional<Pose> first_motion)
-        : given_(given),
-          track_(given),
+        : given_(initial_track),
+          track_(initial_track),
           options_(options),
           begin_(begin),
           first_motion_(first_motion),
           maps_(options.first, options.last) {
-        if (begin + 1 < track_.pose.size()) track_.pose[begin + 1] = predictions(begin + 1).front();
+        if (begin + 1 < track_.pose.size()) track_.pose[begin + 1] = list_predictions(begin + 1).front();
     }
 
     /// Estimates one pose and adds the scan of this pose to the map. Must be called for
     /// the poses in their order.
     void follow(std::size_t pose, const std::vector<ThinPoint>& scan) {
         const std::vector<Pose> starts =
-            pose == begin_ ? std::vector<Pose>{track_.pose[pose]} : predictions(pose);
+            pose == begin_ ? std::vector<Pose>{track_.pose[pose]} : list_predictions(pose);
         Candidate best{starts.front(), 0.0};
         for (const Pose& start : starts) {
-            const Candidate candidate = placed(pose, start, scan);
+            const Candidate candidate = align_scan(pose, start, scan);
             if (candidate.share > best.share) best = candidate;
         }
         const bool is_lost = !scan.empty() && !maps_.empty() && best.share < kFewestShare;
@@ -126,89 +128,94 @@ private:
 
     void add_to_maps(const std::vector<ThinPoint>& scan) {
         std::vector<glm::dvec3> points_m(scan.size());
-        for_each_block(scan.size(), [&](std::size_t i) { points_m[i] = place(track_, scan[i]).point_m; });
+        for_each_block(scan.size(),
+                       [&](std::size_t index) { points_m[index] = place(track_, scan[index]).point_m; });
         maps_.add(points_m, travelled_m_);
         if (travelled_m_ - kMemory_m < forgotten_m_ + kForgotten_m) return;
         forgotten_m_ = travelled_m_ - kMemory_m;
         maps_.forget(forgotten_m_);
     }
 
-    /// Returns the motion from pose k - 1 to pose k under the assumption of constant
-    /// velocity. Uses the motion between the two previous poses.
-    Pose kept_motion(std::size_t k) const {
-        if (k < begin_ + 2) return first_motion_.value_or(Pose{});
+    /// Returns the motion from pose index - 1 to pose `index` under the assumption of
+    /// constant velocity. Uses the motion between the two previous poses.
+    Pose predict_constant_motion(std::size_t index) const {
+        if (index < begin_ + 2) return first_motion_.value_or(Pose{});
         const std::vector<double>& t = track_.time_s;
-        return scaled_motion(track_.pose[k - 2], track_.pose[k - 1],
-                             (t[k] - t[k - 1]) / (t[k - 1] - t[k - 2]));
+        return scale_motion(track_.pose[index - 2], track_.pose[index - 1],
+                            (t[index] - t[index - 1]) / (t[index - 1] - t[index - 2]));
     }
 
-    Pose use_pose_motion(std::size_t k) const { return inverse(given_.pose[k - 1]) * given_.pose[k]; }
+    Pose predict_pose_file_motion(std::size_t index) const {
+        return inverse(given_.pose[index - 1]) * given_.pose[index];
+    }
 
-    /// Returns the possible predictions of pose k. The most likely prediction is first.
-    std::vector<Pose> predictions(std::size_t k) const {
-        const Pose kept = track_.pose[k - 1] * kept_motion(k);
+    /// Returns the possible predictions of pose `index`. The most likely prediction is
+    /// first.
+    std::vector<Pose> list_predictions(std::size_t index) const {
+        const Pose kept = track_.pose[index - 1] * predict_constant_motion(index);
         if (!options_.use_pose_motion) return {kept};
-        const Pose given = track_.pose[k - 1] * use_pose_motion(k);
-        if (k < begin_ + 2 || glm::distance(given.translation, kept.translation) < kSame_m) return {given};
+        const Pose given = track_.pose[index - 1] * predict_pose_file_motion(index);
+        if (index < begin_ + 2 || glm::distance(given.translation, kept.translation) < kSame_m)
+            return {given};
         return {given, kept};
     }
 
-    /// Sets pose k. Also predicts pose k + 1 from pose k.
-    void set(std::size_t k, const Pose& pose) {
-        track_.pose[k] = pose;
-        if (k + 1 < track_.pose.size())
-            track_.pose[k + 1] =
-                pose * (options_.use_pose_motion ? use_pose_motion(k + 1) : kept_motion(k + 1));
+    /// Sets pose `index`. Also predicts pose index + 1 from pose `index`.
+    void set(std::size_t index, const Pose& pose) {
+        track_.pose[index] = pose;
+        if (index + 1 < track_.pose.size())
+            track_.pose[index + 1] = pose * (options_.use_pose_motion ? predict_pose_file_motion(index + 1)
+                                                                      : predict_constant_motion(index + 1));
     }
 
     /// Aligns a scan with the maps, from coarse to fine.
     /// @return the aligned pose, and the share of the scan's points that lie on planes of
     /// the map
-    Candidate placed(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan) {
-        set(k, start);
+    Candidate align_scan(std::size_t index, const Pose& start, const std::vector<ThinPoint>& scan) {
+        set(index, start);
         if (maps_.empty() || scan.empty()) return {start, 0.0};
         double share = 0.0;
         for (int level = 0; level < LevelMaps::kLevels; ++level) {
             const double scale_m = maps_.round(level).scale_m;
-            for (int i = 0; i < kMostSteps && step(k, start, scan, level, scale_m, share) > kConverged_m;
+            for (int i = 0; i < kMostSteps && step(index, start, scan, level, scale_m, share) > kConverged_m;
                  ++i) {}
         }
-        return {track_.pose[k], share};
+        return {track_.pose[index], share};
     }
 
-    /// Performs one Gauss-Newton step that moves pose k.
+    /// Performs one Gauss-Newton step that moves pose `index`.
     /// @return length of the step
-    double step(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan, int level,
+    double step(std::size_t index, const Pose& start, const std::vector<ThinPoint>& scan, int level,
                 double scale_m, double& share) {
         const RigidEquations equations =
             parallel_reduce(scan.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
                 RigidEquations part;
                 for (const ThinPoint& point : std::span(scan).subspan(begin, end - begin)) {
                     const PlacedPoint at = place(track_, point);
-                    const double moves_along = point.left + 1 == k ? double(point.s) : 1.0;
-                    if (const Plane* plane = maps_.finest_plane(at.point_m, level))
+                    const double moves_along = point.left + 1 == index ? double(point.s) : 1.0;
+                    if (const Plane* plane = maps_.find_finest_plane(at.point_m, level))
                         part.add(row_of(at, *plane, scale_m), moves_along);
                 }
                 return part;
             });
         share = double(equations.n_on_planes()) / double(scan.size());
         if (equations.empty()) return 0.0;
-        const Twist x = equations.solve(kPrior, twist_between(start, track_.pose[k]));
-        set(k, moved(track_.pose[k], x));
-        return length_m(x);
+        const Twist x = equations.solve(kPrior, compute_twist(start, track_.pose[index]));
+        set(index, moved(track_.pose[index], x));
+        return compute_length_m(x);
     }
 };
 
 /// Returns the motion of the vehicle between the first two poses of a section, for logs
 /// without given poses. Tries several forward speeds and returns the speed for which the
 /// first scans match best.
-Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
+Pose find_first_motion(const PoseTrack& initial_track, const std::vector<std::vector<ThinPoint>>& scans,
                        const OdometryOptions& options, const Stretch& stretch) {
     Pose best;
     double best_share = -1.0;
     for (double step_m = -kBackwards_m; step_m <= kFastest_m; step_m += kTrialStep_m) {
         const Pose motion{{1.0, 0.0, 0.0, 0.0}, {step_m, 0.0, 0.0}};
-        Follower follower(given, options, stretch.begin, motion);
+        Follower follower(initial_track, options, stretch.begin, motion);
         int n = 0;
         for (std::size_t k = stretch.begin; k < stretch.end && n < kTrialScans; n += !scans[k++].empty())
             follower.follow(k, scans[k]);
@@ -223,13 +230,14 @@ Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<Thi
 /// @param proceed called before each scan
 /// @return poses of the section; the first pose is unchanged; empty if proceed() returned
 /// false
-std::vector<Pose> followed(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
-                           const OdometryOptions& options, const Stretch& stretch,
-                           const std::function<bool()>& proceed) {
-    Follower follower(given, options, stretch.begin,
+std::vector<Pose> follow_stretch(const PoseTrack& initial_track,
+                                 const std::vector<std::vector<ThinPoint>>& scans,
+                                 const OdometryOptions& options, const Stretch& stretch,
+                                 const std::function<bool()>& proceed) {
+    Follower follower(initial_track, options, stretch.begin,
                       options.use_pose_motion
                           ? std::nullopt
-                          : std::optional(find_first_motion(given, scans, options, stretch)));
+                          : std::optional(find_first_motion(initial_track, scans, options, stretch)));
     for (std::size_t k = stretch.begin; k < stretch.end; ++k) {
         if (!proceed()) return {};
         follower.follow(k, scans[k]);
@@ -240,8 +248,8 @@ std::vector<Pose> followed(const PoseTrack& given, const std::vector<std::vector
 
 /// Joins the sections to one track. Each section is moved so that it agrees with the
 /// previous section at the last scan that both share.
-std::vector<Pose> chained(const std::vector<Stretch>& stretches, const std::vector<Pose>& poses,
-                          const std::vector<std::vector<ThinPoint>>& scans) {
+std::vector<Pose> join_stretches(const std::vector<Stretch>& stretches, const std::vector<Pose>& poses,
+                                 const std::vector<std::vector<ThinPoint>>& scans) {
     auto own = poses.begin();  // first pose of the current section in `poses`
     std::vector<Pose> track(own, own + std::ptrdiff_t(stretches.front().end));
     for (std::size_t i = 1; i < stretches.size(); ++i) {
@@ -261,9 +269,9 @@ std::vector<Pose> chained(const std::vector<Stretch>& stretches, const std::vect
 
 }  // namespace
 
-PoseTrack estimate_poses(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
+PoseTrack estimate_poses(const PoseTrack& initial_track, const std::vector<std::vector<ThinPoint>>& scans,
                          const OdometryOptions& options) {
-    const std::vector<Stretch> stretches = stretches_of(scans.size());
+    const std::vector<Stretch> stretches = divide_into_stretches(scans.size());
     const ProcessGroup::Share share = options.group.share(stretches.size());
     std::size_t n = 0;
     for (std::size_t i = share.begin; i < share.end; ++i) n += stretches[i].end - stretches[i].begin;
@@ -277,14 +285,14 @@ PoseTrack estimate_poses(const PoseTrack& given, const std::vector<std::vector<T
         return !ended;
     };
     std::vector<std::vector<Pose>> parts(share.end - share.begin);
-    parallel_for(static_cast<int>(parts.size()), [&](int i) {
-        parts[std::size_t(i)] =
-            followed(given, scans, options, stretches[share.begin + std::size_t(i)], proceed);
+    parallel_for(static_cast<int>(parts.size()), [&](int index) {
+        parts[std::size_t(index)] = follow_stretch(initial_track, scans, options,
+                                                   stretches[share.begin + std::size_t(index)], proceed);
     });
-    if (ended) return given;
+    if (ended) return initial_track;
     std::vector<Pose> own;
     for (const std::vector<Pose>& part : parts) own.insert(own.end(), part.begin(), part.end());
-    return {given.time_s, chained(stretches, options.group.all_gathered(std::move(own)), scans)};
+    return {initial_track.time_s, join_stretches(stretches, options.group.gather_all(std::move(own)), scans)};
 }
 
 }  // namespace relidar

@@ -31,7 +31,7 @@ struct OdometryOptions {
 /// @param scans [poses] points of each scan; empty if a pose has no scan
 /// @return poses that are identical in all processes and start at the first given pose;
 /// the given poses if proceed() returned false
-PoseTrack estimate_poses(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
+PoseTrack estimate_poses(const PoseTrack& initial_track, const std::vector<std::vector<ThinPoint>>& scans,
                          const OdometryOptions& options);
 
 }  // namespace relidar

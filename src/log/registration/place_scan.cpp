@@ -29,7 +29,8 @@ struct FrameRays {
     std::vector<ThinPoint> points;
 };
 
-std::vector<FrameRays> rays_at(const Sequence& sequence, std::size_t pose, const RegisterOptions& options) {
+std::vector<FrameRays> list_rays_at(const Sequence& sequence, std::size_t pose,
+                                    const RegisterOptions& options) {
     std::vector<FrameRays> frames;
     for (std::size_t i = 0; i < sequence.frames.size(); ++i)
         if (sequence.frames[i].time_s == sequence.world_from_vehicle.time_s[pose])
@@ -38,8 +39,9 @@ std::vector<FrameRays> rays_at(const Sequence& sequence, std::size_t pose, const
     std::erase_if(frames, [](const FrameRays& f) { return f.rays.empty(); });
     for (FrameRays& f : frames) {
         f.points.resize(f.rays.size());
-        for_each_block(f.rays.size(), [&](std::size_t k) {
-            f.points[k] = point_of(sequence, sequence.world_from_vehicle, pose, f.position, f.rays[k]);
+        for_each_block(f.rays.size(), [&](std::size_t index) {
+            f.points[index] =
+                make_thin_point(sequence, sequence.world_from_vehicle, pose, f.position, f.rays[index]);
         });
     }
     return frames;
@@ -52,7 +54,7 @@ ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const Scene
     PoseTrack track = sequence.world_from_vehicle;
     const Pose before = track.pose[pose];
     ScanPlacement result{before, 0.0, 0.0, false};
-    const std::vector<FrameRays> frames = rays_at(sequence, pose, options);
+    const std::vector<FrameRays> frames = list_rays_at(sequence, pose, options);
     std::size_t n = 0;
     for (const FrameRays& f : frames) n += f.rays.size();
     if (n == 0) return result;
@@ -67,16 +69,16 @@ ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const Scene
                     const ThinPoint& point = f.points[k];
                     if (seen[k].normal == glm::dvec3(0.0)) continue;
                     part.add(row_of(place(track, point), {seen[k].point_m, seen[k].normal}, kScale_m),
-                             share_of(point, pose));
+                             get_pose_share(point, pose));
                 }
                 return part;
             });
         }
         result.on_surfaces = double(equations.n_on_planes()) / double(n);
         if (equations.empty()) return result;
-        const Twist step = equations.solve(kPlacePrior, twist_between(before, track.pose[pose]));
+        const Twist step = equations.solve(kPlacePrior, compute_twist(before, track.pose[pose]));
         track.pose[pose] = moved(track.pose[pose], step);
-        step_m = length_m(step);
+        step_m = compute_length_m(step);
     }
     const double moved_m = glm::distance(before.translation, track.pose[pose].translation);
     if (!PlaneAdjustment::is_placed(result.on_surfaces, n) || moved_m > options.largest_m) return result;

@@ -25,34 +25,35 @@ constexpr std::size_t kFewestPlaced = 30;
 // 0.3 to 0.7. Random ranges have 0.003.
 constexpr double kFewestOnPlanes = 0.05;
 
-/// Splits [0, n) into kChunks parts, and calls task(begin, end, chunk) for the parts in
-/// parallel.
+/// Splits [0, count) into kChunks parts, and calls task(begin, end, chunk) for the parts
+/// in parallel.
 template <class Task>
-void in_chunks(std::size_t n, const Task& task) {
-    const std::size_t size = n / kChunks + 1;
+void run_in_chunks(std::size_t count, const Task& task) {
+    const std::size_t size = count / kChunks + 1;
     parallel_for(kChunks, [&](int c) {
-        task(std::min(n, std::size_t(c) * size), std::min(n, (std::size_t(c) + 1) * size), std::size_t(c));
+        task(std::min(count, std::size_t(c) * size), std::min(count, (std::size_t(c) + 1) * size),
+             std::size_t(c));
     });
 }
 
 std::vector<PlacedPoint> place_all(const PoseTrack& track, const std::vector<ThinPoint>& points) {
     std::vector<PlacedPoint> placed(points.size());
-    in_chunks(points.size(), [&](std::size_t begin, std::size_t end, std::size_t) {
+    run_in_chunks(points.size(), [&](std::size_t begin, std::size_t end, std::size_t) {
         for (std::size_t i = begin; i < end; ++i) placed[i] = place(track, points[i]);
     });
     return placed;
 }
 
-Twist twist_of(const Eigen::VectorXd& step, std::size_t pose) {
+Twist extract_twist(const Eigen::VectorXd& step, std::size_t pose) {
     Twist twist;
     for (std::size_t i = 0; i < 6; ++i) twist[i] = step[Eigen::Index(6 * pose + i)];
     return twist;
 }
 
-Eigen::VectorXd corrections(const PoseTrack& from, const PoseTrack& to) {
+Eigen::VectorXd compute_pose_differences(const PoseTrack& from, const PoseTrack& to) {
     Eigen::VectorXd result(6 * Eigen::Index(from.pose.size()));
     for (std::size_t k = 0; k < from.pose.size(); ++k) {
-        const Twist twist = twist_between(from.pose[k], to.pose[k]);
+        const Twist twist = compute_twist(from.pose[k], to.pose[k]);
         for (std::size_t i = 0; i < 6; ++i) result[Eigen::Index(6 * k + i)] = twist[i];
     }
     return result;
@@ -63,7 +64,7 @@ std::vector<std::optional<Plane>> fit_planes(const PlaneCells& cells, const std:
                                              const std::vector<PlacedPoint>& placed,
                                              const RegisterRound& round) {
     std::vector<std::optional<Plane>> planes(cells.size());
-    in_chunks(cells.size(), [&](std::size_t begin, std::size_t end, std::size_t) {
+    run_in_chunks(cells.size(), [&](std::size_t begin, std::size_t end, std::size_t) {
         for (std::size_t c = begin; c < end; ++c) {
             const std::span<const std::uint32_t> members = cells.members(c);
             if (points[members.front()].pose != points[members.back()].pose)
@@ -80,9 +81,9 @@ const Plane* PlaneMap::at(const glm::dvec3& point_m) const {
     return cell && planes[*cell] ? &*planes[*cell] : nullptr;
 }
 
-PlaneAdjustment::PlaneAdjustment(const PoseTrack& given, const PoseTrack& start,
+PlaneAdjustment::PlaneAdjustment(const PoseTrack& initial_track, const PoseTrack& start,
                                  std::vector<ThinPoint> points, std::vector<bool> gauge)
-    : given_(given), track_(start), points_(std::move(points)), gauge_(std::move(gauge)) {
+    : given_(initial_track), track_(start), points_(std::move(points)), gauge_(std::move(gauge)) {
     remove_common_motion();
     start_ = track_;
 }
@@ -108,7 +109,7 @@ RegisterRound PlaneAdjustment::step(RegisterRound round, double shift) {
     const PlaneCells cells(placed, round.cell_m, shift);
     const std::vector<std::optional<Plane>> planes = fit_planes(cells, points_, placed, round);
     std::vector<PoseEquations> parts(kChunks, PoseEquations(track_.pose.size()));
-    in_chunks(cells.size(), [&](std::size_t begin, std::size_t end, std::size_t chunk) {
+    run_in_chunks(cells.size(), [&](std::size_t begin, std::size_t end, std::size_t chunk) {
         for (std::size_t c = begin; c < end; ++c)
             if (planes[c])
                 parts[chunk].add_cell(points_, placed, cells.members(c), *planes[c], round.scale_m);
@@ -116,9 +117,10 @@ RegisterRound PlaneAdjustment::step(RegisterRound round, double shift) {
     for (std::size_t c = 1; c < kChunks; ++c) parts[0].add(std::move(parts[c]));
     if (prior_) add_prior(parts[0]);
     const PoseTrack before = track_;
-    const Eigen::VectorXd step = parts[0].solve(track_, corrections(start_, track_), kAdjustmentPrior);
+    const Eigen::VectorXd step =
+        parts[0].solve(track_, compute_pose_differences(start_, track_), kAdjustmentPrior);
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
-        track_.pose[k] = moved(track_.pose[k], twist_of(step, k));
+        track_.pose[k] = moved(track_.pose[k], extract_twist(step, k));
     remove_common_motion();
     round.planes = parts[0].n_planes();
     round.residual_m = parts[0].residual_m();
@@ -130,8 +132,10 @@ RegisterRound PlaneAdjustment::step(RegisterRound round, double shift) {
 
 void PlaneAdjustment::add_prior(PoseEquations& equations) const {
     constexpr double kLinkTime_s = 0.1;
-    const Eigen::VectorXd correction = corrections(start_, track_);
-    const auto of_pose = [&](std::size_t k) -> Vector6 { return correction.segment<6>(6 * Eigen::Index(k)); };
+    const Eigen::VectorXd correction = compute_pose_differences(start_, track_);
+    const auto of_pose = [&](std::size_t index) -> Vector6 {
+        return correction.segment<6>(6 * Eigen::Index(index));
+    };
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
         equations.add_pull(k, prior_->pull, of_pose(k));
         if (k + 1 == track_.pose.size()) break;
@@ -148,7 +152,7 @@ void PlaneAdjustment::remove_common_motion() {
         glm::dvec3 centre(0.0), v(0.0), w(0.0);
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
             if (!gauge_[k]) continue;
-            const Twist c = twist_between(given_.pose[k], track_.pose[k]);
+            const Twist c = compute_twist(given_.pose[k], track_.pose[k]);
             centre += given_.pose[k].translation / n;
             v += glm::dvec3(c[0], c[1], c[2]) / n;
             w += glm::dvec3(c[3], c[4], c[5]) / n;
@@ -159,8 +163,8 @@ void PlaneAdjustment::remove_common_motion() {
     }
 }
 
-std::pair<std::size_t, std::size_t> PlaneAdjustment::neighbours_of(std::size_t pose,
-                                                                   const std::vector<bool>& among) {
+std::pair<std::size_t, std::size_t> PlaneAdjustment::find_neighbour_poses(std::size_t pose,
+                                                                          const std::vector<bool>& among) {
     std::size_t before = pose, after = pose;
     for (std::size_t k = pose; k-- > 0 && before == pose;)
         if (among[k]) before = k;
@@ -169,49 +173,49 @@ std::pair<std::size_t, std::size_t> PlaneAdjustment::neighbours_of(std::size_t p
     return {before, after};
 }
 
-double PlaneAdjustment::time_fraction(std::size_t before, std::size_t pose, std::size_t after) const {
+double PlaneAdjustment::compute_time_fraction(std::size_t before, std::size_t pose, std::size_t after) const {
     const std::vector<double>& t = given_.time_s;
     return (t[pose] - t[before]) / (t[after] - t[before]);
 }
 
 void PlaneAdjustment::interpolate_corrections(const std::vector<bool>& is_known) {
-    const Eigen::VectorXd known = corrections(start_, track_);
+    const Eigen::VectorXd known = compute_pose_differences(start_, track_);
     for (std::size_t k = 0; k < is_known.size(); ++k) {
         if (is_known[k]) continue;
-        auto [before, after] = neighbours_of(k, is_known);
+        auto [before, after] = find_neighbour_poses(k, is_known);
         if (before == k && after == k) continue;  // no known pose exists
         if (before == k) before = after;
         if (after == k) after = before;
-        const double s = before == after ? 0.0 : time_fraction(before, k, after);
-        Twist twist = twist_of(known, before);
-        for (std::size_t i = 0; i < 6; ++i) twist[i] += s * (twist_of(known, after)[i] - twist[i]);
+        const double s = before == after ? 0.0 : compute_time_fraction(before, k, after);
+        Twist twist = extract_twist(known, before);
+        for (std::size_t i = 0; i < 6; ++i) twist[i] += s * (extract_twist(known, after)[i] - twist[i]);
         track_.pose[k] = moved(start_.pose[k], twist);
     }
 }
 
-double PlaneAdjustment::fraction_on_planes(const PlaneMap& map, std::span<const ThinPoint> own,
-                                           double scale_m) const {
+double PlaneAdjustment::compute_fraction_on_planes(const PlaneMap& map, std::span<const ThinPoint> points,
+                                                   double scale_m) const {
     std::size_t n_placed = 0;
-    for (const ThinPoint& point : own) {
+    for (const ThinPoint& point : points) {
         const PlacedPoint placed = place(track_, point);
         const Plane* plane = map.at(placed.point_m);
         n_placed += plane && row_of(placed, *plane, scale_m).is_on_plane();
     }
-    return own.empty() ? 0.0 : double(n_placed) / double(own.size());
+    return points.empty() ? 0.0 : double(n_placed) / double(points.size());
 }
 
 bool PlaneAdjustment::is_placed(double share, std::size_t n_points) {
     return share >= kFewestOnPlanes && share * double(n_points) >= double(kFewestPlaced);
 }
 
-double PlaneAdjustment::deviation_m(std::size_t pose, const std::vector<bool>& among) const {
-    const auto [before, after] = neighbours_of(pose, among);
+double PlaneAdjustment::compute_deviation_m(std::size_t pose, const std::vector<bool>& among) const {
+    const auto [before, after] = find_neighbour_poses(pose, among);
     if (before == pose || after == pose) return 0.0;
-    const auto correction = [&](std::size_t k) {
-        return track_.pose[k].translation - given_.pose[k].translation;
+    const auto correction = [&](std::size_t index) {
+        return track_.pose[index].translation - given_.pose[index].translation;
     };
     const glm::dvec3 between =
-        glm::mix(correction(before), correction(after), time_fraction(before, pose, after));
+        glm::mix(correction(before), correction(after), compute_time_fraction(before, pose, after));
     // If the given poses jump, one of the neighbours has the same jump. Therefore the
     // function uses the smallest of the differences.
     double least = glm::distance(correction(pose), between);
@@ -230,13 +234,13 @@ std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map,
     }
     std::vector<double> shares(scans.size());
     parallel_for(static_cast<int>(scans.size()), [&](int k) {
-        shares[std::size_t(k)] = fraction_on_planes(map, scans[std::size_t(k)], scale_m);
+        shares[std::size_t(k)] = compute_fraction_on_planes(map, scans[std::size_t(k)], scale_m);
     });
     std::vector<std::size_t> lost;
     std::vector<bool> is_known = candidates;
     for (std::size_t k = 0; k < is_known.size(); ++k) {
         if (!candidates[k] ||
-            (is_placed(shares[k], scans[k].size()) && deviation_m(k, candidates) <= largest_m))
+            (is_placed(shares[k], scans[k].size()) && compute_deviation_m(k, candidates) <= largest_m))
             continue;
         lost.push_back(k);
         is_known[k] = false;
@@ -245,15 +249,15 @@ std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map,
     return lost;
 }
 
-void PlaneAdjustment::place_pose(const PlaneMap& map, std::size_t pose, const std::vector<ThinPoint>& own,
+void PlaneAdjustment::place_pose(const PlaneMap& map, std::size_t pose, const std::vector<ThinPoint>& points,
                                  double scale_m) {
     const RigidEquations equations =
-        parallel_reduce(own.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+        parallel_reduce(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
             RigidEquations part;
-            for (const ThinPoint& point : std::span(own).subspan(begin, end - begin)) {
+            for (const ThinPoint& point : std::span(points).subspan(begin, end - begin)) {
                 const PlacedPoint placed = place(track_, point);
                 if (const Plane* plane = map.at(placed.point_m))
-                    part.add(row_of(placed, *plane, scale_m), share_of(point, pose));
+                    part.add(row_of(placed, *plane, scale_m), get_pose_share(point, pose));
             }
             return part;
         });

@@ -62,18 +62,20 @@ public:
                                           double scale_m, double largest_m);
     /// Performs one Gauss-Newton step of a single pose. The step moves the points of this
     /// pose towards fixed planes. All other poses stay unchanged.
-    void place_pose(const PlaneMap& map, std::size_t pose, const std::vector<ThinPoint>& own, double scale_m);
+    void place_pose(const PlaneMap& map, std::size_t pose, const std::vector<ThinPoint>& points,
+                    double scale_m);
     /// Returns true if enough points of a scan lie on planes to determine its pose.
     /// @param share share of the points that lie on planes
     static bool is_placed(double share, std::size_t n_points);
     /// Returns the share of a scan's points that lie on planes of a map.
-    double fraction_on_planes(const PlaneMap& map, std::span<const ThinPoint> own, double scale_m) const;
+    double compute_fraction_on_planes(const PlaneMap& map, std::span<const ThinPoint> points,
+                                      double scale_m) const;
     /// Returns the difference, in metres, between the correction of a pose and the
     /// corrections of its neighbours. The correction is compared with the nearest earlier
     /// pose, with the nearest later pose, and with the interpolation between both.
     /// Returns the smallest of the three differences. Returns 0 at an end of the track.
     /// @param among [poses] poses that count as neighbours
-    double deviation_m(std::size_t pose, const std::vector<bool>& among) const;
+    double compute_deviation_m(std::size_t pose, const std::vector<bool>& among) const;
     void set_pose(std::size_t pose, const Pose& value) { track_.pose[pose] = value; }
 
 private:
@@ -88,9 +90,9 @@ private:
     void interpolate_corrections(const std::vector<bool>& is_known);
     /// Returns the nearest earlier pose and the nearest later pose that are marked in
     /// `among`. If one side has no marked pose, returns `pose` itself for this side.
-    static std::pair<std::size_t, std::size_t> neighbours_of(std::size_t pose,
-                                                             const std::vector<bool>& among);
-    double time_fraction(std::size_t before, std::size_t pose, std::size_t after) const;
+    static std::pair<std::size_t, std::size_t> find_neighbour_poses(std::size_t pose,
+                                                                    const std::vector<bool>& among);
+    double compute_time_fraction(std::size_t before, std::size_t pose, std::size_t after) const;
 };
 
 }  // namespace relidar

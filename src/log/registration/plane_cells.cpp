@@ -56,7 +56,7 @@ glm::dvec3 fit_once(const std::vector<PlacedPoint>& points, std::span<const std:
 
 }  // namespace
 
-double weight_of(double residual_m, double scale_m) {
+double compute_weight(double residual_m, double scale_m) {
     const double x = residual_m / scale_m, w = 1.0 / (1.0 + x * x);
     return w * w;
 }
@@ -72,7 +72,7 @@ std::optional<Plane> fit_plane(const std::vector<PlacedPoint>& points, std::span
         within = 0.0;
         for (std::size_t k = 0; k < members.size(); ++k) {
             weight[k] =
-                weight_of(glm::dot(plane.normal, points[members[k]].point_m - plane.point_m), scale_m);
+                compute_weight(glm::dot(plane.normal, points[members[k]].point_m - plane.point_m), scale_m);
             within += weight[k] > 0.25;
         }
         if (within < 0.3 * double(members.size())) return std::nullopt;
@@ -86,8 +86,8 @@ PlaneCells::PlaneCells(const std::vector<PlacedPoint>& points, double cell_m, do
     : cell_m_(cell_m), shift_m_(shift * cell_m), order_(points.size()) {
     // pairs of cell key and point index
     std::vector<std::pair<std::uint64_t, std::uint32_t>> keyed(points.size());
-    for_each_block(points.size(), [&](std::size_t i) {
-        keyed[i] = {key_of(points[i].point_m), static_cast<std::uint32_t>(i)};
+    for_each_block(points.size(), [&](std::size_t index) {
+        keyed[index] = {key_of(points[index].point_m), static_cast<std::uint32_t>(index)};
     });
     parallel_sort(keyed, std::less<>());
     for (std::size_t i = 0; i < keyed.size(); ++i) {

@@ -29,7 +29,7 @@ struct Plane {
 
 /// Returns the weight of a residual r in a robust fit: rho'(r) / 2r for rho(r) = r^2 / (1
 /// + r^2 / s^2) (Geman and McClure 1985).
-double weight_of(double residual_m, double scale_m);
+double compute_weight(double residual_m, double scale_m);
 
 /// Fits a plane by iteratively reweighted least squares. Returns nothing if the points do
 /// not spread over a surface in the cell, or if too many points are far from the plane.
@@ -59,7 +59,9 @@ private:
     std::vector<std::size_t> first_;    ///< [cells + 1] index into order_
     std::vector<std::uint32_t> order_;  ///< [points] indices of the points, sorted by cell
 
-    std::uint64_t key_of(const glm::dvec3& point_m) const { return cell_key(point_m + shift_m_, cell_m_); }
+    std::uint64_t key_of(const glm::dvec3& point_m) const {
+        return make_cell_key(point_m + shift_m_, cell_m_);
+    }
 };
 
 }  // namespace relidar

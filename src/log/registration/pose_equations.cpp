@@ -26,17 +26,17 @@ constexpr std::size_t kParts = 64, kPlanesOfPart = 256;
 // remaining error.
 constexpr double kTolerance = 1e-4;
 
-Eigen::Vector3d to_eigen(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
+Eigen::Vector3d to_eigen(const glm::dvec3& vector) { return {vector.x, vector.y, vector.z}; }
 
 /// Returns the two poses between which a point was measured, with the interpolation
 /// weight of each pose.
-std::array<std::pair<std::size_t, double>, 2> shares(const ThinPoint& point) {
+std::array<std::pair<std::size_t, double>, 2> list_pose_shares(const ThinPoint& point) {
     return {{{point.left, 1.0 - double(point.s)}, {point.left + 1, double(point.s)}}};
 }
 
 /// Returns the derivatives of a point's residual with respect to the three unknowns of
 /// its plane: the offset and two tilts.
-Eigen::Vector3d row_of_plane(const PlacedPoint& point, const Plane& plane) {
+Eigen::Vector3d make_row_of_plane(const PlacedPoint& point, const Plane& plane) {
     const glm::dvec3 d = point.point_m - plane.point_m;
     return {1.0, glm::dot(plane.u, d), glm::dot(plane.v, d)};
 }
@@ -46,7 +46,7 @@ Eigen::Vector3d row_of_plane(const PlacedPoint& point, const Plane& plane) {
 Row row_of(const PlacedPoint& point, const Plane& plane, double scale_m) {
     Row row;
     row.residual_m = glm::dot(plane.normal, point.point_m - plane.point_m);
-    row.weight = weight_of(row.residual_m, scale_m);
+    row.weight = compute_weight(row.residual_m, scale_m);
     row.j << to_eigen(plane.normal), to_eigen(glm::cross(point.point_m - point.vehicle_m, plane.normal));
     return row;
 }
@@ -79,14 +79,15 @@ Twist RigidEquations::solve(double prior, const Twist& correction) const {
     return {x[0], x[1], x[2], x[3], x[4], x[5]};
 }
 
-double length_m(const Twist& step) {
+double compute_length_m(const Twist& step) {
     return glm::length(glm::dvec3(step[0], step[1], step[2])) +
            10.0 * glm::length(glm::dvec3(step[3], step[4], step[5]));
 }
 
-Matrix6 carried_by(const glm::dvec3& d) {
+Matrix6 make_motion_matrix(const glm::dvec3& direction) {
     Matrix6 m = Matrix6::Identity();
-    m.topRightCorner<3, 3>() << 0.0, d.z, -d.y, -d.z, 0.0, d.x, d.y, -d.x, 0.0;
+    m.topRightCorner<3, 3>() << 0.0, direction.z, -direction.y, -direction.z, 0.0, direction.x, direction.y,
+        -direction.x, 0.0;
     return m;
 }
 
@@ -96,7 +97,7 @@ PoseEquations::PoseEquations(std::size_t n_poses)
       gradient_(Eigen::VectorXd::Zero(6 * Eigen::Index(n_poses))) {}
 
 void PoseEquations::add_point(const ThinPoint& point, const Row& row) {
-    const auto [a, b] = shares(point);
+    const auto [a, b] = list_pose_shares(point);
     const Matrix6 square = row.weight * row.j * row.j.transpose();
     for (const auto& [pose, share] : {a, b}) {
         if (share == 0.0) continue;
@@ -125,7 +126,7 @@ void PoseEquations::add_cell(const std::vector<ThinPoint>& points, const std::ve
     Eigen::Vector3d pull = Eigen::Vector3d::Zero();
     for (const std::uint32_t i : members) {
         const Row row = row_of(placed[i], plane, scale_m);
-        const Eigen::Vector3d b = row_of_plane(placed[i], plane);
+        const Eigen::Vector3d b = make_row_of_plane(placed[i], plane);
         stiffness += row.weight * b * b.transpose();
         pull += row.weight * row.residual_m * b;
     }
@@ -137,8 +138,8 @@ void PoseEquations::add_cell(const std::vector<ThinPoint>& points, const std::ve
     for (const std::uint32_t i : members) {
         const Row row = row_of(placed[i], plane, scale_m);
         add_point(points[i], row);
-        const Eigen::Vector3d b = whitened(row_of_plane(placed[i], plane));
-        for (const auto& [pose, share] : shares(points[i]))
+        const Eigen::Vector3d b = whitened(make_row_of_plane(placed[i], plane));
+        for (const auto& [pose, share] : list_pose_shares(points[i]))
             if (share != 0.0) coupling(pose).c += (share * row.weight * row.j * b.transpose()).cast<float>();
     }
     for (std::size_t k = begin; k < couplings_.size(); ++k)
@@ -203,7 +204,7 @@ Eigen::VectorXd PoseEquations::times(const Eigen::VectorXd& x) const {
     return y;
 }
 
-Vector6 PoseEquations::pull_of(double prior) const {
+Vector6 PoseEquations::make_prior_diagonal(double prior) const {
     Vector6 mean = Vector6::Zero();
     for (const Matrix6& d : diagonal_) mean += d.diagonal() / double(diagonal_.size());
     return prior * mean;
@@ -218,7 +219,7 @@ public:
         : n_(equations.diagonal_.size()) {
         for (std::size_t k = 0; k < n_; ++k)
             carry_.push_back(
-                carried_by(track.pose[k].translation - track.pose[k / kGroup * kGroup].translation));
+                make_motion_matrix(track.pose[k].translation - track.pose[k / kGroup * kGroup].translation));
         for (std::size_t k = 0; k < n_; ++k) {
             block(k / kGroup, k / kGroup) +=
                 carry_[k].transpose() * (equations.diagonal_[k] + Matrix6(pull.asDiagonal())) * carry_[k];
@@ -258,9 +259,9 @@ private:
         return blocks_.try_emplace({row, column}, Matrix6::Zero()).first->second;
     }
 
-    void add_pair(std::size_t k, std::size_t l, const Matrix6& m) {
-        block(k / kGroup, l / kGroup) += m;
-        block(l / kGroup, k / kGroup) += m.transpose();
+    void add_pair(std::size_t first, std::size_t second, const Matrix6& matrix) {
+        block(first / kGroup, second / kGroup) += matrix;
+        block(second / kGroup, first / kGroup) += matrix.transpose();
     }
 
     void add_plane(std::span<const PoseEquations::Coupling> couplings) {
@@ -292,7 +293,7 @@ private:
 Eigen::VectorXd PoseEquations::solve(const PoseTrack& track, const Eigen::VectorXd& correction,
                                      double prior) const {
     const std::size_t n = diagonal_.size();
-    const Vector6 pull = pull_of(prior);
+    const Vector6 pull = make_prior_diagonal(prior);
     std::vector<Eigen::LLT<Matrix6>> inverse;
     for (const Matrix6& d : diagonal_)
         inverse.emplace_back(d + Matrix6(pull.asDiagonal()) + 1e-12 * Matrix6::Identity());

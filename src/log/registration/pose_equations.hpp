@@ -57,11 +57,12 @@ private:
 
 /// Returns the length of a step in metres: the distance by which the step moves points
 /// about ten metres away.
-double length_m(const Twist& step);
+double compute_length_m(const Twist& step);
 
 /// Returns the matrix that converts a twist (v, w) about one point of a rigid body to the
-/// twist (v + w x d, w) about another point. d is the offset between the two points.
-Matrix6 carried_by(const glm::dvec3& d);
+/// twist (v + w x `direction`, w) about another point. direction is the offset between
+/// the two points.
+Matrix6 make_motion_matrix(const glm::dvec3& direction);
 
 /// Normal equations for all poses, summed over the cells of a grid. Partial sums must be
 /// added in the order of the cells. The result is then the same for any number of
@@ -108,9 +109,9 @@ private:
     std::size_t n_planes_ = 0;
     double cost_ = 0.0, weight_ = 0.0;
 
-    Eigen::VectorXd times(const Eigen::VectorXd& x) const;
+    Eigen::VectorXd times(const Eigen::VectorXd& solution) const;
     /// Returns the [6] diagonal terms of the prior that pulls the corrections to zero.
-    Vector6 pull_of(double prior) const;
+    Vector6 make_prior_diagonal(double prior) const;
     friend class GroupMotions;
 };
 

@@ -36,7 +36,7 @@ constexpr double kLongestGap_s = 1.0;
 /// Each weight is a squared ratio. The numerator is the error of a point (0.05 m). The
 /// denominator is the expected error of a label (0.15 m, 2 degrees), or its expected
 /// change within 0.1 s (0.05 m, 1 degree).
-CorrectionPrior correction_prior() {
+CorrectionPrior make_correction_prior() {
     const double pull_m = std::pow(0.05 / 0.15, 2), pull_rad = std::pow(0.05 / 0.035, 2);
     const double link_m = std::pow(0.05 / 0.05, 2), link_rad = std::pow(0.05 / 0.017, 2);
     CorrectionPrior prior;
@@ -57,22 +57,22 @@ struct ActorPoints {
 std::vector<ActorPoints> collect_points(const Sequence& sequence, const std::vector<int>& train_positions,
                                         const std::vector<BoxTrack*>& boxes) {
     std::vector<std::vector<std::vector<ThinPoint>>> of_frame(train_positions.size());  // [frames][boxes]
-    parallel_for(static_cast<int>(train_positions.size()), [&](int i) {
-        const Frame& frame = sequence.frames[std::size_t(train_positions[std::size_t(i)])];
-        of_frame[std::size_t(i)].resize(boxes.size());
+    parallel_for(static_cast<int>(train_positions.size()), [&](int index) {
+        const Frame& frame = sequence.frames[std::size_t(train_positions[std::size_t(index)])];
+        of_frame[std::size_t(index)].resize(boxes.size());
         std::vector<std::size_t> present;
         for (std::size_t b = 0; b < boxes.size(); ++b)
             if (boxes[b]->present(frame.time_s)) present.push_back(b);
         for (std::size_t ray = 0; ray < frame.scan.range_m.size() && !present.empty(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
-            const WorldReturn measured = world_return(sequence, frame, ray);
+            const WorldReturn measured = compute_world_return(sequence, frame, ray);
             for (const std::size_t b : present) {
                 const BoxTrack& box = *boxes[b];
                 if (!box.holds(measured.point_m, measured.time_s, kMoverMargin_m)) continue;
                 const glm::dvec3 local_m = inverse(box.world_from_box.at(measured.time_s)) * measured.point_m;
                 if (local_m.z < -0.5 * box.size_m.z + kAboveGround_m) continue;
                 const TrackPosition at = box.world_from_box.place(measured.time_s);
-                of_frame[std::size_t(i)][b].push_back(
+                of_frame[std::size_t(index)][b].push_back(
                     {glm::vec3(local_m), static_cast<float>(at.s), static_cast<std::uint32_t>(at.left),
                      static_cast<std::uint32_t>(at.s < 0.5 ? at.left : at.left + 1)});
             }
@@ -112,7 +112,7 @@ std::optional<Pose> interpolate_pose(const PoseTrack& track, const std::vector<b
     for (std::size_t i = 0; i < used.size(); ++i) {
         const double t = track.time_s[used[i]] - time_s;
         for (int p = 0; p < n_terms; ++p) powers(Eigen::Index(i), p) = std::pow(t, p);
-        const Twist twist = twist_between(reference, track.pose[used[i]]);
+        const Twist twist = compute_twist(reference, track.pose[used[i]]);
         for (int c = 0; c < 6; ++c) twists(Eigen::Index(i), c) = twist[std::size_t(c)];
     }
     const Eigen::MatrixXd fit = powers.colPivHouseholderQr().solve(twists);
@@ -122,19 +122,20 @@ std::optional<Pose> interpolate_pose(const PoseTrack& track, const std::vector<b
 }
 
 /// Returns the share of points that lie on planes observed from several poses.
-double fraction_on_planes(const PlaneAdjustment& adjustment, const std::vector<ThinPoint>& points) {
-    return adjustment.fraction_on_planes(adjustment.planes(kLastActorRound), points, kLastActorRound.scale_m);
+double compute_fraction_on_planes(const PlaneAdjustment& adjustment, const std::vector<ThinPoint>& points) {
+    return adjustment.compute_fraction_on_planes(adjustment.planes(kLastActorRound), points,
+                                                 kLastActorRound.scale_m);
 }
 
-PlaneAdjustment adjustment_of(const PoseTrack& track, std::vector<ThinPoint> points,
-                              const std::vector<bool>& has_points) {
+PlaneAdjustment make_adjustment(const PoseTrack& track, std::vector<ThinPoint> points,
+                                const std::vector<bool>& has_points) {
     PlaneAdjustment adjustment(track, track, std::move(points), has_points);
-    adjustment.set_prior(correction_prior());
+    adjustment.set_prior(make_correction_prior());
     return adjustment;
 }
 
 /// Returns a track of identity poses, which are the initial corrections.
-PoseTrack identity_track(const PoseTrack& track) {
+PoseTrack make_identity_track(const PoseTrack& track) {
     return {track.time_s, std::vector<Pose>(track.pose.size())};
 }
 
@@ -148,8 +149,8 @@ bool is_standing(const BoxTrack& box, const ActorPoints& actor, const std::vecto
         if (glm::distance(pose.translation, middle.translation) > kStanding_m) return false;
     std::vector<ThinPoint> still = actor.points;
     for (ThinPoint& point : still) point.point_m = glm::vec3(inverse(middle) * place(track, point).point_m);
-    const PlaneAdjustment adjustment = adjustment_of(identity_track(track), still, has_points);
-    return fraction_on_planes(adjustment, still) >= registered_share - kGain;
+    const PlaneAdjustment adjustment = make_adjustment(make_identity_track(track), still, has_points);
+    return compute_fraction_on_planes(adjustment, still) >= registered_share - kGain;
 }
 
 /// Applies corrections to the poses of a track. The corrections are in the frame of the
@@ -176,13 +177,14 @@ void register_actor(BoxTrack& box, const ActorPoints& actor, ActorRegistration& 
     if (actor.points.size() < kFewestActorPoints ||
         std::ranges::count(has_points, true) < std::ptrdiff_t(kFewestPoses))
         return;
-    PlaneAdjustment adjustment = adjustment_of(identity_track(box.world_from_box), actor.points, has_points);
-    const double labelled_share = fraction_on_planes(adjustment, actor.points);
+    PlaneAdjustment adjustment =
+        make_adjustment(make_identity_track(box.world_from_box), actor.points, has_points);
+    const double labelled_share = compute_fraction_on_planes(adjustment, actor.points);
     adjustment.run(kFirstActorRound, kLastActorRound, [](double) { return true; });
-    const double registered_share = fraction_on_planes(adjustment, actor.points);
+    const double registered_share = compute_fraction_on_planes(adjustment, actor.points);
     std::vector<double> lengths_m;
     for (std::size_t k = 0; k < has_points.size(); ++k) {
-        const Twist twist = twist_between(Pose{}, adjustment.track().pose[k]);
+        const Twist twist = compute_twist(Pose{}, adjustment.track().pose[k]);
         const double length_m = glm::length(glm::dvec3(twist[0], twist[1], twist[2]));
         if (length_m > kLargestCorrection_m ||
             glm::length(glm::dvec3(twist[3], twist[4], twist[5])) > kLargestCorrection_rad)
@@ -198,7 +200,7 @@ void register_actor(BoxTrack& box, const ActorPoints& actor, ActorRegistration& 
     if (registered_share < labelled_share + kGain) return;
     apply_corrections(box.world_from_box, adjustment.track(), has_points);
     ++result.n_registered;
-    moved_m.push_back(lengths_m.empty() ? 0.0 : median_of(lengths_m));
+    moved_m.push_back(lengths_m.empty() ? 0.0 : compute_median(lengths_m));
 }
 
 }  // namespace
@@ -216,7 +218,7 @@ ActorRegistration register_actors(Sequence& sequence, const std::vector<int>& tr
         if (progress) progress("registering actors", double(i) / double(boxes.size()));
         register_actor(*boxes[i], actors[i], result, moved_m);
     }
-    result.moved_m = moved_m.empty() ? 0.0 : median_of(std::move(moved_m));
+    result.moved_m = moved_m.empty() ? 0.0 : compute_median(std::move(moved_m));
     return result;
 }
 

@@ -32,7 +32,7 @@ constexpr RegisterRound kLastFollowed{0.5, 0.1};
 constexpr int kLevels = 5, kStepsALevel = 3;  // number of levels and steps per level for held-out scans
 
 /// Returns the edge length of the cells in which one point of a scan is kept.
-double thinning_m(std::size_t n_scans) {
+double choose_thinning_m(std::size_t n_scans) {
     return std::clamp(kThinned_m * std::sqrt(double(n_scans) / kScansOnACell), kThinnest_m, kThinned_m);
 }
 
@@ -62,8 +62,8 @@ std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const std::
             for (int step = 0; step < kStepsALevel; ++step) adjustment.place_pose(map, k, scans[k], scale_m);
             if (level + 1 < kLevels) continue;
             const bool found = PlaneAdjustment::is_placed(
-                adjustment.fraction_on_planes(map, scans[k], scale_m), scans[k].size());
-            if (found && adjustment.deviation_m(k, is_train) <= largest_m) continue;
+                adjustment.compute_fraction_on_planes(map, scans[k], scale_m), scans[k].size());
+            if (found && adjustment.compute_deviation_m(k, is_train) <= largest_m) continue;
             adjustment.set_pose(k, as_neighbours[k]);
             lost.push_back(k);
         }
@@ -72,7 +72,7 @@ std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const std::
 }
 
 /// Returns [sweeps] true if a sweep contains one of the given frames.
-std::vector<bool> marked(const Sweeps& sweeps, const std::vector<int>& positions, std::size_t n_frames) {
+std::vector<bool> mark_sweeps(const Sweeps& sweeps, const std::vector<int>& positions, std::size_t n_frames) {
     std::vector<bool> among(n_frames, false), is(sweeps.frames.size(), false);
     for (const int position : positions) among[std::size_t(position)] = true;
     for (std::size_t k = 0; k < is.size(); ++k)
@@ -82,22 +82,24 @@ std::vector<bool> marked(const Sweeps& sweeps, const std::vector<int>& positions
 }
 
 /// Returns [sweeps] flags: true only for the middle of the marked sweeps.
-std::vector<bool> middle_of(const std::vector<bool>& some) {
-    std::vector<bool> is(some.size(), false);
-    auto to_go = std::ranges::count(some, true) / 2;
-    for (std::size_t k = 0; k < some.size(); ++k)
-        if (some[k] && to_go-- == 0) is[k] = true;
+std::vector<bool> select_middle_sweep(const std::vector<bool>& selected) {
+    std::vector<bool> is(selected.size(), false);
+    auto to_go = std::ranges::count(selected, true) / 2;
+    for (std::size_t k = 0; k < selected.size(); ++k)
+        if (selected[k] && to_go-- == 0) is[k] = true;
     return is;
 }
 
 /// Computes the share of points on planes for each sweep. Returns the median over the
 /// sweeps.
 /// @param among [sweeps] sweeps that are included
-double median_share(const PlaneAdjustment& adjustment, const PlaneMap& map,
-                    const std::vector<std::vector<ThinPoint>>& scans, const std::vector<bool>& among) {
+double compute_median_share(const PlaneAdjustment& adjustment, const PlaneMap& map,
+                            const std::vector<std::vector<ThinPoint>>& scans,
+                            const std::vector<bool>& among) {
     std::vector<double> all(scans.size()), shares;
-    parallel_for(static_cast<int>(scans.size()), [&](int i) {
-        all[std::size_t(i)] = adjustment.fraction_on_planes(map, scans[std::size_t(i)], kLast.scale_m);
+    parallel_for(static_cast<int>(scans.size()), [&](int index) {
+        all[std::size_t(index)] =
+            adjustment.compute_fraction_on_planes(map, scans[std::size_t(index)], kLast.scale_m);
     });
     for (std::size_t k = 0; k < all.size(); ++k)
         if (among[k]) shares.push_back(all[k]);
@@ -110,15 +112,15 @@ double median_share(const PlaneAdjustment& adjustment, const PlaneMap& map,
 Registration register_scans(const Sequence& sequence, const Split& split, const RegisterOptions& options) {
     Registration result;
     result.world_from_vehicle = sequence.world_from_vehicle;
-    const Sweeps sweeps = sweeps_of(sequence);
-    const std::vector<bool> is_train = marked(sweeps, split.train, sequence.frames.size()),
-                            is_test = marked(sweeps, split.test, sequence.frames.size());
+    const Sweeps sweeps = group_frames_by_sweep(sequence);
+    const std::vector<bool> is_train = mark_sweeps(sweeps, split.train, sequence.frames.size()),
+                            is_test = mark_sweeps(sweeps, split.test, sequence.frames.size());
     const auto n_train = static_cast<std::size_t>(std::ranges::count(is_train, true));
     if (n_train < 2) return result;
-    const double thin_m = thinning_m(n_train);
-    const auto proceed = [&](const char* what) {
-        return [&, what](double done) {
-            if (options.progress) options.progress(what, done);
+    const double thin_m = choose_thinning_m(n_train);
+    const auto proceed = [&](const char* description) {
+        return [&, description](double done) {
+            if (options.progress) options.progress(description, done);
             return !(result.stopped = options.stop && options.stop());
         };
     };
@@ -137,7 +139,7 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
     result.largest_loop_error_m = closed.largest_m;
 
     PlaneAdjustment adjustment(sweeps.track, closed.track, joined(scans),
-                               options.use_pose_motion ? is_train : middle_of(is_train));
+                               options.use_pose_motion ? is_train : select_middle_sweep(is_train));
     result.rounds = adjustment.run(first, kLast, proceed("registering all scans jointly"));
     if (result.stopped) return result;
     if (result.rounds.back().planes == 0)
@@ -146,7 +148,7 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
             "use train.refine_poses=none to keep the poses of the log",
             sequence.name, split.train.size()));
     const PlaneMap map = adjustment.planes(kLast);
-    result.on_planes = median_share(adjustment, map, scans, is_train);
+    result.on_planes = compute_median_share(adjustment, map, scans, is_train);
     result.lost = adjustment.replace_lost(map, is_train, kLast.scale_m, options.largest_m);
     const std::vector<std::vector<ThinPoint>> held_out =
         thin_scans(sequence, sweeps, is_test, options, thin_m);
@@ -155,7 +157,8 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
     result.lost.insert(result.lost.end(), lost.begin(), lost.end());
     std::sort(result.lost.begin(), result.lost.end());
     for (std::size_t& k : result.lost) k = sweeps.pose[k];
-    result.world_from_vehicle = ride_along(sequence.world_from_vehicle, sweeps, adjustment.track());
+    result.world_from_vehicle =
+        apply_correction_to_track(sequence.world_from_vehicle, sweeps, adjustment.track());
     result.done = true;
     return result;
 }

@@ -18,10 +18,11 @@ struct Sweeps {
     std::vector<std::size_t> pose;         ///< [sweeps] index in Sequence::world_from_vehicle, ascending
     std::vector<std::vector<int>> frames;  ///< [sweeps] indices in Sequence::frames
 };
-Sweeps sweeps_of(const Sequence& sequence);
+Sweeps group_frames_by_sweep(const Sequence& sequence);
 /// Returns all poses of a log after a correction by the registered sweeps. Between two
 /// sweeps, the correction is interpolated.
-PoseTrack ride_along(const PoseTrack& given, const Sweeps& sweeps, const PoseTrack& found);
+PoseTrack apply_correction_to_track(const PoseTrack& initial_track, const Sweeps& sweeps,
+                                    const PoseTrack& corrected_track);
 
 /// A return of a ray. Refers to the two poses of the track between which the return was
 /// measured.
@@ -42,7 +43,7 @@ struct PlacedPoint {
 };
 PlacedPoint place(const PoseTrack& track, const ThinPoint& point);
 /// Returns the fraction of a pose's motion that a point follows, 0 .. 1.
-double share_of(const ThinPoint& point, std::size_t pose);
+double get_pose_share(const ThinPoint& point, std::size_t pose);
 
 /// Selects rays of a frame. In each cell of edge length `cell_m` in the sensor's frame,
 /// at most one return is selected. Returns in moving boxes are skipped.
@@ -52,8 +53,8 @@ std::vector<std::size_t> thin_rays(const Sequence& sequence, int position, const
 /// Computes the 3D point of one ray of a frame, without the range offset of its beam.
 /// @param track poses of the sensor; the pose of the ray is interpolated
 /// @param pose index in `track` of the pose of this frame
-ThinPoint point_of(const Sequence& sequence, const PoseTrack& track, std::size_t pose, int position,
-                   std::size_t ray);
+ThinPoint make_thin_point(const Sequence& sequence, const PoseTrack& track, std::size_t pose, int position,
+                          std::size_t ray);
 /// Returns the selected points of some sweeps. In each cell of edge length `cell_m` in
 /// the sensor frame, at most one point of a scan is selected.
 /// @param chosen [sweeps] true for the sweeps to use

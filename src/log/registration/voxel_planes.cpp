@@ -17,7 +17,7 @@ constexpr double kVoxelSpread = 0.12;
 constexpr double kThickness = 0.1;
 /// Returns the mutex of a cell. All cells share 64 mutexes. Conflicts are rare, because
 /// threads rarely fit planes simultaneously.
-std::mutex& mutex_of(const void* cell) {
+std::mutex& get_mutex(const void* cell) {
     static std::array<std::mutex, 64> mutexes;
     return mutexes[reinterpret_cast<std::uintptr_t>(cell) / 64 % mutexes.size()];
 }
@@ -25,17 +25,17 @@ std::mutex& mutex_of(const void* cell) {
 }  // namespace
 
 void VoxelPlanes::add(const glm::dvec3& point_m, double travelled_m) {
-    Cell& cell = cells_[cell_key(point_m, cell_m_)];
+    Cell& cell = cells_[make_cell_key(point_m, cell_m_)];
     cell.sums.add(point_m - centre(point_m));
     cell.travelled_m = travelled_m;
 }
 
 const Plane* VoxelPlanes::at(const glm::dvec3& point_m) const {
-    const auto found = cells_.find(cell_key(point_m, cell_m_));
+    const auto found = cells_.find(make_cell_key(point_m, cell_m_));
     if (found == cells_.end() || found->second.sums.n < kFewestOfVoxel) return nullptr;
     const Cell& cell = found->second;
     if (cell.has_too_many_points()) {
-        const std::scoped_lock lock(mutex_of(&cell));
+        const std::scoped_lock lock(get_mutex(&cell));
         if (cell.has_too_many_points()) fit(cell, centre(point_m));
     }
     return cell.plane ? &*cell.plane : nullptr;

@@ -15,7 +15,7 @@
 
 namespace relidar {
 
-const BasicChannels& basic_channels() {
+const BasicChannels& get_basic_channels() {
     using enum ChannelJoin;
     static const BasicChannels channels = {
         .range = {.name = "range",
@@ -46,13 +46,13 @@ const BasicChannels& basic_channels() {
     return channels;
 }
 
-std::vector<ChannelInfo> file_channels() {
+std::vector<ChannelInfo> list_file_channels() {
     const auto& [range, median_range, mean_range, intensity, drop_prob, weight, time, ring, instance] =
-        basic_channels();
+        get_basic_channels();
     return {range, median_range, intensity, drop_prob, weight, time, ring, instance};
 }
 
-const std::vector<ChannelInfo>& optional_channels() {
+const std::vector<ChannelInfo>& get_optional_channels() {
     static const std::vector<ChannelInfo> channels = {
         {.name = "normal",
          .meaning = "unit normal towards the sensor, in the frame of the points",
@@ -82,20 +82,21 @@ const std::vector<ChannelInfo>& optional_channels() {
     return channels;
 }
 
-std::vector<std::string> optional_channel_names() {
+std::vector<std::string> list_optional_channels() {
     std::vector<std::string> names;
-    for (const ChannelInfo& channel : optional_channels()) names.push_back(channel.name);
+    for (const ChannelInfo& channel : get_optional_channels()) names.push_back(channel.name);
     return names;
 }
 
 std::vector<ChannelInfo> parse_channels(const std::string& names) {
     std::vector<ChannelInfo> wanted;
-    for (const std::string& name : words_of(names)) {
-        const auto found = std::ranges::find(optional_channels(), name, &ChannelInfo::name);
-        if (found == optional_channels().end()) {
-            const std::vector<std::string> known = optional_channel_names();
+    for (const std::string& name : split_words(names)) {
+        const auto found = std::ranges::find(get_optional_channels(), name, &ChannelInfo::name);
+        if (found == get_optional_channels().end()) {
+            const std::vector<std::string> known = list_optional_channels();
             throw UsageError(fmt::format("the channel \"{}\" is unknown{}, expected some of {}",
-                                         excerpt(name), did_you_mean(name, known), fmt::join(known, ", ")));
+                                         make_excerpt(name), suggest_name(name, known),
+                                         fmt::join(known, ", ")));
         }
         if (std::ranges::find(wanted, name, &ChannelInfo::name) == wanted.end()) wanted.push_back(*found);
     }
@@ -106,7 +107,7 @@ std::size_t size(const ChannelValues& values) {
     return std::visit([](const auto& v) { return v.size(); }, values);
 }
 
-std::vector<ScanChannel> without_values(const std::vector<ScanChannel>& channels) {
+std::vector<ScanChannel> remove_values(const std::vector<ScanChannel>& channels) {
     std::vector<ScanChannel> result;
     for (const auto& [info, values, second] : channels)
         result.push_back(
@@ -115,7 +116,8 @@ std::vector<ScanChannel> without_values(const std::vector<ScanChannel>& channels
     return result;
 }
 
-std::vector<ChannelNumber> numbers_of(const std::vector<ScanChannel>& channels, const std::string& joint) {
+std::vector<ChannelNumber> list_channel_numbers(const std::vector<ScanChannel>& channels,
+                                                const std::string& joint) {
     std::vector<ChannelNumber> numbers;
     for (const auto& [info, values, second] : channels) {
         if (std::holds_alternative<std::vector<glm::vec3>>(values))
@@ -125,9 +127,9 @@ std::vector<ChannelNumber> numbers_of(const std::vector<ScanChannel>& channels, 
     return numbers;
 }
 
-void append_row(std::string& bytes, const std::vector<ScanChannel>& channels, std::size_t at) {
+void append_row(std::string& bytes, const std::vector<ScanChannel>& channels, std::size_t point) {
     for (const ScanChannel& channel : channels)
-        std::visit([&](const auto& values) { append(bytes, values[at]); }, channel.values);
+        std::visit([&](const auto& values) { append(bytes, values[point]); }, channel.values);
 }
 
 void append_return(ScanChannel& of_points, const ScanChannel& of_rays, std::size_t ray, int number) {
@@ -135,36 +137,41 @@ void append_return(ScanChannel& of_points, const ScanChannel& of_rays, std::size
     const auto append_one = [&]<class T>(const std::vector<T>& values) {
         const auto* second =
             number == 2 && size(of_rays.second) > 0 ? std::get_if<std::vector<T>>(&of_rays.second) : nullptr;
-        const T other = second ? (*second)[ray] : channel.of_ray ? values[ray] : missing_value_of<T>(channel);
+        const T other = second           ? (*second)[ray]
+                        : channel.of_ray ? values[ray]
+                                         : get_missing_value<T>(channel);
         std::get<std::vector<T>>(of_points.values).push_back(number == 1 ? values[ray] : other);
     };
     std::visit(append_one, of_rays.values);
 }
 
-void check_channels(const std::vector<ScanChannel>& channels, std::size_t n, const std::string& what) {
+void check_channels(const std::vector<ScanChannel>& channels, std::size_t count,
+                    const std::string& description) {
     std::set<std::string> taken = {"range_2", "intensity_2", "return", "points", "x", "y", "z"};
-    for (const ChannelInfo& basic : file_channels()) taken.insert(basic.name);
+    for (const ChannelInfo& basic : list_file_channels()) taken.insert(basic.name);
     for (const auto& [info, values, second] : channels) {
-        const bool is_word = !info.name.empty() && std::ranges::all_of(info.name, [](char c) {
-            return c == '_' || (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9');
+        const bool is_word = !info.name.empty() && std::ranges::all_of(info.name, [](char character) {
+            return character == '_' || (character >= 'a' && character <= 'z') ||
+                   (character >= '0' && character <= '9');
         });
         if (!is_word)
             throw DataError(fmt::format(
-                "channels of {}: the name \"{}\" is invalid, expected lower case letters, digits and _", what,
-                excerpt(info.name)));
+                "channels of {}: the name \"{}\" is invalid, expected lower case letters, digits and _",
+                description, make_excerpt(info.name)));
         if (!taken.insert(info.name).second)
             throw DataError(fmt::format("channels of {}: the name {} occurs twice, expected different names",
-                                        what, info.name));
+                                        description, info.name));
         if (size(second) > 0 && !taken.insert(info.name + "_2").second)
-            throw DataError(fmt::format(
-                "channels of {}: the name {}_2 occurs twice, expected different names", what, info.name));
-        if (size(values) != n)
-            throw DataError(fmt::format("channels of {}: found {} values of {}, expected {}", what,
-                                        size(values), info.name, n));
-        if (size(second) > 0 && (size(second) != n || second.index() != values.index()))
+            throw DataError(
+                fmt::format("channels of {}: the name {}_2 occurs twice, expected different names",
+                            description, info.name));
+        if (size(values) != count)
+            throw DataError(fmt::format("channels of {}: found {} values of {}, expected {}", description,
+                                        size(values), info.name, count));
+        if (size(second) > 0 && (size(second) != count || second.index() != values.index()))
             throw DataError(fmt::format(
                 "channels of {}: found {} values of {} for second returns, expected {} of the same type",
-                what, size(second), info.name, n));
+                description, size(second), info.name, count));
     }
 }
 

@@ -22,8 +22,8 @@ constexpr int kTileColumns = 64;  // Number of columns of a tile. Each tile has 
 /// all tiles with the same value of 2 r + t are independent of each other.
 static_assert(scatter_detail::kAhead <= kTileColumns);
 
-const IntensityScatter::Node& leaf_of(const IntensityScatter& scatter, const scatter_detail::Context& context,
-                                      int row, int column) {
+const IntensityScatter::Node& find_leaf(const IntensityScatter& scatter,
+                                        const scatter_detail::Context& context, int row, int column) {
     const IntensityScatter::Node* node = &scatter.nodes.front();
     while (node->feature >= 0) {
         const float asked = context.feature(std::size_t(node->feature), row, column);
@@ -46,10 +46,9 @@ std::vector<float> draw_intensities(const IntensityScatter& scatter, const Rende
         for (int column = tile * kTileColumns; column < end; ++column) {
             const auto i = std::size_t(row) * std::size_t(rendered.columns) + std::size_t(column);
             if (returns[i] == 0) continue;
-            const IntensityScatter::Node& leaf = leaf_of(scatter, context, row, column);
-            drawn[i] =
-                scatter
-                    .values[leaf.first + std::size_t(Random(hash64(seed, i)).uniform() * double(leaf.count))];
+            const IntensityScatter::Node& leaf = find_leaf(scatter, context, row, column);
+            drawn[i] = scatter.values[leaf.first + std::size_t(Random(combine_hashes(seed, i)).uniform() *
+                                                               double(leaf.count))];
         }
     };
     const int n_tiles = (rendered.columns + kTileColumns - 1) / kTileColumns;
@@ -58,7 +57,7 @@ std::vector<float> draw_intensities(const IntensityScatter& scatter, const Rende
         const int first_row = std::max(0, (wave - n_tiles + 2) / 2);
         const int last_row = std::min(rendered.rows - 1, wave / 2);
         parallel_for(last_row - first_row + 1,
-                     [&](int i) { draw_tile(first_row + i, wave - 2 * (first_row + i)); });
+                     [&](int index) { draw_tile(first_row + index, wave - 2 * (first_row + index)); });
     }
     return drawn;
 }

@@ -50,17 +50,17 @@ struct Returns {
     std::array<std::vector<float>, kFeatures> cuts = {};  ///< upper ends of all bins except the last
 };
 
-/// Returns the values that divide a list into n parts of equal size. Duplicate values are
-/// removed.
-std::vector<float> quantiles(std::vector<float> values, std::size_t n) {
+/// Returns the values that divide a list into `count` parts of equal size. Duplicate
+/// values are removed.
+std::vector<float> compute_quantiles(std::vector<float> values, std::size_t count) {
     parallel_sort(values, std::less<>());
     std::vector<float> cuts;
-    for (std::size_t k = 1; k < n; ++k) cuts.push_back(values[values.size() * k / n]);
+    for (std::size_t k = 1; k < count; ++k) cuts.push_back(values[values.size() * k / count]);
     cuts.erase(std::unique(cuts.begin(), cuts.end()), cuts.end());
     return cuts;
 }
 
-std::uint8_t bin(const std::vector<float>& cuts, float value) {
+std::uint8_t find_bin(const std::vector<float>& cuts, float value) {
     return std::uint8_t(std::lower_bound(cuts.begin(), cuts.end(), value) - cuts.begin());
 }
 
@@ -74,25 +74,25 @@ bool is_return(const MeasuredIntensities& image, std::size_t ray) {
 }
 
 /// Returns the indices of measured returns whose rays also hit a rendered surface. If
-/// there are more than `most` returns, selects about `most` of them at random.
-std::vector<ReturnPlace> returns_of(std::span<const MeasuredIntensities> images, std::size_t most) {
+/// there are more than `max_count` returns, selects about `max_count` of them at random.
+std::vector<ReturnPlace> returns_of(std::span<const MeasuredIntensities> images, std::size_t max_count) {
     std::size_t n = 0;
     for (const MeasuredIntensities& image : images)
         for (std::size_t i = 0; i < image.measured.size(); ++i) n += is_return(image, i);
-    const double share = double(most) / double(std::max<std::size_t>(n, 1));
+    const double share = double(max_count) / double(std::max<std::size_t>(n, 1));
     std::vector<std::vector<ReturnPlace>> of_images(images.size());
     parallel_for(int(images.size()), [&](int image) {
         const auto k = std::size_t(image);
         for (std::size_t i = 0; i < images[k].measured.size(); ++i)
-            if (is_return(images[k], i) && Random(hash64(k, i)).uniform() < share)
+            if (is_return(images[k], i) && Random(combine_hashes(k, i)).uniform() < share)
                 of_images[k].push_back({std::uint32_t(k), std::uint32_t(i)});
     });
     return joined(std::move(of_images));
 }
 
-Features features_of(std::span<const MeasuredIntensities> images, ReturnPlace place) {
-    const MeasuredIntensities& image = images[place.image];
-    const int columns = image.rendered.columns, ray = int(place.ray);
+Features compute_features(std::span<const MeasuredIntensities> images, ReturnPlace location) {
+    const MeasuredIntensities& image = images[location.image];
+    const int columns = image.rendered.columns, ray = int(location.ray);
     return Context(image.rendered, image.measured).of(ray / columns, ray % columns);
 }
 
@@ -100,21 +100,23 @@ Returns read_returns(std::span<const MeasuredIntensities> images, const std::vec
     Returns result{std::vector<Return>(places.size())};
     const std::size_t stride = places.size() / kQuantileReturns + 1;
     std::vector<Features> some((places.size() + stride - 1) / stride);
-    for_each_block(some.size(), [&](std::size_t k) { some[k] = features_of(images, places[k * stride]); });
+    for_each_block(some.size(), [&](std::size_t index) {
+        some[index] = compute_features(images, places[index * stride]);
+    });
     parallel_for(int(kFeatures), [&](int f) {
         std::vector<float> values;
         for (const Features& features : some) values.push_back(features[std::size_t(f)]);
-        result.cuts[std::size_t(f)] = quantiles(std::move(values), kBins);
+        result.cuts[std::size_t(f)] = compute_quantiles(std::move(values), kBins);
     });
     std::vector<float> values;
     for (const ReturnPlace& place : places) values.push_back(images[place.image].measured[place.ray]);
-    const std::vector<float> classes = quantiles(values, kClasses);
-    for_each_block(places.size(), [&](std::size_t i) {
-        const Features features = features_of(images, places[i]);
-        Return& one = result.all[i];
-        for (std::size_t f = 0; f < kFeatures; ++f) one.bins[f] = bin(result.cuts[f], features[f]);
-        one.of_class = bin(classes, values[i]);
-        one.value = values[i];
+    const std::vector<float> classes = compute_quantiles(values, kClasses);
+    for_each_block(places.size(), [&](std::size_t index) {
+        const Features features = compute_features(images, places[index]);
+        Return& one = result.all[index];
+        for (std::size_t f = 0; f < kFeatures; ++f) one.bins[f] = find_bin(result.cuts[f], features[f]);
+        one.of_class = find_bin(classes, values[index]);
+        one.value = values[index];
     });
     return result;
 }
@@ -122,8 +124,8 @@ Returns read_returns(std::span<const MeasuredIntensities> images, const std::vec
 /// Table of k ln k for integers.
 class Terms {
 public:
-    explicit Terms(std::size_t most) : of_(most + 1, 0.0) {
-        for (std::size_t k = 1; k <= most; ++k) of_[k] = double(k) * std::log(double(k));
+    explicit Terms(std::size_t max_count) : of_(max_count + 1, 0.0) {
+        for (std::size_t k = 1; k <= max_count; ++k) of_[k] = double(k) * std::log(double(k));
     }
     double operator()(std::uint32_t k) const { return of_[k]; }
 
@@ -139,21 +141,21 @@ struct Counts {
     void add(const Counts& other) {
         for (std::size_t c = 0; c < kClasses; ++c) of[c] += other.of[c];
     }
-    Counts without(const Counts& other) const {
+    Counts subtract_counts(const Counts& other) const {
         Counts rest = *this;
         for (std::size_t c = 0; c < kClasses; ++c) rest.of[c] -= other.of[c];
         return rest;
     }
     /// Returns the sum of n_c ln(n_c / n).
-    double order(const Terms& terms) const {
+    double compute_order(const Terms& terms) const {
         double sum = -terms(n());
         for (const std::uint32_t k : of) sum += terms(k);
         return sum;
     }
 };
 
-/// Split of a node. The first child gets the returns whose feature value is in bin `bin`
-/// or in a lower bin.
+/// Split of a node. The first child gets the returns whose feature value is in bin
+/// `find_bin` or in a lower bin.
 struct Cut {
     double gain = kLeastGain;
     int feature = -1;
@@ -172,7 +174,7 @@ Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, con
     Counts all, low;
     for (const Counts& of_bin : counts) all.add(of_bin);
     const std::uint32_t n = all.n();
-    const double before = all.order(terms);
+    const double before = all.compute_order(terms);
     std::uint32_t n_low = 0;
     for (std::size_t b = 0; b < n_cuts; ++b) {
         const std::uint32_t of_bin = counts[b].n();
@@ -181,7 +183,7 @@ Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, con
         low.add(counts[b]);
         n_low += of_bin;
         if (n_low < kFewestOfLeaf || n - n_low < kFewestOfLeaf) continue;
-        const double gain = low.order(terms) + all.without(low).order(terms) - before;
+        const double gain = low.compute_order(terms) + all.subtract_counts(low).compute_order(terms) - before;
         if (gain > best.gain) best = {gain, int(feature), b};
     }
     return best;
@@ -224,15 +226,16 @@ std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms,
                            std::span<const IntensityScatter::Node> nodes) {
     constexpr std::size_t kLarge = 65536;
     std::vector<Cut> cuts(nodes.size());
-    const auto part = [&](std::size_t k) {
-        return std::span(returns.all).subspan(nodes[k].first, nodes[k].count);
+    const auto part = [&](std::size_t index) {
+        return std::span(returns.all).subspan(nodes[index].first, nodes[index].count);
     };
     parallel_for(int(nodes.size()), [&](int k) {
         const bool is_large = nodes[std::size_t(k)].count >= kLarge;
-        cuts[std::size_t(k)] = find_cut(returns, part(std::size_t(k)), terms, [&](int n, const auto& task) {
-            if (is_large) return parallel_for(n, task);
-            for (int i = 0; i < n; ++i) task(i);
-        });
+        cuts[std::size_t(k)] =
+            find_cut(returns, part(std::size_t(k)), terms, [&](int count, const auto& task) {
+                if (is_large) return parallel_for(count, task);
+                for (int i = 0; i < count; ++i) task(i);
+            });
     });
     return cuts;
 }
@@ -240,8 +243,8 @@ std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms,
 /// Splits the nodes from index `first` on. A node stays a leaf if its gain is too small.
 /// The returns of each split node are reordered so that the returns of each child are
 /// contiguous.
-void part_layer(Returns& returns, const Terms& terms, std::vector<IntensityScatter::Node>& nodes,
-                std::size_t first) {
+void split_layer(Returns& returns, const Terms& terms, std::vector<IntensityScatter::Node>& nodes,
+                 std::size_t first) {
     const std::vector<Cut> cuts = find_cuts(returns, terms, std::span(nodes).subspan(first));
     std::vector<std::uint32_t> n_low(cuts.size(), 0);
     parallel_for(int(cuts.size()), [&](int k) {
@@ -279,13 +282,13 @@ void check_sizes(std::span<const MeasuredIntensities> images) {
 
 /// Returns the greatest common divisor of two real numbers. Remainders below `error` are
 /// treated as zero.
-double common_divisor(double a, double b, double error) {
-    while (b > error) {
-        const double rest = std::abs(std::remainder(a, b));
-        a = b;
-        b = rest;
+double find_common_divisor(double first, double second, double error) {
+    while (second > error) {
+        const double rest = std::abs(std::remainder(first, second));
+        first = second;
+        second = rest;
     }
-    return a;
+    return first;
 }
 
 }  // namespace
@@ -299,7 +302,7 @@ double find_step(std::vector<float> values) {
     const double largest = double(values.back());
     double step = 0.0;
     for (const float value : values) {
-        step = step > 0.0 ? common_divisor(double(value), step, kError * largest) : double(value);
+        step = step > 0.0 ? find_common_divisor(double(value), step, kError * largest) : double(value);
         if (value > 0.0f && step < kFinest * largest) return 0.0;
         // Computes the step again from the current value. The values ascend, so the
         // result becomes more accurate.
@@ -325,7 +328,7 @@ IntensityScatter fit_scatter(std::span<const MeasuredIntensities> images) {
     const Terms terms(places.size());
     for (std::size_t first = 0; first < result.nodes.size();) {
         const std::size_t end = result.nodes.size();
-        part_layer(returns, terms, result.nodes, first);
+        split_layer(returns, terms, result.nodes, first);
         first = end;
     }
     for (const Return& one : returns.all) result.values.push_back(one.value);

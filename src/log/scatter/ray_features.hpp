@@ -93,12 +93,12 @@ public:
             const float r = residual(s);
             return r == kNoIntensity ? r : std::abs(r);
         };
-        /// Returns true if feature k is one of the next n features. If it is not,
-        /// subtracts n from k.
-        const auto is_of = [&](std::size_t n) { return k < n || (k -= n, false); };
+        /// Returns true if feature k is one of the next `count` features. If it is not,
+        /// subtracts `count` from k.
+        const auto is_of = [&](std::size_t count) { return k < count || (k -= count, false); };
         if (is_of(kOwn)) return own(k, index(row, column));
         if (is_of(kBeside.size())) return scan_.intensity[at(kBeside[k])];
-        if (is_of(kBeside.size())) return steepness(at(kBeside[k]), index(row, column));
+        if (is_of(kBeside.size())) return compute_steepness(at(kBeside[k]), index(row, column));
         if (is_of(kSmoothed.size()))
             return mean(kSmoothed[k], [&](Step s) { return scan_.intensity[at(s)]; });
         if (is_of(kResiduals.size())) return residual(kResiduals[k]);
@@ -118,16 +118,16 @@ private:
         if (column < 0 || column >= columns) column = (column % columns + columns) % columns;
         return std::size_t(row) * std::size_t(columns) + std::size_t(column);
     }
-    float own(std::size_t k, std::size_t i) const {
+    float own(std::size_t index, std::size_t i) const {
         const std::array<const std::vector<float>*, kOwn> values{
             &scan_.intensity, &scan_.range_m, &scan_.spread_m, &scan_.cosine, &scan_.elevation_rad};
-        return (*values[k])[i];
+        return (*values[index])[i];
     }
     /// Returns the logarithm of the range of another ray divided by the range of this
     /// ray.
-    float steepness(std::size_t other, std::size_t i) const {
-        return scan_.range_m[other] > 0.0f && scan_.range_m[i] > 0.0f
-                   ? std::log(scan_.range_m[other] / scan_.range_m[i])
+    float compute_steepness(std::size_t other, std::size_t index) const {
+        return scan_.range_m[other] > 0.0f && scan_.range_m[index] > 0.0f
+                   ? std::log(scan_.range_m[other] / scan_.range_m[index])
                    : kNoIntensity;
     }
     /// Returns the mean of the known values in a window. Returns kNoIntensity if all

@@ -9,23 +9,23 @@
 
 namespace relidar {
 
-double Beam::measured_range(double surface_m) const {
+double Beam::to_measured_range(double surface_m) const {
     return surface_m > 0.0 ? std::max(surface_m + range_offset_m, 0.0) : surface_m;
 }
 
-double Beam::surface_range(double measured_m) const {
+double Beam::to_surface_range(double measured_m) const {
     return measured_m > 0.0 ? std::max(measured_m - range_offset_m, 1e-3) : measured_m;
 }
 
-double Beam::measured_intensity(double of_surface, double fall) const {
+double Beam::to_measured_intensity(double of_surface, double fall) const {
     return std::clamp(intensity_gain * fall * of_surface + intensity_offset, 0.0, 1.0);
 }
 
-double Beam::surface_intensity(double measured, double fall) const {
+double Beam::to_surface_intensity(double measured, double fall) const {
     return (measured - intensity_offset) / intensity_gain / fall;
 }
 
-const Beam& beam_of(const std::vector<Beam>& beams, std::size_t channel) {
+const Beam& find_beam(const std::vector<Beam>& beams, std::size_t channel) {
     static const Beam ideal;
     return channel < beams.size() ? beams[channel] : ideal;
 }

@@ -12,7 +12,7 @@
 namespace relidar {
 
 /// Computes the rays of one beam for many azimuths of the LiDAR's head. Used by
-/// beam_ray() and head_azimuth().
+/// compute_beam_ray() and compute_head_azimuth().
 class BeamGeometry {
 public:
     explicit BeamGeometry(const Beam& beam)
@@ -34,7 +34,7 @@ public:
         return ray;
     }
 
-    double head_azimuth(const glm::dvec3& point_m) const {
+    double compute_head_azimuth(const glm::dvec3& point_m) const {
         const double reach = std::max(std::hypot(point_m.x, point_m.y), 1e-3);
         return std::atan2(point_m.y, point_m.x) - std::asin(glm::clamp(left_of_axis_m_ / reach, -1.0, 1.0)) -
                beam_.azimuth_offset_rad;
@@ -46,7 +46,7 @@ private:
     double left_of_axis_m_;  ///< horizontal distance between the beam and the axis of rotation
 };
 
-inline std::vector<BeamGeometry> geometries_of(const std::vector<Beam>& beams) {
+inline std::vector<BeamGeometry> make_beam_geometries(const std::vector<Beam>& beams) {
     return {beams.begin(), beams.end()};
 }
 

@@ -52,17 +52,17 @@ const std::array<FieldRule, kFieldCount> kFields{
 
 using Values = std::array<double, kFieldCount>;
 
-Values parse_line(const std::vector<std::string_view>& cells, const std::vector<int>& at,
-                  const std::string& where) {
+Values parse_line(const std::vector<std::string_view>& cells, const std::vector<int>& columns,
+                  const std::string& location) {
     Values value{};
     for (std::size_t f = 0; f < kFields.size(); ++f) {
         const FieldRule& rule = kFields[f];
         value[f] = rule.missing;
-        if (at[f] < 0) continue;
-        const std::string_view cell = cells[static_cast<std::size_t>(at[f])];
+        if (columns[f] < 0) continue;
+        const std::string_view cell = cells[static_cast<std::size_t>(columns[f])];
         const auto number = parse_number(cell);
         if (!number || !(*number >= rule.low && *number <= rule.high)) {
-            throw DataError(fmt::format("{}: {} is '{}', expected a number in [{}, {}]", where, rule.name,
+            throw DataError(fmt::format("{}: {} is '{}', expected a number in [{}, {}]", location, rule.name,
                                         cell, rule.low, rule.high));
         }
         value[f] = *number;
@@ -73,36 +73,36 @@ Values parse_line(const std::vector<std::string_view>& cells, const std::vector<
 /// Adds the beam of one line to a sensor.
 /// @throws DataError if the beam is above the previous beam, or if the range limits
 /// differ from those of the first line
-void add_beam(SpinningSensor& sensor, const Values& v, const std::string& where) {
+void add_beam(SpinningSensor& sensor, const Values& values, const std::string& location) {
     // The rotation is negative, because the head turns clockwise.
-    const double turned_rad = -2.0 * kPi / sensor.period_s * v[kFiring] * 1e-6;
-    const Beam beam{v[kElevation] * kPi / 180.0, v[kAzimuthOffset] * kPi / 180.0 + turned_rad,
-                    v[kOriginOffset], v[kOriginUp], v[kOriginLeft]};
+    const double turned_rad = -2.0 * kPi / sensor.period_s * values[kFiring] * 1e-6;
+    const Beam beam{values[kElevation] * kPi / 180.0, values[kAzimuthOffset] * kPi / 180.0 + turned_rad,
+                    values[kOriginOffset], values[kOriginUp], values[kOriginLeft]};
     if (sensor.beams.empty()) {
-        sensor.min_range_m = v[kMinRange];
-        sensor.max_range_m = v[kMaxRange];
+        sensor.min_range_m = values[kMinRange];
+        sensor.max_range_m = values[kMaxRange];
     }
-    if (v[kMinRange] != sensor.min_range_m || v[kMaxRange] != sensor.max_range_m) {
-        throw DataError(
-            fmt::format("{}: found range limits of {} to {} m, expected {} to {} m like in the first line, "
-                        "because all beams have the same limits",
-                        where, v[kMinRange], v[kMaxRange], sensor.min_range_m, sensor.max_range_m));
+    if (values[kMinRange] != sensor.min_range_m || values[kMaxRange] != sensor.max_range_m) {
+        throw DataError(fmt::format(
+            "{}: found range limits of {} to {} m, expected {} to {} m like in the first line, "
+            "because all beams have the same limits",
+            location, values[kMinRange], values[kMaxRange], sensor.min_range_m, sensor.max_range_m));
     }
-    if (!(v[kMinRange] < v[kMaxRange])) {
+    if (!(values[kMinRange] < values[kMaxRange])) {
         throw DataError(
-            fmt::format("{}: found range limits of {} to {} m, expected min_range_m below max_range_m", where,
-                        v[kMinRange], v[kMaxRange]));
+            fmt::format("{}: found range limits of {} to {} m, expected min_range_m below max_range_m",
+                        location, values[kMinRange], values[kMaxRange]));
     }
     if (!sensor.beams.empty() && beam.elevation_rad > sensor.beams.back().elevation_rad) {
         throw DataError(fmt::format(
-            "{}: elevation_deg increases, expected rows from the highest beam to the lowest", where));
+            "{}: elevation_deg increases, expected rows from the highest beam to the lowest", location));
     }
     sensor.beams.push_back(beam);
 }
 
 }  // namespace
 
-SpinningSensor parse_beam_table(const std::string& text, const std::string& where, int columns,
+SpinningSensor parse_beam_table(const std::string& text, const std::string& location, int columns,
                                 double rate_hz) {
     const std::vector<std::string> lines = split_lines(text);
     const auto first = static_cast<std::size_t>(
@@ -110,22 +110,22 @@ SpinningSensor parse_beam_table(const std::string& text, const std::string& wher
                      [](const std::string& line) { return !line.starts_with('#'); }) -
         lines.begin());
     const std::vector<std::string_view> header =
-        first == lines.size() ? std::vector<std::string_view>{} : csv_cells(lines[first]);
+        first == lines.size() ? std::vector<std::string_view>{} : split_csv_cells(lines[first]);
     std::vector<std::string> known;
     for (const FieldRule& field : kFields) known.emplace_back(field.name);
-    const std::vector<int> at = find_columns(header, known, fmt::format("{} line {}", where, first + 1));
+    const std::vector<int> at = find_columns(header, known, fmt::format("{} line {}", location, first + 1));
     if (at[kElevation] < 0)
         throw DataError(fmt::format(
-            "{}: the first line has no column 'elevation_deg', expected a CSV beam table", where));
+            "{}: the first line has no column 'elevation_deg', expected a CSV beam table", location));
 
     SpinningSensor sensor;
     sensor.columns = columns;
     sensor.period_s = 1.0 / rate_hz;
     sensor.first_azimuth_rad = kPi - kPi / columns;
     for (std::size_t l = first + 1; l < lines.size(); ++l) {
-        if (trimmed(lines[l]).empty() || lines[l].starts_with('#')) continue;
-        const std::string line = fmt::format("{} line {}", where, l + 1);
-        const auto cells = csv_cells(lines[l]);
+        if (trim_spaces(lines[l]).empty() || lines[l].starts_with('#')) continue;
+        const std::string line = fmt::format("{} line {}", location, l + 1);
+        const auto cells = split_csv_cells(lines[l]);
         if (cells.size() != header.size()) {
             throw DataError(fmt::format("{}: found {} values, expected {} like in the header", line,
                                         cells.size(), header.size()));
@@ -133,7 +133,7 @@ SpinningSensor parse_beam_table(const std::string& text, const std::string& wher
         add_beam(sensor, parse_line(cells, at, line), line);
     }
     if (sensor.beams.empty())
-        throw DataError(fmt::format("{}: found no beams after the header, expected at least one", where));
+        throw DataError(fmt::format("{}: found no beams after the header, expected at least one", location));
     return sensor;
 }
 

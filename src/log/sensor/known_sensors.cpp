@@ -63,7 +63,7 @@ constexpr Tabled kTabled[] = {
     {"waymo-top", 2650, 0.0, 75.0, 0.0},
 };
 
-SpinningSensor spinning(const std::string& name, int columns, double rate_hz) {
+SpinningSensor make_spinning_sensor(const std::string& name, int columns, double rate_hz) {
     SpinningSensor sensor;
     sensor.name = name;
     sensor.columns = columns;
@@ -72,9 +72,10 @@ SpinningSensor spinning(const std::string& name, int columns, double rate_hz) {
     return sensor;
 }
 
-void add_beams(SpinningSensor& sensor, int n, double top_deg, double bottom_deg) {
-    for (int i = 0; i < n; ++i) {
-        sensor.beams.push_back({.elevation_rad = (top_deg + (bottom_deg - top_deg) * i / (n - 1)) * kDegree});
+void add_beams(SpinningSensor& sensor, int count, double top_deg, double bottom_deg) {
+    for (int i = 0; i < count; ++i) {
+        sensor.beams.push_back(
+            {.elevation_rad = (top_deg + (bottom_deg - top_deg) * i / (count - 1)) * kDegree});
     }
 }
 
@@ -85,8 +86,8 @@ SensorModel model(SpinningSensor sensor, const std::string& about) {
 /// Returns the HDL-64E as described in its data sheet. The upper 32 beams start at +2
 /// degrees, with steps of 1/3 degree. The lower 32 beams end at -24.33 degrees, with
 /// steps of 1/2 degree.
-SensorModel hdl64e(int columns, double rate_hz) {
-    SpinningSensor sensor = spinning("HDL-64E", columns ? columns : 2083, rate_hz);
+SensorModel make_hdl64e(int columns, double rate_hz) {
+    SpinningSensor sensor = make_spinning_sensor("HDL-64E", columns ? columns : 2083, rate_hz);
     add_beams(sensor, 32, 2.0, 2.0 - 31.0 / 3.0);
     add_beams(sensor, 32, -24.33 + 31.0 * 0.5, -24.33);
     sensor.max_range_m = 120.0;
@@ -96,8 +97,8 @@ SensorModel hdl64e(int columns, double rate_hz) {
 
 /// Returns one of Waymo's four short-range LiDARs. Its published calibration contains
 /// only the highest and the lowest elevation, so the beams are evenly spaced.
-SensorModel waymo_side(int columns, double rate_hz) {
-    SpinningSensor sensor = spinning("waymo-side", columns ? columns : 600, rate_hz);
+SensorModel make_waymo_side(int columns, double rate_hz) {
+    SpinningSensor sensor = make_spinning_sensor("waymo-side", columns ? columns : 600, rate_hz);
     constexpr double step_deg = 120.0 / 200.0;
     add_beams(sensor, 200, 30.0 - 0.5 * step_deg, -90.0 + 0.5 * step_deg);
     sensor.max_range_m = 20.0;
@@ -107,9 +108,9 @@ SensorModel waymo_side(int columns, double rate_hz) {
 }
 
 /// Returns a spinning sensor whose rays pass through the cells of the KITTI-360 grid.
-SensorModel kitti360(int columns, double rate_hz) {
-    const RangeGrid grid = kitti360_grid();
-    SpinningSensor sensor = spinning(grid.name, columns ? columns : grid.columns, rate_hz);
+SensorModel make_kitti360(int columns, double rate_hz) {
+    const RangeGrid grid = make_kitti360_grid();
+    SpinningSensor sensor = make_spinning_sensor(grid.name, columns ? columns : grid.columns, rate_hz);
     sensor.first_azimuth_rad = kPi;
     sensor.max_range_m = grid.max_range_m;
     for (int row = 0; row < grid.rows; ++row) {
@@ -131,7 +132,7 @@ std::string table_of(const std::string& name) {
 /// Returns the description of a beam table's source: its first line without the #.
 std::string about(const std::string& table) { return table.substr(2, table.find('\n') - 2); }
 
-SensorModel tabled(const Tabled& row, int columns, double rate_hz) {
+SensorModel make_tabled_sensor(const Tabled& row, int columns, double rate_hz) {
     const std::string table = table_of(row.name);
     SpinningSensor sensor = parse_beam_table(table, row.name, columns ? columns : row.columns, rate_hz);
     sensor.name = row.name;
@@ -145,7 +146,7 @@ SensorModel tabled(const Tabled& row, int columns, double rate_hz) {
 
 /// Returns Hesai's AT128. Its mirrors scan 120 degrees from left to right in 0.1 s. Each
 /// beam has an azimuth offset relative to the mirror.
-SensorModel at128() {
+SensorModel make_at128() {
     constexpr int kColumns = 1200;
     constexpr double period_s = 0.1, step_deg = 0.1;
     const std::string table = table_of("AT128");
@@ -159,7 +160,8 @@ SensorModel at128() {
     for (std::size_t row = 0; row < beams.size(); ++row)
         for (int column = 0; column < kColumns; ++column) {
             const double left_of_middle = 0.5 * (kColumns - 1) - column;
-            rays.direction.emplace_back(beam_ray(beams[row], left_of_middle * step_deg * kDegree).direction);
+            rays.direction.emplace_back(
+                compute_beam_ray(beams[row], left_of_middle * step_deg * kDegree).direction);
             rays.origin.emplace_back(0.0f);
             rays.time_offset_s.push_back(float(-left_of_middle / kColumns * period_s));
             rays.channel.push_back(std::uint16_t(row));
@@ -169,7 +171,7 @@ SensorModel at128() {
 
 /// Returns a scanning window with the data-sheet values of Hesai's AT128: 128 rows, 120 x
 /// 25.4 degrees, 0.1 degrees per column, 10 Hz.
-SensorModel window_128() {
+SensorModel make_window_128() {
     return {"window-128",
             "hybrid solid-state LiDAR similar to the AT128: mirrors scan 120 x 25.4 degrees, 1200 "
             "columns of 128 rows",
@@ -186,7 +188,7 @@ SensorModel window_128() {
 /// Returns a rosette sensor with the data-sheet values of Livox' Mid-40: a cone of 38.4
 /// degrees and 100 000 rays per second. The rotation rates of the prisms were measured on
 /// a Mid-40.
-SensorModel rosette() {
+SensorModel make_rosette() {
     return {"rosette",
             "non-repetitive LiDAR similar to the Mid-40: two prisms, a cone of 38.4 degrees, 100 000 "
             "rays per second",
@@ -206,7 +208,7 @@ std::vector<BeamFiring> find_beam_firings(const std::string& name) {
     const std::vector<std::string> lines = split_lines(table_of(name));
     for (const std::string& line : lines) {
         if (line.starts_with('#')) continue;
-        const std::vector<std::string_view> cells = csv_cells(line);
+        const std::vector<std::string_view> cells = split_csv_cells(line);
         const auto number = [&](std::string_view column) {
             const auto at = std::size_t(std::ranges::find(header, column) - header.begin());
             return at < header.size() ? parse_number(cells.at(at)).value_or(0.0) : 0.0;
@@ -217,7 +219,7 @@ std::vector<BeamFiring> find_beam_firings(const std::string& name) {
     return firings;
 }
 
-std::vector<std::string> sensor_names() {
+std::vector<std::string> list_sensor_names() {
     std::vector<std::string> names{"kitti360", "HDL-64E"};
     for (const Tabled& row : kTabled) names.emplace_back(row.name);
     for (const char* name : {"waymo-side", "AT128", "window-128", "rosette"}) names.emplace_back(name);
@@ -225,7 +227,7 @@ std::vector<std::string> sensor_names() {
 }
 
 std::optional<SensorModel> find_built_in_sensor(const std::string& name, int columns, double rate_hz) {
-    const auto known = known_name(name, sensor_names());
+    const auto known = find_known_name(name, list_sensor_names());
     if (!known) return {};
     const double rate = rate_hz > 0.0 ? rate_hz : 10.0;
     const bool spins = *known != "AT128" && *known != "window-128" && *known != "rosette";
@@ -233,13 +235,13 @@ std::optional<SensorModel> find_built_in_sensor(const std::string& name, int col
         throw UsageError(fmt::format(
             "sensor '{}': found columns and a rate, but this sensor does not spin; use only its name", name));
     }
-    if (*known == "kitti360") return kitti360(columns, rate);
-    if (*known == "HDL-64E") return hdl64e(columns, rate);
-    if (*known == "waymo-side") return waymo_side(columns, rate);
-    if (*known == "AT128") return at128();
-    if (*known == "window-128") return window_128();
-    if (*known == "rosette") return rosette();
-    return tabled(
+    if (*known == "kitti360") return make_kitti360(columns, rate);
+    if (*known == "HDL-64E") return make_hdl64e(columns, rate);
+    if (*known == "waymo-side") return make_waymo_side(columns, rate);
+    if (*known == "AT128") return make_at128();
+    if (*known == "window-128") return make_window_128();
+    if (*known == "rosette") return make_rosette();
+    return make_tabled_sensor(
         *std::ranges::find(kTabled, *known, [](const Tabled& row) { return std::string(row.name); }), columns,
         rate);
 }

@@ -14,15 +14,15 @@
 namespace relidar {
 
 // Defined in src/log/sensor/kinds.
-PatternKind window_kind();
-PatternKind rosette_kind();
+PatternKind make_window_kind();
+PatternKind make_rosette_kind();
 
-const std::vector<PatternKind>& pattern_kinds() {
+const std::vector<PatternKind>& list_pattern_kinds() {
     static const std::vector<PatternKind> kinds{
-        spinning_kind(),
-        window_kind(),
-        rosette_kind(),
-        rays_kind(),
+        make_spinning_kind(),
+        make_window_kind(),
+        make_rosette_kind(),
+        make_rays_kind(),
     };
     return kinds;
 }
@@ -30,7 +30,8 @@ const std::vector<PatternKind>& pattern_kinds() {
 namespace {
 
 const PatternKind& kind_of(const SensorPattern& pattern) {
-    return *std::ranges::find_if(pattern_kinds(), [&](const PatternKind& k) { return k.holds(pattern); });
+    return *std::ranges::find_if(list_pattern_kinds(),
+                                 [&](const PatternKind& k) { return k.holds(pattern); });
 }
 
 constexpr double kLargestRange_m = 1e12, kLongestPeriod_s = 3600.0;
@@ -45,22 +46,22 @@ RayTable make_rays(const SensorModel& sensor, double time_s) { return make_rays(
 
 PatternSummary describe_pattern(const SensorPattern& pattern) { return kind_of(pattern).describe(pattern); }
 
-double period_of(const SensorPattern& pattern) { return describe_pattern(pattern).period_s; }
+double get_period(const SensorPattern& pattern) { return describe_pattern(pattern).period_s; }
 
-std::optional<SensorPattern> fixed_pattern(const SensorModel& sensor) {
+std::optional<SensorPattern> get_fixed_pattern(const SensorModel& sensor) {
     if (std::holds_alternative<SpinningSensor>(sensor.pattern)) return {};
     return sensor.pattern;
 }
 
 std::string describe_pattern_kinds() {
     std::string text;
-    for (const PatternKind& kind : pattern_kinds())
+    for (const PatternKind& kind : list_pattern_kinds())
         text += fmt::format("              {{\"{}\": {{{}}}}}\n", kind.name, kind.members);
     return text;
 }
 
 const PatternKind* find_pattern_kind(const JsonField& field) {
-    for (const PatternKind& kind : pattern_kinds())
+    for (const PatternKind& kind : list_pattern_kinds())
         if (field.has(kind.name)) return &kind;
     return nullptr;
 }
@@ -69,7 +70,7 @@ SensorModel read_sensor_json(const JsonField& field, const std::string& name) {
     const PatternKind* kind = find_pattern_kind(field);
     if (!kind) {
         std::vector<std::string> names;
-        for (const PatternKind& k : pattern_kinds()) names.emplace_back(fmt::format("\"{}\"", k.name));
+        for (const PatternKind& k : list_pattern_kinds()) names.emplace_back(fmt::format("\"{}\"", k.name));
         field.fail("found no sensor", fmt::format("expected one of {}", fmt::join(names, ", ")));
     }
     field.check_members({kind->name});
@@ -95,28 +96,30 @@ double read_angle(const JsonField& field, const std::string& name, double most_d
     return field.at(in_rad).number(-most_rad, most_rad);
 }
 
-double angle_or(const JsonField& field, const std::string& name, double missing_rad, double most_deg) {
+double read_angle_or(const JsonField& field, const std::string& name, double missing_rad, double most_deg) {
     const bool has = field.has(name + "_rad") || field.has(name + "_deg");
     return has ? read_angle(field, name, most_deg) : missing_rad;
 }
 
-double number_or(const JsonField& field, const char* key, double missing, double low, double high) {
-    return field.has(key) ? field.at(key).number(low, high) : missing;
+double read_number_or(const JsonField& field, const char* key, double default_value, double low,
+                      double high) {
+    return field.has(key) ? field.at(key).number(low, high) : default_value;
 }
 
 double read_divergence(const JsonField& field) {
     if (field.has("divergence_rad") && field.has("divergence_mrad"))
         field.fail("found divergence_rad and divergence_mrad", "expected one of them");
     if (field.has("divergence_rad")) return field.at("divergence_rad").number(0.0, 1.0);
-    return 1e-3 * number_or(field, "divergence_mrad", 0.0, 0.0, 1000.0);
+    return 1e-3 * read_number_or(field, "divergence_mrad", 0.0, 0.0, 1000.0);
 }
 
 CommonMembers read_common(const JsonField& field, const std::string& name, double least_period_s) {
-    const CommonMembers common{field.has("name") ? field.at("name").text() : name,
-                               {number_or(field, "min_range_m", 0.0, 0.0, kLargestRange_m),
-                                number_or(field, "max_range_m", RangeLimits{}.max_m, 0.0, kLargestRange_m)},
-                               number_or(field, "period_s", 0.1, least_period_s, kLongestPeriod_s),
-                               read_divergence(field)};
+    const CommonMembers common{
+        field.has("name") ? field.at("name").text() : name,
+        {read_number_or(field, "min_range_m", 0.0, 0.0, kLargestRange_m),
+         read_number_or(field, "max_range_m", RangeLimits{}.max_m, 0.0, kLargestRange_m)},
+        read_number_or(field, "period_s", 0.1, least_period_s, kLongestPeriod_s),
+        read_divergence(field)};
     if (!(common.limits.min_m < common.limits.max_m))
         field.fail(fmt::format("found {} to {} m", common.limits.min_m, common.limits.max_m),
                    "expected min_range_m < max_range_m");
@@ -133,8 +136,8 @@ void check_members(const JsonField& field, std::vector<std::string> members,
     field.check_members(members);
 }
 
-double between(double first, double last, int i, int n) {
-    return n > 1 ? first + (last - first) * i / (n - 1) : 0.5 * (first + last);
+double between(double first, double last, int index, int count) {
+    return count > 1 ? first + (last - first) * index / (count - 1) : 0.5 * (first + last);
 }
 
 void add_ray(RayTable& rays, const glm::dvec3& direction, double time_s, int channel) {

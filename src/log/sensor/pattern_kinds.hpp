@@ -36,7 +36,7 @@ struct PatternKind {
 /// @tparam Functions  struct with the static functions parse, write, make_rays and
 /// describe
 template <class Functions>
-PatternKind pattern_kind(const char* name, const char* members) {
+PatternKind make_pattern_kind(const char* name, const char* members) {
     using Pattern = typename Functions::Pattern;
     return {name,
             members,
@@ -48,11 +48,11 @@ PatternKind pattern_kind(const char* name, const char* members) {
 }
 
 /// Returns the table of all kinds of sensors.
-const std::vector<PatternKind>& pattern_kinds();
+const std::vector<PatternKind>& list_pattern_kinds();
 /// Return the rows of the kinds "spinning" and "rays". Some files store the members of
 /// these kinds without the name of the kind.
-PatternKind spinning_kind();
-PatternKind rays_kind();
+PatternKind make_spinning_kind();
+PatternKind make_rays_kind();
 /// Returns the kind of sensor whose name is a member of the JSON object. Returns null if
 /// no kind matches.
 const PatternKind* find_pattern_kind(const JsonField& field);
@@ -65,10 +65,10 @@ namespace pattern_detail {
 double read_angle(const JsonField& field, const std::string& name, double most_deg);
 /// Reads an angle from the member NAME_rad or NAME_deg. Returns `missing_rad` if both are
 /// missing.
-double angle_or(const JsonField& field, const std::string& name, double missing_rad, double most_deg);
-/// Returns the number in a JSON member. Returns `missing` if the object does not have the
-/// member.
-double number_or(const JsonField& field, const char* key, double missing, double low, double high);
+double read_angle_or(const JsonField& field, const std::string& name, double missing_rad, double most_deg);
+/// Returns the number in a JSON member. Returns `default_value` if the object does not
+/// have the member.
+double read_number_or(const JsonField& field, const char* key, double default_value, double low, double high);
 /// Reads a beam divergence from the member divergence_rad or divergence_mrad. Returns 0
 /// if both are missing.
 double read_divergence(const JsonField& field);
@@ -91,8 +91,8 @@ CommonMembers read_common(const JsonField& field, const std::string& name, doubl
 void check_members(const JsonField& field, std::vector<std::string> members,
                    const std::vector<std::string>& angles);
 
-/// Returns value i of n values that are evenly spaced from `first` to `last`.
-double between(double first, double last, int i, int n);
+/// Returns value `index` of `count` values that are evenly spaced from `first` to `last`.
+double between(double first, double last, int index, int count);
 /// Appends a ray that starts at the sensor origin.
 void add_ray(RayTable& rays, const glm::dvec3& direction, double time_s, int channel);
 /// Checks the number of rays of a sensor.

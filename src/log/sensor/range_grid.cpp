@@ -14,7 +14,7 @@
 
 namespace relidar {
 
-RangeGrid kitti360_grid() {
+RangeGrid make_kitti360_grid() {
     return {.name = "kitti360",
             .rows = 66,
             .columns = 1030,
@@ -24,7 +24,7 @@ RangeGrid kitti360_grid() {
 }
 
 RangeGrid find_grid(const std::string& name) {
-    if (known_name(name, {"kitti360"})) return kitti360_grid();
+    if (find_known_name(name, {"kitti360"})) return make_kitti360_grid();
     throw UsageError(fmt::format("the grid '{}' is unknown, expected kitti360", name));
 }
 

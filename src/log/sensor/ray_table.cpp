@@ -10,7 +10,7 @@
 
 namespace relidar {
 
-double RayTable::largest_divergence() const {
+double RayTable::find_largest_divergence() const {
     return ray_divergence_rad.empty() ? divergence_rad : *std::ranges::max_element(ray_divergence_rad);
 }
 
@@ -23,7 +23,7 @@ void RayTable::append(const RayTable& from, std::size_t ray) {
     if (!from.ray_divergence_rad.empty()) ray_divergence_rad.push_back(from.ray_divergence_rad[ray]);
 }
 
-std::vector<glm::dvec2> footprint_pattern(int n) {
+std::vector<glm::dvec2> make_footprint_pattern(int count) {
     std::vector<glm::dvec2> offsets{{0.0, 0.0}};
     const auto add_ring = [&](double radius, double first) {
         for (int k = 0; k < 4; ++k)
@@ -31,19 +31,19 @@ std::vector<glm::dvec2> footprint_pattern(int n) {
                               glm::dvec2(std::cos(first + k * kPi / 2.0), std::sin(first + k * kPi / 2.0)));
     };
     // The radii of the rings are chosen so that the sum of radius^2 over all sub-rays is
-    // n / 2.
-    if (n == 5) add_ring(std::sqrt(5.0 / 8.0), 0.0);
-    if (n == 9) add_ring(0.5, kPi / 4.0), add_ring(std::sqrt(7.0 / 8.0), 0.0);
-    if (n == 1 || n == 5 || n == 9) return offsets;
+    // `count` / 2.
+    if (count == 5) add_ring(std::sqrt(5.0 / 8.0), 0.0);
+    if (count == 9) add_ring(0.5, kPi / 4.0), add_ring(std::sqrt(7.0 / 8.0), 0.0);
+    if (count == 1 || count == 5 || count == 9) return offsets;
     constexpr double kGolden_rad = 2.399963229728653;
     offsets.clear();
-    for (int k = 0; k < n; ++k)
-        offsets.push_back(std::sqrt((k + 0.5) / n) *
+    for (int k = 0; k < count; ++k)
+        offsets.push_back(std::sqrt((k + 0.5) / count) *
                           glm::dvec2(std::cos(k * kGolden_rad), std::sin(k * kGolden_rad)));
     return offsets;
 }
 
-RayTable some_rays(const RayTable& rays, const std::vector<std::size_t>& ray_indices) {
+RayTable select_rays(const RayTable& rays, const std::vector<std::size_t>& ray_indices) {
     RayTable some;
     some.rows = 1;
     some.columns = static_cast<int>(ray_indices.size());

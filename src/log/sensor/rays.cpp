@@ -20,7 +20,7 @@
 namespace relidar {
 namespace {
 
-RayTable empty_table(int rows, int columns, double divergence_rad) {
+RayTable make_empty_table(int rows, int columns, double divergence_rad) {
     RayTable rays;
     rays.rows = rows;
     rays.columns = columns;
@@ -34,8 +34,8 @@ RayTable empty_table(int rows, int columns, double divergence_rad) {
 }
 
 void check(const SpinningSensor& sensor) {
-    const auto fail = [&](const std::string& what) {
-        throw UsageError(fmt::format("sensor '{}': found {}", sensor.name, what));
+    const auto fail = [&](const std::string& description) {
+        throw UsageError(fmt::format("sensor '{}': found {}", sensor.name, description));
     };
     if (sensor.beams.empty()) fail("no beams, expected at least one");
     if (sensor.beams.size() > 65535)
@@ -65,41 +65,41 @@ void check(const SpinningSensor& sensor) {
 }
 
 /// Wraps an azimuth to [-pi, pi]. Does not change -pi or pi.
-double wrapped(double azimuth_rad) {
+double wrap_azimuth(double azimuth_rad) {
     return std::abs(azimuth_rad) <= kPi ? azimuth_rad : std::remainder(azimuth_rad, 2.0 * kPi);
 }
 
 }  // namespace
 
-RangeLimits overlap(const RangeLimits& a, const RangeLimits& b) {
-    return {std::max(a.min_m, b.min_m), std::min(a.max_m, b.max_m)};
+RangeLimits intersect_limits(const RangeLimits& first, const RangeLimits& second) {
+    return {std::max(first.min_m, second.min_m), std::min(first.max_m, second.max_m)};
 }
 
-BeamRay beam_ray(const Beam& beam, double head_azimuth_rad) {
+BeamRay compute_beam_ray(const Beam& beam, double head_azimuth_rad) {
     return BeamGeometry(beam).ray(head_azimuth_rad);
 }
 
-double head_azimuth(const Beam& beam, const glm::dvec3& point_m) {
-    return BeamGeometry(beam).head_azimuth(point_m);
+double compute_head_azimuth(const Beam& beam, const glm::dvec3& point_m) {
+    return BeamGeometry(beam).compute_head_azimuth(point_m);
 }
 
-int column_shift(const Beam& beam, int columns) {
+int compute_column_shift(const Beam& beam, int columns) {
     return static_cast<int>(std::lround(beam.azimuth_offset_rad / (2.0 * kPi) * columns));
 }
 
 RayTable make_rays(const SpinningSensor& sensor) {
     check(sensor);
     const int rows = static_cast<int>(sensor.beams.size()), columns = sensor.columns;
-    RayTable rays = empty_table(rows, columns, sensor.divergence_rad);
+    RayTable rays = make_empty_table(rows, columns, sensor.divergence_rad);
     const double seconds_per_rad = (sensor.clockwise ? -1.0 : 1.0) * sensor.period_s / (2.0 * kPi);
     parallel_for(rows, [&](int row) {
         const Beam& beam = sensor.beams[static_cast<std::size_t>(row)];
         const BeamGeometry geometry(beam);
-        const int shift = column_shift(beam, columns);
+        const int shift = compute_column_shift(beam, columns);
         std::size_t at = std::size_t(row) * std::size_t(columns);
         for (int column = 0; column < columns; ++column, ++at) {
             const int firing = ((column + shift) % columns + columns) % columns;
-            const double head = wrapped(sensor.first_azimuth_rad - firing * 2.0 * kPi / columns);
+            const double head = wrap_azimuth(sensor.first_azimuth_rad - firing * 2.0 * kPi / columns);
             const BeamRay ray = geometry.ray(head);
             rays.origin[at] = glm::vec3(ray.origin_m);
             rays.direction[at] = glm::vec3(ray.direction);

@@ -150,7 +150,7 @@ Memory& memory() {
     return *all;
 }
 
-std::uint64_t of_machine() {
+std::uint64_t get_machine_memory() {
     std::uint64_t bytes = std::uint64_t(::sysconf(_SC_PHYS_PAGES)) * std::uint64_t(::sysconf(_SC_PAGESIZE)),
                   limit = 0;
     // Files that contain the memory limit of the control group (cgroup): first version 2,
@@ -176,12 +176,12 @@ void limit_scan_memory(std::uint64_t bytes, const fs::path& folder) {
     Memory& m = memory();
     const std::lock_guard lock(m.mutex);
     m.folder = folder;
-    m.limit = bytes > 0 ? bytes : of_machine() / 2 / std::uint64_t(m.processes);
+    m.limit = bytes > 0 ? bytes : get_machine_memory() / 2 / std::uint64_t(m.processes);
 }
 
 void share_scan_memory(int n_processes) { memory().processes = std::max(n_processes, 1); }
 
-ScanMemoryUse scan_memory_use() {
+ScanMemoryUse get_scan_memory_use() {
     const MappedFile* file = memory().file;
     return {memory().used, file ? file->used() : 0};
 }

@@ -57,7 +57,7 @@ bool is_ray_csv(const std::string& text) {
     return header.find("azimuth_deg") != std::string::npos;
 }
 
-SensorModel beam_sensor(const std::string& text, const SensorName& name) {
+SensorModel parse_beam_sensor(const std::string& text, const SensorName& name) {
     const int columns = name.columns > 0 ? name.columns : kTableColumns;
     SpinningSensor sensor =
         parse_beam_table(text, name.name, columns, name.rate_hz > 0.0 ? name.rate_hz : kTableRate_hz);
@@ -74,7 +74,7 @@ SensorModel read_sensor(const SensorName& name, double max_range_m) {
         if (path.extension() == ".json")
             return sensor_files::parse_sensor_json(text, stem, name.name, name.columns, name.rate_hz);
         return is_ray_csv(text) ? sensor_files::parse_ray_csv(text, stem, name.name)
-                                : beam_sensor(text, name);
+                                : parse_beam_sensor(text, name);
     }();
     if (name.columns > 0 && !std::holds_alternative<SpinningSensor>(sensor.pattern))
         throw UsageError(fmt::format(
@@ -87,19 +87,20 @@ SensorModel read_sensor(const SensorName& name, double max_range_m) {
 
 }  // namespace
 
-void sensor_files::limit_range(SensorModel& sensor, double max_range_m, const std::string& where) {
+void sensor_files::limit_range(SensorModel& sensor, double max_range_m, const std::string& location) {
     if (!std::isinf(sensor.limits.max_m)) return;
     if (!(sensor.limits.min_m < max_range_m))
         throw DataError(fmt::format(
             "{}: found range limits of {} to {} m, where max_range_m has its default value; expected "
             "min_range_m < max_range_m",
-            where, sensor.limits.min_m, max_range_m));
+            location, sensor.limits.min_m, max_range_m));
     sensor.limits.max_m = max_range_m;
     if (auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) spinning->max_range_m = max_range_m;
 }
 
-SensorModel sensor_of_json(const std::string& text, const std::string& name, const std::string& where) {
-    return sensor_files::parse_sensor_json(text, name, where, 0, 0.0);
+SensorModel parse_sensor_json_text(const std::string& text, const std::string& name,
+                                   const std::string& location) {
+    return sensor_files::parse_sensor_json(text, name, location, 0, 0.0);
 }
 
 SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& also_known,
@@ -107,17 +108,17 @@ SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::
     const SensorName name = parse_name(name_or_file);
     if (const auto known = find_built_in_sensor(name.name, name.columns, name.rate_hz)) return *known;
     const std::string extension = fs::path(name.name).extension().string();
-    if (extension == ".csv" || extension == ".json" || extension == ".npz" || path_exists(name.name))
+    if (extension == ".csv" || extension == ".json" || extension == ".npz" || does_path_exist(name.name))
         return read_sensor(name, max_range_m);
     std::vector<std::string> known = also_known;
-    for (const std::string& sensor : sensor_names()) known.push_back(sensor);
+    for (const std::string& sensor : list_sensor_names()) known.push_back(sensor);
     throw UsageError(
         fmt::format("the sensor '{}' is unknown{} (known: {}; or the path of a file, such as "
                     "beams.csv:1024x10, rays.npz or the metadata.json of an Ouster sensor)",
-                    name_or_file, did_you_mean(name_or_file, known, "'"), fmt::join(known, ", ")));
+                    name_or_file, suggest_name(name_or_file, known, "'"), fmt::join(known, ", ")));
 }
 
-std::string sensor_file_help() {
+std::string make_sensor_file_help() {
     return "NAME is one of `relidar list sensors`. A FILE contains a custom sensor:\n"
            "  beams.csv   a spinning sensor: a header line, then one line per beam, from the "
            "highest to the lowest. Columns: elevation_deg\n"

@@ -20,48 +20,51 @@ constexpr double kUnit = 1e-3;  // Maximum difference between the length of a di
 constexpr double kFarthestOrigin_m = 100.0, kLongestScan_s = 100.0, kMostRange_m = 10'000.0,
                  kWidestBeam_rad = 1.0;
 
-void check_length(const std::vector<double>& values, std::size_t wanted, const char* what,
-                  const std::string& where) {
-    if (!values.empty() && values.size() != wanted)
-        throw DataError(
-            fmt::format("{}: {} has {} numbers, expected {}", where, what, values.size(), wanted));
+void check_length(const std::vector<double>& values, std::size_t expected_length, const char* description,
+                  const std::string& location) {
+    if (!values.empty() && values.size() != expected_length)
+        throw DataError(fmt::format("{}: {} has {} numbers, expected {}", location, description,
+                                    values.size(), expected_length));
 }
 
-void check_reach(const std::vector<double>& values, double low, double high, const char* what,
-                 const std::string& where) {
-    const auto bad =
-        std::find_if(values.begin(), values.end(), [&](double v) { return !(v >= low && v <= high); });
+void check_reach(const std::vector<double>& values, double low, double high, const char* description,
+                 const std::string& location) {
+    const auto bad = std::find_if(values.begin(), values.end(),
+                                  [&](double value) { return !(value >= low && value <= high); });
     if (bad != values.end()) {
-        throw DataError(fmt::format("{0}: entry {2} of {1} is {3}, expected a number in [{4}, {5}]", where,
-                                    what, bad - values.begin(), *bad, low, high));
+        throw DataError(fmt::format("{0}: entry {2} of {1} is {3}, expected a number in [{4}, {5}]", location,
+                                    description, bad - values.begin(), *bad, low, high));
     }
 }
 
-glm::dvec3 vector_at(const std::vector<double>& values, std::size_t i) {
-    return values.empty() ? glm::dvec3(0.0) : glm::dvec3(values[3 * i], values[3 * i + 1], values[3 * i + 2]);
+glm::dvec3 get_vector_at(const std::vector<double>& values, std::size_t index) {
+    return values.empty() ? glm::dvec3(0.0)
+                          : glm::dvec3(values[3 * index], values[3 * index + 1], values[3 * index + 2]);
 }
 
-void check(const RayColumns& c, const std::string& where) {
-    const std::size_t n = c.direction.size() / 3;
-    if (n == 0 || n > kMaxRays || n * 3 != c.direction.size())
-        throw DataError(fmt::format("{}: found {} rays, expected 1 to {}", where, n, kMaxRays));
-    if (c.rows < 1 || c.columns < 1 || std::size_t(c.rows) * std::size_t(c.columns) != n)
+void check(const RayColumns& columns, const std::string& location) {
+    const std::size_t n = columns.direction.size() / 3;
+    if (n == 0 || n > kMaxRays || n * 3 != columns.direction.size())
+        throw DataError(fmt::format("{}: found {} rays, expected 1 to {}", location, n, kMaxRays));
+    if (columns.rows < 1 || columns.columns < 1 ||
+        std::size_t(columns.rows) * std::size_t(columns.columns) != n)
+        throw DataError(fmt::format("{}: found {} rays, expected {} rows of {} rays", location, n,
+                                    columns.rows, columns.columns));
+    check_length(columns.origin, 3 * n, "origin", location);
+    check_length(columns.time_s, n, "time", location);
+    check_length(columns.channel, n, "ring", location);
+    if (columns.divergence_rad.size() != 1) check_length(columns.divergence_rad, n, "divergence", location);
+    check_reach(columns.origin, -kFarthestOrigin_m, kFarthestOrigin_m, "origin", location);
+    check_reach(columns.time_s, -kLongestScan_s, kLongestScan_s, "time", location);
+    check_reach(columns.channel, 0.0, 65535.0, "ring", location);
+    check_reach(columns.divergence_rad, 0.0, kWidestBeam_rad, "divergence (radians)", location);
+    check_reach(
+        {columns.limits.min_m, std::isinf(columns.limits.max_m) ? kMostRange_m : columns.limits.max_m}, 0.0,
+        kMostRange_m, "range limits", location);
+    if (!(columns.limits.min_m < columns.limits.max_m))
         throw DataError(
-            fmt::format("{}: found {} rays, expected {} rows of {} rays", where, n, c.rows, c.columns));
-    check_length(c.origin, 3 * n, "origin", where);
-    check_length(c.time_s, n, "time", where);
-    check_length(c.channel, n, "ring", where);
-    if (c.divergence_rad.size() != 1) check_length(c.divergence_rad, n, "divergence", where);
-    check_reach(c.origin, -kFarthestOrigin_m, kFarthestOrigin_m, "origin", where);
-    check_reach(c.time_s, -kLongestScan_s, kLongestScan_s, "time", where);
-    check_reach(c.channel, 0.0, 65535.0, "ring", where);
-    check_reach(c.divergence_rad, 0.0, kWidestBeam_rad, "divergence (radians)", where);
-    check_reach({c.limits.min_m, std::isinf(c.limits.max_m) ? kMostRange_m : c.limits.max_m}, 0.0,
-                kMostRange_m, "range limits", where);
-    if (!(c.limits.min_m < c.limits.max_m))
-        throw DataError(
-            fmt::format("{}: found range limits of {} to {} m, expected min_range_m below max_range_m", where,
-                        c.limits.min_m, c.limits.max_m));
+            fmt::format("{}: found range limits of {} to {} m, expected min_range_m below max_range_m",
+                        location, columns.limits.min_m, columns.limits.max_m));
 }
 
 /// Sets the beam divergences of the rays. If all rays have the same divergence, only one
@@ -75,37 +78,37 @@ void set_divergence(RayTable& rays, const std::vector<double>& divergence_rad) {
 
 }  // namespace
 
-std::vector<double> divergence_of(std::vector<double> of_rays_rad, std::optional<double> of_all_mrad,
-                                  const std::string& where) {
+std::vector<double> compute_divergence(std::vector<double> of_rays_rad, std::optional<double> of_all_mrad,
+                                       const std::string& location) {
     if (!of_rays_rad.empty() && of_all_mrad)
         throw DataError(
-            fmt::format("{}: found both divergence and divergence_mrad, expected one of them", where));
+            fmt::format("{}: found both divergence and divergence_mrad, expected one of them", location));
     if (of_all_mrad) return {1e-3 * *of_all_mrad};
     return of_rays_rad;
 }
 
-SensorModel ray_sensor(const RayColumns& c, const std::string& name, const std::string& where) {
-    check(c, where);
-    const std::size_t n = c.direction.size() / 3;
+SensorModel make_ray_sensor(const RayColumns& columns, const std::string& name, const std::string& location) {
+    check(columns, location);
+    const std::size_t n = columns.direction.size() / 3;
     RayTable rays;
-    rays.rows = c.rows;
-    rays.columns = c.columns;
-    set_divergence(rays, c.divergence_rad);
+    rays.rows = columns.rows;
+    rays.columns = columns.columns;
+    set_divergence(rays, columns.divergence_rad);
     for (std::size_t i = 0; i < n; ++i) {
-        const glm::dvec3 direction = vector_at(c.direction, i);
+        const glm::dvec3 direction = get_vector_at(columns.direction, i);
         const double length = glm::length(direction);
         if (!(std::abs(length - 1.0) <= kUnit))
             throw DataError(
-                fmt::format("{}: entry {} of directions has length {}, expected 1", where, i, length));
-        const bool is_exact =
-            c.keeps_floats && std::abs(length - 1.0) < 1e-6 && glm::dvec3(glm::vec3(direction)) == direction;
+                fmt::format("{}: entry {} of directions has length {}, expected 1", location, i, length));
+        const bool is_exact = columns.keeps_floats && std::abs(length - 1.0) < 1e-6 &&
+                              glm::dvec3(glm::vec3(direction)) == direction;
         rays.direction.emplace_back(is_exact ? direction : direction / length);
-        rays.origin.emplace_back(vector_at(c.origin, i));
-        rays.time_offset_s.push_back(c.time_s.empty() ? 0.0f : static_cast<float>(c.time_s[i]));
-        rays.channel.push_back(c.channel.empty() ? std::uint16_t(0)
-                                                 : static_cast<std::uint16_t>(c.channel[i]));
+        rays.origin.emplace_back(get_vector_at(columns.origin, i));
+        rays.time_offset_s.push_back(columns.time_s.empty() ? 0.0f : static_cast<float>(columns.time_s[i]));
+        rays.channel.push_back(columns.channel.empty() ? std::uint16_t(0)
+                                                       : static_cast<std::uint16_t>(columns.channel[i]));
     }
-    return {name, "", c.limits, std::move(rays)};
+    return {name, "", columns.limits, std::move(rays)};
 }
 
 SensorModel read_ray_npz(const std::string& path, const std::string& name) {
@@ -136,9 +139,9 @@ SensorModel read_ray_npz(const std::string& path, const std::string& name) {
                  .channel = values("ring")};
     c.rows = shape.size() == 3 ? static_cast<int>(shape[0]) : 1;
     c.columns = static_cast<int>(shape[shape.size() - 2]);
-    c.divergence_rad = divergence_of(values("divergence"), one("divergence_mrad"), path);
+    c.divergence_rad = compute_divergence(values("divergence"), one("divergence_mrad"), path);
     c.limits = {one("min_range_m").value_or(c.limits.min_m), one("max_range_m").value_or(c.limits.max_m)};
-    return ray_sensor(c, name, path);
+    return make_ray_sensor(c, name, path);
 }
 
 }  // namespace relidar::sensor_files

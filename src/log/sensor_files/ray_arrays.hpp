@@ -27,21 +27,21 @@ struct RayColumns {
 };
 
 /// Checks the rays and returns a sensor with these rays.
-/// @param where  name of the file in error messages
+/// @param location  name of the file in error messages
 /// @throws DataError if the arrays have different lengths, values are not finite or out
 /// of range, or directions do not have unit length
-SensorModel ray_sensor(const RayColumns& columns, const std::string& name, const std::string& where);
+SensorModel make_ray_sensor(const RayColumns& columns, const std::string& name, const std::string& location);
 
 /// Returns the divergences in radians. A file may contain them in one of two forms: one
 /// number per ray, or one number for all rays.
 /// @param of_rays_rad  [n] divergence of each ray, or empty
 /// @throws DataError if the file contains both forms
-std::vector<double> divergence_of(std::vector<double> of_rays_rad, std::optional<double> of_all_mrad,
-                                  const std::string& where);
+std::vector<double> compute_divergence(std::vector<double> of_rays_rad, std::optional<double> of_all_mrad,
+                                       const std::string& location);
 
 /// Parses the text of a ray table in CSV format.
 /// @throws DataError naming the line and the value that is wrong
-SensorModel parse_ray_csv(const std::string& text, const std::string& name, const std::string& where);
+SensorModel parse_ray_csv(const std::string& text, const std::string& name, const std::string& location);
 /// Reads a ray table from an npz file.
 /// @throws DataError if the file is invalid
 SensorModel read_ray_npz(const std::string& path, const std::string& name);
@@ -50,11 +50,11 @@ SensorModel read_ray_npz(const std::string& path, const std::string& name);
 /// @param columns  if above 0, replaces the number of columns in the metadata
 /// @param rate_hz  if above 0, replaces the rate in the metadata
 /// @throws DataError naming the key that is wrong
-SensorModel parse_sensor_json(const std::string& text, const std::string& name, const std::string& where,
+SensorModel parse_sensor_json(const std::string& text, const std::string& name, const std::string& location,
                               int columns, double rate_hz);
 
 /// Sets the maximum range of a sensor, unless the sensor already has a maximum range.
 /// @throws DataError if the maximum range is not above the minimum range
-void limit_range(SensorModel& sensor, double max_range_m, const std::string& where);
+void limit_range(SensorModel& sensor, double max_range_m, const std::string& location);
 
 }  // namespace relidar::sensor_files

@@ -40,54 +40,54 @@ using Values = std::array<double, kFieldCount>;
 
 /// Returns the values of a line. If the range limits are missing, their default values in
 /// RayColumns are used.
-Values parse_line(const std::string& line, const std::vector<int>& at, std::size_t n_cells,
-                  const std::string& where) {
-    const std::vector<std::string_view> cells = csv_cells(line);
+Values parse_line(const std::string& line, const std::vector<int>& columns, std::size_t n_cells,
+                  const std::string& location) {
+    const std::vector<std::string_view> cells = split_csv_cells(line);
     if (cells.size() != n_cells)
-        throw DataError(
-            fmt::format("{}: found {} values, expected {} like in the header", where, cells.size(), n_cells));
+        throw DataError(fmt::format("{}: found {} values, expected {} like in the header", location,
+                                    cells.size(), n_cells));
     Values value{};
     value[kMaxRange] = RayColumns{}.limits.max_m;
     for (std::size_t f = 0; f < kFieldCount; ++f) {
-        if (at[f] < 0) continue;
-        const std::string_view cell = cells[static_cast<std::size_t>(at[f])];
+        if (columns[f] < 0) continue;
+        const std::string_view cell = cells[static_cast<std::size_t>(columns[f])];
         const auto number = parse_number(cell);
         if (!number || !std::isfinite(*number))
             throw DataError(
-                fmt::format("{}: {} is '{}', expected a number", where, kNames[f], excerpt(cell)));
+                fmt::format("{}: {} is '{}', expected a number", location, kNames[f], make_excerpt(cell)));
         value[f] = *number;
     }
     return value;
 }
 
-void add_ray(RayColumns& rays, const Values& v) {
-    const double azimuth = v[kAzimuth] * kPi / 180.0, elevation = v[kElevation] * kPi / 180.0,
+void add_ray(RayColumns& rays, const Values& values) {
+    const double azimuth = values[kAzimuth] * kPi / 180.0, elevation = values[kElevation] * kPi / 180.0,
                  c = std::cos(elevation);
     rays.direction.insert(rays.direction.end(),
                           {c * std::cos(azimuth), c * std::sin(azimuth), std::sin(elevation)});
-    rays.origin.insert(rays.origin.end(), {v[kOriginX], v[kOriginY], v[kOriginZ]});
-    rays.time_s.push_back(v[kTime]);
-    rays.channel.push_back(v[kChannel]);
-    rays.divergence_rad.push_back(v[kDivergence] * 1e-3);
+    rays.origin.insert(rays.origin.end(), {values[kOriginX], values[kOriginY], values[kOriginZ]});
+    rays.time_s.push_back(values[kTime]);
+    rays.channel.push_back(values[kChannel]);
+    rays.divergence_rad.push_back(values[kDivergence] * 1e-3);
 }
 
 }  // namespace
 
-SensorModel parse_ray_csv(const std::string& text, const std::string& name, const std::string& where) {
+SensorModel parse_ray_csv(const std::string& text, const std::string& name, const std::string& location) {
     const std::vector<std::string> lines = split_lines(text);
     const std::vector<std::string_view> header =
-        lines.empty() ? std::vector<std::string_view>{} : csv_cells(lines[0]);
-    const std::vector<int> at = find_columns(header, kNames, where + " line 1");
+        lines.empty() ? std::vector<std::string_view>{} : split_csv_cells(lines[0]);
+    const std::vector<int> at = find_columns(header, kNames, location + " line 1");
     if (at[kAzimuth] < 0 || at[kElevation] < 0)
         throw DataError(fmt::format(
             "{} line 1: the column azimuth_deg or elevation_deg is missing, expected both in a ray "
             "table",
-            where));
+            location));
     RayColumns rays;
     Values first{};
     for (std::size_t l = 1; l < lines.size(); ++l) {
-        if (trimmed(lines[l]).empty()) continue;
-        const std::string line = fmt::format("{} line {}", where, l + 1);
+        if (trim_spaces(lines[l]).empty()) continue;
+        const std::string line = fmt::format("{} line {}", location, l + 1);
         const Values v = parse_line(lines[l], at, header.size(), line);
         if (rays.time_s.empty()) first = v;
         for (const Field f : kOfSensor) {
@@ -100,7 +100,7 @@ SensorModel parse_ray_csv(const std::string& text, const std::string& name, cons
     }
     rays.columns = static_cast<int>(std::min(rays.time_s.size(), kMaxRays + 1));
     rays.limits = {first[kMinRange], first[kMaxRange]};
-    return ray_sensor(rays, name, where);
+    return make_ray_sensor(rays, name, location);
 }
 
 }  // namespace relidar::sensor_files

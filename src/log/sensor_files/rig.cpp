@@ -24,7 +24,7 @@ constexpr std::size_t kMostSensors = 64;
 constexpr double kFarthest_m = 1000.0;
 
 /// Returns the three numbers of a JSON list. Returns zeros if the key is missing.
-glm::dvec3 vector_of(const Json& sensor, const char* key, double largest, const std::string& where) {
+glm::dvec3 read_vector(const Json& sensor, const char* key, double largest, const std::string& location) {
     if (!sensor.contains(key)) return glm::dvec3(0.0);
     const Json& list = sensor.at(key);
     glm::dvec3 v(0.0);
@@ -32,69 +32,73 @@ glm::dvec3 vector_of(const Json& sensor, const char* key, double largest, const 
                          std::all_of(list.begin(), list.end(), [](const Json& n) { return n.is_number(); });
     for (int k = 0; numbers && k < 3; ++k) v[k] = list[std::size_t(k)].get<double>();
     if (!numbers || !(std::abs(v.x) <= largest && std::abs(v.y) <= largest && std::abs(v.z) <= largest))
-        throw DataError(fmt::format("{}: {}: expected three numbers of at most {}", where, key, largest));
+        throw DataError(fmt::format("{}: {}: expected three numbers of at most {}", location, key, largest));
     return v;
 }
 
-std::string text_of(const Json& sensor, const char* key, const std::string& where) {
+std::string read_text_member(const Json& sensor, const char* key, const std::string& location) {
     if (!sensor.is_object() || !sensor.contains(key) || !sensor.at(key).is_string())
-        throw DataError(fmt::format("{}: {}: expected a text", where, key));
+        throw DataError(fmt::format("{}: {}: expected a text", location, key));
     return sensor.at(key).get<std::string>();
 }
 
-Pose mounting(const Json& sensor, const std::string& where) {
-    const glm::dvec3 angle = vector_of(sensor, "yaw_pitch_roll_deg", 360.0, where) * (kPi / 180.0);
-    return {rotation_of(angle.x, angle.y, angle.z), vector_of(sensor, "translation_m", kFarthest_m, where)};
+Pose mounting(const Json& sensor, const std::string& location) {
+    const glm::dvec3 angle = read_vector(sensor, "yaw_pitch_roll_deg", 360.0, location) * (kPi / 180.0);
+    return {make_rotation(angle.x, angle.y, angle.z),
+            read_vector(sensor, "translation_m", kFarthest_m, location)};
 }
 
-int returns_of(const Json& sensor, const std::string& where) {
+int returns_of(const Json& sensor, const std::string& location) {
     if (!sensor.contains("returns")) return 1;
     const Json& returns = sensor.at("returns");
-    if (returns != 1 && returns != 2) throw DataError(fmt::format("{}: returns: expected 1 or 2", where));
+    if (returns != 1 && returns != 2) throw DataError(fmt::format("{}: returns: expected 1 or 2", location));
     return returns.get<int>();
 }
 
 /// Returns the path of a sensor file in the folder of the rig. If the folder contains no
 /// such file, returns the text unchanged, because it is a sensor name or another path.
-std::string beside(const std::string& sensor, const std::string& rig) {
+std::string find_file_beside_rig(const std::string& sensor, const std::string& rig) {
     const fs::path path = fs::path(rig).parent_path() / sensor;
     const fs::path without_columns = path.string().substr(0, path.string().rfind(':'));
-    return !known_name(sensor, sensor_names()) && (path_exists(path) || path_exists(without_columns))
+    return !find_known_name(sensor, list_sensor_names()) &&
+                   (does_path_exist(path) || does_path_exist(without_columns))
                ? path.string()
                : sensor;
 }
 
 /// Returns the sensor of one entry of a rig. The entry contains the name of a sensor, the
 /// name of a file, or an object that describes the sensor.
-SensorModel model_of(const Json& sensor, const std::string& name, const std::string& rig,
-                     const std::string& where) {
+SensorModel read_sensor_model(const Json& sensor, const std::string& name, const std::string& rig,
+                              const std::string& location) {
     if (!sensor.contains("sensor") || !sensor.at("sensor").is_object())
-        return find_sensor(beside(text_of(sensor, "sensor", where), rig));
-    const std::string object = where + ": sensor";
-    SensorModel model = sensor_of_json(sensor.at("sensor").dump(), name, object);
+        return find_sensor(find_file_beside_rig(read_text_member(sensor, "sensor", location), rig));
+    const std::string object = location + ": sensor";
+    SensorModel model = parse_sensor_json_text(sensor.at("sensor").dump(), name, object);
     sensor_files::limit_range(model, kDefaultMaxRange_m, object);
     return model;
 }
 
-void check_name(const std::string& name, const std::set<std::string>& taken, const std::string& where) {
-    const auto allowed = [](char c) {
-        return std::isalnum(static_cast<unsigned char>(c)) || c == '-' || c == '_' || c == '.';
+void check_name(const std::string& name, const std::set<std::string>& taken, const std::string& location) {
+    const auto allowed = [](char character) {
+        return std::isalnum(static_cast<unsigned char>(character)) || character == '-' || character == '_' ||
+               character == '.';
     };
     if (name.empty() || name.size() > 64 || name.starts_with('.') ||
         !std::all_of(name.begin(), name.end(), allowed))
-        throw DataError(fmt::format("{}: name: found \"{}\", expected letters, digits, -, _ and .", where,
-                                    excerpt(name)));
+        throw DataError(fmt::format("{}: name: found \"{}\", expected letters, digits, -, _ and .", location,
+                                    make_excerpt(name)));
     if (taken.contains(name))
-        throw DataError(fmt::format("{}: name: \"{}\" occurs twice, expected it once", where, name));
+        throw DataError(fmt::format("{}: name: \"{}\" occurs twice, expected it once", location, name));
 }
 
 /// Throws an error for unknown keys. Without this check, a misspelt key such as
 /// "translation" would be ignored, and the sensor would be mounted at the rig's origin.
-void check_keys(const Json& object, const std::vector<std::string>& known, const std::string& where) {
+void check_keys(const Json& object, const std::vector<std::string>& known_names,
+                const std::string& location) {
     for (const auto& [key, value] : object.items())
-        if (std::find(known.begin(), known.end(), key) == known.end())
-            throw DataError(fmt::format("{}: unknown key '{}'{} (known: {})", where, excerpt(key),
-                                        did_you_mean(key, known, "'"), fmt::join(known, ", ")));
+        if (std::find(known_names.begin(), known_names.end(), key) == known_names.end())
+            throw DataError(fmt::format("{}: unknown key '{}'{} (known: {})", location, make_excerpt(key),
+                                        suggest_name(key, known_names, "'"), fmt::join(known_names, ", ")));
 }
 
 }  // namespace
@@ -119,12 +123,12 @@ std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
     std::set<std::string> names;
     for (const Json& sensor : json.at("sensors")) {
         const std::string where = fmt::format("{}: sensor {}", path, rig.size());
-        const std::string name = text_of(sensor, "name", where);
+        const std::string name = read_text_member(sensor, "name", where);
         check_name(name, names, where);
         names.insert(name);
         check_keys(sensor, {"name", "sensor", "translation_m", "yaw_pitch_roll_deg", "returns"}, where);
-        rig.push_back(
-            {name, model_of(sensor, name, path, where), mounting(sensor, where), returns_of(sensor, where)});
+        rig.push_back({name, read_sensor_model(sensor, name, path, where), mounting(sensor, where),
+                       returns_of(sensor, where)});
     }
     return rig;
 }

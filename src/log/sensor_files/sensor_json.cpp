@@ -39,18 +39,18 @@ const Json* find(const Json& json, const std::string& key, std::initializer_list
 }
 
 /// Returns the numbers of a JSON list. Returns an empty vector if the list is missing.
-std::vector<double> numbers_of(const Json* json, const std::string& where) {
-    return json ? JsonField(*json, where, "").nested_numbers(1) : std::vector<double>{};
+std::vector<double> read_numbers_member(const Json* json, const std::string& location) {
+    return json ? JsonField(*json, location, "").read_nested_numbers(1) : std::vector<double>{};
 }
 
-double number_of(const Json* json, double missing, const std::string& where) {
-    if (!json) return missing;
+double number_of(const Json* json, double default_value, const std::string& location) {
+    if (!json) return default_value;
     if (!json->is_number() || !std::isfinite(json->get<double>()))
-        throw DataError(fmt::format("{}: expected a number", where));
+        throw DataError(fmt::format("{}: expected a number", location));
     return json->get<double>();
 }
 
-RangeLimits ouster_limits(const Json& json) {
+RangeLimits make_ouster_limits(const Json& json) {
     const Json* line = find(json, "prod_line", {"sensor_info"});
     const std::string product = line && line->is_string() ? line->get<std::string>() : "";
     const auto known = product.starts_with("OS-0")   ? find_built_in_sensor("OS0-128")
@@ -61,7 +61,7 @@ RangeLimits ouster_limits(const Json& json) {
 
 /// Returns the columns and the rate of an Ouster sensor from its mode, for example
 /// "1024x10".
-std::pair<int, double> ouster_mode(const Json& json, const std::string& where) {
+std::pair<int, double> parse_ouster_mode(const Json& json, const std::string& location) {
     const Json* mode = find(json, "lidar_mode", {"config_params"});
     const std::string text = mode && mode->is_string() ? mode->get<std::string>() : "";
     const std::size_t x = text.find('x');
@@ -70,34 +70,35 @@ std::pair<int, double> ouster_mode(const Json& json, const std::string& where) {
         x == std::string::npos ? std::nullopt : parse_number(std::string_view(text).substr(x + 1));
     if (!columns || !rate || !(*columns >= 1 && *columns <= 65536) || !(*rate > 0.0 && *rate <= 1000.0))
         throw DataError(
-            fmt::format("{}: lidar_mode is \"{}\", expected columns and rate, for example \"1024x10\"", where,
-                        excerpt(text)));
+            fmt::format("{}: lidar_mode is \"{}\", expected columns and rate, for example \"1024x10\"",
+                        location, make_excerpt(text)));
     return {static_cast<int>(*columns), *rate};
 }
 
-SensorModel ouster_sensor(const Json& json, const std::string& name, const std::string& where, int columns,
-                          double rate_hz) {
+SensorModel parse_ouster_sensor(const Json& json, const std::string& name, const std::string& location,
+                                int columns, double rate_hz) {
     const auto list = [&](const char* key) {
-        return numbers_of(find(json, key, {"beam_intrinsics"}), fmt::format("{}: {}", where, key));
+        return read_numbers_member(find(json, key, {"beam_intrinsics"}),
+                                   fmt::format("{}: {}", location, key));
     };
     const std::vector<double> altitude = list("beam_altitude_angles"), azimuth = list("beam_azimuth_angles");
     if (altitude.empty() || altitude.size() > kMostBeams || azimuth.size() != altitude.size()) {
         throw DataError(fmt::format(
             "{}: found {} beam_altitude_angles and {} beam_azimuth_angles, expected the same number "
             "of both and at most {}",
-            where, altitude.size(), azimuth.size(), kMostBeams));
+            location, altitude.size(), azimuth.size(), kMostBeams));
     }
     const double offset_m =
         1e-3 * number_of(find(json, "lidar_origin_to_beam_origin_mm", {"beam_intrinsics"}), 0.0,
-                         where + ": lidar_origin_to_beam_origin_mm");
+                         location + ": lidar_origin_to_beam_origin_mm");
     SpinningSensor sensor;
     const auto [mode_columns, mode_rate_hz] =
-        columns > 0 ? std::pair(columns, rate_hz) : ouster_mode(json, where);
+        columns > 0 ? std::pair(columns, rate_hz) : parse_ouster_mode(json, location);
     sensor.name = name;
     sensor.columns = mode_columns;
     sensor.period_s = 1.0 / mode_rate_hz;
     sensor.first_azimuth_rad = kPi;
-    const RangeLimits limits = ouster_limits(json);
+    const RangeLimits limits = make_ouster_limits(json);
     sensor.min_range_m = limits.min_m;
     sensor.max_range_m = limits.max_m;
     for (std::size_t b = 0; b < altitude.size(); ++b) {
@@ -105,7 +106,7 @@ SensorModel ouster_sensor(const Json& json, const std::string& name, const std::
             throw DataError(fmt::format(
                 "{}: beam {} has altitude {} and azimuth {} and starts {} m from the axis, expected "
                 "angles in degrees and less than 1 m",
-                where, b, altitude[b], azimuth[b], offset_m));
+                location, b, altitude[b], azimuth[b], offset_m));
         sensor.beams.push_back({.elevation_rad = altitude[b] * kPi / 180.0,
                                 .azimuth_offset_rad = -azimuth[b] * kPi / 180.0,
                                 .origin_offset_m = offset_m});
@@ -116,19 +117,19 @@ SensorModel ouster_sensor(const Json& json, const std::string& name, const std::
 
 }  // namespace
 
-SensorModel parse_sensor_json(const std::string& text, const std::string& name, const std::string& where,
+SensorModel parse_sensor_json(const std::string& text, const std::string& name, const std::string& location,
                               int columns, double rate_hz) {
     Json json;
     try {
         json = Json::parse(text);
     } catch (const Json::exception& error) {
-        throw DataError(
-            fmt::format("{} is not valid JSON ({}), expected a sensor", where, excerpt(error.what())));
+        throw DataError(fmt::format("{} is not valid JSON ({}), expected a sensor", location,
+                                    make_excerpt(error.what())));
     }
-    const JsonField root(json, where, "");
+    const JsonField root(json, location, "");
     // A file with the key "directions" has the members of the kind "rays", but without
     // the name of the kind.
-    if (root.has("directions")) return rays_kind().parse(root, name);
+    if (root.has("directions")) return make_rays_kind().parse(root, name);
     if (find_pattern_kind(root)) {
         SensorModel sensor = read_sensor_json(root, name);
         const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern);
@@ -137,13 +138,13 @@ SensorModel parse_sensor_json(const std::string& text, const std::string& name, 
         return sensor;
     }
     if (json.is_object() && find(json, "beam_altitude_angles", {"beam_intrinsics"}))
-        return ouster_sensor(json, name, where, columns, rate_hz);
+        return parse_ouster_sensor(json, name, location, columns, rate_hz);
     std::string kinds;
-    for (const PatternKind& kind : pattern_kinds()) kinds += fmt::format("\"{}\", ", kind.name);
+    for (const PatternKind& kind : list_pattern_kinds()) kinds += fmt::format("\"{}\", ", kind.name);
     throw DataError(
         fmt::format("{}: found none of the keys {}\"directions\" and \"beam_altitude_angles\", expected a "
                     "scan pattern, a ray table, or Ouster metadata",
-                    where, kinds));
+                    location, kinds));
 }
 
 }  // namespace relidar::sensor_files

@@ -18,7 +18,7 @@ constexpr double kExact_rad = 1e-5;  // shifts below this value are rounding err
 constexpr double kAgree_columns = 0.1;
 
 /// Returns the azimuth angle from one direction to another, positive to the left.
-double azimuth_between(const glm::vec3& from, const glm::vec3& to) {
+double compute_azimuth_between(const glm::vec3& from, const glm::vec3& to) {
     return std::atan2(double(from.x) * to.y - double(from.y) * to.x,
                       double(from.x) * to.x + double(from.y) * to.y);
 }
@@ -29,13 +29,14 @@ template <class Visit>
 void visit_rays(const SpinningSensor& sensor, const Visit& visit) {
     const auto columns = std::size_t(sensor.columns);
     for (std::size_t row = 0; row < sensor.beams.size(); ++row) {
-        const int shift = column_shift(sensor.beams[row], sensor.columns) % sensor.columns + sensor.columns;
+        const int shift =
+            compute_column_shift(sensor.beams[row], sensor.columns) % sensor.columns + sensor.columns;
         for (std::size_t column = 0; column < columns; ++column)
             visit(row * columns + column, (column + std::size_t(shift)) % columns);
     }
 }
 
-float median_of(std::vector<float>& values) {
+float compute_median(std::vector<float>& values) {
     const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
     std::nth_element(values.begin(), middle, values.end());
     return *middle;
@@ -69,21 +70,21 @@ std::vector<float> find_azimuth_shift(const Scan& scan, const SpinningSensor& se
     visit_rays(sensor, [&](std::size_t ray, std::size_t firing) {
         if (!(scan.range_m[ray] > 0.0f)) return;
         seen[firing].push_back(
-            static_cast<float>(azimuth_between(nominal.direction[ray], rays.direction[ray])));
+            static_cast<float>(compute_azimuth_between(nominal.direction[ray], rays.direction[ray])));
     });
     std::vector<float> shift_rad(seen.size(), NAN), off;
     for (std::size_t firing = 0; firing < seen.size(); ++firing) {
         if (seen[firing].size() < kFewest) continue;
-        shift_rad[firing] = median_of(seen[firing]);
+        shift_rad[firing] = compute_median(seen[firing]);
         for (const float shift : seen[firing]) off.push_back(std::abs(shift - shift_rad[firing]));
     }
-    if (!fill_shift_gaps(shift_rad) || median_of(off) > kAgree_columns * 2.0 * kPi / sensor.columns)
+    if (!fill_shift_gaps(shift_rad) || compute_median(off) > kAgree_columns * 2.0 * kPi / sensor.columns)
         return {};
     if (std::ranges::all_of(shift_rad, [](float shift) { return std::abs(shift) < kExact_rad; })) return {};
     return shift_rad;
 }
 
-RayTable shifted_azimuths(RayTable rays, const SpinningSensor& sensor, const std::vector<float>& shift_rad) {
+RayTable shift_azimuths(RayTable rays, const SpinningSensor& sensor, const std::vector<float>& shift_rad) {
     if (shift_rad.empty()) return rays;
     visit_rays(sensor, [&](std::size_t ray, std::size_t firing) {
         const double cosine = std::cos(double(shift_rad[firing])), sine = std::sin(double(shift_rad[firing]));

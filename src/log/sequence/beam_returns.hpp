@@ -12,18 +12,18 @@
 
 namespace relidar {
 
-/// Returns the beam number (Sequence::beam_number) of a ray. Returns nothing if the ray
-/// has no return closer than max_range_m.
-inline std::optional<std::uint16_t> beam_of_return(const Sequence& sequence, const Frame& frame,
-                                                   std::size_t ray, double max_range_m) {
+/// Returns the beam number (Sequence::find_beam_number) of a ray. Returns nothing if the
+/// ray has no return closer than max_range_m.
+inline std::optional<std::uint16_t> find_beam_of_return(const Sequence& sequence, const Frame& frame,
+                                                        std::size_t ray, double max_range_m) {
     const float range_m = frame.scan.range_m[ray];
     return range_m > 0.0f && range_m < max_range_m
-               ? sequence.beam_number(frame.lidar, frame.scan.rays.channel[ray])
+               ? sequence.find_beam_number(frame.lidar, frame.scan.rays.channel[ray])
                : std::nullopt;
 }
 
-/// Returns the beams of all LiDARs in the order of Sequence::beam_number().
-inline std::vector<Beam*> beams_of(Sequence& sequence) {
+/// Returns the beams of all LiDARs in the order of Sequence::find_beam_number().
+inline std::vector<Beam*> list_beams(Sequence& sequence) {
     std::vector<Beam*> beams;
     for (Lidar& lidar : sequence.lidars)
         for (Beam& beam : lidar.sensor.beams) beams.push_back(&beam);
@@ -39,8 +39,9 @@ auto read_frames(const Sequence& sequence, const std::vector<int>& positions, st
     for (const int position : positions) rays += sequence.frames[std::size_t(position)].scan.range_m.size();
     const std::size_t stride = rays / max_rays + 1;
     std::vector<decltype(read(sequence.frames.front()))> frames((positions.size() + stride - 1) / stride);
-    parallel_for(static_cast<int>(frames.size()), [&](int i) {
-        frames[std::size_t(i)] = read(sequence.frames[std::size_t(positions[std::size_t(i) * stride])]);
+    parallel_for(static_cast<int>(frames.size()), [&](int index) {
+        frames[std::size_t(index)] =
+            read(sequence.frames[std::size_t(positions[std::size_t(index) * stride])]);
     });
     return frames;
 }

@@ -35,33 +35,36 @@ std::vector<SeenPlace> returns_of(const Sequence& sequence, const Frame& frame) 
     std::vector<SeenPlace> result;
     const Scan& scan = frame.scan;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
-        const auto beam = beam_of_return(sequence, frame, ray, sequence.lidar_of(frame).sensor.max_range_m);
+        const auto beam =
+            find_beam_of_return(sequence, frame, ray, sequence.get_lidar(frame).sensor.max_range_m);
         if (!beam) continue;
-        const WorldReturn w = world_return(sequence, frame, ray);
+        const WorldReturn w = compute_world_return(sequence, frame, ray);
         result.push_back(
             {w.point_m,
              glm::vec3(w.direction),
-             {0, *beam, surface_return(sequence, frame, ray).range_m, 0.0f, scan.intensity[ray]}});
+             {0, *beam, compute_surface_return(sequence, frame, ray).range_m, 0.0f, scan.intensity[ray]}});
     }
     return result;
 }
 
 /// Assigns all returns to cells of a world grid.
-/// @param seen returns of all frames
-CellNumbers cells_of(const std::vector<SeenPlace>& seen, double cell_m) {
-    return number_cells(seen.size(), [&](std::size_t i) { return cell_key(seen[i].point_m, cell_m); });
+/// @param places returns of all frames
+CellNumbers cells_of(const std::vector<SeenPlace>& places, double cell_m) {
+    return number_cells(places.size(),
+                        [&](std::size_t index) { return make_cell_key(places[index].point_m, cell_m); });
 }
 
 /// Computes the normal of the surface in each cell of edge length kSurface_m. The normal
 /// is zero if the returns of a cell do not lie on a surface.
-std::vector<glm::vec3> normals_of(const std::vector<SeenPlace>& seen, const CellNumbers& cells) {
+std::vector<glm::vec3> estimate_normals_of_places(const std::vector<SeenPlace>& places,
+                                                  const CellNumbers& cells) {
     const ItemsOfCells items(cells);
     std::vector<glm::vec3> normals(cells.n_cells, glm::vec3(0.0f));
     for_each_block(cells.n_cells, [&](std::size_t cell) {
         if (double(items.of(cell).size()) < kMinPoints) return;
         PlaneSums sums;
         for (const std::uint32_t i : items.of(cell))
-            sums.add(seen[i].point_m - kSurface_m * glm::floor(seen[i].point_m / kSurface_m));
+            sums.add(places[i].point_m - kSurface_m * glm::floor(places[i].point_m / kSurface_m));
         const PlaneFit fit = sums.fit();
         if (fit.variance[0] <= kMaxThickness * kMaxThickness * fit.variance[1])
             normals[cell] = glm::vec3(fit.axes[0]);
@@ -76,9 +79,9 @@ PlaceReturns collect_place_returns(const Sequence& sequence, const std::vector<i
         sequence, positions, kMostCompared, [&](const Frame& frame) { return returns_of(sequence, frame); }));
     {
         const CellNumbers cells = cells_of(seen, kSurface_m);
-        const std::vector<glm::vec3> normals = normals_of(seen, cells);
-        for_each_block(seen.size(), [&](std::size_t i) {
-            seen[i].given.cosine = std::abs(glm::dot(normals[cells.of[i]], seen[i].direction));
+        const std::vector<glm::vec3> normals = estimate_normals_of_places(seen, cells);
+        for_each_block(seen.size(), [&](std::size_t index) {
+            seen[index].given.cosine = std::abs(glm::dot(normals[cells.of[index]], seen[index].direction));
         });
         std::size_t n = 0;
         for (std::size_t i = 0; i < seen.size(); ++i)

@@ -57,7 +57,7 @@ struct Parts {
 /// Returns the index of the knot at or before a range, and the position between this knot
 /// and the next knot as a fraction. The fraction is clamped to 0 .. 1 for ranges outside
 /// all knots.
-std::pair<std::size_t, double> knot_at(double range_m) {
+std::pair<std::size_t, double> find_knot(double range_m) {
     const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
     const std::size_t left = std::size_t(
         std::clamp<std::ptrdiff_t>(after - kKnots_m.begin() - 1, 0, std::ptrdiff_t(kKnots_m.size()) - 2));
@@ -66,41 +66,41 @@ std::pair<std::size_t, double> knot_at(double range_m) {
 
 /// Divides the returns into chunks for parallel sums. All returns of a place are in one
 /// chunk. Returns the first index of each chunk, followed by the number of returns.
-std::vector<std::size_t> chunk_bounds(const std::vector<PlaceReturn>& seen) {
+std::vector<std::size_t> divide_into_chunks(const std::vector<PlaceReturn>& returns) {
     std::vector<std::size_t> bounds{0};
     for (std::size_t c = 1; c < kChunks; ++c) {
-        std::size_t at = std::max(seen.size() * c / kChunks, bounds.back());
-        while (at > 0 && at < seen.size() && seen[at].place == seen[at - 1].place) ++at;
+        std::size_t at = std::max(returns.size() * c / kChunks, bounds.back());
+        while (at > 0 && at < returns.size() && returns[at].place == returns[at - 1].place) ++at;
         bounds.push_back(at);
     }
-    bounds.push_back(seen.size());
+    bounds.push_back(returns.size());
     return bounds;
 }
 
 /// Calls task(returns of one place, chunk) for each place. The chunks are processed in
 /// parallel.
 template <class Task>
-void for_each_place(const std::vector<PlaceReturn>& seen, const Task& task) {
-    const std::vector<std::size_t> bounds = chunk_bounds(seen);
+void for_each_place(const std::vector<PlaceReturn>& returns, const Task& task) {
+    const std::vector<std::size_t> bounds = divide_into_chunks(returns);
     parallel_for(static_cast<int>(kChunks), [&](int chunk) {
         const std::size_t last = bounds[std::size_t(chunk) + 1];
         for (std::size_t begin = bounds[std::size_t(chunk)], end = begin; begin < last; begin = end) {
-            while (end < last && seen[end].place == seen[begin].place) ++end;
-            task(std::span(seen).subspan(begin, end - begin), std::size_t(chunk));
+            while (end < last && returns[end].place == returns[begin].place) ++end;
+            task(std::span(returns).subspan(begin, end - begin), std::size_t(chunk));
         }
     });
 }
 
-void fit_albedos(Model& m, const PlaceReturns& returns) {
+void fit_albedos(Model& model, const PlaceReturns& returns) {
     for_each_place(returns.seen, [&](std::span<const PlaceReturn> place, std::size_t) {
         double sum = 0.0, weight = 0.0;
         for (const PlaceReturn& r : place) {
-            const Response& beam = m.beams[r.beam];
-            const double x = beam.gain * m.shared.at_range(r.range_m) * m.shared.at_cosine(r.cosine);
+            const Response& beam = model.beams[r.beam];
+            const double x = beam.gain * model.shared.at_range(r.range_m) * model.shared.at_cosine(r.cosine);
             sum += x * (double(r.intensity) - beam.offset);
             weight += x * x;
         }
-        m.albedo[place.front().place] = std::max(sum / std::max(weight, 1e-12), 0.0);
+        model.albedo[place.front().place] = std::max(sum / std::max(weight, 1e-12), 0.0);
     });
 }
 
@@ -129,20 +129,20 @@ struct Row {
     void add(Eigen::Index unknown, double derivative) { by[n++] = {unknown, derivative}; }
 };
 
-Row row_of(const Model& m, const Layout& at, const PlaceReturn& r) {
-    const Response& beam = m.beams[r.beam];
-    const auto [knot, s] = knot_at(r.range_m);
-    const double rho = m.shared.at_range(r.range_m), kappa = m.shared.at_cosine(r.cosine),
-                 albedo = m.albedo[r.place], mean_beam = albedo * rho * kappa;
+Row row_of(const Model& model, const Layout& layout, const PlaceReturn& r) {
+    const Response& beam = model.beams[r.beam];
+    const auto [knot, s] = find_knot(r.range_m);
+    const double rho = model.shared.at_range(r.range_m), kappa = model.shared.at_cosine(r.cosine),
+                 albedo = model.albedo[r.place], mean_beam = albedo * rho * kappa;
     Row row{{}, 0, beam.gain * rho * kappa, double(r.intensity) - beam.gain * mean_beam - beam.offset};
-    if (at.parts.shared) {
-        row.add(at.factor(knot), beam.gain * albedo * kappa * (1.0 - s));
-        row.add(at.factor(knot + 1), beam.gain * albedo * kappa * s);
-        row.add(at.incidence(), -beam.gain * albedo * rho * (1.0 - double(r.cosine)));
+    if (layout.parts.shared) {
+        row.add(layout.factor(knot), beam.gain * albedo * kappa * (1.0 - s));
+        row.add(layout.factor(knot + 1), beam.gain * albedo * kappa * s);
+        row.add(layout.incidence(), -beam.gain * albedo * rho * (1.0 - double(r.cosine)));
     }
-    if (at.parts.beams) {
-        row.add(at.gain(r.beam), mean_beam);
-        row.add(at.offset(r.beam), 1.0);
+    if (layout.parts.beams) {
+        row.add(layout.gain(r.beam), mean_beam);
+        row.add(layout.offset(r.beam), 1.0);
     }
     return row;
 }
@@ -168,11 +168,11 @@ struct alignas(64) Sums {
     explicit Sums(Eigen::Index n)
         : system{Eigen::MatrixXd::Zero(n, n), Eigen::VectorXd::Zero(n)}, coupling(std::size_t(n), 0.0) {}
 
-    void add(const Model& m, const Layout& at, std::span<const PlaceReturn> place) {
+    void add(const Model& model, const Layout& layout, std::span<const PlaceReturn> place) {
         double cc = 0.0, ce = 0.0;
         touched.clear();
         for (const PlaceReturn& r : place) {
-            const Row row = row_of(m, at, r);
+            const Row row = row_of(model, layout, r);
             for (std::size_t i = 0; i < row.n; ++i) {
                 const auto [unknown, derivative] = row.by[i];
                 if (coupling[std::size_t(unknown)] == 0.0) touched.push_back(unknown);
@@ -182,7 +182,7 @@ struct alignas(64) Sums {
                     system.h(unknown, row.by[j].first) += derivative * row.by[j].second;
             }
             cc += row.by_albedo * row.by_albedo, ce += row.by_albedo * row.error;
-            const double expected = m.albedo[r.place] * row.by_albedo;
+            const double expected = model.albedo[r.place] * row.by_albedo;
             sum += expected, squares += expected * expected;
         }
         for (const Eigen::Index i : touched) {
@@ -194,10 +194,10 @@ struct alignas(64) Sums {
     }
 };
 
-System system_of(const Model& m, const Layout& at, const PlaceReturns& returns) {
-    std::vector<Sums> sums(kChunks, Sums(at.size()));
+System build_system(const Model& model, const Layout& layout, const PlaceReturns& returns) {
+    std::vector<Sums> sums(kChunks, Sums(layout.size()));
     for_each_place(returns.seen, [&](std::span<const PlaceReturn> place, std::size_t chunk) {
-        sums[chunk].add(m, at, place);
+        sums[chunk].add(model, layout, place);
     });
     for (std::size_t c = 1; c < kChunks; ++c) {
         sums[0].system.h += sums[c].system.h, sums[0].system.g += sums[c].system.g;
@@ -210,45 +210,50 @@ System system_of(const Model& m, const Layout& at, const PlaceReturns& returns) 
     return sys;
 }
 
-void add_priors(System& sys, const Model& m, const Layout& at) {
+void add_priors(System& sys, const Model& model, const Layout& layout) {
     const auto pull = [&](Eigen::Index i, double weight, double error) {
         sys.h(i, i) += weight, sys.g[i] += weight * error;
     };
     const double prior = kResponsePrior * (sys.mean * sys.mean + sys.spread * sys.spread);
     // If a knot has few returns, the prior pulls its value to the line through the
     // neighbouring knots.
-    for (std::size_t k = 1; at.parts.shared && k + 1 < kKnots_m.size(); ++k) {
+    for (std::size_t k = 1; layout.parts.shared && k + 1 < kKnots_m.size(); ++k) {
         const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
         const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after),
-                              now(m.shared.factor[k - 1], m.shared.factor[k], m.shared.factor[k + 1]);
-        sys.h.block<3, 3>(at.factor(k - 1), at.factor(k - 1)) += prior * bend * bend.transpose();
-        sys.g.segment<3>(at.factor(k - 1)) -= prior * bend * bend.dot(now);
+                              now(model.shared.factor[k - 1], model.shared.factor[k],
+                                  model.shared.factor[k + 1]);
+        sys.h.block<3, 3>(layout.factor(k - 1), layout.factor(k - 1)) += prior * bend * bend.transpose();
+        sys.g.segment<3>(layout.factor(k - 1)) -= prior * bend * bend.dot(now);
     }
-    if (at.parts.shared) {
+    if (layout.parts.shared) {
         // The scale of the albedos is arbitrary, so the value at one knot is fixed to 1.
-        pull(at.factor(kReference), 1e3 * prior, 1.0 - m.shared.factor[kReference]);
+        pull(layout.factor(kReference), 1e3 * prior, 1.0 - model.shared.factor[kReference]);
         for (std::size_t k = 0; k < kKnots_m.size(); ++k)
-            pull(at.factor(k), 1e-3 * prior, 1.0 - m.shared.factor[k]);
-        pull(at.incidence(), 1e-3 * prior, -m.shared.incidence);
+            pull(layout.factor(k), 1e-3 * prior, 1.0 - model.shared.factor[k]);
+        pull(layout.incidence(), 1e-3 * prior, -model.shared.incidence);
     }
-    for (std::size_t b = 0; at.parts.beams && b < m.beams.size(); ++b)
+    for (std::size_t b = 0; layout.parts.beams && b < model.beams.size(); ++b)
         for (const double x : {sys.mean - sys.spread, sys.mean + sys.spread}) {
-            const double weight = 0.5 * kResponsePrior, error = x - m.beams[b].gain * x - m.beams[b].offset;
-            sys.h(at.gain(b), at.gain(b)) += weight * x * x, sys.h(at.offset(b), at.offset(b)) += weight;
-            sys.h(at.offset(b), at.gain(b)) += weight * x;
-            sys.g[at.gain(b)] += weight * x * error, sys.g[at.offset(b)] += weight * error;
+            const double weight = 0.5 * kResponsePrior,
+                         error = x - model.beams[b].gain * x - model.beams[b].offset;
+            sys.h(layout.gain(b), layout.gain(b)) += weight * x * x,
+                sys.h(layout.offset(b), layout.offset(b)) += weight;
+            sys.h(layout.offset(b), layout.gain(b)) += weight * x;
+            sys.g[layout.gain(b)] += weight * x * error, sys.g[layout.offset(b)] += weight * error;
         }
 }
 
-void apply_step(Model& m, const Layout& at, const Eigen::VectorXd& step) {
-    if (at.parts.shared) {
-        for (std::size_t k = 0; k < m.shared.factor.size(); ++k)
-            m.shared.factor[k] = std::clamp(m.shared.factor[k] + step[at.factor(k)], kMinFactor, kMaxFactor);
-        m.shared.incidence = std::clamp(m.shared.incidence + step[at.incidence()], 0.0, kMaxIncidence);
+void apply_step(Model& model, const Layout& layout, const Eigen::VectorXd& step) {
+    if (layout.parts.shared) {
+        for (std::size_t k = 0; k < model.shared.factor.size(); ++k)
+            model.shared.factor[k] =
+                std::clamp(model.shared.factor[k] + step[layout.factor(k)], kMinFactor, kMaxFactor);
+        model.shared.incidence =
+            std::clamp(model.shared.incidence + step[layout.incidence()], 0.0, kMaxIncidence);
     }
-    for (std::size_t b = 0; at.parts.beams && b < m.beams.size(); ++b) {
-        m.beams[b].gain = std::clamp(m.beams[b].gain + step[at.gain(b)], kMinGain, kMaxGain);
-        m.beams[b].offset += step[at.offset(b)];
+    for (std::size_t b = 0; layout.parts.beams && b < model.beams.size(); ++b) {
+        model.beams[b].gain = std::clamp(model.beams[b].gain + step[layout.gain(b)], kMinGain, kMaxGain);
+        model.beams[b].offset += step[layout.offset(b)];
     }
 }
 
@@ -267,7 +272,7 @@ void fix_mean(std::vector<Response>& beams, const PlaceReturns& returns) {
     }
 }
 
-double error_of(const Model& m, const PlaceReturns& returns) {
+double compute_error(const Model& m, const PlaceReturns& returns) {
     struct alignas(64) Sum {  // one cache line per sum, because threads write to neighbouring elements
         double of = 0.0;
     };
@@ -286,22 +291,22 @@ double error_of(const Model& m, const PlaceReturns& returns) {
     return std::sqrt(all / double(returns.seen.size()));
 }
 
-Model fitted(const PlaceReturns& returns, std::size_t n_beams, Parts parts) {
+Model fit_response(const PlaceReturns& returns, std::size_t n_beams, Parts parts) {
     Model m;
     m.albedo.resize(returns.n_places);
     m.beams.resize(n_beams);
     fit_albedos(m, returns);
-    m.rms = error_of(m, returns);
+    m.rms = compute_error(m, returns);
     const Layout at{parts, n_beams};
     double damping = kDamping;
     for (int i = 0; i < kSteps && at.size() > 0; ++i) {  // Levenberg-Marquardt
-        System sys = system_of(m, at, returns);
+        System sys = build_system(m, at, returns);
         add_priors(sys, m, at);
         sys.h.diagonal() *= 1.0 + damping;
         Model next = m;
         apply_step(next, at, sys.h.ldlt().solve(sys.g));
         fit_albedos(next, returns);
-        next.rms = error_of(next, returns);
+        next.rms = compute_error(next, returns);
         const bool is_better = next.rms < m.rms;
         damping *= is_better ? 0.1 : 10.0;
         if (is_better) m = std::move(next);
@@ -327,18 +332,21 @@ double IntensityResponse::at_range(double at_m) const {
 
 IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions) {
     sequence.intensity_response = {};
-    const std::vector<Beam*> beams = beams_of(sequence);
+    const std::vector<Beam*> beams = list_beams(sequence);
     for (Beam* beam : beams) beam->intensity_gain = 1.0, beam->intensity_offset = 0.0;
     const PlaceReturns returns = collect_place_returns(sequence, positions);
     IntensityCalibration result;
     result.returns = returns.seen.size();
     if (returns.seen.empty()) return result;
     const std::size_t n = beams.size();
-    const auto better = [](const Model& a, const Model& b) { return a.rms < kLeastResponseGain * b.rms; };
-    Model best = fitted(returns, n, {false, false});
+    const auto better = [](const Model& first, const Model& second) {
+        return first.rms < kLeastResponseGain * second.rms;
+    };
+    Model best = fit_response(returns, n, {false, false});
     result.rms_before = best.rms;
-    const Model shared = fitted(returns, n, {true, false}), each_beam = fitted(returns, n, {false, true}),
-                both = fitted(returns, n, {true, true});
+    const Model shared = fit_response(returns, n, {true, false}),
+                each_beam = fit_response(returns, n, {false, true}),
+                both = fit_response(returns, n, {true, true});
     const bool first_shared = shared.rms <= each_beam.rms;
     const Model& single = first_shared ? shared : each_beam;
     if (better(single, best)) best = single, result.shared = first_shared, result.beams = !first_shared;

@@ -29,20 +29,20 @@ constexpr double kOfMedian = 1.4826;
 
 using Differences = std::array<std::vector<float>, kBins>;
 
-std::size_t bin(const auto& upper_ends, double value) {
+std::size_t find_bin(const auto& upper_ends, double value) {
     return std::min<std::size_t>(
         std::size_t(std::lower_bound(upper_ends.begin(), upper_ends.end(), value) - upper_ends.begin()),
         upper_ends.size() - 1);
 }
 
-Differences differences_of(const Frame& frame) {
+Differences collect_differences(const Frame& frame) {
     Differences result;
     const Scan& scan = frame.scan;
     const ImageRays image{scan.rays.rows, scan.rays.columns, scan.rays.origin, scan.rays.direction,
                           scan.range_m};
     const auto columns = std::size_t(std::max(scan.rays.columns, 1));
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-        const double cosine = incidence_cosine(image, i);
+        const double cosine = compute_incidence_cosine(image, i);
         const std::size_t row = i / columns * columns, left = row + (i + columns - 1) % columns,
                           right = row + (i + 1) % columns;
         if (cosine < 0.0 || !(scan.range_m[left] > 0.0f && scan.range_m[right] > 0.0f)) continue;
@@ -50,13 +50,13 @@ Differences differences_of(const Frame& frame) {
             std::abs(scan.range_m[left] - 2.0f * scan.range_m[i] + scan.range_m[right]);
         if (difference_m > kEdge_m) continue;
         const std::size_t b =
-            bin(kRanges_m, double(scan.range_m[i])) * kCosines.size() + bin(kCosines, cosine);
+            find_bin(kRanges_m, double(scan.range_m[i])) * kCosines.size() + find_bin(kCosines, cosine);
         result[b].push_back(difference_m);
     }
     return result;
 }
 
-double sigma_of(std::vector<float>& differences_m) {
+double estimate_sigma(std::vector<float>& differences_m) {
     const auto middle = differences_m.begin() + std::ptrdiff_t(differences_m.size() / 2);
     std::nth_element(differences_m.begin(), middle, differences_m.end());
     return kOfMedian * double(*middle) / std::sqrt(6.0);
@@ -79,7 +79,7 @@ void fill_gaps(RangeNoise& noise) {
 
 /// Returns the range noise of one LiDAR, and the number of returns that were used.
 /// Returns an empty result if no bin has enough returns.
-std::pair<RangeNoise, std::size_t> noise_of(const std::vector<Differences>& frames) {
+std::pair<RangeNoise, std::size_t> estimate_noise(const std::vector<Differences>& frames) {
     RangeNoise noise{{kRanges_m.begin(), kRanges_m.end()},
                      {kCosines.begin(), kCosines.end()},
                      std::vector<double>(kBins, 0.0)};
@@ -88,7 +88,7 @@ std::pair<RangeNoise, std::size_t> noise_of(const std::vector<Differences>& fram
         std::vector<float> all;
         for (const Differences& frame : frames) all.insert(all.end(), frame[b].begin(), frame[b].end());
         n += all.size();
-        if (all.size() >= kFewestOfBin) noise.sigma_m[b] = sigma_of(all);
+        if (all.size() >= kFewestOfBin) noise.sigma_m[b] = estimate_sigma(all);
     }
     if (*std::max_element(noise.sigma_m.begin(), noise.sigma_m.end()) == 0.0) return {};
     fill_gaps(noise);
@@ -99,7 +99,7 @@ std::pair<RangeNoise, std::size_t> noise_of(const std::vector<Differences>& fram
 
 double RangeNoise::at(double at_m, double at_cosine) const {
     if (sigma_m.empty()) return 0.0;
-    return sigma_m[bin(range_m, at_m) * cosine.size() + bin(cosine, at_cosine)];
+    return sigma_m[find_bin(range_m, at_m) * cosine.size() + find_bin(cosine, at_cosine)];
 }
 
 std::size_t measure_range_noise(Sequence& sequence, const std::vector<int>& positions) {
@@ -109,7 +109,7 @@ std::size_t measure_range_noise(Sequence& sequence, const std::vector<int>& posi
         for (const int position : positions)
             if (sequence.frames[std::size_t(position)].lidar == int(i)) own.push_back(position);
         const auto [noise, n_returns] =
-            noise_of(read_frames(sequence, own, kMostNoiseReturns, differences_of));
+            estimate_noise(read_frames(sequence, own, kMostNoiseReturns, collect_differences));
         sequence.lidars[i].range_noise = noise;
         n += n_returns;
     }

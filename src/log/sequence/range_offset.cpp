@@ -47,12 +47,12 @@ struct Observation {
     std::uint32_t beam;
 };
 
-std::vector<Observation> observations_of(const Sequence& sequence, const Frame& frame) {
+std::vector<Observation> collect_observations(const Sequence& sequence, const Frame& frame) {
     std::vector<Observation> result;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
-        const auto beam = beam_of_return(sequence, frame, ray, kMaxRange_m);
+        const auto beam = find_beam_of_return(sequence, frame, ray, kMaxRange_m);
         if (!beam) continue;
-        const WorldReturn w = world_return(sequence, frame, ray);
+        const WorldReturn w = compute_world_return(sequence, frame, ray);
         result.push_back({glm::vec3(w.point_m), glm::vec3(w.direction), *beam});
     }
     return result;
@@ -70,12 +70,13 @@ struct Cells {
     }
 };
 
-Cells gather(const Sequence& sequence, const std::vector<int>& positions) {
+Cells gather_cells(const Sequence& sequence, const std::vector<int>& positions) {
     const std::vector<Observation> all =
         joined(read_frames(sequence, positions, kMostOffsetReturns,
-                           [&](const Frame& frame) { return observations_of(sequence, frame); }));
-    const ItemsOfCells items(number_cells(
-        all.size(), [&](std::size_t i) { return cell_key(glm::dvec3(all[i].point_m), kCell_m); }));
+                           [&](const Frame& frame) { return collect_observations(sequence, frame); }));
+    const ItemsOfCells items(number_cells(all.size(), [&](std::size_t index) {
+        return make_cell_key(glm::dvec3(all[index].point_m), kCell_m);
+    }));
     Cells cells{std::vector<Observation>(all.size()), {0}};
     for (std::size_t cell = 0; cell < items.size(); ++cell)
         cells.first.push_back(cells.first.back() + items.of(cell).size());
@@ -86,8 +87,8 @@ Cells gather(const Sequence& sequence, const std::vector<int>& positions) {
     return cells;
 }
 
-glm::dvec3 moved(const Observation& o, const std::vector<double>& offset_m) {
-    return glm::dvec3(o.point_m) - offset_m[o.beam] * glm::dvec3(o.direction);
+glm::dvec3 moved(const Observation& observation, const std::vector<double>& offset_m) {
+    return glm::dvec3(observation.point_m) - offset_m[observation.beam] * glm::dvec3(observation.direction);
 }
 
 /// Plane of a cell.
@@ -96,11 +97,12 @@ struct Plane {
     glm::dvec3 normal;
 };
 
-std::optional<Plane> plane_of(std::span<const Observation> seen, const std::vector<double>& offset_m) {
-    if (seen.size() < std::size_t(kMinReturns)) return std::nullopt;
-    const glm::dvec3 about = moved(seen[0], offset_m);
+std::optional<Plane> fit_plane_of_cell(std::span<const Observation> observations,
+                                       const std::vector<double>& offset_m) {
+    if (observations.size() < std::size_t(kMinReturns)) return std::nullopt;
+    const glm::dvec3 about = moved(observations[0], offset_m);
     PlaneSums sums;
-    for (const Observation& o : seen) sums.add(moved(o, offset_m) - about);
+    for (const Observation& o : observations) sums.add(moved(o, offset_m) - about);
     const PlaneFit fit = sums.fit();
     if (fit.variance[0] > kMaxThickness_m * kMaxThickness_m ||
         fit.variance[1] < kMaxThickness_m * kMaxThickness_m)
@@ -121,16 +123,16 @@ struct Residuals {
     std::size_t n = 0;
     double squares = 0.0;
 
-    void add(const Observation& o, const Plane& plane, const std::vector<double>& offset_m) {
-        const double facing = glm::dot(plane.normal, glm::dvec3(o.direction)),
-                     residual = glm::dot(plane.normal, moved(o, offset_m) - plane.point);
+    void add(const Observation& observation, const Plane& plane, const std::vector<double>& offset_m) {
+        const double facing = glm::dot(plane.normal, glm::dvec3(observation.direction)),
+                     residual = glm::dot(plane.normal, moved(observation, offset_m) - plane.point);
         if (facing == 0.0 || std::abs(residual) > kMaxResidual_m) return;
         ++n;
         squares += residual * residual;
-        fits[o.beam].weight += facing * facing;
+        fits[observation.beam].weight += facing * facing;
         // Adds the full offset and not only the change of the offset, so that the prior
         // pulls the full offset to zero.
-        fits[o.beam].sum += facing * (residual + offset_m[o.beam] * facing);
+        fits[observation.beam].sum += facing * (residual + offset_m[observation.beam] * facing);
     }
     Residuals& operator+=(const Residuals& other) {
         n += other.n;
@@ -145,14 +147,14 @@ struct Residuals {
 
 /// Computes the distances of all returns from the planes, with the current offsets.
 /// Blocks of cells are processed in parallel. Their sums are added in a fixed order.
-Residuals residuals_of(const Cells& cells, const std::vector<double>& offset_m) {
+Residuals compute_residuals(const Cells& cells, const std::vector<double>& offset_m) {
     constexpr std::size_t kBlock = 2048;
     Residuals all{.fits = std::vector<OffsetFit>(offset_m.size(), {.weight = kPriorReturns, .sum = 0.0})};
     all += parallel_reduce(cells.size(), kBlock, [&](std::size_t begin, std::size_t end) {
         Residuals block{.fits = std::vector<OffsetFit>(offset_m.size())};
         for (std::size_t cell = begin; cell < end; ++cell) {
             const std::span<const Observation> seen = cells.of(cell);
-            const std::optional<Plane> plane = plane_of(seen, offset_m);
+            const std::optional<Plane> plane = fit_plane_of_cell(seen, offset_m);
             if (!plane) continue;
             for (const Observation& o : seen) block.add(o, *plane, offset_m);
         }
@@ -164,7 +166,7 @@ Residuals residuals_of(const Cells& cells, const std::vector<double>& offset_m) 
 /// Performs one iteration that updates the offsets of all beams.
 /// @return number and mean square of the residuals before the update
 std::pair<std::size_t, double> fit_offsets(const Cells& cells, std::vector<double>& offset_m) {
-    const Residuals r = residuals_of(cells, offset_m);
+    const Residuals r = compute_residuals(cells, offset_m);
     double mean = 0.0, weight = 0.0;
     for (std::size_t b = 0; b < offset_m.size(); ++b) {
         offset_m[b] = r.fits[b].sum / r.fits[b].weight;
@@ -180,9 +182,9 @@ std::pair<std::size_t, double> fit_offsets(const Cells& cells, std::vector<doubl
 }  // namespace
 
 LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& positions) {
-    const std::vector<Beam*> beams = beams_of(sequence);
+    const std::vector<Beam*> beams = list_beams(sequence);
     for (Beam* beam : beams) beam->range_offset_m = 0.0;
-    const Cells cells = gather(sequence, positions);
+    const Cells cells = gather_cells(sequence, positions);
     LaserCalibration result;
     if (cells.seen.empty()) return result;
     std::vector<double> offset_m(beams.size(), 0.0);

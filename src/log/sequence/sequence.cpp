@@ -38,7 +38,7 @@ bool BoxTrack::present(double t_s) const {
     return t_s >= track.time_s.front() - half_step && t_s <= track.time_s.back() + half_step;
 }
 
-BoxTrack BoxTrack::labelled_part() const {
+BoxTrack BoxTrack::get_labelled_part() const {
     BoxTrack part = *this;
     part.n_before = part.n_after = 0;
     const auto first = std::ptrdiff_t(n_before), last = std::ptrdiff_t(world_from_box.pose.size() - n_after);
@@ -90,7 +90,7 @@ std::size_t Scan::count_returns() const {
         std::count_if(range_m.begin(), range_m.end(), [](float r) { return r > 0.0f; }));
 }
 
-void drop_outside(Scan& scan, const RangeLimits& limits) {
+void drop_outside_limits(Scan& scan, const RangeLimits& limits) {
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         if (scan.range_m[i] > 0.0f && !limits.contains(scan.range_m[i]))
             scan.range_m[i] = scan.intensity[i] = 0.0f;
@@ -100,7 +100,7 @@ void drop_outside(Scan& scan, const RangeLimits& limits) {
     }
 }
 
-std::size_t Sequence::pose_of(const Frame& frame) const {
+std::size_t Sequence::get_pose_index(const Frame& frame) const {
     const std::vector<double>& times = world_from_vehicle.time_s;
     const auto at = std::ranges::lower_bound(times, frame.time_s);
     if (at == times.end() || *at != frame.time_s || times.size() != world_from_vehicle.pose.size())
@@ -111,7 +111,7 @@ std::size_t Sequence::pose_of(const Frame& frame) const {
 }
 
 PoseTrack Sequence::world_from_sensor(int lidar) const {
-    return mounted_track(world_from_vehicle, lidars[std::size_t(lidar)].vehicle_from_sensor);
+    return make_mounted_track(world_from_vehicle, lidars[std::size_t(lidar)].vehicle_from_sensor);
 }
 
 int find_lidar(const Sequence& sequence, const std::string& name) {
@@ -127,11 +127,12 @@ int find_lidar(const Sequence& sequence, const std::string& name) {
 }
 
 std::size_t Sequence::count_beams() const {
-    return std::accumulate(lidars.begin(), lidars.end(), std::size_t(0),
-                           [](std::size_t n, const Lidar& lidar) { return n + lidar.sensor.beams.size(); });
+    return std::accumulate(
+        lidars.begin(), lidars.end(), std::size_t(0),
+        [](std::size_t count, const Lidar& lidar) { return count + lidar.sensor.beams.size(); });
 }
 
-std::optional<std::uint16_t> Sequence::beam_number(int lidar, std::uint16_t channel) const {
+std::optional<std::uint16_t> Sequence::find_beam_number(int lidar, std::uint16_t channel) const {
     std::size_t number = channel;
     if (number >= lidars[std::size_t(lidar)].sensor.beams.size()) return std::nullopt;
     for (int i = 0; i < lidar; ++i) number += lidars[std::size_t(i)].sensor.beams.size();
@@ -144,7 +145,7 @@ const BoxTrack* find_box(const Sequence& sequence, const std::string& id) {
     return box == sequence.boxes.end() ? nullptr : &*box;
 }
 
-Sequence without_frames(const Sequence& all) {
+Sequence copy_without_frames(const Sequence& all) {
     return {all.name,
             all.source,
             all.lidars,
@@ -160,19 +161,19 @@ Sequence without_frames(const Sequence& all) {
             all.rolling_shutter};
 }
 
-PoseTrack mounted_track(PoseTrack track, const Pose& sensor_from_moved) {
+PoseTrack make_mounted_track(PoseTrack track, const Pose& sensor_from_moved) {
     for (Pose& pose : track.pose) pose = pose * sensor_from_moved;
     return track;
 }
 
-PoseTrack with_fine_turns(const PoseTrack& track) {
+PoseTrack refine_turns(const PoseTrack& track) {
     // Maximum rotation between two poses. With this limit, the interpolated straight line
     // of an object 10 m away differs from the true arc by 0.03 mm.
     constexpr double kTurn_rad = 5e-3;
     PoseTrack fine;
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         if (i > 0) {
-            const Twist twist = twist_between(track.pose[i - 1], track.pose[i]);
+            const Twist twist = compute_twist(track.pose[i - 1], track.pose[i]);
             const double turn_rad = glm::length(glm::dvec3(twist[3], twist[4], twist[5]));
             const int n = 1 + static_cast<int>(turn_rad / kTurn_rad);
             for (int k = 1; k < n; ++k) {
@@ -187,7 +188,7 @@ PoseTrack with_fine_turns(const PoseTrack& track) {
     return fine;
 }
 
-PoseTrack shifted_track(PoseTrack track, const glm::dvec3& by_m) {
+PoseTrack shift_track(PoseTrack track, const glm::dvec3& by_m) {
     for (Pose& pose : track.pose) pose.translation += by_m;
     return track;
 }
@@ -196,7 +197,7 @@ namespace {
 
 /// Returns the mean position of a track in a time interval. Returns nothing if the
 /// interval contains no pose.
-std::optional<glm::dvec3> mean_position(const PoseTrack& track, double first_s, double last_s) {
+std::optional<glm::dvec3> compute_mean_position(const PoseTrack& track, double first_s, double last_s) {
     constexpr double kSame_s = 1e-6;
     glm::dvec3 sum(0.0);
     std::size_t n = 0;
@@ -217,7 +218,7 @@ bool BoxTrack::moves() const {
     const double drift_m = std::max(kJitter_m, std::min(kDrift_m, 0.5 * std::max(size_m.x, size_m.y)));
     const double step_m = std::max(kJitter_m, kDrift_mps * window_s);
     const auto place = [&](double first_s) {
-        return mean_position(world_from_box, first_s, first_s + window_s);
+        return compute_mean_position(world_from_box, first_s, first_s + window_s);
     };
     const std::optional<glm::dvec3> start = place(t.front());
     for (const double time_s : t) {
@@ -246,7 +247,7 @@ void set_vehicle_poses(Sequence& sequence, PoseTrack world_from_vehicle) {
 
 namespace {
 
-double firing_time(double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter) {
+double compute_firing_time(double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter) {
     return rolling_shutter ? time_s + static_cast<double>(rays.time_offset_s[ray]) : time_s;
 }
 
@@ -257,9 +258,10 @@ WorldRay place_ray(const Pose& pose, const RayTable& rays, std::size_t ray) {
 
 }  // namespace
 
-WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray,
-                   bool rolling_shutter) {
-    return place_ray(world_from_sensor.at(firing_time(time_s, rays, ray, rolling_shutter)), rays, ray);
+WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays,
+                        std::size_t ray, bool rolling_shutter) {
+    return place_ray(world_from_sensor.at(compute_firing_time(time_s, rays, ray, rolling_shutter)), rays,
+                     ray);
 }
 
 namespace {
@@ -325,7 +327,7 @@ std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar) {
 }
 
 void set_sensor(Lidar& lidar, const SensorModel& sensor) {
-    lidar.pattern = fixed_pattern(sensor);
+    lidar.pattern = get_fixed_pattern(sensor);
     if (const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) {
         lidar.sensor = *spinning;
     } else {
@@ -335,12 +337,12 @@ void set_sensor(Lidar& lidar, const SensorModel& sensor) {
     }
 }
 
-SensorModel sensor_of(const Lidar& lidar) {
+SensorModel get_sensor(const Lidar& lidar) {
     const SpinningSensor& sensor = lidar.sensor;
     return {sensor.name, "", sensor.range_limits(), lidar.pattern ? *lidar.pattern : SensorPattern(sensor)};
 }
 
-RayTable nominal_rays(const Lidar& lidar, double time_s) {
+RayTable make_nominal_rays(const Lidar& lidar, double time_s) {
     if (lidar.pattern) return make_rays(*lidar.pattern, time_s);
     return lidar.sensor.beams.empty() ? RayTable{} : make_rays(lidar.sensor);
 }
@@ -349,7 +351,8 @@ namespace {
 
 /// Returns the time, relative to the frame's time, at which a LiDAR that does not spin
 /// measures an azimuth.
-double facing_offset(const SensorPattern& pattern, double azimuth, const std::optional<SweepStart>& start) {
+double compute_facing_offset(const SensorPattern& pattern, double azimuth,
+                             const std::optional<SweepStart>& start) {
     const auto [n_rays, period_s, by_time, sweep] = describe_pattern(pattern);
     const double middle_s = start ? start->time_s + 0.5 * period_s : 0.0;
     if (!sweep || sweep->columns < 2) return middle_s;
@@ -360,12 +363,12 @@ double facing_offset(const SensorPattern& pattern, double azimuth, const std::op
 
 }  // namespace
 
-double facing_time(const Sequence& sequence, const glm::dvec3& point_m, const SweepMoment& sweep) {
+double compute_facing_time(const Sequence& sequence, const glm::dvec3& point_m, const SweepMoment& sweep) {
     const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
     const SpinningSensor& sensor = lidar.sensor;
     if (!sequence.rolling_shutter) return sweep.time_s;
     const double azimuth = std::atan2(point_m.y, point_m.x);
-    if (lidar.pattern) return sweep.time_s + facing_offset(*lidar.pattern, azimuth, sweep.start);
+    if (lidar.pattern) return sweep.time_s + compute_facing_offset(*lidar.pattern, azimuth, sweep.start);
     if (sweep.start) {
         const double turned =
             (sensor.clockwise ? -1.0 : 1.0) * (azimuth - sweep.start->azimuth_rad) / (2.0 * kPi);
@@ -375,30 +378,31 @@ double facing_time(const Sequence& sequence, const glm::dvec3& point_m, const Sw
     return sweep.time_s + (sensor.clockwise ? -after_s : after_s);
 }
 
-SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
-                             std::size_t number) {
+SurfaceReturn compute_surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
+                                     std::size_t number) {
     const Scan& scan = frame.scan;
-    const Beam& beam = beam_of(sequence.lidar_of(frame).sensor.beams, scan.rays.channel[ray]);
+    const Beam& beam = find_beam(sequence.get_lidar(frame).sensor.beams, scan.rays.channel[ray]);
     const double measured_m = number == 0 ? scan.range_m[ray] : scan.second_returns[number - 1].range_m[ray],
                  measured =
                      number == 0 ? scan.intensity[ray] : scan.second_returns[number - 1].intensity[ray];
-    const float range_m = static_cast<float>(beam.surface_range(measured_m));
-    return {range_m, static_cast<float>(beam.surface_intensity(
+    const float range_m = static_cast<float>(beam.to_surface_range(measured_m));
+    return {range_m, static_cast<float>(beam.to_surface_intensity(
                          measured, sequence.intensity_response.at_range(double(range_m))))};
 }
 
-WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray, std::size_t number) {
-    const double t_s = firing_time(frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
+WorldReturn compute_world_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
+                                 std::size_t number) {
+    const double t_s = compute_firing_time(frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
     const WorldRay w =
-        place_ray(sequence.world_from_vehicle.at(t_s, sequence.lidar_of(frame).vehicle_from_sensor),
+        place_ray(sequence.world_from_vehicle.at(t_s, sequence.get_lidar(frame).vehicle_from_sensor),
                   frame.scan.rays, ray);
-    const SurfaceReturn surface = surface_return(sequence, frame, ray, number);
+    const SurfaceReturn surface = compute_surface_return(sequence, frame, ray, number);
     return {w.origin_m + static_cast<double>(surface.range_m) * w.direction, w.direction, t_s,
             surface.intensity};
 }
 
-bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
-                   double margin_m) {
+bool is_in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
+                      double margin_m) {
     return std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& box) {
         return box.present(t_s) && box.holds(point_m, t_s, margin_m) && box.moves();
     });

@@ -32,21 +32,21 @@ struct IndexRange {
 /// @throws UsageError if the text is not a range
 IndexRange parse_range(std::string_view text) {
     const std::size_t colon = text.find(':');
-    const std::optional<int> first = file_number(std::string(text.substr(0, colon)));
+    const std::optional<int> first = parse_file_number(std::string(text.substr(0, colon)));
     const std::optional<int> end = colon == std::string_view::npos
                                        ? first.value_or(0) + 1
-                                       : file_number(std::string(text.substr(colon + 1)));
+                                       : parse_file_number(std::string(text.substr(colon + 1)));
     if (!first || !end || *first >= *end)
         throw UsageError(
             fmt::format("{}: found \"{}\", expected frame numbers or FIRST:END with FIRST < END, for example "
                         "13,26,40:45",
-                        kSetting, excerpt(text)));
+                        kSetting, make_excerpt(text)));
     return {*first, *end};
 }
 
 /// Returns all frame indices of the log in order. If several LiDARs share an index, the
 /// index is listed once.
-std::vector<int> sweeps_of(const Sequence& sequence) {
+std::vector<int> group_frames_by_sweep(const Sequence& sequence) {
     std::vector<int> sweeps;
     std::set<int> seen;
     for (const Frame& frame : sequence.frames)
@@ -56,7 +56,7 @@ std::vector<int> sweeps_of(const Sequence& sequence) {
 
 /// Returns every n-th frame index. The first index is not held out.
 /// @throws UsageError if `test_every` is 1 or negative
-std::set<int> every(int test_every, const std::vector<int>& sweeps) {
+std::set<int> select_every_nth(int test_every, const std::vector<int>& sweeps) {
     if (test_every < 0 || test_every == 1)
         throw UsageError(
             fmt::format("test_every is {}, expected 0 (hold out no frame) or at least 2", test_every));
@@ -67,7 +67,7 @@ std::set<int> every(int test_every, const std::vector<int>& sweeps) {
 }
 
 /// Returns those frame indices of a published split that exist in the log.
-std::set<int> published(const std::vector<int>& test_frames, const std::vector<int>& sweeps) {
+std::set<int> select_published(const std::vector<int>& test_frames, const std::vector<int>& sweeps) {
     std::set<int> held_out;
     for (const int index : sweeps)
         if (std::ranges::find(test_frames, index) != test_frames.end()) held_out.insert(index);
@@ -76,10 +76,10 @@ std::set<int> published(const std::vector<int>& test_frames, const std::vector<i
 
 /// Parses a list of frame indices and ranges, for example "13,26,40:45".
 /// @throws UsageError if an index is missing in the log or occurs twice
-std::set<int> named(const std::string& list, const std::vector<int>& sweeps) {
+std::set<int> parse_frame_list(const std::string& list, const std::vector<int>& sweeps) {
     const std::set<int> known(sweeps.begin(), sweeps.end());
     std::set<int> held_out;
-    for (const std::string_view cell : csv_cells(list)) {
+    for (const std::string_view cell : split_csv_cells(list)) {
         const IndexRange range = parse_range(cell);
         for (int index = range.first; index < range.end; ++index) {
             if (!known.contains(index))
@@ -100,12 +100,12 @@ std::set<int> named(const std::string& list, const std::vector<int>& sweeps) {
 }  // namespace
 
 Split split_frames(const Sequence& sequence, int test_every, const std::string& test_frames) {
-    const std::vector<int> sweeps = sweeps_of(sequence);
+    const std::vector<int> sweeps = group_frames_by_sweep(sequence);
     const bool as_published =
         test_frames.empty() && test_every == kPublishedEvery && !sequence.test_frames.empty();
-    const std::set<int> held_out = as_published          ? published(sequence.test_frames, sweeps)
-                                   : test_frames.empty() ? every(test_every, sweeps)
-                                                         : named(test_frames, sweeps);
+    const std::set<int> held_out = as_published          ? select_published(sequence.test_frames, sweeps)
+                                   : test_frames.empty() ? select_every_nth(test_every, sweeps)
+                                                         : parse_frame_list(test_frames, sweeps);
     Split split;
     for (int i = 0; i < static_cast<int>(sequence.frames.size()); ++i)
         (held_out.contains(sequence.frames[std::size_t(i)].index) ? split.test : split.train).push_back(i);

@@ -16,7 +16,7 @@ namespace {
 
 /// Returns the angles yaw, pitch and roll in degrees, with R = Rz(yaw) Ry(pitch)
 /// Rx(roll).
-glm::dvec3 yaw_pitch_roll(const glm::dquat& rotation) {
+glm::dvec3 to_yaw_pitch_roll(const glm::dquat& rotation) {
     const glm::dmat3 r = glm::mat3_cast(rotation);  // r[column][row]
     return 180.0 / kPi *
            glm::dvec3(std::atan2(r[0][1], r[0][0]), std::atan2(-r[0][2], std::hypot(r[0][0], r[0][1])),
@@ -28,7 +28,7 @@ glm::dvec3 yaw_pitch_roll(const glm::dquat& rotation) {
 void write_trajectory(const std::filesystem::path& path, const PoseTrack& track) {
     std::string text = "time_s,x,y,z,yaw_deg,pitch_deg,roll_deg\n";
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
-        const glm::dvec3 p = track.pose[i].translation, angles = yaw_pitch_roll(track.pose[i].rotation);
+        const glm::dvec3 p = track.pose[i].translation, angles = to_yaw_pitch_roll(track.pose[i].rotation);
         text += fmt::format("{},{},{},{},{},{},{}\n", track.time_s[i], p.x, p.y, p.z, angles.x, angles.y,
                             angles.z);
     }

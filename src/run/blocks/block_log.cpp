@@ -18,7 +18,7 @@ namespace {
 constexpr double kSeen_m = 100.0;
 
 /// Returns the training frames and the test frames of a block, in the order of the log.
-std::vector<int> frames_of(const Block& block, const Split& split) {
+std::vector<int> list_frames_of_block(const Block& block, const Split& split) {
     std::vector<int> frames = block.train;
     for (const int position : block.own)
         if (std::find(split.test.begin(), split.test.end(), position) != split.test.end())
@@ -30,7 +30,7 @@ std::vector<int> frames_of(const Block& block, const Split& split) {
 /// Returns the poses at the times of some frames, and the poses directly before and after
 /// each frame. With these additional poses, the motion during a sweep is the same as in
 /// the full log, also next to a gap.
-PoseTrack poses_around(const Sequence& sequence, const std::vector<int>& frames) {
+PoseTrack select_poses_around(const Sequence& sequence, const std::vector<int>& frames) {
     const PoseTrack& all = sequence.world_from_vehicle;
     std::vector<bool> is_used(all.time_s.size(), false);
     for (const int position : frames) {
@@ -46,7 +46,7 @@ PoseTrack poses_around(const Sequence& sequence, const std::vector<int>& frames)
     return track;
 }
 
-bool comes_near(const BoxTrack& box, const Sequence& sequence, const std::vector<int>& frames) {
+bool is_near_block(const BoxTrack& box, const Sequence& sequence, const std::vector<int>& frames) {
     return std::any_of(frames.begin(), frames.end(),
                        [&](int position) { return is_within(box, sequence, position, kSeen_m); });
 }
@@ -57,7 +57,7 @@ bool comes_near(const BoxTrack& box, const Sequence& sequence, const std::vector
 void remove_unknown_tracks(InitialiseOptions& options, const std::vector<BoxTrack>& boxes) {
     if (options.actor_tracks.empty()) return;
     std::vector<std::string> kept;
-    for (const std::string& track : words_of(options.actor_tracks))
+    for (const std::string& track : split_words(options.actor_tracks))
         if (std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& b) { return b.id == track; }))
             kept.push_back(track);
     options.actor_tracks = fmt::format("{}", fmt::join(kept, ","));
@@ -66,12 +66,13 @@ void remove_unknown_tracks(InitialiseOptions& options, const std::vector<BoxTrac
 
 }  // namespace
 
-BlockLog block_log(const Sequence& sequence, const Split& split, const Block& block, const Config& config) {
-    const std::vector<int> frames = frames_of(block, split);
-    BlockLog log{without_frames(sequence), {}, config};
+BlockLog load_block_log(const Sequence& sequence, const Split& split, const Block& block,
+                        const Config& config) {
+    const std::vector<int> frames = list_frames_of_block(block, split);
+    BlockLog log{copy_without_frames(sequence), {}, config};
     Sequence& part = log.sequence;
     part.name = fmt::format("{}, metres {:.0f} to {:.0f}", sequence.name, block.begin_m, block.end_m);
-    part.world_from_vehicle = poses_around(sequence, frames);
+    part.world_from_vehicle = select_poses_around(sequence, frames);
     part.boxes.clear();
     for (const int position : frames) {
         const bool trains = std::binary_search(block.train.begin(), block.train.end(), position);
@@ -79,7 +80,7 @@ BlockLog block_log(const Sequence& sequence, const Split& split, const Block& bl
         part.frames.push_back(sequence.frames[std::size_t(position)]);
     }
     std::copy_if(sequence.boxes.begin(), sequence.boxes.end(), std::back_inserter(part.boxes),
-                 [&](const BoxTrack& box) { return comes_near(box, sequence, frames); });
+                 [&](const BoxTrack& box) { return is_near_block(box, sequence, frames); });
     log.config.blocks.length_m = 0.0;
     remove_unknown_tracks(log.config.init, part.boxes);
     return log;

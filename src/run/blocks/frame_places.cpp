@@ -4,7 +4,7 @@
 
 namespace relidar {
 
-std::vector<glm::dvec3> frame_places(const Sequence& sequence) {
+std::vector<glm::dvec3> compute_frame_positions(const Sequence& sequence) {
     std::vector<glm::dvec3> places;
     for (const Frame& frame : sequence.frames)
         places.push_back(sequence.world_from_vehicle.at(frame.time_s).translation);

@@ -12,7 +12,7 @@ namespace relidar {
 
 /// Returns the position of the vehicle at each frame of a log.
 /// @return [frames] metres, world frame
-std::vector<glm::dvec3> frame_places(const Sequence& sequence);
+std::vector<glm::dvec3> compute_frame_positions(const Sequence& sequence);
 
 /// Returns true if a box is present at the time of a frame and is within `metres` of the
 /// vehicle.

@@ -28,7 +28,7 @@ std::size_t count_sightings(const BoxTrack& box, const Sequence& sequence, const
 }
 
 /// Returns the background surfels of a block and their bounding box.
-SceneBlock background_of(const Scene& scene, const fs::path& file) {
+SceneBlock load_background(const Scene& scene, const fs::path& file) {
     SceneBlock block{file, scene.models.front().count, glm::vec3(0.0f), glm::vec3(0.0f)};
     for (std::uint32_t i = 0; i < block.count; ++i) {
         const glm::vec2 log_scale = scene.surfels.log_scale[i];
@@ -116,7 +116,7 @@ void join_blocks(Run& run, const std::vector<Block>& blocks, const std::vector<f
     PoseTrack poses = run.sequence.world_from_vehicle;
     for (std::size_t k = 0; k < blocks.size(); ++k) {
         const Run part = load_run(folders[k]);
-        scene.blocks.push_back(background_of(part.scene, folders[k] / kModelFile));
+        scene.blocks.push_back(load_background(part.scene, folders[k] / kModelFile));
         drop.add(part.scene.sensor_drop, blocks[k].train.size());
         update_best_actors(part, run.sequence, blocks[k], actors);
         copy_poses(part, run.sequence, blocks[k], poses);

@@ -17,7 +17,7 @@ namespace relidar {
 namespace {
 
 /// Returns the distance in metres that the vehicle has driven up to each position.
-std::vector<double> driven(const std::vector<glm::dvec3>& places) {
+std::vector<double> compute_driven_distances(const std::vector<glm::dvec3>& places) {
     std::vector<double> metres(places.size(), 0.0);
     for (std::size_t i = 1; i < places.size(); ++i)
         metres[i] = metres[i - 1] + glm::distance(places[i - 1], places[i]);
@@ -26,7 +26,7 @@ std::vector<double> driven(const std::vector<glm::dvec3>& places) {
 
 /// Divides the route into sections of equal length. Returns one block for each section,
 /// with the sweeps in the section. Leaves out sections without sweeps.
-std::vector<Block> cut(const std::vector<double>& metres, double length_m) {
+std::vector<Block> divide_route(const std::vector<double>& metres, double length_m) {
     const double driven_length_m = metres.back();
     const double n = std::max(1.0, std::ceil(driven_length_m / length_m - 1e-9));
     std::vector<Block> blocks;
@@ -41,17 +41,18 @@ std::vector<Block> cut(const std::vector<double>& metres, double length_m) {
     return blocks;
 }
 
-bool is_near_any(const glm::dvec3& place, const std::vector<glm::dvec3>& places, const std::vector<int>& of,
-                 double within_m) {
-    return std::any_of(of.begin(), of.end(),
-                       [&](int i) { return glm::distance(place, places[std::size_t(i)]) <= within_m; });
+bool is_near_any(const glm::dvec3& place, const std::vector<glm::dvec3>& places,
+                 const std::vector<int>& indices, double within_m) {
+    return std::any_of(indices.begin(), indices.end(), [&](int index) {
+        return glm::distance(place, places[std::size_t(index)]) <= within_m;
+    });
 }
 
 }  // namespace
 
 std::vector<Block> plan_blocks(const Sequence& sequence, const Split& split, const BlockConfig& options) {
-    const std::vector<glm::dvec3> places = frame_places(sequence);
-    std::vector<Block> blocks = cut(driven(places), options.length_m);
+    const std::vector<glm::dvec3> places = compute_frame_positions(sequence);
+    std::vector<Block> blocks = divide_route(compute_driven_distances(places), options.length_m);
     for (Block& block : blocks) {
         for (const int position : split.train)
             if (is_near_any(places[std::size_t(position)], places, block.own, options.halo_m))
@@ -70,7 +71,7 @@ void remove_overlap_surfels(Scene& scene, const Sequence& sequence, const std::v
                             std::size_t block) {
     std::vector<bool> is_own(sequence.frames.size(), false);
     for (const int position : blocks[block].own) is_own[std::size_t(position)] = true;
-    const NearestPlace<double> nearest(frame_places(sequence));
+    const NearestPlace<double> nearest(compute_frame_positions(sequence));
     const std::uint32_t n = scene.models.front().count;
     std::vector<glm::vec3> means;
     std::vector<std::uint32_t> kept;
@@ -80,9 +81,9 @@ void remove_overlap_surfels(Scene& scene, const Sequence& sequence, const std::v
         means.push_back(scene.surfels.mean[i]);
     }
     std::vector<std::uint32_t> order;
-    for (const std::uint32_t i : kd_order(means)) order.push_back(kept[i]);
+    for (const std::uint32_t i : compute_kd_order(means)) order.push_back(kept[i]);
     for (std::uint32_t i = n; i < scene.surfels.size(); ++i) order.push_back(i);
-    scene.surfels = scene.surfels.permuted(order);
+    scene.surfels = scene.surfels.reorder(order);
     const auto gone = static_cast<std::uint32_t>(n - kept.size());
     scene.models.front().count -= gone;
     for (std::size_t m = 1; m < scene.models.size(); ++m) scene.models[m].first -= gone;

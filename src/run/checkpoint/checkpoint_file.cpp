@@ -25,10 +25,10 @@ constexpr const char* kChecksum = "crc32";
 
 class Crc32 {
 public:
-    void add(const void* bytes, std::size_t n) {
+    void add(const void* bytes, std::size_t count) {
         // Skips empty arrays, because their pointer can be null. zlib would restart the
         // checksum for a null pointer.
-        if (n > 0) crc_ = ::crc32_z(crc_, static_cast<const Bytef*>(bytes), n);
+        if (count > 0) crc_ = ::crc32_z(crc_, static_cast<const Bytef*>(bytes), count);
     }
     // Includes the terminating zero in the checksum. Without it, "ab","c" and "a","bc"
     // would have the same checksum.
@@ -39,7 +39,7 @@ private:
     uLong crc_ = ::crc32_z(0, nullptr, 0);
 };
 
-std::string checksum(const Texts& texts, const std::vector<NamedArray>& arrays) {
+std::string compute_checksum(const Texts& texts, const std::vector<NamedArray>& arrays) {
     Crc32 crc;
     for (const auto& [key, value] : texts) {
         if (key == kChecksum) continue;
@@ -65,17 +65,18 @@ std::string extract_text(Texts& texts, const std::string& key) {
     return value;
 }
 
-void expect(const std::string& what, const std::string& found, const std::string& expected) {
-    if (found != expected)
-        throw DataError(fmt::format("{}: found \"{}\", expected \"{}\"", what, excerpt(found), expected));
+void expect(const std::string& description, const std::string& found_value, const std::string& expected) {
+    if (found_value != expected)
+        throw DataError(fmt::format("{}: found \"{}\", expected \"{}\"", description,
+                                    make_excerpt(found_value), expected));
 }
 
-int iteration_of(const std::string& text) {
+int parse_iteration(const std::string& text) {
     int iteration = -1;
     const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), iteration);
     if (error != std::errc() || stop != text.data() + text.size() || iteration < 0)
         throw DataError(fmt::format("the metadata key \"iteration\" is \"{}\", expected an integer from 0",
-                                    excerpt(text)));
+                                    make_excerpt(text)));
     return iteration;
 }
 
@@ -85,10 +86,10 @@ Checkpoint parse(Texts texts, std::vector<NamedArray> arrays) {
     // Checks the version before the checksum, because another version may compute the
     // checksum in a different way.
     expect("metadata version", version == texts.end() ? "" : version->second, kVersion);
-    const std::string found = checksum(texts, arrays);
+    const std::string found = compute_checksum(texts, arrays);
     expect("checksum of the metadata and arrays", found, extract_text(texts, kChecksum));
     for (const char* key : {"format", "version", "relidar"}) extract_text(texts, key);
-    const int iteration = iteration_of(extract_text(texts, "iteration"));
+    const int iteration = parse_iteration(extract_text(texts, "iteration"));
     Checkpoint checkpoint{iteration, std::move(texts), std::move(arrays)};
     check_finite(checkpoint);
     return checkpoint;
@@ -96,7 +97,7 @@ Checkpoint parse(Texts texts, std::vector<NamedArray> arrays) {
 
 /// Returns the iteration number in the name of a checkpoint file. Returns nothing if the
 /// file is not a checkpoint.
-std::optional<int> iteration_in_name(const std::filesystem::path& path) {
+std::optional<int> parse_iteration_in_name(const std::filesystem::path& path) {
     const std::string name = path.filename().string(), start = "iteration_", end = ".safetensors";
     if (!name.starts_with(start) || !name.ends_with(end) || name.size() < start.size() + end.size())
         return std::nullopt;
@@ -114,7 +115,7 @@ void write_checkpoint(const std::filesystem::path& path, const Checkpoint& check
     texts["version"] = kVersion;
     texts["relidar"] = RELIDAR_VERSION;
     texts["iteration"] = fmt::format("{}", checkpoint.iteration);
-    texts[kChecksum] = checksum(texts, checkpoint.arrays);
+    texts[kChecksum] = compute_checksum(texts, checkpoint.arrays);
     write_safetensors(path, checkpoint.arrays, texts);
 }
 
@@ -132,10 +133,11 @@ std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path&
     std::vector<std::filesystem::path> paths;
     std::error_code failed;
     for (const auto& entry : std::filesystem::directory_iterator(folder, failed)) {
-        if (iteration_in_name(entry.path())) paths.push_back(entry.path());
+        if (parse_iteration_in_name(entry.path())) paths.push_back(entry.path());
     }
-    std::sort(paths.begin(), paths.end(),
-              [](const auto& a, const auto& b) { return *iteration_in_name(a) < *iteration_in_name(b); });
+    std::sort(paths.begin(), paths.end(), [](const auto& first, const auto& second) {
+        return *parse_iteration_in_name(first) < *parse_iteration_in_name(second);
+    });
     return paths;
 }
 
@@ -148,7 +150,7 @@ void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& chec
     write_checkpoint(path, checkpoint);
     std::vector<std::filesystem::path> older;
     for (const std::filesystem::path& other : list_checkpoints(folder)) {
-        const int iteration = *iteration_in_name(other);
+        const int iteration = *parse_iteration_in_name(other);
         if (iteration < checkpoint.iteration) older.push_back(other);
         if (iteration > checkpoint.iteration) std::filesystem::remove(other, failed);
     }

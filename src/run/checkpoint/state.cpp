@@ -54,7 +54,7 @@ void StateWriter::put(const std::string& name, const char* dtype, std::vector<st
 
 void StateWriter::operator()(const std::string& name, const SurfelArrays& surfels) {
     const Surfels host = surfels.download();
-    for (const ParameterGroup& group : groups_of(surfels.parameters()))
+    for (const ParameterGroup& group : list_parameter_groups(surfels.parameters()))
         put(name + "/" + group.name, "f4", group.shape(host.size()), group.values(host).data());
     checkpoint_.texts[name + "/" + kPrimitiveKey] = kind_of(surfels.primitive).name;
 }
@@ -75,19 +75,19 @@ const NamedArray& StateReader::find_rows(const std::string& name, const char* dt
 
 Surfels StateReader::surfels(const std::string& name) const {
     const NamedArray& mean = checkpoint_.array(name + "/mean");
-    return surfels_of(name, mean.shape.empty() ? 0 : mean.shape[0]);
+    return read_surfels(name, mean.shape.empty() ? 0 : mean.shape[0]);
 }
 
-Surfels StateReader::surfels_of(const std::string& name, std::size_t n) const {
-    const ParameterSet parameters = stored_parameters(
+Surfels StateReader::read_surfels(const std::string& name, std::size_t count) const {
+    const ParameterSet parameters = read_parameter_set(
         checkpoint_.texts, name + "/" + kPrimitiveKey,
         [&](const char* group) { return find_array(checkpoint_.arrays, name + "/" + group) != nullptr; });
     // Checks the shapes of all arrays before memory is allocated.
-    for (const ParameterGroup& group : groups_of(parameters))
-        find(name + "/" + group.name, "f4", group.shape(n));
+    for (const ParameterGroup& group : list_parameter_groups(parameters))
+        find(name + "/" + group.name, "f4", group.shape(count));
     Surfels host;
-    host.resize(n, parameters);
-    for (const ParameterGroup& group : groups_of(parameters))
+    host.resize(count, parameters);
+    for (const ParameterGroup& group : list_parameter_groups(parameters))
         copy(checkpoint_.array(name + "/" + group.name), group.mutable_values(host).data());
     return host;
 }

@@ -39,16 +39,16 @@ struct ParsedValue {
     enum class Quotes { unknown, yes, no } quotes = Quotes::unknown;
 };
 
-std::vector<std::string> all_keys() {
+std::vector<std::string> list_all_keys() {
     std::vector<std::string> keys;
     visit(static_cast<const Config&>(Config{}),
           [&](const char* key, const auto&, const Accepts&, const Help&) { keys.emplace_back(key); });
     return keys;
 }
 
-std::string unknown_key(const std::string& key) {
-    return fmt::format("setting {}: unknown key{}", excerpt(key),
-                       did_you_mean(key, all_keys(), "",
+std::string make_unknown_key_message(const std::string& key) {
+    return fmt::format("setting {}: unknown key{}", make_excerpt(key),
+                       suggest_name(key, list_all_keys(), "",
                                     ", expected one of the keys that `relidar list settings --all` prints"));
 }
 
@@ -57,7 +57,7 @@ void assign(T& field, const std::string& key, const Accepts& accepts, const Pars
     const bool wrong_kind = value.quotes == (is_text<T> ? ParsedValue::Quotes::no : ParsedValue::Quotes::yes);
     if (wrong_kind || !from_text(value.text, accepts, field)) {
         const char* hint = wrong_kind && is_text<T> ? " in quotes" : wrong_kind ? " without quotes" : "";
-        throw UsageError(fmt::format("setting {}: found \"{}\", expected {}{}", key, excerpt(value.text),
+        throw UsageError(fmt::format("setting {}: found \"{}\", expected {}{}", key, make_excerpt(value.text),
                                      describe<T>(accepts), hint));
     }
 }
@@ -69,7 +69,7 @@ void apply_setting(Config& config, const std::string& key, const ParsedValue& va
         is_known = true;
         assign(field, key, accepts, value);
     });
-    if (!is_known) throw UsageError(unknown_key(key));
+    if (!is_known) throw UsageError(make_unknown_key_message(key));
     if (key == "preset") config = make_preset(config.preset);
 }
 
@@ -79,22 +79,22 @@ ParsedValue parse_scalar(const toml::node& node, const std::string& key) {
     if (const auto* integer = node.as_integer())
         return {fmt::format("{}", integer->get()), ParsedValue::Quotes::no};
     if (const auto* number = node.as_floating_point())
-        return {number_text(number->get()), ParsedValue::Quotes::no};
+        return {format_number_text(number->get()), ParsedValue::Quotes::no};
     if (const auto* boolean = node.as_boolean())
         return {boolean->get() ? "true" : "false", ParsedValue::Quotes::no};
     std::ostringstream kind;
     kind << node.type();
     throw UsageError(
-        fmt::format("setting {}: found a TOML {}, expected a single value", excerpt(key), kind.str()));
+        fmt::format("setting {}: found a TOML {}, expected a single value", make_excerpt(key), kind.str()));
 }
 
 /// Adds all values of a TOML table and its nested tables to `settings`, under their full
 /// names such as "table.key".
-void flatten(const toml::table& table, const std::string& prefix,
-             std::map<std::string, ParsedValue>& settings) {
+void flatten_table(const toml::table& table, const std::string& prefix,
+                   std::map<std::string, ParsedValue>& settings) {
     for (const auto& [name, node] : table) {
         const std::string key = prefix + std::string(name.str());
-        if (const toml::table* inner = node.as_table()) flatten(*inner, key + ".", settings);
+        if (const toml::table* inner = node.as_table()) flatten_table(*inner, key + ".", settings);
         else settings.emplace(key, parse_scalar(node, key));
     }
 }
@@ -104,10 +104,10 @@ void flatten(const toml::table& table, const std::string& prefix,
 /// @throws UsageError if a setting is missing or a key is unknown
 void check_complete(const std::map<std::string, ParsedValue>& settings) {
     constexpr const char* kAdvice = "a run that another version of relidar has written must be trained again";
-    const std::vector<std::string> keys = all_keys();
+    const std::vector<std::string> keys = list_all_keys();
     for (const auto& [key, found] : settings)
         if (std::ranges::find(keys, key) == keys.end())
-            throw UsageError(fmt::format("{}; {}", unknown_key(key), kAdvice));
+            throw UsageError(fmt::format("{}; {}", make_unknown_key_message(key), kAdvice));
     for (const std::string& key : keys)
         if (!settings.contains(key))
             throw UsageError(fmt::format("the setting {} is missing, expected a value for every setting; {}",
@@ -127,14 +127,14 @@ std::string quoted(const std::string& text) {
 }
 
 template <class T>
-std::string toml_value(const T& value, const Accepts& accepts) {
+std::string format_toml_value(const T& value, const Accepts& accepts) {
     const std::string text = to_text(value, accepts);
     return is_text<T> ? quoted(text) : text;
 }
 
 }  // namespace
 
-std::vector<ConfigKey> config_keys(const Config& config) {
+std::vector<ConfigKey> list_config_keys(const Config& config) {
     std::vector<ConfigKey> keys;
     visit(config, [&](const char* key, const auto& field, const Accepts& accepts, const Help& help) {
         using T = std::decay_t<decltype(field)>;
@@ -160,13 +160,13 @@ void read_config(Config& config, const std::filesystem::path& path, const Check&
     try {
         const toml::table table = toml::parse(text, path.string());
         std::map<std::string, ParsedValue> settings;
-        flatten(table, "", settings);
+        flatten_table(table, "", settings);
         check(settings);
         if (const auto preset = settings.extract("preset")) apply_setting(result, "preset", preset.mapped());
         for (const auto& [key, found] : settings) apply_setting(result, key, found);
     } catch (const toml::parse_error& error) {
         throw DataError(fmt::format("{}:{}: not valid TOML: {}", path.string(), error.source().begin.line,
-                                    excerpt(error.description())));
+                                    make_excerpt(error.description())));
     } catch (const UsageError& error) {
         throw UsageError(fmt::format("{}: {}", path.string(), error.what()));
     }
@@ -194,7 +194,7 @@ namespace {
 /// Returns the settings as TOML text, grouped by table. Each setting has a comment.
 /// @param is_shown  (key) returns true for the settings to include
 template <class Shown>
-std::string toml_of(const Config& config, const Shown& is_shown) {
+std::string format_toml(const Config& config, const Shown& is_shown) {
     std::string text, table;
     visit(config, [&](const std::string& key, const auto& field, const Accepts& accepts, const Help& help) {
         using T = std::decay_t<decltype(field)>;
@@ -204,7 +204,7 @@ std::string toml_of(const Config& config, const Shown& is_shown) {
         if (key_table != table) text += fmt::format("\n[{}]\n", key_table);
         table = key_table;
         text += fmt::format("# {} ({})\n{} = {}\n", help.text, describe<T>(accepts), key.substr(dot + 1),
-                            toml_value(field, accepts));
+                            format_toml_value(field, accepts));
     });
     return text;
 }
@@ -213,15 +213,16 @@ std::string toml_of(const Config& config, const Shown& is_shown) {
 
 std::string to_toml(const Config& config) {
     return "# All settings of a relidar run. `relidar train --config` can read this file.\n" +
-           toml_of(config, [](const std::string&) { return true; });
+           format_toml(config, [](const std::string&) { return true; });
 }
 
 std::string to_short_toml(const Config& config) {
     std::set<std::string> left_out;
-    const std::vector<ConfigKey> keys = config_keys(config), preset = config_keys(make_preset(config.preset));
+    const std::vector<ConfigKey> keys = list_config_keys(config),
+                                 preset = list_config_keys(make_preset(config.preset));
     for (std::size_t i = 0; i < keys.size(); ++i)
         if (keys[i].expert && keys[i].value == preset[i].value) left_out.insert(keys[i].key);
-    return toml_of(config, [&](const std::string& key) { return !left_out.contains(key); }) +
+    return format_toml(config, [&](const std::string& key) { return !left_out.contains(key); }) +
            fmt::format(
                "\n"
                "# {} expert settings with the values of the preset are not shown; `relidar list "

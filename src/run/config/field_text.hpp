@@ -26,7 +26,7 @@ constexpr bool is_text = std::is_same_v<T, std::string> || std::is_enum_v<T>;
 template <class T>
 std::string to_text(const T& value, const Accepts& accepts) {
     if constexpr (std::is_enum_v<T>) return accepts.choices.at(static_cast<std::size_t>(value));
-    else if constexpr (std::is_floating_point_v<T>) return number_text(value);
+    else if constexpr (std::is_floating_point_v<T>) return format_number_text(value);
     else return fmt::format("{}", value);
 }
 
@@ -75,7 +75,7 @@ bool from_text(const std::string& text, const Accepts& accepts, T& value) {
     };
     const auto choice = find(text);
     const auto is_choice = [&](const std::string& word) { return find(word) != accepts.choices.end(); };
-    if (accepts.several ? !std::ranges::all_of(words_of(text), is_choice)
+    if (accepts.several ? !std::ranges::all_of(split_words(text), is_choice)
                         : !accepts.choices.empty() && choice == accepts.choices.end())
         return false;
     if constexpr (std::is_enum_v<T>) {

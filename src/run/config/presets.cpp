@@ -1,7 +1,6 @@
-// SPDX-License-Identifier: Apache-2.0
-// Presets: named sets of default values. `paper` has the values of docs/method.md
-// sections 2, 5 and 6. The comments of the other presets say how and why they differ from
-// it.
+// SPDX-License-Identifier: Apache-2.0 Presets: named sets of default values.
+// `make_paper_config` has the values of docs/method.md sections 2, 5 and 6. The comments
+// of the other presets say how and why they differ from it.
 #include <relidar/run/config.hpp>
 
 #include <fmt/format.h>
@@ -13,7 +12,7 @@ namespace {
 
 /// Returns the settings of the paper. These are the defaults of the structs, except that
 /// the range D is not normalised, as in the paper's evaluation.
-Config paper() {
+Config make_paper_config() {
     Config config;
     config.dataset.waymo_intensity = "clamp";
     // as in the paper: people and cyclists are part of the background
@@ -39,8 +38,8 @@ Config paper() {
 /// includes SSIM, which needs full images. The Chamfer distance has no gradient in that
 /// program, so it is not used for training. Surfels outside their box are penalised. The
 /// errors of the released program (section 10) are not reproduced.
-Config released() {
-    Config config = paper();
+Config make_released_config() {
+    Config config = make_paper_config();
     config.preset = "released";
     config.loss.intensity_ssim = 0.15f;
     config.loss.chamfer = 0.0f;
@@ -51,7 +50,7 @@ Config released() {
 /// Returns the settings with the best results on a real log (KITTI raw 0005,
 /// docs/results.md). The scene starts with a dense set of smoothed points. Training only
 /// refines these surfaces, so no densification is needed.
-Config standard() {
+Config make_standard_config() {
     Config config;
     config.preset = "default";
     // 0 means the maximum range of the sensor; published results use 80 m
@@ -118,8 +117,8 @@ Config standard() {
 
 /// Returns settings for training on a CPU in minutes: small batches of rays and fewer
 /// steps.
-Config quick() {
-    Config config = standard();
+Config make_quick_config() {
+    Config config = make_standard_config();
     config.preset = "quick";
     config.init.voxel_growth = 0.01;
     // Must be below 1 - alpha_max. Otherwise an opaque surfel would end the ray before
@@ -130,9 +129,9 @@ Config quick() {
     config.image.alpha_min = 0.04f;
     config.image.sh_degree = 2;
     config.train.iterations = 540;
-    // The rates are higher than in `standard`, because there are few steps and each step
-    // reaches few surfels (docs/results.md). Discs that grow this fast need the limit
-    // train.max_growth.
+    // The rates are higher than in `make_standard_config`, because there are few steps
+    // and each step reaches few surfels (docs/results.md). Discs that grow this fast need
+    // the limit train.max_growth.
     config.train.opacity_rate = 0.15;
     config.train.scale_rate = 6.5e-2;
     config.train.rotation_rate = 5e-3;
@@ -157,8 +156,10 @@ struct Preset {
     const char* name;
     Config (*make)();
 };
-constexpr Preset kPresets[] = {
-    {"paper", paper}, {"released", released}, {"default", standard}, {"quick", quick}};
+constexpr Preset kPresets[] = {{"paper", make_paper_config},
+                               {"released", make_released_config},
+                               {"default", make_standard_config},
+                               {"quick", make_quick_config}};
 
 }  // namespace
 
@@ -168,7 +169,7 @@ Config make_preset(const std::string& name) {
         if (name == preset.name) return preset.make();
         known.emplace_back(preset.name);
     }
-    throw UsageError(fmt::format("preset '{}': unknown{} (known: {})", name, did_you_mean(name, known, "'"),
+    throw UsageError(fmt::format("preset '{}': unknown{} (known: {})", name, suggest_name(name, known, "'"),
                                  fmt::join(known, ", ")));
 }
 

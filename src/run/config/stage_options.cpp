@@ -4,7 +4,7 @@
 
 namespace relidar {
 
-Config with_farthest(Config config, const Sequence& sequence) {
+Config use_farthest_return(Config config, const Sequence& sequence) {
     if (config.dataset.max_range_m > 0.0) return config;
     for (const Lidar& lidar : sequence.lidars)
         config.dataset.max_range_m = std::max(config.dataset.max_range_m, lidar.sensor.max_range_m);
@@ -17,13 +17,13 @@ TraceOptions trace_options(const Config& config) {
     return options;
 }
 
-TraceOptions training_trace_options(const Config& config) {
+TraceOptions make_training_trace_options(const Config& config) {
     TraceOptions options = trace_options(config);
     if (config.loss.likelihood > 0.0f) options.likelihood = RangeKernel{config.loss.likelihood_scale_m};
     return options;
 }
 
-TraceOptions rendering_trace_options(const Config& config) {
+TraceOptions make_rendering_trace_options(const Config& config) {
     TraceOptions options = trace_options(config);
     // Always computes normals, because channels and ray-drop networks can use them.
     options.normals = kind_of(config.image.primitive).has_normals;
@@ -32,7 +32,7 @@ TraceOptions rendering_trace_options(const Config& config) {
     return options;
 }
 
-BackwardOptions backward_options(const Config& config) {
+BackwardOptions make_backward_options(const Config& config) {
     BackwardOptions options;
     if (config.train.deterministic) options.reduction = Reduction::gather;
     return options;

@@ -16,7 +16,7 @@ namespace relidar {
 namespace {
 
 /// Returns true if the line through a ray intersects a box that is centred at the origin.
-bool meets_box(const glm::dvec3& origin_m, const glm::dvec3& direction, const glm::dvec3& size_m) {
+bool is_ray_in_box(const glm::dvec3& origin_m, const glm::dvec3& direction, const glm::dvec3& size_m) {
     double begin = 0.0, end = std::numeric_limits<double>::infinity();
     for (int axis = 0; axis < 3; ++axis) {
         const double half_m = 0.5 * size_m[axis];
@@ -33,8 +33,8 @@ bool meets_box(const glm::dvec3& origin_m, const glm::dvec3& direction, const gl
 
 /// Returns true if the line through a ray intersects the bounding sphere of a box. This
 /// test is fast and rejects most rays before the exact test.
-bool comes_near(const glm::vec3& origin_m, const glm::vec3& direction, const glm::vec3& centre_m,
-                float radius_m) {
+bool is_ray_near(const glm::vec3& origin_m, const glm::vec3& direction, const glm::vec3& centre_m,
+                 float radius_m) {
     const glm::vec3 to_centre = centre_m - origin_m;
     const float along_m = glm::dot(to_centre, direction), distance2 = glm::dot(to_centre, to_centre);
     return distance2 <= radius_m * radius_m ||
@@ -43,19 +43,19 @@ bool comes_near(const glm::vec3& origin_m, const glm::vec3& direction, const glm
 
 }  // namespace
 
-ActorDetail actor_detail(std::span<const glm::vec3> origin, std::span<const glm::vec3> direction,
-                         const Pose& box_from_sensor, const glm::dvec3& size_m, std::size_t surfels) {
+ActorDetail measure_actor_detail(std::span<const glm::vec3> origin, std::span<const glm::vec3> direction,
+                                 const Pose& box_from_sensor, const glm::dvec3& size_m, std::size_t surfels) {
     ActorDetail detail{glm::length(box_from_sensor.translation), 0.0, 0, surfels};
     const glm::vec3 centre_m(inverse(box_from_sensor).translation);
     const float radius_m = float(0.5 * glm::length(size_m)) * 1.001f + 0.01f;
     for (std::size_t i = 0; i < direction.size(); ++i)
-        if (comes_near(origin[i], direction[i], centre_m, radius_m))
-            detail.rays += meets_box(box_from_sensor * glm::dvec3(origin[i]),
-                                     box_from_sensor.rotation * glm::dvec3(direction[i]), size_m);
+        if (is_ray_near(origin[i], direction[i], centre_m, radius_m))
+            detail.rays += is_ray_in_box(box_from_sensor * glm::dvec3(origin[i]),
+                                         box_from_sensor.rotation * glm::dvec3(direction[i]), size_m);
     return detail;
 }
 
-ActorDetail actor_detail(const DrivingScene& driving, const std::string& track, int lidar) {
+ActorDetail measure_actor_detail(const DrivingScene& driving, const std::string& track, int lidar) {
     const Sequence& log = driving.sequence;
     const auto instance =
         std::ranges::find_if(driving.scene.instances, [&](const Instance& i) { return i.track == track; });
@@ -75,9 +75,9 @@ ActorDetail actor_detail(const DrivingScene& driving, const std::string& track, 
             box_from_sensor = nearer, detail.nearest_m = distance_m, detail.time_s = frame.time_s;
     }
     if (detail.nearest_m == std::numeric_limits<double>::infinity()) return detail;
-    const RayTable rays = nominal_rays(log.lidars[std::size_t(lidar)], detail.time_s);
+    const RayTable rays = make_nominal_rays(log.lidars[std::size_t(lidar)], detail.time_s);
     detail.rays =
-        actor_detail(rays.origin, rays.direction, box_from_sensor, box->size_m, detail.surfels).rays;
+        measure_actor_detail(rays.origin, rays.direction, box_from_sensor, box->size_m, detail.surfels).rays;
     return detail;
 }
 

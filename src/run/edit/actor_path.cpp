@@ -32,28 +32,28 @@ using FieldPlaces = std::vector<int>;
 
 /// Reads the header of a file and returns the column index of each field.
 /// @throws DataError for an unknown name, a missing field, or an angle in both units
-FieldPlaces parse_header_columns(const std::vector<std::string_view>& header, const std::string& where) {
-    FieldPlaces at = find_columns(header, kNames, where);
+FieldPlaces parse_header_columns(const std::vector<std::string_view>& header, const std::string& location) {
+    FieldPlaces at = find_columns(header, kNames, location);
     for (const Field field : {kTime, kX, kY, kZ})
         if (at[field] < 0)
-            throw DataError(fmt::format("{}: the column '{}' is missing", where, kNames[field]));
+            throw DataError(fmt::format("{}: the column '{}' is missing", location, kNames[field]));
     if (at[kYaw] < 0 && at[kYawRad] < 0)
-        throw DataError(fmt::format("{}: the column 'yaw_deg' or 'yaw_rad' is missing", where));
+        throw DataError(fmt::format("{}: the column 'yaw_deg' or 'yaw_rad' is missing", location));
     for (int angle = kYaw; angle <= kRoll; ++angle)
         if (const int other = angle + kYawRad - kYaw; at[angle] >= 0 && at[other] >= 0)
             throw DataError(fmt::format("{}: found both columns '{}' and '{}', expected only one of them",
-                                        where, kNames[angle], kNames[other]));
+                                        location, kNames[angle], kNames[other]));
     return at;
 }
 
 /// Returns the column index of each field for a file without a header.
 /// @throws DataError if there are too few or too many columns
-FieldPlaces default_columns(std::size_t n_cells, const std::string& where) {
+FieldPlaces make_default_columns(std::size_t n_cells, const std::string& location) {
     if (n_cells < kNeeded || n_cells > kUnnamed)
         throw DataError(fmt::format(
             "{}: found {} columns, expected time_s,x,y,z,yaw_deg and optionally pitch_deg,roll_deg, "
             "or a header line with the names of the columns",
-            where, n_cells));
+            location, n_cells));
     FieldPlaces at(kFieldCount, -1);
     for (std::size_t i = 0; i < kUnnamed; ++i) at[i] = static_cast<int>(i);
     return at;
@@ -62,31 +62,32 @@ FieldPlaces default_columns(std::size_t n_cells, const std::string& where) {
 /// Reads the values of a line. A field is 0 if the file has no column for it. A line may
 /// end before pitch and roll.
 /// @throws DataError naming the column that is not a number
-std::array<double, kFieldCount> read_row(const std::vector<std::string_view>& cells, const FieldPlaces& at,
-                                         const std::string& where) {
+std::array<double, kFieldCount> read_row(const std::vector<std::string_view>& cells,
+                                         const FieldPlaces& columns, const std::string& location) {
     std::array<double, kFieldCount> row{};
     for (std::size_t f = 0; f < row.size(); ++f) {
         const bool may_be_absent = f == kPitch || f == kRoll || f == kPitchRad || f == kRollRad;
-        if (at[f] < 0 || (may_be_absent && static_cast<std::size_t>(at[f]) >= cells.size())) continue;
-        if (static_cast<std::size_t>(at[f]) >= cells.size())
+        if (columns[f] < 0 || (may_be_absent && static_cast<std::size_t>(columns[f]) >= cells.size()))
+            continue;
+        if (static_cast<std::size_t>(columns[f]) >= cells.size())
             throw DataError(fmt::format(
-                "{}: found {} columns, expected {}; the column '{}' is missing", where, cells.size(),
-                std::ranges::count_if(at, [](int place) { return place >= 0; }), kNames[f]));
-        const std::string_view cell = cells[static_cast<std::size_t>(at[f])];
+                "{}: found {} columns, expected {}; the column '{}' is missing", location, cells.size(),
+                std::ranges::count_if(columns, [](int place) { return place >= 0; }), kNames[f]));
+        const std::string_view cell = cells[static_cast<std::size_t>(columns[f])];
         const std::optional<double> value = parse_number(cell);
         if (!value || !(std::abs(*value) <= kLargest))
             throw DataError(fmt::format("{}: {}: found \"{}\", expected a finite number of at most {:.0e}",
-                                        where, kNames[f], excerpt(cell), kLargest));
+                                        location, kNames[f], make_excerpt(cell), kLargest));
         row[f] = *value;
     }
     return row;
 }
 
-Pose pose_of(const std::array<double, kFieldCount>& row) {
+Pose make_row_pose(const std::array<double, kFieldCount>& row) {
     const auto angle = [&](Field degrees, Field radians) {
         return row[degrees] * kPi / 180.0 + row[radians];
     };
-    return {rotation_of(angle(kYaw, kYawRad), angle(kPitch, kPitchRad), angle(kRoll, kRollRad)),
+    return {make_rotation(angle(kYaw, kYawRad), angle(kPitch, kPitchRad), angle(kRoll, kRollRad)),
             {row[kX], row[kY], row[kZ]}};
 }
 
@@ -98,13 +99,13 @@ PoseTrack read_trajectory(const std::filesystem::path& path) {
     FieldPlaces at;
     std::size_t n_cells = 0;
     for (std::size_t i = 0; i < lines.size(); ++i) {
-        if (trimmed(lines[i]).empty()) continue;
-        const std::vector<std::string_view> cells = csv_cells(lines[i]);
+        if (trim_spaces(lines[i]).empty()) continue;
+        const std::vector<std::string_view> cells = split_csv_cells(lines[i]);
         const std::string where = fmt::format("{}: line {}", path.string(), i + 1);
         if (at.empty()) {
             const bool is_header = !parse_number(cells[0]);
             n_cells = is_header ? cells.size() : kUnnamed;
-            at = is_header ? parse_header_columns(cells, where) : default_columns(cells.size(), where);
+            at = is_header ? parse_header_columns(cells, where) : make_default_columns(cells.size(), where);
             if (is_header) continue;
         }
         if (cells.size() > n_cells)
@@ -116,7 +117,7 @@ PoseTrack read_trajectory(const std::filesystem::path& path) {
                 fmt::format("{}: time_s is {} after {} in the previous line, expected increasing times",
                             where, row[kTime], track.time_s.back()));
         track.time_s.push_back(row[kTime]);
-        track.pose.push_back(pose_of(row));
+        track.pose.push_back(make_row_pose(row));
     }
     if (track.pose.size() < 2)
         throw DataError(

@@ -19,7 +19,7 @@ namespace {
 
 /// Returns the error message for a labelled box that cannot be edited because it has no
 /// surfels. The message contains the reason, and the setting that makes the box editable.
-std::string without_surfels(const std::string& track, std::vector<std::string> actors) {
+std::string format_actors_without_surfels(const std::string& track, std::vector<std::string> actors) {
     actors.push_back(track);
     return fmt::format(
         "cannot edit track \"{}\": the log has a box for it, but it is part of the background, "
@@ -36,11 +36,11 @@ std::size_t find_actor(const DrivingScene& driving, const std::string& track) {
         if (!name.empty() && name == track) return i;
         if (!name.empty()) known.push_back(name);
     }
-    if (find_box(driving.sequence, track)) throw UsageError(without_surfels(track, known));
+    if (find_box(driving.sequence, track)) throw UsageError(format_actors_without_surfels(track, known));
     const std::string message = fmt::format("cannot edit track \"{}\": the run has no such track", track);
     if (known.empty()) throw UsageError(message + ", and its scene has no actors");
     throw UsageError(
-        fmt::format("{}{} (actors: {})", message, did_you_mean(track, known, "\""), fmt::join(known, ", ")));
+        fmt::format("{}{} (actors: {})", message, suggest_name(track, known, "\""), fmt::join(known, ", ")));
 }
 
 BoxTrack& box_of(DrivingScene& driving, const std::string& track) {
@@ -98,7 +98,7 @@ std::string free_id(const DrivingScene& driving, const std::string& stem) {
 
 /// Returns a track that moves straight ahead at constant speed. It has one pose for each
 /// frame of the log.
-PoseTrack straight_track(const Sequence& sequence, const Start& start) {
+PoseTrack make_straight_track(const Sequence& sequence, const Start& start) {
     PoseTrack track;
     for (const Frame& frame : sequence.frames) {
         Pose pose = start.dataset_from_box;
@@ -134,7 +134,7 @@ void check_trajectory(const PoseTrack& track, const std::string& id) {
 /// Returns the same trajectory with more poses, so that two poses are at most one step
 /// apart. Boxes exist only near their poses. With this spacing, a box exists at most half
 /// a sweep before the first and after the last pose.
-PoseTrack refined(const PoseTrack& track, double step_s) {
+PoseTrack refine_track(const PoseTrack& track, double step_s) {
     PoseTrack fine;
     for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {
         const double span = track.time_s[i + 1] - track.time_s[i];
@@ -152,8 +152,8 @@ PoseTrack refined(const PoseTrack& track, double step_s) {
 /// Adds an instance of a model to the scene, with a new track.
 void add_instance(DrivingScene& driving, std::uint32_t model, BoxTrack box, const Start& start) {
     box.world_from_box = start.dataset_path.pose.empty()
-                             ? straight_track(driving.sequence, start)
-                             : shifted_track(start.dataset_path, -driving.sequence.world_offset_m);
+                             ? make_straight_track(driving.sequence, start)
+                             : shift_track(start.dataset_path, -driving.sequence.world_offset_m);
     box.n_before = box.n_after = 0;
     driving.scene.instances.push_back({model, box.id});
     driving.sequence.boxes.push_back(std::move(box));
@@ -177,7 +177,7 @@ DrivingScene retime_track(DrivingScene driving, const std::string& track, double
     return driving;
 }
 
-std::string lost_frames_note(const BoxTrack& before, const Sequence& edited) {
+std::string describe_lost_frames(const BoxTrack& before, const Sequence& edited) {
     const BoxTrack* box = find_box(edited, before.id);
     // Uses a set to remove duplicates, because LiDARs that sweep at the same time share a
     // frame number.
@@ -197,8 +197,8 @@ DrivingScene replace_trajectory(DrivingScene driving, const std::string& track,
     BoxTrack& box = box_of(driving, track);
     check_trajectory(dataset_from_box, track);
     box.n_before = box.n_after = 0;
-    box.world_from_box = refined(shifted_track(dataset_from_box, -driving.sequence.world_offset_m),
-                                 std::max(driving.sequence.lidars[0].period_s(), 1e-3));
+    box.world_from_box = refine_track(shift_track(dataset_from_box, -driving.sequence.world_offset_m),
+                                      std::max(driving.sequence.lidars[0].period_s(), 1e-3));
     return driving;
 }
 

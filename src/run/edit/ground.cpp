@@ -63,10 +63,10 @@ struct GroundPlane {
     glm::dvec3 origin_m{0.0};
     glm::dvec3 normal{0.0, 0.0, 1.0};
 
-    double height_at(const glm::dvec2& xy) const {
+    double compute_height(const glm::dvec2& xy) const {
         return origin_m.z - (normal.x * (xy.x - origin_m.x) + normal.y * (xy.y - origin_m.y)) / normal.z;
     }
-    double above(const glm::dvec3& p) const { return glm::dot(normal, p - origin_m); }
+    double above(const glm::dvec3& point) const { return glm::dot(normal, point - origin_m); }
 };
 
 /// Area on the ground below a box: a rectangle in the x-y plane around the centre of the
@@ -76,19 +76,19 @@ struct Footprint {
     double yaw_rad = 0.0;
     glm::dvec2 half_m{0.0};
 
-    glm::dvec2 local(const glm::dvec3& p) const {
-        const double c = std::cos(yaw_rad), s = std::sin(yaw_rad), dx = p.x - centre_m.x,
-                     dy = p.y - centre_m.y;
+    glm::dvec2 local(const glm::dvec3& point) const {
+        const double c = std::cos(yaw_rad), s = std::sin(yaw_rad), dx = point.x - centre_m.x,
+                     dy = point.y - centre_m.y;
         return {c * dx + s * dy, c * dy - s * dx};
     }
-    bool holds(const glm::dvec3& p, double margin_m) const {
-        const glm::dvec2 d = glm::abs(local(p));
+    bool holds(const glm::dvec3& point, double margin_m) const {
+        const glm::dvec2 d = glm::abs(local(point));
         return d.x <= half_m.x + margin_m && d.y <= half_m.y + margin_m;
     }
 };
 
 /// Returns the sensor pose of the log that is nearest to a position in the x-y plane.
-const Pose& nearest_pose(const PoseTrack& track, const glm::dvec2& xy) {
+const Pose& find_nearest_pose(const PoseTrack& track, const glm::dvec2& xy) {
     if (track.pose.empty())
         throw DataError(
             "cannot place an actor on the ground: the log has no poses of the vehicle, which are "
@@ -97,7 +97,7 @@ const Pose& nearest_pose(const PoseTrack& track, const glm::dvec2& xy) {
         track.pose, {}, [&](const Pose& p) { return glm::distance(glm::dvec2(p.translation), xy); });
 }
 
-glm::dvec3 surfel_normal(const glm::vec4& wxyz) {
+glm::dvec3 compute_surfel_normal(const glm::vec4& wxyz) {
     return glm::normalize(glm::dquat(wxyz.x, wxyz.y, wxyz.z, wxyz.w)) * glm::dvec3(0.0, 0.0, 1.0);
 }
 
@@ -119,13 +119,14 @@ public:
     }
 
     std::optional<GroundPlane> below(const Footprint& footprint) const {
-        const glm::dvec3 sensor = nearest_pose(way_, footprint.centre_m).translation;
+        const glm::dvec3 sensor = find_nearest_pose(way_, footprint.centre_m).translation;
         const double highest_m = sensor.z + kSteepest * glm::distance(glm::dvec2(sensor), footprint.centre_m);
         for (const double margin_m : kMargins_m) {
             std::vector<glm::dvec3> points;
             for (const glm::dvec3& p : points_)
                 if (p.z < highest_m && footprint.holds(p, margin_m)) points.push_back(p);
-            if (const std::optional<GroundPlane> plane = plane_of(points, footprint, margin_m)) return plane;
+            if (const std::optional<GroundPlane> plane = fit_plane_to_points(points, footprint, margin_m))
+                return plane;
         }
         return {};
     }
@@ -140,25 +141,27 @@ public:
     }
 
 private:
-    void add(const Surfels& surfels, std::size_t n) {
+    void add(const Surfels& surfels, std::size_t count) {
         const bool has_normals = kind_of(surfels.primitive).has_normals;
-        for (std::size_t i = 0; i < n; ++i)
+        for (std::size_t i = 0; i < count; ++i)
             if (surfels.opacity_logit[i] > kFaintLogit &&
-                (!has_normals || std::abs(surfel_normal(surfels.rotation[i]).z) > kLevelSurfel))
+                (!has_normals || std::abs(compute_surfel_normal(surfels.rotation[i]).z) > kLevelSurfel))
                 points_.emplace_back(surfels.mean[i]);
     }
 
-    static std::vector<glm::dvec3> on_plane(const GroundPlane& plane, const std::vector<glm::dvec3>& points) {
+    static std::vector<glm::dvec3> select_points_on_plane(const GroundPlane& plane,
+                                                          const std::vector<glm::dvec3>& points) {
         std::vector<glm::dvec3> on;
-        std::ranges::copy_if(points, std::back_inserter(on),
-                             [&](const glm::dvec3& p) { return std::abs(plane.above(p)) < kFitted_m; });
+        std::ranges::copy_if(points, std::back_inserter(on), [&](const glm::dvec3& point) {
+            return std::abs(plane.above(point)) < kFitted_m;
+        });
         return on;
     }
 
     /// Returns the plane that contains the most points. Tries planes through three random
     /// points. The score of each plane depends on the distances of all points from the
     /// plane.
-    static GroundPlane most_common_plane(const std::vector<glm::dvec3>& points) {
+    static GroundPlane find_most_common_plane(const std::vector<glm::dvec3>& points) {
         Random random(1);
         GroundPlane best{points.front(), {0.0, 0.0, 1.0}};
         double most = 0.0;
@@ -182,12 +185,12 @@ private:
         return best;
     }
 
-    static std::optional<GroundPlane> plane_of(const std::vector<glm::dvec3>& points,
-                                               const Footprint& footprint, double margin_m) {
+    static std::optional<GroundPlane> fit_plane_to_points(const std::vector<glm::dvec3>& points,
+                                                          const Footprint& footprint, double margin_m) {
         if (points.size() < kFewestOnPlane) return {};
-        GroundPlane plane = most_common_plane(points);
+        GroundPlane plane = find_most_common_plane(points);
         for (int round = 0; round < 3; ++round) {
-            const std::vector<glm::dvec3> on = on_plane(plane, points);
+            const std::vector<glm::dvec3> on = select_points_on_plane(plane, points);
             if (on.size() < kFewestOnPlane) return {};
             PlaneSums sums;
             for (const glm::dvec3& p : on) sums.add(p - points.front());
@@ -208,19 +211,19 @@ private:
     std::vector<glm::dvec3> points_;
 };
 
-double heading_of(const Pose& pose) {
+double compute_heading(const Pose& pose) {
     const glm::dvec3 ahead = pose.rotation * glm::dvec3(1.0, 0.0, 0.0);
     return std::atan2(ahead.y, ahead.x);
 }
 
-Footprint footprint_of(const glm::dvec2& centre_m, double yaw_rad, const glm::dvec3& size_m) {
+Footprint make_footprint(const glm::dvec2& centre_m, double yaw_rad, const glm::dvec3& size_m) {
     return {centre_m, yaw_rad, glm::max(0.5 * glm::dvec2(size_m), glm::dvec2(kSmallestBelow_m))};
 }
 
-const BoxTrack& box_of_actor(const DrivingView& owner, const std::string& track) {
+const BoxTrack& find_box_of_actor(const DrivingView& owner, const std::string& track) {
     // Calls move_track() only to throw an error with the reason if the track does not
     // belong to an actor.
-    (void)move_track(DrivingScene{layout_of(owner.scene), owner.sequence}, track, {});
+    (void)move_track(DrivingScene{copy_layout(owner.scene), owner.sequence}, track, {});
     return *find_box(owner.sequence, track);
 }
 
@@ -229,15 +232,16 @@ const BoxTrack& box_of_actor(const DrivingView& owner, const std::string& track)
 /// Returns nothing if no actor covers the position.
 /// @param clearance_m  function that returns the height of the bottom of a box above the
 /// ground
-std::optional<GroundPlane> below_actor_at(const glm::dvec2& xy, const Sequence& sequence,
-                                          const std::function<double(const BoxTrack&)>& clearance_m) {
+std::optional<GroundPlane> estimate_ground_below_actor(
+    const glm::dvec2& xy, const Sequence& sequence,
+    const std::function<double(const BoxTrack&)>& clearance_m) {
     const BoxTrack* nearest = nullptr;
     Pose at;
     double nearest_m = std::numeric_limits<double>::infinity();
     for (const BoxTrack& box : sequence.boxes)
         for (const Pose& pose : box.world_from_box.pose) {
             const double apart_m = glm::distance(glm::dvec2(pose.translation), xy);
-            const Footprint footprint{pose.translation, heading_of(pose), 0.5 * glm::dvec2(box.size_m)};
+            const Footprint footprint{pose.translation, compute_heading(pose), 0.5 * glm::dvec2(box.size_m)};
             if (apart_m < nearest_m && footprint.holds(glm::dvec3(xy, 0.0), 0.0))
                 nearest = &box, at = pose, nearest_m = apart_m;
         }
@@ -249,7 +253,7 @@ std::optional<GroundPlane> below_actor_at(const glm::dvec2& xy, const Sequence& 
 
 /// Measures the height of a box's bottom above the ground at positions along its track,
 /// and returns the median.
-std::optional<double> clearance_of(const DrivingView& owner, const BoxTrack& box) {
+std::optional<double> compute_clearance(const DrivingView& owner, const BoxTrack& box) {
     std::vector<glm::dvec2> places;
     const std::vector<Pose>& poses = box.world_from_box.pose;
     const std::size_t step = std::max<std::size_t>(1, poses.size() / kOwnPlaces);
@@ -259,16 +263,16 @@ std::optional<double> clearance_of(const DrivingView& owner, const BoxTrack& box
     for (std::size_t i = 0; i < poses.size(); i += step) {
         const Pose& pose = poses[i];
         const std::optional<GroundPlane> plane =
-            surfels.below(footprint_of(pose.translation, heading_of(pose), box.size_m));
+            surfels.below(make_footprint(pose.translation, compute_heading(pose), box.size_m));
         if (plane) heights_m.push_back(plane->above(pose.translation) - 0.5 * box.size_m.z);
     }
     if (heights_m.empty()) return {};
-    return median_of(heights_m);
+    return compute_median(heights_m);
 }
 
 /// Returns the rotation of an actor that stands on a plane and faces in the direction of
 /// a yaw angle.
-glm::dquat facing_on(const GroundPlane& plane, double yaw_rad) {
+glm::dquat make_facing_rotation(const GroundPlane& plane, double yaw_rad) {
     const glm::dvec2 level(std::cos(yaw_rad), std::sin(yaw_rad));
     const double climb = -(plane.normal.x * level.x + plane.normal.y * level.y) / plane.normal.z;
     const glm::dvec3 ahead = glm::normalize(glm::dvec3(level, climb));
@@ -287,7 +291,7 @@ struct GroundMotion {
 
 /// Returns the times of the log's frames. LiDARs that sweep at the same time share a
 /// time.
-std::vector<double> frame_times(const Sequence& sequence) {
+std::vector<double> list_frame_times(const Sequence& sequence) {
     std::vector<double> times_s;
     for (const Frame& frame : sequence.frames)
         if (times_s.empty() || frame.time_s > times_s.back()) times_s.push_back(frame.time_s);
@@ -296,29 +300,30 @@ std::vector<double> frame_times(const Sequence& sequence) {
 
 }  // namespace
 
-std::optional<double> ground_clearance(const DrivingView& owner, const std::string& track) {
-    return clearance_of(owner, box_of_actor(owner, track));
+std::optional<double> measure_ground_clearance(const DrivingView& owner, const std::string& track) {
+    return compute_clearance(owner, find_box_of_actor(owner, track));
 }
 
 Start start_on_ground(const DrivingView& driving, const GroundPlace& place, const DrivingView& owner,
                       const std::string& track) {
     const Sequence& sequence = driving.sequence;
-    const BoxTrack& box = box_of_actor(owner, track);
+    const BoxTrack& box = find_box_of_actor(owner, track);
     const glm::dvec3 offset_m = sequence.world_offset_m;
     const glm::dvec2 xy = place.dataset_m - glm::dvec2(offset_m);
     const double yaw_rad =
-        place.yaw_rad ? *place.yaw_rad : heading_of(nearest_pose(sequence.world_from_vehicle, xy));
+        place.yaw_rad ? *place.yaw_rad : compute_heading(find_nearest_pose(sequence.world_from_vehicle, xy));
     const GroundMotion motion{xy, yaw_rad, place.speed_mps};
     const std::vector<double> times_s =
-        place.speed_mps != 0.0 ? frame_times(sequence) : std::vector<double>();
+        place.speed_mps != 0.0 ? list_frame_times(sequence) : std::vector<double>();
     std::vector<glm::dvec2> positions{xy};
     for (const double time_s : times_s) positions.push_back(motion.at(time_s - times_s.front()));
 
     const LevelSurfels surfels(driving, positions);
     const auto ground_at = [&](const glm::dvec2& position_m) {
-        const std::optional<GroundPlane> plane = surfels.below(footprint_of(position_m, yaw_rad, box.size_m));
-        return plane ? plane : below_actor_at(position_m, sequence, [&](const BoxTrack& there) {
-            return clearance_of(driving, there).value_or(0.0);
+        const std::optional<GroundPlane> plane =
+            surfels.below(make_footprint(position_m, yaw_rad, box.size_m));
+        return plane ? plane : estimate_ground_below_actor(position_m, sequence, [&](const BoxTrack& there) {
+            return compute_clearance(driving, there).value_or(0.0);
         });
     };
     std::optional<GroundPlane> plane = ground_at(xy);
@@ -328,11 +333,11 @@ Start start_on_ground(const DrivingView& driving, const GroundPlace& place, cons
             "has no surface below its box ({}); choose a position that the log has observed",
             track, place.dataset_m.x, place.dataset_m.y, surfels.nearest(xy)));
     const std::optional<double> clearance_m =
-        place.clearance_m ? place.clearance_m : ground_clearance(owner, track);
+        place.clearance_m ? place.clearance_m : measure_ground_clearance(owner, track);
     const double above_m = 0.5 * box.size_m.z + clearance_m.value_or(0.0);
     const auto pose_on = [&](const GroundPlane& ground, const glm::dvec2& position_m) {
-        const glm::dvec3 centre_m(position_m, ground.height_at(position_m) + above_m / ground.normal.z);
-        return Pose{facing_on(ground, yaw_rad), centre_m + offset_m};
+        const glm::dvec3 centre_m(position_m, ground.compute_height(position_m) + above_m / ground.normal.z);
+        return Pose{make_facing_rotation(ground, yaw_rad), centre_m + offset_m};
     };
 
     Start start{pose_on(*plane, xy), place.speed_mps};
@@ -346,7 +351,8 @@ Start start_on_ground(const DrivingView& driving, const GroundPlace& place, cons
             normal_sum += next->normal;
         } else {
             start.unseen_m += glm::distance(position_m, positions[i]);
-            plane = GroundPlane{{positions[i], plane->height_at(positions[i])}, glm::normalize(normal_sum)};
+            plane =
+                GroundPlane{{positions[i], plane->compute_height(positions[i])}, glm::normalize(normal_sum)};
         }
         start.dataset_path.time_s.push_back(times_s[i]);
         start.dataset_path.pose.push_back(pose_on(*plane, position_m));

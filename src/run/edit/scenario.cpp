@@ -28,28 +28,28 @@ struct Source {
     std::string file;
     std::map<std::string, std::string> parameters;
 
-    [[noreturn]] void fail(const std::string& where, const std::string& found,
+    [[noreturn]] void fail(const std::string& location, const std::string& found_value,
                            const std::string& expected) const {
-        throw DataError(fmt::format("{}: {}: found {}, expected {}", file, where, found, expected));
+        throw DataError(fmt::format("{}: {}: found {}, expected {}", file, location, found_value, expected));
     }
     /// Returns the value of an attribute. If the value is "$name", returns the value of
     /// this parameter of the scenario.
-    std::string text(const pugi::xml_node& node, const char* name, const std::string& where) const {
+    std::string text(const pugi::xml_node& node, const char* name, const std::string& location) const {
         const std::string value = node.attribute(name).value();
         if (!value.starts_with('$')) return value;
         const auto parameter = parameters.find(value.substr(1));
         if (parameter == parameters.end())
-            fail(fmt::format("{}: {}", where, name), "\"" + excerpt(value) + "\"",
+            fail(fmt::format("{}: {}", location, name), "\"" + make_excerpt(value) + "\"",
                  "a value, or $ followed by the name of a parameter that the scenario declares");
         return parameter->second;
     }
-    double number(const pugi::xml_node& node, const char* name, const std::string& where,
-                  std::optional<double> missing = {}) const {
-        if (missing && !node.attribute(name)) return *missing;
-        const std::string value = text(node, name, where);
-        const auto number = parse_number(trimmed(value));
+    double number(const pugi::xml_node& node, const char* name, const std::string& location,
+                  std::optional<double> default_value = {}) const {
+        if (default_value && !node.attribute(name)) return *default_value;
+        const std::string value = text(node, name, location);
+        const auto number = parse_number(trim_spaces(value));
         if (!number || !(std::abs(*number) <= kMost))
-            fail(fmt::format("{}: {}", where, name), "\"" + excerpt(value) + "\"",
+            fail(fmt::format("{}: {}", location, name), "\"" + make_excerpt(value) + "\"",
                  fmt::format("a finite number of at most {:.0e}", kMost));
         return *number;
     }
@@ -58,15 +58,15 @@ struct Source {
 /// Returns the time at which a start trigger fires. A trigger without a condition fires
 /// at time 0. A trigger with a fixed simulation time fires at this time. Returns nothing
 /// if the time depends on the simulation.
-std::optional<double> trigger_time(const Source& source, const pugi::xml_node& trigger,
-                                   const std::string& where) {
+std::optional<double> read_trigger_time(const Source& source, const pugi::xml_node& trigger,
+                                        const std::string& location) {
     const pugi::xml_node group = trigger.child("ConditionGroup"), condition = group.child("Condition");
     if (!condition) return 0.0;
     const pugi::xml_node time = condition.child("ByValueCondition").child("SimulationTimeCondition");
     const std::string rule = time.attribute("rule").value();
     const bool alone = !group.next_sibling("ConditionGroup") && !condition.next_sibling("Condition");
     if (!alone || (rule != "greaterThan" && rule != "greaterOrEqual")) return {};
-    return source.number(time, "value", where) + source.number(condition, "delay", where, 0.0);
+    return source.number(time, "value", location) + source.number(condition, "delay", location, 0.0);
 }
 
 /// An action of an entity, and its start time if the start time is known.
@@ -78,14 +78,15 @@ using ActionsOf = std::map<std::string, std::vector<Action>>;
 
 void add_actions_of_story(const Source& source, const pugi::xml_node& story, ActionsOf& actions) {
     for (const pugi::xml_node& act : story.children("Act")) {
-        const auto begun = trigger_time(source, act.child("StartTrigger"),
-                                        fmt::format("Act {}", excerpt(act.attribute("name").value())));
+        const auto begun =
+            read_trigger_time(source, act.child("StartTrigger"),
+                              fmt::format("Act {}", make_excerpt(act.attribute("name").value())));
         for (const pugi::xml_node& group : act.children("ManeuverGroup"))
             for (const pugi::xml_node& maneuver : group.children("Maneuver"))
                 for (const pugi::xml_node& event : maneuver.children("Event")) {
                     const std::string where =
-                        fmt::format("Event {}", excerpt(event.attribute("name").value()));
-                    const auto event_start_s = trigger_time(source, event.child("StartTrigger"), where);
+                        fmt::format("Event {}", make_excerpt(event.attribute("name").value()));
+                    const auto event_start_s = read_trigger_time(source, event.child("StartTrigger"), where);
                     const std::optional<double> start_s =
                         begun && event_start_s ? std::optional(std::max(*begun, *event_start_s))
                                                : std::nullopt;
@@ -113,53 +114,56 @@ struct Timing {
 };
 
 Timing read_timing(const Source& source, const pugi::xml_node& action, std::optional<double> start_s,
-                   const std::string& where) {
+                   const std::string& location) {
     const pugi::xml_node timing = action.child("TimeReference").child("Timing");
     if (!timing)
-        source.fail(where, "no element TimeReference/Timing",
+        source.fail(location, "no element TimeReference/Timing",
                     "this element, because the times of vertices have no meaning without it");
     if (!start_s)
-        source.fail(where, "a trajectory that starts with an unsupported condition",
+        source.fail(location, "a trajectory that starts with an unsupported condition",
                     "a single SimulationTimeCondition with the rule greaterThan, or no condition");
-    const std::string domain = source.text(timing, "domainAbsoluteRelative", where);
+    const std::string domain = source.text(timing, "domainAbsoluteRelative", location);
     if (domain != "absolute" && domain != "relative")
-        source.fail(where + ": domainAbsoluteRelative", "\"" + excerpt(domain) + "\"",
+        source.fail(location + ": domainAbsoluteRelative", "\"" + make_excerpt(domain) + "\"",
                     "absolute or relative");
-    const double scale = source.number(timing, "scale", where, 1.0);
-    if (!(scale > 0.0)) source.fail(where + ": scale", fmt::format("{}", scale), "a number above 0");
-    return {source.number(timing, "offset", where, 0.0) + (domain == "relative" ? *start_s : 0.0), scale};
+    const double scale = source.number(timing, "scale", location, 1.0);
+    if (!(scale > 0.0)) source.fail(location + ": scale", fmt::format("{}", scale), "a number above 0");
+    return {source.number(timing, "offset", location, 0.0) + (domain == "relative" ? *start_s : 0.0), scale};
 }
 
-Pose read_position(const Source& source, const pugi::xml_node& vertex, const std::string& where) {
+Pose read_position(const Source& source, const pugi::xml_node& vertex, const std::string& location) {
     const pugi::xml_node kind = vertex.child("Position").first_child(),
                          world = vertex.child("Position").child("WorldPosition");
-    if (!world) source.fail(where, kind ? "a " + excerpt(kind.name()) : "no Position", "a WorldPosition");
-    const auto get = [&](const char* name, std::optional<double> missing) {
-        return source.number(world, name, where, missing);
+    if (!world)
+        source.fail(location, kind ? "a " + make_excerpt(kind.name()) : "no Position", "a WorldPosition");
+    const auto get = [&](const char* name, std::optional<double> default_value) {
+        return source.number(world, name, location, default_value);
     };
-    return {rotation_of(get("h", 0.0), get("p", 0.0), get("r", 0.0)),
+    return {make_rotation(get("h", 0.0), get("p", 0.0), get("r", 0.0)),
             {get("x", {}), get("y", {}), get("z", 0.0)}};
 }
 
-PoseTrack read_polyline(const Source& source, const Action& action, const std::string& where) {
+PoseTrack read_polyline(const Source& source, const Action& action, const std::string& location) {
     const pugi::xml_node follow = action.node.child("RoutingAction").child("FollowTrajectoryAction");
     // In version 1.1 and later, the trajectory is a child of TrajectoryRef. In version
     // 1.0, it is a direct child of the action.
     pugi::xml_node trajectory = follow.child("TrajectoryRef").child("Trajectory");
     if (!trajectory) trajectory = follow.child("Trajectory");
     if (!trajectory)
-        source.fail(where, "no Trajectory", "a Trajectory in this file; catalogs are not supported");
+        source.fail(location, "no Trajectory", "a Trajectory in this file; catalogs are not supported");
     const pugi::xml_node polyline = trajectory.child("Shape").child("Polyline"),
                          other = trajectory.child("Shape").first_child();
-    if (!polyline) source.fail(where, other ? "a " + excerpt(other.name()) : "no Shape", "a Polyline");
-    if (source.text(trajectory, "closed", where) == "true")
-        source.fail(where, "a closed trajectory", "a trajectory with closed=\"false\"");
-    if (source.number(follow, "initialDistanceOffset", where, 0.0) != 0.0)
-        source.fail(where, "an initialDistanceOffset", "a trajectory that is followed from its first vertex");
-    const Timing timing = read_timing(source, follow, action.start_s, where);
+    if (!polyline)
+        source.fail(location, other ? "a " + make_excerpt(other.name()) : "no Shape", "a Polyline");
+    if (source.text(trajectory, "closed", location) == "true")
+        source.fail(location, "a closed trajectory", "a trajectory with closed=\"false\"");
+    if (source.number(follow, "initialDistanceOffset", location, 0.0) != 0.0)
+        source.fail(location, "an initialDistanceOffset",
+                    "a trajectory that is followed from its first vertex");
+    const Timing timing = read_timing(source, follow, action.start_s, location);
     PoseTrack track;
     for (const pugi::xml_node& vertex : polyline.children("Vertex")) {
-        const std::string at = fmt::format("{}: Vertex {}", where, track.pose.size() + 1);
+        const std::string at = fmt::format("{}: Vertex {}", location, track.pose.size() + 1);
         const double time_s = timing.offset_s + timing.scale * source.number(vertex, "time", at);
         if (!track.time_s.empty() && !(time_s > track.time_s.back()))
             source.fail(at + ": time", fmt::format("{} s after {} s", time_s, track.time_s.back()),
@@ -168,40 +172,40 @@ PoseTrack read_polyline(const Source& source, const Action& action, const std::s
         track.pose.push_back(read_position(source, vertex, at));
     }
     if (track.pose.size() < 2)
-        source.fail(where, fmt::format("{} vertices", track.pose.size()), "at least two");
+        source.fail(location, fmt::format("{} vertices", track.pose.size()), "at least two");
     if (*action.start_s > track.time_s.front() + kSlack_s)
-        source.fail(where,
+        source.fail(location,
                     fmt::format("a start time of {} s, which is after the time {} s of the first vertex",
                                 *action.start_s, track.time_s.front()),
                     "a start time at or before the time of the first vertex");
     return track;
 }
 
-void read_box(const Source& source, const pugi::xml_node& object, const std::string& where,
+void read_box(const Source& source, const pugi::xml_node& object, const std::string& location,
               ScenarioEntity& entity) {
     pugi::xml_node box;
     for (const char* kind : {"Vehicle", "Pedestrian", "MiscObject"})
         if (!box) box = object.child(kind).child("BoundingBox");
     if (!box)
-        source.fail(where, "no BoundingBox",
+        source.fail(location, "no BoundingBox",
                     "a BoundingBox in this file, because it relates the reference point of the trajectory to "
                     "the box");
     const pugi::xml_node centre = box.child("Center"), size = box.child("Dimensions");
-    entity.centre_m = {source.number(centre, "x", where), source.number(centre, "y", where),
-                       source.number(centre, "z", where)};
-    entity.size_m = {source.number(size, "length", where), source.number(size, "width", where),
-                     source.number(size, "height", where)};
+    entity.centre_m = {source.number(centre, "x", location), source.number(centre, "y", location),
+                       source.number(centre, "z", location)};
+    entity.size_m = {source.number(size, "length", location), source.number(size, "width", location),
+                     source.number(size, "height", location)};
 }
 
 ScenarioEntity read_entity(const Source& source, const pugi::xml_node& object,
                            const std::vector<Action>& actions) {
     ScenarioEntity entity;
     entity.name = object.attribute("name").value();
-    const std::string where = fmt::format("entity {}", excerpt(entity.name));
+    const std::string where = fmt::format("entity {}", make_excerpt(entity.name));
     for (const Action& action : actions) {
         const pugi::xml_node kind = action.node.first_child();
         if (!kind.child("FollowTrajectoryAction")) {
-            entity.ignored.emplace_back(excerpt(kind.name()));
+            entity.ignored.emplace_back(make_excerpt(kind.name()));
             continue;
         }
         if (!entity.world_from_reference.pose.empty())
@@ -240,15 +244,15 @@ std::vector<ScenarioEntity> read_scenario(const std::filesystem::path& path) {
     }
     if (!actions.empty())
         source.fail("Storyboard",
-                    fmt::format("actions of the entity \"{}\"", excerpt(actions.begin()->first)),
+                    fmt::format("actions of the entity \"{}\"", make_excerpt(actions.begin()->first)),
                     "a ScenarioObject with that name in the list of entities");
     return entities;
 }
 
-PoseTrack box_track(const ScenarioEntity& entity, double begin_s, const glm::dvec3& size_m) {
+PoseTrack make_box_track(const ScenarioEntity& entity, double begin_s, const glm::dvec3& size_m) {
     const glm::dvec3 centre_m(entity.centre_m.x, entity.centre_m.y,
                               entity.centre_m.z - 0.5 * entity.size_m.z + 0.5 * size_m.z);
-    PoseTrack track = mounted_track(with_fine_turns(entity.world_from_reference), {{1, 0, 0, 0}, centre_m});
+    PoseTrack track = make_mounted_track(refine_turns(entity.world_from_reference), {{1, 0, 0, 0}, centre_m});
     for (double& time_s : track.time_s) time_s += begin_s;
     return track;
 }

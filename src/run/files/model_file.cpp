@@ -39,8 +39,8 @@ void check_finite(const ParameterGroup& group, const Surfels& surfels, const std
                                 row, *bad));
 }
 
-const NamedArray& array_of(const std::vector<NamedArray>& arrays, std::string_view name,
-                           const std::string& file) {
+const NamedArray& find_array_by_name(const std::vector<NamedArray>& arrays, std::string_view name,
+                                     const std::string& file) {
     const NamedArray* array = find_array(arrays, name);
     if (!array) throw DataError(fmt::format("{}: the array {} is missing", file, name));
     return *array;
@@ -120,7 +120,7 @@ constexpr const char* kBlocks = "blocks";
 
 /// Converts the list of background blocks to JSON. File names are relative to the model's
 /// folder.
-std::string blocks_to_json(const Scene& scene, const std::filesystem::path& folder) {
+std::string format_blocks_json(const Scene& scene, const std::filesystem::path& folder) {
     nlohmann::ordered_json json = nlohmann::ordered_json::array();
     for (const SceneBlock& b : scene.blocks)
         json.push_back({{"file", b.file.lexically_relative(folder).generic_string()},
@@ -138,10 +138,10 @@ glm::vec3 read_corner(const JsonField& field) {
 
 /// Reads the list of background blocks from JSON.
 /// @param folder  folder of the model, which must contain the files of the blocks
-void read_blocks_json(const std::string& text, const std::string& where, const std::filesystem::path& folder,
-                      Scene& scene) {
-    const nlohmann::json json = parse_json(text, where);
-    const JsonField blocks(json, where, "");
+void read_blocks_json(const std::string& text, const std::string& location,
+                      const std::filesystem::path& folder, Scene& scene) {
+    const nlohmann::json json = parse_json(text, location);
+    const JsonField blocks(json, location, "");
     for (std::size_t i = 0; i < blocks.size(); ++i) {
         const JsonField block = blocks.at(i);
         const std::filesystem::path file = block.at("file").text();
@@ -191,15 +191,15 @@ std::string layout_to_json(const Scene& scene) {
     return json.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
 }
 
-void read_layout_json(const std::string& text, const std::string& where, Scene& scene) {
-    const nlohmann::json layout = parse_json(text, where);
-    read_layout(JsonField(layout, where, ""), scene);
+void read_layout_json(const std::string& text, const std::string& location, Scene& scene) {
+    const nlohmann::json layout = parse_json(text, location);
+    read_layout(JsonField(layout, location, ""), scene);
 }
 
 void save_model(const std::filesystem::path& path, const Scene& scene) {
     scene.surfels.check_shapes();
     std::vector<NamedArray> arrays;
-    for (const ParameterGroup& group : groups_of(scene.surfels.parameters())) {
+    for (const ParameterGroup& group : list_parameter_groups(scene.surfels.parameters())) {
         check_finite(group, scene.surfels, path.string());
         const std::span<const float> values = group.values(scene.surfels);
         arrays.push_back(
@@ -214,26 +214,26 @@ void save_model(const std::filesystem::path& path, const Scene& scene) {
                                                 {"relidar", RELIDAR_VERSION},
                                                 {kPrimitiveKey, kind_of(scene.surfels.primitive).name},
                                                 {"layout", layout_to_json(scene)}};
-    if (!scene.blocks.empty()) metadata[kBlocks] = blocks_to_json(scene, path.parent_path());
+    if (!scene.blocks.empty()) metadata[kBlocks] = format_blocks_json(scene, path.parent_path());
     write_safetensors(path, arrays, metadata);
 }
 
 Scene load_model(const std::filesystem::path& path) {
     const std::string file = path.string();
-    if (!path_exists(path)) throw DataError(fmt::format("{}: no such file", file));
+    if (!does_path_exist(path)) throw DataError(fmt::format("{}: no such file", file));
     std::map<std::string, std::string> metadata;
     const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
     check_metadata(metadata, file);
-    const NamedArray& mean = array_of(arrays, "mean", file);
+    const NamedArray& mean = find_array_by_name(arrays, "mean", file);
     if (mean.shape.empty() || mean.shape[0] > static_cast<std::size_t>(kMaxSurfels))
         throw DataError(fmt::format("{}: array mean: found shape [{}], expected [n, 3]", file,
                                     fmt::join(mean.shape, ", ")));
-    const ParameterSet parameters = stored_parameters(
+    const ParameterSet parameters = read_parameter_set(
         metadata, kPrimitiveKey, [&](const char* name) { return find_array(arrays, name) != nullptr; });
     // Checks the number of rows of every array first, so that no memory is allocated for
     // an inconsistent file.
-    for (const ParameterGroup& group : groups_of(parameters)) {
-        const NamedArray& array = array_of(arrays, group.name, file);
+    for (const ParameterGroup& group : list_parameter_groups(parameters)) {
+        const NamedArray& array = find_array_by_name(arrays, group.name, file);
         if (array.shape.empty() || array.shape[0] != mean.shape[0])
             throw DataError(
                 fmt::format("{}: array {}: found shape [{}], expected {} rows like in the array mean", file,
@@ -241,8 +241,8 @@ Scene load_model(const std::filesystem::path& path) {
     }
     Scene scene;
     scene.surfels.resize(mean.shape[0], parameters);
-    for (const ParameterGroup& group : groups_of(parameters))
-        read_group(group, array_of(arrays, group.name, file), scene.surfels, file);
+    for (const ParameterGroup& group : list_parameter_groups(parameters))
+        read_group(group, find_array_by_name(arrays, group.name, file), scene.surfels, file);
     read_layout_json(metadata.at("layout"), file + ": metadata layout", scene);
     read_sensor_drop(arrays, scene, file);
     if (const auto blocks = metadata.find(kBlocks); blocks != metadata.end())

@@ -47,16 +47,16 @@ void make_folder(const fs::path& folder) {
 
 /// Creates a hard link to a file. Copies the file if the file system cannot create the
 /// link.
-void link_or_copy(const fs::path& from, const fs::path& to) {
-    make_folder(to.parent_path());
+void link_or_copy(const fs::path& source, const fs::path& target) {
+    make_folder(target.parent_path());
     std::error_code failed;
-    fs::remove(to, failed);
-    fs::create_hard_link(from, to, failed);
+    fs::remove(target, failed);
+    fs::create_hard_link(source, target, failed);
     if (!failed) return;
-    write_atomically(to, [&](const fs::path& temporary) {
+    write_atomically(target, [&](const fs::path& temporary) {
         std::error_code why;
-        if (!fs::copy_file(from, temporary, why))
-            throw DataError(fmt::format("cannot copy {}: {}", from.string(), why.message()));
+        if (!fs::copy_file(source, temporary, why))
+            throw DataError(fmt::format("cannot copy {}: {}", source.string(), why.message()));
     });
 }
 
@@ -127,7 +127,7 @@ void write_staged_files(const Run& run, const fs::path& staged, bool keep_blocks
 struct TemporaryFolder {
     fs::path path;
 
-    explicit TemporaryFolder(const fs::path& parent) : path(temporary_path(parent / "run")) {
+    explicit TemporaryFolder(const fs::path& parent) : path(make_temporary_path(parent / "run")) {
         make_folder(path);
     }
     ~TemporaryFolder() {
@@ -138,17 +138,17 @@ struct TemporaryFolder {
     TemporaryFolder& operator=(const TemporaryFolder&) = delete;
 };
 
-void rename_file(const fs::path& from, const fs::path& to) {
+void rename_file(const fs::path& source, const fs::path& target) {
     std::error_code failed;
-    fs::rename(from, to, failed);
+    fs::rename(source, target, failed);
     if (failed)
-        throw DataError(fmt::format("cannot write '{}': renaming the temporary file failed: {}", to.string(),
-                                    failed.message()));
+        throw DataError(fmt::format("cannot write '{}': renaming the temporary file failed: {}",
+                                    target.string(), failed.message()));
 }
 
 /// Returns true if a file exists and its contents equal `bytes`.
 bool holds(const fs::path& file, const std::string& bytes) {
-    return path_exists(file) && read_file(file) == bytes;
+    return does_path_exist(file) && read_file(file) == bytes;
 }
 
 /// Moves the files of `staged` to the run's folder. Keeps config.toml if its contents
@@ -160,7 +160,7 @@ void move_files(const fs::path& staged, const fs::path& folder, const std::funct
     fs::remove(folder / kSceneFile);
     if (remove_earlier) remove_earlier();
     for (const char* name : {kDropNetworkFile, kSweepsFile, kCoverageFile, kScatterFile})
-        if (!path_exists(staged / name)) fs::remove(folder / name);
+        if (!does_path_exist(staged / name)) fs::remove(folder / name);
     std::vector<fs::path> files;
     for (const auto& entry : fs::recursive_directory_iterator(staged))
         if (entry.is_regular_file()) files.push_back(entry.path().lexically_relative(staged));
@@ -184,7 +184,7 @@ void replace_folder(const Run& run) {
 }
 
 void replace_run(const Run& run, const std::function<void()>& remove_earlier) {
-    if (!path_exists(run.folder)) {
+    if (!does_path_exist(run.folder)) {
         const StagedFolder staged(run.folder);
         write_staged_files(run, staged.path(), false);
         return staged.finish_new();
@@ -198,7 +198,7 @@ void replace_run(const Run& run, const std::function<void()>& remove_earlier) {
 Run load_run(const fs::path& folder) {
     check_folder(folder, "a run folder");
     for (const char* name : {kConfigFile, kSceneFile, kModelFile}) {
-        if (!path_exists(folder / name))
+        if (!does_path_exist(folder / name))
             throw DataError(
                 fmt::format("{} is missing, but every run folder must contain it", (folder / name).string()));
     }
@@ -208,21 +208,22 @@ Run load_run(const fs::path& folder) {
     const fs::path scene_path = folder / kSceneFile;
     run_detail::SceneFile scene = run_detail::parse_scene_json(read_text(scene_path), scene_path.string());
     run.sequence = std::move(scene.sequence);
-    run.config = with_farthest(std::move(run.config), run.sequence);
+    run.config = use_farthest_return(std::move(run.config), run.sequence);
     run.split = std::move(scene.split);
     run.edits = std::move(scene.edits);
     run.held_out_placed = scene.held_out_placed;
     run.refined_poses = std::move(scene.refined_poses);
     run.scene = load_model(folder / kModelFile);
     for (const SceneBlock& block : run.scene.blocks)
-        if (!path_exists(block.file))
+        if (!does_path_exist(block.file))
             throw DataError(fmt::format("{} is missing, but this run has {} blocks with one file each",
                                         block.file.string(), run.scene.blocks.size()));
-    if (path_exists(folder / kSweepsFile)) run_detail::load_sweeps(folder / kSweepsFile, run.sequence);
-    if (path_exists(folder / kCoverageFile)) run.coverage = run_detail::load_coverage(folder / kCoverageFile);
-    if (path_exists(folder / kScatterFile))
+    if (does_path_exist(folder / kSweepsFile)) run_detail::load_sweeps(folder / kSweepsFile, run.sequence);
+    if (does_path_exist(folder / kCoverageFile))
+        run.coverage = run_detail::load_coverage(folder / kCoverageFile);
+    if (does_path_exist(folder / kScatterFile))
         run.intensity_scatter = run_detail::load_scatter(folder / kScatterFile, run.sequence.lidars.size());
-    if (path_exists(folder / kDropNetworkFile))
+    if (does_path_exist(folder / kDropNetworkFile))
         run.drop_network = load_drop_network(folder / kDropNetworkFile);
     if (run.scene.surfels.size() != scene.n_surfels) {
         throw DataError(fmt::format("{}: counts.surfels is {}, but {} contains {} surfels",

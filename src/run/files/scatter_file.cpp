@@ -25,7 +25,7 @@ constexpr const char* kScatterVersion = "1";
 using Node = IntensityScatter::Node;
 
 template <class Value>
-NamedArray array_of(const std::string& name, const std::vector<Value>& values) {
+NamedArray find_array_by_name(const std::string& name, const std::vector<Value>& values) {
     return make_array(name, {values.size()}, values.data(), values.size());
 }
 
@@ -39,14 +39,14 @@ void add_arrays(std::vector<NamedArray>& arrays, std::size_t lidar, const Intens
         count.push_back(std::int32_t(node.count));
         at.push_back(node.at);
     }
-    const auto name = [&](const char* what) { return fmt::format("{}.{}", lidar, what); };
-    arrays.push_back(array_of(name("feature"), feature));
-    arrays.push_back(array_of(name("child"), child));
-    arrays.push_back(array_of(name("first"), first));
-    arrays.push_back(array_of(name("count"), count));
-    arrays.push_back(array_of(name("at"), at));
-    arrays.push_back(array_of(name("values"), scatter.values));
-    arrays.push_back(array_of(name("step"), std::vector{scatter.step}));
+    const auto name = [&](const char* description) { return fmt::format("{}.{}", lidar, description); };
+    arrays.push_back(find_array_by_name(name("feature"), feature));
+    arrays.push_back(find_array_by_name(name("child"), child));
+    arrays.push_back(find_array_by_name(name("first"), first));
+    arrays.push_back(find_array_by_name(name("count"), count));
+    arrays.push_back(find_array_by_name(name("at"), at));
+    arrays.push_back(find_array_by_name(name("values"), scatter.values));
+    arrays.push_back(find_array_by_name(name("step"), std::vector{scatter.step}));
 }
 
 /// Reads the arrays of the intensity model of one LiDAR.
@@ -55,18 +55,19 @@ struct ScatterArrays {
     const std::string& file;
     const std::size_t lidar;
 
-    /// Reads an array of n finite numbers. If n is 0, the array may have any length.
-    std::vector<double> read(const char* what, const char* dtype, std::size_t n = 0) const {
-        const std::string name = fmt::format("{}.{}", lidar, what);
+    /// Reads an array of `count` finite numbers. If `count` is 0, the array may have any
+    /// length.
+    std::vector<double> read(const char* description, const char* dtype, std::size_t count = 0) const {
+        const std::string name = fmt::format("{}.{}", lidar, description);
         const NamedArray* array = find_array(arrays, name);
         if (!array) throw DataError(fmt::format("{}: array {} is missing", file, name));
         if (array->dtype != dtype || array->shape.size() != 1 || array->count() == 0 ||
-            (n > 0 && array->count() != n))
+            (count > 0 && array->count() != count))
             throw DataError(fmt::format("{}: array {}: found type {} with {} numbers, expected {}{}", file,
                                         name, array->dtype, array->count(), dtype,
-                                        n > 0 ? fmt::format(" with {} numbers", n) : ""));
+                                        count > 0 ? fmt::format(" with {} numbers", count) : ""));
         std::vector<double> values = array->as_double();
-        if (!std::ranges::all_of(values, [](double v) { return std::isfinite(v); }))
+        if (!std::ranges::all_of(values, [](double value) { return std::isfinite(value); }))
             throw DataError(fmt::format(
                 "{}: array {}: found a number that is not finite, expected only finite numbers", file, name));
         return values;

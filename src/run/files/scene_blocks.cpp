@@ -23,7 +23,7 @@ Surfels read_block(const SceneBlock& block) {
 Scene read_blocks(const Scene& scene, const std::vector<std::size_t>& blocks) {
     Surfels background = scene.surfels.slice(0, scene.models.front().count);
     for (const std::size_t i : blocks) background.append(read_block(scene.blocks[i]));
-    return with_background(scene, background);
+    return add_background(scene, background);
 }
 
 Scene load_all_blocks(const Scene& scene) {

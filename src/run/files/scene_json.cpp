@@ -43,7 +43,7 @@ constexpr const char* kConventions =
     "highest beam, column 0 azimuth +180 degrees, falling. frames[].time_s: the head faces forward. beams: "
     "highest first.";
 
-Json to_json(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
+Json to_json(const glm::dvec3& vector) { return {vector.x, vector.y, vector.z}; }
 Json to_json(const Pose& p) {
     return {p.translation.x, p.translation.y, p.translation.z, p.rotation.w,
             p.rotation.x,    p.rotation.y,    p.rotation.z};
@@ -65,18 +65,18 @@ Json to_json(const RangeNoise& noise) {
     return {{"range_m", noise.range_m}, {"cosine", noise.cosine}, {"sigma_m", noise.sigma_m}};
 }
 
-Json lidars_json(const Sequence& sequence) {
+Json make_lidars_json(const Sequence& sequence) {
     Json json = Json::array();
     for (const Lidar& lidar : sequence.lidars) {
         json.push_back({{"name", lidar.name},
                         {"vehicle_from_sensor", to_json(lidar.vehicle_from_sensor)},
-                        {"sensor", Json::parse(write_sensor_json(sensor_of(lidar)))}});
+                        {"sensor", Json::parse(write_sensor_json(get_sensor(lidar)))}});
         if (!lidar.range_noise.sigma_m.empty()) json.back()["range_noise"] = to_json(lidar.range_noise);
     }
     return json;
 }
 
-Json frames_json(const Sequence& sequence, const Split& split) {
+Json make_frames_json(const Sequence& sequence, const Split& split) {
     Json frames = Json::array();
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
         const auto in = [&](const std::vector<int>& positions) {
@@ -84,7 +84,7 @@ Json frames_json(const Sequence& sequence, const Split& split) {
         };
         const char* part = in(split.train) ? "train" : in(split.test) ? "test" : "unused";
         const Frame& frame = sequence.frames[i];
-        const Pose& pose = sequence.world_from_vehicle.pose[sequence.pose_of(frame)];
+        const Pose& pose = sequence.world_from_vehicle.pose[sequence.get_pose_index(frame)];
         frames.push_back({{"index", frame.index},
                           {"time_s", frame.time_s},
                           {"lidar", frame.lidar},
@@ -261,8 +261,8 @@ std::string to_scene_json(const Run& run) {
          {{"frames", s.frames.size()}, {"boxes", s.boxes.size()}, {"surfels", run.scene.surfels.size()}}},
         {"world_offset_m", to_json(s.world_offset_m)},
         {"rolling_shutter", s.rolling_shutter},
-        {"lidars", lidars_json(s)},
-        {"frames", frames_json(s, run.split)},
+        {"lidars", make_lidars_json(s)},
+        {"frames", make_frames_json(s, run.split)},
         {"boxes", boxes}};
     if (const IntensityResponse& r = s.intensity_response; !r.factor.empty())
         json["intensity_response"] = {

@@ -19,7 +19,7 @@ namespace {
 constexpr const char* kSweepsFormat = "relidar sweeps";
 constexpr const char* kSweepsVersion = "1";
 
-Frame& frame_of(const std::string& name, Sequence& sequence, const std::string& file) {
+Frame& find_frame(const std::string& name, Sequence& sequence, const std::string& file) {
     std::size_t position = sequence.frames.size();
     const auto [end, error] = std::from_chars(name.data(), name.data() + name.size(), position);
     if (error != std::errc{} || end != name.data() + name.size() || position >= sequence.frames.size())
@@ -50,8 +50,8 @@ void load_sweeps(const std::filesystem::path& path, Sequence& sequence) {
     const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
     check_format(metadata, file, kSweepsFormat, kSweepsVersion);
     for (const NamedArray& array : arrays) {
-        Frame& frame = frame_of(array.name, sequence, file);
-        const auto columns = std::size_t(sequence.lidar_of(frame).sensor.columns);
+        Frame& frame = find_frame(array.name, sequence, file);
+        const auto columns = std::size_t(sequence.get_lidar(frame).sensor.columns);
         if (array.dtype != "f4" || array.shape != std::vector<std::size_t>{columns})
             throw DataError(fmt::format(
                 "{}: array {}: found {} [{}], expected f4 [{}] with one value per column of the LiDAR", file,

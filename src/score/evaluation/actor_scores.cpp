@@ -44,24 +44,24 @@ struct InScan {
     /// Converts a point to the frame of the box. Uses the poses of the sensor and the box
     /// at the time at which the LiDAR's head faces the point. Returns nothing if the
     /// point is far from the box.
-    std::optional<glm::dvec3> in_box(const glm::dvec3& in_sensor) const {
+    std::optional<glm::dvec3> to_box_frame(const glm::dvec3& in_sensor) const {
         if (glm::distance(in_sensor, centre_m) > 0.5 * glm::length(box.size_m) + kSilhouette_m + kSweep_m)
             return std::nullopt;
-        const double t_s = facing_time(sequence, in_sensor, seen);
+        const double t_s = compute_facing_time(sequence, in_sensor, seen);
         return inverse(box.world_from_box.at(t_s)) * (sensor(t_s) * in_sensor);
     }
-    bool holds(const std::optional<glm::dvec3>& p, double margin_m) const {
+    bool holds(const std::optional<glm::dvec3>& point, double margin_m) const {
         const glm::dvec3 half = 0.5 * box.size_m;
-        return p && std::abs(p->x) <= half.x + margin_m && std::abs(p->y) <= half.y + margin_m &&
-               p->z <= half.z + margin_m && p->z >= kFloor_m - half.z;
+        return point && std::abs(point->x) <= half.x + margin_m && std::abs(point->y) <= half.y + margin_m &&
+               point->z <= half.z + margin_m && point->z >= kFloor_m - half.z;
     }
 };
 
-glm::dvec3 point_of(const RangeImage& image, std::size_t ray, float range_m) {
+glm::dvec3 compute_ray_end_point(const RangeImage& image, std::size_t ray, float range_m) {
     return glm::dvec3(image.origin[ray] + range_m * image.direction[ray]);
 }
 
-double mean_of(const std::vector<double>& values) {
+double compute_mean(const std::vector<double>& values) {
     double sum = 0.0;
     for (const double v : values) sum += v;
     return sum / double(std::max<std::size_t>(values.size(), 1));
@@ -77,9 +77,9 @@ void add_range_errors(MetricRow& row, const std::string& prefix, const std::vect
         absolute_m.push_back(std::abs(error));
         large.push_back(std::abs(error) > kLargeError_m ? 1.0 : 0.0);
     }
-    row[prefix + "medae_m"] = median_of(absolute_m);
-    row[prefix + "bias_m"] = median_of(error_m);
-    row[prefix + "above_30cm"] = mean_of(large);
+    row[prefix + "medae_m"] = compute_median(absolute_m);
+    row[prefix + "bias_m"] = compute_median(error_m);
+    row[prefix + "above_30cm"] = compute_mean(large);
 }
 
 /// Values collected over a group: all people and cyclists, or all other labelled boxes.
@@ -87,49 +87,52 @@ struct GroupErrors {
     std::vector<double> range_error_m, chamfer_m, near;
     double both = 0.0, either = 0.0;
 
-    void add(const BoxPoints& p) {
-        range_error_m.insert(range_error_m.end(), p.range_error_m.begin(), p.range_error_m.end());
-        both += double(p.n_both);
-        either += double(p.n_both) + 0.5 * double(p.n_missed + p.n_false);
-        if (p.simulated_m.empty()) return;  // without simulated points, only F1 can be computed
-        const std::vector<double> to_real = nearest_distances(p.simulated_m, p.real_m);
-        chamfer_m.push_back(mean_of(to_real) + mean_of(nearest_distances(p.real_m, p.simulated_m)));
+    void add(const BoxPoints& points) {
+        range_error_m.insert(range_error_m.end(), points.range_error_m.begin(), points.range_error_m.end());
+        both += double(points.n_both);
+        either += double(points.n_both) + 0.5 * double(points.n_missed + points.n_false);
+        if (points.simulated_m.empty()) return;  // without simulated points, only F1 can be computed
+        const std::vector<double> to_real = compute_nearest_distances(points.simulated_m, points.real_m);
+        chamfer_m.push_back(compute_mean(to_real) +
+                            compute_mean(compute_nearest_distances(points.real_m, points.simulated_m)));
         for (const double d : to_real) near.push_back(d <= kNear_m ? 1.0 : 0.0);
     }
     void add_scores(MetricRow& row, const std::string& prefix) const {
         add_range_errors(row, prefix, range_error_m);
         if (either > 0.0) row[prefix + "f1"] = both / either;
         if (chamfer_m.empty()) return;
-        row[prefix + "cd_m"] = mean_of(chamfer_m);
-        row[prefix + "3cm"] = mean_of(near);
+        row[prefix + "cd_m"] = compute_mean(chamfer_m);
+        row[prefix + "3cm"] = compute_mean(near);
     }
 };
 
 bool is_person(const BoxTrack& box) {
-    const ObjectKind kind = object_kind(box.category);
+    const ObjectKind kind = parse_object_kind(box.category);
     return kind == ObjectKind::person || kind == ObjectKind::cyclist;
 }
 
-MetricRow scores_of_box(const BoxPoints& p) {
-    MetricRow row{{"points", double(p.simulated_m.size())}, {"points_real", double(p.real_m.size())}};
-    add_range_errors(row, "range_", p.range_error_m);
-    const double either = double(p.n_both) + 0.5 * double(p.n_missed + p.n_false);
-    if (either > 0.0) row["f1"] = double(p.n_both) / either;
+MetricRow score_box(const BoxPoints& points) {
+    MetricRow row{{"points", double(points.simulated_m.size())},
+                  {"points_real", double(points.real_m.size())}};
+    add_range_errors(row, "range_", points.range_error_m);
+    const double either = double(points.n_both) + 0.5 * double(points.n_missed + points.n_false);
+    if (either > 0.0) row["f1"] = double(points.n_both) / either;
     return row;
 }
 
 }  // namespace
 
-BoxPoints points_in_box(const RangeImage& rendered, const std::vector<float>& points_m,
-                        const RangeImage& real, const Sequence& sequence, const SweepMoment& seen,
-                        const BoxTrack& box) {
-    const InScan in_scan(sequence, seen, box);
+BoxPoints collect_points_in_box(const RangeImage& rendered, const std::vector<float>& points_m,
+                                const RangeImage& real, const Sequence& sequence, const SweepMoment& sweep,
+                                const BoxTrack& box) {
+    const InScan in_scan(sequence, sweep, box);
     BoxPoints result;
     for (std::size_t i = 0; i < points_m.size(); ++i) {
         std::optional<glm::dvec3> measured, simulated;
         const bool returns = returned(rendered.drop_prob[i], points_m[i]);
-        if (real.range_m[i] > 0.0f) measured = in_scan.in_box(point_of(real, i, real.range_m[i]));
-        if (returns) simulated = in_scan.in_box(point_of(rendered, i, points_m[i]));
+        if (real.range_m[i] > 0.0f)
+            measured = in_scan.to_box_frame(compute_ray_end_point(real, i, real.range_m[i]));
+        if (returns) simulated = in_scan.to_box_frame(compute_ray_end_point(rendered, i, points_m[i]));
         if (in_scan.holds(measured, kMargin_m)) {
             result.real_m.push_back(*measured);
             if (returns) result.range_error_m.push_back(double(points_m[i]) - double(real.range_m[i]));
@@ -144,11 +147,11 @@ BoxPoints points_in_box(const RangeImage& rendered, const std::vector<float>& po
     return result;
 }
 
-ActorScores actor_scores(const RangeImage& rendered, const std::vector<float>& points_m,
-                         const RangeImage& real, const Sequence& sequence, const SweepMoment& seen) {
+ActorScores compute_actor_scores(const RangeImage& rendered, const std::vector<float>& points_m,
+                                 const RangeImage& real, const Sequence& sequence, const SweepMoment& sweep) {
     ActorScores scores;
-    const TailCounts tails = count_tails(rendered, points_m, sequence, seen),
-                     real_tails = count_tails(real, real.range_m, sequence, seen);
+    const TailCounts tails = count_tails(rendered, points_m, sequence, sweep),
+                     real_tails = count_tails(real, real.range_m, sequence, sweep);
     if (tails.n_of_box.empty()) return scores;
     scores.metrics["actors/tail_share"] = tails.share;
     scores.metrics["actors/tail_share_real"] = real_tails.share;
@@ -156,8 +159,9 @@ ActorScores actor_scores(const RangeImage& rendered, const std::vector<float>& p
     for (const BoxTrack& box : sequence.boxes) {
         if (!tails.n_of_box.contains(box.id)) continue;  // a box that does not move has no tail
         BoxPoints p;
-        if (box.present(seen.time_s)) p = points_in_box(rendered, points_m, real, sequence, seen, box);
-        scores.actors.push_back({box.id, box.category, scores_of_box(p)});
+        if (box.present(sweep.time_s))
+            p = collect_points_in_box(rendered, points_m, real, sequence, sweep, box);
+        scores.actors.push_back({box.id, box.category, score_box(p)});
         scores.actors.back().metrics["tail"] = double(tails.n_of_box.at(box.id));
         scores.actors.back().metrics["tail_real"] = double(real_tails.n_of_box.at(box.id));
         if (p.real_m.size() < kFewest || box.category == kDiscoveredCategory) continue;
@@ -168,7 +172,7 @@ ActorScores actor_scores(const RangeImage& rendered, const std::vector<float>& p
     return scores;
 }
 
-std::vector<ActorScore> over_frames(const std::vector<std::vector<ActorScore>>& frames) {
+std::vector<ActorScore> average_over_frames(const std::vector<std::vector<ActorScore>>& frames) {
     struct Sums {
         std::string category;
         MetricRow counts, weighted, weight;

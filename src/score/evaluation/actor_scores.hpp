@@ -31,12 +31,12 @@ struct ActorScores {
 
 /// Computes the scores of all moving boxes in a frame.
 /// @param points_m [n] ranges of the simulated points
-ActorScores actor_scores(const RangeImage& rendered, const std::vector<float>& points_m,
-                         const RangeImage& real, const Sequence& sequence, const SweepMoment& seen);
+ActorScores compute_actor_scores(const RangeImage& rendered, const std::vector<float>& points_m,
+                                 const RangeImage& real, const Sequence& sequence, const SweepMoment& sweep);
 
 /// Combines the scores of each actor over several frames. Numbers of points are summed.
 /// Other metrics are means, weighted by the number of real points.
 /// @param frames [frames][actors]
-std::vector<ActorScore> over_frames(const std::vector<std::vector<ActorScore>>& frames);
+std::vector<ActorScore> average_over_frames(const std::vector<std::vector<ActorScore>>& frames);
 
 }  // namespace relidar

@@ -28,8 +28,8 @@ constexpr std::size_t kScoredAtOnce = 16;
 /// Returns the sensor that config.sensor selects for a frame. With the native grid, the
 /// rays of the sensor are the rays of the scan.
 /// @param frame  the frame, with its scan
-SensorChoice sensor_of_frame(const Config& config, const Sequence& sequence, const Frame& frame) {
-    SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
+SensorChoice make_sensor_of_frame(const Config& config, const Sequence& sequence, const Frame& frame) {
+    SensorChoice sensor = make_configured_sensor(config, sequence, frame.lidar);
     if (config.sensor.grid == "native") sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
     sensor.rolling_shutter = sequence.rolling_shutter;
     return sensor;
@@ -37,10 +37,10 @@ SensorChoice sensor_of_frame(const Config& config, const Sequence& sequence, con
 
 /// Converts flags of returns to flags of pixels. Stores the flags as intensities of the
 /// scan, and projects the scan into the image.
-std::vector<bool> pixels_of(const std::vector<bool>& returns, const Config& config, const Frame& frame) {
+std::vector<bool> to_pixels(const std::vector<bool>& returns, const Config& config, const Frame& frame) {
     Scan flags = frame.scan;
     std::copy(returns.begin(), returns.end(), flags.intensity.begin());
-    const RangeImage binned = real_image(config, flags);
+    const RangeImage binned = make_real_image(config, flags);
     return {binned.intensity.begin(), binned.intensity.end()};
 }
 
@@ -54,30 +54,30 @@ struct RenderedFrame {
     std::vector<bool> discovered;
 
     std::vector<Region> regions() const {
-        std::vector<Region> regions = standard_regions(frame.real, moving);
+        std::vector<Region> regions = make_standard_regions(frame.real, moving);
         if (!discovered.empty()) regions.push_back({"discovered_boxes", discovered});
         return regions;
     }
 };
 
-RenderedFrame real_frame(const Config& config, const Sequence& sequence, const Frame& frame,
-                         const Pose& sensor_offset) {
+RenderedFrame make_real_frame(const Config& config, const Sequence& sequence, const Frame& frame,
+                              const Pose& sensor_offset) {
     RenderedFrame result;
     result.frame.frame = frame.index;
     result.frame.lidar = frame.lidar;
     result.frame.time_s = frame.time_s;
     result.frame.start = frame.start;
-    result.frame.real = real_image(config, frame.scan);
-    result.moving = pixels_of(moving_returns(sequence, frame, sensor_offset), config, frame);
+    result.frame.real = make_real_image(config, frame.scan);
+    result.moving = to_pixels(find_moving_returns(sequence, frame, sensor_offset), config, frame);
     if (std::ranges::find(sequence.boxes, kDiscoveredCategory, &BoxTrack::category) != sequence.boxes.end())
-        result.discovered = pixels_of(discovered_returns(sequence, frame, sensor_offset), config, frame);
+        result.discovered = to_pixels(find_discovered_returns(sequence, frame, sensor_offset), config, frame);
     return result;
 }
 
 RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
                            const Frame& frame, const Pose& sensor_offset) {
-    RenderedFrame result = real_frame(config, sequence, frame, sensor_offset);
-    const SensorChoice sensor = sensor_of_frame(config, sequence, frame);
+    RenderedFrame result = make_real_frame(config, sequence, frame, sensor_offset);
+    const SensorChoice sensor = make_sensor_of_frame(config, sequence, frame);
     result.frame.n_rays = sensor.rays.size();
     result.frame.rendered = renderer.render(sensor, frame.time_s, sensor_offset);
     return result;
@@ -85,7 +85,7 @@ RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const S
 
 /// Loads the LPIPS network if a file with weights is set. Returns null otherwise.
 std::unique_ptr<Lpips> load_lpips() {
-    const std::string file = lpips_weights_file();
+    const std::string file = find_lpips_weights();
     return file.empty() ? nullptr : std::make_unique<Lpips>(read_lpips_weights(file));
 }
 
@@ -94,14 +94,14 @@ std::unique_ptr<Lpips> load_lpips() {
 std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config& config,
                                const Sequence& sequence, const Lpips* lpips) {
     MetricOptions options;
-    options.max_range_m = with_farthest(config, sequence).dataset.max_range_m;
+    options.max_range_m = use_farthest_return(config, sequence).dataset.max_range_m;
     if (config.sensor.grid != "native")
         options.max_range_m = std::min(options.max_range_m, find_grid(config.sensor.grid).max_range_m);
     options.lpips = lpips;
     std::vector<Comparison> comparisons;
     for (const RenderedFrame& r : rendered)
-        comparisons.push_back(
-            {&r.frame.rendered.image, &r.frame.real, r.regions(), point_ranges(r.frame.rendered, config)});
+        comparisons.push_back({&r.frame.rendered.image, &r.frame.real, r.regions(),
+                               select_point_ranges(r.frame.rendered, config)});
     const std::vector<MetricRow> rows = evaluate_all(comparisons, options);
     std::vector<ScoredFrame> frames;
     for (std::size_t i = 0; i < rendered.size(); ++i) {
@@ -120,9 +120,9 @@ void add_actor_scores(std::vector<ScoredFrame>& frames, const Sequence& sequence
         const SweepMoment sweep{frame.time_s, frame.lidar, frame.start};
         const RangeImage& rendered = frame.rendered.image;
         // The array is empty for a baseline, because a baseline has no point ranges.
-        const std::vector<float>& points_m = point_ranges(frame.rendered, config);
-        ActorScores scores = actor_scores(rendered, points_m.empty() ? rendered.range_m : points_m,
-                                          frame.real, sequence, sweep);
+        const std::vector<float>& points_m = select_point_ranges(frame.rendered, config);
+        ActorScores scores = compute_actor_scores(rendered, points_m.empty() ? rendered.range_m : points_m,
+                                                  frame.real, sequence, sweep);
         frame.metrics.merge(scores.metrics);
         frame.actors = std::move(scores.actors);
     }
@@ -147,7 +147,7 @@ RangeErrorCounts count_range_errors(const RangeImage& rendered, const RangeImage
     return counts;
 }
 
-void drop_images(ScoredFrame& frame) {
+void discard_images(ScoredFrame& frame) {
     const double trace_ms = frame.rendered.trace_ms;
     frame.rendered = {};
     frame.rendered.trace_ms = trace_ms;
@@ -166,31 +166,32 @@ struct ManyFrames {
 };
 
 /// Renders all frames and computes their metrics, in batches of kScoredAtOnce frames.
-/// @param what  description for the progress
+/// @param description  description for the progress
 /// @param render  renders the frame at a position
-std::vector<ScoredFrame> score_all(const ManyFrames& many, const char* what,
-                                   const std::function<RenderedFrame(int position, const Frame&)>& render) {
+std::vector<ScoredFrame> score_frames(
+    const ManyFrames& frames, const char* description,
+    const std::function<RenderedFrame(int position, const Frame&)>& render) {
     const std::unique_ptr<Lpips> lpips = load_lpips();
-    const std::size_t n = many.positions.size();
+    const std::size_t n = frames.positions.size();
     std::vector<ScoredFrame> scored;
     for (std::size_t first = 0; first < n; first += kScoredAtOnce) {
         std::vector<RenderedFrame> batch;
         for (std::size_t i = first; i < std::min(first + kScoredAtOnce, n); ++i) {
-            if (many.progress) many.progress(what, double(i) / double(n));
+            if (frames.progress) frames.progress(description, double(i) / double(n));
             batch.push_back(
-                render(many.positions[i], many.sequence.frames.at(std::size_t(many.positions[i]))));
+                render(frames.positions[i], frames.sequence.frames.at(std::size_t(frames.positions[i]))));
         }
         std::vector<ScoredFrame> scored_batch =
-            score(std::move(batch), many.config, many.sequence, lpips.get());
-        add_actor_scores(scored_batch, many.sequence, many.config);
+            score(std::move(batch), frames.config, frames.sequence, lpips.get());
+        add_actor_scores(scored_batch, frames.sequence, frames.config);
         for (ScoredFrame& frame : scored_batch) {
             frame.range_errors = count_range_errors(frame.rendered.image, frame.real);
-            if (many.see) many.see(frame);
-            if (scored.size() != n / 2) drop_images(frame);
+            if (frames.see) frames.see(frame);
+            if (scored.size() != n / 2) discard_images(frame);
             scored.push_back(std::move(frame));
         }
     }
-    if (many.progress && n > 0) many.progress(what, 1.0);
+    if (frames.progress && n > 0) frames.progress(description, 1.0);
     return scored;
 }
 
@@ -226,13 +227,13 @@ ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequ
 
 Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
                            const std::vector<int>& positions, const Progress& progress,
-                           const FrameCallback& see) {
+                           const FrameCallback& on_frame) {
     // Enables the channel with the drop probability before the correction by the network.
     // Reports show both probabilities.
-    if (see && renderer.refines(configured_sensor(config, sequence)))
+    if (on_frame && renderer.refines(make_configured_sensor(config, sequence)))
         renderer.enable_channels("surfel_drop_prob");
-    std::vector<ScoredFrame> scored = score_all(
-        {positions, sequence, config, progress, see}, "rendering held-out frames",
+    std::vector<ScoredFrame> scored = score_frames(
+        {positions, sequence, config, progress, on_frame}, "rendering held-out frames",
         [&](int, const Frame& frame) { return render_frame(renderer, config, sequence, frame, {}); });
     return summarise(std::move(scored), renderer.times());
 }
@@ -244,18 +245,18 @@ BoxMotion find_baseline(const std::string& name) {
 }
 
 Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence,
-                             const Split& split, const Progress& progress, const FrameCallback& see) {
+                             const Split& split, const Progress& progress, const FrameCallback& on_frame) {
     const BoxMotion boxes = find_baseline(name);
     const auto project = [&](int position, const Frame& frame) {
-        RenderedFrame result = real_frame(config, sequence, frame, {});
-        Scan points = neighbour_points(sequence, position, split.train, boxes);
-        drop_outside(points, configured_sensor(config, sequence, frame.lidar).limits);
-        result.frame.rendered.image = real_image(
+        RenderedFrame result = make_real_frame(config, sequence, frame, {});
+        Scan points = predict_neighbour_points(sequence, position, split.train, boxes);
+        drop_outside_limits(points, make_configured_sensor(config, sequence, frame.lidar).limits);
+        result.frame.rendered.image = make_real_image(
             config, config.sensor.grid == "native" ? bin_onto_rays(frame.scan.rays, points) : points);
         return result;
     };
-    Evaluation evaluation = summarise(score_all({split.test, sequence, config, progress, see},
-                                                "projecting neighbours of held-out frames", project),
+    Evaluation evaluation = summarise(score_frames({split.test, sequence, config, progress, on_frame},
+                                                   "projecting neighbours of held-out frames", project),
                                       {});
     evaluation.title = "baseline " + name;
     return evaluation;
@@ -263,12 +264,12 @@ Evaluation evaluate_baseline(const std::string& name, const Config& config, cons
 
 void check_lpips_weights() { load_lpips(); }
 
-std::string lpips_weights_file() {
+std::string find_lpips_weights() {
     const char* file = std::getenv("RELIDAR_LPIPS_WEIGHTS");
     return file ? file : "";
 }
 
-MetricRow mean_times(const KernelTimes& times) {
+MetricRow compute_mean_times(const KernelTimes& times) {
     MetricRow row;
     for (const auto& [kernel, total] : times.totals) row[kernel] = total.ms / total.launches;
     return row;
@@ -286,8 +287,8 @@ Evaluation summarise(std::vector<ScoredFrame> frames, const KernelTimes& times) 
         n_rays += static_cast<double>(frame.n_rays) / static_cast<double>(frames.size());
     }
     evaluation.mean = mean(rows);
-    evaluation.actors = over_frames(actors);
-    evaluation.kernel_ms = mean_times(times);
+    evaluation.actors = average_over_frames(actors);
+    evaluation.kernel_ms = compute_mean_times(times);
     if (evaluation.trace_ms > 0.0) evaluation.mrays_per_s = n_rays / (1000.0 * evaluation.trace_ms);
     evaluation.frames = std::move(frames);
     return evaluation;

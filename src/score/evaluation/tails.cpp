@@ -22,7 +22,7 @@ struct Swept {
     glm::dvec3 low{1e30}, high{-1e30};  ///< bounds of the centres
 };
 
-std::vector<Swept> swept_boxes(const Sequence& sequence) {
+std::vector<Swept> list_swept_boxes(const Sequence& sequence) {
     std::vector<Swept> swept;
     for (const BoxTrack& box : sequence.boxes) {
         if (!box.moves()) continue;
@@ -37,17 +37,18 @@ std::vector<Swept> swept_boxes(const Sequence& sequence) {
     return swept;
 }
 
-bool is_swept(const Swept& s, const glm::dvec3& point_m) {
-    const glm::dvec3 half = 0.5 * s.box->size_m;
+bool is_in_swept_box(const Swept& swept, const glm::dvec3& point_m) {
+    const glm::dvec3 half = 0.5 * swept.box->size_m;
     const double reach = glm::length(half);
-    if (glm::any(glm::lessThan(point_m, s.low - reach)) ||
-        glm::any(glm::greaterThan(point_m, s.high + reach)))
+    if (glm::any(glm::lessThan(point_m, swept.low - reach)) ||
+        glm::any(glm::greaterThan(point_m, swept.high + reach)))
         return false;
-    return std::any_of(s.box_from_world.begin(), s.box_from_world.end(), [&](const Pose& box_from_world) {
-        const glm::dvec3 p = box_from_world * point_m;
-        return std::abs(p.x) <= half.x && std::abs(p.y) <= half.y && p.z <= half.z &&
-               p.z >= -half.z + kGround_m;
-    });
+    return std::any_of(swept.box_from_world.begin(), swept.box_from_world.end(),
+                       [&](const Pose& box_from_world) {
+                           const glm::dvec3 p = box_from_world * point_m;
+                           return std::abs(p.x) <= half.x && std::abs(p.y) <= half.y && p.z <= half.z &&
+                                  p.z >= -half.z + kGround_m;
+                       });
 }
 
 /// Number of all points, and number of points in comet tails. A point is in a comet tail
@@ -65,10 +66,10 @@ struct Tail {
 };
 
 Tail sum_tails(const RangeImage& image, const std::vector<float>& points_m, const Sequence& sequence,
-               const std::vector<Swept>& swept, const SweepMoment& seen) {
+               const std::vector<Swept>& swept, const SweepMoment& sweep) {
     // Number of rays that one work item of the parallel loop processes.
     constexpr std::size_t kRays = 2048;
-    const Pose& mounted = sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor;
+    const Pose& mounted = sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor;
     return parallel_reduce(points_m.size(), kRays, [&](std::size_t begin, std::size_t end) {
         Tail part;
         part.n_of_box.resize(swept.size());
@@ -77,13 +78,13 @@ Tail sum_tails(const RangeImage& image, const std::vector<float>& points_m, cons
             if (!returned(image.drop_prob[i], points_m[i])) continue;
             ++part.n_points;
             const glm::dvec3 in_sensor(image.origin[i] + points_m[i] * image.direction[i]);
-            const double t_s = facing_time(sequence, in_sensor, seen);
+            const double t_s = compute_facing_time(sequence, in_sensor, sweep);
             const glm::dvec3 point_m = sequence.world_from_vehicle.at(t_s, mounted) * in_sensor;
             boxes.clear();
             for (std::size_t k = 0; k < swept.size(); ++k)
-                if (is_swept(swept[k], point_m)) boxes.push_back(k);
-            if (boxes.empty() || std::ranges::any_of(swept, [&](const Swept& s) {
-                    return s.box->present(t_s) && s.box->holds(point_m, t_s, kNowMargin_m);
+                if (is_in_swept_box(swept[k], point_m)) boxes.push_back(k);
+            if (boxes.empty() || std::ranges::any_of(swept, [&](const Swept& swept) {
+                    return swept.box->present(t_s) && swept.box->holds(point_m, t_s, kNowMargin_m);
                 }))
                 continue;
             ++part.n_tail;
@@ -96,10 +97,10 @@ Tail sum_tails(const RangeImage& image, const std::vector<float>& points_m, cons
 }  // namespace
 
 TailCounts count_tails(const RangeImage& image, const std::vector<float>& points_m, const Sequence& sequence,
-                       const SweepMoment& seen) {
-    const std::vector<Swept> swept = swept_boxes(sequence);
+                       const SweepMoment& sweep) {
+    const std::vector<Swept> swept = list_swept_boxes(sequence);
     if (swept.empty()) return {};
-    const Tail tail = sum_tails(image, points_m, sequence, swept, seen);
+    const Tail tail = sum_tails(image, points_m, sequence, swept, sweep);
     TailCounts counts;
     counts.share = double(tail.n_tail) / double(std::max<std::size_t>(tail.n_points, 1));
     for (std::size_t k = 0; k < swept.size(); ++k)

@@ -27,6 +27,6 @@ struct TailCounts {
 /// at which the LiDAR's head faces the point.
 /// @param points_m [n] ranges of the points of the image
 TailCounts count_tails(const RangeImage& image, const std::vector<float>& points_m, const Sequence& sequence,
-                       const SweepMoment& seen);
+                       const SweepMoment& sweep);
 
 }  // namespace relidar

@@ -54,16 +54,16 @@ struct ImagePair {
 /// dropped pixels to 0.
 /// @param threshold  a rendered pixel is dropped if its drop probability is not below
 /// this value
-ImagePair depth_pair(const RangeImage& rendered, const RangeImage& real, double threshold,
-                     double max_range_m) {
-    return {masked(rendered.range_m, not_dropped(rendered, threshold), max_range_m),
-            masked(real.range_m, not_dropped(real, kRealDropThreshold), max_range_m), real.rows, real.columns,
-            max_range_m};
+ImagePair make_depth_pair(const RangeImage& rendered, const RangeImage& real, double threshold,
+                          double max_range_m) {
+    return {clamp_masked_values(rendered.range_m, make_return_mask(rendered, threshold), max_range_m),
+            clamp_masked_values(real.range_m, make_return_mask(real, kRealDropThreshold), max_range_m),
+            real.rows, real.columns, max_range_m};
 }
-ImagePair intensity_pair(const RangeImage& rendered, const RangeImage& real, double threshold) {
-    return {masked(rendered.intensity, not_dropped(rendered, threshold), kMaxIntensity),
-            masked(real.intensity, not_dropped(real, kRealDropThreshold), kMaxIntensity), real.rows,
-            real.columns, kMaxIntensity};
+ImagePair make_intensity_pair(const RangeImage& rendered, const RangeImage& real, double threshold) {
+    return {clamp_masked_values(rendered.intensity, make_return_mask(rendered, threshold), kMaxIntensity),
+            clamp_masked_values(real.intensity, make_return_mask(real, kRealDropThreshold), kMaxIntensity),
+            real.rows, real.columns, kMaxIntensity};
 }
 
 /// Computes errors, PSNR, SSIM and LPIPS of full images. Leaves out SSIM if it is
@@ -76,12 +76,13 @@ void add_image(MetricRow& row, const std::string& prefix, const std::string& uni
         10.0 * std::log10(image.peak * image.peak / std::max(squared, kMinSquaredError));
     const auto [low, high] = std::minmax_element(image.real.begin(), image.real.end());
     if (image.rows >= kSsimWindow && image.columns >= kSsimWindow && *high > *low)
-        row[prefix + "ssim"] = ssim(image.rendered, image.real, image.rows, image.columns, *high - *low);
+        row[prefix + "ssim"] =
+            compute_ssim(image.rendered, image.real, image.rows, image.columns, *high - *low);
     if (lpips && image.rows >= kLpipsEdge && image.columns >= kLpipsEdge)
         row[prefix + "lpips"] = lpips->distance(image.rendered, image.real, image.rows, image.columns);
 }
 
-double share_below(const Values& distances, double threshold) {
+double compute_share_below(const Values& distances, double threshold) {
     const auto n = std::count_if(distances.begin(), distances.end(), [=](double d) { return d < threshold; });
     return double(n) / double(distances.size());
 }
@@ -93,18 +94,20 @@ struct CloudDistances {
 
     CloudDistances(const Positions& rendered, const Positions& truth) {
         if (rendered.empty() || truth.empty()) return;
-        to_truth = nearest_distances(rendered, truth);
-        to_rendered = nearest_distances(truth, rendered);
+        to_truth = compute_nearest_distances(rendered, truth);
+        to_rendered = compute_nearest_distances(truth, rendered);
     }
     bool defined() const { return !to_truth.empty(); }
     double chamfer() const { return mean_of(to_truth) + mean_of(to_rendered); }
-    double chamfer_squared() const { return mean_square(to_truth) + mean_square(to_rendered); }
+    double compute_squared_chamfer() const {
+        return compute_mean_square(to_truth) + compute_mean_square(to_rendered);
+    }
     /// Returns the F-score: the harmonic mean of precision and recall. Returns 0 if a
     /// cloud is empty.
-    double f_score(double threshold_m) const {
+    double compute_f_score(double threshold_m) const {
         if (!defined()) return 0.0;
-        const double precision = share_below(to_truth, threshold_m),
-                     recall = share_below(to_rendered, threshold_m);
+        const double precision = compute_share_below(to_truth, threshold_m),
+                     recall = compute_share_below(to_rendered, threshold_m);
         return 2.0 * precision * recall / std::max(precision + recall, 1e-12);
     }
 };
@@ -112,25 +115,25 @@ struct CloudDistances {
 void add_peer(MetricRow& row, const RangeImage& rendered, const RangeImage& real,
               const MetricOptions& options) {
     const double threshold = options.peer_drop_threshold;
-    add_image(row, "peer/depth_", "_m", depth_pair(rendered, real, threshold, options.max_range_m),
+    add_image(row, "peer/depth_", "_m", make_depth_pair(rendered, real, threshold, options.max_range_m),
               options.lpips);
-    add_image(row, "peer/intensity_", "", intensity_pair(rendered, real, threshold), options.lpips);
+    add_image(row, "peer/intensity_", "", make_intensity_pair(rendered, real, threshold), options.lpips);
 
     const Positions a = points(rendered, returned(rendered, threshold));
     const Positions b = points(real, returned(real, kRealDropThreshold));
     if (a.empty() && b.empty()) return;
     const CloudDistances distances(a, b);
-    if (distances.defined()) row["peer/cd_sq_m2"] = distances.chamfer_squared();
-    row["peer/f_score"] = distances.f_score(kPeerThreshold_m);
+    if (distances.defined()) row["peer/cd_sq_m2"] = distances.compute_squared_chamfer();
+    row["peer/f_score"] = distances.compute_f_score(kPeerThreshold_m);
 }
 
 /// Compares the rendered drop probability with the real drop (0 or 1) without a
 /// threshold. Returns the root mean square difference over all pixels.
-double drop_rmse(const RangeImage& rendered, const RangeImage& real) {
+double compute_drop_rmse(const RangeImage& rendered, const RangeImage& real) {
     Values error(real.drop_prob.size());
     for (std::size_t i = 0; i < error.size(); ++i)
         error[i] = double(rendered.drop_prob[i]) - double(real.drop_prob[i]);
-    return std::sqrt(mean_square(error));
+    return std::sqrt(compute_mean_square(error));
 }
 
 /// Computes ray-drop metrics as for a classifier with two classes. A dropped pixel is the
@@ -143,8 +146,8 @@ void add_drop(MetricRow& row, const Mask& rendered, const Mask& real) {
         missed_drops += rendered[i] && !real[i];
         equal += rendered[i] == real[i];
     }
-    const auto ratio = [](std::size_t a, std::size_t b) {
-        return double(a) / double(std::max<std::size_t>(b, 1));
+    const auto ratio = [](std::size_t first, std::size_t second) {
+        return double(first) / double(std::max<std::size_t>(second, 1));
     };
     row["strict/drop_accuracy"] = ratio(equal, real.size());
     row["strict/drop_precision"] = ratio(hits, hits + false_drops);
@@ -160,17 +163,17 @@ void add_points(MetricRow& row, const std::string& prefix, const RangeImage& ren
                truth = returned(real, kRealDropThreshold);
     Mask both(truth.size());
     for (std::size_t i = 0; i < both.size(); ++i) both[i] = kept[i] && truth[i];
-    add_errors(row, prefix + "depth_", "_m", selected(rendered.range_m, both, options.max_range_m),
-               selected(real.range_m, both, options.max_range_m));
+    add_errors(row, prefix + "depth_", "_m", select_values(rendered.range_m, both, options.max_range_m),
+               select_values(real.range_m, both, options.max_range_m));
     const Positions a = points(rendered, kept), b = points(real, truth);
     if (a.empty() && b.empty()) return;
     const CloudDistances distances(a, b);
     if (distances.defined()) {
         row[prefix + "cd_mean_m"] = distances.chamfer();
-        row[prefix + "cd_sq_m2"] = distances.chamfer_squared();
+        row[prefix + "cd_sq_m2"] = distances.compute_squared_chamfer();
     }
-    row[prefix + "f_5cm"] = distances.f_score(kFineThreshold_m);
-    row[prefix + "f_22cm"] = distances.f_score(kPeerThreshold_m);
+    row[prefix + "f_5cm"] = distances.compute_f_score(kFineThreshold_m);
+    row[prefix + "f_22cm"] = distances.compute_f_score(kPeerThreshold_m);
 }
 
 void add_strict(MetricRow& row, const RangeImage& rendered, const RangeImage& real,
@@ -179,14 +182,14 @@ void add_strict(MetricRow& row, const RangeImage& rendered, const RangeImage& re
     const Mask truth = returned(real, kRealDropThreshold);
     Mask both(truth.size());
     for (std::size_t i = 0; i < both.size(); ++i) both[i] = kept[i] && truth[i];
-    add_errors(row, "strict/intensity_", "", selected(rendered.intensity, both, kMaxIntensity),
-               selected(real.intensity, both, kMaxIntensity));
+    add_errors(row, "strict/intensity_", "", select_values(rendered.intensity, both, kMaxIntensity),
+               select_values(real.intensity, both, kMaxIntensity));
     add_drop(row, kept, truth);
-    row["strict/drop_rmse"] = drop_rmse(rendered, real);
+    row["strict/drop_rmse"] = compute_drop_rmse(rendered, real);
     const double threshold = options.strict_drop_threshold;
-    add_image(row, "strict/image_depth_", "_m", depth_pair(rendered, real, threshold, options.max_range_m),
-              nullptr);
-    add_image(row, "strict/image_intensity_", "", intensity_pair(rendered, real, threshold), nullptr);
+    add_image(row, "strict/image_depth_", "_m",
+              make_depth_pair(rendered, real, threshold, options.max_range_m), nullptr);
+    add_image(row, "strict/image_intensity_", "", make_intensity_pair(rendered, real, threshold), nullptr);
     add_points(row, "strict/", rendered, real, options);
 }
 
@@ -210,9 +213,9 @@ MetricRow evaluate_points(const RangeImage& rendered, const RangeImage& real, co
 std::vector<MetricRow> evaluate_all(const std::vector<Comparison>& comparisons,
                                     const MetricOptions& options) {
     std::vector<MetricRow> rows(comparisons.size());
-    parallel_for(static_cast<int>(comparisons.size()), [&](int i) {
-        const Comparison& c = comparisons[static_cast<std::size_t>(i)];
-        MetricRow& row = rows[static_cast<std::size_t>(i)];
+    parallel_for(static_cast<int>(comparisons.size()), [&](int index) {
+        const Comparison& c = comparisons[static_cast<std::size_t>(index)];
+        MetricRow& row = rows[static_cast<std::size_t>(index)];
         row = evaluate(*c.rendered, *c.real, options);
         row.merge(evaluate_regions(*c.rendered, *c.real, c.regions, options));
         if (c.point_range_m.empty()) return;

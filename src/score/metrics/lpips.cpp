@@ -28,7 +28,7 @@ constexpr double kNormFloor = 1e-10;
 constexpr float kColourShift[3] = {-0.030f, -0.088f, -0.188f};
 constexpr float kColourScale[3] = {0.458f, 0.448f, 0.450f};
 
-/// A convolution of AlexNet. If `pooled` is set, a 3 x 3 max-pooling with stride 2 is
+/// A convolution of AlexNet. If `halve_grid` is set, a 3 x 3 max-pooling with stride 2 is
 /// applied before it.
 struct Layer {
     int out, in, edge, stride, padding;
@@ -52,7 +52,7 @@ struct Features {
 /// Unrolls the windows of a convolution into the columns of a matrix. Pixels outside the
 /// image are 0.
 /// @return [in*edge*edge, rows*columns of the result]
-Matrix unroll(const Features& image, const Layer& layer, int rows, int columns) {
+Matrix unroll_patches(const Features& image, const Layer& layer, int rows, int columns) {
     Matrix windows =
         Matrix::Zero(Eigen::Index(layer.in) * layer.edge * layer.edge, Eigen::Index(rows) * columns);
     for (Eigen::Index k = 0; k < windows.rows(); ++k) {
@@ -80,7 +80,7 @@ Features convolve(const Features& image, const Layer& layer, const std::vector<f
     result.columns = (image.columns + 2 * layer.padding - layer.edge) / layer.stride + 1;
     const Eigen::Map<const Matrix> filters(weight.data(), layer.out,
                                            Eigen::Index(layer.in) * layer.edge * layer.edge);
-    result.values.noalias() = filters * unroll(image, layer, result.rows, result.columns);
+    result.values.noalias() = filters * unroll_patches(image, layer, result.rows, result.columns);
     result.values.colwise() += Eigen::Map<const Eigen::VectorXf>(bias.data(), layer.out);
     result.values = result.values.cwiseMax(0.0f);
     return result;
@@ -102,8 +102,8 @@ Features pool(const Features& image) {
 
 /// Normalises both features of each pixel to unit length, and computes their weighted
 /// squared difference. Returns the mean over all pixels.
-double distance_of(const Features& a, const Features& b, const std::vector<float>& linear) {
-    const Eigen::ArrayXXd fa = a.values.cast<double>().array(), fb = b.values.cast<double>().array();
+double compute_distance(const Features& first, const Features& second, const std::vector<float>& linear) {
+    const Eigen::ArrayXXd fa = first.values.cast<double>().array(), fb = second.values.cast<double>().array();
     const Eigen::ArrayXd weight =
         Eigen::Map<const Eigen::VectorXf>(linear.data(), Eigen::Index(linear.size())).cast<double>().array();
     double sum = 0.0;
@@ -115,7 +115,7 @@ double distance_of(const Features& a, const Features& b, const std::vector<float
     return sum / double(fa.cols());
 }
 
-Features normalised_colours(const std::vector<float>& image, int rows, int columns) {
+Features normalise_colours(const std::vector<float>& image, int rows, int columns) {
     Features result{rows, columns, Eigen::Map<const Matrix>(image.data(), 3, Eigen::Index(rows) * columns)};
     for (int colour = 0; colour < 3; ++colour)
         result.values.row(colour) =
@@ -148,29 +148,30 @@ Lpips::Lpips(LpipsWeights weights) : impl_(new Impl{std::move(weights)}) {
 }
 Lpips::~Lpips() = default;
 
-std::array<double, 5> Lpips::by_layer(const std::vector<float>& a, const std::vector<float>& b, int rows,
-                                      int columns) const {
+std::array<double, 5> Lpips::compute_layer_distances(const std::vector<float>& first,
+                                                     const std::vector<float>& second, int rows,
+                                                     int columns) const {
     if (rows < kMinEdge || columns < kMinEdge)
         throw DataError(fmt::format(
             "cannot compute LPIPS: the image has {} x {} pixels, expected at least 31 x 31", rows, columns));
     const std::size_t n = 3 * std::size_t(rows) * std::size_t(columns);
-    if (a.size() != n || b.size() != n)
+    if (first.size() != n || second.size() != n)
         throw DataError(
             fmt::format("cannot compute LPIPS: the images have {} and {} values, expected {} values each",
-                        a.size(), b.size(), n));
-    Features fa = normalised_colours(a, rows, columns), fb = normalised_colours(b, rows, columns);
+                        first.size(), second.size(), n));
+    Features fa = normalise_colours(first, rows, columns), fb = normalise_colours(second, rows, columns);
     std::array<double, 5> distance{};
     for (std::size_t l = 0; l < distance.size(); ++l) {
         const Layer& layer = kAlexNet[l];
         for (Features* f : {&fa, &fb})
             *f = convolve(layer.pooled ? pool(*f) : *f, layer, impl_->weights.weight[l],
                           impl_->weights.bias[l]);
-        distance[l] = distance_of(fa, fb, impl_->weights.linear[l]);
+        distance[l] = compute_distance(fa, fb, impl_->weights.linear[l]);
     }
     return distance;
 }
 
-double Lpips::distance(const std::vector<double>& a, const std::vector<double>& b, int rows,
+double Lpips::distance(const std::vector<double>& first, const std::vector<double>& second, int rows,
                        int columns) const {
     const auto colours = [](const std::vector<double>& image) {
         std::vector<float> result;
@@ -180,7 +181,8 @@ double Lpips::distance(const std::vector<double>& a, const std::vector<double>& 
         return result;
     };
     double sum = 0.0;
-    for (const double layer : by_layer(colours(a), colours(b), rows, columns)) sum += layer;
+    for (const double layer : compute_layer_distances(colours(first), colours(second), rows, columns))
+        sum += layer;
     return sum;
 }
 

@@ -23,7 +23,9 @@ struct TargetCloud {
     const std::vector<glm::dvec3>& points;
 
     std::size_t kdtree_get_point_count() const { return points.size(); }
-    double kdtree_get_pt(std::size_t i, std::size_t axis) const { return points[i][glm::length_t(axis)]; }
+    double kdtree_get_pt(std::size_t index, std::size_t axis) const {
+        return points[index][glm::length_t(axis)];
+    }
     template <class Box>
     bool kdtree_get_bbox(Box&) const {
         return false;
@@ -46,8 +48,8 @@ void check_finite(const std::vector<glm::dvec3>& points, const char* name) {
 
 }  // namespace
 
-std::vector<double> nearest_distances(const std::vector<glm::dvec3>& query,
-                                      const std::vector<glm::dvec3>& target) {
+std::vector<double> compute_nearest_distances(const std::vector<glm::dvec3>& query,
+                                              const std::vector<glm::dvec3>& target) {
     std::vector<double> distance(query.size());
     if (query.empty()) return distance;
     if (target.empty())

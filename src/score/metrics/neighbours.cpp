@@ -22,11 +22,12 @@ constexpr int kColumnSearch = 4;
 
 /// Returns the nearest training frame before a position and the nearest one after it, of
 /// the same LiDAR. Returns a single frame if one side has no such frame.
-std::vector<int> neighbours_of(const Sequence& sequence, int position, const std::vector<int>& train) {
-    const auto lidar_of = [&](int p) { return sequence.frames[std::size_t(p)].lidar; };
+std::vector<int> find_neighbour_frames(const Sequence& sequence, int position,
+                                       const std::vector<int>& train) {
+    const auto get_lidar = [&](int p) { return sequence.frames[std::size_t(p)].lidar; };
     int before = -1, after = -1;
     for (const int p : train) {
-        if (lidar_of(p) != lidar_of(position)) continue;
+        if (get_lidar(p) != get_lidar(position)) continue;
         if (p < position) before = std::max(before, p);
         if (p > position && (after < 0 || p < after)) after = p;
     }
@@ -53,9 +54,9 @@ const BoxTrack* box_of(const std::vector<const BoxTrack*>& moving, const glm::dv
 /// Converts a point from the world frame to the sensor frame. Uses the sensor pose at the
 /// time in the sweep at which the LiDAR faces the point.
 glm::dvec3 place_in_sweep(const Sequence& sequence, const glm::dvec3& world_m, const Frame& frame) {
-    const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
+    const Pose& mounted = sequence.get_lidar(frame).vehicle_from_sensor;
     const glm::dvec3 at_reference = inverse(sequence.world_from_vehicle.at(frame.time_s, mounted)) * world_m;
-    const double facing_s = facing_time(sequence, at_reference, moment_of(frame));
+    const double facing_s = compute_facing_time(sequence, at_reference, get_sweep_moment(frame));
     return inverse(sequence.world_from_vehicle.at(facing_s, mounted)) * world_m;
 }
 
@@ -75,28 +76,30 @@ struct Place {
     int row = 0, column = 0;
 };
 
-double elevation_of(const glm::dvec3& v) { return std::asin(std::clamp(v.z / glm::length(v), -1.0, 1.0)); }
+double elevation_of(const glm::dvec3& vector) {
+    return std::asin(std::clamp(vector.z / glm::length(vector), -1.0, 1.0));
+}
 
 /// A table of rays with functions that assign points to rays. All functions use double
 /// precision. Float is not enough, because the cosine of 0.02 degrees rounds to 1.
 struct Beams {
     const RayTable& rays;
 
-    std::size_t at(Place p) const {
-        const int wrapped = (p.column % rays.columns + rays.columns) % rays.columns;
-        return std::size_t(p.row) * std::size_t(rays.columns) + std::size_t(wrapped);
+    std::size_t at(Place place) const {
+        const int wrapped = (place.column % rays.columns + rays.columns) % rays.columns;
+        return std::size_t(place.row) * std::size_t(rays.columns) + std::size_t(wrapped);
     }
-    glm::dvec3 from_origin(Place p, const glm::vec3& point_m) const {
-        return glm::dvec3(point_m) - glm::dvec3(rays.origin[at(p)]);
+    glm::dvec3 to_direction_from_origin(Place place, const glm::vec3& point_m) const {
+        return glm::dvec3(point_m) - glm::dvec3(rays.origin[at(place)]);
     }
-    glm::dvec3 direction(Place p) const { return rays.direction[at(p)]; }
+    glm::dvec3 direction(Place place) const { return rays.direction[at(place)]; }
     /// Returns the angle by which a point is above a beam.
-    double above(Place p, const glm::vec3& point_m) const {
-        return elevation_of(from_origin(p, point_m)) - elevation_of(direction(p));
+    double compute_angle_above(Place place, const glm::vec3& point_m) const {
+        return elevation_of(to_direction_from_origin(place, point_m)) - elevation_of(direction(place));
     }
-    double cosine(Place p, const glm::vec3& point_m) const {
-        const glm::dvec3 v = from_origin(p, point_m);
-        return glm::dot(v, direction(p)) / glm::length(v);
+    double compute_cosine(Place place, const glm::vec3& point_m) const {
+        const glm::dvec3 v = to_direction_from_origin(place, point_m);
+        return glm::dot(v, direction(place)) / glm::length(v);
     }
     /// Returns the ray with the smallest angle to a point. First finds the beam with the
     /// nearest elevation. Then compares the rays of this beam and of its neighbouring
@@ -105,45 +108,47 @@ struct Beams {
         const double azimuth = std::atan2(double(point_m.y), double(point_m.x));
         const int column = int(std::lround((1.0 - azimuth / kPi) / 2.0 * rays.columns));
         int row = 0;
-        double least = std::abs(above({0, column}, point_m));
+        double least = std::abs(compute_angle_above({0, column}, point_m));
         for (int r = 1; r < rays.rows; ++r)
-            if (const double off = std::abs(above({r, column}, point_m)); off < least) least = off, row = r;
+            if (const double off = std::abs(compute_angle_above({r, column}, point_m)); off < least)
+                least = off, row = r;
         Place best{row, column};
-        double most = cosine(best, point_m);
+        double most = compute_cosine(best, point_m);
         for (int r = std::max(row - 1, 0); r <= std::min(row + 1, rays.rows - 1); ++r)
             for (int c = column - kColumnSearch; c <= column + kColumnSearch; ++c)
-                if (const double cos = cosine({r, c}, point_m); cos > most) most = cos, best = {r, c};
+                if (const double cos = compute_cosine({r, c}, point_m); cos > most) most = cos, best = {r, c};
         return best;
     }
     /// Returns true if a point is outside the vertical field of view. It is outside if it
     /// is beyond the outermost beam by more than half the spacing to the next beam.
-    bool outside(Place p, const glm::vec3& point_m) const {
+    bool compute_angle_outside(Place place, const glm::vec3& point_m) const {
         const double half_spacing =
-            0.5 * std::abs(elevation_of(direction(p)) -
-                           elevation_of(direction({p.row == 0 ? 1 : p.row - 1, p.column})));
-        return (p.row == 0 && above(p, point_m) > half_spacing) ||
-               (p.row == rays.rows - 1 && above(p, point_m) < -half_spacing);
+            0.5 * std::abs(elevation_of(direction(place)) -
+                           elevation_of(direction({place.row == 0 ? 1 : place.row - 1, place.column})));
+        return (place.row == 0 && compute_angle_above(place, point_m) > half_spacing) ||
+               (place.row == rays.rows - 1 && compute_angle_above(place, point_m) < -half_spacing);
     }
 };
 
 }  // namespace
 
-Scan neighbour_points(const Sequence& sequence, int position, const std::vector<int>& train,
-                      BoxMotion boxes) {
+Scan predict_neighbour_points(const Sequence& sequence, int position, const std::vector<int>& train,
+                              BoxMotion boxes) {
     const Frame& sweep = sequence.frames.at(std::size_t(position));
     std::vector<const BoxTrack*> moving;
     for (const BoxTrack& box : sequence.boxes)
         if (boxes == BoxMotion::follow && box.moves()) moving.push_back(&box);
     Scan points;
-    for (const int neighbour : neighbours_of(sequence, position, train)) {
+    for (const int neighbour : find_neighbour_frames(sequence, position, train)) {
         const Frame& frame = sequence.frames.at(std::size_t(neighbour));
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
-            WorldReturn w = world_return(sequence, frame, ray);
+            WorldReturn w = compute_world_return(sequence, frame, ray);
             // Moves the point along the ray to the measured range. The measured range
             // includes the range offset of the beam.
             w.point_m +=
-                double(frame.scan.range_m[ray] - surface_return(sequence, frame, ray).range_m) * w.direction;
+                double(frame.scan.range_m[ray] - compute_surface_return(sequence, frame, ray).range_m) *
+                w.direction;
             glm::dvec3 world_m = w.point_m;
             if (const BoxTrack* box = box_of(moving, w.point_m, w.time_s)) {
                 // Both sweeps measure the box at about the same time after their
@@ -172,7 +177,7 @@ Scan bin_onto_rays(const RayTable& rays, const Scan& points) {
     for (std::size_t i = 0; i < points.range_m.size(); ++i) {
         const glm::vec3 point = points.point(i);
         const Place place = beams.nearest(point);
-        if (beams.outside(place, point)) continue;
+        if (beams.compute_angle_outside(place, point)) continue;
         const std::size_t ray = beams.at(place);
         const float range = glm::distance(point, rays.origin[ray]);
         if (!(range > 0.0f) || (scan.range_m[ray] > 0.0f && scan.range_m[ray] <= range)) continue;

@@ -15,7 +15,7 @@ namespace {
 // Lower limit to which the peer protocol clamps ranges and intensities.
 constexpr double kClampLow = 1e-6;
 
-double clamped(float value, double high) { return std::clamp(double(value), kClampLow, high); }
+double clamp_value(float value, double high) { return std::clamp(double(value), kClampLow, high); }
 
 /// Returns the median of some values. For an even number of values, it is the mean of the
 /// two middle values.
@@ -26,11 +26,11 @@ double median(Values values) {
     return 0.5 * (*middle + *std::max_element(values.begin(), middle));
 }
 
-void check_values(const std::vector<float>& values, std::size_t n, const char* image, const char* array) {
-    if (values.size() != n)
+void check_values(const std::vector<float>& values, std::size_t count, const char* image, const char* array) {
+    if (values.size() != count)
         throw DataError(fmt::format(
             "cannot compare range images: array {1} of the {0} image has {2} values, expected {3}", image,
-            array, values.size(), n));
+            array, values.size(), count));
     const auto bad = std::find_if(values.begin(), values.end(), [](float v) { return !std::isfinite(v); });
     if (bad != values.end())
         throw DataError(fmt::format(
@@ -39,12 +39,12 @@ void check_values(const std::vector<float>& values, std::size_t n, const char* i
             image, array, *bad, bad - values.begin()));
 }
 
-void check_vectors(const std::vector<glm::vec3>& values, std::size_t n, const char* image,
+void check_vectors(const std::vector<glm::vec3>& values, std::size_t count, const char* image,
                    const char* array) {
-    if (values.size() != n)
+    if (values.size() != count)
         throw DataError(fmt::format(
             "cannot compare range images: array {1} of the {0} image has {2} values, expected {3}", image,
-            array, values.size(), n));
+            array, values.size(), count));
 }
 
 void check_image(const RangeImage& image, const char* name) {
@@ -73,28 +73,28 @@ void check_pair(const RangeImage& rendered, const RangeImage& real) {
                     rendered.rows, rendered.columns, real.rows, real.columns));
 }
 
-Mask not_dropped(const RangeImage& image, double threshold) {
+Mask make_return_mask(const RangeImage& image, double threshold) {
     Mask mask(image.drop_prob.size());
     for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = double(image.drop_prob[i]) < threshold;
     return mask;
 }
 
 Mask returned(const RangeImage& image, double threshold) {
-    Mask mask = not_dropped(image, threshold);
+    Mask mask = make_return_mask(image, threshold);
     for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = mask[i] && image.range_m[i] > 0.0f;
     return mask;
 }
 
-Values masked(const std::vector<float>& values, const Mask& mask, double high) {
+Values clamp_masked_values(const std::vector<float>& values, const Mask& mask, double high) {
     Values result(values.size());
-    for (std::size_t i = 0; i < values.size(); ++i) result[i] = clamped(mask[i] ? values[i] : 0.0f, high);
+    for (std::size_t i = 0; i < values.size(); ++i) result[i] = clamp_value(mask[i] ? values[i] : 0.0f, high);
     return result;
 }
 
-Values selected(const std::vector<float>& values, const Mask& mask, double high) {
+Values select_values(const std::vector<float>& values, const Mask& mask, double high) {
     Values result;
     for (std::size_t i = 0; i < values.size(); ++i)
-        if (mask[i]) result.push_back(clamped(values[i], high));
+        if (mask[i]) result.push_back(clamp_value(values[i], high));
     return result;
 }
 
@@ -104,18 +104,18 @@ double mean_of(const Values& values) {
     return sum / double(values.size());
 }
 
-double mean_square(const Values& values) {
+double compute_mean_square(const Values& values) {
     double sum = 0.0;
     for (double v : values) sum += v * v;
     return sum / double(values.size());
 }
 
-double add_errors(MetricRow& row, const std::string& prefix, const std::string& unit, const Values& a,
-                  const Values& b) {
-    if (a.empty()) return -1.0;
-    Values error(a.size());
-    for (std::size_t i = 0; i < a.size(); ++i) error[i] = std::abs(a[i] - b[i]);
-    const double squared = mean_square(error);
+double add_errors(MetricRow& row, const std::string& prefix, const std::string& unit, const Values& first,
+                  const Values& second) {
+    if (first.empty()) return -1.0;
+    Values error(first.size());
+    for (std::size_t i = 0; i < first.size(); ++i) error[i] = std::abs(first[i] - second[i]);
+    const double squared = compute_mean_square(error);
     row[prefix + "rmse" + unit] = std::sqrt(squared);
     row[prefix + "mae" + unit] = mean_of(error);
     row[prefix + "medae" + unit] = median(std::move(error));

@@ -25,7 +25,7 @@ inline constexpr double kMaxIntensity = 1.0;
 void check_pair(const RangeImage& rendered, const RangeImage& real);
 
 /// Returns a mask of the pixels whose drop probability is below the threshold.
-Mask not_dropped(const RangeImage& image, double threshold);
+Mask make_return_mask(const RangeImage& image, double threshold);
 /// Returns a mask of the returned pixels. Their drop probability is below the threshold
 /// and their range is above 0. A range of 0 means that the ray hit nothing. Such a pixel
 /// counts as dropped, even if its drop probability is low.
@@ -33,17 +33,17 @@ Mask returned(const RangeImage& image, double threshold);
 
 /// Returns the values of all pixels, clamped to [1e-6, high]. Pixels outside the mask are
 /// set to 0 before the clamp.
-Values masked(const std::vector<float>& values, const Mask& mask, double high);
+Values clamp_masked_values(const std::vector<float>& values, const Mask& mask, double high);
 /// Returns only the values of pixels in the mask, clamped to [1e-6, high].
-Values selected(const std::vector<float>& values, const Mask& mask, double high);
+Values select_values(const std::vector<float>& values, const Mask& mask, double high);
 
 double mean_of(const Values& values);
-double mean_square(const Values& values);
+double compute_mean_square(const Values& values);
 
 /// Adds the metrics <prefix>rmse<unit>, <prefix>mae<unit> and <prefix>medae<unit> to the
 /// row. Adds nothing if there are no pixels.
 /// @return mean squared error, or -1 if there are no pixels
-double add_errors(MetricRow& row, const std::string& prefix, const std::string& unit, const Values& a,
-                  const Values& b);
+double add_errors(MetricRow& row, const std::string& prefix, const std::string& unit, const Values& first,
+                  const Values& second);
 
 }  // namespace relidar::metrics_detail

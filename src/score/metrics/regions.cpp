@@ -21,13 +21,13 @@ using namespace metrics_detail;
 
 constexpr double kBoxMargin_m = 0.0;
 
-Mask both(const Mask& a, const Mask& b) {
-    Mask mask(a.size());
-    for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = a[i] && b[i];
+Mask combine_masks(const Mask& first, const Mask& second) {
+    Mask mask(first.size());
+    for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = first[i] && second[i];
     return mask;
 }
 
-Region range_band(const RangeImage& real, double low_m, double high_m) {
+Region make_range_band(const RangeImage& real, double low_m, double high_m) {
     Region region{fmt::format("range_{:.0f}_{:.0f}_m", low_m, high_m), Mask(real.range_m.size())};
     for (std::size_t i = 0; i < region.pixels.size(); ++i)
         region.pixels[i] = double(real.range_m[i]) > low_m && double(real.range_m[i]) <= high_m;
@@ -35,19 +35,20 @@ Region range_band(const RangeImage& real, double low_m, double high_m) {
 }
 
 /// Returns a mask of the returns of a frame that are in a moving box.
-Mask returns_in_moving(std::vector<BoxTrack> boxes, const Sequence& sequence, const Frame& frame,
-                       const Pose& sensor_offset) {
-    const PoseTrack track = mounted_track(sequence.world_from_sensor(frame.lidar), sensor_offset);
+Mask find_returns_in_moving_boxes(std::vector<BoxTrack> boxes, const Sequence& sequence, const Frame& frame,
+                                  const Pose& sensor_offset) {
+    const PoseTrack track = make_mounted_track(sequence.world_from_sensor(frame.lidar), sensor_offset);
     // Evaluates moves() once for each box, because it is expensive.
     std::erase_if(boxes, [](const BoxTrack& box) { return !box.moves(); });
     Mask moving(frame.scan.range_m.size());
     for (std::size_t ray = 0; ray < moving.size(); ++ray) {
         if (!(frame.scan.range_m[ray] > 0.0f)) continue;
-        const WorldRay w = world_ray(track, frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
+        const WorldRay w =
+            make_world_ray(track, frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
         const double t_s =
             frame.time_s + (sequence.rolling_shutter ? double(frame.scan.rays.time_offset_s[ray]) : 0.0);
-        moving[ray] = in_moving_box(boxes, w.origin_m + double(frame.scan.range_m[ray]) * w.direction, t_s,
-                                    kBoxMargin_m);
+        moving[ray] = is_in_moving_box(boxes, w.origin_m + double(frame.scan.range_m[ray]) * w.direction, t_s,
+                                       kBoxMargin_m);
     }
     return moving;
 }
@@ -65,43 +66,48 @@ MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real,
             throw DataError(
                 fmt::format("cannot compute scores of region {}: its mask has {} pixels, expected {}",
                             region.name, region.pixels.size(), truth.size()));
-        const Mask mask = both(region.pixels, truth);
+        const Mask mask = combine_masks(region.pixels, truth);
         const auto n = std::count(mask.begin(), mask.end(), true);
         const std::string name = region.name + "/";
         row[name + "pixels"] = double(n);
         if (n == 0) continue;
-        const Mask returned_both = both(mask, kept);
+        const Mask returned_both = combine_masks(mask, kept);
         row[name + "returned"] =
             double(std::count(returned_both.begin(), returned_both.end(), true)) / double(n);
-        add_errors(row, name + "depth_", "_m", selected(rendered.range_m, mask, options.max_range_m),
-                   selected(real.range_m, mask, options.max_range_m));
-        add_errors(row, name + "intensity_", "", selected(rendered.intensity, mask, kMaxIntensity),
-                   selected(real.intensity, mask, kMaxIntensity));
+        add_errors(row, name + "depth_", "_m", select_values(rendered.range_m, mask, options.max_range_m),
+                   select_values(real.range_m, mask, options.max_range_m));
+        add_errors(row, name + "intensity_", "", select_values(rendered.intensity, mask, kMaxIntensity),
+                   select_values(real.intensity, mask, kMaxIntensity));
     }
     return row;
 }
 
-std::vector<Region> standard_regions(const RangeImage& real, const std::vector<bool>& moving) {
+std::vector<Region> make_standard_regions(const RangeImage& real, const std::vector<bool>& moving) {
     Mask resting = moving;
     resting.flip();
-    return {{"all", Mask(moving.size(), true)}, {"moving_boxes", moving},     {"static", resting},
-            range_band(real, 0.0, 20.0),        range_band(real, 20.0, 40.0), range_band(real, 40.0, 80.0)};
+    return {{"all", Mask(moving.size(), true)},
+            {"moving_boxes", moving},
+            {"static", resting},
+            make_range_band(real, 0.0, 20.0),
+            make_range_band(real, 20.0, 40.0),
+            make_range_band(real, 40.0, 80.0)};
 }
 
-std::vector<bool> moving_returns(const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
+std::vector<bool> find_moving_returns(const Sequence& sequence, const Frame& frame,
+                                      const Pose& sensor_offset) {
     std::vector<BoxTrack> labelled = sequence.boxes;
     std::erase_if(labelled, [](const BoxTrack& box) { return box.category == kDiscoveredCategory; });
     // Removes the poses that discover_tracks() added without labels. The same returns are
     // then compared in runs with and without discovered boxes.
-    for (BoxTrack& box : labelled) box = box.labelled_part();
-    return returns_in_moving(std::move(labelled), sequence, frame, sensor_offset);
+    for (BoxTrack& box : labelled) box = box.get_labelled_part();
+    return find_returns_in_moving_boxes(std::move(labelled), sequence, frame, sensor_offset);
 }
 
-std::vector<bool> discovered_returns(const Sequence& sequence, const Frame& frame,
-                                     const Pose& sensor_offset) {
+std::vector<bool> find_discovered_returns(const Sequence& sequence, const Frame& frame,
+                                          const Pose& sensor_offset) {
     std::vector<BoxTrack> discovered = sequence.boxes;
     std::erase_if(discovered, [](const BoxTrack& box) { return box.category != kDiscoveredCategory; });
-    return returns_in_moving(std::move(discovered), sequence, frame, sensor_offset);
+    return find_returns_in_moving_boxes(std::move(discovered), sequence, frame, sensor_offset);
 }
 
 }  // namespace relidar

@@ -22,8 +22,8 @@ constexpr int kWindow = 7;
 struct Moments {
     std::array<double, 5> sum{};
 
-    void add(double a, double b) {
-        const std::array<double, 5> term{a, b, a * a, b * b, a * b};
+    void add(double first, double second) {
+        const std::array<double, 5> term{first, second, first * first, second * second, first * second};
         for (std::size_t k = 0; k < sum.size(); ++k) sum[k] += term[k];
     }
     void add(const Moments& other) {
@@ -31,7 +31,7 @@ struct Moments {
     }
 };
 
-double similarity(const Moments& window, double c1, double c2) {
+double compute_similarity(const Moments& window, double c1, double c2) {
     constexpr double n = kWindow * kWindow;
     constexpr double sample = n / (n - 1.0);
     const double ma = window.sum[0] / n, mb = window.sum[1] / n;
@@ -43,7 +43,7 @@ double similarity(const Moments& window, double c1, double c2) {
 
 /// Returns the sums over 7 adjacent pixels within each row.
 /// @return [rows * (columns - 6)]
-std::vector<Moments> sum_along_rows(const std::vector<double>& a, const std::vector<double>& b, int rows,
+std::vector<Moments> sum_along_rows(const std::vector<double>& a, const std::vector<double>& second, int rows,
                                     int columns) {
     const int width = columns - kWindow + 1;
     std::vector<Moments> sums(std::size_t(rows) * std::size_t(width));
@@ -51,7 +51,7 @@ std::vector<Moments> sum_along_rows(const std::vector<double>& a, const std::vec
         for (int column = 0; column < width; ++column) {
             const std::size_t first = std::size_t(row) * std::size_t(columns) + std::size_t(column);
             Moments& sum = sums[std::size_t(row) * std::size_t(width) + std::size_t(column)];
-            for (std::size_t k = 0; k < kWindow; ++k) sum.add(a[first + k], b[first + k]);
+            for (std::size_t k = 0; k < kWindow; ++k) sum.add(a[first + k], second[first + k]);
         }
     return sums;
 }
@@ -77,11 +77,11 @@ void check(std::size_t n_a, std::size_t n_b, int rows, int columns, double data_
 
 }  // namespace
 
-double ssim(const std::vector<double>& a, const std::vector<double>& b, int rows, int columns,
-            double data_range) {
-    check(a.size(), b.size(), rows, columns, data_range);
+double compute_ssim(const std::vector<double>& first, const std::vector<double>& second, int rows,
+                    int columns, double data_range) {
+    check(first.size(), second.size(), rows, columns, data_range);
     const double c1 = 0.01 * data_range * 0.01 * data_range, c2 = 0.03 * data_range * 0.03 * data_range;
-    const std::vector<Moments> sums = sum_along_rows(a, b, rows, columns);
+    const std::vector<Moments> sums = sum_along_rows(first, second, rows, columns);
     const int width = columns - kWindow + 1, height = rows - kWindow + 1;
     double total = 0.0;
     for (int row = 0; row < height; ++row)
@@ -89,7 +89,7 @@ double ssim(const std::vector<double>& a, const std::vector<double>& b, int rows
             Moments window;
             for (int k = 0; k < kWindow; ++k)
                 window.add(sums[std::size_t(row + k) * std::size_t(width) + std::size_t(column)]);
-            total += similarity(window, c1, c2);
+            total += compute_similarity(window, c1, c2);
         }
     return total / (double(width) * double(height));
 }

@@ -32,9 +32,9 @@ struct Axis {
     double at_low = 0.0, at_high = 1.0;
     bool logarithmic = false;
 
-    double scale(double v) const { return logarithmic ? std::log10(v) : v; }
-    double place(double v) const {
-        return at_low + (scale(v) - scale(low)) / (scale(high) - scale(low)) * (at_high - at_low);
+    double scale(double value) const { return logarithmic ? std::log10(value) : value; }
+    double place(double value) const {
+        return at_low + (scale(value) - scale(low)) / (scale(high) - scale(low)) * (at_high - at_low);
     }
 };
 
@@ -42,28 +42,28 @@ struct Extent {
     double low = std::numeric_limits<double>::infinity();
     double high = -std::numeric_limits<double>::infinity();
 
-    void add(double v) {
-        low = std::min(low, v);
-        high = std::max(high, v);
+    void add(double value) {
+        low = std::min(low, value);
+        high = std::max(high, value);
     }
     bool empty() const { return low > high; }
 };
 
-/// Returns true if point i of a curve is finite and small enough that the axis does not
-/// overflow.
-bool drawable(const ReportCurve& curve, std::size_t i) {
-    return std::abs(curve.x[i]) < 1e100 && std::abs(curve.y[i]) < 1e100;
+/// Returns true if point `index` of a curve is finite and small enough that the axis does
+/// not overflow.
+bool is_drawable(const ReportCurve& curve, std::size_t index) {
+    return std::abs(curve.x[index]) < 1e100 && std::abs(curve.y[index]) < 1e100;
 }
 
-double nice_step(double span, int n_ticks) {
+double choose_nice_step(double span, int n_ticks) {
     const double raw = span / n_ticks, decade = std::pow(10.0, std::floor(std::log10(raw)));
     for (double factor : {1.0, 2.0, 5.0})
         if (raw <= factor * decade) return factor * decade;
     return 10.0 * decade;
 }
 
-std::vector<double> linear_ticks(const Axis& axis, int n_ticks) {
-    const double step = nice_step(axis.high - axis.low, n_ticks);
+std::vector<double> make_linear_ticks(const Axis& axis, int n_ticks) {
+    const double step = choose_nice_step(axis.high - axis.low, n_ticks);
     std::vector<double> ticks;
     for (double k = std::ceil(axis.low / step - 1e-9);
          k * step <= axis.high + 1e-9 * step && ticks.size() < 50; ++k)
@@ -87,7 +87,7 @@ std::vector<double> log_ticks(const Axis& axis) {
     return ticks;
 }
 
-std::string tick_label(double value) {
+std::string format_tick_label(double value) {
     const double size = std::abs(value);
     if (size >= 1e6) return fmt::format("{:g}M", value / 1e6);
     if (size >= 1e4) return fmt::format("{:g}k", value / 1e3);
@@ -119,16 +119,16 @@ Axis make_x_axis(const Extent& extent, double at_low, double at_high) {
 /// Returns the indices of the points to draw. Each interval of the x axis keeps its
 /// minimum and its maximum, so that spikes remain visible. Points that are not finite
 /// become gaps.
-std::vector<std::size_t> thinned(const ReportCurve& curve) {
+std::vector<std::size_t> thin_curve(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), width = std::max<std::size_t>(1, n / kBuckets);
     std::vector<std::size_t> kept;
     for (std::size_t first = 0; first < n; first += width) {
         std::size_t low = first, high = first;
         for (std::size_t i = first; i < std::min(n, first + width); ++i) {
             // Keeps a point that is not finite, because it becomes a gap in the curve.
-            if (!drawable(curve, i)) low = high = i;
-            else if (drawable(curve, low) && curve.y[i] < curve.y[low]) low = i;
-            else if (drawable(curve, high) && curve.y[i] > curve.y[high]) high = i;
+            if (!is_drawable(curve, i)) low = high = i;
+            else if (is_drawable(curve, low) && curve.y[i] < curve.y[low]) low = i;
+            else if (is_drawable(curve, high) && curve.y[i] > curve.y[high]) high = i;
         }
         kept.push_back(std::min(low, high));
         if (low != high) kept.push_back(std::max(low, high));
@@ -138,7 +138,7 @@ std::vector<std::size_t> thinned(const ReportCurve& curve) {
 
 /// Returns the running mean of a curve at a few hundred points. Each value is the mean of
 /// the finite values in a centred window. The width of the window is 1/40 of the curve.
-ReportCurve running_mean(const ReportCurve& curve) {
+ReportCurve compute_running_mean(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), half = n / 80, n_places = std::min(n, kBuckets);
     ReportCurve result{curve.name, {}, {}};
     for (std::size_t place = 0; place < n_places; ++place) {
@@ -148,7 +148,7 @@ ReportCurve running_mean(const ReportCurve& curve) {
         const std::size_t reach = std::min({half, middle, n - 1 - middle});
         double sum = 0.0, count = 0.0;
         for (std::size_t i = middle - reach; i <= middle + reach; ++i)
-            if (drawable(curve, i)) sum += curve.y[i], ++count;
+            if (is_drawable(curve, i)) sum += curve.y[i], ++count;
         result.x.push_back(curve.x[middle]);
         // If the window has no finite value, the mean becomes NaN. The curve then has a
         // gap there.
@@ -157,12 +157,12 @@ ReportCurve running_mean(const ReportCurve& curve) {
     return result;
 }
 
-std::string path_of(const ReportCurve& curve, const Axis& x, const Axis& y, const std::string& style) {
+std::string draw_path(const ReportCurve& curve, const Axis& x, const Axis& y, const std::string& style) {
     std::string path, dots;
     bool connected = false;
-    const std::vector<std::size_t> kept = thinned(curve);
+    const std::vector<std::size_t> kept = thin_curve(curve);
     for (std::size_t i : kept) {
-        if (!drawable(curve, i)) {
+        if (!is_drawable(curve, i)) {
             connected = false;
             continue;
         }
@@ -176,18 +176,18 @@ std::string path_of(const ReportCurve& curve, const Axis& x, const Axis& y, cons
     return fmt::format("<path class=\"line {}\" d=\"{}\"/>{}", style, path, dots);
 }
 
-std::string axes(const Axis& x, const Axis& y) {
+std::string draw_axes(const Axis& x, const Axis& y) {
     std::string svg;
-    for (double tick : y.logarithmic ? log_ticks(y) : linear_ticks(y, 5))
+    for (double tick : y.logarithmic ? log_ticks(y) : make_linear_ticks(y, 5))
         svg += fmt::format(
             "<line class=\"grid\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/>"
             "<text class=\"axis\" x=\"{3:.1f}\" y=\"{4:.1f}\" text-anchor=\"end\">{5}</text>\n",
-            x.at_low, x.at_high, y.place(tick), x.at_low - 8, y.place(tick) + 4, tick_label(tick));
-    for (double tick : linear_ticks(x, x.at_high - x.at_low > 600 ? 10 : 5))
+            x.at_low, x.at_high, y.place(tick), x.at_low - 8, y.place(tick) + 4, format_tick_label(tick));
+    for (double tick : make_linear_ticks(x, x.at_high - x.at_low > 600 ? 10 : 5))
         svg += fmt::format(
             "<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{0:.1f}\" y1=\"{1:.1f}\" y2=\"{2:.1f}\"/>"
             "<text class=\"axis\" x=\"{0:.1f}\" y=\"{3:.1f}\" text-anchor=\"middle\">{4}</text>\n",
-            x.place(tick), y.at_low, y.at_low + 4, y.at_low + 18, tick_label(tick));
+            x.place(tick), y.at_low, y.at_low + 4, y.at_low + 18, format_tick_label(tick));
     return svg +
            fmt::format("<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/>\n",
                        x.at_low, x.at_high, y.at_low);
@@ -200,7 +200,7 @@ bool has_running_mean(const std::vector<const ReportCurve*>& curves) {
                        [](const ReportCurve* curve) { return curve->y.size() > kManyPoints; });
 }
 
-std::string svg_chart(const std::vector<const ReportCurve*>& curves, int width, int height) {
+std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int width, int height) {
     Extent x_extent, y_extent;
     for (const ReportCurve* curve : curves) {
         if (curve->x.size() != curve->y.size())
@@ -208,20 +208,20 @@ std::string svg_chart(const std::vector<const ReportCurve*>& curves, int width, 
                 "cannot draw the curve '{}': it has {} x values and {} y values, expected the same number",
                 curve->name, curve->x.size(), curve->y.size()));
         for (std::size_t i = 0; i < curve->x.size(); ++i)
-            if (drawable(*curve, i)) x_extent.add(curve->x[i]), y_extent.add(curve->y[i]);
+            if (is_drawable(*curve, i)) x_extent.add(curve->x[i]), y_extent.add(curve->y[i]);
     }
     const Axis x = make_x_axis(x_extent, kLeft, width - kRight),
                y = make_y_axis(y_extent, height - kBottom, kTop);
     std::string names;
     for (const ReportCurve* curve : curves) names += (names.empty() ? "" : ", ") + curve->name;
     std::string svg = fmt::format("<svg viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"Curves of {}\">\n{}",
-                                  width, height, escape_html(names), axes(x, y));
+                                  width, height, escape_html(names), draw_axes(x, y));
     for (std::size_t i = 0; i < curves.size(); ++i) {
         const std::string colour = fmt::format("c{}", i % kChartColours);
         const bool many = curves[i]->y.size() > kManyPoints;
         svg += fmt::format("<g><title>{}</title>", escape_html(curves[i]->name));
-        svg += path_of(*curves[i], x, y, many ? colour + " faint" : colour);
-        if (many) svg += path_of(running_mean(*curves[i]), x, y, colour);
+        svg += draw_path(*curves[i], x, y, many ? colour + " faint" : colour);
+        if (many) svg += draw_path(compute_running_mean(*curves[i]), x, y, colour);
         svg += "</g>\n";
     }
     return svg + "</svg>\n";

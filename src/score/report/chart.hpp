@@ -18,9 +18,10 @@ inline constexpr int kChartColours = 8;
 /// that are not finite leave gaps. Long curves are drawn faint, with their running mean
 /// as a solid line.
 /// @throws DataError if x and y of a curve differ in length
-std::string svg_chart(const std::vector<const ReportCurve*>& curves, int width, int height);
+std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int width, int height);
 
-/// Returns true if svg_chart() draws a running mean for at least one of these curves.
+/// Returns true if draw_svg_chart() draws a running mean for at least one of these
+/// curves.
 bool has_running_mean(const std::vector<const ReportCurve*>& curves);
 
 }  // namespace relidar::report_detail

@@ -15,7 +15,7 @@ constexpr std::string_view kDigits = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnop
 
 }  // namespace
 
-std::string base64(const std::vector<std::uint8_t>& bytes) {
+std::string encode_base64(const std::vector<std::uint8_t>& bytes) {
     std::string text;
     text.reserve((bytes.size() + 2) / 3 * 4);
     for (std::size_t i = 0; i < bytes.size(); i += 3) {
@@ -63,6 +63,8 @@ std::string format_number(double value) {
     return fmt::format("{:.3g}", value);
 }
 
-std::string png_data_url(const Image& image) { return "data:image/png;base64," + base64(encode_png(image)); }
+std::string make_png_data_url(const Image& image) {
+    return "data:image/png;base64," + encode_base64(encode_png(image));
+}
 
 }  // namespace relidar::report_detail

@@ -18,9 +18,9 @@ std::string escape_html(std::string_view text);
 std::string format_number(double value);
 
 /// Encodes bytes as base64 (RFC 4648, with padding).
-std::string base64(const std::vector<std::uint8_t>& bytes);
+std::string encode_base64(const std::vector<std::uint8_t>& bytes);
 
 /// Encodes an image as PNG and returns it as a URL of the form data:image/png;base64,...
-std::string png_data_url(const Image& image);
+std::string make_png_data_url(const Image& image);
 
 }  // namespace relidar::report_detail

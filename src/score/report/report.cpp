@@ -31,13 +31,13 @@ using report_detail::format_number;
 // pixels, is stretched vertically so that its rows remain visible.
 constexpr double kMaxAspect = 10.0;
 
-std::string section(const std::string& title, const std::string& body) {
+std::string make_section(const std::string& title, const std::string& body) {
     return body.empty() ? ""
                         : fmt::format("<section>\n<h2>{}</h2>\n{}</section>\n", escape_html(title), body);
 }
 
 /// Returns a section of the page that is collapsed until the reader opens it.
-std::string folded(const std::string& title, const std::string& body) {
+std::string make_folded_section(const std::string& title, const std::string& body) {
     return body.empty()
                ? ""
                : fmt::format("<details>\n<summary>{}</summary>\n{}</details>\n", escape_html(title), body);
@@ -50,7 +50,7 @@ std::string table(const std::string& head, const std::string& rows) {
         head, rows);
 }
 
-std::string text_table(const ReportTable& texts) {
+std::string make_text_table(const ReportTable& texts) {
     if (texts.rows.size() < 2) return "";
     std::string head, rows;
     for (const std::string& cell : texts.rows.front()) head += "<th>" + escape_html(cell) + "</th>";
@@ -63,7 +63,7 @@ std::string text_table(const ReportTable& texts) {
     return table(head, rows) + "<p class=\"note\">" + escape_html(texts.note) + "</p>\n";
 }
 
-std::string facts(const Report& report) {
+std::string make_facts(const Report& report) {
     if (report.facts.empty()) return "";
     std::string body;
     for (const auto& [name, value] : report.facts)
@@ -82,7 +82,7 @@ std::pair<std::string, std::string> split_group(const std::string& name) {
 
 /// Returns +1 if larger values of a metric are better. Returns -1 if smaller values are
 /// better, and 0 if this is unknown.
-int better_direction(const std::string& metric) {
+int get_better_direction(const std::string& metric) {
     const auto has = [&](std::string_view part) { return metric.find(part) != std::string::npos; };
     for (const char* part : {"rmse", "mae", "medae", "cd_", "lpips"})
         if (has(part)) return -1;
@@ -98,8 +98,8 @@ std::optional<double> value_of(const MetricRow& row, const std::string& name) {
 
 /// Returns the best value of a metric among all columns. Returns nothing if fewer than
 /// two columns have the metric, or if it is unknown whether larger values are better.
-std::optional<double> best_value(const Report& report, const std::string& name) {
-    const int direction = better_direction(name);
+std::optional<double> find_best_value(const Report& report, const std::string& name) {
+    const int direction = get_better_direction(name);
     std::optional<double> best;
     int count = 0;
     for (const auto& [column, row] : report.metrics)
@@ -110,8 +110,8 @@ std::optional<double> best_value(const Report& report, const std::string& name) 
     return report.same_scans && direction != 0 && count > 1 ? best : std::nullopt;
 }
 
-std::string metric_cells(const Report& report, const std::string& name) {
-    const std::optional<double> best = best_value(report, name);
+std::string make_metric_cells(const Report& report, const std::string& name) {
+    const std::optional<double> best = find_best_value(report, name);
     std::string cells;
     for (const auto& [column, row] : report.metrics) {
         const auto value = value_of(row, name);
@@ -121,7 +121,7 @@ std::string metric_cells(const Report& report, const std::string& name) {
     return cells;
 }
 
-std::string metrics(const Report& report) {
+std::string make_metrics(const Report& report) {
     // Uses a sorted set of names, so that the metrics of a group are next to each other.
     std::set<std::string> names;
     for (const auto& [column, row] : report.metrics)
@@ -138,7 +138,7 @@ std::string metrics(const Report& report) {
                                 report.metrics.size() + 1, escape_html(name_group));
         group = name_group;
         rows += fmt::format("<tr><td class=\"name\">{}</td>{}</tr>\n", escape_html(metric),
-                            metric_cells(report, name));
+                            make_metric_cells(report, name));
     }
     const char* marks = report.same_scans ? "Green marks the best value of a row."
                                           : "The columns show different scans, so they cannot be compared.";
@@ -151,29 +151,29 @@ std::string metrics(const Report& report) {
 }
 
 /// Returns a table with the key metrics and their explanations.
-std::string key_metrics(const Report& report) {
+std::string make_key_metrics(const Report& report) {
     std::string head = "<th>What</th>", rows;
     for (const auto& [column, row] : report.metrics) head += fmt::format("<th>{}</th>", escape_html(column));
     for (const ReportKeyMetric& key : report.key_metrics) {
         const auto has_it = [&](const auto& column) { return column.second.contains(key.metric); };
         if (std::none_of(report.metrics.begin(), report.metrics.end(), has_it)) continue;
         rows += fmt::format("<tr><td class=\"key\">{}<small>{}</small></td>{}</tr>\n", escape_html(key.name),
-                            escape_html(key.hint), metric_cells(report, key.metric));
+                            escape_html(key.hint), make_metric_cells(report, key.metric));
     }
     return rows.empty() ? "" : table(head, rows);
 }
 
-std::string chart(const std::string& title, const std::vector<const ReportCurve*>& curves, int width) {
+std::string make_chart(const std::string& title, const std::vector<const ReportCurve*>& curves, int width) {
     std::string legend;
     for (std::size_t i = 0; i < curves.size(); ++i)
         legend += fmt::format("<li><i class=\"c{}\"></i>{}</li>", i % report_detail::kChartColours,
                               escape_html(split_group(curves[i]->name).second));
     return fmt::format("<div>{}\n{}<ul class=\"legend\">{}</ul></div>\n",
                        title.empty() ? "" : "<h3>" + escape_html(title) + "</h3>",
-                       report_detail::svg_chart(curves, width, 300), legend);
+                       report_detail::draw_svg_chart(curves, width, 300), legend);
 }
 
-std::string curves(const Report& report) {
+std::string make_curves(const Report& report) {
     // Charts with their curves, in the order in which the curves appear in the report.
     std::vector<std::pair<std::string, std::vector<const ReportCurve*>>> charts;
     bool means = false;
@@ -186,7 +186,8 @@ std::string curves(const Report& report) {
         means = means || report_detail::has_running_mean({&curve});
     }
     std::string body;
-    for (const auto& [title, members] : charts) body += chart(title, members, charts.size() > 1 ? 550 : 1130);
+    for (const auto& [title, members] : charts)
+        body += make_chart(title, members, charts.size() > 1 ? 550 : 1130);
     if (body.empty()) return "";
     return "<div class=\"charts\">\n" + body + "</div>\n" +
            (means ? "<p class=\"note\">Faint line: all values. Solid line: running mean over one fortieth of "
@@ -197,7 +198,7 @@ std::string curves(const Report& report) {
 /// Returns a table row for the time of a kernel: the time, its percentage of `total_ms`,
 /// and a bar. The length of the bar is proportional to the time divided by `longest`. If
 /// `longest` is 0, no bar is drawn.
-std::string timing_row(const std::string& name, double ms, double total_ms, double longest) {
+std::string make_timing_row(const std::string& name, double ms, double total_ms, double longest) {
     const bool known = std::isfinite(ms) && ms >= 0.0;
     const std::string share =
         known && total_ms > 0.0 ? fmt::format("{:.1f} %", 100.0 * ms / total_ms) : "\u2013";
@@ -211,7 +212,7 @@ std::string timing_row(const std::string& name, double ms, double total_ms, doub
 /// Returns a table of kernel times, sorted by time, the longest first. The last row is
 /// the total. It is the entry "total", or the sum of all entries if there is no such
 /// entry. Percentages refer to the total.
-std::string timing_table(const MetricRow& timings) {
+std::string make_timing_table(const MetricRow& timings) {
     std::vector<std::pair<std::string, double>> rows;
     double longest = 0.0, sum = 0.0;
     for (const auto& [name, ms] : timings) {
@@ -219,31 +220,32 @@ std::string timing_table(const MetricRow& timings) {
         rows.emplace_back(name, ms);
         if (std::isfinite(ms)) longest = std::max(longest, ms), sum += ms;
     }
-    std::stable_sort(rows.begin(), rows.end(), [](const auto& a, const auto& b) {
-        return (std::isfinite(a.second) ? a.second : -1.0) > (std::isfinite(b.second) ? b.second : -1.0);
+    std::stable_sort(rows.begin(), rows.end(), [](const auto& first, const auto& second) {
+        return (std::isfinite(first.second) ? first.second : -1.0) >
+               (std::isfinite(second.second) ? second.second : -1.0);
     });
     const auto total = value_of(timings, "total");
     const double total_ms = total.value_or(sum);
     std::string body;
-    for (const auto& [name, ms] : rows) body += "<tr>" + timing_row(name, ms, total_ms, longest);
-    body += "<tr class=\"total\">" + timing_row(total ? "total" : "sum", total_ms, total_ms, 0.0);
+    for (const auto& [name, ms] : rows) body += "<tr>" + make_timing_row(name, ms, total_ms, longest);
+    body += "<tr class=\"total\">" + make_timing_row(total ? "total" : "sum", total_ms, total_ms, 0.0);
     return table(
         "<th style=\"width:26%\">Kernel</th><th style=\"width:12%\">ms</th><th style=\"width:12%\">share</th>"
         "<th>of the longest</th>",
         body);
 }
 
-std::string timings(const Report& report) {
+std::string make_timings(const Report& report) {
     std::string body;
     for (const auto& [title, row] : report.timings_ms)
-        body += fmt::format("<h3>{}</h3>\n{}", escape_html(title), timing_table(row));
+        body += fmt::format("<h3>{}</h3>\n{}", escape_html(title), make_timing_table(row));
     return body;
 }
 
-std::string figure(const ReportFigure& figure) {
+std::string make_figure(const ReportFigure& figure) {
     std::vector<std::string> urls(figure.images.size());
-    parallel_for(static_cast<int>(urls.size()), [&](int i) {
-        urls[std::size_t(i)] = report_detail::png_data_url(figure.images[std::size_t(i)].second);
+    parallel_for(static_cast<int>(urls.size()), [&](int index) {
+        urls[std::size_t(index)] = report_detail::make_png_data_url(figure.images[std::size_t(index)].second);
     });
     std::string body;
     for (std::size_t i = 0; i < urls.size(); ++i) {
@@ -256,7 +258,7 @@ std::string figure(const ReportFigure& figure) {
     return body;
 }
 
-std::string page(const Report& report) {
+std::string make_page(const Report& report) {
     std::string html = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n";
     html += "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n";
     html += fmt::format("<title>{}</title>\n<style>{}</style>\n</head>\n", escape_html(report.title),
@@ -264,24 +266,30 @@ std::string page(const Report& report) {
     html += fmt::format("<body>\n<main>\n<h1>{}</h1>\n", escape_html(report.title));
     html += fmt::format("<p class=\"summary\">{}</p>\n", escape_html(report.summary));
     for (const ReportView& view : report.views)
-        html += section(view.title, report_detail::view_html(view, report.views.size()));
+        html += make_section(view.title, report_detail::make_view_html(view, report.views.size()));
     std::vector<std::string> figures(report.figures.size());
-    parallel_for(static_cast<int>(figures.size()),
-                 [&](int i) { figures[std::size_t(i)] = figure(report.figures[std::size_t(i)]); });
-    for (std::size_t i = 0; i < figures.size(); ++i) html += section(report.figures[i].title, figures[i]);
-    html += section("Curves", curves(report));
-    for (const ReportBars& bars : report.bars) html += section(bars.title, report_detail::bars_html(bars));
-    for (const ReportTable& texts : report.tables) html += section(texts.title, text_table(texts));
-    html += section("Scores", key_metrics(report));
-    html += folded("All metrics", metrics(report)) + folded("The run", facts(report)) +
-            folded("Time by kernel", timings(report));
+    parallel_for(static_cast<int>(figures.size()), [&](int index) {
+        figures[std::size_t(index)] = make_figure(report.figures[std::size_t(index)]);
+    });
+    for (std::size_t i = 0; i < figures.size(); ++i)
+        html += make_section(report.figures[i].title, figures[i]);
+    html += make_section("Curves", make_curves(report));
+    for (const ReportBars& bars : report.bars)
+        html += make_section(bars.title, report_detail::make_bars_html(bars));
+    for (const ReportTable& texts : report.tables) html += make_section(texts.title, make_text_table(texts));
+    html += make_section("Scores", make_key_metrics(report));
+    html += make_folded_section("All metrics", make_metrics(report)) +
+            make_folded_section("The run", make_facts(report)) +
+            make_folded_section("Time by kernel", make_timings(report));
     html += "<footer>Written by relidar</footer>\n</main>\n";
-    if (!report.views.empty()) html += report_detail::view_script();
+    if (!report.views.empty()) html += report_detail::make_view_script();
     return html + "</body>\n</html>\n";
 }
 
 }  // namespace
 
-void write_report(const std::filesystem::path& path, const Report& report) { write_text(path, page(report)); }
+void write_report(const std::filesystem::path& path, const Report& report) {
+    write_text(path, make_page(report));
+}
 
 }  // namespace relidar

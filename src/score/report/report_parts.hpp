@@ -14,11 +14,11 @@ namespace relidar::report_detail {
 /// base64 text.
 /// @param n_views  number of views on the page; the size limit of the page is divided
 /// among them
-std::string view_html(const ReportView& view, std::size_t n_views);
+std::string make_view_html(const ReportView& view, std::size_t n_views);
 /// Returns the JavaScript code that draws all 3D views of a page.
-std::string view_script();
+std::string make_view_script();
 
 /// Returns stacked bars as an HTML table that also shows the numbers.
-std::string bars_html(const ReportBars& bars);
+std::string make_bars_html(const ReportBars& bars);
 
 }  // namespace relidar::report_detail

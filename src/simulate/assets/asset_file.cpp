@@ -25,15 +25,15 @@ constexpr double kAssetMost = 1e9;  // largest valid count or length
 constexpr ObjectKind kAssetKinds[] = {ObjectKind::vehicle, ObjectKind::cyclist, ObjectKind::person,
                                       ObjectKind::other};
 
-std::string facts_to_json(const AssetFacts& facts) {
+std::string format_asset_facts(const AssetFacts& facts) {
     nlohmann::ordered_json sides;
-    for (std::size_t s = 0; s < kBoxSides; ++s) sides[name_of(BoxSide(s))] = facts.seen_sides[s];
+    for (std::size_t s = 0; s < kBoxSides; ++s) sides[get_name(BoxSide(s))] = facts.seen_sides[s];
     const nlohmann::ordered_json json = {
         {"format", kAssetFormat},
         {"version", kAssetVersion},
         {"name", facts.name},
         {"class", facts.category},
-        {"kind", name_of(facts.kind)},
+        {"kind", get_name(facts.kind)},
         {"size_m", {facts.size_m.x, facts.size_m.y, facts.size_m.z}},
         {"source", {{"run", facts.source_run}, {"track", facts.source_track}, {"sensor", facts.sensor}}},
         {"score", facts.score()},
@@ -49,7 +49,7 @@ std::string facts_to_json(const AssetFacts& facts) {
 
 ObjectKind read_kind(const JsonField& field) {
     const std::string word = field.text();
-    const auto kind = std::ranges::find_if(kAssetKinds, [&](ObjectKind k) { return word == name_of(k); });
+    const auto kind = std::ranges::find_if(kAssetKinds, [&](ObjectKind k) { return word == get_name(k); });
     if (kind == std::end(kAssetKinds))
         field.fail("found \"" + word + "\"", "expected vehicle, cyclist, person or other");
     return *kind;
@@ -60,7 +60,7 @@ ObjectKind read_kind(const JsonField& field) {
 void save_asset(Asset asset, const fs::path& folder) {
     asset.run.folder = folder;
     save_run(asset.run);
-    write_text(folder / kAssetFile, facts_to_json(asset.facts));
+    write_text(folder / kAssetFile, format_asset_facts(asset.facts));
 }
 
 AssetFacts read_asset_facts(const fs::path& folder) {
@@ -80,7 +80,7 @@ AssetFacts read_asset_facts(const fs::path& folder) {
     facts.source_track = root.at("source").at("track").text();
     facts.sensor = root.at("source").at("sensor").text(200);
     for (std::size_t s = 0; s < kBoxSides; ++s)
-        facts.seen_sides[s] = root.at("seen_sides").at(name_of(BoxSide(s))).number(0.0, 1.0);
+        facts.seen_sides[s] = root.at("seen_sides").at(get_name(BoxSide(s))).number(0.0, 1.0);
     facts.seen = root.at("seen").number(0.0, 1.0);
     facts.completed = root.at("completed").number(0.0, 1.0);
     facts.clearance_m = root.at("clearance_m").number(-kAssetMost, kAssetMost);
@@ -90,15 +90,15 @@ AssetFacts read_asset_facts(const fs::path& folder) {
     return facts;
 }
 
-std::optional<double> asset_clearance(const Run& run) {
-    if (run.folder.empty() || !path_exists(run.folder / kAssetFile)) return {};
+std::optional<double> measure_asset_clearance(const Run& run) {
+    if (run.folder.empty() || !does_path_exist(run.folder / kAssetFile)) return {};
     return read_asset_facts(run.folder).clearance_m;
 }
 
-std::vector<fs::path> asset_folders(const fs::path& folder) {
+std::vector<fs::path> list_asset_folders(const fs::path& folder) {
     check_folder(folder, "a folder of `relidar assets`");
     std::vector<fs::path> assets = list_folder(folder);
-    std::erase_if(assets, [](const fs::path& entry) { return !path_exists(entry / kAssetFile); });
+    std::erase_if(assets, [](const fs::path& entry) { return !does_path_exist(entry / kAssetFile); });
     if (assets.empty())
         throw DataError(fmt::format(
             "{} contains no asset, expected folders with an {} each, as written by `relidar assets "

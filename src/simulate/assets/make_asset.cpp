@@ -23,14 +23,14 @@ constexpr double kShortestVehicle_m = 3.0;
 constexpr int kOddInY[] = {1, 4, 5, 9, 10, 11};
 
 bool is_vehicle(const BoxTrack& box) {
-    return object_kind(box.category) == ObjectKind::vehicle ||
+    return parse_object_kind(box.category) == ObjectKind::vehicle ||
            (box.category == kDiscoveredCategory && box.size_m.x >= kShortestVehicle_m);
 }
 
 /// Returns the name of an asset, for example "car-3". The name is a valid folder name on
 /// all systems. It contains only letters, digits, dots, dashes and underscores. If an
 /// object has no class, its track id is the name.
-std::string asset_name(const BoxTrack& box) {
+std::string make_asset_name(const BoxTrack& box) {
     std::string name = box.category == kDiscoveredCategory ? box.id : box.category + "-" + box.id;
     for (char& c : name) {
         const auto byte = static_cast<unsigned char>(c);
@@ -41,26 +41,26 @@ std::string asset_name(const BoxTrack& box) {
 
 /// Returns true if a surfel can be visible. A visible surfel is opaque enough to be
 /// blended, and lies inside the box of its model.
-bool can_show(const Surfels& surfels, std::size_t i, const Model& model, const ImageModel& image) {
-    const glm::vec3 outside = glm::abs(surfels.mean[i]) - model.half_size_m;
+bool can_show(const Surfels& surfels, std::size_t index, const Model& model, const ImageModel& image) {
+    const glm::vec3 outside = glm::abs(surfels.mean[index]) - model.half_size_m;
     const bool bounded = model.half_size_m.x > 0.0f;
     if (bounded && (outside.x > 0.0f || outside.y > 0.0f || outside.z > 0.0f)) return false;
-    return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[i])) >= image.alpha_min;
+    return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[index])) >= image.alpha_min;
 }
 
 /// Completes an actor that is nearly symmetric. If only one of two mirrored surface
 /// patches was observed, replaces the surfels of the unobserved patch by the mirror image
 /// of the observed patch.
 /// @return number of surfels that were added
-std::size_t complete(Surfels& surfels, const BoxSurface& surface) {
+std::size_t complete_by_mirroring(Surfels& surfels, const BoxSurface& surface) {
     std::vector<std::uint32_t> kept, copied;
     for (std::uint32_t i = 0; i < surfels.size(); ++i) {
         const glm::dvec3 here(surfels.mean[i]), there(here.x, -here.y, here.z);
         if (!surface.is_mirrored(here)) kept.push_back(i);
         if (surface.is_mirrored(there)) copied.push_back(i);
     }
-    const Surfels more = mirror_left_right(surfels.permuted(copied));
-    surfels = surfels.permuted(kept);
+    const Surfels more = mirror_left_right(surfels.reorder(copied));
+    surfels = surfels.reorder(kept);
     surfels.append(more);
     return copied.size();
 }
@@ -68,7 +68,7 @@ std::size_t complete(Surfels& surfels, const BoxSurface& surface) {
 /// Returns the frames of a log in which an actor is present. The result has no scans and
 /// no other actors.
 Sequence frames_of(const Sequence& log, const BoxTrack& box) {
-    Sequence sequence = without_frames(log);
+    Sequence sequence = copy_without_frames(log);
     sequence.boxes = {box};
     sequence.world_from_vehicle = {};
     for (const Frame& frame : log.frames) {
@@ -79,14 +79,14 @@ Sequence frames_of(const Sequence& log, const BoxTrack& box) {
         PoseTrack& track = sequence.world_from_vehicle;
         if (!track.time_s.empty() && track.time_s.back() == frame.time_s) continue;
         track.time_s.push_back(frame.time_s);
-        track.pose.push_back(log.world_from_vehicle.pose[log.pose_of(frame)]);
+        track.pose.push_back(log.world_from_vehicle.pose[log.get_pose_index(frame)]);
     }
     return sequence;
 }
 
 /// Returns the share of each side of a box that has surfels. This is the observed share.
 /// For vehicles, it also includes the share that was completed by mirroring.
-SideShares known_sides(const BoxSurface& surface, ObjectKind kind) {
+SideShares list_known_sides(const BoxSurface& surface, ObjectKind kind) {
     SideShares shares{};
     for (std::size_t s = 0; s < kBoxSides; ++s)
         shares[s] = float(surface.seen(BoxSide(s)) +
@@ -96,7 +96,7 @@ SideShares known_sides(const BoxSurface& surface, ObjectKind kind) {
 
 }  // namespace
 
-BoxSurface seen_surface(const glm::dvec3& size_m, const ActorObservations& sightings) {
+BoxSurface compute_visible_surface(const glm::dvec3& size_m, const ActorObservations& sightings) {
     BoxSurface surface(size_m);
     for (std::size_t i = 0; i < sightings.points_m.size(); ++i)
         surface.add(glm::dvec3(sightings.points_m[i]), glm::dvec3(sightings.directions[i]));
@@ -131,12 +131,12 @@ Asset make_asset(const Run& run, const std::string& track, const ActorObservatio
             fmt::format("cannot make an asset of \"{}\": the run has no such actor, expected one of: {}",
                         track, fmt::join(others, ", ")));
 
-    const BoxSurface surface = seen_surface(box->size_m, sightings);
+    const BoxSurface surface = compute_visible_surface(box->size_m, sightings);
     Asset asset;
     AssetFacts& facts = asset.facts;
-    facts = {asset_name(*box),
+    facts = {make_asset_name(*box),
              box->category,
-             is_vehicle(*box) ? ObjectKind::vehicle : object_kind(box->category),
+             is_vehicle(*box) ? ObjectKind::vehicle : parse_object_kind(box->category),
              box->size_m,
              run.folder.empty() ? "" : std::filesystem::absolute(run.folder).lexically_normal().string(),
              track,
@@ -144,25 +144,25 @@ Asset make_asset(const Run& run, const std::string& track, const ActorObservatio
     for (std::size_t s = 0; s < kBoxSides; ++s) facts.seen_sides[s] = surface.seen(BoxSide(s));
     facts.seen = surface.seen();
     facts.nearest_m = sightings.nearest_m;
-    facts.clearance_m = ground_clearance({run.scene, run.sequence}, track).value_or(0.0);
+    facts.clearance_m = measure_ground_clearance({run.scene, run.sequence}, track).value_or(0.0);
 
     Model& model = alone.scene.models[1];
     Surfels& surfels = alone.scene.surfels;
     std::vector<std::uint32_t> shown;
     for (std::uint32_t i = 0; i < surfels.size(); ++i)
         if (can_show(surfels, i, model, run.config.image)) shown.push_back(i);
-    surfels = surfels.permuted(shown);
+    surfels = surfels.reorder(shown);
     if (facts.kind == ObjectKind::vehicle) {
-        facts.mirrored = complete(surfels, surface);
+        facts.mirrored = complete_by_mirroring(surfels, surface);
         facts.completed = surface.mirrored();
     }
-    surfels = surfels.permuted(kd_order(surfels.mean));
+    surfels = surfels.reorder(compute_kd_order(surfels.mean));
     facts.surfels = surfels.size();
 
     BoxTrack named = *box;
     named.id = facts.name;
     model = {facts.name,        0,    std::uint32_t(surfels.size()),
-             model.half_size_m, 0.0f, known_sides(surface, facts.kind)};
+             model.half_size_m, 0.0f, list_known_sides(surface, facts.kind)};
     alone.scene.models[0].first = 0;
     alone.scene.instances[1].track = facts.name;
     alone.scene.sensor_drop = {};

@@ -13,7 +13,7 @@ namespace {
 // Sensor model that is used instead of a LiDAR whose rays differ in each scan.
 constexpr const char* kStandIn = "HDL-64E";
 
-std::vector<SensorChoice> sensors_of(const Run& run) {
+std::vector<SensorChoice> list_sensors(const Run& run) {
     std::vector<SensorChoice> sensors;
     for (int i = 0; i < int(run.sequence.lidars.size()); ++i) {
         sensors.push_back(choose_sensor("native", run.config, run.sequence, i));
@@ -26,7 +26,7 @@ std::vector<SensorChoice> sensors_of(const Run& run) {
 
 /// Returns the box of each instance. Returns null for the background and for instances
 /// without a box.
-std::vector<const BoxTrack*> boxes_of(const Run& run) {
+std::vector<const BoxTrack*> list_boxes(const Run& run) {
     std::vector<const BoxTrack*> boxes;
     for (const Instance& instance : run.scene.instances)
         boxes.push_back(find_box(run.sequence, instance.track));
@@ -34,7 +34,7 @@ std::vector<const BoxTrack*> boxes_of(const Run& run) {
 }
 
 /// Returns the training frames in which any actor is present.
-std::vector<int> frames_to_look_at(const Run& run, const std::vector<const BoxTrack*>& boxes) {
+std::vector<int> choose_frames_to_look_at(const Run& run, const std::vector<const BoxTrack*>& boxes) {
     std::vector<int> positions;
     for (const int i : run.split.train) {
         const double time_s = run.sequence.frames[std::size_t(i)].time_s;
@@ -69,9 +69,9 @@ void add_returns(const RenderedScan& scan, const Run& run, const std::vector<con
 
 std::map<std::string, ActorObservations> observe_actors(Device& device, const Run& run,
                                                         const Progress& progress) {
-    const std::vector<const BoxTrack*> boxes = boxes_of(run);
-    const std::vector<int> positions = frames_to_look_at(run, boxes);
-    const std::vector<SensorChoice> sensors = sensors_of(run);
+    const std::vector<const BoxTrack*> boxes = list_boxes(run);
+    const std::vector<int> positions = choose_frames_to_look_at(run, boxes);
+    const std::vector<SensorChoice> sensors = list_sensors(run);
     std::map<std::string, ActorObservations> sightings;
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
     for (std::size_t k = 0; k < positions.size(); ++k) {

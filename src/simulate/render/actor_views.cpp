@@ -70,7 +70,7 @@ void ScanRenderer::Impl::count_hits_alone(const Sweep& sweep, const ScanPlan& pl
             rays_near(rays, sweep, sweep.instances[i], double(glm::length(model.half_size_m)));
         if (near.empty()) continue;
         Sweep alone = sweep;
-        alone.changed_rays = some_rays(sweep.rays(), near);
+        alone.changed_rays = select_rays(sweep.rays(), near);
         for (std::size_t k = 0; k < views.size(); ++k) alone.instances[k].present = k == i;
         load_scene(lanes->first(), alone);
         const RenderedScan scan =

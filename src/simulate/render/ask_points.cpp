@@ -49,13 +49,14 @@ PendingPoints ScanRenderer::Impl::record_points(const Sweep& sweep, const Pose& 
     const bool corrects_drops = plan.network == ScanPlan::Network::device;
     PendingPoints scan{
         .rays = record(lane, sweep, sweep.rays(), corrects_drops),
-        .dataset_from_sensor = shifted_track(sweep.world_from_sensor, sweeps.log().world_offset_m),
+        .dataset_from_sensor = shift_track(sweep.world_from_sensor, sweeps.log().world_offset_m),
         .dataset_from_points = dataset_from_points,
         .time_s = sweep.time_s,
-        .max_range_m = seen_by_log(sweep.sensor).max_range_m,
+        .max_range_m = compute_seen_by_log(sweep.sensor).max_range_m,
         .step = settings.scatter[std::size_t(sweep.sensor.lidar)].step,
         .renderer = &lanes->renderer(lane)};
-    const PoseTrack points_from_sensor = track_in_frame(scan.dataset_from_sensor, dataset_from_points);
+    const PoseTrack points_from_sensor =
+        convert_track_to_frame(scan.dataset_from_sensor, dataset_from_points);
     scan.points = lane.points.record(scan.renderer->stream(), *scan.rays,
                                      {.points_from_sensor = points_from_sensor,
                                       .time_s = sweep.time_s,
@@ -85,14 +86,15 @@ RenderedPoints ScanRenderer::Impl::collect(PendingPoints& scan, Points memory) {
     result.points.time_s = scan.time_s;
     copy_points(gathered.points, steps, result.points);
     if (settings.coverage.empty()) return result;
-    const auto ray_at = [&](std::size_t k) {
-        const std::size_t i = PointsOnDevice::requested_ray(k, rays.size());
+    const auto ray_at = [&](std::size_t index) {
+        const std::size_t i = PointsOnDevice::requested_ray(index, rays.size());
         return LookingRay{scan.dataset_from_sensor.at(scan.time_s + double(rays.time_offset_s[i])),
-                          glm::dvec3(rays.origin[i]), glm::dvec3(rays.direction[i]), gathered.requested_m[k]};
+                          glm::dvec3(rays.origin[i]), glm::dvec3(rays.direction[i]),
+                          gathered.requested_m[index]};
     };
     result.unseen_share =
-        relidar::unseen_share(gathered.requested_m.size(), ray_at,
-                              {settings.coverage, sweeps.log().world_offset_m, scan.max_range_m});
+        relidar::compute_unseen_share(gathered.requested_m.size(), ray_at,
+                                      {settings.coverage, sweeps.log().world_offset_m, scan.max_range_m});
     return result;
 }
 
@@ -103,7 +105,7 @@ void ScanRenderer::Impl::finish_pending() {
 }
 
 void ScanRenderer::submit_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s,
-                                 std::optional<std::uint64_t> sample, Send when) {
+                                 std::optional<std::uint64_t> sample, Send mode) {
     Impl& s = *impl_;
     if (s.pending.size() >= kScansInFlight)
         throw UsageError(fmt::format(
@@ -114,7 +116,7 @@ void ScanRenderer::submit_points(const SensorChoice& sensor, const ScanRequest& 
     const Pose dataset_from_points = request.dataset_from_sensor.at(points_at_s);
     const ScanPlan plan = s.plan(sweep, sample.has_value());
     if (plan.points_on_device) {
-        s.pending.push_back(s.record_points(sweep, dataset_from_points, plan, when));
+        s.pending.push_back(s.record_points(sweep, dataset_from_points, plan, mode));
         return;
     }
     const RenderedScan scan = s.render(sweep, sample);

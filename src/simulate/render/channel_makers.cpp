@@ -12,7 +12,7 @@ namespace {
 
 /// Returns the unit normal of the surface that each ray hit. The normal is in the
 /// sensor's frame at the firing time of the ray.
-std::vector<glm::vec3> visible_normals(const Rendering& rendering, const RenderedScan& scan) {
+std::vector<glm::vec3> compute_visible_normals(const Rendering& rendering, const RenderedScan& scan) {
     std::vector<glm::vec3> normal(rendering.size(), glm::vec3(0.0f));
     FiringPoses firing(scan);
     for (std::size_t i = 0; i < normal.size(); ++i) {
@@ -25,7 +25,7 @@ std::vector<glm::vec3> visible_normals(const Rendering& rendering, const Rendere
 }
 
 ChannelValues normals(const Rendering& rendering, const RenderedScan& scan) {
-    return visible_normals(rendering, scan);
+    return compute_visible_normals(rendering, scan);
 }
 
 ChannelValues incidence(std::span<const shared::MeasuredRay> measured) {
@@ -34,11 +34,11 @@ ChannelValues incidence(std::span<const shared::MeasuredRay> measured) {
     return cosine;
 }
 
-ChannelValues spread(const RenderedScan& scan, const ScanContext&) { return range_spread(scan); }
+ChannelValues spread(const RenderedScan& scan, const ScanContext&) { return compute_range_spread(scan); }
 
 /// Returns the velocity of a point on an instance, in the world frame. The motion of the
 /// limbs of a walking actor is ignored.
-glm::dvec3 surface_velocity(const InstancePose& placed, double after_s, const glm::dvec3& point_m) {
+glm::dvec3 compute_surface_velocity(const InstancePose& placed, double after_s, const glm::dvec3& point_m) {
     const glm::dvec3 middle_m = placed.motion.at(placed.world_from_model, after_s).translation;
     return placed.motion.velocity_mps + glm::cross(placed.motion.turn_radps, point_m - middle_m);
 }
@@ -62,8 +62,8 @@ ChannelValues velocities(const RenderedScan& scan, const ScanContext& context) {
             sensor_mps = (track.at(time_s + kStep_s) * origin_m - track.at(time_s - kStep_s) * origin_m) /
                          (2.0 * kStep_s);
         if (std::size_t(scan.instance[i]) < context.placed.size())
-            surface_mps = surface_velocity(context.placed[std::size_t(scan.instance[i])], after_s,
-                                           start_m + double(scan.median_range_m[i]) * direction);
+            surface_mps = compute_surface_velocity(context.placed[std::size_t(scan.instance[i])], after_s,
+                                                   start_m + double(scan.median_range_m[i]) * direction);
         velocity[i] = float(glm::dot(direction, surface_mps - sensor_mps));
     }
     return velocity;
@@ -81,7 +81,7 @@ ChannelValues seen(const RenderedScan& scan, const ScanContext& context) {
     if (log.coverage.empty()) return {};
     std::vector<std::size_t> rays;
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) rays.push_back(i);
-    return seen_shares(scan, rays, log);
+    return compute_seen_shares(scan, rays, log);
 }
 
 // Returns "surface" as the cause of each return. If the scan has weather, add_weather()
@@ -111,7 +111,7 @@ constexpr Maker kMakers[] = {
     {"source", nullptr, nullptr, surfaces},
 };
 
-Maker maker_of(const ChannelInfo& channel) {
+Maker find_maker(const ChannelInfo& channel) {
     const auto* maker = std::ranges::find(kMakers, channel.name, &Maker::name);
     // A test (tests/simulate/render/channels_test.cpp) checks that each channel has a row
     // in the table.
@@ -126,30 +126,30 @@ std::vector<std::int32_t> instance_classes(const Scene& scene, const Sequence& s
         // A copy of an actor has no box, but its model has the name of the actor's box.
         const BoxTrack* box = find_box(sequence, instance.track);
         if (!box) box = find_box(sequence, scene.models[instance.model].name);
-        const ObjectKind kind = box ? object_kind(box->category) : ObjectKind::other;
+        const ObjectKind kind = box ? parse_object_kind(box->category) : ObjectKind::other;
         classes.push_back(instance.track.empty() ? 0 : 1 + std::int32_t(kind));
     }
     return classes;
 }
 
-bool needs_rendering(const std::vector<ChannelInfo>& wanted) {
+bool needs_rendering(const std::vector<ChannelInfo>& channels) {
     return std::ranges::any_of(
-        wanted, [](const ChannelInfo& channel) { return maker_of(channel).of_rendering != nullptr; });
+        channels, [](const ChannelInfo& channel) { return find_maker(channel).of_rendering != nullptr; });
 }
 
 void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured,
-                      const Rendering& rendering, const std::vector<ChannelInfo>& wanted) {
-    for (const ChannelInfo& channel : wanted) {
-        const Maker maker = maker_of(channel);
+                      const Rendering& rendering, const std::vector<ChannelInfo>& channels) {
+    for (const ChannelInfo& channel : channels) {
+        const Maker maker = find_maker(channel);
         if (maker.of_rendering) scan.channels.push_back({channel, maker.of_rendering(rendering, scan)});
         if (maker.of_measured) scan.channels.push_back({channel, maker.of_measured(measured)});
     }
 }
 
 void add_scan_channels(RenderedScan& scan, const ScanContext& context,
-                       const std::vector<ChannelInfo>& wanted) {
-    for (const ChannelInfo& channel : wanted) {
-        const Maker maker = maker_of(channel);
+                       const std::vector<ChannelInfo>& channels) {
+    for (const ChannelInfo& channel : channels) {
+        const Maker maker = find_maker(channel);
         if (!maker.of_scan) continue;
         ChannelValues values = maker.of_scan(scan, context);
         if (size(values) == scan.image.range_m.size()) scan.channels.push_back({channel, std::move(values)});

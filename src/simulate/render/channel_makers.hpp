@@ -39,17 +39,17 @@ inline constexpr const char* kIncidence = "incidence";
 /// @return [instances]
 std::vector<std::int32_t> instance_classes(const Scene& scene, const Sequence& sequence);
 /// Returns true if any of the channels needs the full rendering result of the rays.
-bool needs_rendering(const std::vector<ChannelInfo>& wanted);
+bool needs_rendering(const std::vector<ChannelInfo>& channels);
 /// Adds the optional channels that are computed for each traced ray.
 /// @param scan scan of these rays; its image, poses and times must be set
 /// @param rendering full rendering result; may be empty if needs_rendering() returns
 /// false
 void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured,
-                      const Rendering& rendering, const std::vector<ChannelInfo>& wanted);
+                      const Rendering& rendering, const std::vector<ChannelInfo>& channels);
 /// Adds the optional channels that are computed after sub-rays were joined to beams. Call
 /// it before a network or random sampling changes the drop probabilities. Leaves out
 /// channels without values.
 void add_scan_channels(RenderedScan& scan, const ScanContext& context,
-                       const std::vector<ChannelInfo>& wanted);
+                       const std::vector<ChannelInfo>& channels);
 
 }  // namespace relidar

@@ -13,33 +13,33 @@
 
 namespace relidar {
 
-/// Calls visit(info, values of `from`, values of `to`) for each basic channel that is
-/// rendered. Leaves out time and ring, because they belong to the rays.
+/// Calls visit(info, values of `source`, values of `target`) for each basic channel that
+/// is rendered. Leaves out time and ring, because they belong to the rays.
 template <class Visit>
-void for_each_basic_pair(const RenderedScan& from, RenderedScan& to, Visit&& visit) {
-    const BasicChannels& basic = basic_channels();
-    visit(basic.range, from.image.range_m, to.image.range_m);
-    visit(basic.median_range, from.median_range_m, to.median_range_m);
-    visit(basic.mean_range, from.mean_range_m, to.mean_range_m);
-    visit(basic.intensity, from.image.intensity, to.image.intensity);
-    visit(basic.drop_prob, from.image.drop_prob, to.image.drop_prob);
-    visit(basic.weight, from.weight, to.weight);
-    visit(basic.instance, from.instance, to.instance);
+void for_each_basic_pair(const RenderedScan& source, RenderedScan& target, Visit&& visit) {
+    const BasicChannels& basic = get_basic_channels();
+    visit(basic.range, source.image.range_m, target.image.range_m);
+    visit(basic.median_range, source.median_range_m, target.median_range_m);
+    visit(basic.mean_range, source.mean_range_m, target.mean_range_m);
+    visit(basic.intensity, source.image.intensity, target.image.intensity);
+    visit(basic.drop_prob, source.image.drop_prob, target.image.drop_prob);
+    visit(basic.weight, source.weight, target.weight);
+    visit(basic.instance, source.instance, target.instance);
 }
 
-/// Calls visit(info, values of `from`, values of `to`) for the basic and the optional
-/// channels of two scans.
-/// @param to must have the channels of `from` in the same order; emptied() creates such a
-/// scan
+/// Calls visit(info, values of `source`, values of `target`) for the basic and the
+/// optional channels of two scans.
+/// @param target must have the channels of `source` in the same order; emptied() creates
+/// such a scan
 template <class Visit>
-void for_each_pair(const RenderedScan& from, RenderedScan& to, Visit&& visit) {
-    for_each_basic_pair(from, to, visit);
-    for (std::size_t k = 0; k < to.channels.size(); ++k) {
+void for_each_pair(const RenderedScan& source, RenderedScan& target, Visit&& visit) {
+    for_each_basic_pair(source, target, visit);
+    for (std::size_t k = 0; k < target.channels.size(); ++k) {
         const auto both = [&](auto& values) {
-            visit(to.channels[k].info, std::get<std::decay_t<decltype(values)>>(from.channels[k].values),
-                  values);
+            visit(target.channels[k].info,
+                  std::get<std::decay_t<decltype(values)>>(source.channels[k].values), values);
         };
-        std::visit(both, to.channels[k].values);
+        std::visit(both, target.channels[k].values);
     }
 }
 

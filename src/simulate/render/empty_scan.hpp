@@ -23,7 +23,7 @@ inline RenderedScan empty_scan(const RayTable& rays, const RenderedScan& taken =
     scan.time_s = taken.time_s;
     scan.trace_ms = taken.trace_ms;
     scan.unseen_share = taken.unseen_share;
-    scan.channels = without_values(taken.channels);
+    scan.channels = remove_values(taken.channels);
     return scan;
 }
 

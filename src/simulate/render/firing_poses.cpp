@@ -16,7 +16,7 @@ const Pose& FiringPoses::at(std::size_t ray) {
     Made& made = made_[ray % made_.size()];
     const float time_offset_s = moves_ ? scan_.time_offset_s[ray] : 0.0f;
     if (made.time_offset_s != time_offset_s)
-        made = {time_offset_s, target_from_dataset_ * scan_.world_from_firing(ray)};
+        made = {time_offset_s, target_from_dataset_ * scan_.get_firing_pose(ray)};
     return made.target_from_firing;
 }
 

@@ -33,13 +33,13 @@ struct Group {
 /// Returns true if the hits of sub-rays lie on one plane. On a plane, 1 / range is linear
 /// in the offsets of the sub-rays. A plane counts as one return even if its ranges differ
 /// much at a grazing angle. Fewer than five sub-rays are too few for this test.
-bool on_one_plane(const std::vector<std::size_t>& parts, const std::vector<float>& range_m, std::size_t first,
-                  const std::vector<glm::dvec2>& offsets, double tolerance_m) {
+bool are_on_one_plane(const std::vector<std::size_t>& parts, const std::vector<float>& range_m,
+                      std::size_t first, const std::vector<glm::dvec2>& offsets, double tolerance_m) {
     if (parts.size() < 5) return false;
     glm::dmat3 normal_matrix(0.0);
     glm::dvec3 right(0.0);
-    const auto row = [&](std::size_t i) {
-        return glm::dvec3(1.0, offsets[i - first].x, offsets[i - first].y);
+    const auto row = [&](std::size_t index) {
+        return glm::dvec3(1.0, offsets[index - first].x, offsets[index - first].y);
     };
     for (const std::size_t i : parts) {
         normal_matrix += glm::outerProduct(row(i), row(i));
@@ -47,9 +47,9 @@ bool on_one_plane(const std::vector<std::size_t>& parts, const std::vector<float
     }
     if (std::abs(glm::determinant(normal_matrix)) < 1e-9) return false;
     const glm::dvec3 plane = glm::inverse(normal_matrix) * right;
-    return std::ranges::all_of(parts, [&](std::size_t i) {
-        const double inverse_m = glm::dot(plane, row(i));
-        return inverse_m > 0.0 && std::abs(1.0 / inverse_m - double(range_m[i])) < tolerance_m;
+    return std::ranges::all_of(parts, [&](std::size_t index) {
+        const double inverse_m = glm::dot(plane, row(index));
+        return inverse_m > 0.0 && std::abs(1.0 / inverse_m - double(range_m[index])) < tolerance_m;
     });
 }
 
@@ -65,7 +65,7 @@ void join_slopes(std::vector<Group>& groups, const std::vector<float>& range_m, 
                 joined.parts.insert(joined.parts.end(), groups[g].parts.begin(), groups[g].parts.end());
                 joined.light += groups[g].light;
             }
-            if (!on_one_plane(joined.parts, range_m, first, offsets, tolerance_m)) continue;
+            if (!are_on_one_plane(joined.parts, range_m, first, offsets, tolerance_m)) continue;
             groups[begin] = std::move(joined);
             groups.erase(groups.begin() + std::ptrdiff_t(begin) + 1,
                          groups.begin() + std::ptrdiff_t(begin + length));
@@ -73,13 +73,13 @@ void join_slopes(std::vector<Group>& groups, const std::vector<float>& range_m, 
     }
 }
 
-std::vector<Group> groups_of(const RenderedScan& scan, std::size_t first,
-                             const std::vector<glm::dvec2>& offsets, float separation_m) {
+std::vector<Group> group_sub_rays(const RenderedScan& scan, std::size_t first,
+                                  const std::vector<glm::dvec2>& offsets, float separation_m) {
     const std::vector<float>& range_m = scan.median_range_m;
     std::vector<std::size_t> hits;
     for (std::size_t i = first; i < first + offsets.size(); ++i)
         if (returned(scan.image.drop_prob[i], range_m[i])) hits.push_back(i);
-    std::ranges::stable_sort(hits, {}, [&](std::size_t i) { return range_m[i]; });
+    std::ranges::stable_sort(hits, {}, [&](std::size_t index) { return range_m[index]; });
     std::vector<Group> groups;
     for (const std::size_t i : hits) {
         if (groups.empty() || range_m[i] - range_m[groups.back().parts.back()] >= separation_m)
@@ -99,17 +99,17 @@ float mean_of(const Group& group, const std::vector<float>& values, const Render
     return static_cast<float>(sum / double(group.light));
 }
 
-float sum_of(const Group& group, const std::vector<float>& values) {
+float sum_over_group(const Group& group, const std::vector<float>& values) {
     float sum = 0.0f;
     for (const std::size_t i : group.parts) sum += values[i];
     return sum;
 }
 
-/// Returns the mean of n consecutive values, starting at index `first`.
-float mean_of_all(const std::vector<float>& values, std::size_t first, int n) {
+/// Returns the mean of `count` consecutive values, starting at index `first`.
+float compute_mean_of_all(const std::vector<float>& values, std::size_t first, int count) {
     float sum = 0.0f;
-    for (std::size_t i = first; i < first + std::size_t(n); ++i) sum += values[i];
-    return sum / static_cast<float>(n);
+    for (std::size_t i = first; i < first + std::size_t(count); ++i) sum += values[i];
+    return sum / static_cast<float>(count);
 }
 
 /// Smallest intensity of a second return, relative to the strongest return. Real
@@ -118,7 +118,7 @@ constexpr double kSecondReturnShare = 0.1;
 
 /// Returns the group of sub-rays that forms the second return, or null if there is no
 /// second return.
-const Group* second_of(const std::vector<Group>& groups, const Group& strongest) {
+const Group* find_second_return(const std::vector<Group>& groups, const Group& strongest) {
     const Group* second = nullptr;
     if (&strongest != &groups.back()) {
         second = &groups.back();
@@ -134,7 +134,7 @@ class Joiner {
 public:
     Joiner(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config)
         : parts_(parts),
-          offsets_(footprint_pattern(config.sub_rays)),
+          offsets_(make_footprint_pattern(config.sub_rays)),
           config_(config),
           scan_(empty_scan(rays, parts)) {
         if (config.returns == 2) scan_.second_returns.resize(1);
@@ -144,7 +144,7 @@ public:
         const int n = config_.sub_rays;
         const std::size_t first = ray * std::size_t(n);
         const std::vector<Group> groups =
-            groups_of(parts_, first, offsets_, static_cast<float>(config_.return_separation_m));
+            group_sub_rays(parts_, first, offsets_, static_cast<float>(config_.return_separation_m));
         const Group middle{{first}, std::max(parts_.image.intensity[first], kDarkest)};
         const Group& strongest =
             groups.empty() ? middle : *std::ranges::max_element(groups, {}, &Group::light);
@@ -155,11 +155,12 @@ public:
                               if (channel.join == ChannelJoin::range)
                                   return of_rays.push_back(mean_of(strongest, of_parts, parts_));
                               if (channel.join == ChannelJoin::drop)
-                                  return of_rays.push_back(mean_of_all(of_parts, first, n));
+                                  return of_rays.push_back(compute_mean_of_all(of_parts, first, n));
                               if (channel.join == ChannelJoin::intensity)
-                                  return of_rays.push_back(groups.empty() ? of_parts[first]
-                                                                          : sum_of(strongest, of_parts) /
-                                                                                static_cast<float>(n));
+                                  return of_rays.push_back(groups.empty()
+                                                               ? of_parts[first]
+                                                               : sum_over_group(strongest, of_parts) /
+                                                                     static_cast<float>(n));
                           }
                           // Sub-rays are ordered from the centre outwards. Therefore the
                           // sub-ray with the smallest index is nearest to the centre.
@@ -167,11 +168,11 @@ public:
                       });
         if (scan_.second_returns.empty()) return;
         const bool returns = returned(scan_.image.drop_prob.back(), scan_.median_range_m.back());
-        const Group* second = returns && groups.size() > 1 ? second_of(groups, strongest) : nullptr;
+        const Group* second = returns && groups.size() > 1 ? find_second_return(groups, strongest) : nullptr;
         scan_.second_returns[0].range_m.push_back(second ? mean_of(*second, parts_.median_range_m, parts_)
                                                          : 0.0f);
         scan_.second_returns[0].intensity.push_back(
-            second ? sum_of(*second, parts_.image.intensity) / static_cast<float>(n) : 0.0f);
+            second ? sum_over_group(*second, parts_.image.intensity) / static_cast<float>(n) : 0.0f);
     }
 
     RenderedScan take() { return std::move(scan_); }
@@ -185,15 +186,15 @@ private:
 
 }  // namespace
 
-RayTable split_rays(const RayTable& rays, int n, double divergence_rad) {
-    const std::vector<glm::dvec2> offsets = footprint_pattern(n);
+RayTable split_rays(const RayTable& rays, int count, double divergence_rad) {
+    const std::vector<glm::dvec2> offsets = make_footprint_pattern(count);
     RayTable parts;
     parts.rows = rays.rows;
-    parts.columns = rays.columns * n;
+    parts.columns = rays.columns * count;
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const glm::dvec3 direction(rays.direction[i]);
         const auto [left, up] = across(direction);
-        const double half_rad = 0.5 * (divergence_rad > 0.0 ? divergence_rad : rays.divergence_of(i));
+        const double half_rad = 0.5 * (divergence_rad > 0.0 ? divergence_rad : rays.compute_divergence(i));
         for (const glm::dvec2& offset : offsets) {
             const glm::dvec2 angle = half_rad * offset;
             parts.origin.push_back(rays.origin[i]);
@@ -214,10 +215,11 @@ RenderedScan join_footprints(const RenderedScan& parts, const RayTable& rays, co
 
 std::vector<std::size_t> find_edges(const RenderedScan& parts, const RayTable& rays,
                                     const SensorConfig& config) {
-    const std::vector<glm::dvec2> offsets = footprint_pattern(config.sub_rays);
+    const std::vector<glm::dvec2> offsets = make_footprint_pattern(config.sub_rays);
     std::vector<std::size_t> edges;
     for (std::size_t ray = 0; ray < rays.size(); ++ray)
-        if (groups_of(parts, ray * offsets.size(), offsets, static_cast<float>(config.return_separation_m))
+        if (group_sub_rays(parts, ray * offsets.size(), offsets,
+                           static_cast<float>(config.return_separation_m))
                 .size() > 1)
             edges.push_back(ray);
     return edges;

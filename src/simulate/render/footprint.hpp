@@ -8,12 +8,12 @@
 
 namespace relidar {
 
-/// Returns n sub-rays for each ray, in the order of footprint_pattern(). A sub-ray keeps
-/// the origin, time and channel of its ray.
-/// @param n 1, 5 or 9; any other number gives a spiral that starts next to the centre
+/// Returns `count` sub-rays for each ray, in the order of make_footprint_pattern(). A
+/// sub-ray keeps the origin, time and channel of its ray.
+/// @param count 1, 5 or 9; any other number gives a spiral that starts next to the centre
 /// @param divergence_rad full divergence of all rays; if 0, the divergence of each ray is
 /// used
-RayTable split_rays(const RayTable& rays, int n, double divergence_rad);
+RayTable split_rays(const RayTable& rays, int count, double divergence_rad);
 
 /// Joins the returns of sub-rays to the returns of the beams. First groups sub-rays by
 /// range. Neighbours are in the same group if their ranges differ by less than

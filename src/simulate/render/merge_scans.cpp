@@ -22,7 +22,7 @@ void append(std::vector<T>& to, const std::vector<T>& from) {
 /// merged earlier get no value.
 /// @throws UsageError if a channel has a different type in two scans
 void add_channels(RenderedScan& merged, const RenderedScan& scan) {
-    for (const ScanChannel& channel : without_values(scan.channels)) {
+    for (const ScanChannel& channel : remove_values(scan.channels)) {
         const auto known =
             std::ranges::find(merged.channels, channel.info.name,
                               [](const ScanChannel& c) -> const std::string& { return c.info.name; });
@@ -30,7 +30,7 @@ void add_channels(RenderedScan& merged, const RenderedScan& scan) {
             merged.channels.push_back(channel);
             std::visit(
                 [&]<class T>(std::vector<T>& values) {
-                    values.assign(merged.image.range_m.size(), missing_value_of<T>(channel.info));
+                    values.assign(merged.image.range_m.size(), get_missing_value<T>(channel.info));
                 },
                 merged.channels.back().values);
         } else if (known->values.index() != channel.values.index()) {
@@ -41,18 +41,18 @@ void add_channels(RenderedScan& merged, const RenderedScan& scan) {
 }
 
 /// Appends the channel values of second returns to the merged channel.
-void append_second(ScanChannel& merged, const ScanChannel& own, std::size_t first_ray) {
+void append_second_returns(ScanChannel& merged, const ScanChannel& own, std::size_t first_ray) {
     const auto add = [&]<class T>(const std::vector<T>& values) {
         if (size(merged.second) == 0) merged.second = std::vector<T>{};
         auto& all = std::get<std::vector<T>>(merged.second);
-        all.resize(first_ray, missing_value_of<T>(merged.info));
+        all.resize(first_ray, get_missing_value<T>(merged.info));
         append(all, values);
     };
     std::visit(add, own.second);
 }
 
 /// Returns a scan with the poses of the rig and the firing times of another scan.
-RenderedScan rig_firing(const RenderedScan& merged, const RenderedScan& scan) {
+RenderedScan make_rig_firing(const RenderedScan& merged, const RenderedScan& scan) {
     RenderedScan rig;
     rig.image.rows = scan.image.rows;
     rig.image.columns = scan.image.columns;
@@ -72,10 +72,10 @@ public:
     /// Stores the tracks of a sensor and its rig.
     /// @param scan scan of the sensor; must outlive this object
     RigPoses(const RenderedScan& merged, const RenderedScan& scan)
-        : rig_(rig_firing(merged, scan)), world_from_rig_(rig_), world_from_firing_(scan) {}
+        : rig_(make_rig_firing(merged, scan)), world_from_rig_(rig_), world_from_firing_(scan) {}
     RigPoses(const RigPoses&) = delete;
     RigPoses& operator=(const RigPoses&) = delete;
-    Pose rig_from_firing(std::size_t ray) {
+    Pose get_rig_from_firing(std::size_t ray) {
         return inverse(world_from_rig_.at(ray)) * world_from_firing_.at(ray);
     }
 
@@ -94,14 +94,16 @@ void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& p
         const ChannelInfo& info = channel.info;
         const auto add = [&]<class T>(std::vector<T>& all) {
             const std::vector<T>* own = find_values<T>(scan.channels, info.name);
-            for (std::size_t i = 0; i < n; ++i) all.push_back(own ? (*own)[i] : missing_value_of<T>(info));
+            for (std::size_t i = 0; i < n; ++i) all.push_back(own ? (*own)[i] : get_missing_value<T>(info));
             if constexpr (std::is_same_v<T, glm::vec3>)
                 for (std::size_t i = 0; own && info.turns && i < n; ++i)
-                    all[first_ray + i] = glm::vec3(poses.rig_from_firing(i).rotation * glm::dvec3((*own)[i]));
+                    all[first_ray + i] =
+                        glm::vec3(poses.get_rig_from_firing(i).rotation * glm::dvec3((*own)[i]));
         };
         std::visit(add, channel.values);
         for (const ScanChannel& own : scan.channels)
-            if (own.info.name == info.name && size(own.second) > 0) append_second(channel, own, first_ray);
+            if (own.info.name == info.name && size(own.second) > 0)
+                append_second_returns(channel, own, first_ray);
     }
 }
 
@@ -112,7 +114,7 @@ void fill_second_returns(RenderedScan& merged) {
     for (SecondReturn& second : merged.second_returns) second.range_m.resize(n), second.intensity.resize(n);
     for (ScanChannel& channel : merged.channels)
         if (size(channel.second) > 0)
-            std::visit([&]<class T>(std::vector<T>& v) { v.resize(n, missing_value_of<T>(channel.info)); },
+            std::visit([&]<class T>(std::vector<T>& v) { v.resize(n, get_missing_value<T>(channel.info)); },
                        channel.second);
 }
 
@@ -123,7 +125,7 @@ void append_rays(RenderedScan& merged, const RenderedScan& scan, RigPoses& poses
     for (std::size_t i = 0; i < scan.image.origin.size(); ++i) {
         merged.time_offset_s.push_back(scan.time_offset_s[i]);
         merged.ring.push_back(static_cast<std::uint16_t>(first_ring + scan.ring[i]));
-        const Pose rig_from_firing = poses.rig_from_firing(i);
+        const Pose rig_from_firing = poses.get_rig_from_firing(i);
         merged.image.origin.emplace_back(rig_from_firing * glm::dvec3(scan.image.origin[i]));
         merged.image.direction.emplace_back(
             glm::normalize(rig_from_firing.rotation * glm::dvec3(scan.image.direction[i])));
@@ -140,7 +142,7 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
     RenderedScan merged;
     const Pose sensor_from_rig = inverse(rig_from_sensor[0]);
     merged.world_from_sensor = scans[0].world_from_sensor * sensor_from_rig;
-    merged.track = mounted_track(scans[0].track, sensor_from_rig);
+    merged.track = make_mounted_track(scans[0].track, sensor_from_rig);
     merged.time_s = scans[0].time_s;
     std::size_t rings = 0;
     double unseen_rays = 0.0;

@@ -22,13 +22,14 @@ struct Return {
     std::uint8_t number;
 };
 
-std::vector<Return> find_returns(const RenderedScan& scan, const std::vector<float>& range_m, PointsOf of) {
+std::vector<Return> find_returns(const RenderedScan& scan, const std::vector<float>& range_m,
+                                 PointsOf selection) {
     std::vector<Return> returns;
     returns.reserve(range_m.size());
     for (std::size_t ray = 0; ray < range_m.size(); ++ray) {
-        if (of != PointsOf::rays && !returned(scan.image.drop_prob[ray], range_m[ray])) continue;
+        if (selection != PointsOf::rays && !returned(scan.image.drop_prob[ray], range_m[ray])) continue;
         returns.push_back({ray, 1});
-        if (of != PointsOf::returns) continue;
+        if (selection != PointsOf::returns) continue;
         for (std::size_t k = 0; k < scan.second_returns.size(); ++k)
             if (scan.second_returns[k].range_m[ray] > 0.0f) returns.push_back({ray, std::uint8_t(k + 2)});
     }
@@ -37,19 +38,20 @@ std::vector<Return> find_returns(const RenderedScan& scan, const std::vector<flo
 
 /// Returns the poses of the sensor during a scan, in the frame of the points. If the
 /// points are in the sensor's frame, returns no poses.
-std::vector<shared::SensorPose> poses_of(const RenderedScan& scan,
-                                         const std::optional<Pose>& dataset_from_points) {
+std::vector<shared::SensorPose> list_firing_poses(const RenderedScan& scan,
+                                                  const std::optional<Pose>& dataset_from_points) {
     if (!dataset_from_points || scan.time_offset_s.empty()) return {};
     const PoseTrack track =
         scan.track.pose.empty() ? PoseTrack{{scan.time_s}, {scan.world_from_sensor}} : scan.track;
     const auto [first_s, last_s] = std::ranges::minmax(scan.time_offset_s);
-    return poses_through_sweep(track_in_frame(track, *dataset_from_points), scan.time_s, double(first_s),
-                               double(last_s));
+    return list_poses_through_sweep(convert_track_to_frame(track, *dataset_from_points), scan.time_s,
+                                    double(first_s), double(last_s));
 }
 
 /// Returns the last pose before a time. Works like the function in
 /// shaders/simulate/render/sensor_way.glsl.
-const shared::SensorPose& pose_before(const std::vector<shared::SensorPose>& poses, float time_offset_s) {
+const shared::SensorPose& find_pose_before(const std::vector<shared::SensorPose>& poses,
+                                           float time_offset_s) {
     std::size_t k = 0;
     while (k + 2 < poses.size() && poses[k + 1].time_offset_s <= time_offset_s) ++k;
     return poses[k];
@@ -58,34 +60,35 @@ const shared::SensorPose& pose_before(const std::vector<shared::SensorPose>& pos
 }  // namespace
 
 Points place_points(const RenderedScan& scan, const Config& config,
-                    const std::optional<Pose>& dataset_from_points, PointsOf of) {
-    const std::vector<float>& range_m = point_ranges(scan, config);
+                    const std::optional<Pose>& dataset_from_points, PointsOf selection) {
+    const std::vector<float>& range_m = select_point_ranges(scan, config);
     check_channels(scan.channels, range_m.size(), "a scan");
-    const std::vector<Return> returns = find_returns(scan, range_m, of);
-    const std::vector<shared::SensorPose> poses = poses_of(scan, dataset_from_points);
+    const std::vector<Return> returns = find_returns(scan, range_m, selection);
+    const std::vector<shared::SensorPose> poses = list_firing_poses(scan, dataset_from_points);
     const std::size_t n = returns.size();
     Points points{.position_m = std::vector<glm::vec3>(n),
                   .intensity = std::vector<float>(n),
                   .ring = std::vector<std::uint16_t>(n),
                   .time_offset_s = std::vector<float>(n),
                   .instance = std::vector<std::int32_t>(n),
-                  .channels = without_values(scan.channels),
+                  .channels = remove_values(scan.channels),
                   .world_from_points = dataset_from_points.value_or(scan.world_from_sensor),
                   .time_s = scan.time_s};
-    if (of == PointsOf::returns && !scan.second_returns.empty()) points.return_number.resize(n);
-    const auto place = [&](std::size_t i) {
-        const auto [ray, number] = returns[i];
+    if (selection == PointsOf::returns && !scan.second_returns.empty()) points.return_number.resize(n);
+    const auto place = [&](std::size_t index) {
+        const auto [ray, number] = returns[index];
         const SecondReturn* second = number > 1 ? &scan.second_returns[number - 2u] : nullptr;
         const float time_offset_s = scan.time_offset_s[ray];
-        const glm::vec3 end = shared::ray_end(scan.image.origin[ray], scan.image.direction[ray],
-                                              second ? second->range_m[ray] : range_m[ray]);
-        points.position_m[i] =
-            poses.empty() ? end : shared::place_point(pose_before(poses, time_offset_s), time_offset_s, end);
-        points.intensity[i] = second ? second->intensity[ray] : scan.image.intensity[ray];
-        points.ring[i] = scan.ring[ray];
-        points.time_offset_s[i] = time_offset_s;
-        points.instance[i] = second ? -1 : scan.instance[ray];
-        if (!points.return_number.empty()) points.return_number[i] = number;
+        const glm::vec3 end = shared::compute_ray_end(scan.image.origin[ray], scan.image.direction[ray],
+                                                      second ? second->range_m[ray] : range_m[ray]);
+        points.position_m[index] =
+            poses.empty() ? end
+                          : shared::place_point(find_pose_before(poses, time_offset_s), time_offset_s, end);
+        points.intensity[index] = second ? second->intensity[ray] : scan.image.intensity[ray];
+        points.ring[index] = scan.ring[ray];
+        points.time_offset_s[index] = time_offset_s;
+        points.instance[index] = second ? -1 : scan.instance[ray];
+        if (!points.return_number.empty()) points.return_number[index] = number;
     };
     for_each_part(n, kPointsTogether, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) place(i);
@@ -96,8 +99,8 @@ Points place_points(const RenderedScan& scan, const Config& config,
         auto* vectors = std::get_if<std::vector<glm::vec3>>(&points.channels[k].values);
         if (!vectors || !scan.channels[k].info.turns || poses.empty()) continue;
         for (std::size_t i = 0; i < n; ++i)
-            (*vectors)[i] = shared::place_direction(pose_before(poses, points.time_offset_s[i]),
-                                                    points.time_offset_s[i], (*vectors)[i]);
+            (*vectors)[i] = shared::to_world_direction(find_pose_before(poses, points.time_offset_s[i]),
+                                                       points.time_offset_s[i], (*vectors)[i]);
     }
     return points;
 }

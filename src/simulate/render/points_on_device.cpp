@@ -28,25 +28,25 @@ void PointsOnDevice::make_room(Stream& stream, std::size_t n_rays) {
 }
 
 std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::record(Stream& stream, const SensorRays& rays,
-                                                             const PointMaking& how,
+                                                             const PointMaking& options,
                                                              const Array<std::uint32_t>& n_capped) {
     const std::size_t n = rays.table().size();
     make_room(stream, n);
-    const std::vector<shared::SensorPose> poses = rays.poses(how.points_from_sensor, how.time_s);
+    const std::vector<shared::SensorPose> poses = rays.poses(options.points_from_sensor, options.time_s);
     run(stream, mark_, n,
         {.measured = rays.measured().address(),
          .drop_prob = rays.drop_probabilities(),
          .marks = marks_.address(),
          .n_rays = std::uint32_t(n),
-         .refined = how.refined ? 1u : 0u,
-         .of_image = how.of_image ? 1u : 0u,
+         .refined = options.refined ? 1u : 0u,
+         .of_image = options.of_image ? 1u : 0u,
          .drop_threshold = kDropThreshold});
     sum_.run(stream, {marks_.address_as<std::uint32_t, shared::ScanCounts>()},
              places_.address_as<std::uint32_t, shared::ScanPrefix>(), std::uint32_t(n), count_.address());
     run(stream, gather_, n,
         {.rays = rays.rays().address(),
          .measured = rays.measured().address(),
-         .poses = impl_of(stream).values(poses),
+         .poses = get_impl(stream).values(poses),
          .marks = marks_.address(),
          .places = places_.address(),
          .points = points_.address(),
@@ -54,7 +54,7 @@ std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::record(Stream& stream, con
          .n_rays = std::uint32_t(n),
          .n_poses = std::uint32_t(poses.size()),
          .n_requested = std::uint32_t(n_requested(n)),
-         .of_image = how.of_image ? 1u : 0u});
+         .of_image = options.of_image ? 1u : 0u});
     return read_back(stream, n, n_capped);
 }
 

@@ -52,7 +52,7 @@ public:
     /// traversal passes
     /// @return host buffers that receive the points; they are reused when the caller
     /// releases them
-    std::shared_ptr<Slot> record(Stream& stream, const SensorRays& rays, const PointMaking& how,
+    std::shared_ptr<Slot> record(Stream& stream, const SensorRays& rays, const PointMaking& options,
                                  const Array<std::uint32_t>& n_capped);
 
     struct Gathered {
@@ -67,9 +67,9 @@ public:
     static Gathered wait(Stream& stream, Slot& slot);
     /// Returns the index of the k-th sampled ray. The surface range of a sampled ray is
     /// always copied to the host, even if the ray does not return.
-    /// @param k index below n_requested()
-    static std::size_t requested_ray(std::size_t k, std::size_t n_rays) {
-        return k * n_rays / n_requested(n_rays);
+    /// @param index index below n_requested()
+    static std::size_t requested_ray(std::size_t index, std::size_t n_rays) {
+        return index * n_rays / n_requested(n_rays);
     }
     static std::size_t n_requested(std::size_t n_rays) { return std::min(n_rays, kAskedRays); }
 

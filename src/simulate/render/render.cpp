@@ -30,18 +30,18 @@ namespace {
 
 constexpr int kSideBySide = 4;  // number of scans that a GPU renders in parallel
 
-void check_has_normals(const Config& config, const ChannelInfo& channel, const char* doing) {
+void check_has_normals(const Config& config, const ChannelInfo& channel, const char* action) {
     if (!channel.needs_normals || kind_of(config.image.primitive).has_normals) return;
     throw UsageError(
         fmt::format("{}: the channel {} needs normals, but image.primitive={} has none; use surfels or other "
                     "channels",
-                    doing, channel.name, kind_of(config.image.primitive).name));
+                    action, channel.name, kind_of(config.image.primitive).name));
 }
 
-TraceOptions traced_with(const Config& config) {
+TraceOptions make_trace_options(const Config& config) {
     for (const ChannelInfo& channel : parse_channels(config.render.channels))
         check_has_normals(config, channel, "setting render.channels");
-    return rendering_trace_options(config);
+    return make_rendering_trace_options(config);
 }
 
 /// Copies the measurements of the rays to the arrays of a scan.
@@ -82,10 +82,10 @@ void replace_drops(RenderedScan& scan, std::span<const float> refined) {
 /// Returns the properties of a sensor that determine how weather affects its scans.
 /// @param rays rays of the sensor, which define the beam divergence
 /// @param step quantisation step of the intensities, or 0
-WeatherSensor weather_sensor(const Config& config, const RayTable& rays, const RangeLimits& limits,
-                             double step) {
+WeatherSensor make_weather_sensor(const Config& config, const RayTable& rays, const RangeLimits& limits,
+                                  double step) {
     WeatherSensor result;
-    const double divergence_rad = rays.largest_divergence();
+    const double divergence_rad = rays.find_largest_divergence();
     if (config.sensor.divergence_mrad > 0.0) result.divergence_rad = 1e-3 * config.sensor.divergence_mrad;
     else if (divergence_rad > 0.0) result.divergence_rad = divergence_rad;
     if (step > 0.0) result.darkest = 0.5 * step;
@@ -107,16 +107,16 @@ bool has_intensities(const std::vector<IntensityScatter>& scatter) {
 
 }  // namespace
 
-Pose RenderedScan::world_from_firing(std::size_t ray) const {
+Pose RenderedScan::get_firing_pose(std::size_t ray) const {
     return track.pose.empty() ? world_from_sensor
                               : track.at(time_s + static_cast<double>(time_offset_s[ray]));
 }
 
-const std::vector<float>& point_ranges(const RenderedScan& scan, const Config& config) {
+const std::vector<float>& select_point_ranges(const RenderedScan& scan, const Config& config) {
     return config.render.points == "median" ? scan.median_range_m : scan.image.range_m;
 }
 
-std::vector<float> range_spread(const RenderedScan& scan) {
+std::vector<float> compute_range_spread(const RenderedScan& scan) {
     std::vector<float> spread_m(scan.mean_range_m.size());
     for (std::size_t i = 0; i < spread_m.size(); ++i)
         spread_m[i] = std::abs(scan.median_range_m[i] - scan.mean_range_m[i]);
@@ -126,12 +126,12 @@ std::vector<float> range_spread(const RenderedScan& scan) {
 ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& settings_of_run,
                          const Sequence& sequence)
     : device(on),
-      config(with_farthest(settings_of_run, sequence)),
-      first_origin_m(first_origin(sequence)),
+      config(use_farthest_return(settings_of_run, sequence)),
+      first_origin_m(get_first_origin(sequence)),
       settings{.channels = parse_channels(config.render.channels),
                .scatter = std::vector<IntensityScatter>(sequence.lidars.size())},
       sweeps(config, all, sequence),
-      scene(device, all, settings_of_run, {.accel = {}, .trace = traced_with(config)}),
+      scene(device, all, settings_of_run, {.accel = {}, .trace = make_trace_options(config)}),
       lanes(std::make_unique<RenderLanes>(device, scene)) {}
 
 ScanPlan ScanRenderer::Impl::plan(const Sweep& sweep, bool is_sampled) const {
@@ -142,7 +142,7 @@ bool ScanRenderer::Impl::has_channel(const std::string& name) const {
     return std::ranges::find(settings.channels, name, &ChannelInfo::name) != settings.channels.end();
 }
 
-SeenByLog ScanRenderer::Impl::seen_by_log(const SensorChoice& sensor) const {
+SeenByLog ScanRenderer::Impl::compute_seen_by_log(const SensorChoice& sensor) const {
     return {settings.coverage, sweeps.log().world_offset_m,
             std::min(sensor.limits.max_m, double(config.dataset.max_range_m))};
 }
@@ -153,18 +153,18 @@ void ScanRenderer::Impl::load_scene(const RenderLane& lane, const Sweep& sweep) 
     // scans use.
     if (!sweeps.layout().blocks.empty()) finish_pending();
     const glm::vec3 sensor_m(sweep.pose.translation);
-    scene.bring(sensor_m, sweeps.limits_of(sweep.sensor).max_m);
+    scene.make_resident(sensor_m, sweeps.get_limits(sweep.sensor).max_m);
     lanes->renderer(lane).move(sweep.instances, sensor_m);
 }
 
 /// Records GPU commands that trace rays and compute the measurements. Call load_scene()
 /// before.
-/// @param corrects_drops true to run the ray-drop network as well
+/// @param is_drop_correction_used true to run the ray-drop network as well
 std::shared_ptr<SensorRays> ScanRenderer::Impl::record(RenderLane& lane, const Sweep& sweep,
                                                        const RayTable& rays, bool corrects_drops) try {
     const SensorChoice& sensor = sweep.sensor;
-    const std::shared_ptr<SensorRays> recorded = lane.upload(device, sensor, rays, [&](std::size_t i) {
-        return sweeps.never_seen(sensor, rays.channel[i], rays.direction[i]);
+    const std::shared_ptr<SensorRays> recorded = lane.upload(device, sensor, rays, [&](std::size_t index) {
+        return sweeps.get_never_seen_probability(sensor, rays.channel[index], rays.direction[index]);
     });
     Renderer& renderer = lanes->renderer(lane);
     recorded->fire(renderer.stream(), sweep.world_from_sensor, sweep.time_s);
@@ -182,7 +182,8 @@ std::shared_ptr<SensorRays> ScanRenderer::Impl::record(RenderLane& lane, const S
 }
 
 /// Traces rays and waits for the result.
-/// @param corrects_drops true to compute the drop probabilities of the network as well
+/// @param is_drop_correction_used true to compute the drop probabilities of the network
+/// as well
 ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace(const Sweep& sweep, const RayTable& table,
                                                          bool corrects_drops) {
     Renderer& renderer = scene.renderer();
@@ -196,7 +197,7 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace(const Sweep& sweep, con
         std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
     fill_scan(scan, measured);
     const glm::dvec3& offset_m = sweeps.log().world_offset_m;
-    scan.track = shifted_track(sweep.world_from_sensor, offset_m);
+    scan.track = shift_track(sweep.world_from_sensor, offset_m);
     scan.world_from_sensor = {sweep.pose.rotation, sweep.pose.translation + offset_m};
     scan.time_s = sweep.time_s;
     // Adds the incidence channel if there is a network, because the host computes an
@@ -219,7 +220,7 @@ RenderedScan ScanRenderer::Impl::trace_beams(const Sweep& sweep, SensorConfig be
     RenderedScan scan = join_footprints(parts, rays, beams);
     const std::vector<std::size_t> edges = find_edges(parts, rays, beams);
     if (!edges.empty() && edges.size() * kEdgeParts <= kMaxRays) {
-        const RayTable edge_rays = some_rays(rays, edges);
+        const RayTable edge_rays = select_rays(rays, edges);
         beams.sub_rays = kEdgeParts;
         replace_rays(scan, edges, join_footprints(trace(sweep, split(edge_rays)).scan, edge_rays, beams));
     }
@@ -229,9 +230,8 @@ RenderedScan ScanRenderer::Impl::trace_beams(const Sweep& sweep, SensorConfig be
 
 /// Runs the ray-drop network on the host.
 void ScanRenderer::Impl::correct_drops(RenderedScan& scan) {
-    replace_drops(
-        scan,
-        lanes->refiner(lanes->first()).refine(drop_image(scan, lanes->network()->inputs, first_origin_m)));
+    replace_drops(scan, lanes->refiner(lanes->first())
+                            .refine(make_drop_image(scan, lanes->network()->inputs, first_origin_m)));
 }
 
 /// Converts expected values to measured values: draws random returns, adds weather, and
@@ -244,7 +244,7 @@ void ScanRenderer::Impl::measure(RenderedScan& scan, const Sweep& sweep,
     if (sample) sample_returns(scan, log.lidars[std::size_t(sensor.lidar)].range_noise, scatter, *sample);
     if (!settings.weather.clear() || find_values<std::int32_t>(scan.channels, "source")) {
         const WeatherSensor in_weather =
-            weather_sensor(config, sweep.rays(), sweeps.limits_of(sensor), scatter.step);
+            make_weather_sensor(config, sweep.rays(), sweeps.get_limits(sensor), scatter.step);
         WeatherInput input{.weather = settings.weather,
                            .sensor = in_weather,
                            .scan = scan,
@@ -253,8 +253,8 @@ void ScanRenderer::Impl::measure(RenderedScan& scan, const Sweep& sweep,
                            .trace = [this](const WorldRays& rays) { return scene.renderer().forward(rays); },
                            .seed = sample.value_or(0)};
         for (std::size_t i = 0; i < scan.ring.size(); ++i)
-            input.blind.push_back(sweeps.never_seen(sensor, scan.ring[i], scan.image.direction[i]) >=
-                                  kDropThreshold);
+            input.blind.push_back(sweeps.get_never_seen_probability(
+                                      sensor, scan.ring[i], scan.image.direction[i]) >= kDropThreshold);
         add_weather(scan, input);
     }
     if (!sample || !settings.weather.clear())
@@ -272,12 +272,13 @@ RenderedScan ScanRenderer::Impl::render(const Sweep& sweep, std::optional<std::u
     load_scene(lanes->first(), sweep);
     auto [scan, drops] = plan.splits_beams() ? TracedScan{trace_beams(sweep, plan.beams), {}}
                                              : trace(sweep, sweep.rays(), plan.network == Network::device);
-    add_scan_channels(scan,
-                      {seen_by_log(sensor), sweeps.log().world_from_sensor(sensor.lidar), sweep.instances,
-                       has_channel("class") ? instance_classes(sweeps.layout(), sweeps.log())
-                                            : std::vector<std::int32_t>{}},
-                      settings.channels);
-    set_unseen_share(scan, seen_by_log(sensor));
+    add_scan_channels(
+        scan,
+        {compute_seen_by_log(sensor), sweeps.log().world_from_sensor(sensor.lidar), sweep.instances,
+         has_channel("class") ? instance_classes(sweeps.layout(), sweeps.log())
+                              : std::vector<std::int32_t>{}},
+        settings.channels);
+    set_unseen_share(scan, compute_seen_by_log(sensor));
     std::vector<ActorView> views;
     if (settings.has_views) views = count_first_hits(scan);
     if (plan.network == Network::cells) scan = project_scan(scan, *sensor.grid);
@@ -307,7 +308,7 @@ void ScanRenderer::show_only(const std::vector<bool>& shown) { impl_->sweeps.sho
 
 void ScanRenderer::refine_drops(const DropNetwork& network) {
     // called only to throw an error if the network has inputs that cannot be rendered
-    drop_channels(network.inputs);
+    list_drop_channel_indices(network.inputs);
     impl_->finish_pending();
     impl_->lanes->set_network(network);
 }
@@ -320,16 +321,16 @@ void ScanRenderer::enable_channels(const std::string& names) {
     }
 }
 
-void ScanRenderer::side_by_side(int n) {
-    if (n < 1)
+void ScanRenderer::side_by_side(int count) {
+    if (count < 1)
         throw UsageError(fmt::format(
-            "cannot render several scans at the same time: found {} scans, expected at least 1", n));
+            "cannot render several scans at the same time: found {} scans, expected at least 1", count));
     impl_->finish_pending();
-    impl_->lanes->set_most(n);
+    impl_->lanes->set_most(count);
 }
 
-int ScanRenderer::default_side_by_side(const Device& device) {
-    return impl_of(device).forced.side_by_side.value_or(device.info().type == "CPU" ? 1 : kSideBySide);
+int ScanRenderer::choose_max_lanes(const Device& device) {
+    return get_impl(device).forced.side_by_side.value_or(device.info().type == "CPU" ? 1 : kSideBySide);
 }
 
 int ScanRenderer::side_by_side() const {
@@ -355,14 +356,14 @@ void ScanRenderer::set_weather(const Weather& weather) {
 }
 
 bool ScanRenderer::refines(const SensorChoice& sensor) const {
-    return corrects_drops(impl_->lanes->network(), sensor);
+    return is_drop_correction_used(impl_->lanes->network(), sensor);
 }
 
 const KernelTimes& ScanRenderer::times() const { return impl_->scene.times(); }
 
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset,
                                   std::optional<std::uint64_t> sample) {
-    const SensorChoice followed = impl_->sweeps.in_log(sensor, time_s);
+    const SensorChoice followed = impl_->sweeps.align_with_log(sensor, time_s);
     return impl_->render(impl_->sweeps.make(followed, time_s, sensor_offset), sample);
 }
 

@@ -12,7 +12,7 @@
 namespace relidar {
 
 RenderLanes::RenderLanes(Device& device, ResidentScene& scene)
-    : device_(device), scene_(scene), first_(device), most_(ScanRenderer::default_side_by_side(device)) {}
+    : device_(device), scene_(scene), first_(device), most_(ScanRenderer::choose_max_lanes(device)) {}
 
 RenderLane& RenderLanes::next() {
     if (!batch_) {
@@ -52,9 +52,9 @@ DropRefiner& RenderLanes::refiner(RenderLane& lane) {
     return *lane.refiner;
 }
 
-void RenderLanes::set_most(int n) {
-    most_ = n;
-    while (std::ssize(others_) >= n) others_.pop_back();
+void RenderLanes::set_most(int count) {
+    most_ = count;
+    while (std::ssize(others_) >= count) others_.pop_back();
 }
 
 std::shared_ptr<SensorRays> RenderLane::upload(Device& device, const SensorChoice& sensor,

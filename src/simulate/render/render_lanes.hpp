@@ -66,7 +66,7 @@ public:
     /// the first call.
     DropRefiner& refiner(RenderLane& lane);
     int most() const { return most_; }
-    void set_most(int n);
+    void set_most(int count);
 
 private:
     Device& device_;

@@ -49,8 +49,9 @@ std::vector<std::size_t> ResidentScene::add_kept_blocks(std::vector<std::size_t>
     std::vector<std::size_t> others;
     std::set_difference(loaded_.begin(), loaded_.end(), blocks.begin(), blocks.end(),
                         std::back_inserter(others));
-    std::sort(others.begin(), others.end(),
-              [this](std::size_t a, std::size_t b) { return last_needed_[a] > last_needed_[b]; });
+    std::sort(others.begin(), others.end(), [this](std::size_t first, std::size_t second) {
+        return last_needed_[first] > last_needed_[second];
+    });
     for (const std::size_t i : others) {
         bytes += scene_.blocks[i].count * bytes_per_surfel_;
         if (bytes > memory_bytes_) break;
@@ -60,7 +61,7 @@ std::vector<std::size_t> ResidentScene::add_kept_blocks(std::vector<std::size_t>
     return blocks;
 }
 
-void ResidentScene::bring(const glm::vec3& sensor_m, double reach_m) {
+void ResidentScene::make_resident(const glm::vec3& sensor_m, double reach_m) {
     ++scans_;
     std::vector<std::size_t> needed;
     for (std::size_t i = 0; i < scene_.blocks.size(); ++i) {

@@ -28,9 +28,9 @@ public:
     /// @param sensor_m [3] position of the sensor, world frame
     /// @param reach_m maximum range of its rays
     /// @throws DataError as read_blocks()
-    void bring(const glm::vec3& sensor_m, double reach_m);
-    /// Returns the renderer of the loaded scene. Call bring() first, because it loads the
-    /// scene.
+    void make_resident(const glm::vec3& sensor_m, double reach_m);
+    /// Returns the renderer of the loaded scene. Call make_resident() first, because it
+    /// loads the scene.
     Renderer& renderer() { return *renderer_; }
     bool is_loaded() const { return renderer_.has_value(); }
     /// Copies a scene without blocks on the device, so that several scans can be rendered

@@ -20,29 +20,29 @@ constexpr std::uint64_t kOfIntensities = 0x696E74656E736974ull;
 
 }  // namespace
 
-RenderedIntensities rendered_intensities(const RenderedScan& scan) {
+RenderedIntensities get_rendered_intensities(const RenderedScan& scan) {
     const RangeImage& image = scan.image;
     const ImageRays rays{image.rows, image.columns, image.origin, image.direction, scan.median_range_m};
     RenderedIntensities result{
-        image.rows, image.columns, image.intensity, scan.median_range_m, range_spread(scan), {}, {}};
+        image.rows, image.columns, image.intensity, scan.median_range_m, compute_range_spread(scan), {}, {}};
     result.cosine.resize(image.direction.size());
     result.elevation_rad.resize(image.direction.size());
-    for_each_block(image.direction.size(), [&](std::size_t i) {
-        result.cosine[i] = static_cast<float>(incidence_cosine(rays, i));
-        result.elevation_rad[i] = std::asin(std::clamp(image.direction[i].z, -1.0f, 1.0f));
+    for_each_block(image.direction.size(), [&](std::size_t index) {
+        result.cosine[index] = static_cast<float>(compute_incidence_cosine(rays, index));
+        result.elevation_rad[index] = std::asin(std::clamp(image.direction[index].z, -1.0f, 1.0f));
     });
     return result;
 }
 
 void sample_returns(RenderedScan& scan, const RangeNoise& noise, const IntensityScatter& scatter,
                     std::uint64_t seed) {
-    const std::uint64_t of_scan = hash64(seed, std::bit_cast<std::uint64_t>(scan.time_s));
-    const RenderedIntensities likely = rendered_intensities(scan);
+    const std::uint64_t of_scan = combine_hashes(seed, std::bit_cast<std::uint64_t>(scan.time_s));
+    const RenderedIntensities likely = get_rendered_intensities(scan);
     const std::vector<float>& likely_m = likely.range_m;
     std::vector<float> ranges_m = likely_m;
     std::vector<std::uint8_t> returning(likely_m.size());
     for_each_block(ranges_m.size(), [&](std::size_t i) {
-        Random random(hash64(of_scan, i));
+        Random random(combine_hashes(of_scan, i));
         const bool returns = likely_m[i] > 0.0f && random.uniform() >= double(scan.image.drop_prob[i]);
         returning[i] = returns;
         scan.image.drop_prob[i] = returns ? 0.0f : 1.0f;
@@ -61,7 +61,7 @@ void sample_returns(RenderedScan& scan, const RangeNoise& noise, const Intensity
     });
     if (!scatter.empty()) {
         const std::vector<float> drawn =
-            draw_intensities(scatter, likely, returning, hash64(of_scan, kOfIntensities));
+            draw_intensities(scatter, likely, returning, combine_hashes(of_scan, kOfIntensities));
         for (std::size_t i = 0; i < drawn.size(); ++i)
             if (returning[i] != 0) scan.image.intensity[i] = drawn[i];
     }

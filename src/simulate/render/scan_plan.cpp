@@ -14,7 +14,7 @@ namespace {
 /// that the network corrects the cells of a grid.
 constexpr const char* kNative = "native";
 
-SensorConfig beams_of(const SensorChoice& sensor, const Config& config) {
+SensorConfig list_beams(const SensorChoice& sensor, const Config& config) {
     SensorConfig beams = config.sensor;
     if (sensor.returns > 0) beams.returns = sensor.returns;
     if (sensor.returns > 1 && beams.sub_rays == 1) beams.sub_rays = 9;
@@ -35,7 +35,7 @@ void check_beams(const RayTable& rays, const SensorConfig& beams, const SensorCh
     if (beams.sub_rays == 1) return;
     if (beams.sub_rays != 5 && beams.sub_rays != 9)
         throw UsageError(fmt::format("sensor.sub_rays: found {}, expected 1, 5 or 9", beams.sub_rays));
-    if (!(beams.divergence_mrad > 0.0 || rays.largest_divergence() > 0.0))
+    if (!(beams.divergence_mrad > 0.0 || rays.find_largest_divergence() > 0.0))
         throw UsageError(
             fmt::format("sensor.sub_rays: the beam divergence of {} is unknown; set sensor.divergence_mrad",
                         sensor.name));
@@ -47,7 +47,7 @@ void check_beams(const RayTable& rays, const SensorConfig& beams, const SensorCh
 
 /// Returns true if a network can correct images with this name and this number of rows
 /// and columns.
-bool corrects(const DropNetwork* network, const std::string& image, int rows, int columns) {
+bool has_drop_correction(const DropNetwork* network, const std::string& image, int rows, int columns) {
     if (!network || network->image != image) return false;
     // A network with 1 x 1 convolutions processes each ray separately, so it needs no
     // image.
@@ -58,18 +58,18 @@ bool corrects(const DropNetwork* network, const std::string& image, int rows, in
 ScanPlan::Network place_of(const DropNetwork* network, const SensorChoice& sensor, const RayTable& rays,
                            bool splits_beams) {
     using enum ScanPlan::Network;
-    if (corrects(network, kNative, rays.rows, rays.columns) ||
-        (!sensor.grid && corrects(network, sensor.name, rays.rows, rays.columns)))
+    if (has_drop_correction(network, kNative, rays.rows, rays.columns) ||
+        (!sensor.grid && has_drop_correction(network, sensor.name, rays.rows, rays.columns)))
         return splits_beams ? beams : device;
     const RangeGrid* grid = sensor.grid ? &*sensor.grid : nullptr;
-    return grid && corrects(network, grid->name, grid->rows, grid->columns) ? cells : none;
+    return grid && has_drop_correction(network, grid->name, grid->rows, grid->columns) ? cells : none;
 }
 
 }  // namespace
 
 ScanPlan plan_scan(const SensorChoice& sensor, const RayTable& rays, const Config& config,
                    const ScanSettings& settings, const DropNetwork* network, bool is_sampled) {
-    ScanPlan plan{.beams = beams_of(sensor, config)};
+    ScanPlan plan{.beams = list_beams(sensor, config)};
     check_beams(rays, plan.beams, sensor);
     if (rays.size() == 0)
         throw UsageError(
@@ -81,7 +81,7 @@ ScanPlan plan_scan(const SensorChoice& sensor, const RayTable& rays, const Confi
     return plan;
 }
 
-bool corrects_drops(const DropNetwork* network, const SensorChoice& sensor) {
+bool is_drop_correction_used(const DropNetwork* network, const SensorChoice& sensor) {
     return place_of(network, sensor, sensor.rays, false) != ScanPlan::Network::none;
 }
 

@@ -44,6 +44,6 @@ ScanPlan plan_scan(const SensorChoice& sensor, const RayTable& rays, const Confi
                    const ScanSettings& settings, const DropNetwork* network, bool is_sampled);
 
 /// Returns true if a network corrects the ray-drop of this sensor.
-bool corrects_drops(const DropNetwork* network, const SensorChoice& sensor);
+bool is_drop_correction_used(const DropNetwork* network, const SensorChoice& sensor);
 
 }  // namespace relidar

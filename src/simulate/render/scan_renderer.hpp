@@ -42,7 +42,7 @@ struct PendingPoints {
 struct ScanRenderer::Impl {
     Device& device;
     const Config config;
-    const glm::dvec3 first_origin_m;  ///< origin of the first ray, see first_origin()
+    const glm::dvec3 first_origin_m;  ///< origin of the first ray, see get_first_origin()
     ScanSettings settings;
     SweepMaker sweeps;
     ResidentScene scene;
@@ -70,12 +70,12 @@ struct ScanRenderer::Impl {
     RenderedScan render(const Sweep& sweep, std::optional<std::uint64_t> sample);
 
     PendingPoints record_points(const Sweep& sweep, const Pose& dataset_from_points, const ScanPlan& plan,
-                                Send when);
+                                Send mode);
     RenderedPoints collect(PendingPoints& scan, Points memory = {});
     void finish_pending();
     void wait_for_device() noexcept;
     bool has_channel(const std::string& name) const;
-    SeenByLog seen_by_log(const SensorChoice& sensor) const;
+    SeenByLog compute_seen_by_log(const SensorChoice& sensor) const;
 };
 
 }  // namespace relidar

@@ -26,19 +26,19 @@ struct LookingRay {
 };
 /// Returns the share of rays that count as unobserved. A ray counts as unobserved if the
 /// log observed less than half of its path.
-/// @param ray_at returns the ray with an index below n
-double unseen_share(std::size_t n, const std::function<LookingRay(std::size_t)>& ray_at,
-                    const SeenByLog& log);
+/// @param ray_at returns the ray with an index below `count`
+double compute_unseen_share(std::size_t count, const std::function<LookingRay(std::size_t)>& ray_at,
+                            const SeenByLog& log);
 
 /// Returns the observed share of the path of each selected ray. The path ends at the
 /// surface that the ray hits, or at the maximum range.
 /// @return [rays] 0..1
-std::vector<float> seen_shares(const RenderedScan& scan, const std::vector<std::size_t>& rays,
-                               const SeenByLog& log);
+std::vector<float> compute_seen_shares(const RenderedScan& scan, const std::vector<std::size_t>& rays,
+                                       const SeenByLog& log);
 
-/// Sets RenderedScan::unseen_share to the share of unobserved rays. Uses the channel
-/// "seen" if the scan has it. Otherwise samples kAskedRays rays. Leaves the value empty
-/// if the log has no coverage.
+/// Sets RenderedScan::compute_unseen_share to the share of unobserved rays. Uses the
+/// channel "seen" if the scan has it. Otherwise samples kAskedRays rays. Leaves the value
+/// empty if the log has no coverage.
 void set_unseen_share(RenderedScan& scan, const SeenByLog& log);
 
 }  // namespace relidar

@@ -24,29 +24,30 @@ namespace {
 /// that can be binned.
 constexpr float kLeastWeight = 0.05f;
 
-RangeLimits configured_limits(const Config& config, const Sequence& sequence) {
-    return {config.dataset.min_range_m, with_farthest(config, sequence).dataset.max_range_m};
+RangeLimits make_configured_limits(const Config& config, const Sequence& sequence) {
+    return {config.dataset.min_range_m, use_farthest_return(config, sequence).dataset.max_range_m};
 }
 
 /// Returns the rays of a sensor. Returns no rays if the sensor has different rays in
 /// every scan.
 template <class Make>
-RayTable rays_of(const std::optional<SensorPattern>& pattern, const Make& make) {
+RayTable make_rays_of(const std::optional<SensorPattern>& pattern, const Make& make) {
     return pattern && describe_pattern(*pattern).has_rays_by_time ? RayTable{} : make();
 }
 
 /// Returns true if the rays of the simulated sensor fire at different times (a rolling
 /// shutter). This is the case if the setting requires it or if the LiDARs of the log do
 /// so.
-bool rolls_like_log(const Config& config, const Sequence& sequence) {
+bool has_rolling_shutter_of_log(const Config& config, const Sequence& sequence) {
     return config.sensor.rolling_shutter == RollingShutter::yes || sequence.rolling_shutter;
 }
 
 SensorChoice log_sensor(const Config& config, const Sequence& sequence, int lidar) {
     const Lidar& own = sequence.lidars[std::size_t(lidar)];
     const SpinningSensor& sensor = own.sensor;
-    const RangeLimits limits = overlap(sensor.range_limits(), configured_limits(config, sequence));
-    return {.rays = rays_of(own.pattern, [&] { return nominal_rays(own, 0.0); }),
+    const RangeLimits limits =
+        intersect_limits(sensor.range_limits(), make_configured_limits(config, sequence));
+    return {.rays = make_rays_of(own.pattern, [&] { return make_nominal_rays(own, 0.0); }),
             .is_own = true,
             .follows_sweeps = config.render.follow_sweeps && !own.pattern,
             .beams = sensor.beams,
@@ -54,24 +55,26 @@ SensorChoice log_sensor(const Config& config, const Sequence& sequence, int lida
             .limits = limits,
             .name = sensor.name,
             .lidar = lidar,
-            .rolling_shutter = rolls_like_log(config, sequence)};
+            .rolling_shutter = has_rolling_shutter_of_log(config, sequence)};
 }
 
-SensorChoice grid_choice(const RangeGrid& grid, const Config& config, const Sequence& sequence, int lidar) {
+SensorChoice make_grid_choice(const RangeGrid& grid, const Config& config, const Sequence& sequence,
+                              int lidar) {
     const std::string& method = config.sensor.grid_method;
-    const RangeLimits limits = overlap({0.0, grid.max_range_m}, configured_limits(config, sequence));
+    const RangeLimits limits =
+        intersect_limits({0.0, grid.max_range_m}, make_configured_limits(config, sequence));
     if (method == "cast")
         return {.rays = make_rays(grid),
                 .limits = limits,
                 .name = grid.name,
                 .lidar = lidar,
-                .rolling_shutter = rolls_like_log(config, sequence)};
+                .rolling_shutter = has_rolling_shutter_of_log(config, sequence)};
     if (method != "project") {
         throw UsageError(fmt::format("sensor.grid_method: found \"{}\", expected project or cast", method));
     }
     SensorChoice choice = log_sensor(config, sequence, lidar);
     choice.grid = grid;
-    choice.limits = overlap(choice.limits, limits);
+    choice.limits = intersect_limits(choice.limits, limits);
     choice.name = grid.name;
     return choice;
 }
@@ -110,8 +113,8 @@ bool has_rolling_shutter(const SensorChoice& sensor, const Config& config) {
     return sensor.rolling_shutter && config.sensor.rolling_shutter != RollingShutter::no;
 }
 
-SensorChoice sensor_in_sweep(const SensorChoice& sensor, std::span<const Frame> frames,
-                             std::span<const Lidar> lidars, double time_s) {
+SensorChoice align_sensor_with_sweep(const SensorChoice& sensor, std::span<const Frame> frames,
+                                     std::span<const Lidar> lidars, double time_s) {
     constexpr double kSameTime_s = 1e-3;
     if (!sensor.follows_sweeps) return sensor;
     const auto is_now = [&](const Frame& f) {
@@ -123,37 +126,37 @@ SensorChoice sensor_in_sweep(const SensorChoice& sensor, std::span<const Frame> 
     if (sweep == frames.end() || sensor.rays.size() != head.beams.size() * sweep->azimuth_shift_rad.size())
         return sensor;
     SensorChoice result = sensor;
-    result.rays = shifted_azimuths(std::move(result.rays), head, sweep->azimuth_shift_rad);
+    result.rays = shift_azimuths(std::move(result.rays), head, sweep->azimuth_shift_rad);
     result.follows_sweeps = false;
     return result;
 }
 
-SensorChoice configured_sensor(const Config& config, const Sequence& sequence, int lidar) {
+SensorChoice make_configured_sensor(const Config& config, const Sequence& sequence, int lidar) {
     if (config.sensor.grid == "native") return log_sensor(config, sequence, lidar);
-    return grid_choice(find_grid(config.sensor.grid), config, sequence, lidar);
+    return make_grid_choice(find_grid(config.sensor.grid), config, sequence, lidar);
 }
 
-SensorChoice sensor_choice(const SensorModel& sensor, int lidar) {
-    const std::optional<SensorPattern> pattern = fixed_pattern(sensor);
-    return {.rays = rays_of(pattern, [&] { return make_rays(sensor); }),
+SensorChoice make_sensor_choice(const SensorModel& sensor, int lidar) {
+    const std::optional<SensorPattern> pattern = get_fixed_pattern(sensor);
+    return {.rays = make_rays_of(pattern, [&] { return make_rays(sensor); }),
             .pattern = pattern,
             .limits = sensor.limits,
             .name = sensor.name,
             .lidar = lidar};
 }
 
-SensorChoice sensor_choice(const MountedSensor& mounted, int lidar) {
-    SensorChoice choice = sensor_choice(mounted.sensor, lidar);
+SensorChoice make_sensor_choice(const MountedSensor& mounted, int lidar) {
+    SensorChoice choice = make_sensor_choice(mounted.sensor, lidar);
     choice.returns = mounted.returns;
     return choice;
 }
 
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence,
                            int lidar) {
-    if (known_name(name_or_file, {"native"})) return log_sensor(config, sequence, lidar);
-    if (known_name(name_or_file, {kitti360_grid().name}))
-        return grid_choice(kitti360_grid(), config, sequence, lidar);
-    return sensor_choice(find_sensor(name_or_file, {"native"}), lidar);
+    if (find_known_name(name_or_file, {"native"})) return log_sensor(config, sequence, lidar);
+    if (find_known_name(name_or_file, {make_kitti360_grid().name}))
+        return make_grid_choice(make_kitti360_grid(), config, sequence, lidar);
+    return make_sensor_choice(find_sensor(name_or_file, {"native"}), lidar);
 }
 
 RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
@@ -163,7 +166,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     RenderedScan result = empty_scan(cells, scan);
     for_each_pair(scan, result,
                   [n]<class T>(const ChannelInfo& channel, const std::vector<T>&, std::vector<T>& of_cells) {
-                      of_cells.assign(n, missing_value_of<T>(channel));
+                      of_cells.assign(n, get_missing_value<T>(channel));
                   });
     result.time_offset_s.assign(n, 0.0f);
     // Drop probability of the ray whose values a cell stores. The value 2 means that the
@@ -187,7 +190,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     return result;
 }
 
-RangeImage real_image(const Config& config, const Scan& scan) {
+RangeImage make_real_image(const Config& config, const Scan& scan) {
     RangeImage image;
     if (config.sensor.grid == "native") {
         image = {scan.rays.rows,

@@ -1,6 +1,6 @@
-// SPDX-License-Identifier: Apache-2.0
-// Runs the kernels fire_rays, measure_rays and drop_channels of simulate/render. They
-// compute world rays, measurements, and the inputs of ray-drop networks.
+// SPDX-License-Identifier: Apache-2.0 Runs the kernels fire_rays, measure_rays and
+// list_drop_channel_indices of simulate/render. They compute world rays, measurements,
+// and the inputs of ray-drop networks.
 #include "simulate/render/sensor_rays.hpp"
 
 #include <algorithm>
@@ -22,23 +22,24 @@ namespace {
 /// Returns true if two tables have the same bytes. Compares in parallel, because the ray
 /// table of a scan has several megabytes.
 template <class Values>
-bool same_bytes(const Values& a, const Values& b) {
-    if (a.size() != b.size()) return false;
+bool are_bytes_equal(const Values& first, const Values& second) {
+    if (first.size() != second.size()) return false;
     constexpr std::size_t kPart = 1 << 14;  // number of values in each parallel part
     std::atomic<bool> same{true};
-    for_each_part(a.size(), kPart, [&](std::size_t begin, std::size_t end) {
-        if (same && std::memcmp(&a[begin], &b[begin], (end - begin) * sizeof(a[0])) != 0) same = false;
+    for_each_part(first.size(), kPart, [&](std::size_t begin, std::size_t end) {
+        if (same && std::memcmp(&first[begin], &second[begin], (end - begin) * sizeof(first[0])) != 0)
+            same = false;
     });
     return same;
 }
 
-std::uint32_t range_kind(const std::string& range) {
+std::uint32_t parse_range_kind(const std::string& range) {
     if (range == "expected") return RELIDAR_RANGE_EXPECTED;
     if (range == "mode") return RELIDAR_RANGE_MODE;
     return range == "median" ? RELIDAR_RANGE_MEDIAN : RELIDAR_RANGE_NORMALISED;
 }
 
-std::vector<shared::SensorBeam> device_beams(const std::vector<Beam>& beams) {
+std::vector<shared::SensorBeam> make_device_beams(const std::vector<Beam>& beams) {
     std::vector<shared::SensorBeam> result;
     for (const Beam& beam : beams)
         result.push_back({.range_offset_m = float(beam.range_offset_m),
@@ -47,14 +48,14 @@ std::vector<shared::SensorBeam> device_beams(const std::vector<Beam>& beams) {
     return result;
 }
 
-std::vector<glm::vec2> device_response(const IntensityResponse& response) {
+std::vector<glm::vec2> make_device_response(const IntensityResponse& response) {
     std::vector<glm::vec2> result;
     for (std::size_t k = 0; k < response.factor.size(); ++k)
         result.emplace_back(response.range_m[k], response.factor[k]);
     return result;
 }
 
-std::uint32_t device_channel(const std::string& name) {
+std::uint32_t find_device_channel(const std::string& name) {
     constexpr std::pair<const char*, std::uint32_t> kOfRays[] = {
         {"log_range", RELIDAR_DROP_LOG_RANGE}, {"intensity", RELIDAR_DROP_INTENSITY},
         {"drop_logit", RELIDAR_DROP_LOGIT},    {"weight", RELIDAR_DROP_WEIGHT},
@@ -67,19 +68,19 @@ std::uint32_t device_channel(const std::string& name) {
     throw DataError(
         fmt::format("the ray-drop network needs the input \"{}\", which this version of relidar does not "
                     "render; `relidar refine RUN` trains the network again",
-                    excerpt(name)));
+                    make_excerpt(name)));
 }
 
 }  // namespace
 
-std::vector<std::uint32_t> drop_channels(const std::vector<std::string>& names) {
+std::vector<std::uint32_t> list_drop_channel_indices(const std::vector<std::string>& names) {
     std::vector<std::uint32_t> result;
-    for (const std::string& name : names) result.push_back(device_channel(name));
+    for (const std::string& name : names) result.push_back(find_device_channel(name));
     return result;
 }
 
-std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_sensor, double time_s,
-                                                    double first_s, double last_s) {
+std::vector<shared::SensorPose> list_poses_through_sweep(const PoseTrack& world_from_sensor, double time_s,
+                                                         double first_s, double last_s) {
     const std::vector<Pose>& pose = world_from_sensor.pose;
     const std::size_t first = world_from_sensor.place(time_s + first_s).left,
                       last = std::min(world_from_sensor.place(time_s + last_s).left + 1, pose.size() - 1);
@@ -87,7 +88,7 @@ std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_
     for (std::size_t k = first; k <= last; ++k) {
         const glm::mat3 axes(glm::mat3_cast(pose[k].rotation));
         const glm::vec3 position(pose[k].translation);
-        const Twist next = k < last ? twist_between(pose[k], pose[k + 1]) : Twist{};
+        const Twist next = k < last ? compute_twist(pose[k], pose[k + 1]) : Twist{};
         const double duration_s =
             k < last ? world_from_sensor.time_s[k + 1] - world_from_sensor.time_s[k] : 0.0;
         poses.push_back({.x = axes[0],
@@ -103,7 +104,7 @@ std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_
     return poses;
 }
 
-PoseTrack track_in_frame(PoseTrack track, const Pose& world_from_frame) {
+PoseTrack convert_track_to_frame(PoseTrack track, const Pose& world_from_frame) {
     const Pose frame_from_world = inverse(world_from_frame);
     for (Pose& pose : track.pose) pose = frame_from_world * pose;
     return track;
@@ -119,20 +120,21 @@ SensorRays::SensorRays(Device& device)
 
 bool SensorRays::has(const RayTable& rays, const std::string& sensor) const {
     return sensor == sensor_ && rays.rows == table_.rows && rays.columns == table_.columns &&
-           same_bytes(rays.direction, table_.direction) && same_bytes(rays.origin, table_.origin) &&
-           same_bytes(rays.time_offset_s, table_.time_offset_s) && same_bytes(rays.channel, table_.channel);
+           are_bytes_equal(rays.direction, table_.direction) && are_bytes_equal(rays.origin, table_.origin) &&
+           are_bytes_equal(rays.time_offset_s, table_.time_offset_s) &&
+           are_bytes_equal(rays.channel, table_.channel);
 }
 
 void SensorRays::take(const RayTable& rays, const std::string& sensor,
                       const std::function<float(std::size_t)>& never_seen) {
     if (has(rays, sensor)) return;
     std::vector<shared::SensorRay> all(rays.size());
-    for_each_block(all.size(), [&](std::size_t i) {
-        all[i] = {.origin = rays.origin[i],
-                  .direction = rays.direction[i],
-                  .time_offset_s = rays.time_offset_s[i],
-                  .sees = 1.0f - never_seen(i),
-                  .channel = rays.channel[i]};
+    for_each_block(all.size(), [&](std::size_t index) {
+        all[index] = {.origin = rays.origin[index],
+                      .direction = rays.direction[index],
+                      .time_offset_s = rays.time_offset_s[index],
+                      .sees = 1.0f - never_seen(index),
+                      .channel = rays.channel[index]};
     });
     if (all.size() > rays_.size()) {
         rays_ = {}, fired_ = {}, measured_ = {};  // frees the old arrays before allocating larger ones
@@ -149,14 +151,14 @@ void SensorRays::take(const RayTable& rays, const std::string& sensor,
 }
 
 std::vector<shared::SensorPose> SensorRays::poses(const PoseTrack& track, double time_s) const {
-    return poses_through_sweep(track, time_s, double(first_s_), double(last_s_));
+    return list_poses_through_sweep(track, time_s, double(first_s_), double(last_s_));
 }
 
 void SensorRays::fire(Stream& stream, const PoseTrack& world_from_sensor, double time_s) {
     const auto poses = this->poses(world_from_sensor, time_s);
     run(stream, fire_, table_.size(),
         {.rays = rays_.address(),
-         .poses = impl_of(stream).values(poses),
+         .poses = get_impl(stream).values(poses),
          .fired = fired_.address(),
          .n_rays = std::uint32_t(table_.size()),
          .n_poses = std::uint32_t(poses.size())});
@@ -168,31 +170,31 @@ RayBatch SensorRays::batch() const {
             .columns = table_.rows > 1 ? std::uint32_t(table_.columns) : 0};
 }
 
-void SensorRays::measure(Stream& stream, const RenderedBatch& rendered, const RayMeasuring& how) {
-    const auto beams = device_beams(how.beams);
-    const auto response = device_response(how.response);
+void SensorRays::measure(Stream& stream, const RenderedBatch& rendered, const RayMeasuring& options) {
+    const auto beams = make_device_beams(options.beams);
+    const auto response = make_device_response(options.response);
     const Array<shared::RenderedSurface>& surfaces = rendered.surfaces ? *rendered.surfaces : no_surfaces_;
     run(stream, measure_, table_.size(),
         {.rays = rays_.address(),
          .fired = fired_.address(),
          .rendered = rendered.rendered->address(),
          .surfaces = surfaces.address(),
-         .beams = impl_of(stream).values(beams),
-         .response = impl_of(stream).values(response),
+         .beams = get_impl(stream).values(beams),
+         .response = get_impl(stream).values(response),
          .measured = measured_.address(),
          .n_rays = std::uint32_t(table_.size()),
          .n_surfaces = std::uint32_t(surfaces.size()),
          .n_beams = std::uint32_t(beams.size()),
          .n_response = std::uint32_t(response.size()),
-         .range_kind = range_kind(how.range),
-         .min_weight = how.min_weight,
-         .min_range_m = float(how.limits.min_m),
-         .max_range_m = float(how.limits.max_m)});
+         .range_kind = parse_range_kind(options.range),
+         .min_weight = options.min_weight,
+         .min_range_m = float(options.limits.min_m),
+         .max_range_m = float(options.limits.max_m)});
     refined_ = nullptr;
 }
 
 void SensorRays::refine(Stream& stream, DropPass& network, const glm::vec3& origin_m) {
-    const std::vector<std::uint32_t> channels = drop_channels(network.network().inputs);
+    const std::vector<std::uint32_t> channels = list_drop_channel_indices(network.network().inputs);
     if (channels.size() * table_.size() > samples_.size()) {
         stream.finish();
         samples_ =
@@ -201,7 +203,7 @@ void SensorRays::refine(Stream& stream, DropPass& network, const glm::vec3& orig
     run(stream, drop_channels_, table_.size(),
         {.rays = rays_.address(),
          .measured = measured_.address(),
-         .channels = impl_of(stream).values(channels).as<shared::DropChannels>(),
+         .channels = get_impl(stream).values(channels).as<shared::DropChannels>(),
          .samples = samples_.address(),
          .origin = origin_m,
          .n_channels = std::uint32_t(channels.size()),
@@ -214,10 +216,10 @@ std::span<const float> SensorRays::refined(Stream& stream) {
 }
 
 std::span<const shared::MeasuredRay> SensorRays::wait(Stream& stream) {
-    const auto read_back = [&](std::optional<Readback>& readback, const Buffer& from, std::size_t n_bytes,
-                               const char* what) {
-        if (!readback) readback.emplace(device_, rays_.size() * (n_bytes / table_.size()), what);
-        readback->record(stream, from, n_bytes);
+    const auto read_back = [&](std::optional<Readback>& readback, const Buffer& source, std::size_t n_bytes,
+                               const char* description) {
+        if (!readback) readback.emplace(device_, rays_.size() * (n_bytes / table_.size()), description);
+        readback->record(stream, source, n_bytes);
     };
     read_back(readback_, measured_.buffer(), table_.size() * sizeof(shared::MeasuredRay), "measured rays");
     if (refined_)

@@ -51,10 +51,10 @@ public:
     /// of the sensor has rows and columns.
     RayBatch batch() const;
     /// Records GPU commands that compute the measurements of all rays of batch().
-    void measure(Stream& stream, const RenderedBatch& rendered, const RayMeasuring& how);
+    void measure(Stream& stream, const RenderedBatch& rendered, const RayMeasuring& options);
     /// Records GPU commands that run a ray-drop network on the measured rays. Then
     /// drop_probabilities() returns the result.
-    /// @param origin_m [3] position of the sensor relative to first_origin()
+    /// @param origin_m [3] position of the sensor relative to get_first_origin()
     /// @throws DataError if the image or the channels do not match the network
     void refine(Stream& stream, DropPass& network, const glm::vec3& origin_m);
     /// Copies the measurements to the host and waits for them.
@@ -72,7 +72,7 @@ public:
     const Array<shared::MeasuredRay>& measured() const { return measured_; }
     /// Returns the device address of the drop probabilities that the last call of
     /// refine() computed.
-    Address<float, shared::DropProbabilities> drop_probabilities() const { return address_of(refined_); }
+    Address<float, shared::DropProbabilities> drop_probabilities() const { return get_address(refined_); }
     /// Returns the sensor poses of a sweep. The pose of each ray is interpolated between
     /// them.
     std::vector<shared::SensorPose> poses(const PoseTrack& track, double time_s) const;
@@ -98,16 +98,16 @@ private:
 
 /// Returns the channel numbers (RELIDAR_DROP_*) of the inputs of a ray-drop network.
 /// @throws DataError for an unknown input
-std::vector<std::uint32_t> drop_channels(const std::vector<std::string>& names);
+std::vector<std::uint32_t> list_drop_channel_indices(const std::vector<std::string>& names);
 
 /// Returns the poses of a sensor during a sweep in the format of the kernels. The list
 /// starts with the last pose before the first ray. The list ends with the first pose
 /// after the last ray.
 /// @param first_s time offset of the first ray
 /// @param last_s time offset of the last ray
-std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_sensor, double time_s,
-                                                    double first_s, double last_s);
+std::vector<shared::SensorPose> list_poses_through_sweep(const PoseTrack& world_from_sensor, double time_s,
+                                                         double first_s, double last_s);
 /// Transforms the poses of a track from the world frame to another frame.
-PoseTrack track_in_frame(PoseTrack track, const Pose& world_from_frame);
+PoseTrack convert_track_to_frame(PoseTrack track, const Pose& world_from_frame);
 
 }  // namespace relidar

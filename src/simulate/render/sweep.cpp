@@ -40,7 +40,7 @@ void check_track(const PoseTrack& track, const std::string& thing) {
     }
 }
 
-Sequence without_scans(const Sequence& sequence) {
+Sequence copy_without_scans(const Sequence& sequence) {
     Sequence result;
     result.lidars = sequence.lidars;
     result.boxes = sequence.boxes;
@@ -49,14 +49,14 @@ Sequence without_scans(const Sequence& sequence) {
     return result;
 }
 
-std::vector<Frame> shifted_frames(const Sequence& sequence) {
+std::vector<Frame> shift_frames(const Sequence& sequence) {
     std::vector<Frame> frames;
     for (const Frame& frame : sequence.frames)
-        if (!frame.azimuth_shift_rad.empty()) frames.push_back(without_scan(frame));
+        if (!frame.azimuth_shift_rad.empty()) frames.push_back(copy_without_scan(frame));
     return frames;
 }
 
-std::optional<RayTable> changed_rays(const SensorChoice& sensor, double time_s, bool rolls) {
+std::optional<RayTable> make_changed_rays(const SensorChoice& sensor, double time_s, bool rolls) {
     const bool makes_rays = sensor.pattern && sensor.rays.size() == 0;
     if (rolls && !makes_rays) return {};
     RayTable rays = makes_rays ? make_rays(*sensor.pattern, time_s) : sensor.rays;
@@ -68,10 +68,10 @@ std::optional<RayTable> changed_rays(const SensorChoice& sensor, double time_s, 
 
 SweepMaker::SweepMaker(const Config& config, const Scene& scene, const Sequence& sequence)
     : config_(config),
-      layout_(layout_of(scene)),
-      log_(without_scans(sequence)),
+      layout_(copy_layout(scene)),
+      log_(copy_without_scans(sequence)),
       log_world_from_vehicle_(sequence.world_from_vehicle),
-      shifted_(shifted_frames(sequence)),
+      shifted_(shift_frames(sequence)),
       shown_(scene.instances.size(), true) {}
 
 void SweepMaker::show_only(const std::vector<bool>& shown) {
@@ -83,12 +83,12 @@ void SweepMaker::show_only(const std::vector<bool>& shown) {
     shown_ = shown;
 }
 
-SensorChoice SweepMaker::in_log(const SensorChoice& sensor, double time_s) const {
-    return sensor_in_sweep(sensor, shifted_, log_.lidars, time_s);
+SensorChoice SweepMaker::align_with_log(const SensorChoice& sensor, double time_s) const {
+    return align_sensor_with_sweep(sensor, shifted_, log_.lidars, time_s);
 }
 
-PoseTrack SweepMaker::in_dataset(const PoseTrack& world_from_thing) const {
-    return shifted_track(world_from_thing, log_.world_offset_m);
+PoseTrack SweepMaker::convert_to_dataset(const PoseTrack& world_from_thing) const {
+    return shift_track(world_from_thing, log_.world_offset_m);
 }
 
 /// Makes a sweep for a sensor that follows a given track. The vehicle is moved so that
@@ -97,13 +97,14 @@ PoseTrack SweepMaker::in_dataset(const PoseTrack& world_from_thing) const {
 Sweep SweepMaker::drive(const SensorChoice& sensor, double time_s, PoseTrack world_from_sensor,
                         const ActorPoses* world_from_actor) {
     Lidar& lidar = log_.lidars[std::size_t(sensor.lidar)];
-    log_.world_from_vehicle = mounted_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
+    log_.world_from_vehicle =
+        make_mounted_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
     log_.rolling_shutter = has_rolling_shutter(sensor, config_);
     lidar.pattern = sensor.pattern;
     // The azimuth at which the sweep starts comes from the pattern of the sensor. Without
     // a pattern, it comes from the LiDAR that the sensor replaces.
     const SweepMoment now{time_s, sensor.lidar, find_start(sensor.rays, lidar)};
-    Sweep sweep{sensor, time_s, changed_rays(sensor, time_s, log_.rolling_shutter),
+    Sweep sweep{sensor, time_s, make_changed_rays(sensor, time_s, log_.rolling_shutter),
                 log_.world_from_sensor(sensor.lidar)};
     sweep.pose = sweep.world_from_sensor.at(time_s);
     if (!log_.rolling_shutter) sweep.world_from_sensor = {{time_s}, {sweep.pose}};
@@ -119,14 +120,14 @@ Sweep SweepMaker::make(const SensorChoice& sensor, double time_s, const Pose& se
     const bool is_elsewhere =
         sensor_offset.translation != glm::dvec3(0.0) || sensor_offset.rotation != Pose{}.rotation;
     const PoseTrack track = log_.world_from_sensor(sensor.lidar);
-    return drive(sensor, time_s, is_elsewhere ? mounted_track(with_fine_turns(track), sensor_offset) : track,
-                 nullptr);
+    return drive(sensor, time_s,
+                 is_elsewhere ? make_mounted_track(refine_turns(track), sensor_offset) : track, nullptr);
 }
 
 Sweep SweepMaker::make(const SensorChoice& sensor, const ScanRequest& request) {
     const auto in_world = [&](const PoseTrack& dataset_from_thing, const std::string& thing) {
         check_track(dataset_from_thing, thing);
-        return shifted_track(dataset_from_thing, -log_.world_offset_m);
+        return shift_track(dataset_from_thing, -log_.world_offset_m);
     };
     if (!(std::abs(request.time_s) <= kFarthest)) {
         throw DataError(
@@ -142,13 +143,13 @@ Sweep SweepMaker::make(const SensorChoice& sensor, const ScanRequest& request) {
                  request.dataset_from_actor ? &world_from_actor : nullptr);
 }
 
-float SweepMaker::never_seen(const SensorChoice& sensor, std::uint16_t channel,
-                             const glm::vec3& direction) const {
-    const auto own_beam = sensor.is_own ? log_.beam_number(sensor.lidar, channel) : std::nullopt;
+float SweepMaker::get_never_seen_probability(const SensorChoice& sensor, std::uint16_t channel,
+                                             const glm::vec3& direction) const {
+    const auto own_beam = sensor.is_own ? log_.find_beam_number(sensor.lidar, channel) : std::nullopt;
     return own_beam ? layout_.sensor_drop.at(*own_beam, direction) : 0.0f;
 }
 
-RangeLimits SweepMaker::limits_of(const SensorChoice& sensor) const {
+RangeLimits SweepMaker::get_limits(const SensorChoice& sensor) const {
     return {sensor.limits.min_m,
             std::isfinite(sensor.limits.max_m) ? sensor.limits.max_m : config_.dataset.max_range_m};
 }

@@ -35,8 +35,8 @@ public:
     /// @throws UsageError if the number of instances is wrong
     void show_only(const std::vector<bool>& shown);
     /// Returns the sensor with the head azimuths that the log has measured. See
-    /// sensor_in_sweep().
-    SensorChoice in_log(const SensorChoice& sensor, double time_s) const;
+    /// align_sensor_with_sweep().
+    SensorChoice align_with_log(const SensorChoice& sensor, double time_s) const;
     /// Returns a sweep on the recorded path of the log's vehicle.
     /// @param sensor must outlive the sweep
     Sweep make(const SensorChoice& sensor, double time_s, const Pose& sensor_offset);
@@ -49,13 +49,14 @@ public:
     const Scene& layout() const { return layout_; }
     /// Returns the probability that the sensor never gets a return in a direction. One
     /// cause is that the vehicle blocks the direction.
-    float never_seen(const SensorChoice& sensor, std::uint16_t channel, const glm::vec3& direction) const;
+    float get_never_seen_probability(const SensorChoice& sensor, std::uint16_t channel,
+                                     const glm::vec3& direction) const;
     /// Returns the range limits of a sensor. If the sensor has no maximum range, returns
     /// the maximum range of the log.
-    RangeLimits limits_of(const SensorChoice& sensor) const;
+    RangeLimits get_limits(const SensorChoice& sensor) const;
     /// Converts a track from the world frame of the scene to the world frame of the
     /// dataset.
-    PoseTrack in_dataset(const PoseTrack& world_from_thing) const;
+    PoseTrack convert_to_dataset(const PoseTrack& world_from_thing) const;
 
 private:
     const Config& config_;

@@ -42,8 +42,8 @@ struct HollowBox {
 
 /// Returns the range at which a ray enters a box, and the axis of the side that it
 /// enters. Returns infinity if the ray misses the box or starts inside the box.
-std::pair<double, int> enter_box(const glm::dvec3& origin, const glm::dvec3& direction,
-                                 const glm::dvec3& half_m) {
+std::pair<double, int> find_box_entry(const glm::dvec3& origin, const glm::dvec3& direction,
+                                      const glm::dvec3& half_m) {
     double enter_m = 0.0, leave_m = std::numeric_limits<double>::infinity();
     int axis = -1;
     for (int k = 0; k < 3; ++k) {
@@ -91,7 +91,7 @@ std::vector<UnseenSide> find_unseen_sides(const RenderedScan& scan, const Scene&
             const Pose box_from_world =
                 inverse(box.world_from_box->at(scan.time_s + double(scan.time_offset_s[i])));
             const glm::dvec3 ray = box_from_world.rotation * direction;
-            const auto [enter_m, axis] = enter_box(box_from_world * origin, ray, box.half_m);
+            const auto [enter_m, axis] = find_box_entry(box_from_world * origin, ray, box.half_m);
             const bool is_hidden = scan.median_range_m[i] > 0.0f && double(scan.median_range_m[i]) < enter_m;
             if (!std::isfinite(enter_m) || is_hidden || std::abs(ray[axis]) < kGrazing) continue;
             for (std::size_t s = 0; s < kBoxSides; ++s)

@@ -121,7 +121,7 @@ const std::initializer_list<MessageType> kTimes = {
 
 constexpr int kOptional = 1, kRepeated = 3;  // labels of fields in descriptor.proto
 
-std::string field_descriptor(const Field& field) {
+std::string make_field_descriptor(const Field& field) {
     std::string bytes;
     pbf_writer writer(bytes);
     writer.add_string(1, field.name);
@@ -132,15 +132,15 @@ std::string field_descriptor(const Field& field) {
     return bytes;
 }
 
-std::string message_descriptor(const MessageType& message) {
+std::string make_message_descriptor(const MessageType& message) {
     std::string bytes;
     pbf_writer writer(bytes);
     writer.add_string(1, message.name);
-    for (const Field& field : message.fields) writer.add_message(2, field_descriptor(field));
+    for (const Field& field : message.fields) writer.add_message(2, make_field_descriptor(field));
     return bytes;
 }
 
-std::string enum_descriptor(const EnumType& type) {
+std::string make_enum_descriptor(const EnumType& type) {
     std::string bytes;
     pbf_writer writer(bytes);
     writer.add_string(1, type.name);
@@ -155,21 +155,21 @@ std::string enum_descriptor(const EnumType& type) {
     return bytes;
 }
 
-std::string file_descriptor(const char* file, const char* package, const char* imported,
-                            std::initializer_list<MessageType> messages,
-                            std::initializer_list<EnumType> enums) {
+std::string make_file_descriptor(const char* file, const char* package, const char* imported,
+                                 std::initializer_list<MessageType> messages,
+                                 std::initializer_list<EnumType> enums) {
     std::string bytes;
     pbf_writer writer(bytes);
     writer.add_string(1, file);
     writer.add_string(2, package);
     if (*imported) writer.add_string(3, imported);
-    for (const MessageType& message : messages) writer.add_message(4, message_descriptor(message));
-    for (const EnumType& type : enums) writer.add_message(5, enum_descriptor(type));
+    for (const MessageType& message : messages) writer.add_message(4, make_message_descriptor(message));
+    for (const EnumType& type : enums) writer.add_message(5, make_enum_descriptor(type));
     writer.add_string(12, "proto3");
     return bytes;
 }
 
-std::string timestamp(std::uint64_t time_ns) {
+std::string make_timestamp(std::uint64_t time_ns) {
     std::string bytes;
     pbf_writer writer(bytes);
     writer.add_int64(1, std::int64_t(time_ns / 1'000'000'000));
@@ -185,10 +185,12 @@ std::string numbers(std::initializer_list<double> values) {
     return bytes;
 }
 
-std::string vector(const glm::dvec3& v) { return numbers({v.x, v.y, v.z}); }
-std::string quaternion(const glm::dquat& q) { return numbers({q.x, q.y, q.z, q.w}); }
+std::string vector(const glm::dvec3& vector) { return numbers({vector.x, vector.y, vector.z}); }
+std::string quaternion(const glm::dquat& quaternion) {
+    return numbers({quaternion.x, quaternion.y, quaternion.z, quaternion.w});
+}
 
-std::string pose_message(const Pose& pose) {
+std::string make_pose_message(const Pose& pose) {
     std::string bytes;
     pbf_writer writer(bytes);
     writer.add_message(1, vector(pose.translation));
@@ -211,17 +213,17 @@ const PointField kPointFields[] = {{"x", 0, kFloat32},     {"y", 4, kFloat32},
 // floats are aligned.
 constexpr std::uint32_t kStride = 28;
 
-std::vector<PointField> fields_of(const Points& cloud) {
+std::vector<PointField> list_fields(const Points& cloud) {
     std::vector<PointField> fields(std::begin(kPointFields), std::end(kPointFields));
     std::uint32_t offset = kStride;
-    for (const auto& [name, is_integer] : numbers_of(cloud.channels)) {
+    for (const auto& [name, is_integer] : list_channel_numbers(cloud.channels)) {
         fields.push_back({name, offset, is_integer ? kInt32Number : kFloat32});
         offset += 4;
     }
     return fields;
 }
 
-std::string point_bytes(const Points& cloud) {
+std::string pack_points(const Points& cloud) {
     std::string bytes;
     bytes.reserve(cloud.size() * kStride);
     for (std::size_t i = 0; i < cloud.size(); ++i) {
@@ -239,10 +241,10 @@ std::string point_bytes(const Points& cloud) {
 std::string points(const Points& cloud, const std::string& frame) {
     std::string bytes;
     pbf_writer writer(bytes);
-    writer.add_message(1, timestamp(stamp_of(cloud.time_s)));
+    writer.add_message(1, make_timestamp(to_stamp(cloud.time_s)));
     writer.add_string(2, frame);
-    writer.add_message(3, pose_message({}));
-    const std::vector<PointField> fields = fields_of(cloud);
+    writer.add_message(3, make_pose_message({}));
+    const std::vector<PointField> fields = list_fields(cloud);
     writer.add_fixed32(4, fields.size() == std::size(kPointFields) ? kStride : fields.back().offset + 4);
     for (const PointField& field : fields) {
         std::string of_field;
@@ -252,16 +254,16 @@ std::string points(const Points& cloud, const std::string& frame) {
         element.add_enum(3, field.type);
         writer.add_message(5, of_field);
     }
-    writer.add_bytes(6, point_bytes(cloud));
+    writer.add_bytes(6, pack_points(cloud));
     return bytes;
 }
 
 /// Returns a foxglove.FrameTransforms message that contains one transform.
-std::string frame_transform(std::uint64_t time_ns, const std::string& parent, const std::string& child,
-                            const Pose& parent_from_child) {
+std::string make_frame_transform(std::uint64_t time_ns, const std::string& parent, const std::string& child,
+                                 const Pose& parent_from_child) {
     std::string all, bytes;
     pbf_writer transforms(all), writer(bytes);
-    writer.add_message(1, timestamp(time_ns));
+    writer.add_message(1, make_timestamp(time_ns));
     writer.add_string(2, parent);
     writer.add_string(3, child);
     writer.add_message(4, vector(parent_from_child.translation));
@@ -270,17 +272,17 @@ std::string frame_transform(std::uint64_t time_ns, const std::string& parent, co
     return all;
 }
 
-std::string box(const RecordedActor& actor) {
+std::string make_box_message(const RecordedActor& actor) {
     std::string bytes;
     pbf_writer writer(bytes);
-    writer.add_message(1, pose_message(actor.faced.world_from_box));
+    writer.add_message(1, make_pose_message(actor.faced.world_from_box));
     writer.add_message(2, vector(actor.size_m));
     // A translucent orange, so that the points inside the box stay visible.
     writer.add_message(3, numbers({1.0, 0.6, 0.1, 0.3}));
     return bytes;
 }
 
-std::string key_value(const char* key, const std::string& value) {
+std::string make_key_value(const char* key, const std::string& value) {
     std::string bytes;
     pbf_writer writer(bytes);
     writer.add_string(1, key);
@@ -289,87 +291,92 @@ std::string key_value(const char* key, const std::string& value) {
 }
 
 /// Formats a vector as "x y z".
-std::string vector_text(const glm::dvec3& v) { return fmt::format("{:.6g} {:.6g} {:.6g}", v.x, v.y, v.z); }
+std::string format_vector(const glm::dvec3& vector) {
+    return fmt::format("{:.6g} {:.6g} {:.6g}", vector.x, vector.y, vector.z);
+}
 
 /// Returns a foxglove.SceneUpdate message with the boxes of the actors. These boxes
 /// replace all earlier boxes. Each box has its own time stamp. Velocities are in the
 /// world frame.
-std::string boxes(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
+std::string make_boxes_message(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
     // Value ALL of SceneEntityDeletionType. It removes all earlier boxes, also of actors
     // that have disappeared.
     constexpr int kAll = 1;
     std::string bytes, all;
     pbf_writer writer(bytes), deletion(all);
-    deletion.add_message(1, timestamp(stamp_ns));
+    deletion.add_message(1, make_timestamp(stamp_ns));
     deletion.add_enum(2, kAll);
     writer.add_message(1, all);
     for (const RecordedActor& actor : actors) {
         std::string of_actor;
         pbf_writer entity(of_actor);
         const auto& [time_ns, world_from_box, velocity] = actor.faced;
-        entity.add_message(1, timestamp(time_ns));
+        entity.add_message(1, make_timestamp(time_ns));
         entity.add_string(2, kWorldFrame);
         entity.add_string(3, actor.name);
-        entity.add_message(6, key_value("category", actor.category));
+        entity.add_message(6, make_key_value("category", actor.category));
         entity.add_message(
-            6, key_value("velocity_mps", vector_text(world_from_box.rotation * velocity.linear_mps)));
-        entity.add_message(6, key_value("angular_velocity_radps",
-                                        vector_text(world_from_box.rotation * velocity.angular_radps)));
-        entity.add_message(6, key_value("points", fmt::format("{}", actor.n_points)));
+            6, make_key_value("velocity_mps", format_vector(world_from_box.rotation * velocity.linear_mps)));
+        entity.add_message(6,
+                           make_key_value("angular_velocity_radps",
+                                          format_vector(world_from_box.rotation * velocity.angular_radps)));
+        entity.add_message(6, make_key_value("points", fmt::format("{}", actor.n_points)));
         if (actor.visible_share)
-            entity.add_message(6, key_value("visible_share", fmt::format("{:.6g}", *actor.visible_share)));
-        entity.add_message(8, box(actor));
+            entity.add_message(6,
+                               make_key_value("visible_share", fmt::format("{:.6g}", *actor.visible_share)));
+        entity.add_message(8, make_box_message(actor));
         writer.add_message(2, of_actor);
     }
     return bytes;
 }
 
-std::string descriptors() {
+std::string make_descriptors() {
     constexpr const char *kTimesFile = "google/protobuf/times.proto", *kFile = "foxglove/relidar.proto";
     std::string bytes;
     pbf_writer writer(bytes);
-    writer.add_message(1, file_descriptor(kTimesFile, "google.protobuf", "", kTimes, {}));
-    writer.add_message(1, file_descriptor(kFile, "foxglove", kTimesFile, kMessages, kEnums));
+    writer.add_message(1, make_file_descriptor(kTimesFile, "google.protobuf", "", kTimes, {}));
+    writer.add_message(1, make_file_descriptor(kFile, "foxglove", kTimesFile, kMessages, kEnums));
     return bytes;
 }
 
-std::vector<RecordedMessage> moving_transforms(const RecordedMoment& moment) {
+std::vector<RecordedMessage> make_moving_transforms(const RecordedMoment& moment) {
     std::vector<RecordedMessage> messages;
     for (const RecordedPose& pose : moment.poses)
-        messages.push_back({pose.time_ns, frame_transform(pose.time_ns, kWorldFrame, kVehicleFrame,
-                                                          pose.world_from_vehicle)});
+        messages.push_back({pose.time_ns, make_frame_transform(pose.time_ns, kWorldFrame, kVehicleFrame,
+                                                               pose.world_from_vehicle)});
     return messages;
 }
 
 /// Returns the poses of the sensors on the vehicle. These poses are written with every
 /// scan, so that a player that starts in the middle of the file receives them. The
 /// concatenated protobuf messages form one message with all transforms.
-std::vector<RecordedMessage> mountings(const RecordedRig& rig, const RecordedMoment& moment) {
+std::vector<RecordedMessage> make_mountings(const RecordedRig& rig, const RecordedMoment& moment) {
     std::string bytes;
     for (const RecordedSensor& sensor : rig.sensors)
-        bytes += frame_transform(moment.first_ns, kVehicleFrame, sensor.frame_id, sensor.vehicle_from_sensor);
+        bytes +=
+            make_frame_transform(moment.first_ns, kVehicleFrame, sensor.frame_id, sensor.vehicle_from_sensor);
     return {{moment.first_ns, bytes}};
 }
 
-std::vector<RecordedMessage> scene_updates(const RecordedMoment& moment) {
+std::vector<RecordedMessage> make_scene_updates(const RecordedMoment& moment) {
     std::vector<RecordedMessage> messages;
     for (const auto& [stamp_ns, actors] : moment.actors)
-        messages.push_back({moment.last_ns, boxes(stamp_ns, actors)});
+        messages.push_back({moment.last_ns, make_boxes_message(stamp_ns, actors)});
     return messages;
 }
 
 }  // namespace
 
-std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig) {
-    const std::string definition = descriptors(), transforms = "foxglove.FrameTransforms";
+std::vector<RecordedTopic> list_foxglove_topics(const RecordedRig& rig) {
+    const std::string definition = make_descriptors(), transforms = "foxglove.FrameTransforms";
     std::vector<RecordedTopic> topics{
         {"/tf_static",
          transforms,
          definition,
          {},
-         [rig](const RecordedMoment& moment) { return mountings(rig, moment); }},
-        {"/tf", transforms, definition, {}, moving_transforms},
-        {"/actors", "foxglove.SceneUpdate", definition, {}, scene_updates}};
+         [rig](const RecordedMoment& moment) { return make_mountings(rig, moment); }},
+        {"/tf", transforms, definition, {}, make_moving_transforms},
+        {"/actors", "foxglove.SceneUpdate", definition, {}, make_scene_updates}};
     for (std::size_t s = 0; s < rig.sensors.size(); ++s) {
         const std::string frame = rig.world ? kWorldFrame : rig.sensors[s].frame_id;
         topics.push_back(

@@ -42,7 +42,7 @@ RecordedRig MomentRecorder::rig() const {
     return rig;
 }
 
-std::uint64_t MomentRecorder::stamp(double time_s) const { return stamp_of(time_s + *shift_s_); }
+std::uint64_t MomentRecorder::stamp(double time_s) const { return to_stamp(time_s + *shift_s_); }
 
 void MomentRecorder::check_times(const RenderedScan& scan, const Sweep& all) {
     const bool falls = shift_s_ && scan.time_s < last_scan_s_;
@@ -89,13 +89,15 @@ RecordedMoment MomentRecorder::take(std::span<const RenderedScan> scans) {
 std::vector<RecordedPose> MomentRecorder::poses(const RenderedScan& scan, std::vector<double> times_s) {
     std::ranges::sort(times_s);
     const Pose sensor_from_vehicle = inverse(rig().sensors.front().vehicle_from_sensor);
-    const auto world_from_vehicle = [&](double t_s) { return sensor_pose(scan, t_s) * sensor_from_vehicle; };
+    const auto world_from_vehicle = [&](double t_s) {
+        return find_sensor_pose(scan, t_s) * sensor_from_vehicle;
+    };
     std::vector<RecordedPose> poses;
     for (const double t_s : times_s) {
         const std::uint64_t time_ns = stamp(t_s);
         // Skips a time for which a pose is already written, because sweeps can overlap.
         if (last_pose_ns_ && time_ns <= *last_pose_ns_) continue;
-        poses.push_back({time_ns, world_from_vehicle(t_s), velocity_of(world_from_vehicle, t_s)});
+        poses.push_back({time_ns, world_from_vehicle(t_s), compute_velocity(world_from_vehicle, t_s)});
         last_pose_ns_ = time_ns;
     }
     return poses;
@@ -103,7 +105,7 @@ std::vector<RecordedPose> MomentRecorder::poses(const RenderedScan& scan, std::v
 
 Points MomentRecorder::cloud(const RenderedScan& scan, const ScanFormat& format, const Sweep& sweep) const {
     Points points =
-        place_points(scan, format.config, frame_of_points(format, sensor_pose(scan, sweep.first_s)));
+        place_points(scan, format.config, get_frame_of_points(format, find_sensor_pose(scan, sweep.first_s)));
     for (float& time_s : points.time_offset_s)
         time_s = static_cast<float>(double(time_s) - (sweep.first_s - scan.time_s));
     points.time_s = sweep.first_s + *shift_s_;
@@ -116,7 +118,8 @@ std::vector<RecordedActor> MomentRecorder::actors(const RenderedScan& scan, doub
     std::vector<RecordedActor> actors;
     for (const SeenActor& actor : find_actors(scan, sensors_.front())) {
         const auto state = [&](double t_s) {
-            return BoxState{stamp(t_s), actor.world_from_box(t_s), velocity_of(actor.world_from_box, t_s)};
+            return BoxState{stamp(t_s), actor.world_from_box(t_s),
+                            compute_velocity(actor.world_from_box, t_s)};
         };
         const BoxTrack& box = *actor.box;
         actors.push_back({box.id, box.category, box.size_m, !box.moves(), state(actor.faced_s),

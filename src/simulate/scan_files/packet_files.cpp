@@ -18,8 +18,8 @@ constexpr const char* kPacketsStem = "packets";
 PacketFiles::PacketFiles(fs::path folder, const std::vector<ScanFormat>& sensors) : packets_(sensors) {
     for (std::size_t s = 0; s < sensors.size(); ++s) {
         std::string name = kPacketsStem;
-        if (sensors.size() > 1) name += "_" + topic_word(sensors[s].frame_id);
-        const fs::path path = folder / (name + ".pcap"), temporary = temporary_path(path);
+        if (sensors.size() > 1) name += "_" + make_topic_word(sensors[s].frame_id);
+        const fs::path path = folder / (name + ".pcap"), temporary = make_temporary_path(path);
         files_.push_back({path, temporary, PacketCapture(temporary, packets_.encoder(s).port() + int(s))});
     }
 }

@@ -38,7 +38,7 @@ struct PlacedScan {
 template <class Visit>
 void for_each_file_channel(const PlacedScan& placed, Visit&& visit) {
     const RenderedScan& scan = placed.scan;
-    const BasicChannels& basic = basic_channels();
+    const BasicChannels& basic = get_basic_channels();
     visit(basic.range, scan.image.range_m), visit(basic.median_range, scan.median_range_m),
         visit(basic.intensity, scan.image.intensity);
     visit(basic.drop_prob, scan.image.drop_prob), visit(basic.weight, scan.weight),
@@ -67,7 +67,7 @@ PlacedScan place(const RenderedScan& scan, const ScanFormat& format, const Pose&
 /// Returns the pose of the frame in which the output format stores points. Returns no
 /// value if each point stays in the sensor's frame at its firing time.
 /// @param world_from_deskewed pose of the frame of motion-compensated points
-std::optional<Pose> frame_of_points(const ScanFormat& format, const Pose& world_from_deskewed);
+std::optional<Pose> get_frame_of_points(const ScanFormat& format, const Pose& world_from_deskewed);
 /// Returns one point for each return of the scan.
 Points points_of(const PlacedScan& placed);
 /// Returns the number of rays that have a return.

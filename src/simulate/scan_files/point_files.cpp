@@ -28,7 +28,7 @@ struct Field {
     char pcd_type;
 };
 
-std::vector<Field> fields_of(const Points& points) {
+std::vector<Field> list_fields(const Points& points) {
     const bool is_empty = points.size() == 0;
     std::vector<Field> fields;
     for (const char* name : {"x", "y", "z", "intensity"}) fields.push_back({name, "float", 4, 'F'});
@@ -36,13 +36,13 @@ std::vector<Field> fields_of(const Points& points) {
     if (is_empty || !points.time_offset_s.empty()) fields.push_back({"time", "float", 4, 'F'});
     if (is_empty || !points.instance.empty()) fields.push_back({"instance", "int", 4, 'I'});
     if (!points.return_number.empty()) fields.push_back({"return", "uint8", 1, 'U'});
-    for (const auto& [name, is_integer] : numbers_of(points.channels))
+    for (const auto& [name, is_integer] : list_channel_numbers(points.channels))
         fields.push_back({name, is_integer ? "int" : "float", 4, is_integer ? 'I' : 'F'});
     return fields;
 }
 
 /// Returns the name of a field in a PLY file, where normals have the names nx, ny and nz.
-std::string ply_name(const std::string& name) {
+std::string get_ply_name(const std::string& name) {
     for (const char* axis : {"x", "y", "z"})
         if (name == std::string("normal_") + axis) return std::string("n") + axis;
     return name;
@@ -64,12 +64,12 @@ void check_lengths(const Points& points) {
     check_channels(points.channels, points.size(), "a point cloud");
 }
 
-/// Packs the fields of each point into bytes, in the order of fields_of().
-std::string packed_records(const Points& points) {
+/// Packs the fields of each point into bytes, in the order of list_fields().
+std::string pack_records(const Points& points) {
     std::string bytes;
     bytes.reserve(points.size() * 26);
-    const auto append_known = [&](const auto& values, std::size_t i) {
-        if (!values.empty()) append(bytes, values[i]);
+    const auto append_known = [&](const auto& values, std::size_t index) {
+        if (!values.empty()) append(bytes, values[index]);
     };
     for (std::size_t i = 0; i < points.size(); ++i) {
         append(bytes, points.position_m[i]), append(bytes, points.intensity[i]);
@@ -81,7 +81,7 @@ std::string packed_records(const Points& points) {
 }
 
 /// Formats a pose as "tx ty tz qw qx qy qz".
-std::string viewpoint(const Pose& pose) {
+std::string format_viewpoint(const Pose& pose) {
     const glm::dvec3& t = pose.translation;
     const glm::dquat& q = pose.rotation;
     std::vector<std::string> numbers;
@@ -94,18 +94,18 @@ std::string viewpoint(const Pose& pose) {
 void write_ply(const std::filesystem::path& path, const Points& points, const FileNotes& notes) {
     check_lengths(points);
     std::string text = "ply\nformat binary_little_endian 1.0\n";
-    for (const auto& note : notes) text += fmt::format("comment {}\n", report_detail::note_line(note));
+    for (const auto& note : notes) text += fmt::format("comment {}\n", report_detail::format_note_line(note));
     text += fmt::format("element vertex {}\n", points.size());
-    for (const Field& field : fields_of(points))
-        text += fmt::format("property {} {}\n", field.ply_type, ply_name(field.name));
-    report_detail::write_file(path, text + "end_header\n" + packed_records(points));
+    for (const Field& field : list_fields(points))
+        text += fmt::format("property {} {}\n", field.ply_type, get_ply_name(field.name));
+    report_detail::write_file(path, text + "end_header\n" + pack_records(points));
 }
 
 void write_pcd(const std::filesystem::path& path, const Points& points, const FileNotes& notes) {
     check_lengths(points);
     std::string header = "# .PCD v0.7 - Point Cloud Data file format\n", names, sizes, types, counts;
-    for (const auto& note : notes) header += fmt::format("# {}\n", report_detail::note_line(note));
-    for (const Field& field : fields_of(points)) {
+    for (const auto& note : notes) header += fmt::format("# {}\n", report_detail::format_note_line(note));
+    for (const Field& field : list_fields(points)) {
         names += fmt::format(" {}", field.name);
         sizes += fmt::format(" {}", field.bytes);
         types += fmt::format(" {}", field.pcd_type);
@@ -114,13 +114,13 @@ void write_pcd(const std::filesystem::path& path, const Points& points, const Fi
     const std::size_t n = points.size();
     header += fmt::format("VERSION 0.7\nFIELDS{}\nSIZE{}\nTYPE{}\nCOUNT{}\n", names, sizes, types, counts);
     header += fmt::format("WIDTH {}\nHEIGHT 1\nVIEWPOINT {}\nPOINTS {}\nDATA binary\n", n,
-                          viewpoint(points.world_from_points), n);
-    report_detail::write_file(path, header + packed_records(points));
+                          format_viewpoint(points.world_from_points), n);
+    report_detail::write_file(path, header + pack_records(points));
 }
 
 void write_kitti_bin(const std::filesystem::path& path, const Points& points) {
     check_lengths(points);
-    report_detail::write_file(path, packed_records({points.position_m, points.intensity}));
+    report_detail::write_file(path, pack_records({points.position_m, points.intensity}));
 }
 
 }  // namespace relidar

@@ -59,7 +59,7 @@ struct RecordedActor {
 };
 
 /// Converts a time in seconds to a time stamp in nanoseconds.
-inline std::uint64_t stamp_of(double time_s) { return std::uint64_t(std::llround(1e9 * time_s)); }
+inline std::uint64_t to_stamp(double time_s) { return std::uint64_t(std::llround(1e9 * time_s)); }
 
 struct RecordedMoment {
     std::uint64_t first_ns, last_ns;  ///< firing times of the first and last ray of all sensors

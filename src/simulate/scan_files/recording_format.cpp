@@ -3,18 +3,18 @@
 
 namespace relidar::scan_files {
 
-std::span<const RecordingFormat> recording_formats() {
+std::span<const RecordingFormat> list_recording_formats() {
     // The metadata contain an empty key `serialized_metadata`. This makes rosbag2 read
     // quality-of-service policies as numbers, as in bags before version 9.
     static const RecordingFormat formats[] = {
-        {"mcap", "scans.mcap", "", "protobuf", "protobuf", {}, foxglove_topics},
+        {"mcap", "scans.mcap", "", "protobuf", "protobuf", {}, list_foxglove_topics},
         {"rosbag",
          "rosbag.mcap",
          "ros2",
          "ros2msg",
          "cdr",
          {{"rosbag2", {{"serialized_metadata", ""}}}},
-         ros_topics},
+         list_ros_topics},
     };
     return formats;
 }

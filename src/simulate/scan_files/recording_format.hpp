@@ -37,11 +37,11 @@ struct RecordingFormat {
     std::vector<RecordedTopic> (*topics)(const RecordedRig&);
 };
 
-std::span<const RecordingFormat> recording_formats();
+std::span<const RecordingFormat> list_recording_formats();
 
-/// These functions return the topics of a recording. foxglove_topics() uses Foxglove's
-/// schemas in protobuf. ros_topics() uses ROS 2 messages in CDR.
-std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig);
-std::vector<RecordedTopic> ros_topics(const RecordedRig& rig);
+/// These functions return the topics of a recording. list_foxglove_topics() uses
+/// Foxglove's schemas in protobuf. list_ros_topics() uses ROS 2 messages in CDR.
+std::vector<RecordedTopic> list_foxglove_topics(const RecordedRig& rig);
+std::vector<RecordedTopic> list_ros_topics(const RecordedRig& rig);
 
 }  // namespace relidar::scan_files

@@ -13,7 +13,7 @@ using Actors = std::vector<RecordedActor>;
 
 /// Returns a message with one detection per actor. Each detection has the time at which
 /// the sensor points at the box.
-std::string detections(std::uint64_t stamp_ns, const Actors& actors) {
+std::string make_detections_message(std::uint64_t stamp_ns, const Actors& actors) {
     Cdr cdr;
     add_header(cdr, stamp_ns, kWorldFrame);
     cdr.add(std::uint32_t(actors.size()));
@@ -42,8 +42,9 @@ constexpr Label kLabels[] = {
 constexpr std::uint8_t kUnknown = 0;
 
 std::uint8_t label_of(std::string category) {
-    std::ranges::transform(category, category.begin(),
-                           [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+    std::ranges::transform(category, category.begin(), [](unsigned char character) {
+        return static_cast<char>(std::tolower(character));
+    });
     const auto found = std::ranges::find_if(
         kLabels, [&](const Label& label) { return category.find(label.word) != std::string::npos; });
     return found == std::end(kLabels) ? kUnknown : found->number;
@@ -70,7 +71,7 @@ void add_uuid(Cdr& cdr, const std::string& name) {
 /// Returns a message with the boxes of all actors at the time of the message. The objects
 /// in this message have no times of their own. Readers can extrapolate the poses with the
 /// velocities.
-std::string tracked_objects(std::uint64_t stamp_ns, const Actors& actors) {
+std::string make_tracked_objects_message(std::uint64_t stamp_ns, const Actors& actors) {
     constexpr std::uint8_t kOrientationAvailable = 2, kBoundingBox = 0;
     Cdr cdr;
     add_header(cdr, stamp_ns, kWorldFrame);
@@ -91,18 +92,19 @@ std::string tracked_objects(std::uint64_t stamp_ns, const Actors& actors) {
 
 }  // namespace
 
-std::vector<RecordedTopic> ros_actor_topics() {
+std::vector<RecordedTopic> list_ros_actor_topics() {
     const auto topic = [](const char* name, const char* type,
                           std::string (*message)(std::uint64_t, const Actors&)) {
-        return ros_topic(name, type, [message](const RecordedMoment& moment) {
+        return make_ros_topic(name, type, [message](const RecordedMoment& moment) {
             std::vector<RecordedMessage> messages;
             for (const auto& [stamp_ns, actors] : moment.actors)
                 messages.push_back({moment.last_ns, message(stamp_ns, actors)});
             return messages;
         });
     };
-    return {topic("/actors", "vision_msgs/msg/Detection3DArray", detections),
-            topic("/actors_autoware", "autoware_perception_msgs/msg/TrackedObjects", tracked_objects)};
+    return {topic("/actors", "vision_msgs/msg/Detection3DArray", make_detections_message),
+            topic("/actors_autoware", "autoware_perception_msgs/msg/TrackedObjects",
+                  make_tracked_objects_message)};
 }
 
 }  // namespace relidar::scan_files

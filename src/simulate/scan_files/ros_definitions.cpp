@@ -73,7 +73,7 @@ const std::map<std::string, std::string>& known_types() {
 
 /// Returns the message types that occur as fields in a definition. Numbers and strings
 /// are left out.
-std::vector<std::string> types_in(const std::string& fields) {
+std::vector<std::string> list_types(const std::string& fields) {
     std::vector<std::string> types;
     std::istringstream lines(fields);
     for (std::string type, rest; lines >> type && std::getline(lines, rest);)
@@ -83,7 +83,7 @@ std::vector<std::string> types_in(const std::string& fields) {
 
 }  // namespace
 
-std::string ros_definition(const std::string& type) {
+std::string make_ros_definition(const std::string& type) {
     constexpr std::string_view kMessages = "/msg/";
     const std::size_t middle = type.find(kMessages);
     const bool is_short = middle == std::string::npos;
@@ -94,7 +94,7 @@ std::string ros_definition(const std::string& type) {
         const std::string& fields = known_types().at(types[i]);
         if (i > 0) definition += std::string(80, '=') + "\nMSG: " + types[i] + "\n";
         definition += fields;
-        for (const std::string& used : types_in(fields))
+        for (const std::string& used : list_types(fields))
             if (std::ranges::find(types, used) == types.end()) types.push_back(used);
     }
     return definition;

@@ -10,6 +10,6 @@ namespace relidar::scan_files {
 /// that it contains. Readers need this text to decode messages.
 /// @param type a type that the .cpp file defines, for example "nav_msgs/msg/Odometry" or
 /// "nav_msgs/Odometry"
-std::string ros_definition(const std::string& type);
+std::string make_ros_definition(const std::string& type);
 
 }  // namespace relidar::scan_files

@@ -23,7 +23,7 @@ inline void add_header(Cdr& cdr, std::uint64_t stamp_ns, const std::string& fram
     add_time(cdr, stamp_ns), cdr.add_text(frame);
 }
 
-inline void add_vector(Cdr& cdr, const glm::dvec3& v) { cdr.add(v.x).add(v.y).add(v.z); }
+inline void add_vector(Cdr& cdr, const glm::dvec3& vector) { cdr.add(vector.x).add(vector.y).add(vector.z); }
 /// Adds a pose or a transform.
 inline void add_pose(Cdr& cdr, const Pose& pose) {
     add_vector(cdr, pose.translation);
@@ -38,13 +38,13 @@ inline void add_velocity(Cdr& cdr, const Velocity& velocity) {
 }
 
 /// Returns the topics that contain the point clouds of one sensor.
-std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t sensor);
+std::vector<RecordedTopic> list_ros_cloud_topics(const RecordedRig& rig, std::size_t sensor);
 /// Returns the topics with the boxes of the actors.
-std::vector<RecordedTopic> ros_actor_topics();
+std::vector<RecordedTopic> list_ros_actor_topics();
 /// Returns a topic whose quality of service is "reliable".
 /// @param is_latched true if subscribers that join later receive the last message
-RecordedTopic ros_topic(const std::string& name, const std::string& type,
-                        std::function<std::vector<RecordedMessage>(const RecordedMoment&)> messages,
-                        bool is_latched = false);
+RecordedTopic make_ros_topic(const std::string& name, const std::string& type,
+                             std::function<std::vector<RecordedMessage>(const RecordedMoment&)> messages,
+                             bool is_latched = false);
 
 }  // namespace relidar::scan_files

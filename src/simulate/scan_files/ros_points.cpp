@@ -26,13 +26,13 @@ const std::vector<RosField> kAutoware = {{"x", 0, kRosFloat32},          {"y", 4
                                          {"azimuth", 16, kRosFloat32},   {"elevation", 20, kRosFloat32},
                                          {"distance", 24, kRosFloat32},  {"time_stamp", 28, kRosUint32}};
 
-/// Values of the field `return_type`, as Nebula defines them.
+/// Values of the field `get_return_type`, as Nebula defines them.
 enum ReturnType : std::uint8_t { kLast = 1, kStrongest = 3, kSecondStrongest = 8 };
 
 /// Returns the type of a return: strongest, last or second strongest. A second return is
 /// the last return if its range is larger than the range of the first return. Otherwise,
 /// the second return is the second strongest.
-ReturnType return_type(const Points& cloud, std::size_t point) {
+ReturnType get_return_type(const Points& cloud, std::size_t point) {
     const bool second = !cloud.return_number.empty() && cloud.return_number[point] == 2;
     if (!second || point == 0) return kStrongest;
     return glm::length(cloud.position_m[point]) > glm::length(cloud.position_m[point - 1]) ? kLast
@@ -41,13 +41,13 @@ ReturnType return_type(const Points& cloud, std::size_t point) {
 
 /// Packs points as PointXYZIRCAEDT. Computes the angles in radians from x, y and z.
 /// Azimuth increases from the x axis to the left, and elevation increases upwards.
-std::string autoware_points(const Points& cloud) {
+std::string make_autoware_points(const Points& cloud) {
     std::string bytes;
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
         const glm::vec3& p = cloud.position_m[i];
         append(bytes, p);
         append(bytes, std::uint8_t(std::lround(255.0f * std::clamp(cloud.intensity[i], 0.0f, 1.0f))));
-        append(bytes, std::uint8_t(return_type(cloud, i)));
+        append(bytes, std::uint8_t(get_return_type(cloud, i)));
         append(bytes, cloud.ring[i]);
         append(bytes, std::atan2(p.y, p.x)), append(bytes, std::atan2(p.z, std::hypot(p.x, p.y))),
             append(bytes, glm::length(p));
@@ -56,7 +56,7 @@ std::string autoware_points(const Points& cloud) {
     return bytes;
 }
 
-std::string plain_points(const Points& cloud) {
+std::string make_plain_points(const Points& cloud) {
     std::string bytes;
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
         append(bytes, cloud.position_m[i]), append(bytes, cloud.intensity[i]);
@@ -74,20 +74,20 @@ struct PointType {
     std::string (*points)(const Points&);
     bool has_channels;
 };
-const PointType kPlainType{kPlain, 24, plain_points, true},
-    kAutowareType{kAutoware, 32, autoware_points, false};
+const PointType kPlainType{kPlain, 24, make_plain_points, true},
+    kAutowareType{kAutoware, 32, make_autoware_points, false};
 
-std::string cloud_message(const Points& cloud, const std::string& frame, const PointType& type) {
+std::string make_cloud_message(const Points& cloud, const std::string& frame, const PointType& type) {
     const std::string points = type.points(cloud);
     std::vector<RosField> fields = type.fields;
     std::uint32_t step = type.step;
     for (const auto& [name, is_integer] :
-         type.has_channels ? numbers_of(cloud.channels) : std::vector<ChannelNumber>{}) {
+         type.has_channels ? list_channel_numbers(cloud.channels) : std::vector<ChannelNumber>{}) {
         fields.push_back({name, step, is_integer ? kRosInt32 : kRosFloat32});
         step += 4;
     }
     Cdr cdr;
-    add_header(cdr, stamp_of(cloud.time_s), frame);
+    add_header(cdr, to_stamp(cloud.time_s), frame);
     cdr.add(std::uint32_t(1)).add(std::uint32_t(cloud.size())).add(std::uint32_t(fields.size()));
     for (const RosField& field : fields)
         cdr.add_text(field.name).add(field.offset).add(field.type).add(std::uint32_t(1));
@@ -101,13 +101,13 @@ std::string cloud_message(const Points& cloud, const std::string& frame, const P
 
 }  // namespace
 
-std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t sensor) {
+std::vector<RecordedTopic> list_ros_cloud_topics(const RecordedRig& rig, std::size_t sensor) {
     const std::string& topic = rig.sensors[sensor].topic;
     const std::string frame = rig.world ? kWorldFrame : rig.sensors[sensor].frame_id;
     const auto of_type = [&](const std::string& name, const PointType& type) {
-        return ros_topic(name, "sensor_msgs/msg/PointCloud2", [=, &type](const RecordedMoment& moment) {
+        return make_ros_topic(name, "sensor_msgs/msg/PointCloud2", [=, &type](const RecordedMoment& moment) {
             return std::vector<RecordedMessage>{
-                {moment.last_ns, cloud_message(moment.clouds[sensor], frame, type)}};
+                {moment.last_ns, make_cloud_message(moment.clouds[sensor], frame, type)}};
         });
     };
     std::vector<RecordedTopic> topics{of_type(topic, kPlainType)};

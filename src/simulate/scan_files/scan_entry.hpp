@@ -15,8 +15,8 @@ namespace relidar::scan_files {
 /// boxes of the actors only if the scan has views of its actors.
 /// @param frame frame number
 /// @param files names of the scan's files in the folder
-std::string entry_json(int frame, const RenderedScan& scan, const ScanFormat& format,
-                       const std::vector<std::string>& files);
+std::string make_entry_json(int frame, const RenderedScan& scan, const ScanFormat& format,
+                            const std::vector<std::string>& files);
 
 /// Removes the scan files of an earlier rendering from a folder. Also removes
 /// half-written files of a killed process.

@@ -31,7 +31,7 @@ using scan_files::points_of;
 constexpr const char* kUnits = "metres, seconds; intensity and drop_prob 0 to 1";
 
 /// Returns the 4 x 4 matrix of a pose in row-major order.
-std::vector<double> matrix_of(const Pose& pose) {
+std::vector<double> to_matrix_values(const Pose& pose) {
     const glm::dmat4 columns = to_matrix(pose);
     std::vector<double> numbers;
     for (int row = 0; row < 4; ++row)
@@ -39,48 +39,49 @@ std::vector<double> matrix_of(const Pose& pose) {
     return numbers;
 }
 
-std::string frame_text(const ScanFormat& format) {
+std::string format_frame(const ScanFormat& format) {
     if (format.frame == PointFrame::world) return "world: the dataset's own";
     return is_deskewed(format) ? "sensor at time_s: x forward, y left, z up"
                                : "sensor at each ray's firing time: x forward, y left, z up";
 }
 
-FileNotes notes_of(const ScanFormat& format, int frame, const RenderedScan& scan) {
-    return {{"relidar", RELIDAR_VERSION},
-            {"run", format.run},
-            {"sensor", format.sensor},
-            {"frame_number", fmt::format("{}", frame)},
-            {"time_s", fmt::format("{}", scan.time_s)},
-            {"points_in", frame_text(format)},
-            {"points_range", format.config.render.points == "median" ? "median" : format.config.render.range},
-            {"world_from_sensor", fmt::format("{}", fmt::join(matrix_of(scan.world_from_sensor), " "))},
-            {"units", kUnits}};
+FileNotes make_notes(const ScanFormat& format, int frame, const RenderedScan& scan) {
+    return {
+        {"relidar", RELIDAR_VERSION},
+        {"run", format.run},
+        {"sensor", format.sensor},
+        {"frame_number", fmt::format("{}", frame)},
+        {"time_s", fmt::format("{}", scan.time_s)},
+        {"points_in", format_frame(format)},
+        {"points_range", format.config.render.points == "median" ? "median" : format.config.render.range},
+        {"world_from_sensor", fmt::format("{}", fmt::join(to_matrix_values(scan.world_from_sensor), " "))},
+        {"units", kUnits}};
 }
 
 template <class T>
-NamedArray image_array(const std::string& name, const RangeImage& image, const std::vector<T>& values) {
+NamedArray make_image_array(const std::string& name, const RangeImage& image, const std::vector<T>& values) {
     return make_array(name, {static_cast<std::size_t>(image.rows), static_cast<std::size_t>(image.columns)},
                       values.data(), values.size());
 }
 
-NamedArray image_array(const std::string& name, const RangeImage& image,
-                       const std::vector<glm::vec3>& values) {
+NamedArray make_image_array(const std::string& name, const RangeImage& image,
+                            const std::vector<glm::vec3>& values) {
     const float* first = values.empty() ? nullptr : &values.front().x;
     return make_array(name,
                       {static_cast<std::size_t>(image.rows), static_cast<std::size_t>(image.columns), 3},
                       first, values.size() * 3);
 }
 
-std::vector<NamedArray> arrays_of(const PlacedScan& placed) {
+std::vector<NamedArray> list_arrays(const PlacedScan& placed) {
     const RenderedScan& scan = placed.scan;
     const RangeImage& image = scan.image;
-    const std::vector<double> pose = matrix_of(scan.world_from_sensor);
+    const std::vector<double> pose = to_matrix_values(scan.world_from_sensor);
     const bool world = placed.format.frame == PointFrame::world;
     const std::int32_t number = placed.frame, deskewed = is_deskewed(placed.format) ? 1 : 0;
     std::vector<NamedArray> arrays{make_text_array("instance_names", placed.format.instance_names),
-                                   image_array("directions", image, placed.direction),
-                                   image_array("origin", image, placed.origin),
-                                   image_array("points", image, placed.end_m),
+                                   make_image_array("directions", image, placed.direction),
+                                   make_image_array("origin", image, placed.origin),
+                                   make_image_array("points", image, placed.end_m),
                                    make_array("pose", {4, 4}, pose.data(), pose.size()),
                                    make_array("time_s", {}, &scan.time_s, 1),
                                    make_array("frame_number", {}, &number, 1),
@@ -90,13 +91,13 @@ std::vector<NamedArray> arrays_of(const PlacedScan& placed) {
                                    make_text("run", placed.format.run),
                                    make_text("units", kUnits)};
     for_each_file_channel(placed, [&](const ChannelInfo& channel, const auto& values) {
-        arrays.push_back(image_array(channel.name, image, values));
+        arrays.push_back(make_image_array(channel.name, image, values));
     });
     if (scan.unseen_share) arrays.push_back(make_array("unseen", {}, &*scan.unseen_share, 1));
     return arrays;
 }
 
-void exr(const fs::path& path, const PlacedScan& placed) {
+void write_exr_file(const fs::path& path, const PlacedScan& placed) {
     std::map<std::string, std::vector<float>> channels;
     const auto add = [&]<class T>(const std::string& name, const std::vector<T>& values) {
         if constexpr (std::is_same_v<T, glm::vec3>) {
@@ -114,33 +115,41 @@ void exr(const fs::path& path, const PlacedScan& placed) {
     write_exr(path, image.rows, image.columns, channels, placed.notes);
 }
 
-void npz(const fs::path& path, const PlacedScan& placed) { write_npz(path, arrays_of(placed)); }
-void ply(const fs::path& path, const PlacedScan& placed) { write_ply(path, points_of(placed), placed.notes); }
-void pcd(const fs::path& path, const PlacedScan& placed) { write_pcd(path, points_of(placed), placed.notes); }
+void write_npz_file(const fs::path& path, const PlacedScan& placed) { write_npz(path, list_arrays(placed)); }
+void write_ply_file(const fs::path& path, const PlacedScan& placed) {
+    write_ply(path, points_of(placed), placed.notes);
+}
+void write_pcd_file(const fs::path& path, const PlacedScan& placed) {
+    write_pcd(path, points_of(placed), placed.notes);
+}
 void bin(const fs::path& path, const PlacedScan& placed) { write_kitti_bin(path, points_of(placed)); }
-void png(const fs::path& path, const PlacedScan& placed) {
-    write_png(path, scan_picture(placed.scan), placed.notes);
+void write_png_file(const fs::path& path, const PlacedScan& placed) {
+    write_png(path, draw_scan_picture(placed.scan), placed.notes);
 }
 
 struct Format {
     const char* name;  ///< name of the format, which is also the extension of its files
     void (*write)(const fs::path&, const PlacedScan&);
 };
-constexpr Format kFormats[] = {{"npz", npz}, {"exr", exr}, {"ply", ply},
-                               {"pcd", pcd}, {"bin", bin}, {"png", png}};
+constexpr Format kFormats[] = {{"npz", write_npz_file},
+                               {"exr", write_exr_file},
+                               {"ply", write_ply_file},
+                               {"pcd", write_pcd_file},
+                               {"bin", bin},
+                               {"png", write_png_file}};
 
 }  // namespace
 
-std::vector<std::string> scan_formats() {
+std::vector<std::string> list_scan_formats() {
     std::vector<std::string> names;
     for (const Format& format : kFormats) names.emplace_back(format.name);
-    for (const scan_files::RecordingFormat& format : scan_files::recording_formats())
+    for (const scan_files::RecordingFormat& format : scan_files::list_recording_formats())
         names.emplace_back(format.name);
     names.emplace_back(scan_files::kPacketFormat);
     return names;
 }
 
-ScanFormat scan_format(const Run& run, const SensorChoice& sensor) {
+ScanFormat make_scan_format(const Run& run, const SensorChoice& sensor) {
     ScanFormat format;
     for (const Instance& instance : run.scene.instances) {
         format.instance_names.push_back(instance.track.empty() ? "background" : instance.track);
@@ -153,7 +162,7 @@ ScanFormat scan_format(const Run& run, const SensorChoice& sensor) {
     const Lidar& lidar = run.sequence.lidars[std::size_t(sensor.lidar)];
     format.vehicle_from_lidar = lidar.vehicle_from_sensor;
     format.rolling_shutter = has_rolling_shutter(sensor, run.config);
-    name_in_recordings(format, lidar.name);
+    set_recording_name(format, lidar.name);
     if (!run.folder.empty()) format.run = fs::absolute(run.folder).lexically_normal().string();
     format.sensor = sensor.name;
     format.limits = sensor.limits;
@@ -168,8 +177,8 @@ bool is_deskewed(const ScanFormat& format) {
     return format.frame == PointFrame::world || format.deskew || !format.rolling_shutter;
 }
 
-std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame, const ScanFormat& format) {
-    return arrays_of(place(scan, format, scan.world_from_sensor, frame));
+std::vector<NamedArray> make_scan_arrays(const RenderedScan& scan, int frame, const ScanFormat& format) {
+    return list_arrays(place(scan, format, scan.world_from_sensor, frame));
 }
 
 bool ScanFolder::wants(const std::string& format) const {
@@ -178,7 +187,7 @@ bool ScanFolder::wants(const std::string& format) const {
 
 void ScanFolder::write(int frame, const RenderedScan& scan) {
     const PlacedScan placed =
-        place(scan, format_, scan.world_from_sensor, frame, notes_of(format_, frame, scan));
+        place(scan, format_, scan.world_from_sensor, frame, make_notes(format_, frame, scan));
     std::vector<std::string> files;
     for (const Format& format : kFormats) {
         if (!wants(format.name)) continue;
@@ -189,7 +198,7 @@ void ScanFolder::write(int frame, const RenderedScan& scan) {
     for (const ScanChannel& channel : scan.channels)
         if (std::ranges::find(channels_, channel.info.name, &ChannelInfo::name) == channels_.end())
             channels_.push_back(channel.info);
-    entries_.push_back(scan_files::entry_json(frame, scan, format_, files));
+    entries_.push_back(scan_files::make_entry_json(frame, scan, format_, files));
 }
 
 }  // namespace relidar

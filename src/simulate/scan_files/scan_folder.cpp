@@ -32,16 +32,16 @@ constexpr const char* kSummary = "scans.json";
 bool is_of_rendering(const fs::path& name) {
     const auto is_named = [&](const scan_files::RecordingFormat& format) { return name == format.file; };
     if (name == kSummary || scan_files::PacketFiles::is_file(name) ||
-        std::ranges::any_of(scan_files::recording_formats(), is_named))
+        std::ranges::any_of(scan_files::list_recording_formats(), is_named))
         return true;
     const std::string stem = name.stem().string(), prefix = "frame_", extension = name.extension().string();
-    const std::vector<std::string> formats = scan_formats();
+    const std::vector<std::string> formats = list_scan_formats();
     return stem.starts_with(prefix) && stem.size() > prefix.size() &&
            stem.find_first_not_of("0123456789", prefix.size()) == std::string::npos && !extension.empty() &&
            std::find(formats.begin(), formats.end(), extension.substr(1)) != formats.end();
 }
 
-Json matrix_json(const Pose& pose) {
+Json make_matrix_json(const Pose& pose) {
     const glm::dmat4 columns = to_matrix(pose);
     Json rows = Json::array();
     for (int row = 0; row < 4; ++row)
@@ -51,24 +51,24 @@ Json matrix_json(const Pose& pose) {
 
 /// Converts the value of a setting to JSON. Numbers and booleans keep their type. Other
 /// values become strings.
-Json value_json(const std::string& text) {
+Json make_value_json(const std::string& text) {
     const Json value = Json::parse(text, nullptr, false);
     return value.is_number() || value.is_boolean() ? value : Json(text);
 }
 
-Json settings_json(const Config& config) {
+Json make_settings_json(const Config& config) {
     Json json = Json::object();
-    for (const ConfigKey& key : config_keys(config)) json[key.key] = value_json(key.value);
+    for (const ConfigKey& key : list_config_keys(config)) json[key.key] = make_value_json(key.value);
     return json;
 }
 
 /// Returns a JSON object with the name, unit and meaning of each channel in the files.
-Json channels_json(const std::vector<ChannelInfo>& channels) {
+Json make_channels_json(const std::vector<ChannelInfo>& channels) {
     Json json = Json::object();
     const auto add = [&](const ChannelInfo& channel) {
         json[channel.name] = {{"unit", channel.unit}, {"meaning", channel.meaning}};
     };
-    std::ranges::for_each(file_channels(), add);
+    std::ranges::for_each(list_file_channels(), add);
     std::ranges::for_each(channels, add);
     return json;
 }
@@ -77,12 +77,12 @@ Json channels_json(const std::vector<ChannelInfo>& channels) {
 
 ScanFolder::ScanFolder(fs::path folder, ScanFormat format, Joining)
     : folder_(std::move(folder)), format_(std::move(format)) {
-    const std::vector<std::string> known = scan_formats();
+    const std::vector<std::string> known = list_scan_formats();
     for (const std::string& name : format_.formats)
         if (std::find(known.begin(), known.end(), name) == known.end())
             throw UsageError(
                 fmt::format("cannot write scans: the format \"{}\" is unknown{} (known formats: {})", name,
-                            did_you_mean(name, known), fmt::join(known, ", ")));
+                            suggest_name(name, known), fmt::join(known, ", ")));
     check_writable(folder_);
     channels_ = parse_channels(format_.config.render.channels);
 }
@@ -130,18 +130,18 @@ void ScanFolder::summarise() const {
          {{"name", format_.sensor},
           {"min_range_m", format_.limits.min_m},
           {"max_range_m", format_.limits.max_m}}},
-        {"sensor_offset", matrix_json(format_.offset)},
+        {"sensor_offset", make_matrix_json(format_.offset)},
         {"trajectory", format_.trajectory.empty() ? Json() : Json(format_.trajectory)},
         {"units", "metres, seconds; time of a point in seconds from time_s; intensity and drop_prob 0 to 1"},
         {"points", points},
-        {"channels", channels_json(channels_)},
+        {"channels", make_channels_json(channels_)},
         {"instances", format_.instance_names},
         {"only", format_.only},
         {"sample", format_.sample ? Json(*format_.sample) : Json()},
         {"weather", to_text(format_.weather)},
         {"recordings", Json::array()},
         {"scans", Json::array()},
-        {"settings", settings_json(config)}};
+        {"settings", make_settings_json(config)}};
     if (recordings_) json["recordings"] = recordings_->names();
     for (const std::string& entry : entries_) json["scans"].push_back(Json::parse(entry));
     write_text(folder_ / kSummary, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
@@ -158,13 +158,13 @@ Json boxes_json(const RenderedScan& scan, const ScanFormat& format) {
         const BoxTrack& box = *actor.box;
         const Pose pose = actor.world_from_box(actor.faced_s);
         const glm::dvec3 velocity_mps =
-            pose.rotation * scan_files::velocity_of(actor.world_from_box, actor.faced_s).linear_mps;
+            pose.rotation * scan_files::compute_velocity(actor.world_from_box, actor.faced_s).linear_mps;
         boxes.push_back({{"track", box.id},
                          {"category", box.category},
-                         {"class", name_of(object_kind(box.category))},
+                         {"class", get_name(parse_object_kind(box.category))},
                          {"size_m", {box.size_m.x, box.size_m.y, box.size_m.z}},
                          {"time_s", actor.faced_s},
-                         {"world_from_box", matrix_json(pose)},
+                         {"world_from_box", make_matrix_json(pose)},
                          {"velocity_mps", {velocity_mps.x, velocity_mps.y, velocity_mps.z}},
                          {"points", actor.n_points},
                          {"visible_share", *actor.visible_share}});
@@ -174,15 +174,15 @@ Json boxes_json(const RenderedScan& scan, const ScanFormat& format) {
 
 }  // namespace
 
-std::string scan_files::entry_json(int frame, const RenderedScan& scan, const ScanFormat& format,
-                                   const std::vector<std::string>& files) {
+std::string scan_files::make_entry_json(int frame, const RenderedScan& scan, const ScanFormat& format,
+                                        const std::vector<std::string>& files) {
     const std::size_t n_points = count_points(scan, format.config);
     Json sides = Json::array();
     for (const UnseenSide& unseen : scan.unseen_sides)
-        sides.push_back({{"track", unseen.track}, {"side", name_of(unseen.side)}, {"rays", unseen.n_rays}});
+        sides.push_back({{"track", unseen.track}, {"side", get_name(unseen.side)}, {"rays", unseen.n_rays}});
     const Json entry = {{"frame_number", frame},
                         {"time_s", scan.time_s},
-                        {"world_from_sensor", matrix_json(scan.world_from_sensor)},
+                        {"world_from_sensor", make_matrix_json(scan.world_from_sensor)},
                         {"rays", scan.image.range_m.size()},
                         {"points", n_points},
                         {"dropped", scan.image.range_m.size() - n_points},
@@ -193,7 +193,7 @@ std::string scan_files::entry_json(int frame, const RenderedScan& scan, const Sc
     return entry.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
-std::vector<fs::path> scans_in(const fs::path& folder) {
+std::vector<fs::path> list_scan_files(const fs::path& folder) {
     std::vector<fs::path> files;
     std::error_code failed;
     for (const auto& entry : fs::directory_iterator(folder, failed))
@@ -203,7 +203,7 @@ std::vector<fs::path> scans_in(const fs::path& folder) {
 }
 
 void scan_files::remove_scans(const fs::path& folder) {
-    for (const fs::path& file : scans_in(folder)) {
+    for (const fs::path& file : list_scan_files(folder)) {
         std::error_code failed;
         fs::remove(file, failed);
         if (failed)

@@ -12,7 +12,7 @@
 
 namespace relidar {
 
-Scan measured_scan(const RenderedScan& scan, const Config& config) {
+Scan make_measured_scan(const RenderedScan& scan, const Config& config) {
     const RangeImage& image = scan.image;
     Scan measured;
     measured.rays.rows = image.rows;
@@ -21,7 +21,7 @@ Scan measured_scan(const RenderedScan& scan, const Config& config) {
     measured.rays.direction = to_scan_array(image.direction);
     measured.rays.time_offset_s = to_scan_array(scan.time_offset_s);
     measured.rays.channel = to_scan_array(scan.ring);
-    measured.range_m = to_scan_array(point_ranges(scan, config));
+    measured.range_m = to_scan_array(select_point_ranges(scan, config));
     measured.intensity = to_scan_array(image.intensity);
     measured.second_returns = scan.second_returns;
     for (std::size_t i = 0; i < measured.range_m.size(); ++i) {
@@ -57,7 +57,7 @@ ScanPackets::ScanPackets(std::vector<ScanFormat> sensors) : impl_(std::make_uniq
         if (!format.packets.sensor)
             throw UsageError(
                 fmt::format("writing packets: found sensor \"{}\", which does not spin, expected one of {}",
-                            format.sensor, packet_sensors()));
+                            format.sensor, list_packet_sensors()));
     impl_->sensors = std::move(sensors);
     impl_->create(0.0);
 }
@@ -76,8 +76,8 @@ std::vector<std::vector<SensorPacket>> ScanPackets::encode(std::span<const Rende
     }
     std::vector<std::vector<SensorPacket>> packets;
     for (std::size_t s = 0; s < scans.size(); ++s)
-        packets.push_back(
-            impl_->encoders[s]->encode(measured_scan(scans[s], impl_->sensors[s].config), scans[s].time_s));
+        packets.push_back(impl_->encoders[s]->encode(make_measured_scan(scans[s], impl_->sensors[s].config),
+                                                     scans[s].time_s));
     return packets;
 }
 

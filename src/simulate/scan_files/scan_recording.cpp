@@ -17,7 +17,7 @@ namespace fs = std::filesystem;
 ScanRecording::ScanRecording(fs::path path, const RecordingFormat& format, const RecordedRig& rig,
                              const FileNotes& notes)
     : path_(std::move(path)),
-      temporary_(temporary_path(path_)),
+      temporary_(make_temporary_path(path_)),
       notes_(notes),
       writer_(temporary_, format.profile) {
     std::map<std::string, std::uint16_t> schemas;

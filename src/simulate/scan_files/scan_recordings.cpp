@@ -22,7 +22,9 @@ namespace {
 
 namespace fs = std::filesystem;
 
-bool is_topic_letter(char c) { return std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '_'; }
+bool is_topic_letter(char character) {
+    return std::isalnum(static_cast<unsigned char>(character)) != 0 || character == '_';
+}
 
 /// Returns true if a name is a valid ROS topic. A topic consists of words of letters,
 /// digits and underscores. Each word follows a slash and does not begin with a digit.
@@ -71,7 +73,7 @@ void check_topics(const std::vector<scan_files::RecordedTopic>& topics) {
 }
 
 /// Returns the metadata of a recording.
-FileNotes recording_notes(const std::vector<ScanFormat>& sensors) {
+FileNotes make_recording_notes(const std::vector<ScanFormat>& sensors) {
     const ScanFormat& format = sensors.front();
     std::vector<std::string> names;
     for (const ScanFormat& sensor : sensors)
@@ -89,23 +91,23 @@ FileNotes recording_notes(const std::vector<ScanFormat>& sensors) {
 
 }  // namespace
 
-std::string topic_word(const std::string& name) {
+std::string make_topic_word(const std::string& name) {
     std::string word = name;
     std::ranges::replace_if(
-        word, [](char c) { return !is_topic_letter(c); }, '_');
+        word, [](char character) { return !is_topic_letter(character); }, '_');
     if (!word.empty() && std::isdigit(static_cast<unsigned char>(word.front())))
         word.insert(word.begin(), '_');
     return word;
 }
 
-void name_in_recordings(ScanFormat& format, const std::string& name) {
-    format.topic = name.empty() ? "/lidar/points" : "/lidar/" + topic_word(name) + "/points";
+void set_recording_name(ScanFormat& format, const std::string& name) {
+    format.topic = name.empty() ? "/lidar/points" : "/lidar/" + make_topic_word(name) + "/points";
     format.frame_id = name.empty() ? "lidar" : name;
 }
 
 bool is_recording(const std::string& format) {
     return format == scan_files::kPacketFormat ||
-           std::ranges::any_of(scan_files::recording_formats(),
+           std::ranges::any_of(scan_files::list_recording_formats(),
                                [&](const auto& known) { return format == known.name; });
 }
 
@@ -121,12 +123,12 @@ ScanRecordings::ScanRecordings(fs::path folder, std::vector<ScanFormat> sensors)
     impl_ = std::make_shared<Impl>(Impl{scan_files::MomentRecorder(sensors), {}, {}, {}});
     const std::vector<std::string>& wanted = sensors.front().formats;
     const scan_files::RecordedRig rig = impl_->recorder.rig();
-    for (const scan_files::RecordingFormat& format : scan_files::recording_formats()) {
+    for (const scan_files::RecordingFormat& format : scan_files::list_recording_formats()) {
         if (std::ranges::find(wanted, format.name) == wanted.end()) continue;
         check_names(rig), check_topics(format.topics(rig));
         impl_->names.emplace_back(format.file);
         impl_->files.push_back(std::make_unique<scan_files::ScanRecording>(folder / format.file, format, rig,
-                                                                           recording_notes(sensors)));
+                                                                           make_recording_notes(sensors)));
     }
     if (std::ranges::find(wanted, scan_files::kPacketFormat) == wanted.end()) return;
     impl_->packets = std::make_unique<scan_files::PacketFiles>(folder, sensors);

@@ -24,7 +24,7 @@ public:
     /// @param place_m returns the position of the point at a given time, in the world
     /// frame of the dataset
     template <class PlaceAt>
-    double faced_at(const PlaceAt& place_m) const {
+    double find_facing_time(const PlaceAt& place_m) const {
         // Number of iterations. Each new firing time changes the positions of the point
         // and the sensor, so the search is repeated.
         constexpr int kRounds = 3;
@@ -49,7 +49,7 @@ private:
 /// Counts the first returns of a scan on an actor.
 std::size_t count_points_on(const RenderedScan& scan, const ScanFormat& format, const std::string& track) {
     const auto instance = std::ranges::find(format.instance_names, track) - format.instance_names.begin();
-    const std::vector<float>& range_m = point_ranges(scan, format.config);
+    const std::vector<float>& range_m = select_point_ranges(scan, format.config);
     std::size_t n = 0;
     for (std::size_t i = 0; i < range_m.size(); ++i)
         n += scan.instance[i] == instance && returned(scan.image.drop_prob[i], range_m[i]);
@@ -68,9 +68,9 @@ Pose sensor_pose(const RenderedScan& scan, double time_s) {
     return scan.track.pose.empty() ? scan.world_from_sensor : scan.track.at(time_s);
 }
 
-Velocity velocity_of(const std::function<Pose(double)>& world_from_thing, double time_s) {
+Velocity compute_velocity(const std::function<Pose(double)>& world_from_thing, double time_s) {
     const Twist twist =
-        twist_between(world_from_thing(time_s - kVelocityStep_s), world_from_thing(time_s + kVelocityStep_s));
+        compute_twist(world_from_thing(time_s - kVelocityStep_s), world_from_thing(time_s + kVelocityStep_s));
     const glm::dquat thing_from_world = glm::conjugate(world_from_thing(time_s).rotation);
     const double span_s = 2.0 * kVelocityStep_s;
     return {thing_from_world * glm::dvec3(twist[0], twist[1], twist[2]) / span_s,
@@ -86,7 +86,8 @@ std::vector<SeenActor> find_actors(const RenderedScan& scan, const ScanFormat& f
             const Pose pose = box.world_from_box.at(t_s);
             return Pose{pose.rotation, pose.translation + format.world_offset_m};
         };
-        const double faced_s = rays.faced_at([&](double t_s) { return world_from_box(t_s).translation; });
+        const double faced_s =
+            rays.find_facing_time([&](double t_s) { return world_from_box(t_s).translation; });
         actors.push_back({&box, world_from_box, faced_s, count_points_on(scan, format, box.id),
                           visible_share(scan, box.id)});
     }

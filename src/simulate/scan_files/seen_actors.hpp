@@ -36,6 +36,6 @@ Pose sensor_pose(const RenderedScan& scan, double time_s);
 
 /// Returns the velocity of an object, computed by central differences of its poses.
 /// @param world_from_thing returns the pose of the object at a given time
-Velocity velocity_of(const std::function<Pose(double)>& world_from_thing, double time_s);
+Velocity compute_velocity(const std::function<Pose(double)>& world_from_thing, double time_s);
 
 }  // namespace relidar::scan_files

@@ -18,7 +18,7 @@ using Sources = std::vector<std::int32_t>;
 
 /// Returns the channel `source` and resets its values. Adds the channel if the scan has
 /// no such channel.
-ScanChannel& source_channel(RenderedScan& scan) {
+ScanChannel& find_source_channel(RenderedScan& scan) {
     const auto has_name = [](const ScanChannel& channel) { return channel.info.name == kSource; };
     const auto found = std::ranges::find_if(scan.channels, has_name);
     const bool is_there = found != scan.channels.end();
@@ -32,12 +32,12 @@ ScanChannel& source_channel(RenderedScan& scan) {
 
 /// Removes the surface of a ray. Sets the instance to -1, and resets the values in all
 /// channels that describe surfaces.
-void forget_surface(RenderedScan& scan, std::size_t ray) {
+void remove_surface(RenderedScan& scan, std::size_t ray) {
     scan.instance[ray] = -1;
     for (ScanChannel& channel : scan.channels)
         if (!channel.info.of_ray)
             std::visit(
-                [&]<class T>(std::vector<T>& values) { values[ray] = missing_value_of<T>(channel.info); },
+                [&]<class T>(std::vector<T>& values) { values[ray] = get_missing_value<T>(channel.info); },
                 channel.values);
 }
 
@@ -45,7 +45,7 @@ void forget_surface(RenderedScan& scan, std::size_t ray) {
 class WeatheredRays {
 public:
     WeatheredRays(RenderedScan& scan, const WeatherInput& input)
-        : scan_(scan), input_(input), air_(input), channel_(source_channel(scan)) {}
+        : scan_(scan), input_(input), air_(input), channel_(find_source_channel(scan)) {}
 
     void look(std::size_t index, std::uint64_t seed) {
         const bool has_second = !scan_.second_returns.empty();
@@ -78,7 +78,7 @@ private:
         return {double(range_m), double(intensity) / input_.response.at_range(double(range_m)),
                 PointSource::surface};
     }
-    float intensity_of(const Echo& echo) const {
+    float to_intensity(const Echo& echo) const {
         return std::min(static_cast<float>(echo.reflectivity * input_.response.at_range(echo.range_m)), 1.0f);
     }
     /// Returns the distance that the light of a ray travels through the air. The light
@@ -91,22 +91,22 @@ private:
         if (!is_blocked || !(median_m > 0.0f)) return input_.sensor.max_range_m;
         return std::max(double(median_m), ray.second.range_m);
     }
-    void put(std::size_t ray, const Echo& before, const Echo& now) {
+    void put(std::size_t ray, const Echo& before, const Echo& echo) {
         RangeImage& image = scan_.image;
-        if (now.source == PointSource::nothing) {
+        if (echo.source == PointSource::nothing) {
             if (before.source != PointSource::nothing) image.drop_prob[ray] = 1.0f;
             return;
         }
-        image.intensity[ray] = intensity_of(now);
-        if (now.source == before.source && now.range_m == before.range_m) return;
+        image.intensity[ray] = to_intensity(echo);
+        if (echo.source == before.source && echo.range_m == before.range_m) return;
         image.drop_prob[ray] = 0.0f;
         image.range_m[ray] = scan_.median_range_m[ray] = scan_.mean_range_m[ray] =
-            static_cast<float>(now.range_m);
-        forget_surface(scan_, ray);
+            static_cast<float>(echo.range_m);
+        remove_surface(scan_, ray);
     }
-    void put(SecondReturn& second, std::size_t ray, const Echo& now) const {
-        second.range_m[ray] = static_cast<float>(now.range_m);
-        second.intensity[ray] = now.source == PointSource::nothing ? 0.0f : intensity_of(now);
+    void put(SecondReturn& second, std::size_t ray, const Echo& echo) const {
+        second.range_m[ray] = static_cast<float>(echo.range_m);
+        second.intensity[ray] = echo.source == PointSource::nothing ? 0.0f : to_intensity(echo);
     }
 };
 
@@ -114,9 +114,10 @@ private:
 
 void add_weather(RenderedScan& scan, const WeatherInput& input) {
     const std::uint64_t of_scan =
-        hash64(hash64(input.seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfWeather);
+        combine_hashes(combine_hashes(input.seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfWeather);
     WeatheredRays rays(scan, input);
-    for_each_block(scan.image.range_m.size(), [&](std::size_t ray) { rays.look(ray, hash64(of_scan, ray)); });
+    for_each_block(scan.image.range_m.size(),
+                   [&](std::size_t ray) { rays.look(ray, combine_hashes(of_scan, ray)); });
 }
 
 }  // namespace relidar

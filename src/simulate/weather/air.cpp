@@ -42,12 +42,12 @@ Air::Air(const WeatherInput& input) : Air(input.weather, input.sensor, prepare_e
 
 Air::Air(const Weather& weather, const WeatherSensor& sensor,
          std::vector<std::unique_ptr<EffectOnRays>> effects)
-    : sensor_(sensor), alpha_(extinction(weather)), effects_(std::move(effects)) {}
+    : sensor_(sensor), alpha_(compute_extinction(weather)), effects_(std::move(effects)) {}
 
 /// Returns the reflectivity of a surface. If the intensity is below one step of the
 /// sensor, the reflectivity is unknown. In this case, draws a random value between the
 /// weakest detectable reflectivity and one step.
-double Air::surface_reflectivity(const Echo& surface, Random& random) const {
+double Air::draw_surface_reflectivity(const Echo& surface, Random& random) const {
     const double step = 2.0 * sensor_.darkest;
     if (surface.reflectivity >= step) return surface.reflectivity;
     return std::lerp(sensor_.threshold(surface.range_m) * surface.range_m * surface.range_m, step,
@@ -57,7 +57,8 @@ double Air::surface_reflectivity(const Echo& surface, Random& random) const {
 void Air::add_surface(Candidates& candidates, Echo echo, double through_water, Random& random) const {
     if (echo.source == PointSource::nothing) return;
     const double transmission = std::exp(-2.0 * alpha_ * echo.range_m) * through_water;
-    const double power = surface_reflectivity(echo, random) * transmission / (echo.range_m * echo.range_m);
+    const double power =
+        draw_surface_reflectivity(echo, random) * transmission / (echo.range_m * echo.range_m);
     echo.reflectivity *= transmission;
     if (power >= sensor_.threshold(echo.range_m)) candidates.push_back({echo, power});
 }

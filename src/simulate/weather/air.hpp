@@ -18,16 +18,18 @@
 
 namespace relidar {
 
-// Range in metres from which the laser beam lies in the receiver's field of view. Air that
-// is nearer returns no light to the receiver (Hahner et al. 2021).
+// Range in metres from which the laser beam lies in the receiver's field of view. Air
+// that is nearer returns no light to the receiver (Hahner et al. 2021).
 inline constexpr double kOverlap_m = 1.0;
 inline constexpr double kLight_m_s = 299792458.0;
 
 /// Returns the minimum range in metres at which the air can cause a return.
-inline double nearest_m(const WeatherSensor& sensor) { return std::max(kOverlap_m, sensor.min_range_m); }
-inline double pulse_m(const WeatherSensor& sensor) { return kLight_m_s * sensor.pulse_s; }
+inline double compute_nearest_m(const WeatherSensor& sensor) {
+    return std::max(kOverlap_m, sensor.min_range_m);
+}
+inline double compute_pulse_m(const WeatherSensor& sensor) { return kLight_m_s * sensor.pulse_s; }
 /// Returns the diameter of the laser beam at a given range, in metres.
-inline double beam_diameter_m(const WeatherSensor& sensor, double range_m) {
+inline double compute_beam_diameter_m(const WeatherSensor& sensor, double range_m) {
     return sensor.aperture_m + sensor.divergence_rad * range_m;
 }
 
@@ -103,7 +105,7 @@ private:
     const double alpha_;
     std::vector<std::unique_ptr<EffectOnRays>> effects_;
 
-    double surface_reflectivity(const Echo& surface, Random& random) const;
+    double draw_surface_reflectivity(const Echo& surface, Random& random) const;
     void add_surface(Candidates& candidates, Echo echo, double through_water, Random& random) const;
 };
 

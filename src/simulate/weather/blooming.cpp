@@ -40,7 +40,7 @@ struct Reflector {
     double range_m, deg2;
 };
 
-std::pair<int, int> square_of(const glm::dvec3& direction) {
+std::pair<int, int> find_square(const glm::dvec3& direction) {
     const double row = std::floor(std::asin(std::clamp(direction.z, -1.0, 1.0)) * kPerRad);
     const double around = std::atan2(direction.y, direction.x) * kPerRad * std::cos((row + 0.5) / kPerRad);
     return {int(row), int(std::floor(around))};
@@ -51,11 +51,11 @@ bool is_reflector(const RenderedScan& scan, std::size_t ray) {
            scan.image.intensity[ray] >= kSaturated;
 }
 
-std::vector<Reflector> reflectors_in(const RenderedScan& scan) {
+std::vector<Reflector> find_reflectors(const RenderedScan& scan) {
     std::map<std::pair<int, int>, Square> squares;
     for (std::size_t i = 0; i < scan.image.direction.size(); ++i) {
         const glm::dvec3 direction(scan.image.direction[i]);
-        Square& square = squares[square_of(direction)];
+        Square& square = squares[find_square(direction)];
         ++square.rays;
         if (!is_reflector(scan, i)) continue;
         ++square.reflectors, square.direction += direction, square.range_m += double(scan.median_range_m[i]);
@@ -70,11 +70,11 @@ std::vector<Reflector> reflectors_in(const RenderedScan& scan) {
 
 /// Returns the stray light of all reflectors in a direction. The caller multiplies it by
 /// the random factor X and by the setting `bloom`.
-Echo brightest(const std::vector<Reflector>& reflectors, const glm::dvec3& direction) {
+Echo find_brightest(const std::vector<Reflector>& reflectors, const glm::dvec3& direction) {
     std::vector<double> share;
     std::size_t most = 0;
-    const auto power = [&](std::size_t i) {
-        return share[i] / (reflectors[i].range_m * reflectors[i].range_m);
+    const auto power = [&](std::size_t index) {
+        return share[index] / (reflectors[index].range_m * reflectors[index].range_m);
     };
     for (const Reflector& reflector : reflectors) {
         const double off_deg =
@@ -94,18 +94,19 @@ Echo brightest(const std::vector<Reflector>& reflectors, const glm::dvec3& direc
 /// degree. The reflector with the most power determines the range.
 /// @return [rays] returns, empty for rays without stray light; an empty list if no ray
 /// has stray light
-std::vector<Echo> stray_light(const WeatherInput& input) {
+std::vector<Echo> compute_stray_light(const WeatherInput& input) {
     const RenderedScan& scan = input.scan;
-    const std::vector<Reflector> reflectors = reflectors_in(scan);
+    const std::vector<Reflector> reflectors = find_reflectors(scan);
     if (reflectors.empty()) return {};
     const std::uint64_t of_scan =
-        hash64(hash64(input.seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfBeams);
+        combine_hashes(combine_hashes(input.seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfBeams);
     std::vector<Echo> stray(scan.image.direction.size());
     for_each_block(stray.size(), [&](std::size_t ray) {
         if (is_reflector(scan, ray)) return;
-        stray[ray] = brightest(reflectors, glm::dvec3(scan.image.direction[ray]));
+        stray[ray] = find_brightest(reflectors, glm::dvec3(scan.image.direction[ray]));
         stray[ray].reflectivity *=
-            input.weather.bloom * std::exp(kSpread * Random(hash64(of_scan, scan.ring[ray])).normal());
+            input.weather.bloom *
+            std::exp(kSpread * Random(combine_hashes(of_scan, scan.ring[ray])).normal());
     });
     return stray;
 }
@@ -113,7 +114,7 @@ std::vector<Echo> stray_light(const WeatherInput& input) {
 class BloomingOnRays : public EffectOnRays {
 public:
     BloomingOnRays(const WeatherInput& input, std::vector<Echo> stray)
-        : sensor_(input.sensor), alpha_(extinction(input.weather)), stray_(std::move(stray)) {}
+        : sensor_(input.sensor), alpha_(compute_extinction(input.weather)), stray_(std::move(stray)) {}
 
     void add_returns(Candidates& candidates, const RayInAir& ray, Random&) const override {
         const Echo& echo = stray_[ray.index];
@@ -139,7 +140,7 @@ const WeatherEffect kBlooming{.name = "bloom",
                               .numbers = kBloomNumbers,
                               .n_required = 0,
                               .prepare = [](const WeatherInput& input) -> std::unique_ptr<EffectOnRays> {
-                                  std::vector<Echo> stray = stray_light(input);
+                                  std::vector<Echo> stray = compute_stray_light(input);
                                   if (stray.empty()) return nullptr;
                                   return std::make_unique<BloomingOnRays>(input, std::move(stray));
                               }};

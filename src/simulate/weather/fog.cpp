@@ -25,26 +25,27 @@ constexpr double kFogSpread = 1.0;
 // ignored, because it is very rare.
 constexpr double kRareFog = 5.0;
 
-double fog_extinction(const Weather& weather) { return std::log(20.0) / weather.fog_visibility_m; }
+double compute_fog_extinction(const Weather& weather) { return std::log(20.0) / weather.fog_visibility_m; }
 
 class FogOnRays : public EffectOnRays {
 public:
     explicit FogOnRays(const WeatherInput& input)
         : sensor_(input.sensor),
-          alpha_(extinction(input.weather)),
+          alpha_(compute_extinction(input.weather)),
           visibility_m_(input.weather.fog_visibility_m) {
         const double thickest = std::exp(kFogSpread * (kRareFog - 0.5 * kFogSpread)),
-                     rises_to_m = nearest_m(sensor_) + pulse_m(sensor_);
+                     rises_to_m = compute_nearest_m(sensor_) + compute_pulse_m(sensor_);
         bool shows = true;
-        for (double r = nearest_m(sensor_); shows && r <= sensor_.max_range_m + kFogStep_m; r += kFogStep_m) {
-            power_.push_back(power_at(r));
+        for (double r = compute_nearest_m(sensor_); shows && r <= sensor_.max_range_m + kFogStep_m;
+             r += kFogStep_m) {
+            power_.push_back(compute_power(r));
             shows = r < rises_to_m || power_.back() * thickest > sensor_.weakest();
         }
     }
 
     void add_returns(Candidates& candidates, const RayInAir& ray, Random& random) const override {
         if (power_.empty()) return;
-        const double stretch_m = 0.5 * pulse_m(sensor_), first_m = nearest_m(sensor_);
+        const double stretch_m = 0.5 * compute_pulse_m(sensor_), first_m = compute_nearest_m(sensor_);
         for (double begin_m = first_m; begin_m < ray.free_m; begin_m += stretch_m) {
             const double range_m = begin_m + stretch_m * random.uniform(),
                          place = (range_m - first_m) / kFogStep_m;
@@ -66,9 +67,9 @@ private:
 
     /// Returns the mean power that fog reflects from a range. Integrates over the pulse
     /// with the midpoint rule.
-    double power_at(double range_m) const {
+    double compute_power(double range_m) const {
         constexpr int kParts = 32;
-        const double width_m = pulse_m(sensor_), part_m = width_m / kParts;
+        const double width_m = compute_pulse_m(sensor_), part_m = width_m / kParts;
         double sum = 0.0;
         for (int i = 0; i < kParts; ++i) {
             const double x = -0.5 * width_m + (i + 0.5) * part_m, r = range_m + x,
@@ -89,7 +90,7 @@ const WeatherEffect kFog{.name = "fog",
                          .expected = "a visibility of 1 to 1e6 metres",
                          .examples = "fog=200 fog=50",
                          .numbers = kFogNumbers,
-                         .extinction = fog_extinction,
+                         .extinction = compute_fog_extinction,
                          .prepare = [](const WeatherInput& input) -> std::unique_ptr<EffectOnRays> {
                              return std::make_unique<FogOnRays>(input);
                          }};

@@ -29,14 +29,14 @@ struct Particles {
 
 /// Returns the size distribution of raindrops (Marshall and Palmer 1948). A drop reflects
 /// as much light as a water surface at normal incidence, ((n - 1) / (n + 1))^2.
-Particles drops_of(const Weather& weather) {
+Particles make_rain_drops(const Weather& weather) {
     return {PointSource::rain, 8000.0, 4.1 * std::pow(weather.rain_mm_h, -0.21), 1.0, 0.02};
 }
 
 /// Returns the size distribution of snowflakes by the diameter of the melted flake (Gunn
 /// and Marshall 1958). A flake is wider than its melted drop, because the density of a
 /// flake is a tenth of the density of water.
-Particles flakes_of(const Weather& weather) {
+Particles make_snow_flakes(const Weather& weather) {
     return {PointSource::snow, 3.8e3 * std::pow(weather.snow_mm_h, -0.87),
             2.55 * std::pow(weather.snow_mm_h, -0.48), std::cbrt(10.0), 0.25};
 }
@@ -50,13 +50,14 @@ double shadows(const Weather& weather) {
 class ParticlesOnRays : public EffectOnRays {
 public:
     ParticlesOnRays(const WeatherInput& input, const Particles& particles)
-        : sensor_(input.sensor), alpha_(extinction(input.weather)), falling_(particles) {
+        : sensor_(input.sensor), alpha_(compute_extinction(input.weather)), falling_(particles) {
         double expected = 0.0, before = 0.0;
-        for (double r = nearest_m(sensor_); r <= sensor_.max_range_m + kParticleStep_m;
+        for (double r = compute_nearest_m(sensor_); r <= sensor_.max_range_m + kParticleStep_m;
              r += kParticleStep_m) {
-            const double area = 0.25 * kPi * beam_diameter_m(sensor_, r) * beam_diameter_m(sensor_, r),
+            const double area = 0.25 * kPi * compute_beam_diameter_m(sensor_, r) *
+                                compute_beam_diameter_m(sensor_, r),
                          density = area * falling_.per_m3_mm / falling_.slope_per_mm *
-                                   std::exp(-falling_.slope_per_mm * smallest_mm(r));
+                                   std::exp(-falling_.slope_per_mm * compute_smallest_mm(r));
             if (!expected_.empty()) expected += 0.5 * (before + density) * kParticleStep_m;
             before = density;
             expected_.push_back(expected);
@@ -69,12 +70,12 @@ public:
         for (double n = waiting(); n < expected_.back(); n += waiting()) {
             const auto next = std::ranges::upper_bound(expected_, n);
             const double part = (n - *(next - 1)) / (*next - *(next - 1));
-            const double range_m =
-                nearest_m(sensor_) + (double(next - expected_.begin()) - 1.0 + part) * kParticleStep_m;
+            const double range_m = compute_nearest_m(sensor_) +
+                                   (double(next - expected_.begin()) - 1.0 + part) * kParticleStep_m;
             if (range_m >= std::min(ray.free_m, sensor_.max_range_m)) return;
             const double wide_mm =
-                falling_.widening * (smallest_mm(range_m) + waiting() / falling_.slope_per_mm);
-            const double share = std::min(1e-3 * wide_mm / beam_diameter_m(sensor_, range_m), 1.0),
+                falling_.widening * (compute_smallest_mm(range_m) + waiting() / falling_.slope_per_mm);
+            const double share = std::min(1e-3 * wide_mm / compute_beam_diameter_m(sensor_, range_m), 1.0),
                          reflectivity =
                              falling_.reflectivity * share * share * std::exp(-2.0 * alpha_ * range_m);
             candidates.push_back(
@@ -93,11 +94,11 @@ private:
     /// Returns the diameter of the smallest particle that the sensor detects at a range,
     /// in millimetres of liquid water. Returns infinity if even a particle as wide as the
     /// beam reflects too little light.
-    double smallest_mm(double range_m) const {
+    double compute_smallest_mm(double range_m) const {
         const double share = sensor_.threshold(range_m) * range_m * range_m *
                              std::exp(2.0 * alpha_ * range_m) / falling_.reflectivity;
         if (share > 1.0) return std::numeric_limits<double>::infinity();
-        return 1e3 * beam_diameter_m(sensor_, range_m) * std::sqrt(share) / falling_.widening;
+        return 1e3 * compute_beam_diameter_m(sensor_, range_m) * std::sqrt(share) / falling_.widening;
     }
 };
 
@@ -118,15 +119,15 @@ const WeatherEffect kRain{.name = "rain",
                           .expected = "0 to 500 mm/h",
                           .examples = "rain=5 rain=25",
                           .numbers = kRainNumbers,
-                          .extinction = shadows<drops_of>,
-                          .prepare = prepare_particles<drops_of>};
+                          .extinction = shadows<make_rain_drops>,
+                          .prepare = prepare_particles<make_rain_drops>};
 const WeatherEffect kSnow{.name = "snow",
                           .form = "snow=MM_PER_H",
                           .meaning = "of melted snow",
                           .expected = "0 to 100 mm/h of melted snow",
                           .examples = "snow=1 snow=4",
                           .numbers = kSnowNumbers,
-                          .extinction = shadows<flakes_of>,
-                          .prepare = prepare_particles<flakes_of>};
+                          .extinction = shadows<make_snow_flakes>,
+                          .prepare = prepare_particles<make_snow_flakes>};
 
 }  // namespace relidar

@@ -37,7 +37,7 @@ constexpr double kUsual_klux = 100.0;    // illuminance on a clear day
 constexpr float kHidesSun = 0.5f;
 
 /// Returns the direction to the sun in the world frame of the dataset.
-glm::dvec3 direction_of(const Sun& sun) {
+glm::dvec3 compute_sun_direction(const Sun& sun) {
     const double azimuth = sun.azimuth_deg * kPi / 180.0, elevation = sun.elevation_deg * kPi / 180.0;
     return {std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth),
             std::sin(elevation)};
@@ -45,9 +45,9 @@ glm::dvec3 direction_of(const Sun& sun) {
 
 /// Returns the angle between each ray of a scan and the direction to the sun, in radians.
 /// Returns an empty list if the scene hides the sun from the sensor.
-std::vector<float> angles_from_sun(const WeatherInput& input) {
+std::vector<float> compute_angles_from_sun(const WeatherInput& input) {
     const RenderedScan& scan = input.scan;
-    const glm::dvec3 to_sun = direction_of(input.weather.sun);
+    const glm::dvec3 to_sun = compute_sun_direction(input.weather.sun);
     WorldRays sight;
     sight.origin.push_back(glm::vec3(scan.world_from_sensor.translation - input.world_offset_m));
     sight.direction.push_back(glm::vec3(to_sun));
@@ -73,12 +73,12 @@ public:
         if (!(ray.free_m > 0.0)) return;
         const bool meets_surface = ray.strongest.source == PointSource::surface;
         const double albedo = meets_surface ? std::min(ray.strongest.reflectivity, 1.0) : 0.0;
-        const double sigma = sun_noise(sun_, sensor_, double(angles_rad_[ray.index]), albedo,
-                                       !meets_surface && ray.free_m >= sensor_.max_range_m);
-        const double per_m = false_returns_per_m(sensor_, sensor_.weakest() / sigma);
+        const double sigma = compute_sun_noise(sun_, sensor_, double(angles_rad_[ray.index]), albedo,
+                                               !meets_surface && ray.free_m >= sensor_.max_range_m);
+        const double per_m = compute_false_return_rate(sensor_, sensor_.weakest() / sigma);
         const auto waiting = [&random] { return -std::log(1.0 - random.uniform()); };
         if (!(per_m > 0.0)) return;
-        for (double range_m = nearest_m(sensor_) + waiting() / per_m; range_m < sensor_.max_range_m;
+        for (double range_m = compute_nearest_m(sensor_) + waiting() / per_m; range_m < sensor_.max_range_m;
              range_m += waiting() / per_m) {
             const double power =
                 std::sqrt(sensor_.weakest() * sensor_.weakest() + 2.0 * sigma * sigma * waiting());
@@ -101,8 +101,8 @@ constexpr WeatherNumber kSunNumbers[] = {
 
 }  // namespace
 
-double sun_noise(const Sun& sun, const WeatherSensor& sensor, double from_sun_rad, double albedo,
-                 bool sees_sky) {
+double compute_sun_noise(const Sun& sun, const WeatherSensor& sensor, double from_sun_rad, double albedo,
+                         bool sees_sky) {
     const double irradiance = kIrradiance * sun.klux / 100.0, half_rad = 0.5 * sensor.divergence_rad;
     const double off_deg = std::max(from_sun_rad, kSun_rad) / kDegree_rad;
     double per_sr = kScatter_sr / (off_deg * off_deg) + albedo / kPi;
@@ -118,7 +118,7 @@ double sun_noise(const Sun& sun, const WeatherSensor& sensor, double from_sun_ra
     return std::sqrt(kExcess * n) / of_unit_power;
 }
 
-double false_returns_per_m(const WeatherSensor& sensor, double level) {
+double compute_false_return_rate(const WeatherSensor& sensor, double level) {
     return std::exp(-0.5 * level * level) / (std::sqrt(3.0) * kLight_m_s * sensor.pulse_s);
 }
 
@@ -133,7 +133,7 @@ const WeatherEffect kSunlight{
     .numbers = kSunNumbers,
     .n_required = 2,
     .prepare = [](const WeatherInput& input) -> std::unique_ptr<EffectOnRays> {
-        std::vector<float> angles_rad = angles_from_sun(input);
+        std::vector<float> angles_rad = compute_angles_from_sun(input);
         if (angles_rad.empty()) return nullptr;
         return std::make_unique<SunlightOnRays>(input, std::move(angles_rad));
     }};

@@ -21,13 +21,13 @@ namespace relidar {
 namespace {
 
 /// Returns the numbers of a weather effect, for example the rain rate.
-std::vector<double> numbers_of(const WeatherEffect& effect, Weather weather) {
+std::vector<double> get_effect_numbers(const WeatherEffect& effect, Weather weather) {
     std::vector<double> values;
     for (const WeatherNumber& number : effect.numbers) values.push_back(number.of(weather));
     return values;
 }
 
-bool are_valid(const WeatherEffect& effect, const std::vector<double>& values) {
+bool are_values_valid(const WeatherEffect& effect, const std::vector<double>& values) {
     for (std::size_t k = 0; k < values.size(); ++k)
         if (!(values[k] >= effect.numbers[k].least && values[k] <= effect.numbers[k].most)) return false;
     return true;
@@ -35,8 +35,8 @@ bool are_valid(const WeatherEffect& effect, const std::vector<double>& values) {
 
 /// Returns the text of a weather effect, for example "rain=5". Optional numbers with
 /// their usual values are left out.
-std::string word_of(const WeatherEffect& effect, const Weather& weather) {
-    std::vector<double> values = numbers_of(effect, weather);
+std::string get_word(const WeatherEffect& effect, const Weather& weather) {
+    std::vector<double> values = get_effect_numbers(effect, weather);
     while (values.size() > std::max<std::size_t>(effect.n_required, 1) &&
            values.back() == effect.numbers[values.size() - 1].usual)
         values.pop_back();
@@ -75,14 +75,14 @@ void read_word(Weather& weather, std::string_view word) {
     const std::size_t equals = std::min(word.find('='), word.size());
     const auto* row = std::ranges::find(kWeatherEffects, word.substr(0, equals), &WeatherEffect::name);
     if (row == std::end(kWeatherEffects) || (equals == word.size() && (*row)->n_required > 0))
-        refuse(fmt::format("\"{}\"", excerpt(word)), forms());
+        refuse(fmt::format("\"{}\"", make_excerpt(word)), forms());
     const WeatherEffect& effect = **row;
     if (effect.is_in(weather))
         throw UsageError(fmt::format("weather: {} occurs twice, expected it once", effect.name));
     const std::vector<double> values = read_numbers(word.substr(std::min(equals + 1, word.size())));
     const std::size_t fewest = equals < word.size() ? std::max<std::size_t>(effect.n_required, 1) : 0;
-    if (values.size() < fewest || values.size() > effect.numbers.size() || !are_valid(effect, values))
-        refuse(excerpt(word), effect.expected);
+    if (values.size() < fewest || values.size() > effect.numbers.size() || !are_values_valid(effect, values))
+        refuse(make_excerpt(word), effect.expected);
     for (std::size_t k = 0; k < effect.numbers.size(); ++k)
         effect.numbers[k].of(weather) = k < values.size() ? values[k] : effect.numbers[k].usual;
 }
@@ -90,13 +90,13 @@ void read_word(Weather& weather, std::string_view word) {
 }  // namespace
 
 bool WeatherEffect::is_in(const Weather& weather) const {
-    return numbers_of(*this, weather) != numbers_of(*this, {});
+    return get_effect_numbers(*this, weather) != get_effect_numbers(*this, {});
 }
 
 Weather parse_weather(const std::string& text) {
     Weather weather;
     if (text == "clear") return weather;
-    for (const std::string& word : words_of(text)) read_word(weather, word);
+    for (const std::string& word : split_words(text)) read_word(weather, word);
     check_weather(weather);
     return weather;
 }
@@ -104,27 +104,27 @@ Weather parse_weather(const std::string& text) {
 std::string to_text(const Weather& weather) {
     std::vector<std::string> words;
     for (const WeatherEffect* effect : kWeatherEffects)
-        if (effect->is_in(weather)) words.push_back(word_of(*effect, weather));
+        if (effect->is_in(weather)) words.push_back(get_word(*effect, weather));
     return words.empty() ? "clear" : fmt::format("{}", fmt::join(words, ","));
 }
 
 void check_weather(const Weather& weather) {
     for (const WeatherEffect* effect : kWeatherEffects)
-        if (effect->is_in(weather) && !are_valid(*effect, numbers_of(*effect, weather)))
-            refuse(word_of(*effect, weather), effect->expected);
+        if (effect->is_in(weather) && !are_values_valid(*effect, get_effect_numbers(*effect, weather)))
+            refuse(get_word(*effect, weather), effect->expected);
     if (weather.rain_mm_h > 0.0 && weather.snow_mm_h > 0.0)
         throw UsageError(fmt::format("weather: found rain={} and snow={}, expected only one of them",
                                      weather.rain_mm_h, weather.snow_mm_h));
 }
 
-double extinction(const Weather& weather) {
+double compute_extinction(const Weather& weather) {
     double alpha = 0.0;
     for (const WeatherEffect* effect : kWeatherEffects)
-        if (effect->extinction && effect->is_in(weather)) alpha += effect->extinction(weather);
+        if (effect->extinction && effect->is_in(weather)) alpha += effect->compute_extinction(weather);
     return alpha;
 }
 
-std::string weather_help() {
+std::string make_weather_help() {
     std::vector<std::string> words;
     for (const WeatherEffect* effect : kWeatherEffects)
         words.push_back(effect->meaning.empty() ? std::string(effect->form)

@@ -41,9 +41,10 @@ struct Cell {
     glm::dvec3 squares{0.0};   // sums of xx, xy, yy
     glm::dvec2 products{0.0};  // sums of xz, yz
 
-    void add(const glm::dvec3& p) {
-        n += 1.0, zz += p.z * p.z, sum += p;
-        squares += glm::dvec3(p.x * p.x, p.x * p.y, p.y * p.y), products += p.z * glm::dvec2(p);
+    void add(const glm::dvec3& point) {
+        n += 1.0, zz += point.z * point.z, sum += point;
+        squares += glm::dvec3(point.x * point.x, point.x * point.y, point.y * point.y),
+            products += point.z * glm::dvec2(point);
     }
     void add(const Cell& other) {
         n += other.n, zz += other.zz, sum += other.sum;
@@ -52,7 +53,7 @@ struct Cell {
 };
 using Cells = std::unordered_map<std::uint64_t, Cell>;
 
-std::uint64_t key_of(const glm::dvec3& p) { return cell_key({p.x, p.y, 0.0}, kCell_m); }
+std::uint64_t key_of(const glm::dvec3& point) { return make_cell_key({point.x, point.y, 0.0}, kCell_m); }
 
 /// Plane of the ground: z = height + slope . (x, y).
 struct GroundPlane {
@@ -60,16 +61,19 @@ struct GroundPlane {
     glm::dvec2 slope{0.0};
     bool is_ground = false;
 
-    double above(const glm::dvec3& p) const { return p.z - height_m - glm::dot(slope, glm::dvec2(p)); }
+    double above(const glm::dvec3& point) const {
+        return point.z - height_m - glm::dot(slope, glm::dvec2(point));
+    }
 };
 
-GroundPlane fit_plane(const Cell& c) {
-    if (c.n < kFewest) return {};
-    const glm::dvec3 mean = c.sum / c.n;
-    const double ridge = kWidth_m * kWidth_m, xx = c.squares.x / c.n - mean.x * mean.x + ridge,
-                 xy = c.squares.y / c.n - mean.x * mean.y, yy = c.squares.z / c.n - mean.y * mean.y + ridge,
-                 zz = c.zz / c.n - mean.z * mean.z;
-    const glm::dvec2 right = c.products / c.n - mean.z * glm::dvec2(mean);
+GroundPlane fit_plane(const Cell& cell) {
+    if (cell.n < kFewest) return {};
+    const glm::dvec3 mean = cell.sum / cell.n;
+    const double ridge = kWidth_m * kWidth_m, xx = cell.squares.x / cell.n - mean.x * mean.x + ridge,
+                 xy = cell.squares.y / cell.n - mean.x * mean.y,
+                 yy = cell.squares.z / cell.n - mean.y * mean.y + ridge,
+                 zz = cell.zz / cell.n - mean.z * mean.z;
+    const glm::dvec2 right = cell.products / cell.n - mean.z * glm::dvec2(mean);
     const glm::dvec2 slope =
         glm::dvec2(yy * right.x - xy * right.y, xx * right.y - xy * right.x) / (xx * yy - xy * xy);
     // Variance of the heights around the plane. The term `ridge` makes it slightly
@@ -81,14 +85,14 @@ GroundPlane fit_plane(const Cell& c) {
 
 /// Returns the points where rays hit the background below the sensor, relative to the
 /// sensor. The value is NaN for all other rays.
-std::vector<glm::dvec3> points_below(const RenderedScan& scan) {
+std::vector<glm::dvec3> collect_points_below(const RenderedScan& scan) {
     const glm::dvec3 none(std::numeric_limits<double>::quiet_NaN());
     std::vector<glm::dvec3> points(scan.median_range_m.size(), none);
     for_each_block(points.size(), [&](std::size_t ray) {
         if (scan.instance[ray] != 0 || !returned(scan.image.drop_prob[ray], scan.median_range_m[ray])) return;
         const glm::dvec3 of_sensor(scan.image.origin[ray] +
                                    scan.median_range_m[ray] * scan.image.direction[ray]);
-        const glm::dvec3 p = scan.world_from_firing(ray) * of_sensor - scan.world_from_sensor.translation;
+        const glm::dvec3 p = scan.get_firing_pose(ray) * of_sensor - scan.world_from_sensor.translation;
         if (p.z < 0.0) points[ray] = p;
     });
     return points;
@@ -107,12 +111,12 @@ Cells fill_cells(const std::vector<glm::dvec3>& points) {
     return cells;
 }
 
-/// Fits a plane to the points in the cell of `p` and in the eight cells around it.
-GroundPlane plane_at(const Cells& cells, const glm::dvec3& p) {
+/// Fits a plane to the points in the cell of `point` and in the eight cells around it.
+GroundPlane fit_plane_at(const Cells& cells, const glm::dvec3& point) {
     Cell together;
     for (int dx = -1; dx <= 1; ++dx)
         for (int dy = -1; dy <= 1; ++dy)
-            if (const auto cell = cells.find(key_of(p + kCell_m * glm::dvec3(dx, dy, 0)));
+            if (const auto cell = cells.find(key_of(point + kCell_m * glm::dvec3(dx, dy, 0)));
                 cell != cells.end())
                 together.add(cell->second);
     return fit_plane(together);
@@ -124,8 +128,8 @@ GroundPlane plane_at(const Cells& cells, const glm::dvec3& p) {
 /// ignored.
 /// @return [rays] unit normal of the ground in the world frame of the dataset; 0 for rays
 /// that do not hit ground or have no return
-std::vector<glm::dvec3> level_ground(const RenderedScan& scan) {
-    const std::vector<glm::dvec3> points = points_below(scan);
+std::vector<glm::dvec3> estimate_level_ground(const RenderedScan& scan) {
+    const std::vector<glm::dvec3> points = collect_points_below(scan);
     const Cells cells = fill_cells(points);
     std::unordered_map<std::uint64_t, GroundPlane> planes;
     std::vector<glm::dvec3> normals(points.size(), glm::dvec3(0.0));
@@ -133,7 +137,7 @@ std::vector<glm::dvec3> level_ground(const RenderedScan& scan) {
         const glm::dvec3& p = points[ray];
         if (std::isnan(p.x)) continue;
         const auto [plane, is_new] = planes.try_emplace(key_of(p));
-        if (is_new) plane->second = plane_at(cells, p);
+        if (is_new) plane->second = fit_plane_at(cells, p);
         if (plane->second.is_ground && std::abs(plane->second.above(p)) < kLayer_m)
             normals[ray] = glm::normalize(glm::dvec3(-plane->second.slope, 1.0));
     }
@@ -142,12 +146,12 @@ std::vector<glm::dvec3> level_ground(const RenderedScan& scan) {
 
 /// Returns the fraction of diffuse light that a water film reflects. The midpoint rule
 /// computes the integral of 2 c F(c) dc, where c is the cosine and F the reflectance.
-double mean_mirrored() {
+double compute_mean_reflectance() {
     constexpr int kParts = 1000;
     double sum = 0.0;
     for (int i = 0; i < kParts; ++i) {
         const double cosine = (i + 0.5) / kParts;
-        sum += 2.0 * cosine * mirrored_by_water(cosine) / kParts;
+        sum += 2.0 * cosine * compute_water_reflectance(cosine) / kParts;
     }
     return sum;
 }
@@ -173,17 +177,17 @@ constexpr double kLift_m = 0.1;
 // ground itself and are ignored.
 constexpr double kLowest_m = 0.3;
 
-// Computes the drop probability of ray i from its two logits (method.md, M6).
-float drop_probability(const Rendering& r, std::size_t i) {
-    return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i]));
+// Computes the drop probability of ray `index` from its two logits (method.md, M6).
+float drop_probability(const Rendering& rendering, std::size_t index) {
+    return 1.0f / (1.0f + std::exp(rendering.hit_logit[index] - rendering.drop_logit[index]));
 }
 
 /// Computes how bright the wet ground is, and the rays that it mirrors. Leaves out a
 /// mirrored ray if its light is weaker than the light of the ground.
-MirroredRays mirror_in_wet_ground(const WeatherInput& input, const std::vector<glm::dvec3>& up,
-                                  std::vector<WetRay>& wet) {
+MirroredRays mirror_rays_in_wet_ground(const WeatherInput& input, const std::vector<glm::dvec3>& up,
+                                       std::vector<WetRay>& wet) {
     const RenderedScan& scan = input.scan;
-    const double share = film_share(input.weather.wet_mm);
+    const double share = compute_film_fraction(input.weather.wet_mm);
     MirroredRays mirrored;
     FiringPoses firing(scan);
     for (std::size_t i = 0; i < up.size(); ++i) {
@@ -192,8 +196,8 @@ MirroredRays mirror_in_wet_ground(const WeatherInput& input, const std::vector<g
         const double range_m = scan.median_range_m[i], cosine = -glm::dot(direction, up[i]);
         if (!(cosine > 0.0)) continue;
         const double albedo = scan.image.intensity[i] / input.response.at_range(range_m);
-        wet[i].through_water = 1.0 - share + share * wet_over_dry(cosine, albedo);
-        wet[i].mirrors = share * std::pow(mirrored_by_water(cosine), 2);
+        wet[i].through_water = 1.0 - share + share * compute_wet_to_dry_ratio(cosine, albedo);
+        wet[i].mirrors = share * std::pow(compute_water_reflectance(cosine), 2);
         // Skips the mirrored ray if it cannot be brighter than the ground. The mirrored
         // surface is farther away, so its return is even weaker.
         if (scan.second_returns.empty() && wet[i].mirrors <= wet[i].through_water * albedo) continue;
@@ -208,10 +212,10 @@ MirroredRays mirror_in_wet_ground(const WeatherInput& input, const std::vector<g
     return mirrored;
 }
 
-std::vector<WetRay> wet_rays(const WeatherInput& input) {
-    const std::vector<glm::dvec3> up = level_ground(input.scan);
+std::vector<WetRay> find_wet_rays(const WeatherInput& input) {
+    const std::vector<glm::dvec3> up = estimate_level_ground(input.scan);
     std::vector<WetRay> wet(up.size());
-    const auto [rays, of_ray] = mirror_in_wet_ground(input, up, wet);
+    const auto [rays, of_ray] = mirror_rays_in_wet_ground(input, up, wet);
     if (of_ray.empty()) return wet;
     const Rendering r = input.trace(rays);
     for (std::size_t k = 0; k < r.size(); ++k) {
@@ -229,7 +233,7 @@ std::vector<WetRay> wet_rays(const WeatherInput& input) {
 class WetGroundOnRays : public EffectOnRays {
 public:
     explicit WetGroundOnRays(const WeatherInput& input)
-        : sensor_(input.sensor), alpha_(extinction(input.weather)), wet_(wet_rays(input)) {}
+        : sensor_(input.sensor), alpha_(compute_extinction(input.weather)), wet_(find_wet_rays(input)) {}
 
     void change_surface(RayInAir& ray) const override { ray.through_water = wet_[ray.index].through_water; }
     void add_returns(Candidates& candidates, const RayInAir& ray, Random&) const override {
@@ -249,7 +253,7 @@ constexpr WeatherNumber kWetNumbers[] = {
 
 }  // namespace
 
-double mirrored_by_water(double cosine) {
+double compute_water_reflectance(double cosine) {
     // cosine of the angle to the normal inside the water, from Snell's law
     const double in_water = std::sqrt(1.0 - (1.0 - cosine * cosine) / (kWater * kWater));
     const double across = (cosine - kWater * in_water) / (cosine + kWater * in_water),
@@ -257,15 +261,15 @@ double mirrored_by_water(double cosine) {
     return 0.5 * (across * across + along * along);
 }
 
-double wet_over_dry(double cosine, double albedo) {
+double compute_wet_to_dry_ratio(double cosine, double albedo) {
     // Fraction of the scattered light that stays in the water film because of total
     // internal reflection.
-    static const double kept = 1.0 - (1.0 - mean_mirrored()) / (kWater * kWater);
-    const double passes = 1.0 - mirrored_by_water(cosine);
+    static const double kept = 1.0 - (1.0 - compute_mean_reflectance()) / (kWater * kWater);
+    const double passes = 1.0 - compute_water_reflectance(cosine);
     return passes * passes / (kWater * kWater * (1.0 - std::clamp(albedo, 0.0, 1.0) * kept));
 }
 
-double film_share(double wet_mm) { return std::clamp(wet_mm / kTexture_mm, 0.0, 1.0); }
+double compute_film_fraction(double wet_mm) { return std::clamp(wet_mm / kTexture_mm, 0.0, 1.0); }
 
 const WeatherEffect kWetGround{.name = "wet",
                                .form = "wet=MILLIMETRES",

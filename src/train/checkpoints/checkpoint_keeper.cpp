@@ -58,8 +58,9 @@ CheckpointKeeper::CheckpointKeeper(const Sequence& sequence, const Split& split,
     : config_(config.train),
       folder_(session.checkpoints, session.start ? session.start->iteration : 0, "iteration", session.note) {
     if (folder_.wanted())
-        texts_ = std::async(std::launch::async,
-                            [&sequence, &split, &config] { return training_texts(sequence, split, config); });
+        texts_ = std::async(std::launch::async, [&sequence, &split, &config] {
+            return make_training_texts(sequence, split, config);
+        });
 }
 
 bool CheckpointKeeper::due(int step) const {

@@ -34,13 +34,13 @@ public:
         for (const Pose& pose : track.pose)
             add(&pose.rotation, sizeof pose.rotation), add(&pose.translation, sizeof pose.translation);
     }
-    void add(const void* bytes, std::size_t n) {
-        for (std::size_t i = 0; i < n; i += 8) {
+    void add(const void* bytes, std::size_t count) {
+        for (std::size_t i = 0; i < count; i += 8) {
             std::uint64_t word = 0;
-            std::memcpy(&word, static_cast<const std::byte*>(bytes) + i, std::min<std::size_t>(8, n - i));
-            state_ = hash64(state_, word);
+            std::memcpy(&word, static_cast<const std::byte*>(bytes) + i, std::min<std::size_t>(8, count - i));
+            state_ = combine_hashes(state_, word);
         }
-        state_ = hash64(state_, n);
+        state_ = combine_hashes(state_, count);
     }
     std::string hex() const { return fmt::format("{:016x}", state_); }
 
@@ -87,7 +87,7 @@ std::string hash_poses(const Sequence& sequence) {
 
 void add(Hash& hash, const Surfels& surfels) {
     if (surfels.size() == 0) return;
-    for (const ParameterGroup& group : groups_of(surfels.parameters())) {
+    for (const ParameterGroup& group : list_parameter_groups(surfels.parameters())) {
         const std::span<const float> values = group.values(surfels);
         hash.add(values.data(), values.size_bytes());
     }
@@ -102,19 +102,20 @@ std::string hash_scene(const Scene& scene) {
     return hash.hex();
 }
 
-std::string fingerprint_of(const Checkpoint& checkpoint, const std::string& key) {
+std::string read_fingerprint(const Checkpoint& checkpoint, const std::string& key) {
     const auto it = checkpoint.texts.find(key);
     return it == checkpoint.texts.end() ? "nothing" : it->second;
 }
 
-std::string differs(const std::string& doing, const std::string& what, const std::string& found,
-                    const std::string& expected) {
-    return fmt::format("{}: {}: found {}, expected {} as in the checkpoint", doing, what, found, expected);
+std::string describe_difference(const std::string& action, const std::string& description,
+                                const std::string& found_value, const std::string& expected) {
+    return fmt::format("{}: {}: found {}, expected {} as in the checkpoint", action, description, found_value,
+                       expected);
 }
 
 }  // namespace
 
-std::vector<Mark> marks_of(const Sequence& sequence, const Split& split) {
+std::vector<Mark> list_marks(const Sequence& sequence, const Split& split) {
     return {{"log/training frames", "the log's training frames", describe_frames(sequence, split.train)},
             {"log/scans", "the log's scans", hash_scans(sequence, split.train)},
             {"log/sensor poses", "the log's sensor poses", hash_poses(sequence)},
@@ -129,34 +130,35 @@ void put(const ConfigKey& setting, std::map<std::string, std::string>& texts) {
 void put(const Mark& mark, std::map<std::string, std::string>& texts) { texts[mark.key] = mark.value; }
 
 void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
-                const std::string& doing) {
-    const std::map<std::string, std::string> saved = settings_in(checkpoint);
+                const std::string& action) {
+    const std::map<std::string, std::string> saved = read_settings(checkpoint);
     for (const ConfigKey& setting : settings) {
         const auto it = saved.find(setting.key);
         if (it == saved.end())
-            throw DataError(fmt::format("{}: the checkpoint has no value for the setting {}; {}", doing,
+            throw DataError(fmt::format("{}: the checkpoint has no value for the setting {}; {}", action,
                                         setting.key, kTrainAgain));
         if (it->second != setting.value)
-            throw UsageError(differs(doing, "setting " + setting.key, setting.value, it->second));
+            throw UsageError(
+                describe_difference(action, "setting " + setting.key, setting.value, it->second));
     }
 }
 
-void check_same(const Checkpoint& checkpoint, const Mark& mark, const std::string& doing) {
-    const std::string saved = fingerprint_of(checkpoint, mark.key);
-    if (saved != mark.value) throw DataError(differs(doing, mark.what, mark.value, saved));
+void check_same(const Checkpoint& checkpoint, const Mark& mark, const std::string& action) {
+    const std::string saved = read_fingerprint(checkpoint, mark.key);
+    if (saved != mark.value) throw DataError(describe_difference(action, mark.what, mark.value, saved));
 }
 
-std::map<std::string, std::string> settings_in(const Checkpoint& checkpoint) {
+std::map<std::string, std::string> read_settings(const Checkpoint& checkpoint) {
     const std::string prefix = kSetting;
     std::set<std::string> known;
-    for (const ConfigKey& key : config_keys(Config{})) known.insert(key.key);
+    for (const ConfigKey& key : list_config_keys(Config{})) known.insert(key.key);
     std::map<std::string, std::string> settings;
     for (const auto& [text, value] : checkpoint.texts) {
         if (!text.starts_with(prefix)) continue;
         const std::string key = text.substr(prefix.size());
         if (!known.contains(key))
             throw DataError(fmt::format("the checkpoint of iteration {} has the unknown setting {}; {}",
-                                        checkpoint.iteration, excerpt(key), kTrainAgain));
+                                        checkpoint.iteration, make_excerpt(key), kTrainAgain));
         settings.emplace(key, value);
     }
     return settings;

@@ -24,7 +24,7 @@ struct Mark {
 
 /// Returns hashes of a log and of the scans of its training frames. The hashes are sorted
 /// so that the first difference explains best why two logs differ.
-std::vector<Mark> marks_of(const Sequence& sequence, const Split& split);
+std::vector<Mark> list_marks(const Sequence& sequence, const Split& split);
 /// Returns a hash of all surfels of a scene, including its blocks.
 /// @throws DataError if the file of a block is invalid
 Mark mark_of(const Scene& scene);
@@ -33,14 +33,14 @@ Mark mark_of(const Scene& scene);
 void put(const ConfigKey& setting, std::map<std::string, std::string>& texts);
 void put(const Mark& mark, std::map<std::string, std::string>& texts);
 /// Compares settings or a hash with the values in a checkpoint.
-/// @param doing  start of the error message
+/// @param action  start of the error message
 /// @throws UsageError if a setting has another value
 /// @throws DataError if a setting is missing or a hash differs
 void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
-                const std::string& doing);
-void check_same(const Checkpoint& checkpoint, const Mark& mark, const std::string& doing);
+                const std::string& action);
+void check_same(const Checkpoint& checkpoint, const Mark& mark, const std::string& action);
 /// Returns the settings in a checkpoint, by key.
 /// @throws DataError for an unknown key
-std::map<std::string, std::string> settings_in(const Checkpoint& checkpoint);
+std::map<std::string, std::string> read_settings(const Checkpoint& checkpoint);
 
 }  // namespace relidar

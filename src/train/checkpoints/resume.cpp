@@ -59,8 +59,8 @@ struct LogColumns {
     }
 };
 
-TrainProgress progress_at(int step, const Config& config, double seconds,
-                          const std::array<double, kLossTerms>& terms, std::uint32_t n_surfels) {
+TrainProgress make_progress_line(int step, const Config& config, double seconds,
+                                 const std::array<double, kLossTerms>& terms, std::uint32_t n_surfels) {
     TrainProgress p;
     p.iteration = step;
     p.n_iterations = config.train.iterations;
@@ -74,16 +74,16 @@ TrainProgress progress_at(int step, const Config& config, double seconds,
 
 }  // namespace
 
-std::map<std::string, std::string> training_texts(const Sequence& sequence, const Split& split,
-                                                  const Config& config) {
+std::map<std::string, std::string> make_training_texts(const Sequence& sequence, const Split& split,
+                                                       const Config& config) {
     std::map<std::string, std::string> texts;
-    for (const ConfigKey& key : config_keys(config)) put(key, texts);
-    for (const Mark& mark : marks_of(sequence, split)) put(mark, texts);
+    for (const ConfigKey& key : list_config_keys(config)) put(key, texts);
+    for (const Mark& mark : list_marks(sequence, split)) put(mark, texts);
     return texts;
 }
 
-std::string differing_setting(const Config& config, const Config& other) {
-    const std::vector<ConfigKey> a = config_keys(config), b = config_keys(other);
+std::string find_differing_setting(const Config& config, const Config& other) {
+    const std::vector<ConfigKey> a = list_config_keys(config), b = list_config_keys(other);
     for (std::size_t i = 0; i < a.size(); ++i)
         if (!is_free(a[i].key) && a[i].value != b[i].value) return a[i].key;
     return "";
@@ -92,7 +92,7 @@ std::string differing_setting(const Config& config, const Config& other) {
 void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, const Split& split,
                      const Config& config) {
     const std::string doing = fmt::format("cannot resume from iteration {}", checkpoint.iteration);
-    std::vector<ConfigKey> settings = config_keys(config);
+    std::vector<ConfigKey> settings = list_config_keys(config);
     std::erase_if(settings, [](const ConfigKey& key) { return is_free(key.key); });
     check_same(settings, checkpoint, doing);
     if (config.train.iterations < checkpoint.iteration)
@@ -100,11 +100,11 @@ void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, con
             fmt::format("{}: setting train.iterations: found {}, expected at least the iteration of the "
                         "checkpoint",
                         doing, config.train.iterations));
-    for (const Mark& mark : marks_of(sequence, split)) check_same(checkpoint, mark, doing);
+    for (const Mark& mark : list_marks(sequence, split)) check_same(checkpoint, mark, doing);
 }
 
 void add_line(std::vector<TrainProgress>& log, const LogLine& line, const Config& config, double seconds) {
-    TrainProgress p = progress_at(line.step, config, seconds, line.terms, line.n_surfels);
+    TrainProgress p = make_progress_line(line.step, config, seconds, line.terms, line.n_surfels);
     const int left = p.n_iterations - p.iteration,
               done = log.empty() ? 0 : p.iteration - log.front().iteration;
     p.eta_s = left == 0 ? 0.0 : std::numeric_limits<double>::infinity();
@@ -128,7 +128,7 @@ void write_result(StateWriter& write, const TrainResult& result, double train_s)
     write("train_s", train_s);
 }
 
-std::vector<TrainProgress> resumed_log(const Checkpoint& checkpoint, const Config& config) {
+std::vector<TrainProgress> read_resumed_log(const Checkpoint& checkpoint, const Config& config) {
     LogColumns log;
     log.visit_state(StateReader(checkpoint));
     const std::size_t n = log.iteration.size();
@@ -143,7 +143,7 @@ std::vector<TrainProgress> resumed_log(const Checkpoint& checkpoint, const Confi
     for (std::size_t i = 0; i < n; ++i) {
         std::array<double, kLossTerms> terms{};
         for (std::size_t k = 0; k < terms.size(); ++k) terms[k] = log.terms[k][i];
-        lines.push_back(progress_at(log.iteration[i], config, log.seconds[i], terms, log.surfels[i]));
+        lines.push_back(make_progress_line(log.iteration[i], config, log.seconds[i], terms, log.surfels[i]));
         for (std::size_t k = 0; k < kDensifyCounts.size(); ++k)
             lines.back().densified.*kDensifyCounts[k].second = log.densified[k][i];
     }
@@ -152,13 +152,13 @@ std::vector<TrainProgress> resumed_log(const Checkpoint& checkpoint, const Confi
 
 void read_result(const Checkpoint& checkpoint, const Config& config, TrainResult& result) {
     const StateReader read(checkpoint);
-    result.log = resumed_log(checkpoint, config);
+    result.log = read_resumed_log(checkpoint, config);
     result.iterations = checkpoint.iteration;
     read("initialise_s", result.initialise_s);
     read("train_s", result.train_s);
 }
 
-Scene scene_of(const Checkpoint& checkpoint) {
+Scene read_scene(const Checkpoint& checkpoint) {
     Scene scene;
     scene.surfels = StateReader(checkpoint).surfels("parameters");
     read_layout_json(checkpoint.text("layout"),

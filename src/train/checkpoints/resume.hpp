@@ -16,8 +16,8 @@ namespace relidar {
 
 /// Returns the settings and the hashes of the log. Both must be the same when training is
 /// resumed.
-std::map<std::string, std::string> training_texts(const Sequence& sequence, const Split& split,
-                                                  const Config& config);
+std::map<std::string, std::string> make_training_texts(const Sequence& sequence, const Split& split,
+                                                       const Config& config);
 
 /// Writes the log and the times of the result to a checkpoint.
 /// @param train_s  seconds since training started
@@ -27,7 +27,7 @@ void read_result(const Checkpoint& checkpoint, const Config& config, TrainResult
 
 /// Returns the scene in a checkpoint.
 /// @throws DataError if its arrays or its layout are invalid
-Scene scene_of(const Checkpoint& checkpoint);
+Scene read_scene(const Checkpoint& checkpoint);
 
 /// Adds a line to the training log. Estimates the remaining time from the speed since the
 /// first line. The time before the first line is ignored, because drivers compile kernels

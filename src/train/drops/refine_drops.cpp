@@ -28,8 +28,8 @@ bool uses_grid(const Config& config) {
 /// Returns the rays of a frame's LiDAR. With refine.image = grid, returns one ray for
 /// each grid cell.
 SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame& frame) {
-    if (!uses_grid(config)) return nominal_rays_of(config, sequence, frame);
-    SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
+    if (!uses_grid(config)) return make_nominal_rays_of_frame(config, sequence, frame);
+    SensorChoice sensor = make_configured_sensor(config, sequence, frame.lidar);
     // must equal the setting of the scans from which the network learns
     sensor.rolling_shutter = sequence.rolling_shutter;
     return sensor;
@@ -58,9 +58,9 @@ RayTable rotate_rays(RayTable rays, float share) {
 
 /// Returns the measured drops (0 returned, 1 dropped, -1 unknown) for the cells of
 /// config.sensor.grid. A cell is unknown if it contains an unknown return.
-std::vector<float> measured_cell_drops(const Config& config, const Frame& frame,
-                                       const std::vector<float>& dropped) {
-    std::vector<float> cells = real_image(config, frame.scan).drop_prob;
+std::vector<float> compute_cell_drops(const Config& config, const Frame& frame,
+                                      const std::vector<float>& dropped) {
+    std::vector<float> cells = make_real_image(config, frame.scan).drop_prob;
     const RangeGrid grid = find_grid(config.sensor.grid);
     for (std::size_t i = 0; i < dropped.size(); ++i) {
         if (dropped[i] >= 0.0f || !(frame.scan.range_m[i] > 0.0f)) continue;
@@ -72,33 +72,34 @@ std::vector<float> measured_cell_drops(const Config& config, const Frame& frame,
 
 /// Returns the training frames whose rays have rows and columns. If the frames have
 /// different image sizes, returns only the frames with the most frequent size.
-std::vector<int> images_of(const Config& config, const Sequence& sequence, const std::vector<int>& train) {
+std::vector<int> make_images_of_frames(const Config& config, const Sequence& sequence,
+                                       const std::vector<int>& train) {
     if (uses_grid(config)) return train;
     std::map<std::pair<int, int>, std::vector<int>> by_shape;
     for (const int position : train) {
         const RayTable& rays = sequence.frames[std::size_t(position)].scan.rays;
         if (rays.rows > 1) by_shape[{rays.rows, rays.columns}].push_back(position);
     }
-    const auto most = std::max_element(by_shape.begin(), by_shape.end(), [](const auto& a, const auto& b) {
-        return a.second.size() < b.second.size();
-    });
+    const auto most = std::max_element(
+        by_shape.begin(), by_shape.end(),
+        [](const auto& first, const auto& second) { return first.second.size() < second.second.size(); });
     return most == by_shape.end() ? std::vector<int>{} : most->second;
 }
 
 /// Renders training frames. Returns the rendered inputs of the ray-drop network together
 /// with the measured drops. Returns nothing if the user stopped the program.
-std::vector<DropImage> training_images(Device& device, const Run& run, const Config& config,
-                                       const RefineSession& session) {
+std::vector<DropImage> make_training_images(Device& device, const Run& run, const Config& config,
+                                            const RefineSession& session) {
     const std::vector<int> positions =
-        spread(images_of(run.config, run.sequence, run.split.train), run.config.refine.frames);
+        spread(make_images_of_frames(run.config, run.sequence, run.split.train), run.config.refine.frames);
     if (positions.empty())
         throw DataError(
             fmt::format("cannot train the ray-drop network of {}: no training frame has its rays in rows and "
                         "columns, which the network needs",
                         run.sequence.name));
     ScanRenderer renderer(device, run.scene, config, run.sequence);
-    const Unknown masks = masks_of(config, run.scene);
-    const std::vector<std::string> channels = drop_channel_names(config.refine);
+    const Unknown masks = make_masks(config, run.scene);
+    const std::vector<std::string> channels = list_drop_channels(config.refine);
     if (kind_of(config.image.primitive).has_normals) renderer.enable_channels("incidence");
     std::vector<DropImage> images;
     for (const int position : positions) {
@@ -107,12 +108,12 @@ std::vector<DropImage> training_images(Device& device, const Run& run, const Con
         const Frame& frame = run.sequence.frames[std::size_t(position)];
         SensorChoice sensor = rays_of(config, run.sequence, frame);
         const bool parted = config.refine.network == "pixel" && !sensor.grid;
-        const Stripes stripes(parted ? stripe_share(sensor.rays) : 1, sensor.rays, images.size());
+        const Stripes stripes(parted ? compute_stripe_share(sensor.rays) : 1, sensor.rays, images.size());
         sensor.rays = stripes.rays(rotate_rays(std::move(sensor.rays), 0.5f));
         const RenderedScan scan = renderer.render(sensor, frame.time_s);
-        images.push_back(drop_image(scan, channels, first_origin(run.sequence)));
-        std::vector<float> dropped = measured_drops(run.sequence, frame, masks);
-        if (uses_grid(config)) dropped = measured_cell_drops(config, frame, dropped);
+        images.push_back(make_drop_image(scan, channels, get_first_origin(run.sequence)));
+        std::vector<float> dropped = find_measured_drops(run.sequence, frame, masks);
+        if (uses_grid(config)) dropped = compute_cell_drops(config, frame, dropped);
         images.back().dropped = stripes.values(dropped);
         for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
             // Excludes rays that are always dropped, because the prediction of the
@@ -131,7 +132,7 @@ DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& se
     Config config = run.config;
     config.sensor.sub_rays = config.sensor.returns = 1;
     begin_stage(session.stages, "network's images");
-    const std::vector<DropImage> images = training_images(device, run, config, session);
+    const std::vector<DropImage> images = make_training_images(device, run, config, session);
     begin_stage(session.stages, "network");
     if (images.empty()) return {};
     RefineKeeper checkpoints(run, session);

@@ -15,24 +15,24 @@ namespace relidar {
 namespace {
 
 /// Returns true if the rendered images or the network depend on a setting.
-bool matters(const std::string& key) {
+bool has_effect(const std::string& key) {
     constexpr std::array kGroups{"refine.", "image.", "sensor.", "init.", "render.range", "train.seed"};
     return key != "refine.enabled" &&
            std::ranges::any_of(kGroups, [&](const char* group) { return key.starts_with(group); });
 }
 
-std::vector<Mark> marks_of(const Run& run) {
-    std::vector<Mark> marks = marks_of(run.sequence, run.split);
+std::vector<Mark> list_marks(const Run& run) {
+    std::vector<Mark> marks = list_marks(run.sequence, run.split);
     marks.push_back(mark_of(run.scene));
     return marks;
 }
 
 /// Returns hashes of the scene and the log, and the values of the settings.
-std::map<std::string, std::string> texts_of(const Run& run) {
+std::map<std::string, std::string> make_texts(const Run& run) {
     std::map<std::string, std::string> texts;
-    for (const ConfigKey& key : config_keys(run.config))
-        if (matters(key.key)) put(key, texts);
-    for (const Mark& mark : marks_of(run)) put(mark, texts);
+    for (const ConfigKey& key : list_config_keys(run.config))
+        if (has_effect(key.key)) put(key, texts);
+    for (const Mark& mark : list_marks(run)) put(mark, texts);
     return texts;
 }
 
@@ -42,7 +42,7 @@ RefineKeeper::RefineKeeper(const Run& run, const RefineSession& session)
     : minutes_(run.config.train.checkpoint_minutes),
       folder_(session.checkpoints, session.start ? session.start->iteration : 0, "ray-drop training step",
               session.note) {
-    if (folder_.wanted()) texts_ = std::async(std::launch::async, [&run] { return texts_of(run); });
+    if (folder_.wanted()) texts_ = std::async(std::launch::async, [&run] { return make_texts(run); });
 }
 
 void RefineKeeper::after_step(const RefineProgress& progress, bool stops,
@@ -67,15 +67,15 @@ RefineState refine_state(const Checkpoint& checkpoint) {
 void check_refine_resumable(const Checkpoint& checkpoint, const Run& run) {
     const std::string doing =
         fmt::format("cannot resume the ray-drop network from step {}", checkpoint.iteration);
-    std::vector<ConfigKey> settings = config_keys(run.config);
-    std::erase_if(settings, [](const ConfigKey& key) { return !matters(key.key); });
+    std::vector<ConfigKey> settings = list_config_keys(run.config);
+    std::erase_if(settings, [](const ConfigKey& key) { return !has_effect(key.key); });
     check_same(settings, checkpoint, doing);
-    for (const Mark& mark : marks_of(run)) check_same(checkpoint, mark, doing);
+    for (const Mark& mark : list_marks(run)) check_same(checkpoint, mark, doing);
     refine_state(checkpoint);  // throws an error if the state is incomplete
 }
 
 void restore_refine_settings(const Checkpoint& checkpoint, Config& config) {
-    for (const auto& [key, value] : settings_in(checkpoint)) set_key(config, key, value);
+    for (const auto& [key, value] : read_settings(checkpoint)) set_key(config, key, value);
 }
 
 }  // namespace relidar

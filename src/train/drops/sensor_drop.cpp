@@ -26,7 +26,7 @@ constexpr double kPriorRays = 8.0;
 constexpr double kLeastSector = 10.0 / 360.0;
 constexpr float kBlindFrequency = 0.95f;
 
-int bins_of(const Sequence& sequence) {
+int count_bins(const Sequence& sequence) {
     int columns = 0;
     for (const Lidar& lidar : sequence.lidars) columns = std::max(columns, lidar.sensor.columns);
     return std::max(1, columns / kColumnsPerBin);
@@ -36,7 +36,7 @@ int bins_of(const Sequence& sequence) {
 /// Ignores runs that are narrower than the smallest sector. Does nothing if all bins
 /// fulfil the condition.
 template <class Condition, class Visit>
-void each_sector(int bins, const Condition& is_in, const Visit& visit) {
+void for_each_sector(int bins, const Condition& is_in, const Visit& visit) {
     int begin = 0;
     while (begin < bins && is_in(begin)) ++begin;
     if (begin == bins) return;
@@ -52,7 +52,7 @@ void each_sector(int bins, const Condition& is_in, const Visit& visit) {
 
 /// Returns the difference between the largest and the smallest azimuth offset of a
 /// LiDAR's beams, in bins.
-int spread_of(const SpinningSensor& sensor, int bins) {
+int compute_bin_spread(const SpinningSensor& sensor, int bins) {
     const auto [least, most] = std::ranges::minmax(sensor.beams, {}, &Beam::azimuth_offset_rad);
     return int(std::ceil((most.azimuth_offset_rad - least.azimuth_offset_rad) / (2.0 * kPi) * bins));
 }
@@ -61,12 +61,12 @@ int spread_of(const SpinningSensor& sensor, int bins) {
 
 DropCounts::DropCounts(const Sequence& sequence)
     : sequence_(sequence),
-      index_{int(sequence.count_beams()), bins_of(sequence), {}},
+      index_{int(sequence.count_beams()), count_bins(sequence), {}},
       rays_(std::size_t(index_.channels) * std::size_t(index_.bins), 0),
       drops_(rays_.size(), 0) {}
 
 void DropCounts::add(const Frame& frame, std::size_t ray) {
-    const auto beam = sequence_.beam_number(frame.lidar, frame.scan.rays.channel[ray]);
+    const auto beam = sequence_.find_beam_number(frame.lidar, frame.scan.rays.channel[ray]);
     if (!beam) return;
     const std::size_t slot = index_.index(*beam, frame.scan.rays.direction[ray]);
     std::atomic_ref(rays_[slot]).fetch_add(1, std::memory_order_relaxed);
@@ -74,7 +74,7 @@ void DropCounts::add(const Frame& frame, std::size_t ray) {
         std::atomic_ref(drops_[slot]).fetch_add(1, std::memory_order_relaxed);
 }
 
-DropTable DropCounts::persistent() const {
+DropTable DropCounts::estimate_persistent_rate() const {
     DropTable table = index_;
     table.probability.assign(rays_.size(), 0.0f);
     const auto share = [](std::uint32_t drops, std::uint32_t rays) { return float(drops) / float(rays); };
@@ -97,10 +97,10 @@ DropTable DropCounts::persistent() const {
 }
 
 void DropCounts::add_skipped_sectors(DropTable& table, int channel) const {
-    each_sector(
+    for_each_sector(
         index_.bins, [&](int bin) { return rays_[slot(channel, bin)] == 0; },
-        [&](int first, int n) {
-            for (int bin = first; bin < first + n; ++bin) table.probability[slot(channel, bin)] = 1.0f;
+        [&](int first, int count) {
+            for (int bin = first; bin < first + count; ++bin) table.probability[slot(channel, bin)] = 1.0f;
         });
 }
 
@@ -114,7 +114,7 @@ double DropCounts::expected(int channel, int bin) const {
     return drops / rays;
 }
 
-DropTable DropCounts::shrunk() const {
+DropTable DropCounts::estimate_drop_rate() const {
     DropTable table = index_;
     for (int channel = 0; channel < index_.channels; ++channel)
         for (int bin = 0; bin < index_.bins; ++bin) {
@@ -125,13 +125,13 @@ DropTable DropCounts::shrunk() const {
     return table;
 }
 
-DropTable observed_drops(const Sequence& sequence, const std::vector<int>& positions) {
+DropTable estimate_observed_drops(const Sequence& sequence, const std::vector<int>& positions) {
     DropCounts counts(sequence);
     parallel_for(static_cast<int>(positions.size()), [&](int k) {
         const Frame& frame = sequence.frames[std::size_t(positions[std::size_t(k)])];
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) counts.add(frame, i);
     });
-    return counts.persistent();
+    return counts.estimate_persistent_rate();
 }
 
 void add_unseen_sectors(DropTable& drops, const DropTable& observed, const Sequence& sequence) {
@@ -140,25 +140,25 @@ void add_unseen_sectors(DropTable& drops, const DropTable& observed, const Seque
         const SpinningSensor& sensor = sequence.lidars[l].sensor;
         std::vector<std::size_t> rows;  // first bin of each beam
         for (std::size_t beam = 0; beam < sensor.beams.size(); ++beam)
-            if (const auto number = sequence.beam_number(int(l), std::uint16_t(beam)))
+            if (const auto number = sequence.find_beam_number(int(l), std::uint16_t(beam)))
                 rows.push_back(std::size_t(*number) * std::size_t(bins));
         if (rows.empty()) continue;
         const auto is_blind_at = [&](std::size_t row, int bin) {
             return observed.probability[row + std::size_t((bin + bins) % bins)] >= kBlindFrequency;
         };
-        const int spread = spread_of(sensor, bins);
-        each_sector(
+        const int spread = compute_bin_spread(sensor, bins);
+        for_each_sector(
             bins,
             [&](int bin) {
                 return std::ranges::all_of(rows, [&](std::size_t row) { return is_blind_at(row, bin); });
             },
-            [&](int first, int n) {
+            [&](int first, int count) {
                 for (const std::size_t row : rows) {
                     // Extends the sector of each beam to neighbouring bins that have
                     // hardly any returns, because azimuth offsets differ between beams.
-                    int begin = first, end = first + n;
+                    int begin = first, end = first + count;
                     while (first - begin < spread && is_blind_at(row, begin - 1)) --begin;
-                    while (end - first - n < spread && is_blind_at(row, end)) ++end;
+                    while (end - first - count < spread && is_blind_at(row, end)) ++end;
                     for (int bin = begin; bin < end; ++bin)
                         drops.probability[row + std::size_t((bin + bins) % bins)] = 1.0f;
                 }
@@ -167,7 +167,7 @@ void add_unseen_sectors(DropTable& drops, const DropTable& observed, const Seque
 }
 
 bool is_blind(const DropTable& observed, const Sequence& sequence, const Frame& frame, std::size_t ray) {
-    const auto beam = sequence.beam_number(frame.lidar, frame.scan.rays.channel[ray]);
+    const auto beam = sequence.find_beam_number(frame.lidar, frame.scan.rays.channel[ray]);
     return beam && observed.at(*beam, frame.scan.rays.direction[ray]) >= kBlindFrequency;
 }
 

@@ -13,7 +13,7 @@
 
 namespace relidar {
 
-/// Counts rays and dropped rays by beam (Sequence::beam_number) and azimuth bin.
+/// Counts rays and dropped rays by beam (Sequence::find_beam_number) and azimuth bin.
 class DropCounts {
 public:
     /// Creates the bins for the LiDARs of a log. Each beam has a row of azimuth bins, and
@@ -28,11 +28,11 @@ public:
     /// intervals that contain it, but at most the drop rate of the bin itself. If a beam
     /// has fewer than 60 rays in total, its drop rate is 0. The drop rate is 1 in a
     /// sector of at least 10 degrees in which the beam never fires.
-    DropTable persistent() const;
+    DropTable estimate_persistent_rate() const;
     /// Returns the drop rate of each bin, also for short logs. The rate of a bin is mixed
     /// with the rate of the neighbouring bins, which counts like 8 more rays. The rate of
     /// the neighbours is computed with 8 additional returned rays.
-    DropTable shrunk() const;
+    DropTable estimate_drop_rate() const;
     std::size_t bins() const { return rays_.size(); }
 
 private:
@@ -53,15 +53,15 @@ private:
 };
 
 /// Returns how often rays of each beam and azimuth were dropped in the given frames, for
-/// any reason. Uses DropCounts::persistent().
-DropTable observed_drops(const Sequence& sequence, const std::vector<int>& positions);
+/// any reason. Uses DropCounts::estimate_persistent_rate().
+DropTable estimate_observed_drops(const Sequence& sequence, const std::vector<int>& positions);
 
 /// Sets the drop probability to 1 in sectors that a LiDAR does not observe. These are
 /// sectors of at least 10 degrees in which no beam has a return. The cause is a field of
 /// view set in the sensor, or a part of the vehicle. The scene has no surfaces in these
 /// sectors, so it cannot predict the drops.
 /// @param drops  input and output
-/// @param observed  result of observed_drops()
+/// @param observed  result of estimate_observed_drops()
 void add_unseen_sectors(DropTable& drops, const DropTable& observed, const Sequence& sequence);
 
 /// Returns true if rays with this beam and azimuth were dropped at least 95 % of the

@@ -14,7 +14,7 @@ namespace relidar {
 
 /// Returns a number n. Every n-th stripe of the image together has about 32,768 pixels.
 /// If n is below 2, the full image is used.
-inline int stripe_share(const RayTable& rays) { return int(rays.size()) / 32768; }
+inline int compute_stripe_share(const RayTable& rays) { return int(rays.size()) / 32768; }
 
 /// Some vertical stripes of an image. The image covers a full turn, so its last column is
 /// next to its first.
@@ -39,7 +39,7 @@ public:
     /// @param all  rays of the full image
     RayTable rays(const RayTable& all) const {
         if (first_.empty()) return all;
-        RayTable some = some_rays(all, places());
+        RayTable some = select_rays(all, places());
         some.rows = int(rows_);
         some.columns = int(first_.size()) * kColumns;
         return some;

@@ -31,19 +31,19 @@ struct Columns {
     std::uint32_t n = 0;  ///< number of columns; 0 if the batch does not consist of columns
 };
 
-std::uint32_t stride_over_rays(const FrameData& frame, const TrainConfig& config) {
+std::uint32_t choose_ray_stride(const FrameData& frame, const TrainConfig& config) {
     const std::uint32_t n_rays = static_cast<std::uint32_t>(config.rays_per_iteration);
     return n_rays == 0 ? 1u : std::max(1u, frame.n_rays / n_rays);
 }
 
 /// Returns the number of rows and columns of a full frame. A frame without image order
 /// has a single row.
-ImageShape frame_image(const FrameData& frame) {
+ImageShape get_frame_image(const FrameData& frame) {
     return frame.image.is_image() ? frame.image : ImageShape{1, frame.n_rays, false};
 }
 
-Columns window(const FrameData& frame, const TrainConfig& config) {
-    const ImageShape image = frame_image(frame);
+Columns choose_window(const FrameData& frame, const TrainConfig& config) {
+    const ImageShape image = get_frame_image(frame);
     const std::uint32_t n =
         std::clamp((static_cast<std::uint32_t>(config.rays_per_iteration) + image.rows / 2) / image.rows, 1u,
                    image.columns);
@@ -52,22 +52,23 @@ Columns window(const FrameData& frame, const TrainConfig& config) {
 
 /// Selects every n-th group of neighbouring columns. The groups keep neighbouring rays
 /// together, so that the rays have similar directions for any number of columns.
-Columns every_nth(const FrameData& frame, const TrainConfig& config) {
-    const std::uint32_t stride = std::min(stride_over_rays(frame, config), frame.image.columns);
+Columns choose_every_nth(const FrameData& frame, const TrainConfig& config) {
+    const std::uint32_t stride = std::min(choose_ray_stride(frame, config), frame.image.columns);
     return frame.image.is_image() && stride > 1 ? Columns{stride, frame.image.columns / stride} : Columns{};
 }
 
-Columns columns_of_batch(const FrameData& frame, const TrainConfig& config, bool windows) {
+Columns choose_columns_of_batch(const FrameData& frame, const TrainConfig& config, bool windows) {
     if (config.rays_per_iteration == 0) return {};
-    return windows ? window(frame, config) : every_nth(frame, config);
+    return windows ? choose_window(frame, config) : choose_every_nth(frame, config);
 }
 
 /// Returns the number of rays in the largest batch that consists of columns.
-std::size_t largest_gathered(const std::vector<FrameData>& frames, const Config& config) {
+std::size_t find_largest_gathered_batch(const std::vector<FrameData>& frames, const Config& config) {
     std::size_t largest = 0;
     for (const FrameData& frame : frames)
-        largest = std::max(largest, std::size_t(frame_image(frame).rows) *
-                                        columns_of_batch(frame, config.train, config.needs_images()).n);
+        largest =
+            std::max(largest, std::size_t(get_frame_image(frame).rows) *
+                                  choose_columns_of_batch(frame, config.train, config.needs_images()).n);
     return largest;
 }
 
@@ -88,34 +89,34 @@ void check_images(const char* setting, const std::vector<FrameData>& frames) {
 BatchSampler::BatchSampler(Device& device, const Config& config, const std::vector<FrameData>& frames)
     : impl_(new Impl{config.train,
                      config.needs_images(),
-                     {device, largest_gathered(frames, config), "batch rays"},
-                     {device, largest_gathered(frames, config), "batch targets"},
+                     {device, find_largest_gathered_batch(frames, config), "batch rays"},
+                     {device, find_largest_gathered_batch(frames, config), "batch targets"},
                      {device, "train/gather_columns"}}) {
     if (config.loss.intensity * config.loss.intensity_ssim > 0.0f)
         check_images("loss.intensity_ssim", frames);
 }
 BatchSampler::~BatchSampler() = default;
 
-/// Selects the same columns as frame_column() in shaders/train/columns.glsl. The two
+/// Selects the same columns as get_frame_column() in shaders/train/columns.glsl. The two
 /// functions must be changed together.
-std::size_t SampledBatch::ray_of_frame(std::uint32_t k) const {
-    if (window.columns == 0) return rays.first + std::size_t(k) * rays.stride;
-    const std::uint32_t row = k / window.n_columns, column = k % window.n_columns,
+std::size_t SampledBatch::get_ray_of_frame(std::uint32_t index) const {
+    if (window.columns == 0) return rays.first + std::size_t(index) * rays.stride;
+    const std::uint32_t row = index / window.n_columns, column = index % window.n_columns,
                         within = column % RELIDAR_COLUMN_GROUP;
     return std::size_t(row) * window.columns +
            (window.first + (column - within) * window.stride + within) % window.columns;
 }
 
 std::uint32_t BatchSampler::n_batches(const FrameData& frame) const {
-    const Columns columns = columns_of_batch(frame, impl_->config, impl_->windows);
-    return columns.n > 0 || impl_->windows ? columns.stride : stride_over_rays(frame, impl_->config);
+    const Columns columns = choose_columns_of_batch(frame, impl_->config, impl_->windows);
+    return columns.n > 0 || impl_->windows ? columns.stride : choose_ray_stride(frame, impl_->config);
 }
 
 std::uint32_t BatchSampler::draw_first(const FrameData& frame, Random& random) const {
-    const Columns columns = columns_of_batch(frame, impl_->config, impl_->windows);
+    const Columns columns = choose_columns_of_batch(frame, impl_->config, impl_->windows);
     std::uint32_t choices = n_batches(frame);
     if (columns.n > 0) {
-        const ImageShape image = frame_image(frame);
+        const ImageShape image = get_frame_image(frame);
         // Limits the first column of a window, because a window must not continue past
         // the end of the image.
         choices = image.circular || columns.stride > 1 ? image.columns : image.columns - columns.n + 1;
@@ -128,12 +129,12 @@ SampledBatch BatchSampler::sample(Stream& stream, const FrameData& frame, Random
 }
 
 SampledBatch BatchSampler::take(Stream& stream, const FrameData& frame, std::uint32_t first,
-                                std::uint32_t k) {
+                                std::uint32_t index) {
     Impl& b = *impl_;
-    const Columns columns = columns_of_batch(frame, b.config, b.windows);
+    const Columns columns = choose_columns_of_batch(frame, b.config, b.windows);
     if (columns.n > 0) {
-        const ImageShape image = frame_image(frame);
-        if (columns.stride > 1) first = (first + k * RELIDAR_COLUMN_GROUP) % image.columns;
+        const ImageShape image = get_frame_image(frame);
+        if (columns.stride > 1) first = (first + index * RELIDAR_COLUMN_GROUP) % image.columns;
         const std::uint32_t n = image.rows * columns.n;
         run(stream, b.gather, n,
             {.rays = frame.rays().address(),
@@ -160,7 +161,7 @@ SampledBatch BatchSampler::take(Stream& stream, const FrameData& frame, std::uin
                 {image.columns, first, columns.stride, columns.n}};
     }
     const std::uint32_t stride = n_batches(frame);
-    first = (first + k) % stride;
+    first = (first + index) % stride;
     const RayBatch rays = frame.batch(first, stride);
     return {rays,
             {&frame.targets(), first, stride, rays.n_rays, frame.n_returned / stride, frame.n_known / stride,

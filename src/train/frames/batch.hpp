@@ -31,8 +31,8 @@ struct SampledBatch {
     TargetBatch targets;
     ColumnWindow window{};
 
-    /// Converts the index k of a ray in the batch to its index in the frame.
-    std::size_t ray_of_frame(std::uint32_t k) const;
+    /// Converts the index `index` of a ray in the batch to its index in the frame.
+    std::size_t get_ray_of_frame(std::uint32_t index) const;
 };
 
 /// Selects about train.rays_per_iteration rays of a frame; 0 means all rays. By default,
@@ -55,8 +55,8 @@ public:
     /// contain all rays of a frame once. A few columns can be missing or repeated where a
     /// full turn closes. Batches that are windows of columns do not cover the frame.
     /// @param first  start of the first batch, from draw_first()
-    /// @param k  index of the batch
-    SampledBatch take(Stream& stream, const FrameData& frame, std::uint32_t first, std::uint32_t k);
+    /// @param index  index of the batch
+    SampledBatch take(Stream& stream, const FrameData& frame, std::uint32_t first, std::uint32_t index);
     /// Draws a random column or ray at which a batch starts.
     std::uint32_t draw_first(const FrameData& frame, Random& random) const;
     /// Returns the number of batches that together contain all rays of the frame. Returns

@@ -57,7 +57,7 @@ struct FrameData {
 };
 
 /// Returns the number of rays of the largest frame, or 0 if there are no frames.
-std::uint32_t max_rays(std::span<const FrameData> frames);
+std::uint32_t find_max_rays(std::span<const FrameData> frames);
 
 /// Selects the measurements that training must ignore.
 struct Unknown {

@@ -4,7 +4,7 @@
 
 namespace relidar {
 
-Frame on_grid(const Sequence& sequence, const Frame& frame, const RangeGrid& grid) {
+Frame convert_to_grid(const Sequence& sequence, const Frame& frame, const RangeGrid& grid) {
     constexpr double kGridPeriod_s = 0.1;  // sweep duration that make_rays() assumes for a grid
     const Scan& scan = frame.scan;
     std::vector<glm::vec3> points;
@@ -17,11 +17,11 @@ Frame on_grid(const Sequence& sequence, const Frame& frame, const RangeGrid& gri
         rays.push_back(i);
     }
     const GridImage image = project_points(grid, points, intensity);
-    Frame result = without_scan(frame);
+    Frame result = copy_without_scan(frame);
     result.scan.rays = make_rays(grid);
     result.scan.range_m.assign(image.range_m.begin(), image.range_m.end());
     result.scan.intensity.assign(image.intensity.begin(), image.intensity.end());
-    const auto turn = static_cast<float>(sequence.lidar_of(frame).period_s() / kGridPeriod_s);
+    const auto turn = static_cast<float>(sequence.get_lidar(frame).period_s() / kGridPeriod_s);
     for (std::size_t cell = 0; cell < image.source.size(); ++cell) {
         float& time_s = result.scan.rays.time_offset_s[cell];
         time_s *= turn;

@@ -13,6 +13,6 @@ namespace relidar {
 /// time and beam of its nearest return (Eq. 6-7). A cell without a return becomes a
 /// dropped ray. The time of a dropped ray is the time at which the LiDAR's head faces the
 /// cell. Second returns are removed.
-Frame on_grid(const Sequence& sequence, const Frame& frame, const RangeGrid& grid);
+Frame convert_to_grid(const Sequence& sequence, const Frame& frame, const RangeGrid& grid);
 
 }  // namespace relidar

@@ -6,7 +6,7 @@
 
 namespace relidar {
 
-SensorChoice nominal_rays_of(const Config& config, const Sequence& sequence, const Frame& frame) {
+SensorChoice make_nominal_rays_of_frame(const Config& config, const Sequence& sequence, const Frame& frame) {
     SensorChoice sensor = choose_sensor("native", config, sequence, frame.lidar);
     if (sensor.rays.rows != frame.scan.rays.rows || sensor.rays.columns != frame.scan.rays.columns)
         sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
@@ -14,14 +14,14 @@ SensorChoice nominal_rays_of(const Config& config, const Sequence& sequence, con
     return sensor;
 }
 
-Unknown masks_of(const Config& config, const Scene& scene) {
+Unknown make_masks(const Config& config, const Scene& scene) {
     Unknown masks{config.init, {}, {}};
     for (const Instance& instance : scene.instances)
         if (!instance.track.empty()) masks.actors.push_back(instance.track);
     return masks;
 }
 
-std::vector<float> measured_drops(const Sequence& sequence, const Frame& frame, const Unknown& masks) {
+std::vector<float> find_measured_drops(const Sequence& sequence, const Frame& frame, const Unknown& masks) {
     std::vector<DeviceRay> rays;
     std::vector<DeviceTarget> targets;
     make_targets(sequence, frame, masks, rays, targets);
@@ -31,11 +31,11 @@ std::vector<float> measured_drops(const Sequence& sequence, const Frame& frame, 
     return dropped;
 }
 
-std::vector<int> spread(const std::vector<int>& positions, int n) {
-    if (n <= 0 || positions.size() <= std::size_t(n)) return positions;
+std::vector<int> spread(const std::vector<int>& positions, int count) {
+    if (count <= 0 || positions.size() <= std::size_t(count)) return positions;
     std::vector<int> chosen;
-    for (std::size_t i = 0; i < std::size_t(n); ++i)
-        chosen.push_back(positions[i * positions.size() / std::size_t(n)]);
+    for (std::size_t i = 0; i < std::size_t(count); ++i)
+        chosen.push_back(positions[i * positions.size() / std::size_t(count)]);
     return chosen;
 }
 

@@ -16,18 +16,18 @@ namespace relidar {
 
 /// Returns the nominal rays of a frame's LiDAR if they have the same rows and columns as
 /// its scan. Otherwise returns the rays of the scan.
-SensorChoice nominal_rays_of(const Config& config, const Sequence& sequence, const Frame& frame);
+SensorChoice make_nominal_rays_of_frame(const Config& config, const Sequence& sequence, const Frame& frame);
 
 /// Returns the rule that selects which measurements are ignored. The rule ignores
 /// measurements of moving objects that are not in the scene.
-Unknown masks_of(const Config& config, const Scene& scene);
+Unknown make_masks(const Config& config, const Scene& scene);
 
 /// Returns 0 for each returned ray of a frame, and 1 for each dropped ray. Returns -1 if
 /// the ray hit, or may have hit, a moving object that is not in the scene.
-std::vector<float> measured_drops(const Sequence& sequence, const Frame& frame, const Unknown& masks);
+std::vector<float> find_measured_drops(const Sequence& sequence, const Frame& frame, const Unknown& masks);
 
-/// Returns at most n of the positions, evenly distributed. Returns all positions if n is
-/// 0.
-std::vector<int> spread(const std::vector<int>& positions, int n);
+/// Returns at most `count` of the positions, evenly distributed. Returns all positions if
+/// `count` is 0.
+std::vector<int> spread(const std::vector<int>& positions, int count);
 
 }  // namespace relidar

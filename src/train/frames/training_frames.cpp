@@ -32,8 +32,9 @@ struct TrainedFrame {
     const Frame& frame;
 
     TrainedFrame(const Sequence& sequence, int position, const std::optional<RangeGrid>& grid)
-        : binned(grid ? std::optional(on_grid(sequence, sequence.frames[std::size_t(position)], *grid))
-                      : std::nullopt),
+        : binned(grid
+                     ? std::optional(convert_to_grid(sequence, sequence.frames[std::size_t(position)], *grid))
+                     : std::nullopt),
           frame(binned ? *binned : sequence.frames[std::size_t(position)]) {}
 };
 
@@ -48,7 +49,7 @@ FrameData describe(const Sequence& sequence, int position, const std::optional<R
     data.position = position;
     data.index = frame.index;
     data.n_rays = static_cast<std::uint32_t>(frame.scan.range_m.size());
-    const bool spins = !sequence.lidar_of(frame).sensor.beams.empty();
+    const bool spins = !sequence.get_lidar(frame).sensor.beams.empty();
     if (table.rows > 1)
         data.image = {static_cast<std::uint32_t>(table.rows), static_cast<std::uint32_t>(table.columns),
                       spins};
@@ -59,7 +60,7 @@ FrameData describe(const Sequence& sequence, int position, const std::optional<R
         std::min(track.place(firing_time(sequence, frame, *last)).left + 1, track.pose.size() - 1);
     data.n_knots = static_cast<std::uint32_t>(last_knot + 1 - data.first_knot);
     data.sensor_position_m =
-        glm::vec3(track.at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor).translation);
+        glm::vec3(track.at(frame.time_s, sequence.get_lidar(frame).vehicle_from_sensor).translation);
     return data;
 }
 
@@ -73,12 +74,12 @@ void count(FrameData& data, const std::vector<DeviceTarget>& targets) {
 
 template <class T>
 void write(Stream& stream, const Array<T>& to, const std::vector<T>& values) {
-    impl_of(stream).write(to.buffer(), values.data(), values.size() * sizeof(T));
+    get_impl(stream).write(to.buffer(), values.data(), values.size() * sizeof(T));
 }
 
 }  // namespace
 
-std::size_t TrainingFrames::bytes_per_ray() const {
+std::size_t TrainingFrames::count_bytes_per_ray() const {
     return sizeof(DeviceRay) + sizeof(DeviceTarget) + (use_.moves_rays ? sizeof(shared::RayPlace) : 0);
 }
 
@@ -88,12 +89,12 @@ TrainingFrames::TrainingFrames(Device& device, const Sequence& sequence, const s
     for (const int position : positions) frames_.push_back(describe(sequence, position, use_.grid));
     std::uint64_t bytes = 0;
     for (const FrameData& frame : frames_) {
-        bytes += std::uint64_t(frame.n_rays) * bytes_per_ray();
+        bytes += std::uint64_t(frame.n_rays) * count_bytes_per_ray();
         if (bytes > use_.resident_bytes) break;
         ++n_staying_;
     }
     keep_on_device(device);
-    const std::uint32_t n = max_rays(std::span(frames_).subspan(n_staying_));
+    const std::uint32_t n = find_max_rays(std::span(frames_).subspan(n_staying_));
     if (n == 0) return;
     shared_ = std::make_shared<FrameArrays>(FrameArrays{{device, n, "training rays"},
                                                         {device, n, "training targets"},
@@ -119,8 +120,8 @@ void TrainingFrames::keep_on_device(Device& device) {
     }
 }
 
-TrainingFrames::HostFrame TrainingFrames::prepare(std::size_t i) const {
-    const FrameData& data = frames_[i];
+TrainingFrames::HostFrame TrainingFrames::prepare(std::size_t index) const {
+    const FrameData& data = frames_[index];
     const TrainedFrame trained(sequence_, data.position, use_.grid);
     const Frame& frame = trained.frame;
     HostFrame host;
@@ -135,18 +136,18 @@ TrainingFrames::HostFrame TrainingFrames::prepare(std::size_t i) const {
     return host;
 }
 
-TrainingFrames::HostFrame TrainingFrames::take(std::size_t i) {
+TrainingFrames::HostFrame TrainingFrames::take(std::size_t index) {
     if (coming_.valid()) {
         HostFrame host = coming_.get();
-        if (coming_frame_ == i) return host;
+        if (coming_frame_ == index) return host;
     }
-    return prepare(i);
+    return prepare(index);
 }
 
-FrameData& TrainingFrames::bring(Stream& stream, std::size_t i) {
-    FrameData& frame = frames_[i];
-    if (i < n_staying_) return frame;
-    const HostFrame host = take(i);
+FrameData& TrainingFrames::make_resident(Stream& stream, std::size_t index) {
+    FrameData& frame = frames_[index];
+    if (index < n_staying_) return frame;
+    const HostFrame host = take(index);
     write(stream, frame.arrays->rays, host.rays);
     write(stream, frame.arrays->targets, host.targets);
     write(stream, frame.arrays->places, host.places);
@@ -154,11 +155,11 @@ FrameData& TrainingFrames::bring(Stream& stream, std::size_t i) {
     return frame;
 }
 
-void TrainingFrames::expect(std::size_t i) {
-    if (i < n_staying_ || (coming_.valid() && coming_frame_ == i)) return;
+void TrainingFrames::expect(std::size_t index) {
+    if (index < n_staying_ || (coming_.valid() && coming_frame_ == index)) return;
     if (coming_.valid()) coming_.wait();
-    coming_frame_ = i;
-    coming_ = std::async(std::launch::async, [this, i] { return prepare(i); });
+    coming_frame_ = index;
+    coming_ = std::async(std::launch::async, [this, index] { return prepare(index); });
 }
 
 }  // namespace relidar

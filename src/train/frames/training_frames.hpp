@@ -37,18 +37,18 @@ public:
     ~TrainingFrames();
 
     const std::vector<FrameData>& all() const { return frames_; }
-    FrameData& operator[](std::size_t i) { return frames_[i]; }
+    FrameData& operator[](std::size_t index) { return frames_[index]; }
     /// Returns the rule that selects the measurements with weight 0 in training.
     const Unknown& unknown() const { return use_.unknown; }
     /// Returns the number of frames that stay on the device.
     std::size_t n_resident() const { return n_staying_; }
 
-    /// Uploads frame i in the stream if it is not on the device. The arrays of the frame
-    /// are valid until another frame is uploaded.
-    FrameData& bring(Stream& stream, std::size_t i);
-    /// Announces that frame i is used next. If the frame must be uploaded, a thread
+    /// Uploads frame `index` in the stream if it is not on the device. The arrays of the
+    /// frame are valid until another frame is uploaded.
+    FrameData& make_resident(Stream& stream, std::size_t index);
+    /// Announces that frame `index` is used next. If the frame must be uploaded, a thread
     /// starts to compute its rays in the background.
-    void expect(std::size_t i);
+    void expect(std::size_t index);
 
 private:
     /// Arrays of a frame in host memory, before the upload.
@@ -67,10 +67,10 @@ private:
     std::future<HostFrame> coming_;
     std::size_t coming_frame_ = 0;
 
-    HostFrame prepare(std::size_t i) const;
-    HostFrame take(std::size_t i);
+    HostFrame prepare(std::size_t index) const;
+    HostFrame take(std::size_t index);
     void keep_on_device(Device& device);
-    std::size_t bytes_per_ray() const;
+    std::size_t count_bytes_per_ray() const;
 };
 
 }  // namespace relidar

@@ -11,7 +11,7 @@
 namespace relidar {
 namespace {
 
-std::uint32_t max_knots(const std::vector<FrameData>& frames) {
+std::uint32_t find_max_knots(const std::vector<FrameData>& frames) {
     std::uint32_t most = 0;
     for (const FrameData& frame : frames) most = std::max(most, frame.n_knots);
     return most;
@@ -20,8 +20,8 @@ std::uint32_t max_knots(const std::vector<FrameData>& frames) {
 }  // namespace
 
 MovedRays::MovedRays(Device& device, const std::vector<FrameData>& frames)
-    : most_knots_(max_knots(frames)),
-      moved_(device, max_rays(frames), "moved rays"),
+    : most_knots_(find_max_knots(frames)),
+      moved_(device, find_max_rays(frames), "moved rays"),
       knots_(device, most_knots_, "sensor poses"),
       rows_(device, std::size_t(kRows) * 6 * most_knots_, "pose gradients"),
       move_(device, "train/move_rays"),
@@ -31,10 +31,10 @@ void MovedRays::move(Stream& stream, const TrackCorrection& sensor, FrameData& f
     std::vector<shared::PoseKnot> knots;
     for (std::size_t k = frame.first_knot; k < frame.first_knot + frame.n_knots; ++k) {
         const Twist c = sensor.at(k);
-        knots.push_back({glm::vec3(sensor.uncorrected().pose[k].translation), glm::vec3(c[0], c[1], c[2]),
-                         glm::vec3(c[3], c[4], c[5])});
+        knots.push_back({glm::vec3(sensor.get_uncorrected_track().pose[k].translation),
+                         glm::vec3(c[0], c[1], c[2]), glm::vec3(c[3], c[4], c[5])});
     }
-    impl_of(stream).write(knots_.buffer(), knots.data(), knots.size() * sizeof(knots[0]));
+    get_impl(stream).write(knots_.buffer(), knots.data(), knots.size() * sizeof(knots[0]));
     run(stream, move_, frame.n_rays,
         {.rays = frame.arrays->rays.address(),
          .places = frame.arrays->places.address(),
@@ -64,8 +64,8 @@ void MovedRays::sum_gradients(Stream& stream, const FrameData& frame, const Samp
          .n_rows = kRows});
 }
 
-std::vector<PoseGradient> MovedRays::gradients_in(std::span<const float> gradient_rows,
-                                                  const FrameData& frame) const {
+std::vector<PoseGradient> MovedRays::sum_pose_gradients(std::span<const float> gradient_rows,
+                                                        const FrameData& frame) const {
     std::vector<PoseGradient> result(frame.n_knots);
     for (std::size_t k = 0; k < result.size(); ++k) {
         result[k].pose = frame.first_knot + k;

@@ -41,8 +41,8 @@ public:
     /// sum_gradients() computed.
     const Array<float>& gradient_rows() const { return rows_; }
     /// Adds the partial sums, and returns one gradient for each pose of a frame.
-    std::vector<PoseGradient> gradients_in(std::span<const float> gradient_rows,
-                                           const FrameData& frame) const;
+    std::vector<PoseGradient> sum_pose_gradients(std::span<const float> gradient_rows,
+                                                 const FrameData& frame) const;
 
 private:
     /// Number of workgroups for each pose. More than one is used so that a GPU has enough
@@ -51,7 +51,7 @@ private:
 
     std::uint32_t most_knots_;
     Array<DeviceRay> moved_;         ///< [maximum rays of a frame] rays of the frame of the last move()
-    Array<shared::PoseKnot> knots_;  ///< [max_knots] poses of the frame of the last move()
+    Array<shared::PoseKnot> knots_;  ///< [find_max_knots] poses of the frame of the last move()
     Array<float, shared::KnotGradientRows> rows_;
     Kernel<shared::MoveRaysParams> move_;
     Kernel<shared::KnotGradientsParams> gradients_;

@@ -32,13 +32,14 @@ public:
                                      const PoseTrack& world_from_vehicle) {
         const Frame& frame = run_.sequence.frames[std::size_t(position)];
         SensorChoice sensor;
-        sensor.rays = some_rays(frame.scan.rays, rays), sensor.follows_sweeps = false;
+        sensor.rays = select_rays(frame.scan.rays, rays), sensor.follows_sweeps = false;
         sensor.lidar = frame.lidar;
         sensor.rolling_shutter = run_.sequence.rolling_shutter;
-        const Pose& mounted = run_.sequence.lidar_of(frame).vehicle_from_sensor;
+        const Pose& mounted = run_.sequence.get_lidar(frame).vehicle_from_sensor;
         const glm::dvec3& offset_m = run_.sequence.world_offset_m;
         const RenderedScan scan = renderer_.render(
-            sensor, {frame.time_s, shifted_track(mounted_track(world_from_vehicle, mounted), offset_m), {}});
+            sensor,
+            {frame.time_s, shift_track(make_mounted_track(world_from_vehicle, mounted), offset_m), {}});
         const std::vector<glm::vec3>& normals = *find_values<glm::vec3>(scan.channels, "normal");
         std::vector<VisibleSurface> surfaces(rays.size());
         FiringPoses firing(scan);
@@ -71,7 +72,7 @@ private:
 HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& session) {
     HeldOutPlacement result;
     const Config& config = run.config;
-    if (!config.train.place_held_out || !registers_sensor(config.train) ||
+    if (!config.train.place_held_out || !should_register_sensor(config.train) ||
         !kind_of(config.image.primitive).has_normals) {
         run.held_out_placed = true;
         return result;
@@ -84,7 +85,7 @@ HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& se
     // pose, so they are aligned together.
     std::set<std::size_t> poses;
     for (const int position : run.split.test)
-        poses.insert(run.sequence.pose_of(run.sequence.frames[std::size_t(position)]));
+        poses.insert(run.sequence.get_pose_index(run.sequence.frames[std::size_t(position)]));
     for (const std::size_t pose : poses) {
         if (session.progress)
             session.progress("aligning held-out scans", double(result.scans) / double(poses.size()));

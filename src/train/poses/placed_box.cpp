@@ -7,7 +7,7 @@
 
 namespace relidar {
 
-glm::dvec2 PlacedBox::interval(const WorldRay& ray, double grown_m) const {
+glm::dvec2 PlacedBox::compute_ray_interval(const WorldRay& ray, double grown_m) const {
     const glm::dvec3 o = box_from_world * ray.origin_m, d = box_from_world.rotation * ray.direction,
                      half_m = half_size_m + grown_m;
     glm::dvec2 inside(0.0, 1e30);

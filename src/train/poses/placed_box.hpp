@@ -17,7 +17,7 @@ struct PlacedBox {
     /// box. Both are at least 0.
     /// @param grown_m  enlarges the box on every side
     /// @return entry and exit; entry > exit if the ray misses the box
-    glm::dvec2 interval(const WorldRay& ray, double grown_m = 0.0) const;
+    glm::dvec2 compute_ray_interval(const WorldRay& ray, double grown_m = 0.0) const;
 };
 
 }  // namespace relidar

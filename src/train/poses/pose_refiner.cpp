@@ -30,28 +30,30 @@ constexpr double kMetresPerRadian = 10.0, kBoxFactor = 10.0;
 /// constrains.
 constexpr double kPriorPerM2 = 0.01, kPriorPerRad2 = 0.1;
 
-Sequence without_scans(const Sequence& sequence) {
+Sequence copy_without_scans(const Sequence& sequence) {
     Sequence result;
     result.lidars = sequence.lidars;
     result.world_from_vehicle = sequence.world_from_vehicle;
     result.boxes = sequence.boxes;
     result.rolling_shutter = sequence.rolling_shutter;
-    for (const Frame& frame : sequence.frames) result.frames.push_back(without_scan(frame));
+    for (const Frame& frame : sequence.frames) result.frames.push_back(copy_without_scan(frame));
     return result;
 }
 
 /// Allocates host buffers for an array of the last kReadbackLag iterations.
-void make_room(std::vector<Readback>& readbacks, Device& device, std::size_t n_floats, const char* what) {
-    while (readbacks.size() < kReadbackLag) readbacks.emplace_back(device, n_floats * sizeof(float), what);
+void make_room(std::vector<Readback>& readbacks, Device& device, std::size_t n_floats,
+               const char* description) {
+    while (readbacks.size() < kReadbackLag)
+        readbacks.emplace_back(device, n_floats * sizeof(float), description);
 }
 
 template <class T>
-void drop_first(std::vector<T>& values, std::size_t n) {
-    values.erase(values.begin(), values.begin() + std::ptrdiff_t(n));
+void drop_first(std::vector<T>& values, std::size_t count) {
+    values.erase(values.begin(), values.begin() + std::ptrdiff_t(count));
 }
 
-PoseStep step_at(const TrainConfig& c, double rate_m, int step) {
-    const double decay = exponential_schedule(1.0, kFinalShare, step, c.iterations);
+PoseStep compute_pose_step(const TrainConfig& config, double rate_m, int step) {
+    const double decay = interpolate_exponentially(1.0, kFinalShare, step, config.iterations);
     return {rate_m * decay, rate_m / kMetresPerRadian * decay, kPriorPerM2, kPriorPerRad2};
 }
 
@@ -62,8 +64,8 @@ PoseRefiner::PoseRefiner(Device& device, const Sequence& sequence, const Scene& 
     : config_(config),
       is_active_(config.refine_poses != "none"),
       frames_(frames),
-      layout_(layout_of(layout)),
-      poses_(without_scans(sequence)) {
+      layout_(copy_layout(layout)),
+      poses_(copy_without_scans(sequence)) {
     if (config.refines("sensor")) {
         sensor_.emplace(sequence.world_from_vehicle);
         rays_ = std::make_unique<MovedRays>(device, frames.all());
@@ -93,9 +95,9 @@ void PoseRefiner::place(Stream& stream, FrameData& frame) {
     if (!is_active()) return;
     if (rays_) rays_->move(stream, *sensor_, frame);
     const Frame& sweep = poses_.frames[std::size_t(frame.position)];
-    frame.placed = place_instances(layout_, poses_, moment_of(sweep));
+    frame.placed = place_instances(layout_, poses_, get_sweep_moment(sweep));
     frame.sensor_position_m = glm::vec3(
-        poses_.world_from_vehicle.at(sweep.time_s, poses_.lidar_of(sweep).vehicle_from_sensor).translation);
+        poses_.world_from_vehicle.at(sweep.time_s, poses_.get_lidar(sweep).vehicle_from_sensor).translation);
 }
 
 void PoseRefiner::record(Stream& stream, std::size_t frame_index, const FrameData& frame,
@@ -118,9 +120,9 @@ void PoseRefiner::record(Stream& stream, std::size_t frame_index, const FrameDat
     coming_.gradient.resize(coming_.gradient.size() + floats_of_rays_ + floats_of_instances_);
 }
 
-std::span<float> PoseRefiner::fetch(Stream& stream, std::size_t i) {
-    const std::size_t n = floats_of_rays_ + floats_of_instances_, slot = coming_.step[i] % kReadbackLag;
-    const std::span<float> gradient(coming_.gradient.data() + i * n, n);
+std::span<float> PoseRefiner::fetch(Stream& stream, std::size_t index) {
+    const std::size_t n = floats_of_rays_ + floats_of_instances_, slot = coming_.step[index] % kReadbackLag;
+    const std::span<float> gradient(coming_.gradient.data() + index * n, n);
     if (rays_ && of_rays_[slot].pending())
         std::memcpy(gradient.data(), of_rays_[slot].wait(stream), floats_of_rays_ * sizeof(float));
     if (!actors_.empty() && of_instances_[slot].pending())
@@ -138,9 +140,9 @@ void PoseRefiner::apply_oldest_step(Stream& stream) {
     const int step = static_cast<int>(coming_.step.front());
     if (rays_) {
         for (const PoseGradient& g :
-             rays_->gradients_in(gradient.first(floats_of_rays_), frames_.all()[coming_.frame.front()]))
+             rays_->sum_pose_gradients(gradient.first(floats_of_rays_), frames_.all()[coming_.frame.front()]))
             sensor_->add_gradient(g.pose, 1.0, g.gradient);
-        sensor_->step(step_at(config_, config_.pose_rate_m, step));
+        sensor_->step(compute_pose_step(config_, config_.pose_rate_m, step));
         sensor_->remove_common_motion();
     }
     for (std::size_t k = 0; k < actors_.size(); ++k) {
@@ -154,7 +156,7 @@ void PoseRefiner::apply_oldest_step(Stream& stream) {
         // gradient.
         for (std::size_t end = 0; end < 2; ++end)
             actors_[k].correction.add_gradient(coming_.actor_time_s[2 * k + end], twist);
-        actors_[k].correction.step(step_at(config_, kBoxFactor * config_.pose_rate_m, step));
+        actors_[k].correction.step(compute_pose_step(config_, kBoxFactor * config_.pose_rate_m, step));
     }
     drop_first(coming_.step, 1);
     drop_first(coming_.frame, 1);
@@ -169,8 +171,9 @@ void PoseRefiner::apply_steps(Stream& stream, int last) {
 }
 
 void PoseRefiner::update_poses() {
-    if (sensor_) poses_.world_from_vehicle = sensor_->corrected();
-    for (const Actor& actor : actors_) poses_.boxes[actor.box].world_from_box = actor.correction.corrected();
+    if (sensor_) poses_.world_from_vehicle = sensor_->make_corrected_track();
+    for (const Actor& actor : actors_)
+        poses_.boxes[actor.box].world_from_box = actor.correction.make_corrected_track();
 }
 
 bool PoseRefiner::restore() {

@@ -108,7 +108,7 @@ private:
 
     /// Returns the gradients of the i-th pending iteration. Waits until the gradients are
     /// on the host.
-    std::span<float> fetch(Stream& stream, std::size_t i);
+    std::span<float> fetch(Stream& stream, std::size_t index);
     void apply_oldest_step(Stream& stream);
     void update_poses();
 };

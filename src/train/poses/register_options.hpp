@@ -7,7 +7,7 @@
 
 namespace relidar {
 
-inline bool registers_sensor(const TrainConfig& config) {
+inline bool should_register_sensor(const TrainConfig& config) {
     return config.pose_register && config.refines("sensor");
 }
 

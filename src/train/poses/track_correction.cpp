@@ -34,7 +34,7 @@ Twist TrackCorrection::value(std::size_t pose) const {
 }
 
 Twist TrackCorrection::at(std::size_t pose) const {
-    const auto is_known = [this](std::size_t k) { return n_steps_[k] > 0; };
+    const auto is_known = [this](std::size_t index) { return n_steps_[index] > 0; };
     std::size_t before = pose, after = pose;
     while (before > 0 && !is_known(before)) --before;
     while (after + 1 < n_steps_.size() && !is_known(after)) ++after;
@@ -48,7 +48,7 @@ Twist TrackCorrection::at(std::size_t pose) const {
     return twist;
 }
 
-PoseTrack TrackCorrection::corrected() const {
+PoseTrack TrackCorrection::make_corrected_track() const {
     PoseTrack result = track_;
     for (std::size_t k = 0; k < result.pose.size(); ++k) result.pose[k] = moved(track_.pose[k], at(k));
     return result;

@@ -26,12 +26,12 @@ class TrackCorrection {
 public:
     explicit TrackCorrection(PoseTrack track);
 
-    const PoseTrack& uncorrected() const { return track_; }
+    const PoseTrack& get_uncorrected_track() const { return track_; }
     /// Returns the correction of a pose. Before the first optimisation step, all
     /// corrections are zero. If only this pose had no step yet, interpolates between the
     /// nearest poses that had steps.
     Twist at(std::size_t pose) const;
-    PoseTrack corrected() const;
+    PoseTrack make_corrected_track() const;
 
     /// Adds the gradient dL/d(v, w) for the pose at a given time, or for one of the
     /// recorded poses. The next call of step() uses the sum of these gradients.

@@ -26,9 +26,9 @@ using AtomicFile = TemporaryFolder;
 TEST_F(AtomicFile, WritesAndReplaces) {
     write_text(folder / "a.txt", "first");
     write_text(folder / "a.txt", "second, longer");
-    EXPECT_EQ(contents(folder / "a.txt"), "second, longer");
+    EXPECT_EQ(read_contents(folder / "a.txt"), "second, longer");
     write_text(folder / "a.txt", "");
-    EXPECT_EQ(contents(folder / "a.txt"), "");
+    EXPECT_EQ(read_contents(folder / "a.txt"), "");
     EXPECT_EQ(files(), std::vector<std::string>{"a.txt"});
 }
 
@@ -37,12 +37,12 @@ TEST_F(AtomicFile, WritesRelativePathsWithoutFolder) {
     fs::current_path(folder);
     write_text("plain.txt", "here");
     fs::current_path(before);
-    EXPECT_EQ(contents(folder / "plain.txt"), "here");
+    EXPECT_EQ(read_contents(folder / "plain.txt"), "here");
 }
 
 TEST_F(AtomicFile, KeepsOldFileWhereTheWriterThrows) {
     put(folder / "a.txt", "old");
-    const std::string message = data_error([&] {
+    const std::string message = get_data_error_message([&] {
         write_atomically(folder / "a.txt", [](const fs::path& temporary) {
             put(temporary, "half");
             throw std::runtime_error("line one\nline two");
@@ -50,7 +50,7 @@ TEST_F(AtomicFile, KeepsOldFileWhereTheWriterThrows) {
     });
     EXPECT_NE(message.find("a.txt"), std::string::npos) << message;
     EXPECT_NE(message.find("line one line two"), std::string::npos) << message;
-    EXPECT_EQ(contents(folder / "a.txt"), "old");
+    EXPECT_EQ(read_contents(folder / "a.txt"), "old");
     EXPECT_EQ(files(), std::vector<std::string>{"a.txt"});
 }
 
@@ -64,12 +64,12 @@ TEST_F(AtomicFile, LetsDeviceErrorsThrough) {
 }
 
 TEST_F(AtomicFile, RefusesAWriterThatWritesNothing) {
-    data_error([&] { write_atomically(folder / "a.bin", [](const fs::path&) {}); });
+    get_data_error_message([&] { write_atomically(folder / "a.bin", [](const fs::path&) {}); });
     EXPECT_TRUE(files().empty());
 }
 
 TEST_F(AtomicFile, NamesAMissingFolder) {
-    const std::string message = data_error([&] { write_text(folder / "none" / "a.txt", "x"); });
+    const std::string message = get_data_error_message([&] { write_text(folder / "none" / "a.txt", "x"); });
     EXPECT_NE(message.find("none'"), std::string::npos) << message;
     EXPECT_NE(message.find("No such file or directory"), std::string::npos) << message;
     EXPECT_FALSE(fs::exists(folder / "none"));
@@ -77,11 +77,11 @@ TEST_F(AtomicFile, NamesAMissingFolder) {
 
 TEST_F(AtomicFile, RefusesFoldersAndDevices) {
     fs::create_directory(folder / "sub");
-    data_error([&] { write_text(folder / "sub", "x"); });
-    data_error([&] { write_text(folder / "sub/", "x"); });
-    data_error([&] { write_text("/dev/null", "x"); });
+    get_data_error_message([&] { write_text(folder / "sub", "x"); });
+    get_data_error_message([&] { write_text(folder / "sub/", "x"); });
+    get_data_error_message([&] { write_text("/dev/null", "x"); });
     put(folder / "file", "");
-    data_error([&] { write_text(folder / "file" / "a.txt", "x"); });
+    get_data_error_message([&] { write_text(folder / "file" / "a.txt", "x"); });
     EXPECT_TRUE(fs::is_character_file("/dev/null"));
     EXPECT_EQ(files().size(), 2u);
 }
@@ -91,13 +91,13 @@ TEST_F(AtomicFile, WritesThroughALink) {
     fs::create_symlink("target.txt", folder / "link.txt");
     write_text(folder / "link.txt", "new");
     EXPECT_TRUE(fs::is_symlink(folder / "link.txt"));
-    EXPECT_EQ(contents(folder / "target.txt"), "new");
+    EXPECT_EQ(read_contents(folder / "target.txt"), "new");
 }
 
 TEST_F(AtomicFile, NamesAFolderThatCannotBeWritten) {
     if (::geteuid() == 0) GTEST_SKIP() << "root may write everywhere";
     fs::permissions(folder, fs::perms::owner_read | fs::perms::owner_exec);
-    const std::string message = data_error([&] { write_text(folder / "a.txt", "x"); });
+    const std::string message = get_data_error_message([&] { write_text(folder / "a.txt", "x"); });
     fs::permissions(folder, fs::perms::owner_all);
     EXPECT_NE(message.find("Permission denied"), std::string::npos) << message;
     EXPECT_TRUE(files().empty());
@@ -106,7 +106,7 @@ TEST_F(AtomicFile, NamesAFolderThatCannotBeWritten) {
 TEST_F(AtomicFile, NamesAFileSystemThatCannotBeWritten) {
     if (!fs::is_directory("/proc/self")) GTEST_SKIP() << "no /proc";
     // not writable for root either
-    const std::string message = data_error([&] { write_text("/proc/relidar.txt", "x"); });
+    const std::string message = get_data_error_message([&] { write_text("/proc/relidar.txt", "x"); });
     EXPECT_NE(message.find("/proc/relidar.txt"), std::string::npos) << message;
 }
 
@@ -137,14 +137,14 @@ TEST_F(StagedFolders, AppearWhenTheyAreFinished) {
         EXPECT_FALSE(fs::exists(folder / "log"));
         staged.finish();
     }
-    EXPECT_EQ(contents(folder / "log/a.txt"), "first");
+    EXPECT_EQ(read_contents(folder / "log/a.txt"), "first");
     {
         const StagedFolder staged(folder / "log");
         write_text(staged.path() / "b.txt", "second");
-        EXPECT_EQ(contents(folder / "log/a.txt"), "first");
+        EXPECT_EQ(read_contents(folder / "log/a.txt"), "first");
         staged.finish();
     }
-    EXPECT_EQ(contents(folder / "log/b.txt"), "second");
+    EXPECT_EQ(read_contents(folder / "log/b.txt"), "second");
     EXPECT_FALSE(fs::exists(folder / "log/a.txt")) << "the new one is in the place of the old one";
     EXPECT_EQ(files(), std::vector<std::string>{"log"});
 }
@@ -157,7 +157,7 @@ TEST_F(StagedFolders, LeaveNothingWhereTheyAreNotFinished) {
         write_text(staged.path() / "b.txt", "second");
     }
     EXPECT_EQ(files(), std::vector<std::string>{"log"});
-    EXPECT_EQ(contents(folder / "log/a.txt"), "first");
+    EXPECT_EQ(read_contents(folder / "log/a.txt"), "first");
     put(folder / "file", "");
     EXPECT_THROW(StagedFolder(folder / "file" / "log"), DataError);
 }
@@ -199,13 +199,13 @@ TEST_F(AtomicFile, NoticesAFullDiskInEveryWriter) {
         [&](const fs::path& path) {
             write_exr(path, 64, 64, {{"noise", noise}});
         },
-        [&](const fs::path& path) { write_png(path, colour_map(noise, 64, 64, 0, 1, "turbo")); },
+        [&](const fs::path& path) { write_png(path, apply_colour_map(noise, 64, 64, 0, 1, "turbo")); },
         [&](const fs::path& path) { write_report(path, report); },
     };
     for (std::size_t i = 0; i < writers.size(); ++i) {
         SCOPED_TRACE(i);
         const test::FileSizeLimit limit(4096);
-        const std::string message = data_error([&] { writers[i](folder / "full.bin"); });
+        const std::string message = get_data_error_message([&] { writers[i](folder / "full.bin"); });
         EXPECT_NE(message.find("File too large"), std::string::npos) << message;
         EXPECT_NE(message.find("full.bin"), std::string::npos) << message;
         EXPECT_TRUE(files().empty());

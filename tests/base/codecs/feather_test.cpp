@@ -36,11 +36,11 @@ struct Table {
     std::vector<std::string> text{"up_lidar", "", "äö", "b", "b", "b", "up_lidar"};
 
     std::vector<FeatherColumn> columns() const {
-        return {test::number_column("wide", wide),     test::number_column("narrow", narrow),
-                test::number_column("middle", middle), test::number_column("unsigned_wide", unsigned_wide),
-                test::number_column("f64", f64),       test::text_column("text", text),
-                test::number_column("f32", f32),       test::text_column("word", text, true),
-                test::half_column("f16", f16)};
+        return {test::make_numbers("wide", wide),     test::make_numbers("narrow", narrow),
+                test::make_numbers("middle", middle), test::make_numbers("unsigned_wide", unsigned_wide),
+                test::make_numbers("f64", f64),       test::make_texts("text", text),
+                test::make_numbers("f32", f32),       test::make_texts("word", text, true),
+                test::make_halves("f16", f16)};
     }
 };
 
@@ -53,7 +53,8 @@ TEST(Feather, ValuesOfEveryTypeComeBack) {
     const Table truth;
     for (const FeatherCodec codec : {FeatherCodec::none, FeatherCodec::lz4, FeatherCodec::zstd}) {
         for (const std::size_t rows_a_batch : {0, 3}) {
-            const Feather table("table.feather", test::feather_bytes(truth.columns(), codec, rows_a_batch));
+            const Feather table("table.feather",
+                                test::make_feather_bytes(truth.columns(), codec, rows_a_batch));
             ASSERT_EQ(table.rows(), 7u);
             EXPECT_EQ(table.integers("wide"), truth.wide);
             EXPECT_EQ(table.numbers("narrow"), as_double(truth.narrow));
@@ -74,11 +75,11 @@ TEST(Feather, CompressibleColumnsAreBounded) {
     const std::vector<double> zeros(20000, 0.0);
     std::vector<std::int64_t> noise;
     for (std::int64_t i = 0; i < 20000; ++i) noise.push_back(i * 7919 % 20011);
-    const std::vector<FeatherColumn> both{test::number_column("zeros", zeros),
-                                          test::number_column("noise", noise)};
-    EXPECT_EQ(Feather("both", test::feather_bytes(both, FeatherCodec::zstd)).numbers("zeros"), zeros);
-    const auto nothing_else = test::feather_bytes(
-        {test::number_column("zeros", std::vector<double>(200000, 0.0))}, FeatherCodec::zstd);
+    const std::vector<FeatherColumn> both{test::make_numbers("zeros", zeros),
+                                          test::make_numbers("noise", noise)};
+    EXPECT_EQ(Feather("both", test::make_feather_bytes(both, FeatherCodec::zstd)).numbers("zeros"), zeros);
+    const auto nothing_else = test::make_feather_bytes(
+        {test::make_numbers("zeros", std::vector<double>(200000, 0.0))}, FeatherCodec::zstd);
     EXPECT_THROW(Feather("zeros", nothing_else), DataError);
 }
 
@@ -94,7 +95,7 @@ TEST(Feather, SaysWhatIsWrong) {
         }
     };
     const auto only_open = [](const Feather&) {};
-    const std::string good = test::feather_bytes(Table().columns());
+    const std::string good = test::make_feather_bytes(Table().columns());
     expect("", "0 bytes of the file do not begin with ARROW1", only_open);
     expect("FEA1" + std::string(100, '\0') + "FEA1", "108 bytes of the file do not begin with ARROW1",
            only_open);
@@ -109,11 +110,11 @@ TEST(Feather, SaysWhatIsWrong) {
     expect(good, "column 'f64': found values that are not integers",
            [](const Feather& t) { t.integers("f64"); });
     const std::string nan =
-        test::feather_bytes({test::number_column("x", std::vector<double>{1.0, std::nan("")})});
+        test::make_feather_bytes({test::make_numbers("x", std::vector<double>{1.0, std::nan("")})});
     expect(nan, "column 'x': row 1 is nan, expected a finite number",
            [](const Feather& t) { t.numbers("x"); });
     const std::string large =
-        test::feather_bytes({test::number_column("x", std::vector<std::uint64_t>{1, 1ull << 63})});
+        test::make_feather_bytes({test::make_numbers("x", std::vector<std::uint64_t>{1, 1ull << 63})});
     expect(large, "column 'x': the integer 9223372036854775808 is too large",
            [](const Feather& t) { t.integers("x"); });
 }
@@ -122,10 +123,10 @@ TEST(Feather, SaysWhatIsWrong) {
 TEST(Feather, DamagedBytesAreErrorsOrOtherValues) {
     for (const FeatherCodec codec : {FeatherCodec::none, FeatherCodec::lz4, FeatherCodec::zstd}) {
         const std::string good =
-            test::feather_bytes({test::number_column("x", std::vector<std::int64_t>(40, 7)),
-                                 test::text_column("t", std::vector<std::string>(40, "car"), true),
-                                 test::text_column("u", std::vector<std::string>(40, "bus"))},
-                                codec);
+            test::make_feather_bytes({test::make_numbers("x", std::vector<std::int64_t>(40, 7)),
+                                      test::make_texts("t", std::vector<std::string>(40, "car"), true),
+                                      test::make_texts("u", std::vector<std::string>(40, "bus"))},
+                                     codec);
         std::size_t refused = 0;
         for (std::size_t i = 0; i < good.size(); ++i) {
             std::string bad = good;

@@ -38,7 +38,7 @@ Offset table(Builder& builder, const Add& add) {
     return Offset(builder.EndTable(start));
 }
 
-Offset type_of(Builder& builder, const FeatherColumn& column) {
+Offset make_type(Builder& builder, const FeatherColumn& column) {
     return table(builder, [&] {
         if (column.kind == FeatherColumn::Kind::integer) {
             builder.AddElement<std::int32_t>(entry(0), column.bits, 0);
@@ -49,16 +49,16 @@ Offset type_of(Builder& builder, const FeatherColumn& column) {
     });
 }
 
-Offset schema_of(Builder& builder, const std::vector<FeatherColumn>& columns) {
+Offset make_schema(Builder& builder, const std::vector<FeatherColumn>& columns) {
     std::vector<Offset> fields;
     for (std::size_t i = 0; i < columns.size(); ++i) {
         const FeatherColumn& column = columns[i];
         const auto name = builder.CreateString(column.name);
-        const Offset type = type_of(builder, column);
+        const Offset type = make_type(builder, column);
         const auto children = builder.CreateVector(std::vector<Offset>());
         Offset index, dictionary;
         if (column.by_dictionary) {
-            index = type_of(builder, {FeatherColumn::Kind::integer, "", 8, true, {}, {}, false});
+            index = make_type(builder, {FeatherColumn::Kind::integer, "", 8, true, {}, {}, false});
             dictionary = table(builder, [&] {
                 builder.AddElement<std::int64_t>(entry(0), std::int64_t(i), 0);
                 builder.AddOffset(entry(1), index);
@@ -78,7 +78,7 @@ Offset schema_of(Builder& builder, const std::vector<FeatherColumn>& columns) {
     return table(builder, [&] { builder.AddOffset(entry(1), all); });
 }
 
-std::string compressed(const std::string& bytes, FeatherCodec codec) {
+std::string compress_bytes(const std::string& bytes, FeatherCodec codec) {
     std::string packed(codec == FeatherCodec::lz4 ? LZ4F_compressFrameBound(bytes.size(), nullptr)
                                                   : ZSTD_compressBound(bytes.size()),
                        '\0');
@@ -101,7 +101,7 @@ struct Body {
         std::string stored = buffer;
         if (codec != FeatherCodec::none && !buffer.empty()) {
             std::int64_t n = std::int64_t(buffer.size());
-            std::string packed = compressed(buffer, codec);
+            std::string packed = compress_bytes(buffer, codec);
             if (packed.size() >= buffer.size()) n = -1, packed = buffer;
             stored.assign(reinterpret_cast<const char*>(&n), sizeof n);
             stored += packed;
@@ -129,7 +129,7 @@ struct Body {
     }
 };
 
-std::vector<std::string> words_of(const FeatherColumn& column) {
+std::vector<std::string> get_words(const FeatherColumn& column) {
     std::vector<std::string> words = column.texts;
     std::sort(words.begin(), words.end());
     words.erase(std::unique(words.begin(), words.end()), words.end());
@@ -144,14 +144,14 @@ void add_rows(Body& body, const FeatherColumn& column, std::size_t begin, std::s
     const std::vector<std::string> texts(column.texts.begin() + std::ptrdiff_t(begin),
                                          column.texts.begin() + std::ptrdiff_t(end));
     if (!column.by_dictionary) return body.add_texts(texts);
-    const std::vector<std::string> words = words_of(column);
+    const std::vector<std::string> words = get_words(column);
     std::string indices;
     for (const std::string& text : texts)
         indices += char(std::lower_bound(words.begin(), words.end(), text) - words.begin());
     body.add_numbers(indices, end - begin);
 }
 
-Offset batch_of(Builder& builder, const Body& body, std::size_t rows) {
+Offset make_batch(Builder& builder, const Body& body, std::size_t rows) {
     const auto nodes = builder.CreateVectorOfStructs(body.nodes);
     const auto buffers = builder.CreateVectorOfStructs(body.buffers);
     const Offset compression = table(builder, [&] {
@@ -187,7 +187,7 @@ Block append_message(std::string& file, Builder& builder, std::uint8_t kind, Off
 
 }  // namespace
 
-FeatherColumn half_column(const std::string& name, const std::vector<float>& values) {
+FeatherColumn make_halves(const std::string& name, const std::vector<float>& values) {
     FeatherColumn column{FeatherColumn::Kind::floating, name, 16, true, {}, {}, false};
     for (const float value : values) {
         const std::uint16_t half = glm::packHalf1x16(value);
@@ -196,25 +196,24 @@ FeatherColumn half_column(const std::string& name, const std::vector<float>& val
     return column;
 }
 
-FeatherColumn text_column(const std::string& name, const std::vector<std::string>& texts,
-                          bool by_dictionary) {
+FeatherColumn make_texts(const std::string& name, const std::vector<std::string>& texts, bool by_dictionary) {
     return {FeatherColumn::Kind::text, name, 0, false, {}, texts, by_dictionary};
 }
 
-std::string feather_bytes(const std::vector<FeatherColumn>& columns, FeatherCodec codec,
-                          std::size_t rows_a_batch) {
+std::string make_feather_bytes(const std::vector<FeatherColumn>& columns, FeatherCodec codec,
+                               std::size_t rows_a_batch) {
     std::string file("ARROW1\0\0", 8);
     std::vector<Block> dictionaries, batches;
     {
         Builder builder;
-        append_message(file, builder, 1, schema_of(builder, columns), "");
+        append_message(file, builder, 1, make_schema(builder, columns), "");
     }
     for (std::size_t i = 0; i < columns.size(); ++i) {
         if (!columns[i].by_dictionary) continue;
         Body body{codec, {}, {}, {}};
-        body.add_texts(words_of(columns[i]));
+        body.add_texts(get_words(columns[i]));
         Builder builder;
-        const Offset batch = batch_of(builder, body, words_of(columns[i]).size());
+        const Offset batch = make_batch(builder, body, get_words(columns[i]).size());
         const Offset header = table(builder, [&] {
             builder.AddElement<std::int64_t>(entry(0), std::int64_t(i), 0);
             builder.AddOffset(entry(1), batch);
@@ -231,11 +230,12 @@ std::string feather_bytes(const std::vector<FeatherColumn>& columns, FeatherCode
             add_rows(body, column, begin, end);
         }
         Builder builder;
-        batches.push_back(append_message(file, builder, 3, batch_of(builder, body, end - begin), body.bytes));
+        batches.push_back(
+            append_message(file, builder, 3, make_batch(builder, body, end - begin), body.bytes));
     }
     file += std::string("\xFF\xFF\xFF\xFF\0\0\0\0", 8);  // end of the messages
     Builder builder;
-    const Offset schema = schema_of(builder, columns);
+    const Offset schema = make_schema(builder, columns);
     const auto of_dictionaries = builder.CreateVectorOfStructs(dictionaries),
                of_batches = builder.CreateVectorOfStructs(batches);
     builder.Finish(table(builder, [&] {

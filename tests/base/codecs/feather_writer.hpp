@@ -24,7 +24,7 @@ struct FeatherColumn {
 };
 
 template <class T>
-FeatherColumn number_column(const std::string& name, const std::vector<T>& values) {
+FeatherColumn make_numbers(const std::string& name, const std::vector<T>& values) {
     FeatherColumn column{
         std::is_floating_point_v<T> ? FeatherColumn::Kind::floating : FeatherColumn::Kind::integer,
         name,
@@ -37,15 +37,15 @@ FeatherColumn number_column(const std::string& name, const std::vector<T>& value
     return column;
 }
 /// Returns a column in half precision, rounded to nearest.
-FeatherColumn half_column(const std::string& name, const std::vector<float>& values);
-FeatherColumn text_column(const std::string& name, const std::vector<std::string>& texts,
-                          bool by_dictionary = false);
+FeatherColumn make_halves(const std::string& name, const std::vector<float>& values);
+FeatherColumn make_texts(const std::string& name, const std::vector<std::string>& texts,
+                         bool by_dictionary = false);
 
 enum class FeatherCodec { none, lz4, zstd };
 
 /// Returns the bytes of a Feather file.
 /// @param rows_a_batch rows per record batch. 0 puts all rows into a single record batch.
-std::string feather_bytes(const std::vector<FeatherColumn>& columns, FeatherCodec codec = FeatherCodec::none,
-                          std::size_t rows_a_batch = 0);
+std::string make_feather_bytes(const std::vector<FeatherColumn>& columns,
+                               FeatherCodec codec = FeatherCodec::none, std::size_t rows_a_batch = 0);
 
 }  // namespace relidar::test

@@ -22,34 +22,34 @@ std::string from_hex(std::string_view text) {
     return bytes;
 }
 
-void expect_equal(const NamedArray& a, const NamedArray& b) {
-    EXPECT_EQ(a.name, b.name);
-    EXPECT_EQ(a.dtype, b.dtype);
-    EXPECT_EQ(a.shape, b.shape);
-    EXPECT_EQ(a.bytes, b.bytes);
+void expect_equal(const NamedArray& first, const NamedArray& second) {
+    EXPECT_EQ(first.name, second.name);
+    EXPECT_EQ(first.dtype, second.dtype);
+    EXPECT_EQ(first.shape, second.shape);
+    EXPECT_EQ(first.bytes, second.bytes);
 }
 
-NamedArray bytes_array(std::string name, std::string dtype, std::vector<std::size_t> shape,
-                       std::size_t n_bytes) {
+NamedArray make_bytes_array(std::string name, std::string dtype, std::vector<std::size_t> shape,
+                            std::size_t n_bytes) {
     NamedArray array{std::move(name), std::move(dtype), std::move(shape), std::vector<std::byte>(n_bytes)};
     for (std::size_t i = 0; i < n_bytes; ++i) array.bytes[i] = std::byte(i * 37 % 251);
     return array;
 }
 
-std::vector<NamedArray> one_of_each_type() {
+std::vector<NamedArray> make_one_array_per_type() {
     std::vector<NamedArray> arrays;
     for (const char* dtype : {"f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "b1"})
         arrays.push_back(
-            bytes_array(std::string("of_") + dtype, dtype, {3, 2}, 6 * std::size_t(dtype[1] - '0')));
-    arrays.push_back(bytes_array("scalar", "f8", {}, 8));
-    arrays.push_back(bytes_array("empty", "f4", {0, 7}, 0));
-    arrays.push_back(bytes_array("flat", "i4", {5}, 20));
-    arrays.push_back(bytes_array("large", "f4", {100'000}, 400'000));
+            make_bytes_array(std::string("of_") + dtype, dtype, {3, 2}, 6 * std::size_t(dtype[1] - '0')));
+    arrays.push_back(make_bytes_array("scalar", "f8", {}, 8));
+    arrays.push_back(make_bytes_array("empty", "f4", {0, 7}, 0));
+    arrays.push_back(make_bytes_array("flat", "i4", {5}, 20));
+    arrays.push_back(make_bytes_array("large", "f4", {100'000}, 400'000));
     return arrays;
 }
 
 TEST_F(Npz, RoundTripsEveryType) {
-    const std::vector<NamedArray> arrays = one_of_each_type();
+    const std::vector<NamedArray> arrays = make_one_array_per_type();
     write_npz(folder / "a.npz", arrays);
     const std::vector<NamedArray> read = read_npz(folder / "a.npz");
     ASSERT_EQ(read.size(), arrays.size());
@@ -62,9 +62,9 @@ TEST_F(Npz, RoundTripsNoArrays) {
 }
 
 TEST_F(Npz, EqualArraysMakeEqualFiles) {
-    write_npz(folder / "a.npz", one_of_each_type());
-    write_npz(folder / "b.npz", one_of_each_type());
-    EXPECT_EQ(contents(folder / "a.npz"), contents(folder / "b.npz"));
+    write_npz(folder / "a.npz", make_one_array_per_type());
+    write_npz(folder / "b.npz", make_one_array_per_type());
+    EXPECT_EQ(read_contents(folder / "a.npz"), read_contents(folder / "b.npz"));
 }
 
 TEST_F(Npz, ReadsWhatNumpyWrites) {
@@ -87,7 +87,7 @@ TEST_F(Npz, ReadsWhatNumpyWrites) {
 TEST_F(Npz, RefusesWhatItCannotHold) {
     const auto refusal = [&](std::string_view file) {
         put(folder / "numpy.npz", from_hex(file));
-        return data_error([&] { read_npz(folder / "numpy.npz"); });
+        return get_data_error_message([&] { read_npz(folder / "numpy.npz"); });
     };
     EXPECT_NE(refusal(kNumpyFortran).find("Fortran"), std::string::npos);
     EXPECT_NE(refusal(kNumpyBigEndian).find("little-endian"), std::string::npos);
@@ -102,11 +102,13 @@ TEST_F(Npz, ReadsTextsOfNumpy) {
 }
 
 TEST_F(Npz, NamesMissingAndForeignFiles) {
-    EXPECT_NE(data_error([&] { read_npz(folder / "none.npz"); }).find("No such file"), std::string::npos);
-    data_error([&] { read_npz(folder); });
+    EXPECT_NE(get_data_error_message([&] { read_npz(folder / "none.npz"); }).find("No such file"),
+              std::string::npos);
+    get_data_error_message([&] { read_npz(folder); });
     for (const char* text : {"", "not a zip", "PK\x05\x06"}) {
         put(folder / "a.npz", text);
-        EXPECT_NE(data_error([&] { read_npz(folder / "a.npz"); }).find("a.npz"), std::string::npos);
+        EXPECT_NE(get_data_error_message([&] { read_npz(folder / "a.npz"); }).find("a.npz"),
+                  std::string::npos);
     }
 }
 
@@ -116,7 +118,7 @@ TEST_F(Npz, RefusesEveryCut) {
         for (std::size_t n = 0; n < whole.size(); ++n) {
             SCOPED_TRACE(n);
             put(folder / "cut.npz", whole.substr(0, n));
-            data_error([&] { read_npz(folder / "cut.npz"); });
+            get_data_error_message([&] { read_npz(folder / "cut.npz"); });
         }
     }
 }
@@ -147,27 +149,28 @@ TEST_F(Npz, RefusesAbsurdSizes) {
     // unpacked size of the first entry
     std::memcpy(file.data() + directory + 24, &absurd, sizeof absurd);
     put(folder / "a.npz", file);
-    EXPECT_NE(data_error([&] { read_npz(folder / "a.npz"); }).find("impossible"), std::string::npos);
+    EXPECT_NE(get_data_error_message([&] { read_npz(folder / "a.npz"); }).find("impossible"),
+              std::string::npos);
 }
 
 TEST_F(Npz, RefusesBadArrays) {
-    const NamedArray good = bytes_array("a", "f4", {2}, 8);
+    const NamedArray good = make_bytes_array("a", "f4", {2}, 8);
     NamedArray short_of_bytes = good, unknown = good, nameless = good;
     short_of_bytes.shape = {3};
     unknown.dtype = "c8";
     nameless.name.clear();
     for (const std::vector<NamedArray>& arrays :
          {std::vector{short_of_bytes}, {unknown}, {nameless}, {good, good}})
-        data_error([&] { write_npz(folder / "a.npz", arrays); });
+        get_data_error_message([&] { write_npz(folder / "a.npz", arrays); });
     EXPECT_TRUE(files().empty());
 }
 
 TEST(NamedArray, ChecksItsShape) {
     const float values[6] = {};
     EXPECT_EQ(make_array("a", {2, 3}, values, 6).count(), 6u);
-    data_error([&] { make_array("a", {2, 2}, values, 6); });
+    get_data_error_message([&] { make_array("a", {2, 2}, values, 6); });
     const std::size_t huge = std::size_t(1) << 33;
-    data_error([&] { (void)NamedArray{"a", "f4", {huge, huge}, {}}.count(); });
+    get_data_error_message([&] { (void)NamedArray{"a", "f4", {huge, huge}, {}}.count(); });
     EXPECT_EQ((NamedArray{"a", "f4", {huge, huge, 0}, {}}.count()), 0u);
 }
 
@@ -176,14 +179,14 @@ TEST(NamedArray, ConvertsToFloat) {
     const std::int32_t integers[2] = {-5, 1 << 20};
     EXPECT_EQ(make_array("a", {2}, doubles, 2).as_float(), (std::vector<float>{0.25f, -3.0f}));
     EXPECT_EQ(make_array("a", {2}, integers, 2).as_float(), (std::vector<float>{-5.0f, 1048576.0f}));
-    NamedArray half = bytes_array("a", "f2", {7}, 14);
+    NamedArray half = make_bytes_array("a", "f2", {7}, 14);
     // IEEE 754 binary16
     const std::uint16_t bits[7] = {0x3c00, 0xc000, 0x3555, 0x0001, 0x83ff, 0x7bff, 0xfc00};
     std::memcpy(half.bytes.data(), bits, sizeof bits);
     EXPECT_EQ(half.as_float(),
               (std::vector<float>{1.0f, -2.0f, 0.333251953125f, 0x1p-24f, -1023.0f * 0x1p-24f, 65504.0f,
                                   -std::numeric_limits<float>::infinity()}));
-    data_error([] { (void)bytes_array("a", "f4", {2}, 7).as_float(); });
+    get_data_error_message([] { (void)make_bytes_array("a", "f4", {2}, 7).as_float(); });
 }
 
 TEST_F(Npz, TextsComeBackPadded) {
@@ -202,9 +205,9 @@ TEST_F(Npz, TextsComeBackPadded) {
     EXPECT_EQ(letters, U"Fußgänger" + zeros + U"车\U0001F697" + zeros.substr(2) + unreadable +
                            zeros.substr(unreadable.size()));
     EXPECT_EQ(arrays[1].shape, std::vector<std::size_t>{0});
-    data_error([&] { arrays[0].as_float(); });
-    data_error([&] { write_safetensors(folder / "a.safetensors", {arrays[0]}, {}); });
-    data_error([&] { write_npz(folder / "b.npz", {{"x", "S4x", {0}, {}}}); });
+    get_data_error_message([&] { arrays[0].as_float(); });
+    get_data_error_message([&] { write_safetensors(folder / "a.safetensors", {arrays[0]}, {}); });
+    get_data_error_message([&] { write_npz(folder / "b.npz", {{"x", "S4x", {0}, {}}}); });
 }
 
 }  // namespace

@@ -67,9 +67,9 @@ TEST_F(Picture, ExrCarriesNotes) {
 }
 
 TEST_F(Picture, ExrRefusesWrongSizes) {
-    data_error([&] { write_exr(folder / "a.exr", 2, 2, {{"range_m", std::vector<float>(3)}}); });
-    data_error([&] { write_exr(folder / "a.exr", 2, 2, {}); });
-    data_error([&] { write_exr(folder / "a.exr", 0, 2, {{"range_m", {}}}); });
+    get_data_error_message([&] { write_exr(folder / "a.exr", 2, 2, {{"range_m", std::vector<float>(3)}}); });
+    get_data_error_message([&] { write_exr(folder / "a.exr", 2, 2, {}); });
+    get_data_error_message([&] { write_exr(folder / "a.exr", 0, 2, {{"range_m", {}}}); });
     EXPECT_TRUE(files().empty());
 }
 
@@ -87,16 +87,16 @@ Image read_png(const std::vector<std::uint8_t>& bytes) {
 }
 
 /// Returns the text entries that libpng reads from a file in memory.
-std::vector<std::pair<std::string, std::string>> png_texts(const std::vector<std::uint8_t>& bytes) {
+std::vector<std::pair<std::string, std::string>> read_png_texts(const std::vector<std::uint8_t>& bytes) {
     png_structp png = png_create_read_struct(PNG_LIBPNG_VER_STRING, nullptr, nullptr, nullptr);
     png_infop info = png_create_info_struct(png);
     std::pair<const std::uint8_t*, std::size_t> rest{bytes.data(), bytes.size()};
     std::vector<std::pair<std::string, std::string>> texts;
-    png_set_read_fn(png, &rest, [](png_structp from, png_bytep to, std::size_t n) {
+    png_set_read_fn(png, &rest, [](png_structp from, png_bytep to, std::size_t count) {
         auto& left = *static_cast<std::pair<const std::uint8_t*, std::size_t>*>(png_get_io_ptr(from));
-        if (n > left.second) png_error(from, "the file ends early");
-        std::copy(left.first, left.first + n, to);
-        left = {left.first + n, left.second - n};
+        if (count > left.second) png_error(from, "the file ends early");
+        std::copy(left.first, left.first + count, to);
+        left = {left.first + count, left.second - count};
     });
     if (setjmp(png_jmpbuf(png)) == 0) {
         png_read_png(png, info, PNG_TRANSFORM_IDENTITY, nullptr);
@@ -113,9 +113,9 @@ std::vector<std::pair<std::string, std::string>> png_texts(const std::vector<std
 TEST_F(Picture, PngCarriesNotes) {
     const Image image{2, 3, std::vector<std::uint8_t>(18, 7)};
     const FileNotes notes{{"sensor", "VLP-16"}, {"run", "über zwei"}};
-    EXPECT_EQ(png_texts(encode_png(image, notes)), notes);
+    EXPECT_EQ(read_png_texts(encode_png(image, notes)), notes);
     EXPECT_EQ(read_png(encode_png(image, notes)).rgb, image.rgb);
-    EXPECT_TRUE(png_texts(encode_png(image)).empty());
+    EXPECT_TRUE(read_png_texts(encode_png(image)).empty());
 }
 
 TEST_F(Picture, PngKeepsEveryPixel) {
@@ -126,37 +126,37 @@ TEST_F(Picture, PngKeepsEveryPixel) {
     EXPECT_EQ(read.columns, 13);
     EXPECT_EQ(read.rgb, image.rgb);
     write_png(folder / "a.png", image);
-    const std::string file = contents(folder / "a.png");
+    const std::string file = read_contents(folder / "a.png");
     EXPECT_EQ(std::vector<std::uint8_t>(file.begin(), file.end()), encode_png(image));
 }
 
 TEST_F(Picture, PngRefusesWrongSizes) {
-    data_error([] { encode_png(Image{2, 2, std::vector<std::uint8_t>(11)}); });
-    data_error([] { encode_png(Image{}); });
-    data_error([] { encode_png(Image{-1, -1, std::vector<std::uint8_t>(3)}); });
+    get_data_error_message([] { encode_png(Image{2, 2, std::vector<std::uint8_t>(11)}); });
+    get_data_error_message([] { encode_png(Image{}); });
+    get_data_error_message([] { encode_png(Image{-1, -1, std::vector<std::uint8_t>(3)}); });
 }
 
 using Rgb = std::vector<int>;
 
-Rgb pixel(const Image& image, int i) {
-    const auto first = image.rgb.begin() + 3 * i;
+Rgb pixel(const Image& image, int index) {
+    const auto first = image.rgb.begin() + 3 * index;
     return {first, first + 3};
 }
 
 TEST(ColourMap, GrayAndHeatHitTheirEnds) {
-    const Image gray = colour_map({-1, 0, 5, 10, 99}, 1, 5, 0, 10, "gray");
+    const Image gray = apply_colour_map({-1, 0, 5, 10, 99}, 1, 5, 0, 10, "gray");
     EXPECT_EQ(pixel(gray, 0), (Rgb{0, 0, 0}));
     EXPECT_EQ(pixel(gray, 1), (Rgb{0, 0, 0}));
     EXPECT_EQ(pixel(gray, 2), (Rgb{128, 128, 128}));
     EXPECT_EQ(pixel(gray, 3), (Rgb{255, 255, 255}));
     EXPECT_EQ(pixel(gray, 4), (Rgb{255, 255, 255}));
-    const Image heat = colour_map({0, 1}, 1, 2, 0, 1, "heat");
+    const Image heat = apply_colour_map({0, 1}, 1, 2, 0, 1, "heat");
     EXPECT_EQ(pixel(heat, 0), (Rgb{0, 0, 0}));
     EXPECT_EQ(pixel(heat, 1), (Rgb{255, 255, 255}));
 }
 
 TEST(ColourMap, TurboRunsFromBlueOverGreenToRed) {
-    const Image image = colour_map({0, 0.25f, 0.5f, 0.75f, 1}, 1, 5, 0, 1, "turbo");
+    const Image image = apply_colour_map({0, 0.25f, 0.5f, 0.75f, 1}, 1, 5, 0, 1, "turbo");
     EXPECT_GT(pixel(image, 1)[2], pixel(image, 1)[0]);
     EXPECT_GT(pixel(image, 2)[1], pixel(image, 2)[0]);
     EXPECT_GT(pixel(image, 2)[1], pixel(image, 2)[2]);
@@ -165,7 +165,7 @@ TEST(ColourMap, TurboRunsFromBlueOverGreenToRed) {
 
 TEST(ColourMap, NoValueIsDarkGray) {
     const float nan = std::numeric_limits<float>::quiet_NaN(), inf = std::numeric_limits<float>::infinity();
-    const Image image = colour_map({nan, 1, 1, inf, -inf}, 1, 5, 0, 1, "gray", {1, 0, 1, 1, 1});
+    const Image image = apply_colour_map({nan, 1, 1, inf, -inf}, 1, 5, 0, 1, "gray", {1, 0, 1, 1, 1});
     EXPECT_EQ(pixel(image, 0), pixel(image, 1));
     EXPECT_LT(pixel(image, 0)[0], 80);
     EXPECT_GT(pixel(image, 0)[0], 20);
@@ -175,20 +175,21 @@ TEST(ColourMap, NoValueIsDarkGray) {
 }
 
 TEST(ColourMap, TakesConstantImages) {
-    EXPECT_EQ(pixel(colour_map({3}, 1, 1, 3, 3, "gray"), 0), (Rgb{0, 0, 0}));
+    EXPECT_EQ(pixel(apply_colour_map({3}, 1, 1, 3, 3, "gray"), 0), (Rgb{0, 0, 0}));
 }
 
 TEST(ColourMap, RefusesWrongArguments) {
     const float nan = std::numeric_limits<float>::quiet_NaN();
-    EXPECT_THROW(colour_map({1}, 1, 1, 0, 1, "rainbow"), UsageError);
-    data_error([] { colour_map({1}, 1, 2, 0, 1, "gray"); });
-    data_error([] { colour_map({1}, 1, 1, 0, 1, "gray", {1, 1}); });
-    data_error([=] { colour_map({1}, 1, 1, nan, 1, "gray"); });
+    EXPECT_THROW(apply_colour_map({1}, 1, 1, 0, 1, "rainbow"), UsageError);
+    get_data_error_message([] { apply_colour_map({1}, 1, 2, 0, 1, "gray"); });
+    get_data_error_message([] { apply_colour_map({1}, 1, 1, 0, 1, "gray", {1, 1}); });
+    get_data_error_message([=] { apply_colour_map({1}, 1, 1, nan, 1, "gray"); });
 }
 
 TEST(Stack, StretchesAndSeparates) {
-    const Image a = colour_map({0, 1}, 1, 2, 0, 1, "gray"), b = colour_map({1, 0, 0, 1}, 2, 2, 0, 1, "gray");
-    const Image image = stack({a, b}, 3);
+    const Image a = apply_colour_map({0, 1}, 1, 2, 0, 1, "gray"),
+                b = apply_colour_map({1, 0, 0, 1}, 2, 2, 0, 1, "gray");
+    const Image image = stack_images({a, b}, 3);
     EXPECT_EQ(image.columns, 2);
     ASSERT_EQ(image.rows, 3 + 2 + 6);
     ASSERT_EQ(image.rgb.size(), std::size_t(11 * 2 * 3));
@@ -198,10 +199,11 @@ TEST(Stack, StretchesAndSeparates) {
 }
 
 TEST(Stack, RefusesUnequalWidths) {
-    const Image a = colour_map({0, 1}, 1, 2, 0, 1, "gray"), b = colour_map({0, 1}, 2, 1, 0, 1, "gray");
-    data_error([&] { stack({a, b}); });
-    EXPECT_THROW(stack({a}, 0), UsageError);
-    EXPECT_EQ(stack({}).rows, 0);
+    const Image a = apply_colour_map({0, 1}, 1, 2, 0, 1, "gray"),
+                b = apply_colour_map({0, 1}, 2, 1, 0, 1, "gray");
+    get_data_error_message([&] { stack_images({a, b}); });
+    EXPECT_THROW(stack_images({a}, 0), UsageError);
+    EXPECT_EQ(stack_images({}).rows, 0);
 }
 
 }  // namespace

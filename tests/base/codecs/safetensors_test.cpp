@@ -21,7 +21,7 @@ std::string file_of(const std::string& header, const std::string& data) {
     return bytes + header + data;
 }
 
-std::vector<NamedArray> some_arrays() {
+std::vector<NamedArray> make_example_arrays() {
     const float mean[6] = {1, 2, 3, -4, 5.5f, 6};
     const double exact[1] = {0.1};
     const std::int32_t ids[3] = {7, -8, 9};
@@ -31,7 +31,7 @@ std::vector<NamedArray> some_arrays() {
 }
 
 TEST_F(Safetensors, RoundTrips) {
-    const std::vector<NamedArray> arrays = some_arrays();
+    const std::vector<NamedArray> arrays = make_example_arrays();
     const std::map<std::string, std::string> metadata{{"format", "relidar"}, {"step", "30000"}};
     write_safetensors(folder / "a.safetensors", arrays, metadata);
     std::map<std::string, std::string> read_metadata;
@@ -54,7 +54,7 @@ TEST_F(Safetensors, RoundTrips) {
 TEST_F(Safetensors, WritesTheDocumentedLayout) {
     const float values[2] = {1.0f, -2.0f};
     write_safetensors(folder / "a.safetensors", {make_array("w", {2, 1}, values, 2)}, {{"k", "v"}});
-    const std::string file = contents(folder / "a.safetensors");
+    const std::string file = read_contents(folder / "a.safetensors");
     std::string header =
         R"({"__metadata__":{"k":"v"},"w":{"dtype":"F32","shape":[2,1],"data_offsets":[0,8]}})";
     header.resize((header.size() + 7) / 8 * 8, ' ');
@@ -62,20 +62,21 @@ TEST_F(Safetensors, WritesTheDocumentedLayout) {
 }
 
 TEST_F(Safetensors, RefusesEveryCut) {
-    write_safetensors(folder / "a.safetensors", some_arrays(), {{"k", "v"}});
-    const std::string whole = contents(folder / "a.safetensors");
+    write_safetensors(folder / "a.safetensors", make_example_arrays(), {{"k", "v"}});
+    const std::string whole = read_contents(folder / "a.safetensors");
     for (std::size_t n = 0; n < whole.size(); ++n) {
         SCOPED_TRACE(n);
         put(folder / "cut", whole.substr(0, n));
-        EXPECT_NE(data_error([&] { read_safetensors(folder / "cut"); }).find("cut"), std::string::npos);
+        EXPECT_NE(get_data_error_message([&] { read_safetensors(folder / "cut"); }).find("cut"),
+                  std::string::npos);
     }
     put(folder / "cut", whole + "x");
-    data_error([&] { read_safetensors(folder / "cut"); });
+    get_data_error_message([&] { read_safetensors(folder / "cut"); });
 }
 
 TEST_F(Safetensors, SurvivesEveryChangedByte) {
-    write_safetensors(folder / "a.safetensors", some_arrays(), {{"k", "v"}});
-    const std::string whole = contents(folder / "a.safetensors");
+    write_safetensors(folder / "a.safetensors", make_example_arrays(), {{"k", "v"}});
+    const std::string whole = read_contents(folder / "a.safetensors");
     for (std::size_t i = 0; i < whole.size(); ++i)
         for (int change : {0x01, 0x20, 0x80, 0xFF}) {
             std::string changed = whole;
@@ -92,7 +93,7 @@ TEST_F(Safetensors, RefusesHeadersThatDoNotHold) {
     const std::string data(8, 'x');
     const auto refused = [&](const std::string& header) {
         put(folder / "bad", file_of(header, data));
-        EXPECT_FALSE(data_error([&] { read_safetensors(folder / "bad"); }).empty()) << header;
+        EXPECT_FALSE(get_data_error_message([&] { read_safetensors(folder / "bad"); }).empty()) << header;
     };
     const auto entry = [](const char* dtype, const char* shape, const char* offsets) {
         return std::string(R"({"dtype":")") + dtype + R"(","shape":)" + shape + R"(,"data_offsets":)" +
@@ -152,7 +153,7 @@ TEST_F(Safetensors, RefusesAbsurdHeaderSizes) {
         std::string file = file_of("{}", "");
         std::memcpy(file.data(), &size, sizeof size);
         put(folder / "bad", file);
-        data_error([&] { read_safetensors(folder / "bad"); });
+        get_data_error_message([&] { read_safetensors(folder / "bad"); });
     }
 }
 
@@ -163,7 +164,7 @@ TEST_F(Safetensors, RefusesBadArrays) {
     reserved.name = "__metadata__";
     latin1.name = "caf\xE9";  // invalid, because JSON is UTF-8
     for (const std::vector<NamedArray>& arrays : {std::vector{good, good}, {reserved}, {latin1}})
-        data_error([&] { write_safetensors(folder / "a", arrays, {}); });
+        get_data_error_message([&] { write_safetensors(folder / "a", arrays, {}); });
     EXPECT_TRUE(files().empty());
 }
 

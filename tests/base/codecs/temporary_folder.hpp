@@ -38,7 +38,7 @@ protected:
     std::filesystem::path folder;
 };
 
-inline std::string contents(const std::filesystem::path& path) {
+inline std::string read_contents(const std::filesystem::path& path) {
     std::ifstream file(path, std::ios::binary);
     return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
 }
@@ -69,7 +69,7 @@ std::string error_message(const Call& call) {
     return "";
 }
 template <class Call>
-std::string data_error(const Call& call) {
+std::string get_data_error_message(const Call& call) {
     return error_message<DataError>(call);
 }
 

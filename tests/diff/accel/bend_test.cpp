@@ -23,9 +23,9 @@ protected:
 
     /// Makes actors on a background. The second actor and the last two actors walk. A
     /// further actor has no surfels.
-    static Scene some_walkers(Primitive primitive) {
-        test::TraversalCase random_case = test::random_case(3, kSurfels, 0);
-        if (primitive == Primitive::gaussian) random_case = test::as_gaussians(random_case, 4);
+    static Scene make_walkers(Primitive primitive) {
+        test::TraversalCase random_case = test::make_random_case(3, kSurfels, 0);
+        if (primitive == Primitive::gaussian) random_case = test::to_gaussians(random_case, 4);
         Surfels surfels = random_case.surfels;
         surfels.add_gait();
         std::mt19937 random(6);
@@ -44,7 +44,7 @@ protected:
         for (const std::size_t m : {2u, 4u, 5u}) scene.models[m].stride_m = 1.4f;
         return scene;
     }
-    static std::vector<InstancePose> at_phase(const Scene& scene, double turns) {
+    static std::vector<InstancePose> list_poses_at_phase(const Scene& scene, double turns) {
         std::vector<InstancePose> placed(scene.instances.size());
         for (InstancePose& pose : placed) pose.phase = turns;
         return placed;
@@ -52,14 +52,14 @@ protected:
 };
 
 TEST_F(Bend, FitsTheTreesOfThoseThatWalkAndNoOthers) {
-    const Scene scene = some_walkers(Primitive::surfel);
+    const Scene scene = make_walkers(Primitive::surfel);
     const std::vector<SurfelRange> walkers{{kFirstWalker, 400}, {kFirstWalker + 400, 400}};
     struct Placed {
         DeviceScene scene;
         Bvh bvh;
         Stream stream;
         void place(double turns) {
-            scene.place(stream, at_phase(scene.layout(), turns));
+            scene.place(stream, list_poses_at_phase(scene.layout(), turns));
             scene.activate(stream, {}, glm::vec3(0.0f));
         }
         Placed(Device& device, const Scene& s) : scene(device, s), bvh(device, scene), stream(device) {
@@ -93,26 +93,26 @@ TEST_F(Bend, FitsTheTreesOfThoseThatWalkAndNoOthers) {
     some.scene.parameters().upload(elsewhere);
     const BvhOnHost after = some.at(0.0, walkers);
     for (std::uint32_t i = 0; i < kSurfels; ++i) {  // surfels outside the requested range must not change
-        if (test::surfel_box(before, i).empty()) continue;
+        if (test::compute_surfel_box(before, i).empty()) continue;
         EXPECT_EQ(after.boxes[6 * i] == before.boxes[6 * i], i < kFirstWalker) << "surfel " << i;
     }
 }
 
 TEST_F(Bend, RendersAsPlacedAnew) {
     for (const Primitive primitive : {Primitive::surfel, Primitive::gaussian}) {
-        const Scene scene = some_walkers(primitive);
+        const Scene scene = make_walkers(primitive);
         ImageModel model;
         model.primitive = primitive;
-        const WorldRays rays = test::random_case(3, 400, 1).rays;
+        const WorldRays rays = test::make_random_case(3, 400, 1).rays;
         for (const Proxy proxy : {Proxy::triangles, Proxy::boxes}) {
             Renderer moved(device(), scene, model, {.accel = {.proxy = proxy}}),
                 anew(device(), scene, model, {.accel = {.proxy = proxy}});
-            moved.place(at_phase(scene, 0.0), glm::vec3(0.0f));
+            moved.place(list_poses_at_phase(scene, 0.0), glm::vec3(0.0f));
             const Rendering start = moved.forward(rays);
             bool differs = false;
             for (const double turns : {0.25, 0.6}) {
-                moved.move(at_phase(scene, turns), glm::vec3(0.0f));
-                anew.place(at_phase(scene, turns), glm::vec3(0.0f));
+                moved.move(list_poses_at_phase(scene, turns), glm::vec3(0.0f));
+                anew.place(list_poses_at_phase(scene, turns), glm::vec3(0.0f));
                 const Rendering a = moved.forward(rays), b = anew.forward(rays);
                 EXPECT_EQ(a.hits, b.hits);
                 EXPECT_EQ(a.depth, b.depth);

@@ -23,13 +23,13 @@ constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInf = std::numeric_limits<float>::infinity();
 
 /// Returns surfels with sizes of 2 cm to 1 m in a box of 40 x 20 x 5 m.
-Surfels random_surfels(std::uint32_t n, std::uint32_t seed = 1) {
+Surfels make_random_surfels(std::uint32_t count, std::uint32_t seed = 1) {
     std::mt19937 random(seed);
     std::uniform_real_distribution<float> unit(0.0f, 1.0f);
     std::normal_distribution<float> normal;
     Surfels s;
-    s.resize(n);
-    for (std::uint32_t i = 0; i < n; ++i) {
+    s.resize(count);
+    for (std::uint32_t i = 0; i < count; ++i) {
         s.mean[i] = {40.0f * unit(random), 20.0f * unit(random), 5.0f * unit(random)};
         s.rotation[i] = {normal(random), normal(random), normal(random), normal(random)};
         s.log_scale[i] = {-4.0f + 4.0f * unit(random) * unit(random), -4.0f + 3.0f * unit(random)};
@@ -81,62 +81,65 @@ protected:
         }
     };
 
-    static void expect_sound(const BvhOnHost& host, const Scene& layout, const std::string& what) {
+    static void expect_valid_tree(const BvhOnHost& host, const Scene& layout,
+                                  const std::string& description) {
         std::vector<int> seen(host.nodes.size(), 0);
         std::uint32_t n = 0;
         for (std::size_t m = 0; m < layout.models.size(); ++m) {
             const Model& model = layout.models[m];
             n += model.count;
             if (model.count == 0) {
-                EXPECT_EQ(host.roots[m], RELIDAR_BVH_NO_NODE) << what;
+                EXPECT_EQ(host.roots[m], RELIDAR_BVH_NO_NODE) << description;
                 ++seen[m];  // an empty model does not use its root node
                 continue;
             }
-            EXPECT_EQ(test::fault_of_tree(host, host.roots[m], model, seen), "") << what << ", model " << m;
+            EXPECT_EQ(test::find_fault_of_tree(host, host.roots[m], model, seen), "")
+                << description << ", model " << m;
         }
         EXPECT_EQ(std::count(seen.begin(), seen.end(), 1), std::ptrdiff_t(seen.size()))
-            << what << ": nodes that no root reaches";
-        EXPECT_LE(host.nodes.size(), Bvh::node_bound(n, static_cast<std::uint32_t>(layout.models.size())))
-            << what;
+            << description << ": nodes that no root reaches";
+        EXPECT_LE(host.nodes.size(),
+                  Bvh::compute_max_nodes(n, static_cast<std::uint32_t>(layout.models.size())))
+            << description;
     }
 
-    void expect_sound(const Surfels& surfels, const std::string& what) {
+    void expect_valid_tree(const Surfels& surfels, const std::string& description) {
         Built built(device(), make_background_scene(surfels));
-        expect_sound(built.build(), built.scene.layout(), what);
+        expect_valid_tree(built.build(), built.scene.layout(), description);
     }
 };
 
 TEST_F(BvhBuild, EverySizeIsATree) {
     for (const std::uint32_t n : {0u, 1u, 2u, 3u, 4u, 5u, 9u, 33u, 100u, 4096u, 10'007u, 100'000u})
-        expect_sound(random_surfels(n), std::to_string(n) + " surfels");
+        expect_valid_tree(make_random_surfels(n), std::to_string(n) + " surfels");
 }
 
 TEST_F(BvhBuild, HardScenesAreTrees) {
     constexpr std::uint32_t n = 3'001;
-    Surfels s = random_surfels(n);
+    Surfels s = make_random_surfels(n);
     for (glm::vec3& mean : s.mean) mean = {1.0f, 2.0f, 3.0f};
-    expect_sound(s, "identical means");
+    expect_valid_tree(s, "identical means");
     for (std::uint32_t i = 0; i < n; ++i) s.mean[i] = {0.01f * float(i), 0.0f, 0.0f};
-    expect_sound(s, "collinear");
+    expect_valid_tree(s, "collinear");
     for (std::uint32_t i = 0; i < n; ++i)
         s.mean[i] = {std::ldexp(1.0f, -int(i % 100)), std::ldexp(1.0f, -int(i % 37)), 0.0f};
-    expect_sound(s, "a chain: means that halve");
-    s = random_surfels(n);
+    expect_valid_tree(s, "a chain: means that halve");
+    s = make_random_surfels(n);
     for (glm::vec3& mean : s.mean) mean += glm::vec3(1e5f, -1e5f, 1e5f);
-    expect_sound(s, "far from the origin");
-    s = random_surfels(n);
+    expect_valid_tree(s, "far from the origin");
+    s = make_random_surfels(n);
     s.mean[77] = {3e37f, -3e38f, 0.0f};
-    expect_sound(s, "one far outlier");
+    expect_valid_tree(s, "one far outlier");
     for (glm::vec2& scale : s.log_scale) scale = {-90.0f, -13.0f};
-    expect_sound(s, "denormal scales");
-    s = random_surfels(n);
+    expect_valid_tree(s, "denormal scales");
+    s = make_random_surfels(n);
     for (glm::vec2& scale : s.log_scale) scale = {13.0f, -8.0f};
-    expect_sound(s, "needles of a thousand kilometres");
+    expect_valid_tree(s, "needles of a thousand kilometres");
 }
 
 TEST_F(BvhBuild, SurfelsThatCannotBeHitAreEmptyAndHarmless) {
     constexpr std::uint32_t n = 5'000;
-    Surfels s = random_surfels(n);
+    Surfels s = make_random_surfels(n);
     for (std::uint32_t i = 0; i < n; i += 3) {
         if (i % 4 == 0) s.mean[i].x = kNaN;
         if (i % 4 == 1) s.log_scale[i].y = kInf;
@@ -145,17 +148,17 @@ TEST_F(BvhBuild, SurfelsThatCannotBeHitAreEmptyAndHarmless) {
     }
     Built built(device(), make_background_scene(s));
     const BvhOnHost host = built.build();
-    expect_sound(host, built.scene.layout(), "a third is hidden");
+    expect_valid_tree(host, built.scene.layout(), "a third is hidden");
     for (std::uint32_t i = 0; i < n; ++i) {
         const bool hidden = i % 3 == 0 || s.opacity_logit[i] < std::log(1.0f / 254.0f);
-        EXPECT_EQ(test::surfel_box(host, i).empty(), hidden) << "surfel " << i;
+        EXPECT_EQ(test::compute_surfel_box(host, i).empty(), hidden) << "surfel " << i;
     }
     Surfels gone = s;
     std::fill(gone.opacity_logit.begin(), gone.opacity_logit.end(), -30.0f);
     built.scene.parameters().upload(gone);
-    expect_sound(built.build(), built.scene.layout(), "all are hidden");
-    built.scene.parameters().upload(random_surfels(n));
-    expect_sound(built.refit(), built.scene.layout(), "all come back with a refit");
+    expect_valid_tree(built.build(), built.scene.layout(), "all are hidden");
+    built.scene.parameters().upload(make_random_surfels(n));
+    expect_valid_tree(built.refit(), built.scene.layout(), "all come back with a refit");
 }
 
 TEST_F(BvhBuild, ManyModelsOfVeryDifferentSizes) {
@@ -167,16 +170,16 @@ TEST_F(BvhBuild, ManyModelsOfVeryDifferentSizes) {
     for (const std::uint32_t size : sizes) n += size;
     for (const std::vector<std::uint32_t>& some :
          {std::vector<std::uint32_t>{n}, {0, n}, {n - 1, 1}, {1, 0, n - 1, 0}, sizes}) {
-        Built built(device(), scene_of(random_surfels(n), some));
-        expect_sound(built.build(), built.scene.layout(), std::to_string(some.size()) + " models");
+        Built built(device(), scene_of(make_random_surfels(n), some));
+        expect_valid_tree(built.build(), built.scene.layout(), std::to_string(some.size()) + " models");
     }
     // a surfel belongs to no model
-    EXPECT_THROW(Built(device(), scene_of(random_surfels(10), {4, 5})), DataError);
+    EXPECT_THROW(Built(device(), scene_of(make_random_surfels(10), {4, 5})), DataError);
 }
 
 TEST_F(BvhBuild, RefitFollowsTheSurfels) {
     constexpr std::uint32_t n = 10'007;
-    Surfels s = random_surfels(n);
+    Surfels s = make_random_surfels(n);
     Built built(device(), scene_of(s, {6000, 1, 0, 4006}));
     const BvhOnHost before = built.build();
     const double cost = built.cost();
@@ -186,18 +189,18 @@ TEST_F(BvhBuild, RefitFollowsTheSurfels) {
         for (glm::vec3& mean : s.mean) mean += glm::vec3(normal(random), normal(random), normal(random));
         built.scene.parameters().upload(s);
         const BvhOnHost after = built.refit();
-        expect_sound(after, built.scene.layout(), "refit");
+        expect_valid_tree(after, built.scene.layout(), "refit");
         EXPECT_EQ(after.order, before.order);
         EXPECT_EQ(after.nodes.size(), before.nodes.size());
     }
     const double refitted = built.cost();
     EXPECT_GT(refitted, 1.2 * cost);
-    expect_sound(built.build(), built.scene.layout(), "rebuilt");
+    expect_valid_tree(built.build(), built.scene.layout(), "rebuilt");
     EXPECT_LT(built.cost(), 0.9 * refitted);
 }
 
 TEST_F(BvhBuild, BuildsAreEqualBitForBit) {
-    const Scene scene = scene_of(random_surfels(20'000), {15'000, 20, 4'980});
+    const Scene scene = scene_of(make_random_surfels(20'000), {15'000, 20, 4'980});
     Built a(device(), scene), b(device(), scene);
     const BvhOnHost first = a.build(), second = b.build(), third = a.build(), refitted = a.refit();
     for (const BvhOnHost& other : {second, third, refitted}) {
@@ -212,26 +215,27 @@ TEST_F(BvhBuild, BuildsAreEqualBitForBit) {
 
 /// Computes the bounding box of a surfel in double precision. The half size along x is k
 /// |(s_u a_u.x, s_v a_v.x)|, where sigma exp(-k^2 / 2) = 1 / 255.
-test::HostBox expected_box(const Surfels& s, std::size_t i) {
-    const double sigma = 1.0 / (1.0 + std::exp(-double(s.opacity_logit[i]))),
+test::HostBox compute_expected_box(const Surfels& surfels, std::size_t index) {
+    const double sigma = 1.0 / (1.0 + std::exp(-double(surfels.opacity_logit[index]))),
                  k = std::sqrt(2.0 * std::log(255.0 * sigma));
-    const glm::dmat3 r = glm::mat3_cast(
-        glm::normalize(glm::dquat(s.rotation[i].x, s.rotation[i].y, s.rotation[i].z, s.rotation[i].w)));
-    const glm::dvec3 u = r[0] * std::exp(double(s.log_scale[i].x)) * k,
-                     v = r[1] * std::exp(double(s.log_scale[i].y)) * k;
+    const glm::dmat3 r =
+        glm::mat3_cast(glm::normalize(glm::dquat(surfels.rotation[index].x, surfels.rotation[index].y,
+                                                 surfels.rotation[index].z, surfels.rotation[index].w)));
+    const glm::dvec3 u = r[0] * std::exp(double(surfels.log_scale[index].x)) * k,
+                     v = r[1] * std::exp(double(surfels.log_scale[index].y)) * k;
     const glm::dvec3 half = glm::sqrt(u * u + v * v);
-    return {glm::dvec3(s.mean[i]) - half, glm::dvec3(s.mean[i]) + half};
+    return {glm::dvec3(surfels.mean[index]) - half, glm::dvec3(surfels.mean[index]) + half};
 }
 
 TEST_F(BvhBuild, SurfelBoxesHoldTheSurfelAndLittleMore) {
-    const Surfels s = random_surfels(2'000);
+    const Surfels s = make_random_surfels(2'000);
     Built built(device(), make_background_scene(s));
     const BvhOnHost host = built.build();
     int n_checked = 0;
     for (std::size_t i = 0; i < s.size(); ++i) {
-        const test::HostBox box = test::surfel_box(host, i);
+        const test::HostBox box = test::compute_surfel_box(host, i);
         if (box.empty()) continue;
-        const test::HostBox expected = expected_box(s, i);
+        const test::HostBox expected = compute_expected_box(s, i);
         EXPECT_TRUE(box.holds(expected)) << "surfel " << i;
         const glm::dvec3 room = box.high - box.low - 1.005 * (expected.high - expected.low);
         EXPECT_LT(std::max({room.x, room.y, room.z}), 1e-3) << "surfel " << i;
@@ -242,7 +246,7 @@ TEST_F(BvhBuild, SurfelBoxesHoldTheSurfelAndLittleMore) {
 
 TEST_F(BvhBuild, RaysReachEverySurfelTheyMeet) {
     constexpr std::uint32_t n = 5'000;
-    const Surfels s = random_surfels(n);
+    const Surfels s = make_random_surfels(n);
     Built built(device(), make_background_scene(s));
     const BvhOnHost host = built.build();
     std::mt19937 random(6);
@@ -254,9 +258,10 @@ TEST_F(BvhBuild, RaysReachEverySurfelTheyMeet) {
                                 {normal(random), normal(random), normal(random)}};
         std::set<std::uint32_t> expected, found;
         for (std::uint32_t i = 0; i < n; ++i)
-            if (test::meets(ray, test::surfel_box(host, i))) expected.insert(i);
+            if (test::meets(ray, test::compute_surfel_box(host, i))) expected.insert(i);
         n_visits += test::walk(host.nodes, host.roots[0], ray, [&](std::uint32_t entry) {
-            if (test::meets(ray, test::surfel_box(host, host.order[entry]))) found.insert(host.order[entry]);
+            if (test::meets(ray, test::compute_surfel_box(host, host.order[entry])))
+                found.insert(host.order[entry]);
         });
         EXPECT_EQ(found, expected) << "ray " << r;
         n_hits += expected.size();

@@ -14,11 +14,11 @@
 namespace relidar {
 namespace {
 
-Surfels some_surfels(std::uint32_t n, std::mt19937& random) {
+Surfels make_some_surfels(std::uint32_t count, std::mt19937& random) {
     std::normal_distribution<float> normal;
     Surfels s;
-    s.resize(n);
-    for (std::uint32_t i = 0; i < n; ++i) {
+    s.resize(count);
+    for (std::uint32_t i = 0; i < count; ++i) {
         s.mean[i] = {2.0f * normal(random), normal(random), normal(random)};
         s.rotation[i] = {normal(random), normal(random), normal(random), normal(random)};
         s.log_scale[i] = {-2.0f + 0.3f * normal(random), -2.0f + 0.3f * normal(random)};
@@ -28,9 +28,9 @@ Surfels some_surfels(std::uint32_t n, std::mt19937& random) {
     return s;
 }
 
-std::vector<InstancePose> random_poses(std::size_t n, std::mt19937& random, double spread_m = 30.0) {
+std::vector<InstancePose> make_random_poses(std::size_t count, std::mt19937& random, double spread_m = 30.0) {
     std::normal_distribution<double> normal;
-    std::vector<InstancePose> poses(n);
+    std::vector<InstancePose> poses(count);
     for (InstancePose& pose : poses) {
         pose.world_from_model.rotation =
             glm::normalize(glm::dquat(normal(random), normal(random), normal(random), normal(random)));
@@ -41,8 +41,8 @@ std::vector<InstancePose> random_poses(std::size_t n, std::mt19937& random, doub
 }
 
 /// Makes instances of five models. One of the models is empty.
-Scene scene_of_instances(std::uint32_t n_instances, std::mt19937& random) {
-    Scene scene = make_background_scene(some_surfels(500, random));
+Scene make_scene_of_instances(std::uint32_t n_instances, std::mt19937& random) {
+    Scene scene = make_background_scene(make_some_surfels(500, random));
     scene.models = {{"a", 0, 200}, {"b", 200, 0}, {"c", 200, 1}, {"d", 201, 99}, {"e", 300, 200}};
     scene.instances.clear();
     for (std::uint32_t i = 0; i < n_instances; ++i) scene.instances.push_back({i % 5, ""});
@@ -71,28 +71,28 @@ protected:
             stream.finish();
             return bvh.download();
         }
-        bool is_there(std::size_t i) const {
-            return scene.poses()[i].present &&
-                   scene.layout().models[scene.layout().instances[i].model].count > 0;
+        bool is_there(std::size_t index) const {
+            return scene.poses()[index].present &&
+                   scene.layout().models[scene.layout().instances[index].model].count > 0;
         }
     };
 
     /// Computes the exact bounding box of all instances below a node, and counts how
     /// often each instance occurs.
     static void check_node(const Built& built, const BvhOnHost& host, std::uint32_t index,
-                           std::vector<int>& seen, test::HostBox& real) {
+                           std::vector<int>& visits, test::HostBox& real) {
         ASSERT_LT(index, host.top_nodes.size());
-        const auto slots = test::slots_of(host.top_nodes[index]);
+        const auto slots = test::list_slots(host.top_nodes[index]);
         for (int s = 0; s < RELIDAR_BVH_WIDTH; ++s) {
             test::HostBox below;
-            if (slots[s].inner) check_node(built, host, slots[s].child, seen, below);
+            if (slots[s].inner) check_node(built, host, slots[s].child, visits, below);
             for (std::uint32_t k = 0; k < slots[s].count; ++k) {
                 ASSERT_LT(slots[s].first + k, host.top_order.size());
                 const std::uint32_t instance = host.top_order[slots[s].first + k];
-                ++seen.at(instance);
-                below.add(world_box(built, host, instance));
+                ++visits.at(instance);
+                below.add(make_world_box(built, host, instance));
             }
-            const test::HostBox box = test::decoded_box(host.top_nodes[index], s);
+            const test::HostBox box = test::decode_box(host.top_nodes[index], s);
             EXPECT_TRUE(box.holds(below)) << "slot " << s << " of node " << index;
             EXPECT_EQ(box.empty(), below.empty()) << "slot " << s << " of node " << index;
             real.add(below);
@@ -101,12 +101,12 @@ protected:
 
     /// Computes the world box of an instance in double. The box contains the corners of
     /// all surfel boxes of the model at the pose of the instance.
-    static test::HostBox world_box(const Built& built, const BvhOnHost& host, std::uint32_t instance) {
+    static test::HostBox make_world_box(const Built& built, const BvhOnHost& host, std::uint32_t instance) {
         const Scene& layout = built.scene.layout();
         const Model& model = layout.models[layout.instances[instance].model];
         test::HostBox box;
         for (std::uint32_t i = model.first; i < model.first + model.count; ++i) {
-            const test::HostBox b = test::surfel_box(host, i);
+            const test::HostBox b = test::compute_surfel_box(host, i);
             for (int corner = 0; corner < 8; ++corner) {
                 const glm::dvec3 p =
                     built.scene.poses()[instance].world_from_model *
@@ -118,8 +118,8 @@ protected:
         return box;
     }
 
-    static void expect_sound(const Built& built, const BvhOnHost& host, const std::string& what) {
-        SCOPED_TRACE(what);
+    static void expect_valid_tree(const Built& built, const BvhOnHost& host, const std::string& description) {
+        SCOPED_TRACE(description);
         std::vector<int> seen(host.top_order.size(), 0);
         test::HostBox real;
         check_node(built, host, 0, seen, real);
@@ -133,26 +133,26 @@ protected:
 TEST_F(BvhTop, EveryInstanceIsWhereItStands) {
     std::mt19937 random(1);
     for (const std::uint32_t n : {1u, 2u, 8u, 9u, 64u, 65u, 200u, 1000u}) {
-        Built built(device(), scene_of_instances(n, random));
-        expect_sound(built, built.move(random_poses(n, random)), std::to_string(n) + " instances");
-        expect_sound(built, built.move(random_poses(n, random, 1e5)),
-                     std::to_string(n) + " instances, far away");
-        std::vector<InstancePose> poses = random_poses(n, random);
+        Built built(device(), make_scene_of_instances(n, random));
+        expect_valid_tree(built, built.move(make_random_poses(n, random)), std::to_string(n) + " instances");
+        expect_valid_tree(built, built.move(make_random_poses(n, random, 1e5)),
+                          std::to_string(n) + " instances, far away");
+        std::vector<InstancePose> poses = make_random_poses(n, random);
         for (InstancePose& pose : poses) pose.present = random() % 2;
-        expect_sound(built, built.move(poses), std::to_string(n) + " instances, half of them absent");
+        expect_valid_tree(built, built.move(poses), std::to_string(n) + " instances, half of them absent");
         for (InstancePose& pose : poses) pose.present = false;
-        expect_sound(built, built.move(poses), std::to_string(n) + " instances, all of them absent");
-        expect_sound(built, built.move(std::vector<InstancePose>(n)),
-                     std::to_string(n) + " instances in one place");
+        expect_valid_tree(built, built.move(poses), std::to_string(n) + " instances, all of them absent");
+        expect_valid_tree(built, built.move(std::vector<InstancePose>(n)),
+                          std::to_string(n) + " instances in one place");
     }
 }
 
 TEST_F(BvhTop, MovesAreRepeatable) {
     std::mt19937 random(2);
-    Built built(device(), scene_of_instances(100, random));
-    const std::vector<InstancePose> poses = random_poses(100, random);
+    Built built(device(), make_scene_of_instances(100, random));
+    const std::vector<InstancePose> poses = make_random_poses(100, random);
     const BvhOnHost a = built.move(poses);
-    built.move(random_poses(100, random));
+    built.move(make_random_poses(100, random));
     const BvhOnHost b = built.move(poses);
     EXPECT_EQ(
         std::memcmp(a.top_nodes.data(), b.top_nodes.data(), a.top_nodes.size() * sizeof(shared::BvhNode)), 0);
@@ -161,8 +161,8 @@ TEST_F(BvhTop, MovesAreRepeatable) {
 
 TEST_F(BvhTop, RaysReachEverySurfelOfEveryInstance) {
     std::mt19937 random(3);
-    Built built(device(), scene_of_instances(40, random));
-    const BvhOnHost host = built.move(random_poses(40, random, 4.0));
+    Built built(device(), make_scene_of_instances(40, random));
+    const BvhOnHost host = built.move(make_random_poses(40, random, 4.0));
     const Scene& layout = built.scene.layout();
     std::normal_distribution<double> normal;
     std::size_t n_hits = 0;
@@ -174,14 +174,15 @@ TEST_F(BvhTop, RaysReachEverySurfelOfEveryInstance) {
             const Model& model = layout.models[layout.instances[i].model];
             const test::HostRay local = to_model(ray, built.scene.poses()[i].world_from_model);
             for (std::uint32_t k = 0; k < model.count; ++k)
-                if (test::meets(local, test::surfel_box(host, model.first + k))) expected.insert({i, k});
+                if (test::meets(local, test::compute_surfel_box(host, model.first + k)))
+                    expected.insert({i, k});
         }
         test::walk(host.top_nodes, 0, ray, [&](std::uint32_t entry) {
             const std::uint32_t i = host.top_order[entry];
             const Model& model = layout.models[layout.instances[i].model];
             const test::HostRay local = to_model(ray, built.scene.poses()[i].world_from_model);
             test::walk(host.nodes, host.roots[i], local, [&](std::uint32_t leaf) {
-                if (test::meets(local, test::surfel_box(host, model.first + host.order[leaf])))
+                if (test::meets(local, test::compute_surfel_box(host, model.first + host.order[leaf])))
                     found.insert({i, host.order[leaf]});
             });
         });

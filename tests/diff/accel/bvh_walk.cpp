@@ -9,13 +9,13 @@
 namespace relidar::test {
 namespace {
 
-std::uint32_t byte_of(const std::uint32_t* words, int slot) {
+std::uint32_t get_byte(const std::uint32_t* words, int slot) {
     return words[slot / 4] >> (8 * (slot % 4)) & 255u;
 }
 
-double decoded(float origin, std::uint32_t exponent, std::uint32_t q) {
+double decoded(float origin, std::uint32_t exponent, std::uint32_t quantised) {
     const float scale = std::bit_cast<float>(exponent << 23);
-    volatile float offset = static_cast<float>(q) * scale;  // each step rounded to float
+    volatile float offset = static_cast<float>(quantised) * scale;  // each step rounded to float
     volatile float x = origin + offset;
     return x;
 }
@@ -43,7 +43,7 @@ struct TreeCheck {
             if (surfel >= model.count)
                 return fail(fmt::format("surfel {} of a model of {}", surfel, model.count));
             if (++surfel_seen[surfel] > 1) return fail(fmt::format("surfel {} is in two leaves", surfel));
-            real.add(surfel_box(bvh, model.first + surfel));
+            real.add(compute_surfel_box(bvh, model.first + surfel));
         }
         return true;
     }
@@ -52,12 +52,12 @@ struct TreeCheck {
         if (index >= bvh.nodes.size()) return fail(fmt::format("node {} of {}", index, bvh.nodes.size()));
         if (++seen[index] > 1) return fail(fmt::format("node {} is reached twice", index));
         if (depth > 100) return fail("deeper than 100 nodes");
-        const std::array<Slot, RELIDAR_BVH_WIDTH> slots = slots_of(bvh.nodes[index]);
+        const std::array<Slot, RELIDAR_BVH_WIDTH> slots = list_slots(bvh.nodes[index]);
         for (int s = 0; s < RELIDAR_BVH_WIDTH; ++s) {
             HostBox below;
             if (!(slots[s].inner ? node(slots[s].child, depth + 1, below) : leaf(slots[s], below)))
                 return false;
-            const HostBox box = decoded_box(bvh.nodes[index], s);
+            const HostBox box = decode_box(bvh.nodes[index], s);
             if (!box.holds(below))
                 return fail(fmt::format("slot {} of node {} is smaller than what is in it", s, index));
             if (below.empty() && !box.empty())
@@ -70,20 +70,20 @@ struct TreeCheck {
 
 }  // namespace
 
-HostBox decoded_box(const shared::BvhNode& node, int slot) {
+HostBox decode_box(const shared::BvhNode& node, int slot) {
     const std::uint32_t* low[] = {node.low_x, node.low_y, node.low_z};
     const std::uint32_t* high[] = {node.high_x, node.high_y, node.high_z};
     HostBox box;
     for (int c = 0; c < 3; ++c) {
-        if (byte_of(low[c], slot) > byte_of(high[c], slot)) return {};
+        if (get_byte(low[c], slot) > get_byte(high[c], slot)) return {};
         const std::uint32_t exponent = node.exponents >> (8 * c) & 255u;
-        box.low[c] = decoded(node.origin[c], exponent, byte_of(low[c], slot));
-        box.high[c] = decoded(node.origin[c], exponent, byte_of(high[c], slot));
+        box.low[c] = decoded(node.origin[c], exponent, get_byte(low[c], slot));
+        box.high[c] = decoded(node.origin[c], exponent, get_byte(high[c], slot));
     }
     return box;
 }
 
-HostBox surfel_box(const BvhOnHost& bvh, std::size_t surfel) {
+HostBox compute_surfel_box(const BvhOnHost& bvh, std::size_t surfel) {
     HostBox box;
     for (int c = 0; c < 3; ++c) {
         box.low[c] = bvh.boxes[6 * surfel + c];
@@ -92,11 +92,11 @@ HostBox surfel_box(const BvhOnHost& bvh, std::size_t surfel) {
     return box;
 }
 
-std::array<Slot, RELIDAR_BVH_WIDTH> slots_of(const shared::BvhNode& node) {
+std::array<Slot, RELIDAR_BVH_WIDTH> list_slots(const shared::BvhNode& node) {
     std::array<Slot, RELIDAR_BVH_WIDTH> slots;
     std::uint32_t child = node.first_child;
     for (int s = 0; s < RELIDAR_BVH_WIDTH; ++s) {
-        const std::uint32_t leaf = byte_of(node.leaves, s);
+        const std::uint32_t leaf = get_byte(node.leaves, s);
         slots[s].inner = node.exponents >> (24 + s) & 1u;
         if (slots[s].inner) slots[s].child = child++;
         else slots[s] = {false, 0, node.first_leaf + (leaf & 31u), leaf >> 5};
@@ -104,9 +104,9 @@ std::array<Slot, RELIDAR_BVH_WIDTH> slots_of(const shared::BvhNode& node) {
     return slots;
 }
 
-std::string fault_of_tree(const BvhOnHost& bvh, std::uint32_t root, const Model& model,
-                          std::vector<int>& seen) {
-    TreeCheck check{bvh, model, seen};
+std::string find_fault_of_tree(const BvhOnHost& bvh, std::uint32_t root, const Model& model,
+                               std::vector<int>& visits) {
+    TreeCheck check{bvh, model, visits};
     check.surfel_seen.assign(model.count, 0);
     HostBox box;
     if (!check.node(root, 0, box)) return check.fault;
@@ -135,9 +135,9 @@ std::size_t walk(const std::vector<shared::BvhNode>& nodes, std::uint32_t root, 
         const shared::BvhNode& node = nodes.at(stack.back());
         stack.pop_back();
         ++visits;
-        const std::array<Slot, RELIDAR_BVH_WIDTH> slots = slots_of(node);
+        const std::array<Slot, RELIDAR_BVH_WIDTH> slots = list_slots(node);
         for (int s = 0; s < RELIDAR_BVH_WIDTH; ++s) {
-            if (!(slots[s].inner || slots[s].count) || !meets(ray, decoded_box(node, s))) continue;
+            if (!(slots[s].inner || slots[s].count) || !meets(ray, decode_box(node, s))) continue;
             if (slots[s].inner) stack.push_back(slots[s].child);
             for (std::uint32_t k = 0; k < slots[s].count; ++k) leaf(slots[s].first + k);
         }

@@ -31,8 +31,8 @@ struct HostBox {
 
 /// Decodes the box of a child of a node with the same float arithmetic as the traversal
 /// on the device.
-HostBox decoded_box(const shared::BvhNode& node, int slot);
-HostBox surfel_box(const BvhOnHost& bvh, std::size_t surfel);
+HostBox decode_box(const shared::BvhNode& node, int slot);
+HostBox compute_surfel_box(const BvhOnHost& bvh, std::size_t surfel);
 
 struct Slot {
     bool inner = false;
@@ -41,14 +41,14 @@ struct Slot {
     /// and the slot is not an inner node.
     std::uint32_t first = 0, count = 0;
 };
-std::array<Slot, RELIDAR_BVH_WIDTH> slots_of(const shared::BvhNode& node);
+std::array<Slot, RELIDAR_BVH_WIDTH> list_slots(const shared::BvhNode& node);
 
 /// Returns the first error in the tree of a model, or an empty string. Each surfel must
 /// be in a single leaf, and each box must be inside the box of its parent. All indices
 /// must be within their arrays, and each node must be reached once.
-/// @param seen [nodes] counts visits to each node, over all models
-std::string fault_of_tree(const BvhOnHost& bvh, std::uint32_t root, const Model& model,
-                          std::vector<int>& seen);
+/// @param visits [nodes] counts visits to each node, over all models
+std::string find_fault_of_tree(const BvhOnHost& bvh, std::uint32_t root, const Model& model,
+                               std::vector<int>& visits);
 
 struct HostRay {
     glm::dvec3 origin, direction;

@@ -20,7 +20,7 @@ namespace {
 class Proxies : public test::DeviceTest {};
 
 /// Returns a surfel of 0.5 m by 0.25 m at x = 10 that faces the sensor.
-Surfels one_surfel(float opacity) {
+Surfels make_one_surfel(float opacity) {
     Surfels s;
     s.resize(1);
     s.mean[0] = {10.0f, 0.0f, 0.0f};
@@ -31,10 +31,10 @@ Surfels one_surfel(float opacity) {
     return s;
 }
 
-/// Returns a 3D Gaussian with the outline of one_surfel() when it is viewed along x
+/// Returns a 3D Gaussian with the outline of make_one_surfel() when it is viewed along x
 /// (second and third scale). It is 2 m long along the rays.
-Surfels one_gaussian(float opacity) {
-    Surfels s = one_surfel(opacity);
+Surfels make_one_gaussian(float opacity) {
+    Surfels s = make_one_surfel(opacity);
     s.rotation[0] = {1.0f, 0.0f, 0.0f, 0.0f};
     s.log_scale[0] = {std::log(2.0f), std::log(0.25f)};
     s.log_scale_w = {std::log(0.5f)};
@@ -44,7 +44,7 @@ Surfels one_gaussian(float opacity) {
 
 /// Returns parallel rays along x around the rim of a surfel. The rays pass the points k
 /// (cos, sin) on the ellipse sigma G = alpha_min, scaled by `factor`.
-WorldRays rim_rays(float opacity, double factor, double alpha_min = 1.0 / 255.0) {
+WorldRays make_rim_rays(float opacity, double factor, double alpha_min = 1.0 / 255.0) {
     const double k = std::sqrt(2.0 * std::log(opacity / alpha_min)) * factor;
     WorldRays rays;
     for (int i = 0; i < 360; ++i) {
@@ -101,18 +101,18 @@ TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
 TEST_F(Proxies, HoldEverythingThatCanBeSeen) {
     for (const Proxy proxy : {Proxy::triangles, Proxy::boxes})
         for (const float opacity : {0.005f, 0.1f, 0.6f, 0.999f}) {
-            Renderer renderer(device(), make_background_scene(one_surfel(opacity)), {},
+            Renderer renderer(device(), make_background_scene(make_one_surfel(opacity)), {},
                               {.accel = {.proxy = proxy}});
             renderer.place(glm::vec3(0.0f));
-            for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 0.999)).hits)
+            for (const std::uint32_t n : renderer.forward(make_rim_rays(opacity, 0.999)).hits)
                 EXPECT_EQ(n, 1u) << "opacity " << opacity;
-            for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 1.001)).hits)
+            for (const std::uint32_t n : renderer.forward(make_rim_rays(opacity, 1.001)).hits)
                 EXPECT_EQ(n, 0u) << "opacity " << opacity;
         }
     // A surfel with an opacity below alpha_min has no proxy.
-    Renderer renderer(device(), make_background_scene(one_surfel(1.0f / 256.0f)), {});
+    Renderer renderer(device(), make_background_scene(make_one_surfel(1.0f / 256.0f)), {});
     renderer.place(glm::vec3(0.0f));
-    for (const std::uint32_t n : renderer.forward(rim_rays(0.5f, 0.1)).hits) EXPECT_EQ(n, 0u);
+    for (const std::uint32_t n : renderer.forward(make_rim_rays(0.5f, 0.1)).hits) EXPECT_EQ(n, 0u);
 }
 
 TEST_F(Proxies, HoldEverythingOfGaussiansThatCanBeSeen) {
@@ -120,12 +120,12 @@ TEST_F(Proxies, HoldEverythingOfGaussiansThatCanBeSeen) {
     model.primitive = Primitive::gaussian;
     for (const Proxy proxy : {Proxy::triangles, Proxy::boxes})
         for (const float opacity : {0.005f, 0.1f, 0.999f}) {
-            Renderer renderer(device(), make_background_scene(one_gaussian(opacity)), model,
+            Renderer renderer(device(), make_background_scene(make_one_gaussian(opacity)), model,
                               {.accel = {.proxy = proxy}});
             renderer.place(glm::vec3(0.0f));
-            for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 0.999)).hits)
+            for (const std::uint32_t n : renderer.forward(make_rim_rays(opacity, 0.999)).hits)
                 EXPECT_EQ(n, 1u) << "opacity " << opacity;
-            for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 1.001)).hits)
+            for (const std::uint32_t n : renderer.forward(make_rim_rays(opacity, 1.001)).hits)
                 EXPECT_EQ(n, 0u) << "opacity " << opacity;
         }
 }
@@ -135,12 +135,12 @@ TEST_F(Proxies, FollowTheCutOfTheImageModel) {
         for (const float alpha_min : {1e-4f, 0.05f}) {
             ImageModel model;
             model.alpha_min = alpha_min;
-            Renderer renderer(device(), make_background_scene(one_surfel(0.6f)), model,
+            Renderer renderer(device(), make_background_scene(make_one_surfel(0.6f)), model,
                               {.accel = {.proxy = proxy}});
             renderer.place(glm::vec3(0.0f));
-            for (const std::uint32_t n : renderer.forward(rim_rays(0.6f, 0.999, alpha_min)).hits)
+            for (const std::uint32_t n : renderer.forward(make_rim_rays(0.6f, 0.999, alpha_min)).hits)
                 EXPECT_EQ(n, 1u) << "alpha_min " << alpha_min;
-            for (const std::uint32_t n : renderer.forward(rim_rays(0.6f, 1.001, alpha_min)).hits)
+            for (const std::uint32_t n : renderer.forward(make_rim_rays(0.6f, 1.001, alpha_min)).hits)
                 EXPECT_EQ(n, 0u) << "alpha_min " << alpha_min;
         }
 }
@@ -148,7 +148,7 @@ TEST_F(Proxies, FollowTheCutOfTheImageModel) {
 TEST_F(Proxies, RefitFollowsMovedSurfelsAndMovingInstancesBuildsNothing) {
     for (const Proxy proxy : {Proxy::triangles, Proxy::boxes}) {
         Stream stream(device());
-        DeviceScene scene(device(), make_background_scene(one_surfel(0.9f)));
+        DeviceScene scene(device(), make_background_scene(make_one_surfel(0.9f)));
         Accel accel(device(), scene, {.proxy = proxy});
         ForwardPass forward(device(), {}, accel.proxy(), {});
         const Array<DeviceRay> ray(device(), std::vector<DeviceRay>{{{0, 0, 0}, {1, 0, 0}}}, "ray");
@@ -162,7 +162,7 @@ TEST_F(Proxies, RefitFollowsMovedSurfelsAndMovingInstancesBuildsNothing) {
         scene.activate(stream, {}, glm::vec3(0.0f));
         accel.update(stream, scene);
         EXPECT_NEAR(depth(), 10.0f, 1e-5f);
-        Surfels moved = one_surfel(0.9f);
+        Surfels moved = make_one_surfel(0.9f);
         moved.mean[0].x = 4.0f;
         scene.parameters().upload(moved);
         scene.activate(stream, {}, glm::vec3(0.0f));

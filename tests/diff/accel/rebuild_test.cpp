@@ -14,9 +14,9 @@ namespace {
 
 class Rebuild : public test::DeviceTest {
 protected:
-    Surfels surfels_ = test::random_case(3, 400, 1).surfels;
+    Surfels surfels_ = test::make_random_case(3, 400, 1).surfels;
 
-    int refits_after(Stream& stream, DeviceScene& scene, Accel& accel, bool rebuild = false) {
+    int count_refits_after(Stream& stream, DeviceScene& scene, Accel& accel, bool rebuild = false) {
         scene.activate(stream, {}, glm::vec3(0.0f));
         accel.update(stream, scene, rebuild);
         stream.finish();
@@ -29,7 +29,7 @@ TEST_F(Rebuild, FirstWhenToldAndWhenDue) {
     DeviceScene scene(device(), make_background_scene(surfels_));
     Accel accel(device(), scene, {.rebuild_every = 3});
     std::vector<int> refits;
-    for (int i = 0; i < 8; ++i) refits.push_back(refits_after(stream, scene, accel, i == 6));
+    for (int i = 0; i < 8; ++i) refits.push_back(count_refits_after(stream, scene, accel, i == 6));
     EXPECT_EQ(refits, (std::vector<int>{0, 1, 2, 3, 0, 1, 0, 1}));
     EXPECT_EQ(accel.updates(), 8u);
 }
@@ -38,32 +38,32 @@ TEST_F(Rebuild, NeverDueWhereZero) {
     Stream stream(device());
     DeviceScene scene(device(), make_background_scene(surfels_));
     Accel accel(device(), scene, {.rebuild_every = 0});
-    for (int i = 0; i < 6; ++i) EXPECT_EQ(refits_after(stream, scene, accel), i);
+    for (int i = 0; i < 6; ++i) EXPECT_EQ(count_refits_after(stream, scene, accel), i);
 }
 
 TEST_F(Rebuild, WhenTheTreeHasOutgrownItsBuild) {
     Stream stream(device());
     DeviceScene scene(device(), make_background_scene(surfels_));
     Accel accel(device(), scene, {});
-    refits_after(stream, scene, accel);
+    count_refits_after(stream, scene, accel);
     accel.check_growth(stream);
-    EXPECT_EQ(refits_after(stream, scene, accel), 1) << "nothing has moved";
+    EXPECT_EQ(count_refits_after(stream, scene, accel), 1) << "nothing has moved";
     accel.check_growth(stream);
     Surfels scattered = surfels_;  // neighbours in the tree are now far apart
     for (std::size_t i = 0; i < scattered.size(); ++i)
         scattered.mean[i] = surfels_.mean[(i * 157) % surfels_.size()];
     scene.parameters().upload(scattered);
-    EXPECT_EQ(refits_after(stream, scene, accel), 2);
+    EXPECT_EQ(count_refits_after(stream, scene, accel), 2);
     accel.check_growth(stream);
-    EXPECT_EQ(refits_after(stream, scene, accel), 3)
+    EXPECT_EQ(count_refits_after(stream, scene, accel), 3)
         << "growth is measured by one check and seen by the next";
     accel.check_growth(stream);
     // Drivers do not report the cost of a structure.
     const bool measured = device().traversal() == Traversal::software;
-    EXPECT_EQ(refits_after(stream, scene, accel), measured ? 0 : 4);
+    EXPECT_EQ(count_refits_after(stream, scene, accel), measured ? 0 : 4);
     for (const int refits : {1, 2, 3}) {
         accel.check_growth(stream);
-        EXPECT_EQ(refits_after(stream, scene, accel), measured ? refits : 4 + refits)
+        EXPECT_EQ(count_refits_after(stream, scene, accel), measured ? refits : 4 + refits)
             << "a new build is its own measure";
     }
 }

@@ -17,9 +17,9 @@ namespace {
 using reference::PixelGradient;
 using test::GradientTable;
 using test::lanes;
+using test::make_random_upstream;
 using test::Outputs;
 using test::Passes;
-using test::random_upstream;
 
 /// Combination of a method that finds hits and a method that sums their gradients.
 struct Way {
@@ -62,10 +62,10 @@ struct How {
 
 class DeviceGradient : public test::DeviceTest {
 protected:
-    std::span<const Way> ways_of(const How& how) {
-        if (how.brute_force) return std::span(kWays).first(2);
+    std::span<const Way> list_variants(const How& options) {
+        if (options.brute_force) return std::span(kWays).first(2);
         // Sums of gradients do not depend on the traversal, so one traversal tests all.
-        const bool every_way = how.every_way && device().traversal() == Traversal::software;
+        const bool every_way = options.every_way && device().traversal() == Traversal::software;
         return every_way ? std::span(kWays) : std::span(kWays).first(kFewWays);
     }
 
@@ -78,8 +78,8 @@ protected:
         const test::RandomScene scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
         const std::vector<PixelGradient> upstream =
-            random_upstream(scene.rays.size(), options.seed, how.outputs);
-        RendererOptions renderer = test::options_of(image);
+            make_random_upstream(scene.rays.size(), options.seed, how.outputs);
+        RendererOptions renderer = test::make_options(image);
         renderer.accel.proxy = how.proxy;
         TraceOptions& trace = renderer.trace;
         if (how.chunk) trace.chunk = *how.chunk;
@@ -91,7 +91,7 @@ protected:
                                                  upstream[i], expected));
 
         if (how.outputs != Outputs::image) trace.likelihood = kKernel;
-        for (const Way& way : ways_of(how)) {
+        for (const Way& way : list_variants(how)) {
             const Forced forced(device(), {.brute_force = how.brute_force});
             trace.order = way.order;
             trace.list_room = way.list_room;
@@ -106,7 +106,7 @@ protected:
 
     void expect_rows(const ImageModel& image, const reference::Gradients& expected,
                      const std::vector<reference::RayGradient>& d_rays, const Gradients& actual,
-                     const std::string& title, const How& how) {
+                     const std::string& title, const How& options) {
         GradientTable table;
         test::add_surfel_rows(table, expected.surfels, actual.surfels.download());
         const std::vector<float> rays = actual.rays.download();
@@ -116,11 +116,11 @@ protected:
         }
         table.print(title + " on " + device().info().name);
         for (const auto& [name, group] : table.groups()) {
-            EXPECT_LE(group.worst_error(), how.tolerance) << name << ", " << title;
-            EXPECT_EQ(group.missing_rows(), 0u) << name << ", " << title;
+            EXPECT_LE(group.compute_worst_error(), options.tolerance) << name << ", " << title;
+            EXPECT_EQ(group.count_missing_rows(), 0u) << name << ", " << title;
             const bool constant = (name == "sh hit" && image.single_drop_logit) ||
-                                  (name.starts_with("sh ") && how.outputs == Outputs::likelihood);
-            EXPECT_EQ(group.nonzero_rows() == 0u, constant) << name << ", " << title;
+                                  (name.starts_with("sh ") && options.outputs == Outputs::likelihood);
+            EXPECT_EQ(group.count_nonzero_rows() == 0u, constant) << name << ", " << title;
         }
     }
 };
@@ -270,8 +270,8 @@ TEST_P(DeviceDifferences, OfTheStrongestSurfel) {
     options.seed = 35;
     options.primitive = GetParam();
     const test::RandomScene scene = test::make_random_scene(options, settings);
-    Passes passes(device(), settings.image, scene, random_upstream(scene.rays.size(), 3),
-                  test::options_of(settings.image));
+    Passes passes(device(), settings.image, scene, make_random_upstream(scene.rays.size(), 3),
+                  test::make_options(settings.image));
     passes.run();
     const Surfels d = passes.gradients().surfels.download();
     const Surfels start = passes.renderer.download().surfels;
@@ -293,15 +293,21 @@ TEST_P(DeviceDifferences, OfTheStrongestSurfel) {
     const double scale = glm::length(d.mean[strongest]);
     for (int k = 0; k < 3; ++k)
         near_enough(d.mean[strongest][k],
-                    difference([&](Surfels& s, float h) { s.mean[strongest][k] += h; }, 5e-4f), scale);
+                    difference([&](Surfels& surfels, float h) { surfels.mean[strongest][k] += h; }, 5e-4f),
+                    scale);
     for (int k = 0; k < 2; ++k)
-        near_enough(d.log_scale[strongest][k],
-                    difference([&](Surfels& s, float h) { s.log_scale[strongest][k] += h; }, 2e-3f), scale);
+        near_enough(
+            d.log_scale[strongest][k],
+            difference([&](Surfels& surfels, float h) { surfels.log_scale[strongest][k] += h; }, 2e-3f),
+            scale);
     if (GetParam() == Primitive::gaussian)
-        near_enough(d.log_scale_w[strongest],
-                    difference([&](Surfels& s, float h) { s.log_scale_w[strongest] += h; }, 2e-3f), scale);
+        near_enough(
+            d.log_scale_w[strongest],
+            difference([&](Surfels& surfels, float h) { surfels.log_scale_w[strongest] += h; }, 2e-3f),
+            scale);
     near_enough(d.opacity_logit[strongest],
-                difference([&](Surfels& s, float h) { s.opacity_logit[strongest] += h; }, 5e-3f), scale);
+                difference([&](Surfels& surfels, float h) { surfels.opacity_logit[strongest] += h; }, 5e-3f),
+                scale);
 }
 
 }  // namespace

@@ -17,18 +17,18 @@ namespace {
 using reference::PixelGradient;
 using test::Passes;
 
-std::vector<float> all_gradients(const Gradients& g) {
+std::vector<float> collect_all_gradients(const Gradients& gradients) {
     std::vector<float> all;
-    const std::initializer_list<const Array<float>*> arrays{&g.records,
-                                                            &g.surfels.mean,
-                                                            &g.surfels.rotation,
-                                                            &g.surfels.log_scale,
-                                                            &g.surfels.opacity_logit,
-                                                            &g.surfels.log_scale_w,
-                                                            &g.surfels.sh,
-                                                            &g.rays,
-                                                            &g.poses,
-                                                            &g.sensor};
+    const std::initializer_list<const Array<float>*> arrays{&gradients.records,
+                                                            &gradients.surfels.mean,
+                                                            &gradients.surfels.rotation,
+                                                            &gradients.surfels.log_scale,
+                                                            &gradients.surfels.opacity_logit,
+                                                            &gradients.surfels.log_scale_w,
+                                                            &gradients.surfels.sh,
+                                                            &gradients.rays,
+                                                            &gradients.poses,
+                                                            &gradients.sensor};
     for (const Array<float>* array : arrays)
         for (const float x : array->download()) all.push_back(x);
     return all;
@@ -37,7 +37,7 @@ std::vector<float> all_gradients(const Gradients& g) {
 class Gather : public test::DeviceTest {
 protected:
     /// Makes many rays through few surfels, so that rows extend over many blocks.
-    test::RandomScene crowded(const reference::Settings& settings) {
+    test::RandomScene make_crowded_scene(const reference::Settings& settings) {
         test::RandomSceneOptions options;
         options.seed = 51, options.rays = 20, options.background_surfels = 20, options.actor_surfels = 6;
         options.primitive = settings.image.primitive;
@@ -55,21 +55,21 @@ TEST_F(Gather, SameBitsInEveryRunAndTraversal) {
         reference::Settings settings;
         settings.image.sh_direction = direction;
         settings.image.primitive = primitive;
-        const test::RandomScene scene = crowded(settings);
-        const std::vector<PixelGradient> upstream = test::random_upstream(scene.rays.size(), 5);
-        RendererOptions options = test::options_of(settings.image);
+        const test::RandomScene scene = make_crowded_scene(settings);
+        const std::vector<PixelGradient> upstream = test::make_random_upstream(scene.rays.size(), 5);
+        RendererOptions options = test::make_options(settings.image);
         Passes passes(device(), settings.image, scene, upstream, options, {.reduction = Reduction::gather});
         passes.run();
-        const std::vector<float> first = all_gradients(passes.gradients());
+        const std::vector<float> first = collect_all_gradients(passes.gradients());
         for (int i = 0; i < 3; ++i) {
             passes.run();
-            EXPECT_EQ(all_gradients(passes.gradients()), first);
+            EXPECT_EQ(collect_all_gradients(passes.gradients()), first);
         }
         options.accel.proxy = Proxy::triangles;
         Passes triangles(device(), settings.image, scene, upstream, options,
                          {.reduction = Reduction::gather});
         triangles.run();
-        EXPECT_EQ(all_gradients(triangles.gradients()), first) << "the same hits found another way";
+        EXPECT_EQ(collect_all_gradients(triangles.gradients()), first) << "the same hits found another way";
     }
 }
 
@@ -83,14 +83,14 @@ TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
         test::RandomSceneOptions options;
         options.seed = 52, options.rays = 30, options.background_surfels = 400, options.actor_surfels = 9;
         const test::RandomScene scene = test::make_random_scene(options, settings);
-        const std::vector<PixelGradient> upstream = test::random_upstream(scene.rays.size(), 5);
+        const std::vector<PixelGradient> upstream = test::make_random_upstream(scene.rays.size(), 5);
         std::vector<std::uint32_t> touched;
         for (const Reduction reduction : {Reduction::gather, Reduction::atomics}) {
-            Passes passes(device(), settings.image, scene, upstream, test::options_of(settings.image),
+            Passes passes(device(), settings.image, scene, upstream, test::make_options(settings.image),
                           {.reduction = reduction});
             passes.run();
             Gradients& gradients = passes.gradients();
-            const std::vector<float> first = all_gradients(gradients);
+            const std::vector<float> first = collect_all_gradients(gradients);
             if (touched.empty()) touched = gradients.touched.download();
             EXPECT_EQ(gradients.touched.download(), touched);
             EXPECT_GT(std::ranges::count(touched, 0u), 100);
@@ -101,7 +101,7 @@ TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
             gradients.zero_untouched = false;
             passes.run();
             EXPECT_EQ(gradients.touched.download(), touched);
-            if (reduction == Reduction::gather) EXPECT_EQ(all_gradients(gradients), first);
+            if (reduction == Reduction::gather) EXPECT_EQ(collect_all_gradients(gradients), first);
         }
     }
 }
@@ -112,25 +112,25 @@ TEST_F(Gather, SumsRowsOverManyBlocks) {
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
         reference::Settings settings;
         settings.image.sh_direction = direction;
-        test::RandomScene scene = crowded(settings);
-        std::vector<PixelGradient> upstream = test::random_upstream(20, 6);
+        test::RandomScene scene = make_crowded_scene(settings);
+        std::vector<PixelGradient> upstream = test::make_random_upstream(20, 6);
         for (int i = 1; i < 100; ++i)
             upstream.insert(upstream.end(), upstream.begin(), upstream.begin() + 20);
-        Passes many(device(), settings.image, scene, upstream, test::options_of(settings.image),
+        Passes many(device(), settings.image, scene, upstream, test::make_options(settings.image),
                     {.reduction = Reduction::gather});
         many.run();
         scene.rays.resize(20);
-        Passes once(device(), settings.image, scene, upstream, test::options_of(settings.image),
+        Passes once(device(), settings.image, scene, upstream, test::make_options(settings.image),
                     {.reduction = Reduction::atomics});
         once.run();
         test::GradientTable table;
         const auto add = [&](const char* name, const Array<float>& expected, const Array<float>& actual,
-                             std::size_t n) {
+                             std::size_t count) {
             const std::vector<float> e = expected.download(), a = actual.download();
-            for (std::size_t i = 0; i < e.size(); i += n) {
-                std::vector<double> row = test::lanes(e.data() + i, int(n));
+            for (std::size_t i = 0; i < e.size(); i += count) {
+                std::vector<double> row = test::lanes(e.data() + i, int(count));
                 for (double& x : row) x *= 100.0;
-                table.add_row(name, row, test::lanes(a.data() + i, int(n)));
+                table.add_row(name, row, test::lanes(a.data() + i, int(count)));
             }
         };
         add("records", once.gradients().records, many.gradients().records, 16);
@@ -139,8 +139,8 @@ TEST_F(Gather, SumsRowsOverManyBlocks) {
         add("poses", once.gradients().poses, many.gradients().poses, 3);
         add("sensor", once.gradients().sensor, many.gradients().sensor, 3);
         for (const auto& [name, group] : table.groups()) {
-            EXPECT_LE(group.worst_error(), test::kKernelGradient) << name;
-            EXPECT_EQ(group.missing_rows(), 0u) << name;
+            EXPECT_LE(group.compute_worst_error(), test::kKernelGradient) << name;
+            EXPECT_EQ(group.count_missing_rows(), 0u) << name;
         }
         const test::GatheredHits hits = test::download_gathered_hits(many);
         EXPECT_EQ(hits.capacity, 64u * many.rays.size());
@@ -157,16 +157,16 @@ TEST_F(Gather, SumsRowsOverManyBlocks) {
 /// data of an earlier, larger batch.
 TEST_F(Gather, EmptySlotsAndSmallerBatches) {
     reference::Settings settings;
-    const test::RandomScene scene = crowded(settings);
-    std::vector<PixelGradient> upstream = test::random_upstream(scene.rays.size(), 7);
+    const test::RandomScene scene = make_crowded_scene(settings);
+    std::vector<PixelGradient> upstream = test::make_random_upstream(scene.rays.size(), 7);
     for (std::size_t i = 0; i < upstream.size(); ++i)
         if (i >= 20) upstream[i] = {};
-    Passes many(device(), settings.image, scene, upstream, test::options_of(settings.image),
+    Passes many(device(), settings.image, scene, upstream, test::make_options(settings.image),
                 {.reduction = Reduction::gather});
     many.run();
     test::RandomScene few = scene;
     few.rays.resize(20);
-    Passes once(device(), settings.image, few, upstream, test::options_of(settings.image),
+    Passes once(device(), settings.image, few, upstream, test::make_options(settings.image),
                 {.reduction = Reduction::gather});
     once.run();
     EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download());

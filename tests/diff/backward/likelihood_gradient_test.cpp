@@ -26,7 +26,7 @@ using test::lanes;
 
 constexpr int kRows = 6, kColumns = 7;
 
-glm::dvec4 rotation_facing(std::mt19937_64& random, double tilt) {
+glm::dvec4 make_facing_rotation_of_wall(std::mt19937_64& random, double tilt) {
     std::normal_distribution<double> normal;
     // Rotates the normal to -x.
     const glm::dquat to_sensor = glm::angleAxis(-1.5707963267948966, glm::dvec3(0.0, 1.0, 0.0));
@@ -38,14 +38,14 @@ glm::dvec4 rotation_facing(std::mt19937_64& random, double tilt) {
 
 /// Makes a wall of tilted surfels, faint surfels in front of the wall, and an instance of
 /// a model with four surfels. The sensor renders them as an image.
-test::RandomScene wall(std::uint64_t seed) {
+test::RandomScene make_wall(std::uint64_t seed) {
     std::mt19937_64 random(seed);
     std::uniform_real_distribution<double> unit(-1.0, 1.0);
     std::vector<reference::Surfel> surfels;
     const auto add = [&](const glm::dvec3& mean, double size, double opacity) {
         reference::Surfel s;
         s.mean = mean + 0.08 * glm::dvec3(unit(random), unit(random), unit(random));
-        s.rotation = rotation_facing(random, 0.2);
+        s.rotation = make_facing_rotation_of_wall(random, 0.2);
         s.log_scale = glm::dvec2(std::log(size * (1.0 + 0.2 * unit(random))),
                                  std::log(size * (1.0 + 0.2 * unit(random))));
         s.opacity_logit = std::log(opacity / (1.0 - opacity));
@@ -72,17 +72,17 @@ test::RandomScene wall(std::uint64_t seed) {
 
 /// Returns a wall for which every ray has a minimum distance (margin) to discontinuities
 /// of the image.
-test::RandomScene smooth_wall(const reference::Settings& settings) {
+test::RandomScene make_smooth_wall(const reference::Settings& settings) {
     // The minimum distances to discontinuities are smaller than in other tests, so that a
     // seed with 42 valid rays exists. They are still much larger than the steps of the
     // differences.
     const test::Margins margins{.log_alpha = 5e-3, .separation_m = 5e-4, .log_stop = 5e-3};
     for (std::uint64_t seed = 1; seed < 5000; ++seed) {
-        const test::RandomScene scene = wall(seed);
+        const test::RandomScene scene = make_wall(seed);
         reference::Settings s = settings;
         s.view_origin = scene.view_origin;
         if (std::all_of(scene.rays.begin(), scene.rays.end(), [&](const reference::Ray& ray) {
-                return test::keeps_margins(scene.world, s, ray, margins);
+                return test::has_margins(scene.world, s, ray, margins);
             }))
             return scene;
     }
@@ -92,7 +92,7 @@ test::RandomScene smooth_wall(const reference::Settings& settings) {
 /// Computes the losses of a wall in double. Contains the data that the losses depend on.
 struct WallProblem {
     reference::Settings settings;
-    test::RandomScene scene = smooth_wall(settings);
+    test::RandomScene scene = make_smooth_wall(settings);
     LossWeights weights;
     std::vector<reference::Target> targets;
 
@@ -122,14 +122,14 @@ struct WallProblem {
                                        reference::DepthKind::normalised)
                              .total);
         result.push_back(double(weights.likelihood) *
-                         likelihood_loss(all, targets, double(weights.likelihood_floor)));
+                         compute_likelihood_loss(all, targets, double(weights.likelihood_floor)));
         return result;
     }
 };
 
-RendererOptions options_of(const LossWeights& w, std::uint32_t keep_hits) {
-    RendererOptions options = test::options_of({});
-    if (w.likelihood > 0.0f) options.trace.likelihood = RangeKernel{w.likelihood_scale_m};
+RendererOptions make_options(const LossWeights& weights, std::uint32_t keep_hits) {
+    RendererOptions options = test::make_options({});
+    if (weights.likelihood > 0.0f) options.trace.likelihood = RangeKernel{weights.likelihood_scale_m};
     options.keep_hits = keep_hits;
     return options;
 }
@@ -140,16 +140,18 @@ struct DevicePasses : test::Passes {
     Array<float> loss_terms;
     double n_returned = 0.0;
 
-    DevicePasses(Device& d, const WallProblem& p, std::uint32_t keep_hits, const BackwardOptions& options)
-        : Passes(d, p.settings.image, p.scene, std::vector<reference::PixelGradient>(p.scene.rays.size()),
-                 options_of(p.weights, keep_hits), options),
-          losses(make_losses(d, p.weights, std::uint32_t(p.scene.rays.size()))),
+    DevicePasses(Device& d, const WallProblem& problem, std::uint32_t keep_hits,
+                 const BackwardOptions& options)
+        : Passes(d, problem.settings.image, problem.scene,
+                 std::vector<reference::PixelGradient>(problem.scene.rays.size()),
+                 make_options(problem.weights, keep_hits), options),
+          losses(make_losses(d, problem.weights, std::uint32_t(problem.scene.rays.size()))),
           loss_terms(d, std::vector<float>(kLossTerms, 0.0f), "terms") {
         std::vector<DeviceTarget> t;
-        for (const reference::Target& target : p.targets)
+        for (const reference::Target& target : problem.targets)
             t.push_back({float(target.range_m), float(target.intensity), 1.0f});
         targets.upload(t);
-        for (const reference::Target& target : p.targets) n_returned += target.range_m > 0.0;
+        for (const reference::Target& target : problem.targets) n_returned += target.range_m > 0.0;
     }
     void run_all() {
         const TargetBatch measured{
@@ -163,51 +165,54 @@ struct DevicePasses : test::Passes {
 };
 
 /// Computes the expected gradient rows by central differences, with the names and order
-/// of `actual_rows`.
-std::vector<std::pair<std::string, std::vector<double>>> expected_rows(WallProblem& p) {
+/// of `collect_actual_rows`.
+std::vector<std::pair<std::string, std::vector<double>>> compute_expected_rows(WallProblem& problem) {
     std::vector<std::pair<std::string, std::vector<double>>> rows;
-    const auto terms = [&] { return p.terms(); };
-    const auto add = [&](const char* name, double* x, int n, double step = test::kDifferenceStep) {
-        rows.emplace_back(name, test::central_differences(x, n, terms, step));
+    const auto terms = [&] { return problem.terms(); };
+    const auto add = [&](const char* name, double* value, int count, double step = test::kDifferenceStep) {
+        rows.emplace_back(name, test::compute_central_differences(value, count, terms, step));
     };
-    for (reference::Surfel& s : p.scene.world.surfels) {
+    for (reference::Surfel& s : problem.scene.world.surfels) {
         add("mean", &s.mean.x, 3);
         add("rotation", &s.rotation.x, 4);
         add("log_scale", &s.log_scale.x, 2);
         add("opacity_logit", &s.opacity_logit, 1, test::kLogitStep);
     }
-    for (reference::Ray& ray : p.scene.rays) {
+    for (reference::Ray& ray : problem.scene.rays) {
         add("ray origin", &ray.origin.x, 3);
         add("ray direction", &ray.direction.x, 3, test::kAngleStep);
     }
     const auto add_twist = [&](const char* name,
                                const std::function<void(const glm::dvec3&, const glm::dvec3&)>& move) {
         glm::dvec3 v(0.0), w(0.0);
-        const auto moved = [&] { return move(v, w), p.terms(); };
-        rows.emplace_back(std::string(name) + " translation", test::central_differences(&v.x, 3, moved));
+        const auto moved = [&] { return move(v, w), problem.terms(); };
+        rows.emplace_back(std::string(name) + " translation",
+                          test::compute_central_differences(&v.x, 3, moved));
         rows.emplace_back(std::string(name) + " rotation",
-                          test::central_differences(&w.x, 3, moved, test::kAngleStep));
+                          test::compute_central_differences(&w.x, 3, moved, test::kAngleStep));
         move(glm::dvec3(0.0), glm::dvec3(0.0));
     };
-    for (reference::Placement& placed : p.scene.world.instances) {
+    for (reference::Placement& placed : problem.scene.world.instances) {
         const Pose start = placed.world_from_model;
-        add_twist("pose", [&](const glm::dvec3& v, const glm::dvec3& w) {
-            placed.world_from_model = {test::turn_by(w) * start.rotation, start.translation + v};
+        add_twist("pose", [&](const glm::dvec3& vector, const glm::dvec3& w) {
+            placed.world_from_model = {test::make_rotation_by(w) * start.rotation,
+                                       start.translation + vector};
         });
     }
-    const std::vector<reference::Ray> rays = p.scene.rays;
-    add_twist("sensor", [&](const glm::dvec3& v, const glm::dvec3& w) {
+    const std::vector<reference::Ray> rays = problem.scene.rays;
+    add_twist("sensor", [&](const glm::dvec3& vector, const glm::dvec3& w) {
         for (std::size_t i = 0; i < rays.size(); ++i)
-            p.scene.rays[i] = {
-                p.settings.view_origin + test::turn_by(w) * (rays[i].origin - p.settings.view_origin) + v,
-                test::turn_by(w) * rays[i].direction, rays[i].measured_m};
+            problem.scene.rays[i] = {
+                problem.settings.view_origin +
+                    test::make_rotation_by(w) * (rays[i].origin - problem.settings.view_origin) + vector,
+                test::make_rotation_by(w) * rays[i].direction, rays[i].measured_m};
     });
     return rows;
 }
 
-std::vector<std::vector<double>> actual_rows(const Gradients& g) {
+std::vector<std::vector<double>> collect_actual_rows(const Gradients& gradients) {
     std::vector<std::vector<double>> rows;
-    const Surfels s = g.surfels.download();
+    const Surfels s = gradients.surfels.download();
     for (std::size_t i = 0; i < s.size(); ++i)
         for (const std::vector<double>& row : {lanes(s.mean[i], 3), lanes(s.rotation[i], 4),
                                                lanes(s.log_scale[i], 2), lanes(&s.opacity_logit[i], 1)})
@@ -216,7 +221,7 @@ std::vector<std::vector<double>> actual_rows(const Gradients& g) {
         const std::vector<float> values = array.download();
         for (std::size_t k = 0; k < values.size(); k += 3) rows.push_back(lanes(&values[k], 3));
     };
-    add(g.rays), add(g.poses), add(g.sensor);
+    add(gradients.rays), add(gradients.poses), add(gradients.sensor);
     return rows;
 }
 
@@ -226,16 +231,17 @@ using Rows = std::vector<std::pair<std::string, std::vector<double>>>;
 /// division, each with a random sign. Applies the errors to the exp of scales, to the
 /// sigmoid of opacities, to the exp of hits one standard deviation from the mean, and to
 /// the division that computes distances along a ray.
-WallProblem rounded(const WallProblem& p, std::uint64_t seed) {
-    WallProblem moved = p;
+WallProblem rounded(const WallProblem& problem, std::uint64_t seed) {
+    WallProblem moved = problem;
     std::mt19937_64 random(seed);
     const auto sign = [&] { return random() % 2 == 0 ? -1.0 : 1.0; };
     for (reference::Surfel& s : moved.scene.world.surfels) {
         const double opacity = 1.0 / (1.0 + std::exp(-s.opacity_logit));
         // relative error
-        const double alpha = test::sigmoid_error(opacity, s.opacity_logit) / opacity + test::exp_error(0.5);
+        const double alpha =
+            test::compute_sigmoid_error(opacity, s.opacity_logit) / opacity + test::compute_exp_error(0.5);
         s.opacity_logit += sign() * alpha / (1.0 - opacity);
-        for (int k = 0; k < 2; ++k) s.log_scale[k] += sign() * test::exp_error(s.log_scale[k]);
+        for (int k = 0; k < 2; ++k) s.log_scale[k] += sign() * test::compute_exp_error(s.log_scale[k]);
     }
     constexpr double kWall_m = 6.0;
     for (reference::Ray& ray : moved.scene.rays)
@@ -245,11 +251,11 @@ WallProblem rounded(const WallProblem& p, std::uint64_t seed) {
 
 /// Returns the gradient rows of the problem, and for each row the largest change that
 /// random rounding errors cause.
-std::pair<Rows, std::vector<double>> expected_and_moved(const WallProblem& p) {
+std::pair<Rows, std::vector<double>> compute_expected_and_moved(const WallProblem& problem) {
     std::vector<Rows> draws(5);  // the first is the problem itself
-    parallel_for(int(draws.size()), [&](int i) {
-        WallProblem drawn = i == 0 ? p : rounded(p, std::uint64_t(i));
-        draws[std::size_t(i)] = expected_rows(drawn);
+    parallel_for(int(draws.size()), [&](int index) {
+        WallProblem drawn = index == 0 ? problem : rounded(problem, std::uint64_t(index));
+        draws[std::size_t(index)] = compute_expected_rows(drawn);
     });
     std::vector<double> moved(draws[0].size(), 0.0);
     for (const Rows& rows : draws)
@@ -271,7 +277,7 @@ protected:
         for (std::size_t k = 0; k < actual.size(); ++k) {
             std::vector<double> difference = expected[k].second;
             for (std::size_t j = 0; j < difference.size(); ++j) difference[j] -= actual[k][j];
-            const double small = test::kSmallRow * table.groups().at(expected[k].first).largest_row();
+            const double small = test::kSmallRow * table.groups().at(expected[k].first).find_largest_row();
             const double scale = std::max(test::GradientGroup::norm(expected[k].second), small);
             EXPECT_LE(test::GradientGroup::norm(difference),
                       3.0 * test::kKernelGradient * scale + 2.0 * moved[k])
@@ -281,7 +287,7 @@ protected:
 
     void expect_agreement(const LossWeights& weights, const std::string& title) {
         const WallProblem p(weights);
-        const auto [expected, moved] = expected_and_moved(p);
+        const auto [expected, moved] = compute_expected_and_moved(p);
         for (const Reduction reduction : {Reduction::atomics, Reduction::gather})
             for (const std::uint32_t kept : {0u, 4u}) {
                 DevicePasses passes(device(), p, kept, {.reduction = reduction});
@@ -290,7 +296,7 @@ protected:
                 const std::vector<float> device_result = passes.loss_terms.download();
                 EXPECT_NEAR(std::accumulate(device_result.begin(), device_result.end(), 0.0),
                             std::accumulate(terms.begin(), terms.end(), 0.0), 1e-5);
-                const std::vector<std::vector<double>> actual = actual_rows(passes.gradients());
+                const std::vector<std::vector<double>> actual = collect_actual_rows(passes.gradients());
                 ASSERT_EQ(actual.size(), expected.size());
                 GradientTable table;
                 for (std::size_t k = 0; k < actual.size(); ++k)
@@ -298,14 +304,14 @@ protected:
                 table.print(title);
                 expect_rows(table, expected, moved, actual, title);
                 for (const auto& [name, group] : table.groups()) {
-                    EXPECT_EQ(group.missing_rows(), 0u) << name << ", " << title;
-                    EXPECT_GT(group.nonzero_rows(), 0u) << name << ", " << title;
+                    EXPECT_EQ(group.count_missing_rows(), 0u) << name << ", " << title;
+                    EXPECT_GT(group.count_nonzero_rows(), 0u) << name << ", " << title;
                 }
             }
     }
 };
 
-LossWeights weights_of(float image, float likelihood) {
+LossWeights make_weights(float image, float likelihood) {
     LossWeights w;
     w.depth = w.intensity = w.drop = image;
     w.likelihood = likelihood, w.chamfer = 0.0f;
@@ -314,8 +320,8 @@ LossWeights weights_of(float image, float likelihood) {
     return w;
 }
 
-TEST_F(LikelihoodGradient, Alone) { expect_agreement(weights_of(0.0f, 1.0f), "likelihood"); }
-TEST_F(LikelihoodGradient, WithTheImageLosses) { expect_agreement(weights_of(0.1f, 0.3f), "all terms"); }
+TEST_F(LikelihoodGradient, Alone) { expect_agreement(make_weights(0.0f, 1.0f), "likelihood"); }
+TEST_F(LikelihoodGradient, WithTheImageLosses) { expect_agreement(make_weights(0.1f, 0.3f), "all terms"); }
 
 /// Tests two surfels that are 30 cm apart. The measured range of the ray is the range of
 /// the second surfel. In closed form S = w_0 k + w_1 with k = 1 / (1 + (0.3 / s)^2).
@@ -335,7 +341,7 @@ TEST_F(LikelihoodGradient, TwoSurfelsInClosedForm) {
         scene.rays = {{{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, t[1]}};
         std::vector<reference::PixelGradient> upstream(1);
         upstream[0].likelihood = 1.0;
-        RendererOptions options = test::options_of({});
+        RendererOptions options = test::make_options({});
         options.trace.likelihood = RangeKernel{0.1f};
         test::Passes passes(device(), {}, scene, upstream, options);
         passes.run();
@@ -357,7 +363,7 @@ TEST_F(LikelihoodGradient, TwoSurfelsInClosedForm) {
 }
 
 TEST_F(LikelihoodGradient, GatheredTheSameBitsInEveryRun) {
-    const WallProblem p(weights_of(0.1f, 0.3f));
+    const WallProblem p(make_weights(0.1f, 0.3f));
     std::vector<float> first;
     for (int i = 0; i < 3; ++i) {
         DevicePasses passes(device(), p, 0, {.reduction = Reduction::gather});

@@ -21,10 +21,10 @@ constexpr double kApart_m = 1.5;
 
 /// Places copies of an actor in front of a sensor at the origin. Every third copy is
 /// turned around. The poses have no rounding errors.
-/// @param own true if every copy has separate, different surfels
-test::RandomScene many_actors(bool own, int n_actors) {
+/// @param has_models true if every copy has separate, different surfels
+test::RandomScene make_many_actors(bool has_models, int n_actors) {
     constexpr int kSurfels = 12;
-    const int n_surfels = own ? kSurfels * n_actors : kSurfels;
+    const int n_surfels = has_models ? kSurfels * n_actors : kSurfels;
     const test::RandomScene drawn = test::make_random_scene(
         {.seed = 71, .background_surfels = n_surfels, .actor_surfels = 0, .actor_instances = 0, .rays = 0},
         {});
@@ -36,7 +36,7 @@ test::RandomScene many_actors(bool own, int n_actors) {
     for (int i = 0; i < n_actors; ++i) {
         const glm::dvec3 cell(i % kAcross, i / kAcross % kAcross - 4.5, i / (kAcross * kAcross) - 4.5);
         const glm::dquat turn = i % 3 == 0 ? glm::dquat(0.0, 0.0, 0.0, 1.0) : glm::dquat(1.0, 0.0, 0.0, 0.0);
-        const auto first = static_cast<std::uint32_t>(own ? kSurfels * i : 0);
+        const auto first = static_cast<std::uint32_t>(has_models ? kSurfels * i : 0);
         scene.world.instances.push_back(
             {first, kSurfels, {turn, glm::dvec3(4.0, 0.0, 0.0) + kApart_m * cell}});
     }
@@ -45,20 +45,20 @@ test::RandomScene many_actors(bool own, int n_actors) {
 
 /// Adds rays towards actors. Optionally, each ray must have a minimum distance to
 /// discontinuities, so that it can be compared with the reference.
-void add_rays(test::RandomScene& scene, std::size_t n, const reference::Settings* margins) {
+void add_rays(test::RandomScene& scene, std::size_t count, const reference::Settings* margins) {
     std::mt19937_64 random(73);
     std::uniform_real_distribution<double> aside(-0.4, 0.4);
-    for (int attempt = 0; attempt < 2000 && scene.rays.size() < n; ++attempt) {
+    for (int attempt = 0; attempt < 2000 && scene.rays.size() < count; ++attempt) {
         const glm::dvec3 actor =
             scene.world.instances[random() % scene.world.instances.size()].world_from_model.translation;
         const glm::dvec3 towards = actor + glm::dvec3(aside(random), aside(random), aside(random));
         const reference::Ray ray{glm::dvec3(0.0), glm::dvec3(glm::vec3(glm::normalize(towards)))};
-        if (!margins || test::keeps_margins(scene.world, *margins, ray, {})) scene.rays.push_back(ray);
+        if (!margins || test::has_margins(scene.world, *margins, ray, {})) scene.rays.push_back(ray);
     }
 }
 
 /// Returns the normalised mean squared error over all rows of a group.
-double nmse(const test::GradientGroup& group) {
+double compute_normalised_error(const test::GradientGroup& group) {
     double difference = 0.0, size = 0.0;
     for (std::size_t i = 0; i < group.expected.size(); ++i)
         for (std::size_t k = 0; k < group.expected[i].size(); ++k) {
@@ -72,24 +72,25 @@ class ManyActors : public test::DeviceTest {
 protected:
     /// Evaluates the SH along the ray for a thousand instances of one model, and along
     /// the surfel for a thousand models.
-    static ImageModel image_of(bool own) {
-        return {.sh_direction = own ? ShDirection::surfel : ShDirection::ray};
+    static ImageModel make_image_model(bool has_models) {
+        return {.sh_direction = has_models ? ShDirection::surfel : ShDirection::ray};
     }
 };
 
 TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
     for (const bool own : {false, true}) {
         reference::Settings settings;
-        settings.image = image_of(own);
-        test::RandomScene scene = many_actors(own, kAcross * kAcross * kAcross);
+        settings.image = make_image_model(own);
+        test::RandomScene scene = make_many_actors(own, kAcross * kAcross * kAcross);
         settings.view_origin = scene.view_origin;
         add_rays(scene, 30, &settings);
         ASSERT_EQ(scene.rays.size(), 30u);
-        const std::vector<reference::PixelGradient> upstream = test::random_upstream(scene.rays.size(), 74);
+        const std::vector<reference::PixelGradient> upstream =
+            test::make_random_upstream(scene.rays.size(), 74);
         const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
         reference::Gradients expected(scene.world);
         test::GradientTable table;
-        Passes passes(device(), settings.image, scene, upstream, test::options_of(settings.image));
+        Passes passes(device(), settings.image, scene, upstream, test::make_options(settings.image));
         passes.run();
         const std::vector<shared::RenderedRay> rendered = passes.renderer.rendered().rendered->download();
         for (std::size_t i = 0; i < scene.rays.size(); ++i) {
@@ -106,15 +107,15 @@ TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
         for (const auto& [name, group] : table.groups()) {
             // Computes the error over all rows, because a single row has only one or two
             // hits whose terms may cancel.
-            EXPECT_LE(nmse(group), test::kKernelNmse) << name;
-            EXPECT_EQ(group.missing_rows(), 0u) << name;
-            EXPECT_GT(group.nonzero_rows(), 0u) << name;
+            EXPECT_LE(compute_normalised_error(group), test::kKernelNmse) << name;
+            EXPECT_EQ(group.count_missing_rows(), 0u) << name;
+            EXPECT_GT(group.count_nonzero_rows(), 0u) << name;
         }
     }
 }
 
 /// Returns targets 0.1 m behind and 0.1 brighter than the first rendering.
-std::vector<DeviceTarget> targets_near(const std::vector<shared::RenderedRay>& rendered) {
+std::vector<DeviceTarget> make_targets_near(const std::vector<shared::RenderedRay>& rendered) {
     std::vector<DeviceTarget> targets;
     for (const shared::RenderedRay& r : rendered)
         targets.push_back({.range_m = r.depth + 0.1f, .intensity = r.intensity + 0.1f, .weight = 1.0f});
@@ -128,7 +129,8 @@ std::vector<float> train(Passes& passes) {
     Device& device = renderer.stream().device();
     passes.run_forward();
     renderer.stream().finish();
-    const std::vector<DeviceTarget> values = targets_near(passes.renderer.rendered().rendered->download());
+    const std::vector<DeviceTarget> values =
+        make_targets_near(passes.renderer.rendered().rendered->download());
     const Array<DeviceTarget> targets(device, std::span<const DeviceTarget>(values), "targets");
     const Array<float> terms(device, kLossTerms, "loss terms");
     const auto n = static_cast<std::uint32_t>(values.size());
@@ -155,11 +157,11 @@ std::vector<float> train(Passes& passes) {
 
 TEST_F(ManyActors, Train) {
     for (const bool own : {false, true}) {
-        test::RandomScene scene = many_actors(own, kAcross * kAcross * kAcross);
+        test::RandomScene scene = make_many_actors(own, kAcross * kAcross * kAcross);
         add_rays(scene, 300, nullptr);
-        Passes passes(device(), image_of(own), scene,
+        Passes passes(device(), make_image_model(own), scene,
                       std::vector<reference::PixelGradient>(scene.rays.size()),
-                      test::options_of(image_of(own)));
+                      test::make_options(make_image_model(own)));
         const std::vector<float> losses = train(passes);
         const char* what = own ? "1000 models" : "1000 instances of a model";
         std::printf("%s: loss %.5f, after 20 steps %.5f\n", what, double(losses.front()),
@@ -167,7 +169,7 @@ TEST_F(ManyActors, Train) {
         EXPECT_LT(losses.back(), 0.8f * losses.front());
         for (const float l : losses) EXPECT_TRUE(std::isfinite(l));
         const Surfels end = passes.renderer.scene().parameters().download();
-        for (const ParameterGroup& group : groups_of(end.parameters()))
+        for (const ParameterGroup& group : list_parameter_groups(end.parameters()))
             for (const float x : group.values(end)) ASSERT_TRUE(std::isfinite(x)) << group.name;
     }
 }
@@ -178,11 +180,11 @@ TEST_F(ManyActors, AreLaunchedTogether) {
     SurfelLoss surfel_loss(device(), {.box = 0.1f});
     const Array<float> terms(device(), kLossTerms, "loss terms");
     const auto launches = [&](int n_actors) {
-        test::RandomScene scene = many_actors(true, n_actors);
+        test::RandomScene scene = make_many_actors(true, n_actors);
         add_rays(scene, 10, nullptr);
-        Passes passes(device(), image_of(true), scene,
+        Passes passes(device(), make_image_model(true), scene,
                       std::vector<reference::PixelGradient>(scene.rays.size()),
-                      test::options_of(image_of(true)));
+                      test::make_options(make_image_model(true)));
         passes.run();  // builds the tree, which takes a number of launches logarithmic in its size
         Stream& stream = passes.renderer.stream();
         stream.reset_times();

@@ -17,21 +17,22 @@
 
 namespace relidar::test {
 
-/// Returns the rotation by |w| radians about w.
-inline glm::dquat turn_by(const glm::dvec3& w) {
-    return glm::length(w) > 0.0 ? glm::angleAxis(glm::length(w), glm::normalize(w))
-                                : glm::dquat(1.0, 0.0, 0.0, 0.0);
+/// Returns the rotation by |rotation_vector| radians about `rotation_vector`.
+inline glm::dquat make_rotation_by(const glm::dvec3& rotation_vector) {
+    return glm::length(rotation_vector) > 0.0
+               ? glm::angleAxis(glm::length(rotation_vector), glm::normalize(rotation_vector))
+               : glm::dquat(1.0, 0.0, 0.0, 0.0);
 }
 
 /// Returns options that trace boxes, with chunks of 4 hits for harmonics along the ray
 /// and of 16 along the surfel. All tests use these chunk sizes, because creating kernels
 /// takes most of the test time.
-inline RendererOptions options_of(const ImageModel& model) {
+inline RendererOptions make_options(const ImageModel& model) {
     return {.accel = {.proxy = Proxy::boxes},
             .trace = {.chunk = model.sh_direction == ShDirection::ray ? 4 : 16}};
 }
 
-inline RendererOptions with_room(RendererOptions options, std::size_t n_rays) {
+inline RendererOptions add_hit_room(RendererOptions options, std::size_t n_rays) {
     options.n_rays = static_cast<std::uint32_t>(n_rays);
     return options;
 }
@@ -50,7 +51,7 @@ struct Passes {
            const std::vector<reference::PixelGradient>& g, const RendererOptions& options,
            const BackwardOptions& sums = {})
         : placed(to_scene(to_surfels(s.world.surfels), s.world.instances)),
-          renderer(device, placed.scene, model, with_room(options, s.rays.size()),
+          renderer(device, placed.scene, model, add_hit_room(options, s.rays.size()),
                    {.sums = sums, .wanted = {.rays = true, .poses = true}}),
           rays(device, std::span<const DeviceRay>(to_device_rays(to_world_rays(s.rays))), "rays"),
           targets(device, std::span<const shared::DeviceTarget>(to_targets(s.rays)), "targets"),
@@ -109,9 +110,9 @@ inline GatheredHits download_gathered_hits(Passes& passes) {
 }
 
 template <class Vector>
-std::vector<double> lanes(const Vector& v, int n) {
+std::vector<double> lanes(const Vector& v, int count) {
     std::vector<double> row;
-    for (int k = 0; k < n; ++k) row.push_back(v[k]);
+    for (int k = 0; k < count; ++k) row.push_back(v[k]);
     return row;
 }
 

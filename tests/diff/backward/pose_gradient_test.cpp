@@ -32,47 +32,49 @@ struct PoseProblem {
         settings.image.primitive = options.primitive;
         scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
-        upstream = test::random_upstream(scene.rays.size(), options.seed);
+        upstream = test::make_random_upstream(scene.rays.size(), options.seed);
     }
 
-    std::vector<double> terms(const std::vector<reference::Ray>& rays, const reference::Settings& s) const {
-        const reference::BruteForce brute(scene.world, s.image, reference::Precision::double_record);
+    std::vector<double> terms(const std::vector<reference::Ray>& rays,
+                              const reference::Settings& setting) const {
+        const reference::BruteForce brute(scene.world, setting.image, reference::Precision::double_record);
         std::vector<double> result;
         for (std::size_t i = 0; i < rays.size(); ++i) {
-            const reference::Pixel p = render(scene.world, brute, s, rays[i], 16);
-            result.push_back(inner_product(upstream[i], p));
+            const reference::Pixel p = render(scene.world, brute, setting, rays[i], 16);
+            result.push_back(compute_inner_product(upstream[i], p));
         }
         return result;
     }
 
-    /// Returns the loss terms after the sensor is translated by v and rotated by w about
-    /// the view origin.
-    std::vector<double> terms_of_moved_sensor(const glm::dvec3& v, const glm::dvec3& w) const {
-        const glm::dquat turn = test::turn_by(w);
+    /// Returns the loss terms after the sensor is translated by `vector` and rotated by w
+    /// about the view origin.
+    std::vector<double> compute_terms_of_moved_sensor(const glm::dvec3& vector, const glm::dvec3& w) const {
+        const glm::dquat turn = test::make_rotation_by(w);
         reference::Settings s = settings;
-        s.view_origin += v;
+        s.view_origin += vector;
         std::vector<reference::Ray> rays = scene.rays;
         for (reference::Ray& ray : rays)
-            ray = {settings.view_origin + turn * (ray.origin - settings.view_origin) + v,
+            ray = {settings.view_origin + turn * (ray.origin - settings.view_origin) + vector,
                    turn * ray.direction, 0.0, ray.time_s};
         return terms(rays, s);
     }
 };
 
 /// Computes central differences of `terms` with respect to a twist (v, w).
-std::vector<double> twist_differences(
+std::vector<double> compute_twist_differences(
     const std::function<std::vector<double>(const glm::dvec3&, const glm::dvec3&)>& terms) {
     glm::dvec3 v(0.0), w(0.0);
     const auto now = [&] { return terms(v, w); };
-    std::vector<double> result = test::central_differences(&v.x, 3, now);
-    for (const double x : test::central_differences(&w.x, 3, now, test::kAngleStep)) result.push_back(x);
+    std::vector<double> result = test::compute_central_differences(&v.x, 3, now);
+    for (const double x : test::compute_central_differences(&w.x, 3, now, test::kAngleStep))
+        result.push_back(x);
     return result;
 }
 
 void add_twist(GradientTable& table, const std::string& name, const std::vector<double>& expected,
                const std::vector<double>& actual) {
-    const auto half = [](const std::vector<double>& row, int i) {
-        return std::vector<double>(row.begin() + 3 * i, row.begin() + 3 * i + 3);
+    const auto half = [](const std::vector<double>& row, int index) {
+        return std::vector<double>(row.begin() + 3 * index, row.begin() + 3 * index + 3);
     };
     table.add_row(name + " translation", half(expected, 0), half(actual, 0));
     table.add_row(name + " rotation", half(expected, 1), half(actual, 1));
@@ -89,7 +91,7 @@ protected:
         for (std::size_t i = 0; i < p.scene.rays.size(); ++i)
             reference::backward(p.scene.world, brute, p.settings, p.scene.rays[i], 16, p.upstream[i],
                                 expected);
-        Passes passes(device(), p.settings.image, p.scene, p.upstream, test::options_of(p.settings.image));
+        Passes passes(device(), p.settings.image, p.scene, p.upstream, test::make_options(p.settings.image));
         passes.run();
         const std::vector<float> poses = passes.gradients().poses.download();
         GradientTable table;
@@ -99,13 +101,13 @@ protected:
             add_twist(table, "reference pose", row, lanes(poses.data() + 6 * k, 6));
             reference::Placement& placed = p.scene.world.instances[k];
             const Pose start = placed.world_from_model;
-            const std::vector<double> differences =
-                twist_differences([&](const glm::dvec3& v, const glm::dvec3& w) {
-                    const Pose changed{test::turn_by(w) * start.rotation, start.translation + v};
-                    if (options.moving) placed.change = inverse(start) * changed;
-                    else placed.world_from_model = changed;
-                    return p.terms(p.scene.rays, p.settings);
-                });
+            const std::vector<double> differences = compute_twist_differences([&](const glm::dvec3& vector,
+                                                                                  const glm::dvec3& w) {
+                const Pose changed{test::make_rotation_by(w) * start.rotation, start.translation + vector};
+                if (options.moving) placed.change = inverse(start) * changed;
+                else placed.world_from_model = changed;
+                return p.terms(p.scene.rays, p.settings);
+            });
             placed.world_from_model = start, placed.change = {};
             add_twist(table, "differences, pose", differences, lanes(poses.data() + 6 * k, 6));
         }
@@ -113,14 +115,14 @@ protected:
         // Gradients::sensor), so it is not compared.
         if (!options.moving)
             add_twist(table, "differences, sensor",
-                      twist_differences([&](const glm::dvec3& v, const glm::dvec3& w) {
-                          return p.terms_of_moved_sensor(v, w);
+                      compute_twist_differences([&](const glm::dvec3& vector, const glm::dvec3& w) {
+                          return p.compute_terms_of_moved_sensor(vector, w);
                       }),
                       lanes(passes.gradients().sensor.download().data(), 6));
         table.print(title);
         for (const auto& [name, group] : table.groups()) {
-            EXPECT_LE(group.worst_error(), test::kKernelGradient) << name << ", " << title;
-            EXPECT_EQ(group.nonzero_rows(), group.actual.size()) << name << ", " << title;
+            EXPECT_LE(group.compute_worst_error(), test::kKernelGradient) << name << ", " << title;
+            EXPECT_EQ(group.count_nonzero_rows(), group.actual.size()) << name << ", " << title;
         }
     }
 };
@@ -142,15 +144,15 @@ TEST_F(PoseGradient, OfTheSensorIsExactInTranslationWhereModelsOnlyDrive) {
     options.seed = 48, options.rays = 60, options.actor_instances = 3, options.moving = true,
     options.turn_rate = 0.0;
     PoseProblem p(ShDirection::ray, options);
-    Passes passes(device(), p.settings.image, p.scene, p.upstream, test::options_of(p.settings.image));
+    Passes passes(device(), p.settings.image, p.scene, p.upstream, test::make_options(p.settings.image));
     passes.run();
     glm::dvec3 v(0.0);
-    const std::vector<double> expected =
-        test::central_differences(&v.x, 3, [&] { return p.terms_of_moved_sensor(v, glm::dvec3(0.0)); });
+    const std::vector<double> expected = test::compute_central_differences(
+        &v.x, 3, [&] { return p.compute_terms_of_moved_sensor(v, glm::dvec3(0.0)); });
     GradientTable table;
     table.add_row("sensor translation", expected, lanes(passes.gradients().sensor.download().data(), 3));
     table.print("sensor, models that drive");
-    EXPECT_LE(table.groups().at("sensor translation").worst_error(), test::kKernelGradient);
+    EXPECT_LE(table.groups().at("sensor translation").compute_worst_error(), test::kKernelGradient);
 }
 
 TEST_F(PoseGradient, GaussiansPlacedTwice) {
@@ -175,7 +177,7 @@ TEST_F(PoseGradient, MoreSurfelsThanThreadsOfAWorkgroup) {
 }
 
 /// Makes a street of `n_background` surfels and an actor of `n_actor` surfels.
-Scene background_and_actor(std::uint32_t n_background, std::uint32_t n_actor) {
+Scene make_background_and_actor(std::uint32_t n_background, std::uint32_t n_actor) {
     Scene layout = make_background_scene(make_benchmark_street(n_background + n_actor));
     layout.models = {{"background", 0, n_background}, {"actor", n_background, n_actor}};
     layout.instances.push_back({1, "actor"});
@@ -185,7 +187,7 @@ Scene background_and_actor(std::uint32_t n_background, std::uint32_t n_actor) {
 /// Uses a street and an actor with several blocks of surfels each, and random gradients
 /// of the hits. Compares with sums in double and checks that all runs give the same bits.
 TEST_F(PoseGradient, ManyBlocksOfSurfels) {
-    const Scene layout = background_and_actor(2500, 1100);
+    const Scene layout = make_background_and_actor(2500, 1100);
     const std::size_t n = layout.surfels.size();
     const glm::dvec3 view_origin(1.0, -2.0, 0.5);
     const Pose pose{glm::angleAxis(0.7, glm::normalize(glm::dvec3(1.0, 2.0, 3.0))), {4.0, -1.0, 0.3}};
@@ -211,9 +213,9 @@ TEST_F(PoseGradient, ManyBlocksOfSurfels) {
         kernels.run(stream, scene, model, glm::vec3(view_origin), gradients);
         stream.finish();
         const std::vector<float> poses = gradients.poses.download(),
-                                 records = test::floats_of(scene.records().download());
-        const auto three = [](const std::vector<float>& v, std::size_t i) {
-            return glm::dvec3(v[i], v[i + 1], v[i + 2]);
+                                 records = test::to_floats(scene.records().download());
+        const auto three = [](const std::vector<float>& v, std::size_t index) {
+            return glm::dvec3(v[index], v[index + 1], v[index + 2]);
         };
         GradientTable table;
         for (std::size_t k = 0; k < 2; ++k) {
@@ -236,7 +238,7 @@ TEST_F(PoseGradient, ManyBlocksOfSurfels) {
         }
         table.print("poses, blocks of surfels");
         for (const auto& [name, group] : table.groups())
-            EXPECT_LE(group.worst_error(), test::kKernelGradient) << name;
+            EXPECT_LE(group.compute_worst_error(), test::kKernelGradient) << name;
         for (int again = 0; again < 5; ++again) {
             kernels.run(stream, scene, model, glm::vec3(view_origin), gradients);
             stream.finish();
@@ -251,7 +253,7 @@ TEST_F(PoseGradient, WhatNoRayMeetsHasNone) {
     test::RandomSceneOptions options;
     options.seed = 44, options.actor_instances = 3;
     PoseProblem p(ShDirection::ray, options);
-    Passes passes(device(), p.settings.image, p.scene, p.upstream, test::options_of(p.settings.image));
+    Passes passes(device(), p.settings.image, p.scene, p.upstream, test::make_options(p.settings.image));
     std::vector<InstancePose> placed = passes.renderer.scene().poses();
     placed[1].world_from_model.translation = {-20.0, 0.0, 0.0};
     placed[2].present = false;

@@ -31,14 +31,14 @@ struct Problem {
         settings.likelihood_scale_m = 0.3;
         scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
-        upstream = test::random_upstream(scene.rays.size(), options.seed + 1, outputs);
+        upstream = test::make_random_upstream(scene.rays.size(), options.seed + 1, outputs);
     }
 
     /// Renders with all hits in one chunk, which is faster than several chunks. A
     /// separate test shows that the chunk size does not change the result.
-    double term(const BruteForce& brute, std::size_t i) const {
-        const Pixel p = render(scene.world, brute, settings, scene.rays[i], 1000);
-        return inner_product(upstream[i], p);
+    double term(const BruteForce& brute, std::size_t index) const {
+        const Pixel p = render(scene.world, brute, settings, scene.rays[index], 1000);
+        return compute_inner_product(upstream[index], p);
     }
     BruteForce brute() const { return {scene.world, settings.image, Precision::double_record}; }
     std::vector<double> terms() const {
@@ -57,8 +57,8 @@ struct Problem {
     }
 };
 
-std::vector<double> row(const double* values, int n) { return {values, values + n}; }
-std::vector<double> row(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
+std::vector<double> row(const double* values, int count) { return {values, values + count}; }
+std::vector<double> row(const glm::dvec3& vector) { return {vector.x, vector.y, vector.z}; }
 
 struct Row {
     const char* group;
@@ -67,32 +67,33 @@ struct Row {
 
 /// Returns the problem with only the rays that hit a surfel. All other rays have a margin
 /// to the surfel (random_scene.hpp), so small changes of the surfel do not affect them.
-Problem seen_by(Problem p, std::size_t surfel) {
-    const BruteForce provider = p.brute();
+Problem select_one_surfel(Problem problem, std::size_t surfel) {
+    const BruteForce provider = problem.brute();
     std::size_t kept = 0;
-    for (std::size_t i = 0; i < p.scene.rays.size(); ++i) {
-        const std::vector<Hit> hits = all_hits(provider, p.scene.rays[i], p.chunk);
+    for (std::size_t i = 0; i < problem.scene.rays.size(); ++i) {
+        const std::vector<Hit> hits = list_all_hits(provider, problem.scene.rays[i], problem.chunk);
         if (std::none_of(hits.begin(), hits.end(), [&](const Hit& hit) { return hit.surfel == surfel; }))
             continue;
-        p.scene.rays[kept] = p.scene.rays[i];
-        p.upstream[kept++] = p.upstream[i];
+        problem.scene.rays[kept] = problem.scene.rays[i];
+        problem.upstream[kept++] = problem.upstream[i];
     }
-    p.scene.rays.resize(kept);
-    p.upstream.resize(kept);
-    return p;
+    problem.scene.rays.resize(kept);
+    problem.upstream.resize(kept);
+    return problem;
 }
 
 /// Returns the gradient rows of all parameters of a surfel.
-std::vector<Row> surfel_rows(const Problem& all, const Gradients& gradients, std::size_t i) {
-    Problem p = seen_by(all, i);
+std::vector<Row> make_surfel_rows(const Problem& all, const Gradients& gradients, std::size_t index) {
+    Problem p = select_one_surfel(all, index);
     std::vector<Row> rows;
     const auto terms = [&] { return p.terms(); };
-    const auto add = [&](const char* group, double* parameter, const double* d_parameter, int n,
+    const auto add = [&](const char* group, double* parameter, const double* d_parameter, int count,
                          double step = test::kDifferenceStep) {
-        rows.push_back({group, test::central_differences(parameter, n, terms, step), row(d_parameter, n)});
+        rows.push_back({group, test::compute_central_differences(parameter, count, terms, step),
+                        row(d_parameter, count)});
     };
-    Surfel& s = p.scene.world.surfels[i];
-    const Surfel& d = gradients.surfels[i];
+    Surfel& s = p.scene.world.surfels[index];
+    const Surfel& d = gradients.surfels[index];
     add("mean", &s.mean.x, &d.mean.x, 3);
     add("rotation", &s.rotation.x, &d.rotation.x, 4);
     add("log_scale", &s.log_scale.x, &d.log_scale.x, 2);
@@ -105,31 +106,34 @@ std::vector<Row> surfel_rows(const Problem& all, const Gradients& gradients, std
     return rows;
 }
 
-void check_surfels(const Problem& p, const Gradients& gradients, GradientTable& table) {
-    std::vector<std::vector<Row>> surfels(p.scene.world.surfels.size());
-    parallel_for(int(surfels.size()),
-                 [&](int i) { surfels[std::size_t(i)] = surfel_rows(p, gradients, std::size_t(i)); });
+void check_surfels(const Problem& problem, const Gradients& gradients, GradientTable& table) {
+    std::vector<std::vector<Row>> surfels(problem.scene.world.surfels.size());
+    parallel_for(int(surfels.size()), [&](int index) {
+        surfels[std::size_t(index)] = make_surfel_rows(problem, gradients, std::size_t(index));
+    });
     for (const std::vector<Row>& rows : surfels)
         for (const Row& r : rows) table.add_row(r.group, r.expected, r.actual);
 }
 
-void check_rays_and_poses(Problem& p, const Gradients& gradients, const std::vector<RayGradient>& d_rays,
-                          GradientTable& table) {
-    const BruteForce provider = p.brute();
-    for (std::size_t i = 0; i < p.scene.rays.size(); ++i) {
-        const auto term = [&] { return std::vector<double>{p.term(provider, i)}; };
-        table.add_row("ray origin", test::central_differences(&p.scene.rays[i].origin.x, 3, term),
+void check_rays_and_poses(Problem& problem, const Gradients& gradients,
+                          const std::vector<RayGradient>& d_rays, GradientTable& table) {
+    const BruteForce provider = problem.brute();
+    for (std::size_t i = 0; i < problem.scene.rays.size(); ++i) {
+        const auto term = [&] { return std::vector<double>{problem.term(provider, i)}; };
+        table.add_row("ray origin",
+                      test::compute_central_differences(&problem.scene.rays[i].origin.x, 3, term),
                       row(d_rays[i].origin));
-        table.add_row("ray direction",
-                      test::central_differences(&p.scene.rays[i].direction.x, 3, term, test::kAngleStep),
-                      row(d_rays[i].direction));
+        table.add_row(
+            "ray direction",
+            test::compute_central_differences(&problem.scene.rays[i].direction.x, 3, term, test::kAngleStep),
+            row(d_rays[i].direction));
     }
-    const auto terms = [&] { return p.terms(); };
-    table.add_row("view origin", test::central_differences(&p.settings.view_origin.x, 3, terms),
+    const auto terms = [&] { return problem.terms(); };
+    table.add_row("view origin", test::compute_central_differences(&problem.settings.view_origin.x, 3, terms),
                   row(gradients.view_origin));
-    for (std::size_t i = 0; i < p.scene.world.instances.size(); ++i) {
-        Pose& pose = p.scene.world.instances[i].world_from_model;
-        table.add_row("pose translation", test::central_differences(&pose.translation.x, 3, terms),
+    for (std::size_t i = 0; i < problem.scene.world.instances.size(); ++i) {
+        Pose& pose = problem.scene.world.instances[i].world_from_model;
+        table.add_row("pose translation", test::compute_central_differences(&pose.translation.x, 3, terms),
                       row(gradients.instances[i].translation));
         const glm::dquat start = pose.rotation;
         const auto turn = [&](int k, double angle) {
@@ -137,15 +141,16 @@ void check_rays_and_poses(Problem& p, const Gradients& gradients, const std::vec
             axis[k] = 1.0;
             pose.rotation = glm::angleAxis(angle, axis) * start;
         };
-        table.add_row("pose rotation", test::central_differences(3, turn, terms, test::kAngleStep),
+        table.add_row("pose rotation", test::compute_central_differences(3, turn, terms, test::kAngleStep),
                       row(gradients.instances[i].rotation));
     }
 }
 
-std::size_t most_hits(const Problem& p) {
+std::size_t most_hits(const Problem& problem) {
     std::size_t most = 0;
-    for (const Ray& ray : p.scene.rays)
-        most = std::max<std::size_t>(most, render(p.scene.world, p.brute(), p.settings, ray, p.chunk).hits);
+    for (const Ray& ray : problem.scene.rays)
+        most = std::max<std::size_t>(
+            most, render(problem.scene.world, problem.brute(), problem.settings, ray, problem.chunk).hits);
     return most;
 }
 
@@ -161,13 +166,13 @@ void expect_differences_agree(ShDirection direction, const test::RandomSceneOpti
     check_rays_and_poses(problem, gradients, d_rays, table);
     table.print(title);
     for (const auto& [name, group] : table.groups()) {
-        EXPECT_LE(group.worst_error(), test::kReferenceGradient) << name << ", seed " << options.seed;
-        EXPECT_EQ(group.missing_rows(), 0u) << name;
+        EXPECT_LE(group.compute_worst_error(), test::kReferenceGradient) << name << ", seed " << options.seed;
+        EXPECT_EQ(group.count_missing_rows(), 0u) << name;
         // the likelihood does not depend on the channels
         const bool values = outputs == test::Outputs::all;
         const bool constant = (name == "view origin" && !(direction == ShDirection::surfel && values)) ||
                               (name == "sh hit" && single_drop_logit) || (name.starts_with("sh ") && !values);
-        EXPECT_EQ(group.nonzero_rows() == 0u, constant) << name;
+        EXPECT_EQ(group.count_nonzero_rows() == 0u, constant) << name;
     }
 }
 
@@ -222,14 +227,14 @@ TEST(ReferenceGradient, GaussiansOpaqueShAlongSurfel) {
 
 /// Counts the blended hits that are clamped at alpha_max and the rays that end by the
 /// T_min rule.
-std::pair<int, int> count_clamps_and_stops(const Problem& p) {
+std::pair<int, int> count_clamps_and_stopped_rays(const Problem& problem) {
     int clamps = 0, stops = 0;
-    const BruteForce provider = p.brute();
-    for (const Ray& ray : p.scene.rays) {
+    const BruteForce provider = problem.brute();
+    for (const Ray& ray : problem.scene.rays) {
         std::vector<ShadedHit> blended;
-        render(p.scene.world, provider, p.settings, ray, p.chunk, &blended);
+        render(problem.scene.world, provider, problem.settings, ray, problem.chunk, &blended);
         for (const ShadedHit& s : blended) clamps += s.alpha_clamped;
-        stops += blended.size() < all_hits(provider, ray, 16).size();
+        stops += blended.size() < list_all_hits(provider, ray, 16).size();
     }
     return {clamps, stops};
 }
@@ -238,7 +243,7 @@ TEST(ReferenceGradient, OpaqueSceneThatStopsEarly) {
     test::RandomSceneOptions options;
     options.seed = 3;
     options.opacity_low = 0.5, options.opacity_high = 0.98, options.wide_surfels = 2;
-    const auto [clamps, stops] = count_clamps_and_stops(Problem(ShDirection::surfel, options, 2));
+    const auto [clamps, stops] = count_clamps_and_stopped_rays(Problem(ShDirection::surfel, options, 2));
     EXPECT_GT(clamps, 0);
     EXPECT_GT(stops, 0);
     expect_differences_agree(ShDirection::surfel, options, 2, "opaque, chunk 2");

@@ -45,7 +45,7 @@ struct Case {
           options(o),
           densifier(device, scene, options, kAlphaMin, kFrames, kSeed),
           stream(device) {
-        if (with_poison) test::poison(scene.surfels);
+        if (with_poison) test::fill_with_nan(scene.surfels);
         device_scene.parameters().upload(scene.surfels);
         std::mt19937 random(3);
         const std::size_t n = scene.surfels.size();
@@ -74,33 +74,35 @@ struct Case {
     DensifyReport run(int step) { return densifier.run(stream, device_scene, adam, step); }
 };
 
-DensifyOptions adaptive() {
+DensifyOptions make_adaptive_options() {
     DensifyOptions options;
     options.strategy = DensifyStrategy::adaptive;
     return options;
 }
 
-std::vector<Fate> expected_fates(const Case& c, int step) {
+std::vector<Fate> compute_expected_fates(const Case& test_case, int step) {
     std::vector<Fate> fates;
-    for (std::size_t m = 0; m < c.scene.models.size(); ++m) {
-        const Model& model = c.scene.models[m];
-        const double extent = c.densifier.extents_m()[m];
+    for (std::size_t m = 0; m < test_case.scene.models.size(); ++m) {
+        const Model& model = test_case.scene.models[m];
+        const double extent = test_case.densifier.extents_m()[m];
         reference::DensifyRules rules;
-        rules.min_opacity = std::max(c.options.min_opacity, double(kAlphaMin));
-        rules.max_scale = step > c.options.large_from ? c.options.max_extent_share * extent : 1e30;
-        rules.clone_scale = c.options.clone_extent_share * extent;
-        rules.gradient_threshold = c.options.gradient_threshold;
+        rules.min_opacity = std::max(test_case.options.min_opacity, double(kAlphaMin));
+        rules.max_scale =
+            step > test_case.options.large_from ? test_case.options.max_extent_share * extent : 1e30;
+        rules.clone_scale = test_case.options.clone_extent_share * extent;
+        rules.gradient_threshold = test_case.options.gradient_threshold;
         rules.half_size = glm::dvec3(model.half_size_m);
-        rules.key = static_cast<std::uint32_t>(hash64(hash64(kSeed, 1), std::uint64_t(step)));
+        rules.key = static_cast<std::uint32_t>(combine_hashes(combine_hashes(kSeed, 1), std::uint64_t(step)));
         for (std::uint32_t i = model.first; i < model.first + model.count; ++i)
-            fates.push_back(reference::fate_of(test::densified(c.scene.surfels, i),
-                                               c.n_seen[i] ? double(c.gradient_sum[i]) / c.n_seen[i] : 0.0,
-                                               rules, i));
+            fates.push_back(reference::decide_fate(
+                test::densify_surfel(test_case.scene.surfels, i),
+                test_case.n_seen[i] ? double(test_case.gradient_sum[i]) / test_case.n_seen[i] : 0.0, rules,
+                i));
     }
     return fates;
 }
 
-bool survives(Fate fate) { return fate >= Fate::keep; }
+bool is_kept(Fate fate) { return fate >= Fate::keep; }
 
 /// Origin of a row after densification.
 struct Row {
@@ -109,7 +111,7 @@ struct Row {
     bool is_copy;  // not the first row of its source
 };
 
-std::vector<Row> expected_rows(const std::vector<Fate>& fates, std::uint32_t n_new, int step) {
+std::vector<Row> compute_expected_rows(const std::vector<Fate>& fates, std::uint32_t n_new, int step) {
     std::vector<std::uint32_t> weight;
     std::uint32_t total = 0;
     for (std::size_t i = 0; i < fates.size(); ++i) {
@@ -118,35 +120,38 @@ std::vector<Row> expected_rows(const std::vector<Fate>& fates, std::uint32_t n_n
         total += weight.back();
     }
     const std::uint32_t phase =
-        total ? static_cast<std::uint32_t>(hash64(hash64(kSeed, 2), std::uint64_t(step)) % total) : 0u;
-    const std::vector<std::uint32_t> copies = reference::copies_of(weight, n_new, phase);
+        total ? static_cast<std::uint32_t>(combine_hashes(combine_hashes(kSeed, 2), std::uint64_t(step)) %
+                                           total)
+              : 0u;
+    const std::vector<std::uint32_t> copies = reference::count_copies(weight, n_new, phase);
     std::vector<Row> rows;
     for (std::uint32_t i = 0; i < fates.size(); ++i)
-        for (std::uint32_t k = 0; survives(fates[i]) && k < 1 + copies[i]; ++k)
+        for (std::uint32_t k = 0; is_kept(fates[i]) && k < 1 + copies[i]; ++k)
             rows.push_back({i, copies[i] ? fates[i] : Fate::keep, k > 0});
     return rows;
 }
 
-bool same_bits(const float* a, const float* b, std::size_t n) {
-    return std::memcmp(a, b, n * sizeof(float)) == 0;
+bool are_bits_equal(const float* first, const float* second, std::size_t count) {
+    return std::memcmp(first, second, count * sizeof(float)) == 0;
 }
 
-void expect_values(const Case& c, const Row& row, const Surfels& now, std::size_t i, std::uint32_t key) {
-    const Surfels& was = c.scene.surfels;
-    reference::DensifiedSurfel s = test::densified(was, row.source);
-    EXPECT_TRUE(same_bits(&now.sh[i * kShFloats], &was.sh[row.source * kShFloats], kShFloats));
-    EXPECT_EQ(now.rotation[i], was.rotation[row.source]);
+void expect_values(const Case& test_case, const Row& row, const Surfels& surfels, std::size_t index,
+                   std::uint32_t key) {
+    const Surfels& was = test_case.scene.surfels;
+    reference::DensifiedSurfel s = test::densify_surfel(was, row.source);
+    EXPECT_TRUE(are_bits_equal(&surfels.sh[index * kShFloats], &was.sh[row.source * kShFloats], kShFloats));
+    EXPECT_EQ(surfels.rotation[index], was.rotation[row.source]);
     if (row.fate == Fate::split) {
-        s.mean = reference::point_of(s, reference::random_normal2(key, std::uint32_t(i), 2),
-                                     reference::random_normal2(key, std::uint32_t(i), 3).x);
+        s.mean = reference::sample_point(s, reference::draw_normal_pair(key, std::uint32_t(index), 2),
+                                         reference::draw_normal_pair(key, std::uint32_t(index), 3).x);
         s.scale /= 1.6;
         if (s.scale_w) *s.scale_w /= 1.6;
     } else {
-        EXPECT_EQ(now.mean[i], was.mean[row.source]);
-        EXPECT_EQ(now.log_scale[i], was.log_scale[row.source]);
-        EXPECT_EQ(now.opacity_logit[i], was.opacity_logit[row.source]);
+        EXPECT_EQ(surfels.mean[index], was.mean[row.source]);
+        EXPECT_EQ(surfels.log_scale[index], was.log_scale[row.source]);
+        EXPECT_EQ(surfels.opacity_logit[index], was.opacity_logit[row.source]);
     }
-    const reference::DensifiedSurfel actual = test::densified(now, i);
+    const reference::DensifiedSurfel actual = test::densify_surfel(surfels, index);
     EXPECT_LT(glm::length(actual.mean - s.mean),
               2e-5 * (glm::length(s.mean) + s.scale.x + s.scale.y + s.scale_w.value_or(0.0)));
     EXPECT_NEAR(actual.scale_w.value_or(1.0) / s.scale_w.value_or(1.0), 1.0, 2e-4);
@@ -154,37 +159,37 @@ void expect_values(const Case& c, const Row& row, const Surfels& now, std::size_
     EXPECT_NEAR(actual.opacity / s.opacity, 1.0, 1e-4);
 }
 
-void expect_state(Case& c, const std::vector<Row>& rows) {
-    const Surfels m1 = c.adam.moment1().download(), m2 = c.adam.moment2().download();
-    const SurfelStatistics& s = c.densifier.statistics();
+void expect_state(Case& test_case, const std::vector<Row>& rows) {
+    const Surfels m1 = test_case.adam.moment1().download(), m2 = test_case.adam.moment2().download();
+    const SurfelStatistics& s = test_case.densifier.statistics();
     const std::vector<float> sums = s.gradient_sum.download(rows.size());
     const std::vector<std::uint32_t> seen = s.n_seen.download(rows.size()),
                                      frames = s.frames.download(2 * rows.size());
     for (std::size_t i = 0; i < rows.size(); ++i) {
         const std::uint32_t from = rows[i].source;
         const bool fresh = rows[i].is_copy || rows[i].fate == Fate::split;
-        ASSERT_EQ(m1.opacity_logit[i], fresh ? 0.0f : c.moment1.opacity_logit[from]) << i;
-        ASSERT_EQ(m2.opacity_logit[i], fresh ? 0.0f : c.moment2.opacity_logit[from]) << i;
-        ASSERT_EQ(m1.mean[i], fresh ? glm::vec3(0.0f) : c.moment1.mean[from]);
-        ASSERT_EQ(m2.rotation[i], fresh ? glm::vec4(0.0f) : c.moment2.rotation[from]);
-        ASSERT_EQ(m1.log_scale[i], fresh ? glm::vec2(0.0f) : c.moment1.log_scale[from]);
+        ASSERT_EQ(m1.opacity_logit[i], fresh ? 0.0f : test_case.moment1.opacity_logit[from]) << i;
+        ASSERT_EQ(m2.opacity_logit[i], fresh ? 0.0f : test_case.moment2.opacity_logit[from]) << i;
+        ASSERT_EQ(m1.mean[i], fresh ? glm::vec3(0.0f) : test_case.moment1.mean[from]);
+        ASSERT_EQ(m2.rotation[i], fresh ? glm::vec4(0.0f) : test_case.moment2.rotation[from]);
+        ASSERT_EQ(m1.log_scale[i], fresh ? glm::vec2(0.0f) : test_case.moment1.log_scale[from]);
         if (m1.primitive == Primitive::gaussian) {
-            ASSERT_EQ(m1.log_scale_w[i], fresh ? 0.0f : c.moment1.log_scale_w[from]);
+            ASSERT_EQ(m1.log_scale_w[i], fresh ? 0.0f : test_case.moment1.log_scale_w[from]);
         }
-        ASSERT_EQ(m2.sh[i * kShFloats + 16], fresh ? 0.0f : c.moment2.sh[from * kShFloats + 16]);
+        ASSERT_EQ(m2.sh[i * kShFloats + 16], fresh ? 0.0f : test_case.moment2.sh[from * kShFloats + 16]);
         ASSERT_EQ(sums[i], 0.0f);
         ASSERT_EQ(seen[i], 0u);
-        ASSERT_EQ(frames[2 * i], c.frames[2 * from]) << "a copy has been seen where its original was";
-        ASSERT_EQ(frames[2 * i + 1], c.frames[2 * from + 1]);
+        ASSERT_EQ(frames[2 * i], test_case.frames[2 * from]) << "a copy has been seen where its original was";
+        ASSERT_EQ(frames[2 * i + 1], test_case.frames[2 * from + 1]);
     }
 }
 
-void expect_models(const Case& c, const std::vector<Row>& rows) {
-    const std::vector<Model>& now = c.device_scene.layout().models;
-    ASSERT_EQ(now.size(), c.scene.models.size());
+void expect_models(const Case& test_case, const std::vector<Row>& rows) {
+    const std::vector<Model>& now = test_case.device_scene.layout().models;
+    ASSERT_EQ(now.size(), test_case.scene.models.size());
     std::uint32_t next = 0;
     for (std::size_t m = 0; m < now.size(); ++m) {
-        const Model& was = c.scene.models[m];
+        const Model& was = test_case.scene.models[m];
         EXPECT_EQ(now[m].first, next);
         EXPECT_EQ(now[m].count, std::count_if(rows.begin(), rows.end(), [&](const Row& r) {
                       return r.source >= was.first && r.source < was.first + was.count;
@@ -192,15 +197,15 @@ void expect_models(const Case& c, const std::vector<Row>& rows) {
         EXPECT_EQ(now[m].half_size_m, was.half_size_m);
         next += now[m].count;
     }
-    EXPECT_EQ(next, c.device_scene.size());
+    EXPECT_EQ(next, test_case.device_scene.size());
 }
 
 /// Runs one densification step and compares all results with the reference.
 /// @return report of the densification
-DensifyReport expect_reference(Case& c, int step) {
-    const std::vector<Fate> fates = expected_fates(c, step);
+DensifyReport expect_reference(Case& test_case, int step) {
+    const std::vector<Fate> fates = compute_expected_fates(test_case, step);
     const auto count = [&](Fate fate) { return std::uint32_t(std::count(fates.begin(), fates.end(), fate)); };
-    const DensifyReport report = c.run(step);
+    const DensifyReport report = test_case.run(step);
     EXPECT_EQ(report.before, fates.size());
     EXPECT_EQ(report.invalid, count(Fate::invalid));
     EXPECT_EQ(report.faint, count(Fate::faint));
@@ -208,19 +213,20 @@ DensifyReport expect_reference(Case& c, int step) {
     EXPECT_EQ(report.outside, count(Fate::outside));
     EXPECT_EQ(report.clones, count(Fate::clone));
     EXPECT_EQ(report.splits, count(Fate::split));
-    const std::vector<Row> rows = expected_rows(fates, report.added, step);
+    const std::vector<Row> rows = compute_expected_rows(fates, report.added, step);
     EXPECT_EQ(report.after, rows.size());
-    EXPECT_EQ(c.device_scene.size(), rows.size());
-    const Surfels now = c.device_scene.parameters().download();
+    EXPECT_EQ(test_case.device_scene.size(), rows.size());
+    const Surfels now = test_case.device_scene.parameters().download();
     if (now.size() != rows.size()) return report;
-    const std::uint32_t key = static_cast<std::uint32_t>(hash64(hash64(kSeed, 1), std::uint64_t(step)));
+    const std::uint32_t key =
+        static_cast<std::uint32_t>(combine_hashes(combine_hashes(kSeed, 1), std::uint64_t(step)));
     for (std::size_t i = 0; i < rows.size(); ++i) {
-        EXPECT_EQ(test::tag_of(now, i), rows[i].source) << "row " << i;
-        expect_values(c, rows[i], now, i, key);
+        EXPECT_EQ(test::get_tag(now, i), rows[i].source) << "row " << i;
+        expect_values(test_case, rows[i], now, i, key);
         if (testing::Test::HasFailure()) return report;
     }
-    expect_state(c, rows);
-    expect_models(c, rows);
+    expect_state(test_case, rows);
+    expect_models(test_case, rows);
     return report;
 }
 
@@ -228,10 +234,10 @@ class Densify : public test::DeviceTest {};
 
 TEST_F(Densify, AdaptiveAgreesWithTheReference) {
     for (const int step : {600, 3100}) {
-        DensifyOptions options = adaptive();
+        DensifyOptions options = make_adaptive_options();
         options.clone_extent_share = 3e-3;  // between the scales of the test
         options.max_extent_share = 0.004;
-        Case c(device(), test::random_model_scene({700, 1, 300, 257}, 11), options, true);
+        Case c(device(), test::make_random_model_scene({700, 1, 300, 257}, 11), options, true);
         const DensifyReport r = expect_reference(c, step);
         EXPECT_EQ(r.added, r.clones + r.splits);
         for (const std::uint32_t n : {r.invalid, r.faint, r.outside, r.clones, r.splits})
@@ -244,10 +250,10 @@ TEST_F(Densify, AdaptiveAgreesWithTheReference) {
 /// Tests Gaussians. The third scale is the largest scale for some of them, and every
 /// decision must use it.
 TEST_F(Densify, GaussiansAgreeWithTheReference) {
-    Scene scene = test::random_model_scene({500, 300}, 21);
+    Scene scene = test::make_random_model_scene({500, 300}, 21);
     make_primitive(scene.surfels, Primitive::gaussian, 1.5);
     for (std::size_t i = 0; i < scene.surfels.size(); i += 3) scene.surfels.log_scale_w[i] -= 2.0f;
-    DensifyOptions options = adaptive();
+    DensifyOptions options = make_adaptive_options();
     options.clone_extent_share = 3e-3;
     options.max_extent_share = 0.004;
     Case c(device(), scene, options, true);
@@ -257,25 +263,25 @@ TEST_F(Densify, GaussiansAgreeWithTheReference) {
 }
 
 TEST_F(Densify, CapIsExactAndSpreadOverTheScene) {
-    DensifyOptions options = adaptive();
+    DensifyOptions options = make_adaptive_options();
     options.max_surfels = 700;
-    Case c(device(), test::random_model_scene({450, 450}, 14), options);
+    Case c(device(), test::make_random_model_scene({450, 450}, 14), options);
     const DensifyReport r = expect_reference(c, 600);
     EXPECT_EQ(r.after, 700u);
     EXPECT_LT(r.added, r.clones + r.splits);
     const Surfels now = c.device_scene.parameters().download();
     std::size_t copies[2]{};
     for (std::size_t i = 1; i < now.size(); ++i)
-        copies[test::tag_of(now, i) >= 450] += test::tag_of(now, i) == test::tag_of(now, i - 1);
+        copies[test::get_tag(now, i) >= 450] += test::get_tag(now, i) == test::get_tag(now, i - 1);
     EXPECT_GT(copies[0], 0.3 * r.added);
     EXPECT_GT(copies[1], 0.3 * r.added);
     EXPECT_EQ(c.run(700).added, 0u) << "full";
 }
 
 TEST_F(Densify, NothingToDoChangesNothing) {
-    DensifyOptions options = adaptive();
+    DensifyOptions options = make_adaptive_options();
     options.gradient_threshold = 1e9;
-    Scene scene = test::random_model_scene({300, 200}, 15);
+    Scene scene = test::make_random_model_scene({300, 200}, 15);
     for (float& x : scene.surfels.opacity_logit) x = 1.0f;
     for (Model& m : scene.models) m.half_size_m = glm::vec3(0.0f);
     Case c(device(), scene, options);
@@ -286,15 +292,15 @@ TEST_F(Densify, NothingToDoChangesNothing) {
 }
 
 TEST_F(Densify, ModelsAndScenesMayEndEmpty) {
-    Scene scene = test::random_model_scene({100, 50, 80}, 16);
+    Scene scene = test::make_random_model_scene({100, 50, 80}, 16);
     for (std::uint32_t i = 100; i < 150; ++i) scene.surfels.opacity_logit[i] = -20.0f;
-    Case c(device(), scene, adaptive());
+    Case c(device(), scene, make_adaptive_options());
     expect_reference(c, 600);
     EXPECT_EQ(c.device_scene.layout().models[1].count, 0u);
     EXPECT_GT(c.device_scene.layout().models[2].count, 0u);
 
     for (float& x : scene.surfels.opacity_logit) x = -20.0f;
-    Case all(device(), scene, adaptive());
+    Case all(device(), scene, make_adaptive_options());
     EXPECT_EQ(expect_reference(all, 600).after, 0u);
     EXPECT_EQ(all.run(700).after, 0u) << "and nothing comes of nothing";
     all.densifier.after_step(all.stream, all.device_scene, all.adam, 3000);
@@ -306,7 +312,7 @@ TEST_F(Densify, ModelsAndScenesMayEndEmpty) {
 TEST_F(Densify, EmptyModelsCanBeTraced) {
     for (const std::vector<std::uint32_t>& counts :
          {std::vector<std::uint32_t>{50, 0, 20}, std::vector<std::uint32_t>{0, 0}}) {
-        Renderer renderer(device(), test::random_model_scene(counts, 20), {});
+        Renderer renderer(device(), test::make_random_model_scene(counts, 20), {});
         renderer.place(glm::vec3(0.0f));
         WorldRays rays;
         rays.origin = {glm::vec3(0.0f)};
@@ -318,7 +324,7 @@ TEST_F(Densify, EmptyModelsCanBeTraced) {
 TEST_F(Densify, RunsAreEqualBitByBit) {
     std::vector<Surfels> results;
     for (int run = 0; run < 2; ++run) {
-        Case c(device(), test::random_model_scene({400, 300}, 17), adaptive(), true);
+        Case c(device(), test::make_random_model_scene({400, 300}, 17), make_adaptive_options(), true);
         c.run(600);
         c.densifier.statistics().gradient_sum.upload(std::vector<float>(c.device_scene.size(), 1.0f));
         c.densifier.statistics().n_seen.upload(std::vector<std::uint32_t>(c.device_scene.size(), 2u));
@@ -332,7 +338,7 @@ TEST_F(Densify, RunsAreEqualBitByBit) {
 }
 
 TEST_F(Densify, IsDueAsThePaperSays) {
-    Case c(device(), test::random_model_scene({10}, 19), adaptive());
+    Case c(device(), test::make_random_model_scene({10}, 19), make_adaptive_options());
     for (const int step : {500, 600, 14900}) EXPECT_TRUE(c.densifier.due(step)) << step;
     for (const int step : {100, 400, 550, 15000, 20000}) EXPECT_FALSE(c.densifier.due(step)) << step;
 }

@@ -57,13 +57,15 @@ void expect_allotted(Device& device, std::uint32_t largest) {
              .total_weight = total,
              .phase = plan.phase});
         stream.finish();
-        const std::vector<std::uint32_t> copies = reference::copies_of(weight, n_new, plan.phase),
+        const std::vector<std::uint32_t> copies = reference::count_copies(weight, n_new, plan.phase),
                                          actual = rows.download(), fate = a.download();
         for (std::uint32_t i = 0; i < n; ++i) {
             EXPECT_EQ(actual[i], action[i] == RELIDAR_DENSIFY_DROP ? 0 : 1 + copies[i]);
             EXPECT_EQ(fate[i], action[i] == RELIDAR_DENSIFY_CLONE && copies[i] == 0 ? RELIDAR_DENSIFY_KEEP
                                                                                     : action[i]);
-            EXPECT_EQ(plan.sum_before(cumulative[i] + weight[i]) - plan.sum_before(cumulative[i]), copies[i])
+            EXPECT_EQ(
+                plan.sum_earlier_weights(cumulative[i] + weight[i]) - plan.sum_earlier_weights(cumulative[i]),
+                copies[i])
                 << "what the host expects";
         }
     }
@@ -91,7 +93,7 @@ struct Trained {
 TEST_F(DensifyKernels, ResetOpacityAtItsTimes) {
     DensifyOptions options;
     options.strategy = DensifyStrategy::adaptive;
-    Trained t(device(), test::random_model_scene({200}, 3), options);
+    Trained t(device(), test::make_random_model_scene({200}, 3), options);
     const Surfels tags = t.scene.surfels;
     Stream stream(device());
     for (const int step : {2999, 3001, 15000}) t.densifier.after_step(stream, t.device_scene, t.adam, step);
@@ -123,7 +125,7 @@ TEST_F(DensifyKernels, WhatIsResetStaysVisible) {
     DensifyOptions options;
     options.strategy = DensifyStrategy::adaptive;
     constexpr float kAlphaMin = 0.04f;
-    Trained t(device(), test::random_model_scene({200}, 3), options, kAlphaMin);
+    Trained t(device(), test::make_random_model_scene({200}, 3), options, kAlphaMin);
     const std::vector<float> before = t.scene.surfels.opacity_logit;
     Stream stream(device());
     t.densifier.after_step(stream, t.device_scene, t.adam, 3000);

@@ -23,8 +23,8 @@ struct Growing {
     Densifier densifier;
     Stream stream;
 
-    static Scene opaque(std::uint32_t n) {
-        Scene scene = test::random_model_scene({n}, 2);
+    static Scene make_opaque_scene(std::uint32_t count) {
+        Scene scene = test::make_random_model_scene({count}, 2);
         for (float& x : scene.surfels.opacity_logit) x = 2.0f;
         return scene;
     }
@@ -33,11 +33,11 @@ struct Growing {
         o.strategy = DensifyStrategy::adaptive;
         return o;
     }
-    Growing(Device& d, std::uint32_t n)
+    Growing(Device& d, std::uint32_t count)
         : device(d),
-          scene(opaque(n)),
+          scene(make_opaque_scene(count)),
           device_scene(d, scene),
-          adam(d, n, {}),
+          adam(d, count, {}),
           densifier(d, scene, options(), 0.0f, 1, 1),
           stream(d) {
         adam.moment1().upload(scene.surfels);
@@ -53,13 +53,13 @@ struct Growing {
     }
     /// Checks that every surfel is a copy of an original surfel, in the original order.
     /// Its Adam moments must be equal to the original moments or zero.
-    void expect_sound() {
+    void expect_valid() {
         const Surfels now = device_scene.parameters().download(), m = adam.moment1().download();
         ASSERT_EQ(m.size(), now.size());
         for (std::size_t i = 0; i < now.size(); ++i) {
-            const std::uint32_t tag = test::tag_of(now, i);
+            const std::uint32_t tag = test::get_tag(now, i);
             ASSERT_LT(tag, scene.surfels.size());
-            ASSERT_GE(tag, test::tag_of(now, i > 0 ? i - 1 : 0));
+            ASSERT_GE(tag, test::get_tag(now, i > 0 ? i - 1 : 0));
             ASSERT_EQ(now.rotation[i], scene.surfels.rotation[tag]);
             ASSERT_EQ(m.rotation[i],
                       m.opacity_logit[i] != 0.0f ? scene.surfels.rotation[tag] : glm::vec4(0.0f));
@@ -76,7 +76,7 @@ TEST_F(DensifyMemory, CapacityGrowsInSteps) {
     EXPECT_EQ(g.grow(700, 0.2).after, 1452u);
     EXPECT_EQ(device().allocated_bytes(), held) << "nothing is allocated where there is room";
     EXPECT_EQ(g.grow(800, 1.0).after, 2904u) << "more than half as much again";
-    g.expect_sound();
+    g.expect_valid();
 }
 
 TEST_F(DensifyMemory, OutOfMemoryCapsAndContinues) {
@@ -89,7 +89,7 @@ TEST_F(DensifyMemory, OutOfMemoryCapsAndContinues) {
         EXPECT_GE(r.after, size);
         size = r.after;
         notes += r.note;
-        g.expect_sound();
+        g.expect_valid();
     }
     EXPECT_LE(limited.peak_bytes(), std::uint64_t(12) << 20 | (1u << 20)) << "staging is the host's";
     EXPECT_GT(size, 6000u) << "it grew as far as it could";
@@ -106,13 +106,13 @@ TEST_F(DensifyMemory, RoomIsLeftForTheOthers) {
     const DensifyReport r = g.grow(500, 1.0, kOthers);
     EXPECT_GT(r.after, 5000u);
     EXPECT_NO_THROW(Buffer(limited, std::size_t(kOthers) * r.after, "the others"));
-    g.expect_sound();
+    g.expect_valid();
 
     Growing tight(limited, 1000);
     const DensifyReport none = tight.grow(500, 1.0, 1e6);
     EXPECT_EQ(none.after, 1000u);
     EXPECT_FALSE(none.note.empty());
-    tight.expect_sound();
+    tight.expect_valid();
 }
 
 }  // namespace

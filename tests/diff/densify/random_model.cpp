@@ -7,7 +7,7 @@
 
 namespace relidar::test {
 
-Scene random_model_scene(const std::vector<std::uint32_t>& counts, std::uint64_t seed) {
+Scene make_random_model_scene(const std::vector<std::uint32_t>& counts, std::uint64_t seed) {
     std::mt19937_64 random(seed);
     std::normal_distribution<float> normal;
     Scene scene;
@@ -30,7 +30,7 @@ Scene random_model_scene(const std::vector<std::uint32_t>& counts, std::uint64_t
     return scene;
 }
 
-void poison(Surfels& surfels) {
+void fill_with_nan(Surfels& surfels) {
     constexpr float kNan = std::numeric_limits<float>::quiet_NaN(),
                     kInfinity = std::numeric_limits<float>::infinity();
     for (std::size_t i = 0; i < surfels.size(); i += 20) {
@@ -40,20 +40,23 @@ void poison(Surfels& surfels) {
     }
 }
 
-reference::DensifiedSurfel densified(const Surfels& s, std::size_t i) {
-    bool finite = std::isfinite(s.mean[i].x + s.mean[i].y + s.mean[i].z + s.opacity_logit[i]);
-    for (std::size_t k = 0; k < kShFloats; ++k) finite = finite && std::isfinite(s.sh[i * kShFloats + k]);
-    return {
-        glm::dvec3(s.mean[i]),
-        glm::dvec4(s.rotation[i]),
-        glm::exp(glm::dvec2(s.log_scale[i])),
-        1.0 / (1.0 + std::exp(-double(s.opacity_logit[i]))),
-        finite,
-        kind_of(s.primitive).third_scale ? std::optional(std::exp(double(s.log_scale_w[i]))) : std::nullopt};
+reference::DensifiedSurfel densify_surfel(const Surfels& surfels, std::size_t index) {
+    bool finite = std::isfinite(surfels.mean[index].x + surfels.mean[index].y + surfels.mean[index].z +
+                                surfels.opacity_logit[index]);
+    for (std::size_t k = 0; k < kShFloats; ++k)
+        finite = finite && std::isfinite(surfels.sh[index * kShFloats + k]);
+    return {glm::dvec3(surfels.mean[index]),
+            glm::dvec4(surfels.rotation[index]),
+            glm::exp(glm::dvec2(surfels.log_scale[index])),
+            1.0 / (1.0 + std::exp(-double(surfels.opacity_logit[index]))),
+            finite,
+            kind_of(surfels.primitive).third_scale
+                ? std::optional(std::exp(double(surfels.log_scale_w[index])))
+                : std::nullopt};
 }
 
-std::uint32_t tag_of(const Surfels& surfels, std::size_t i) {
-    return static_cast<std::uint32_t>(surfels.sh[i * kShFloats]);
+std::uint32_t get_tag(const Surfels& surfels, std::size_t index) {
+    return static_cast<std::uint32_t>(surfels.sh[index * kShFloats]);
 }
 
 }  // namespace relidar::test

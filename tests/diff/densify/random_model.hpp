@@ -14,15 +14,16 @@ namespace relidar::test {
 
 /// Makes models with random surfels.
 /// @param counts number of surfels of each model
-Scene random_model_scene(const std::vector<std::uint32_t>& counts, std::uint64_t seed);
+Scene make_random_model_scene(const std::vector<std::uint32_t>& counts, std::uint64_t seed);
 
 /// Makes every 20th surfel non-finite, each in a different parameter.
-void poison(Surfels& surfels);
+void fill_with_nan(Surfels& surfels);
 
-/// Converts surfel i to the type of the reference.
-reference::DensifiedSurfel densified(const Surfels& surfels, std::size_t i);
+/// Converts surfel `index` to the type of the reference.
+reference::DensifiedSurfel densify_surfel(const Surfels& surfels, std::size_t index);
 
-/// Returns the index that random_model_scene() stored in the SH coefficients of surfel i.
-std::uint32_t tag_of(const Surfels& surfels, std::size_t i);
+/// Returns the index that make_random_model_scene() stored in the SH coefficients of
+/// surfel `index`.
+std::uint32_t get_tag(const Surfels& surfels, std::size_t index);
 
 }  // namespace relidar::test

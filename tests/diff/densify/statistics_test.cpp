@@ -26,7 +26,7 @@ struct Observed {
     std::uint32_t n;
 
     Observed(Device& d, std::uint32_t n_surfels, std::uint32_t n_frames)
-        : Observed(d, test::random_model_scene({n_surfels}, 1), n_frames) {}
+        : Observed(d, test::make_random_model_scene({n_surfels}, 1), n_frames) {}
     Observed(Device& d, const Scene& initial, std::uint32_t n_frames)
         : device(d),
           scene(d, initial),

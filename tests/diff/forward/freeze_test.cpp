@@ -18,10 +18,10 @@ class Freeze : public test::DeviceTest {
 protected:
     /// Makes a background and three actors, two of which walk, with harmonics of degree
     /// 3.
-    static Scene some_actors(Primitive primitive) {
+    static Scene make_some_actors(Primitive primitive) {
         constexpr std::uint32_t kSurfels = 1500;
-        test::TraversalCase random_case = test::random_case(5, kSurfels, 0);
-        if (primitive == Primitive::gaussian) random_case = test::as_gaussians(random_case, 4);
+        test::TraversalCase random_case = test::make_random_case(5, kSurfels, 0);
+        if (primitive == Primitive::gaussian) random_case = test::to_gaussians(random_case, 4);
         Scene scene = make_background_scene(random_case.surfels);
         std::mt19937 random(7);
         std::uniform_real_distribution<float> u(-1.0f, 1.0f);
@@ -37,42 +37,42 @@ protected:
         }
         return scene;
     }
-    static std::vector<InstancePose> some_poses() {
+    static std::vector<InstancePose> make_some_poses() {
         std::vector<InstancePose> placed(4);
-        const glm::dquat turns[] = {rotation_of(0.7, 0.2, -0.4), rotation_of(-2.1, 0.0, 0.0),
-                                    rotation_of(1.4, -0.8, 2.0)};
+        const glm::dquat turns[] = {make_rotation(0.7, 0.2, -0.4), make_rotation(-2.1, 0.0, 0.0),
+                                    make_rotation(1.4, -0.8, 2.0)};
         for (std::size_t k = 1; k < 4; ++k)
             placed[k] = {{turns[k - 1], {0.5 * double(k), -0.3, 0.2}}, true, 0.0, 0.37 * double(k)};
         return placed;
     }
-    void expect_equal(const Rendering& a, const Rendering& b, const std::string& what) {
-        ASSERT_EQ(a.size(), b.size());
+    void expect_equal(const Rendering& first, const Rendering& second, const std::string& description) {
+        ASSERT_EQ(first.size(), second.size());
         // allows a few different rays, because rounding can make a surfel visible or
         // invisible
         std::size_t n_hit = 0, n_off = 0;
-        for (std::size_t i = 0; i < a.size(); ++i) {
-            n_hit += a.hits[i] > 0;
+        for (std::size_t i = 0; i < first.size(); ++i) {
+            n_hit += first.hits[i] > 0;
             const auto off = [&](const std::vector<float>& x, const std::vector<float>& y) {
                 return !(std::abs(x[i] - y[i]) <= 2e-4f * (1.0f + std::abs(x[i])));
             };
-            n_off += off(a.depth, b.depth) || off(a.intensity, b.intensity) ||
-                     off(a.hit_logit, b.hit_logit) || off(a.drop_logit, b.drop_logit) ||
-                     off(a.transmittance, b.transmittance);
+            n_off += off(first.depth, second.depth) || off(first.intensity, second.intensity) ||
+                     off(first.hit_logit, second.hit_logit) || off(first.drop_logit, second.drop_logit) ||
+                     off(first.transmittance, second.transmittance);
         }
-        EXPECT_GT(n_hit, a.size() / 3) << what;
-        EXPECT_LE(n_off, a.size() / 100) << what;
+        EXPECT_GT(n_hit, first.size() / 3) << description;
+        EXPECT_LE(n_off, first.size() / 100) << description;
     }
 };
 
 TEST_F(Freeze, RendersAsThePlacedScene) {
-    const WorldRays rays = test::random_case(5, 1500, 2000).rays;
+    const WorldRays rays = test::make_random_case(5, 1500, 2000).rays;
     for (const Primitive primitive : {Primitive::surfel, Primitive::gaussian})
         for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
             ImageModel model;
             model.primitive = primitive;
             model.sh_direction = direction;
-            const Scene scene = some_actors(primitive);
-            std::vector<InstancePose> placed = some_poses();
+            const Scene scene = make_some_actors(primitive);
+            std::vector<InstancePose> placed = make_some_poses();
             for (const bool one_is_absent : {false, true}) {
                 placed[2].present = !one_is_absent;
                 const Surfels frozen = freeze(scene, placed);
@@ -91,7 +91,7 @@ TEST_F(Freeze, RendersAsThePlacedScene) {
 }
 
 TEST_F(Freeze, WantsAPoseForEachInstance) {
-    EXPECT_THROW(freeze(some_actors(Primitive::surfel), std::vector<InstancePose>(3)), DataError);
+    EXPECT_THROW(freeze(make_some_actors(Primitive::surfel), std::vector<InstancePose>(3)), DataError);
 }
 
 }  // namespace

@@ -32,7 +32,7 @@ struct Provider {
     bool brute_force = false;
 };
 
-std::vector<Provider> providers(const Device& device) {
+std::vector<Provider> list_providers(const Device& device) {
     const Provider brute{.name = "brute force", .brute_force = true};
     if (device.traversal() == Traversal::software)
         return {{.name = "lane", .walk = Walk::lane}, {.name = "subgroup", .walk = Walk::subgroup}, brute};
@@ -49,13 +49,13 @@ struct Placed {
     Accel accel;
     Array<DeviceRay> rays;
 
-    Placed(Device& device, const TraversalCase& c, const Provider& provider)
-        : placed(test::to_scene(c.surfels, c.instances)),
+    Placed(Device& device, const TraversalCase& test_case, const Provider& provider)
+        : placed(test::to_scene(test_case.surfels, test_case.instances)),
           stream(device),
           scene(device, placed.scene),
           accel(device, scene, {.proxy = provider.proxy}),
-          rays(device, std::span<const DeviceRay>(to_device_rays(c.rays)), "rays") {
-        model.primitive = c.surfels.primitive;
+          rays(device, std::span<const DeviceRay>(to_device_rays(test_case.rays)), "rays") {
+        model.primitive = test_case.surfels.primitive;
         scene.set_poses(placed.world_from_instance);
         scene.activate(stream, model, glm::vec3(0.0f));
         accel.update(stream, scene);
@@ -74,13 +74,13 @@ struct Placed {
     }
 
     /// Renders with lists only, without diff/forward/trace for the remaining rays.
-    std::vector<shared::RenderedRay> render_lists(int room) {
+    std::vector<shared::RenderedRay> render_lists(int capacity) {
         Device& device = stream.device();
         const Array<shared::RenderedRay> rendered(device, rays.size(), "rendered rays");
         const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u},
                                                                   "pass cap count");
-        HitLists lists(device, traversal_variant(device), trace_constants(device, accel.proxy(), {}, model),
-                       room);
+        HitLists lists(device, get_traversal_variant(device),
+                       trace_constants(device, accel.proxy(), {}, model), capacity);
         shared::ForwardParams params = {
             .scene = trace_scene(scene, accel, batch(), model, {}, pass_cap.address()),
             .lists = {},
@@ -98,34 +98,38 @@ struct Placed {
     }
 };
 
-bool is_near(float a, float b) { return std::abs(a - b) <= 1e-5f * std::max(1.0f, std::abs(b)); }
+bool is_near(float first, float second) {
+    return std::abs(first - second) <= 1e-5f * std::max(1.0f, std::abs(second));
+}
 
 /// Returns true if two rendered rays are equal except for rounding differences between
 /// kernels.
-bool is_same(const shared::RenderedRay& a, const shared::RenderedRay& b) {
-    return a.n_hits == b.n_hits && a.instance == b.instance && is_near(a.depth, b.depth) &&
-           is_near(a.weight, b.weight) && is_near(a.intensity, b.intensity) &&
-           is_near(a.hit_logit, b.hit_logit) && is_near(a.drop_logit, b.drop_logit) &&
-           is_near(a.transmittance, b.transmittance) && is_near(a.median_depth, b.median_depth);
+bool is_same(const shared::RenderedRay& first, const shared::RenderedRay& second) {
+    return first.n_hits == second.n_hits && first.instance == second.instance &&
+           is_near(first.depth, second.depth) && is_near(first.weight, second.weight) &&
+           is_near(first.intensity, second.intensity) && is_near(first.hit_logit, second.hit_logit) &&
+           is_near(first.drop_logit, second.drop_logit) &&
+           is_near(first.transmittance, second.transmittance) &&
+           is_near(first.median_depth, second.median_depth);
 }
 
-std::size_t differences(const std::vector<shared::RenderedRay>& a,
-                        const std::vector<shared::RenderedRay>& b) {
+std::size_t count_differences(const std::vector<shared::RenderedRay>& first,
+                              const std::vector<shared::RenderedRay>& second) {
     std::size_t n = 0;
-    for (std::size_t i = 0; i < a.size(); ++i) n += !is_same(a[i], b[i]);
+    for (std::size_t i = 0; i < first.size(); ++i) n += !is_same(first[i], second[i]);
     return n;
 }
 
 /// Counts the rays whose stored hits differ in any bit between two buffers with the same
 /// capacity per ray.
-std::size_t different_hits(const KeptHits& a, const KeptHits& b,
-                           const std::vector<shared::RenderedRay>& rays) {
-    const std::vector<shared::Hit> hits_a = a.hits.download(), hits_b = b.hits.download();
+std::size_t count_different_hits(const KeptHits& first, const KeptHits& second,
+                                 const std::vector<shared::RenderedRay>& rays) {
+    const std::vector<shared::Hit> hits_a = first.hits.download(), hits_b = second.hits.download();
     std::size_t n = 0;
     for (std::size_t ray = 0; ray < rays.size(); ++ray)
-        for (std::size_t k = 0; k < std::min(rays[ray].n_hits, a.per_ray); ++k) {
+        for (std::size_t k = 0; k < std::min(rays[ray].n_hits, first.per_ray); ++k) {
             constexpr std::size_t kBeside = RELIDAR_SIDE_BY_SIDE;
-            const std::size_t entry = (ray / kBeside * a.per_ray + k) * kBeside + ray % kBeside;
+            const std::size_t entry = (ray / kBeside * first.per_ray + k) * kBeside + ray % kBeside;
             n += std::memcmp(&hits_a[entry], &hits_b[entry], sizeof(shared::Hit)) != 0;
         }
     return n;
@@ -133,10 +137,10 @@ std::size_t different_hits(const KeptHits& a, const KeptHits& b,
 
 class Lists : public test::DeviceTest {
 protected:
-    void expect_what_chunks_render(const TraversalCase& c) {
-        for (const Provider& provider : providers(device())) {
+    void expect_what_chunks_render(const TraversalCase& test_case) {
+        for (const Provider& provider : list_providers(device())) {
             const Forced forced(device(), {.brute_force = provider.brute_force});
-            Placed placed(device(), c, provider);
+            Placed placed(device(), test_case, provider);
             for (const float least : {1e-4f, 1e-30f}) {  // with 1e-30 nearly all hits are blended
                 placed.model.transmittance_min = least;
                 const std::vector<shared::RenderedRay> expected =
@@ -146,8 +150,9 @@ protected:
                         {.chunk = 5, .walk = provider.walk, .order = HitOrder::lists, .list_room = room});
                     // Allows a few differences, because rounding in a different kernel
                     // can decide whether a product is below T_min.
-                    EXPECT_LE(differences(actual, expected), c.rays.size() / 5000)
-                        << c.name << ", " << provider.name << ", room " << room << ", T_min " << least;
+                    EXPECT_LE(count_differences(actual, expected), test_case.rays.size() / 5000)
+                        << test_case.name << ", " << provider.name << ", room " << room << ", T_min "
+                        << least;
                 }
             }
         }
@@ -155,29 +160,29 @@ protected:
 };
 
 TEST_F(Lists, ConformanceCases) {
-    for (const TraversalCase& c : test::conformance_cases(41, 1000)) expect_what_chunks_render(c);
+    for (const TraversalCase& c : test::make_conformance_cases(41, 1000)) expect_what_chunks_render(c);
 }
 
 TEST_F(Lists, ConformanceCasesOfGaussians) {
-    for (const TraversalCase& c : test::gaussian_cases(43, 500)) expect_what_chunks_render(c);
+    for (const TraversalCase& c : test::make_gaussian_cases(43, 500)) expect_what_chunks_render(c);
 }
 
 /// Renders with hit lists only, without diff/forward/trace. The lists must render every
 /// ray whose hits fit into its list, and must not write the remaining rays.
 TEST_F(Lists, RenderWhatTheyHaveRoomFor) {
-    TraversalCase c = test::long_list_case();
+    TraversalCase c = test::make_long_list_case();
     for (const TraversalCase& other :
-         {test::single_case(), test::equal_depth_case(), test::random_case(44, 300, 500)}) {
+         {test::make_single_case(), test::make_equal_depth_case(), test::make_random_case(44, 300, 500)}) {
         Placed placed(device(), other, {.name = "any"});
         const std::vector<shared::RenderedRay> expected = placed.render({.order = HitOrder::chunks});
-        EXPECT_EQ(differences(placed.render_lists(512), expected), 0u) << other.name;
+        EXPECT_EQ(count_differences(placed.render_lists(512), expected), 0u) << other.name;
     }
     for (float& opacity : c.surfels.opacity_logit) opacity = -4.5f;  // no ray stops early
     Placed placed(device(), c, {.name = "any"});
     const std::vector<shared::RenderedRay> expected = placed.render({.order = HitOrder::chunks});
     EXPECT_TRUE(std::ranges::any_of(expected, [](const auto& ray) { return ray.n_hits > 60; }));
     for (const int requested_room : {1, 60, 512}) {
-        const int room = std::min(requested_room, static_cast<int>(max_list_capacity(device())));
+        const int room = std::min(requested_room, static_cast<int>(compute_max_list_capacity(device())));
         const std::vector<shared::RenderedRay> actual = placed.render_lists(requested_room);
         for (std::size_t i = 0; i < actual.size(); ++i) {
             if (expected[i].n_hits > static_cast<std::uint32_t>(room))
@@ -196,14 +201,14 @@ TEST_F(Lists, PutHitsInOrderWhateverTheirNumber) {
     constexpr std::uint32_t kMost = 512;
     for (const int n :
          {1, 2, 3, 7, 8, 9, 16, 17, 31, 32, 33, 63, 64, 65, 100, 128, 129, 200, 256, 257, 400, 512}) {
-        Placed placed(device(), test::tied_list_case(n), {.name = "any", .proxy = Proxy::boxes});
+        Placed placed(device(), test::make_tied_list_case(n), {.name = "any", .proxy = Proxy::boxes});
         KeptHits expected(device(), placed.rays.size(), kMost), actual(device(), placed.rays.size(), kMost);
         const std::vector<shared::RenderedRay> rays = placed.render({.order = HitOrder::chunks}, &expected);
         placed.render({.order = HitOrder::lists, .list_room = kMost}, &actual);
         EXPECT_TRUE(
             std::ranges::all_of(rays, [&](const auto& ray) { return ray.n_hits == std::uint32_t(n); }))
             << n << " hits";
-        EXPECT_EQ(different_hits(actual, expected, rays), 0u) << n << " hits";
+        EXPECT_EQ(count_different_hits(actual, expected, rays), 0u) << n << " hits";
     }
 }
 
@@ -211,9 +216,10 @@ TEST_F(Lists, PutHitsInOrderWhateverTheirNumber) {
 /// the same memory, lists that are longer than the stored hits, and rays that
 /// diff/forward/trace renders.
 TEST_F(Lists, KeepTheHitsThatTheyBlend) {
-    TraversalCase long_lists = test::long_list_case();
+    TraversalCase long_lists = test::make_long_list_case();
     for (float& opacity : long_lists.surfels.opacity_logit) opacity = -4.5f;
-    for (const TraversalCase& c : {long_lists, test::equal_depth_case(), test::random_case(45, 300, 200)}) {
+    for (const TraversalCase& c :
+         {long_lists, test::make_equal_depth_case(), test::make_random_case(45, 300, 200)}) {
         Placed placed(device(), c, {.name = "any"});
         for (const std::uint32_t per_ray : {3u, 64u, 128u}) {
             KeptHits expected(device(), c.rays.size(), per_ray);
@@ -222,7 +228,7 @@ TEST_F(Lists, KeepTheHitsThatTheyBlend) {
             for (const int room : {2, 64, 512}) {
                 KeptHits kept(device(), c.rays.size(), per_ray);
                 placed.render({.order = HitOrder::lists, .list_room = room}, &kept);
-                EXPECT_EQ(different_hits(kept, expected, rays), 0u)
+                EXPECT_EQ(count_different_hits(kept, expected, rays), 0u)
                     << c.name << ", " << per_ray << " kept, room " << room;
             }
         }
@@ -231,20 +237,20 @@ TEST_F(Lists, KeepTheHitsThatTheyBlend) {
 
 /// An opaque wall must end the search, so that hits behind it are not in the list.
 TEST_F(Lists, EndBehindAWall) {
-    TraversalCase c = test::long_list_case();
+    TraversalCase c = test::make_long_list_case();
     for (float& opacity : c.surfels.opacity_logit) opacity = 8.0f;
     Placed placed(device(), c, {.name = "any", .proxy = Proxy::boxes});
     const std::vector<shared::RenderedRay> expected = placed.render({.order = HitOrder::chunks});
-    EXPECT_EQ(differences(placed.render({.order = HitOrder::lists}), expected), 0u);
+    EXPECT_EQ(count_differences(placed.render({.order = HitOrder::lists}), expected), 0u);
     EXPECT_TRUE(std::ranges::all_of(expected, [](const auto& ray) { return ray.n_hits < 10; }));
     // the order of hits from a driver is unknown
     if (device().traversal() != Traversal::software) return;
-    EXPECT_EQ(differences(placed.render_lists(64), expected), 0u) << "100 surfels lie along each ray";
+    EXPECT_EQ(count_differences(placed.render_lists(64), expected), 0u) << "100 surfels lie along each ray";
 }
 
 /// The capacity must double as long as some list is too short, and then stay constant.
 TEST_F(Lists, Grow) {
-    TraversalCase c = test::long_list_case();
+    TraversalCase c = test::make_long_list_case();
     for (float& opacity : c.surfels.opacity_logit) opacity = -4.5f;
     Placed placed(device(), c, {.name = "any", .proxy = Proxy::boxes});
     const std::vector<shared::RenderedRay> expected = placed.render({.order = HitOrder::chunks});
@@ -252,9 +258,9 @@ TEST_F(Lists, Grow) {
     const Array<std::uint32_t, shared::PassCapCount> pass_cap(device(), std::vector<std::uint32_t>{0u},
                                                               "pass cap count");
     const std::vector<Constant> constants = trace_constants(device(), placed.accel.proxy(), {}, placed.model);
-    const Kernel<shared::ForwardParams> trace(device(), "diff/forward/trace", traversal_variant(device()),
+    const Kernel<shared::ForwardParams> trace(device(), "diff/forward/trace", get_traversal_variant(device()),
                                               constants);
-    HitLists lists(device(), traversal_variant(device()), constants, 3);
+    HitLists lists(device(), get_traversal_variant(device()), constants, 3);
     for (int i = 0; i < 30; ++i) {
         const Array<shared::RenderedRay> rendered(device(), c.rays.size(), "rendered rays");
         const shared::TraceScene traced =
@@ -271,9 +277,9 @@ TEST_F(Lists, Grow) {
         lists.run(placed.stream, placed.batch(), params);
         run(placed.stream, trace, trace_threads(placed.batch()), params);
         placed.stream.finish();
-        EXPECT_EQ(differences(rendered.download(), expected), 0u) << "room " << lists.room();
+        EXPECT_EQ(count_differences(rendered.download(), expected), 0u) << "room " << lists.room();
     }
-    EXPECT_GE(lists.room(), std::min(most, max_list_capacity(device())));
+    EXPECT_GE(lists.room(), std::min(most, compute_max_list_capacity(device())));
     EXPECT_LT(lists.room(), 4 * most);
 }
 

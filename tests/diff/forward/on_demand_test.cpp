@@ -46,14 +46,14 @@ protected:
         renderer.stream().finish();
         Found found;
         if (surfaces) {
-            found.surfaces = test::floats_of(surfaces->download());
+            found.surfaces = test::to_floats(surfaces->download());
             for (int k = 0; k < 4; ++k, found.surfaces.pop_back())
                 EXPECT_EQ(found.surfaces.back(), -7.0f) << "wrote past the end";
         }
         std::vector<shared::RenderedRay> image = renderer.rendered().rendered->download(n_rays);
         for (shared::RenderedRay& ray : image)
             found.likelihood.push_back(std::exchange(ray.likelihood, 0.0f));
-        found.image = test::floats_of(image);
+        found.image = test::to_floats(image);
         return found;
     }
 };

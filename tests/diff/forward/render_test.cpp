@@ -31,7 +31,7 @@ Rendering render_once(Device& device, const Scene& scene, const ImageModel& mode
 }
 
 /// Returns the normalised mean squared error of an output over the rays.
-double nmse(const std::vector<float>& actual, const std::vector<double>& expected) {
+double compute_normalised_error(const std::vector<float>& actual, const std::vector<double>& expected) {
     double error = 0.0, power = 0.0;
     for (std::size_t i = 0; i < expected.size(); ++i) {
         error += (actual[i] - expected[i]) * (actual[i] - expected[i]);
@@ -110,11 +110,11 @@ TEST_F(Forward, AgreesWithDoubleReference) {
             EXPECT_EQ(r.hits, e.hits);
             EXPECT_EQ(r.instance, e.instance);
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) \
-    EXPECT_LE(nmse(r.name, e.name), test::kKernelNmse) << #name;
+    EXPECT_LE(compute_normalised_error(r.name, e.name), test::kKernelNmse) << #name;
             RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
 #undef RELIDAR_VALUES
-            EXPECT_LE(nmse(r.transmittance, e.transmittance), test::kKernelNmse);
-            EXPECT_LE(nmse(r.median_depth, e.median_depth), test::kKernelNmse);
+            EXPECT_LE(compute_normalised_error(r.transmittance, e.transmittance), test::kKernelNmse);
+            EXPECT_LE(compute_normalised_error(r.median_depth, e.median_depth), test::kKernelNmse);
         }
     }
 }
@@ -159,8 +159,8 @@ TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
         renderer.place(glm::vec3(scene.view_origin));
         const Rendering r = renderer.forward(test::to_world_rays(scene.rays));
         EXPECT_EQ(r.hit_logit, std::vector<float>(scene.rays.size(), 0.0f));
-        EXPECT_LE(nmse(r.drop_logit, e.drop_logit), test::kKernelNmse);
-        EXPECT_LE(nmse(r.depth, e.depth), test::kKernelNmse);
+        EXPECT_LE(compute_normalised_error(r.drop_logit, e.drop_logit), test::kKernelNmse);
+        EXPECT_LE(compute_normalised_error(r.depth, e.depth), test::kKernelNmse);
         const Rendering empty =
             render_once(device(), make_background_scene({}), settings.image, {{{0, 0, 0}}, {{1, 0, 0}}});
         EXPECT_GT(empty.drop_logit[0], empty.hit_logit[0]);
@@ -193,7 +193,8 @@ TEST_F(Forward, ThinGaussiansApproachSurfels) {
         Scene thin = placed.scene;
         make_primitive(thin.surfels, Primitive::gaussian, thickness);
         const Rendering r = rendered(thin);
-        error.push_back(std::max(nmse(r.depth, depth), nmse(r.weight, weight)));
+        error.push_back(
+            std::max(compute_normalised_error(r.depth, depth), compute_normalised_error(r.weight, weight)));
         std::printf("thickness %g: error %.2e\n", thickness, error.back());
     }
     EXPECT_GT(error[0], 1e3 * test::kKernelNmse);
@@ -227,8 +228,8 @@ TEST_F(Forward, LabelIsThatOfTheSurfaceNotOfAFloater) {
     scene.instances = {{0, ""}, {1, "floater"}};
     Renderer renderer(device(), scene, {});
     const WorldRays ray{{{0, 0, 0}}, {{1, 0, 0}}};
-    const auto at = [](double x, bool present) {
-        return InstancePose{Pose{{1, 0, 0, 0}, {x, 0, 0}}, present};
+    const auto at = [](double value, bool present) {
+        return InstancePose{Pose{{1, 0, 0, 0}, {value, 0, 0}}, present};
     };
     renderer.move({at(9, true), at(3, true)}, glm::vec3(0.0f));
     EXPECT_EQ(renderer.forward(ray).instance[0], 0);
@@ -248,7 +249,7 @@ TEST_F(Forward, EmptySceneIsBackground) {
 
 /// Returns copies of some surfels. Each copy has an invalid value in a different
 /// parameter.
-Surfels poisoned_copies(const Surfels& good, float bad) {
+Surfels make_poisoned_copies(const Surfels& good, float bad) {
     const bool is_gaussian = good.primitive == Primitive::gaussian;
     Surfels extra = test::take(good, is_gaussian ? std::vector<std::uint32_t>{0, 1, 2, 3, 4, 5}
                                                  : std::vector<std::uint32_t>{0, 1, 2, 3, 4});
@@ -263,7 +264,7 @@ Surfels poisoned_copies(const Surfels& good, float bad) {
 void expect_unharmed(Device& device, const Surfels& good, const WorldRays& rays) {
     Surfels poisoned = good;
     for (const float bad : {std::nanf(""), HUGE_VALF, -HUGE_VALF, 1e38f})
-        poisoned.append(poisoned_copies(good, bad));
+        poisoned.append(make_poisoned_copies(good, bad));
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
         ImageModel model;
         model.sh_direction = direction;
@@ -287,7 +288,7 @@ TEST_F(Forward, PoisonedSurfelsNeverReachTheImage) {
         expect_unharmed(device(), sound, test::to_world_rays(scene.rays));
 }
 
-std::filesystem::path shared_folder() {
+std::filesystem::path get_shared_folder() {
     const char* text = std::getenv("RELIDAR_SHARED");
     return text ? std::filesystem::path(text)
                 : std::filesystem::path(RELIDAR_SOURCE_DIR).parent_path() / "shared";
@@ -302,7 +303,7 @@ const NamedArray& find(const std::vector<NamedArray>& arrays, const std::string&
 /// At least 99.9 % of the rays must equal the image that a different implementation
 /// rendered of the street of 100k surfels.
 TEST_F(Forward, StreetEqualsImageByOthers) {
-    const std::filesystem::path file = shared_folder() / "bench" / "peer_render_A100k_kitti.npz";
+    const std::filesystem::path file = get_shared_folder() / "bench" / "peer_render_A100k_kitti.npz";
     if (!std::filesystem::exists(file)) GTEST_SKIP() << file << " is not there";
     const std::vector<NamedArray> arrays = read_npz(file);
     const std::vector<float> dirs = find(arrays, "dirs").as_float(),
@@ -313,7 +314,7 @@ TEST_F(Forward, StreetEqualsImageByOthers) {
         rays.direction.push_back({dirs[3 * i], dirs[3 * i + 1], dirs[3 * i + 2]});
     }
     Surfels street = make_benchmark_street(100000);
-    street = street.permuted(kd_order(street.mean));
+    street = street.reorder(compute_kd_order(street.mean));
     const Rendering r =
         render_once(device(), make_background_scene(street), {}, rays, {.trace = {.chunk = 64}});
     const std::vector<float> depth = find(arrays, "depth").as_float(),

@@ -42,7 +42,7 @@ void measure_wall(std::uint32_t side, std::vector<DeviceRay>& rays, std::vector<
 
 /// Trains for some steps with only the Chamfer loss. Returns the mean distance between
 /// the means of visible surfels and the measured wall.
-double distance_after(Device& device, float shift, bool cut_gradient, bool image) {
+double measure_distance_after(Device& device, float shift, bool cut_gradient, bool image) {
     constexpr std::uint32_t kSide = 24, kRays = kSide * kSide;
     std::vector<DeviceRay> rays;
     std::vector<DeviceTarget> targets;
@@ -82,10 +82,11 @@ double distance_after(Device& device, float shift, bool cut_gradient, bool image
 }
 
 TEST_F(ChamferMoves, AWallComesBackToWhereItWasMeasured) {
-    EXPECT_LT(distance_after(device(), kShift_m, false, true), 0.2 * kShift_m) << "from behind, an image";
-    EXPECT_LT(distance_after(device(), -kShift_m, false, false), 0.2 * kShift_m)
+    EXPECT_LT(measure_distance_after(device(), kShift_m, false, true), 0.2 * kShift_m)
+        << "from behind, an image";
+    EXPECT_LT(measure_distance_after(device(), -kShift_m, false, false), 0.2 * kShift_m)
         << "from the front, no image";
-    EXPECT_NEAR(distance_after(device(), kShift_m, true, true), kShift_m, 1e-4)
+    EXPECT_NEAR(measure_distance_after(device(), kShift_m, true, true), kShift_m, 1e-4)
         << "without the gradient nothing moves";
 }
 

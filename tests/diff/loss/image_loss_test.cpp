@@ -25,11 +25,11 @@ struct Data {
     std::vector<reference::Target> expected_targets;
 };
 
-Data random_data(std::size_t n, std::uint64_t seed) {
+Data make_random_data(std::size_t count, std::uint64_t seed) {
     std::mt19937_64 random(seed);
     std::uniform_real_distribution<float> unit(0.0f, 1.0f);
     Data d;
-    for (std::size_t i = 0; i < n; ++i) {
+    for (std::size_t i = 0; i < count; ++i) {
         const float weight = 0.2f + 0.8f * unit(random), range = 2.0f + 50.0f * unit(random),
                     depth = weight * (range + unit(random) - 0.5f);
         const float spread = i % 7 == 0 ? 80.0f : 3.0f;  // includes extreme logits
@@ -51,7 +51,7 @@ Data random_data(std::size_t n, std::uint64_t seed) {
 TEST_F(ImageLossTest, AgreesWithReference) {
     for (const std::size_t n : {std::size_t(1), std::size_t(1000), std::size_t(1037)})
         for (const bool normalised : {false, true}) {
-            const Data d = random_data(n, n);
+            const Data d = make_random_data(n, n);
             LossWeights weights;
             weights.normalised_depth = normalised;
             weights.intensity_delta = normalised ? 0.2f : 0.0f;
@@ -74,7 +74,7 @@ TEST_F(ImageLossTest, AgreesWithReference) {
             loss.compare(stream, {{}, &rendered, &upstream},
                          {&targets, 0, 1, static_cast<std::uint32_t>(n), returned, double(n)}, sums);
             stream.finish();
-            const std::vector<float> g = test::floats_of(upstream.download()), s = sums.download();
+            const std::vector<float> g = test::to_floats(upstream.download()), s = sums.download();
             EXPECT_NEAR(s[loss_term::depth], weights.depth * terms.depth, 1e-4 * weights.depth * terms.depth);
             EXPECT_NEAR(s[loss_term::intensity], weights.intensity * terms.intensity,
                         1e-4 * weights.intensity * terms.intensity);
@@ -94,7 +94,7 @@ TEST_F(ImageLossTest, AgreesWithReference) {
 }
 
 TEST_F(ImageLossTest, MaskedRaysAreIgnoredAndStrideSelects) {
-    Data d = random_data(64, 9);
+    Data d = make_random_data(64, 9);
     for (std::size_t i = 0; i < 64; ++i) d.targets[i].weight = i % 4 == 1 ? 1.0f : 0.0f;
     ImageLoss loss(device(), {});
     Stream stream(device());
@@ -105,7 +105,7 @@ TEST_F(ImageLossTest, MaskedRaysAreIgnoredAndStrideSelects) {
     // targets 0, 4, 8, ... are masked
     loss.compare(stream, {{}, &rendered, &upstream}, {&targets, 0, 4, 16, 16.0, 16.0}, sums);
     stream.finish();
-    for (const float x : test::floats_of(upstream.download())) EXPECT_EQ(x, 0.0f);
+    for (const float x : test::to_floats(upstream.download())) EXPECT_EQ(x, 0.0f);
     for (const float x : sums.download()) EXPECT_EQ(x, 0.0f);
     // targets 1, 5, 9, ... have a measured value
     loss.compare(stream, {{}, &rendered, &upstream}, {&targets, 1, 4, 16, 16.0, 16.0}, sums);
@@ -115,7 +115,7 @@ TEST_F(ImageLossTest, MaskedRaysAreIgnoredAndStrideSelects) {
 
 /// Returns the names of the losses that are created for the weights, derived from their
 /// types.
-std::vector<std::string> made(Device& device, const LossWeights& weights) {
+std::vector<std::string> list_made_kernels(Device& device, const LossWeights& weights) {
     std::vector<std::string> names;
     for (const std::unique_ptr<Loss>& loss : make_losses(device, weights, 64))
         names.push_back(dynamic_cast<ImageLoss*>(loss.get())        ? "image"
@@ -129,7 +129,7 @@ std::vector<std::string> made(Device& device, const LossWeights& weights) {
 TEST_F(ImageLossTest, ComesFirstAndEachOtherLossOnceWhereATermAsksForIt) {
     using Names = std::vector<std::string>;
     const auto of = [&](LossWeights weights, float chamfer) {
-        return weights.chamfer = chamfer, made(device(), weights);
+        return weights.chamfer = chamfer, list_made_kernels(device(), weights);
     };
     EXPECT_EQ(of({.depth = 0.0f, .intensity = 0.0f, .drop = 0.0f}, 0.0f), Names{"image"})
         << "it outputs what others add to";

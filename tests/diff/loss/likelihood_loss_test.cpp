@@ -37,7 +37,7 @@ TEST_F(LikelihoodTerm, AgreesWithReference) {
         n_returned += returned;
     }
     std::vector<reference::PixelGradient> expected;
-    const double term = reference::likelihood_loss(pixels, expected_targets, 0.02, &expected);
+    const double term = reference::compute_likelihood_loss(pixels, expected_targets, 0.02, &expected);
     const Array<shared::RenderedRay> rendered(device(), rays, "rendered");
     const Array<float> terms(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
     const Array<DeviceTarget> targets(device(), std::span<const DeviceTarget>(measured), "targets");

@@ -19,7 +19,7 @@ using reference::Image;
 
 class Ssim : public test::DeviceTest {};
 
-Image random_image(int rows, int columns, bool circular, double known_share) {
+Image make_random_image(int rows, int columns, bool circular, double known_share) {
     std::mt19937_64 random(std::uint64_t(rows * 1000 + columns));
     std::uniform_real_distribution<double> unit(0.0, 1.0);
     Image image{rows, columns, circular, {}, {}, {}};
@@ -40,7 +40,7 @@ struct Result {
 
 /// Computes the loss on the device. Pixels without a known value are alternately dropped
 /// and unknown, and contain invalid values.
-Result device_ssim(Device& device, const Image& image, float share, std::uint32_t stride = 1) {
+Result compute_device_ssim(Device& device, const Image& image, float share, std::uint32_t stride = 1) {
     const std::size_t n = image.x.size();
     std::vector<shared::RenderedRay> rendered;
     std::vector<DeviceTarget> targets(n * stride);
@@ -81,25 +81,26 @@ TEST_F(Ssim, AgreesWithReference) {
     };
     for (const Case& c : {Case{16, 50, true, 0.8, 1}, Case{16, 50, false, 1.0, 3}, Case{1, 40, true, 0.7, 1},
                           Case{3, 7, true, 1.0, 1}, Case{33, 37, true, 0.15, 2}}) {
-        const Image image = random_image(c.rows, c.columns, c.circular, c.known);
+        const Image image = make_random_image(c.rows, c.columns, c.circular, c.known);
         std::vector<double> expected;
-        const double loss = reference::ssim_loss(image, &expected);
-        const Result device_result = device_ssim(device(), image, 1.0f, c.stride);
+        const double loss = reference::compute_ssim_loss(image, &expected);
+        const Result device_result = compute_device_ssim(device(), image, 1.0f, c.stride);
         EXPECT_NEAR(device_result.ssim, loss, 1e-4 * loss) << c.rows << " x " << c.columns;
         EXPECT_EQ(device_result.l1, 0.0);
         test::GradientTable table;
         table.add_row("image", expected, device_result.d_x);
-        EXPECT_EQ(table.groups().at("image").missing_rows(), 0u);
-        EXPECT_LE(table.worst_error(), test::kKernelGradient) << c.rows << " x " << c.columns;
+        EXPECT_EQ(table.groups().at("image").count_missing_rows(), 0u);
+        EXPECT_LE(table.compute_worst_error(), test::kKernelGradient) << c.rows << " x " << c.columns;
         for (std::size_t i = 0; i < expected.size(); ++i)
             EXPECT_TRUE(image.known[i] || device_result.d_x[i] == 0.0) << "pixel " << i << " takes no part";
     }
 }
 
 TEST_F(Ssim, SharesTheIntensityTermWithL1) {
-    const Image image = random_image(8, 20, true, 0.9);
-    const Result all = device_ssim(device(), image, 1.0f), none = device_ssim(device(), image, 0.0f),
-                 some = device_ssim(device(), image, 0.15f);
+    const Image image = make_random_image(8, 20, true, 0.9);
+    const Result all = compute_device_ssim(device(), image, 1.0f),
+                 none = compute_device_ssim(device(), image, 0.0f),
+                 some = compute_device_ssim(device(), image, 0.15f);
     EXPECT_EQ(none.ssim, 0.0);
     EXPECT_NEAR(some.ssim, 0.15 * all.ssim, 1e-6);
     EXPECT_NEAR(some.l1, 0.85 * none.l1, 1e-6);

@@ -74,8 +74,8 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
                 reference::BoxedSurfel surfel{{s.mean[i].x, s.mean[i].y, s.mean[i].z},
                                               {s.log_scale[i].x, s.log_scale[i].y}};
                 if (is_gaussian) surfel.log_scale_w = s.log_scale_w[i];
-                box += reference::box_loss(surfel, {{h.x, h.y, h.z}, 0.2 * glm::length(h)},
-                                           0.3 / (2 * kActor), write ? expected : ignored);
+                box += reference::compute_box_loss(surfel, {{h.x, h.y, h.z}, 0.2 * glm::length(h)},
+                                                   0.3 / (2 * kActor), write ? expected : ignored);
             }
             table.add_row("mean", {expected.mean[0], expected.mean[1], expected.mean[2]},
                           {device_result.mean[i].x, device_result.mean[i].y, device_result.mean[i].z});
@@ -86,8 +86,8 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
                               {device_result.log_scale_w[i]});
         }
         EXPECT_NEAR(terms.download()[loss_term::box], 0.3 * box / (2 * kActor), 1e-5 * box);
-        EXPECT_LE(table.worst_error(), test::kKernelGradient);
-        for (const auto& [name, group] : table.groups()) EXPECT_EQ(group.missing_rows(), 0u) << name;
+        EXPECT_LE(table.compute_worst_error(), test::kKernelGradient);
+        for (const auto& [name, group] : table.groups()) EXPECT_EQ(group.count_missing_rows(), 0u) << name;
     }
 }
 

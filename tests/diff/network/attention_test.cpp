@@ -12,15 +12,15 @@ namespace relidar {
 namespace {
 
 using refine::Attention, refine::AttentionState, refine::Grid;
-using test::OnDevice, test::worst_error;
+using test::OnDevice, test::compute_worst_error;
 
 struct AttentionCase {
     Grid grid;
     int channels, heads;
 };
-void PrintTo(const AttentionCase& c, std::ostream* out) {
-    *out << c.grid.n << "x" << c.grid.rows << "x" << c.grid.columns << ", " << c.channels << " in "
-         << c.heads;
+void PrintTo(const AttentionCase& test_case, std::ostream* out) {
+    *out << test_case.grid.n << "x" << test_case.grid.rows << "x" << test_case.grid.columns << ", "
+         << test_case.channels << " in " << test_case.heads;
 }
 
 class AttentionTest : public test::DeviceTest {};
@@ -33,20 +33,22 @@ INSTANTIATE_TEST_SUITE_P(Refine, AttentionSizes,
 
 TEST_P(AttentionSizes, ForwardAndBackward) {
     const AttentionCase& c = GetParam();
-    const test::ImageBatch values = test::random_images(c.grid, 3 * c.channels, 1),
-                           upstream = test::random_images(c.grid, c.channels, 2);
+    const test::ImageBatch values = test::make_random_images(c.grid, 3 * c.channels, 1),
+                           upstream = test::make_random_images(c.grid, c.channels, 2);
     Attention attention(device(), std::uint32_t(c.heads));
     AttentionState state = attention.make_state(device(), c.grid, true);
     Stream stream(device());
-    const OnDevice qkv(device(), values), to = OnDevice::unwritten(device(), c.grid, c.channels),
+    const OnDevice qkv(device(), values), to = OnDevice::make_unwritten(device(), c.grid, c.channels),
                                           d_to(device(), upstream),
-                                          d_qkv = OnDevice::unwritten(device(), c.grid, 3 * c.channels);
+                                          d_qkv = OnDevice::make_unwritten(device(), c.grid, 3 * c.channels);
     attention.forward(stream, qkv.slice(), state, to.slice());
     attention.vjp(stream, qkv.slice(), state, d_to.slice(), d_qkv.slice());
     stream.finish();
-    EXPECT_LT(worst_error(to.read(), reference::attend(values, c.heads)), test::kLayer);
-    EXPECT_LT(worst_error(d_qkv.read(), reference::attend_vjp(values, c.heads, upstream)), test::kLayer);
-    const std::vector<double> shares = test::doubles(state.share.values);
+    EXPECT_LT(compute_worst_error(to.read(), reference::attend(values, c.heads)), test::kLayer);
+    EXPECT_LT(
+        compute_worst_error(d_qkv.read(), reference::backpropagate_attention(values, c.heads, upstream)),
+        test::kLayer);
+    const std::vector<double> shares = test::to_doubles(state.share.values);
     const std::size_t pixels = c.grid.pixels();
     ASSERT_EQ(shares.size(), c.grid.n * std::size_t(c.heads) * pixels * pixels);
     for (std::size_t row = 0; row < shares.size() / pixels; ++row) {
@@ -59,15 +61,15 @@ TEST_P(AttentionSizes, ForwardAndBackward) {
 /// exp() of these scores overflows float.
 TEST_F(AttentionTest, LargeScores) {
     const Grid grid{1, 3, 7};
-    const test::ImageBatch values = test::random_images(grid, 12, 1, 30.0);
+    const test::ImageBatch values = test::make_random_images(grid, 12, 1, 30.0);
     Attention attention(device(), 1);
     AttentionState state = attention.make_state(device(), grid, false);
     Stream stream(device());
-    const OnDevice qkv(device(), values), to = OnDevice::unwritten(device(), grid, 4);
+    const OnDevice qkv(device(), values), to = OnDevice::make_unwritten(device(), grid, 4);
     attention.forward(stream, qkv.slice(), state, to.slice());
     stream.finish();
     // scores of 1e3 have an error of 1e-4
-    EXPECT_LT(worst_error(to.read(), reference::attend(values, 1)), 1e-3);
+    EXPECT_LT(compute_worst_error(to.read(), reference::attend(values, 1)), 1e-3);
 }
 
 /// The key of each pixel matches the query of its neighbour. Attention must therefore
@@ -82,12 +84,12 @@ TEST_F(AttentionTest, TakesWhatItAsksFor) {
         expected.at(0, (x + n - 1) % n, 0, x) = 1.0;
     }
     Attention attention(device(), 1);
-    AttentionState state = attention.make_state(device(), test::grid_of(values), false);
+    AttentionState state = attention.make_state(device(), test::get_grid(values), false);
     Stream stream(device());
-    const OnDevice qkv(device(), values), to = OnDevice::unwritten(device(), test::grid_of(values), n);
+    const OnDevice qkv(device(), values), to = OnDevice::make_unwritten(device(), test::get_grid(values), n);
     attention.forward(stream, qkv.slice(), state, to.slice());
     stream.finish();
-    EXPECT_LT(worst_error(to.read(), expected), 1e-6);
+    EXPECT_LT(compute_worst_error(to.read(), expected), 1e-6);
 }
 
 }  // namespace

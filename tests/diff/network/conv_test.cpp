@@ -13,7 +13,7 @@ namespace relidar {
 namespace {
 
 using refine::Conv, refine::Grid;
-using test::OnDevice, test::worst_error;
+using test::OnDevice, test::compute_worst_error;
 
 struct Case {
     std::uint32_t taps;
@@ -21,9 +21,9 @@ struct Case {
     int n_in, n_out;
 };
 
-void PrintTo(const Case& c, std::ostream* out) {
-    *out << c.taps << " taps, " << c.grid.n << "x" << c.grid.rows << "x" << c.grid.columns << ", " << c.n_in
-         << " -> " << c.n_out;
+void PrintTo(const Case& test_case, std::ostream* out) {
+    *out << test_case.taps << " taps, " << test_case.grid.n << "x" << test_case.grid.rows << "x"
+         << test_case.grid.columns << ", " << test_case.n_in << " -> " << test_case.n_out;
 }
 
 class ConvTest : public test::DeviceTest {};
@@ -41,67 +41,71 @@ struct Layer {
     std::vector<double> weights, bias;
 };
 
-Layer random_layer(const Case& c) {
-    return {test::random_images(c.grid, c.n_in, 1), test::random_images(c.grid, c.n_out, 2),
-            test::random_floats(std::size_t(c.n_in) * c.n_out * c.taps, 3),
-            test::random_floats(std::size_t(c.n_out), 4)};
+Layer make_random_layer(const Case& test_case) {
+    return {test::make_random_images(test_case.grid, test_case.n_in, 1),
+            test::make_random_images(test_case.grid, test_case.n_out, 2),
+            test::make_random_floats(std::size_t(test_case.n_in) * test_case.n_out * test_case.taps, 3),
+            test::make_random_floats(std::size_t(test_case.n_out), 4)};
 }
 
 TEST_P(ConvSizes, Forward) {
     const Case& c = GetParam();
-    const Layer layer = random_layer(c);
+    const Layer layer = make_random_layer(c);
     Conv conv(device(), c.taps);
     Stream stream(device());
-    const OnDevice from(device(), layer.from), to = OnDevice::unwritten(device(), c.grid, c.n_out),
-                                               plain = OnDevice::unwritten(device(), c.grid, c.n_out, 0, 0);
+    const OnDevice from(device(), layer.from),
+        to = OnDevice::make_unwritten(device(), c.grid, c.n_out),
+        plain = OnDevice::make_unwritten(device(), c.grid, c.n_out, 0, 0);
     const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights);
     const auto bias = test::to_device<shared::ConvBias>(device(), layer.bias);
     conv.forward(stream, from.slice(), weights.address(), bias.address(), to.slice());
     conv.forward(stream, from.slice(), weights.address(), {}, plain.slice());
     stream.finish();
-    EXPECT_LT(worst_error(to.read(),
-                          reference::convolve(layer.from, layer.weights, layer.bias, c.n_out, int(c.taps))),
+    EXPECT_LT(compute_worst_error(to.read(), reference::convolve(layer.from, layer.weights, layer.bias,
+                                                                 c.n_out, int(c.taps))),
               test::kLayer);
-    EXPECT_LT(
-        worst_error(plain.read(), reference::convolve(layer.from, layer.weights, {}, c.n_out, int(c.taps))),
-        test::kLayer);
+    EXPECT_LT(compute_worst_error(plain.read(),
+                                  reference::convolve(layer.from, layer.weights, {}, c.n_out, int(c.taps))),
+              test::kLayer);
 }
 
 TEST_P(ConvSizes, DerivativeByTheInputAndItsSum) {
     const Case& c = GetParam();
-    const Layer layer = random_layer(c);
+    const Layer layer = make_random_layer(c);
     Conv conv(device(), c.taps);
     Stream stream(device());
-    const OnDevice d_to(device(), layer.d_to), d_from = OnDevice::unwritten(device(), c.grid, c.n_in),
+    const OnDevice d_to(device(), layer.d_to), d_from = OnDevice::make_unwritten(device(), c.grid, c.n_in),
                                                sum(device(), layer.from);
     const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights);
-    conv.input_vjp(stream, d_to.slice(), weights.address(), d_from.slice());
-    conv.input_vjp(stream, d_to.slice(), weights.address(), sum.slice(), true);
+    conv.backpropagate_input(stream, d_to.slice(), weights.address(), d_from.slice());
+    conv.backpropagate_input(stream, d_to.slice(), weights.address(), sum.slice(), true);
     stream.finish();
-    test::ImageBatch expected = reference::convolve_input_vjp(layer.d_to, layer.weights, c.n_in, int(c.taps));
-    EXPECT_LT(worst_error(d_from.read(), expected), test::kLayer);
+    test::ImageBatch expected =
+        reference::backpropagate_convolution_input(layer.d_to, layer.weights, c.n_in, int(c.taps));
+    EXPECT_LT(compute_worst_error(d_from.read(), expected), test::kLayer);
     for (std::size_t i = 0; i < expected.values.size(); ++i) expected.values[i] += layer.from.values[i];
-    EXPECT_LT(worst_error(sum.read(), expected), test::kLayer);
+    EXPECT_LT(compute_worst_error(sum.read(), expected), test::kLayer);
 }
 
 TEST_P(ConvSizes, DerivativeByTheWeights) {
     const Case& c = GetParam();
-    const Layer layer = random_layer(c);
+    const Layer layer = make_random_layer(c);
     Conv conv(device(), c.taps);
     Stream stream(device());
     const OnDevice from(device(), layer.from), d_to(device(), layer.d_to);
     std::vector<double> guarded(layer.weights.size() + 1, std::nan(""));
     const auto d_weights = test::to_device<shared::ConvWeights>(device(), guarded),
                again = test::to_device<shared::ConvWeights>(device(), guarded);
-    conv.reserve(device(), conv.partial_floats(c.grid, std::uint32_t(c.n_in), std::uint32_t(c.n_out)));
+    conv.reserve(device(), conv.count_partial_floats(c.grid, std::uint32_t(c.n_in), std::uint32_t(c.n_out)));
     for (const auto* d : {&d_weights, &again}) {
-        conv.weights_vjp(stream, from.slice(), d_to.slice(), d->address());
+        conv.backpropagate_weights(stream, from.slice(), d_to.slice(), d->address());
         stream.finish();
     }
-    std::vector<double> actual = test::doubles(d_weights), repeated = test::doubles(again);
+    std::vector<double> actual = test::to_doubles(d_weights), repeated = test::to_doubles(again);
     EXPECT_TRUE(std::isnan(actual.back())) << "wrote past the end";
     actual.pop_back(), repeated.pop_back();
-    EXPECT_LT(worst_error(actual, reference::convolve_weights_vjp(layer.from, layer.d_to, int(c.taps))),
+    EXPECT_LT(compute_worst_error(
+                  actual, reference::backpropagate_convolution_weights(layer.from, layer.d_to, int(c.taps))),
               test::kLayer);
     EXPECT_EQ(actual, repeated);  // the order of summation is fixed
 }
@@ -110,24 +114,24 @@ TEST_P(ConvSizes, DerivativeByTheWeights) {
 /// <d_to, W v> = <W^T d_to, v>.
 TEST_F(ConvTest, ForwardAndBackwardAreTransposes) {
     const Case c{9, {4, 11, 37}, 9, 17};
-    const Layer layer = random_layer(c);
+    const Layer layer = make_random_layer(c);
     Conv conv(device(), c.taps);
     Stream stream(device());
     const OnDevice from(device(), layer.from), d_to(device(), layer.d_to),
-        to = OnDevice::unwritten(device(), c.grid, c.n_out),
-        d_from = OnDevice::unwritten(device(), c.grid, c.n_in);
+        to = OnDevice::make_unwritten(device(), c.grid, c.n_out),
+        d_from = OnDevice::make_unwritten(device(), c.grid, c.n_in);
     const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights),
                d_weights = test::to_device<shared::ConvWeights>(
                    device(), std::vector<double>(layer.weights.size(), 0.0));
-    conv.reserve(device(), conv.partial_floats(c.grid, 9, 17));
+    conv.reserve(device(), conv.count_partial_floats(c.grid, 9, 17));
     conv.forward(stream, from.slice(), weights.address(), {}, to.slice());
-    conv.input_vjp(stream, d_to.slice(), weights.address(), d_from.slice());
-    conv.weights_vjp(stream, from.slice(), d_to.slice(), d_weights.address());
+    conv.backpropagate_input(stream, d_to.slice(), weights.address(), d_from.slice());
+    conv.backpropagate_weights(stream, from.slice(), d_to.slice(), d_weights.address());
     stream.finish();
     const double asked = test::dot(layer.d_to.values, to.read().values),
                  scale = 1e-5 * std::sqrt(double(layer.d_to.values.size()) * 81.0);
     EXPECT_NEAR(test::dot(d_from.read().values, layer.from.values), asked, scale);
-    EXPECT_NEAR(test::dot(test::doubles(d_weights), layer.weights), asked, scale);
+    EXPECT_NEAR(test::dot(test::to_doubles(d_weights), layer.weights), asked, scale);
 }
 
 /// A value in the first column must affect the last column, because columns form a ring.
@@ -139,11 +143,11 @@ TEST_F(ConvTest, ColumnsAreARingAndRowsEnd) {
         const std::vector<double> taps{1, 2, 3, 4, 5, 6, 7, 8, 9};
         Conv conv(device(), 9);
         Stream stream(device());
-        const OnDevice from(device(), one), to = OnDevice::unwritten(device(), test::grid_of(one), 1),
-                                            back = OnDevice::unwritten(device(), test::grid_of(one), 1);
+        const OnDevice from(device(), one), to = OnDevice::make_unwritten(device(), test::get_grid(one), 1),
+                                            back = OnDevice::make_unwritten(device(), test::get_grid(one), 1);
         const auto weights = test::to_device<shared::ConvWeights>(device(), taps);
         conv.forward(stream, from.slice(), weights.address(), {}, to.slice());
-        conv.input_vjp(stream, from.slice(), weights.address(), back.slice());
+        conv.backpropagate_input(stream, from.slice(), weights.address(), back.slice());
         stream.finish();
         const test::ImageBatch seen = to.read(), asked = back.read();
         const int last = int(columns) - 1;
@@ -170,9 +174,9 @@ INSTANTIATE_TEST_SUITE_P(Refine, ConvVariants, testing::Values(Variant{8, 1}, Va
 /// Tests the variants that other devices use.
 TEST_P(ConvVariants, Agree) {
     const auto lanes = std::uint32_t(device().info().subgroup_size);
-    const auto tiles = [](std::uint32_t n, std::uint32_t size) { return (n + size - 1) / size; };
+    const auto tiles = [](std::uint32_t count, std::uint32_t size) { return (count + size - 1) / size; };
     for (const Case& c : {Case{9, {2, 5, 75}, 9, 17}, Case{1, {2, 3, 41}, 17, 9}}) {
-        const Layer layer = random_layer(c);
+        const Layer layer = make_random_layer(c);
         const Kernel<shared::ConvParams> kernel(device(), "diff/network/conv",
                                                 {{ConstantId::TAPS, c.taps},
                                                  {ConstantId::PIXELS, GetParam().pixels},
@@ -181,7 +185,7 @@ TEST_P(ConvVariants, Agree) {
                                                  {ConstantId::WORKGROUP_SIZE, 64}},
                                                 Subgroups::full);
         Stream stream(device());
-        const OnDevice from(device(), layer.from), to = OnDevice::unwritten(device(), c.grid, c.n_out);
+        const OnDevice from(device(), layer.from), to = OnDevice::make_unwritten(device(), c.grid, c.n_out);
         const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights);
         const auto bias = test::to_device<shared::ConvBias>(device(), layer.bias);
         const std::uint32_t segments =
@@ -200,8 +204,8 @@ TEST_P(ConvVariants, Agree) {
              .transposed = 0,
              .accumulate = 0});
         stream.finish();
-        EXPECT_LT(worst_error(to.read(), reference::convolve(layer.from, layer.weights, layer.bias, c.n_out,
-                                                             int(c.taps))),
+        EXPECT_LT(compute_worst_error(to.read(), reference::convolve(layer.from, layer.weights, layer.bias,
+                                                                     c.n_out, int(c.taps))),
                   test::kLayer);
     }
 }

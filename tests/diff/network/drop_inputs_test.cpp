@@ -25,7 +25,7 @@ std::vector<double> shift() { return {0.0, 1.0, -3.0, 0.25, 2.0}; }
 /// Shifts the columns of each sample by `turn`.
 Batch turned(const test::ImageBatch& samples, const std::vector<double>& targets,
              const std::vector<std::uint32_t>& turn, int n_fixed) {
-    const refine::Grid grid = test::grid_of(samples);
+    const refine::Grid grid = test::get_grid(samples);
     test::ImageBatch images(kImages, kChannels, samples.rows, samples.columns),
         start(kImages, 1, samples.rows, samples.columns);
     test::ImageBatch target = start;
@@ -52,8 +52,8 @@ TEST_F(DropInputsTest, TurnsWhatIsSeenAndKeepsTheSensorsOwn) {
          {refine::Grid{kSamples, 5, 13}, refine::Grid{kSamples, 1, 3}, refine::Grid{kSamples, 7, 70}})
         for (const int n_fixed : {0, 2}) {
             const std::vector<std::uint32_t> turn{0, 1, grid.columns - 1, 2 * grid.columns + 2};
-            const test::ImageBatch values = test::random_images(grid, kChannels, 1);
-            const std::vector<double> known = test::random_floats(grid.all_pixels(), 2);
+            const test::ImageBatch values = test::make_random_images(grid, kChannels, 1);
+            const std::vector<double> known = test::make_random_floats(grid.all_pixels(), 2);
             const Batch expected = turned(values, known, turn, n_fixed);
             const Kernel<shared::DropInputsParams> kernel(device(), "diff/network/drop_inputs");
             Stream stream(device());
@@ -63,7 +63,7 @@ TEST_F(DropInputsTest, TurnsWhatIsSeenAndKeepsTheSensorsOwn) {
                 device(), std::span<const std::uint32_t>(kChosen), "chosen");
             const Array<std::uint32_t, shared::SampleTurns> turns(
                 device(), std::span<const std::uint32_t>(turn), "turn");
-            const Array<glm::vec2> affine = test::pairs_to_device(device(), scale(), shift());
+            const Array<glm::vec2> affine = test::upload_pairs(device(), scale(), shift());
             const std::size_t n = kImages * grid.pixels();
             const Array<float> images(device(), n * kChannels + 1, "images");
             const Array<float, shared::StartLogits> start(device(), n + 1, "start");
@@ -87,7 +87,7 @@ TEST_F(DropInputsTest, TurnsWhatIsSeenAndKeepsTheSensorsOwn) {
                 stream.finish();
             };
             const auto written = [&](const Array<float>& array) {
-                std::vector<double> result = test::doubles(array);
+                std::vector<double> result = test::to_doubles(array);
                 EXPECT_TRUE(std::isnan(result.back())) << "wrote past the end";
                 result.pop_back();
                 return result;
@@ -95,10 +95,10 @@ TEST_F(DropInputsTest, TurnsWhatIsSeenAndKeepsTheSensorsOwn) {
             for (const Buffer* array : {&images.buffer(), &start.buffer(), &target.buffer()})
                 stream.fill(*array, 0x7fc00000u);
             launch({});  // without a target, no target is written
-            for (const double x : test::doubles(target)) EXPECT_TRUE(std::isnan(x));
-            EXPECT_LT(test::worst_error(written(images), expected.images), 1e-6);
+            for (const double x : test::to_doubles(target)) EXPECT_TRUE(std::isnan(x));
+            EXPECT_LT(test::compute_worst_error(written(images), expected.images), 1e-6);
             launch(target.address());
-            EXPECT_LT(test::worst_error(written(images), expected.images), 1e-6);
+            EXPECT_LT(test::compute_worst_error(written(images), expected.images), 1e-6);
             EXPECT_EQ(written(start), expected.start);
             EXPECT_EQ(written(target), expected.target);
         }

@@ -22,11 +22,11 @@ struct Data {
     std::size_t known = 0;
 };
 
-Data random_data(std::size_t n) {
-    std::mt19937_64 random(n);
+Data make_random_data(std::size_t count) {
+    std::mt19937_64 random(count);
     std::uniform_real_distribution<double> unit(0.0, 1.0);
-    Data d{test::random_floats(n, 1, 2.0), test::random_floats(n, 2, 2.0), {}, {}};
-    for (std::size_t i = 0; i < n; ++i) {
+    Data d{test::make_random_floats(count, 1, 2.0), test::make_random_floats(count, 2, 2.0), {}, {}};
+    for (std::size_t i = 0; i < count; ++i) {
         if (i % 17 == 3) d.logit[i] = i % 2 ? 120.0 : -120.0;  // exp() overflows float
         d.sum.push_back(double(float(d.logit[i]) + float(d.start[i])));
         const double u = unit(random);
@@ -39,7 +39,7 @@ Data random_data(std::size_t n) {
 TEST_F(DropLossTest, AgreesWithReference) {
     for (const std::size_t n :
          {std::size_t(1), std::size_t(7), std::size_t(1000), std::size_t(66 * 1030), std::size_t(40961)}) {
-        const Data d = random_data(n);
+        const Data d = make_random_data(n);
         DropLoss loss(device(), n);
         Stream stream(device());
         const Array<float> logit = test::to_device(device(), d.logit);
@@ -49,7 +49,7 @@ TEST_F(DropLossTest, AgreesWithReference) {
         Array<float, shared::DropProbabilities> probability(device(), n + 1, "probability");
         for (const bool with_start : {true, false}) {
             const reference::DropEntropy expected =
-                reference::drop_entropy(with_start ? d.sum : d.logit, d.target);
+                reference::compute_drop_entropy(with_start ? d.sum : d.logit, d.target);
             stream.fill(d_logit, 0x7fc00000u);
             stream.fill(probability, 0x7fc00000u);
             loss.run(stream, n,
@@ -61,7 +61,7 @@ TEST_F(DropLossTest, AgreesWithReference) {
             const DropScore score = loss.score(d.known);
             EXPECT_NEAR(score.entropy, expected.mean, 1e-5 * expected.mean);
             EXPECT_NEAR(score.accuracy, expected.accuracy, 1e-6);
-            std::vector<double> gradient = test::doubles(d_logit), p = test::doubles(probability);
+            std::vector<double> gradient = test::to_doubles(d_logit), p = test::to_doubles(probability);
             EXPECT_TRUE(std::isnan(gradient.back()) && std::isnan(p.back())) << "wrote past the end";
             for (std::size_t i = 0; i < n; ++i) {
                 EXPECT_NEAR(p[i], expected.probability[i], 1e-6);
@@ -74,7 +74,7 @@ TEST_F(DropLossTest, AgreesWithReference) {
 /// The derivative must match the mean that the device computes.
 TEST_F(DropLossTest, DerivativeIsThatOfTheScore) {
     const std::size_t n = 37;
-    const Data d = random_data(n);
+    const Data d = make_random_data(n);
     DropLoss loss(device(), n);
     Stream stream(device());
     const auto target = test::to_device<shared::DropTargets>(device(), d.target);
@@ -92,17 +92,17 @@ TEST_F(DropLossTest, DerivativeIsThatOfTheScore) {
         return loss.score(d.known).entropy;
     };
     for (std::size_t i = 0; i < n; i += 5) {
-        std::vector<double> logits = test::random_floats(n, 9), above = logits, below = logits;
+        std::vector<double> logits = test::make_random_floats(n, 9), above = logits, below = logits;
         above[i] += 0.125, below[i] -= 0.125;  // differences of floats need a large step
         const double difference = (entropy(above) - entropy(below)) / 0.25;
         entropy(logits);
-        EXPECT_NEAR(test::doubles(d_logit)[i], difference, 3e-3 / double(d.known) * 2.0) << i;
+        EXPECT_NEAR(test::to_doubles(d_logit)[i], difference, 3e-3 / double(d.known) * 2.0) << i;
     }
 }
 
 TEST_F(DropLossTest, NothingKnown) {
     const std::size_t n = 33;
-    const Data d = random_data(n);
+    const Data d = make_random_data(n);
     DropLoss loss(device(), n);
     Stream stream(device());
     const Array<float> logit = test::to_device(device(), d.logit);
@@ -119,7 +119,7 @@ TEST_F(DropLossTest, NothingKnown) {
                   probability.address()},
                  0);
         stream.finish();
-        for (const double x : test::doubles(d_logit)) EXPECT_EQ(x, 0.0);
+        for (const double x : test::to_doubles(d_logit)) EXPECT_EQ(x, 0.0);
         EXPECT_EQ(loss.score(0).entropy, 0.0);
         EXPECT_EQ(loss.score(0).accuracy, 0.0);
     }
@@ -128,8 +128,9 @@ TEST_F(DropLossTest, NothingKnown) {
              {.logit = logit.address_as<float, shared::DropLogits>(), .probability = probability.address()},
              0);
     stream.finish();
-    const std::vector<double> p = test::doubles(probability);
-    const reference::DropEntropy expected = reference::drop_entropy(d.logit, std::vector<double>(n, -1.0));
+    const std::vector<double> p = test::to_doubles(probability);
+    const reference::DropEntropy expected =
+        reference::compute_drop_entropy(d.logit, std::vector<double>(n, -1.0));
     for (std::size_t i = 0; i < n; ++i) EXPECT_NEAR(p[i], expected.probability[i], 1e-6);
 }
 

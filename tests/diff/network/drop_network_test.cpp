@@ -20,9 +20,9 @@ class DropNetworkTest : public test::DeviceTest {};
 
 /// Makes an image with random intensities in which a ray is dropped if its right
 /// neighbour is dark. The rendered logit is 0.3 everywhere.
-DropImage dark_neighbours(int rows, int columns, const RefineOptions& options, std::uint64_t seed) {
+DropImage make_dark_neighbours(int rows, int columns, const RefineOptions& options, std::uint64_t seed) {
     std::mt19937_64 random(seed);
-    const std::vector<std::string> names = drop_channel_names(options);
+    const std::vector<std::string> names = list_drop_channels(options);
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
     DropImage image{rows, columns, std::vector<float>(names.size() * n, 0.0f), std::vector<float>(n)};
     float* intensity = image.channels.data() + n;
@@ -39,21 +39,22 @@ DropImage dark_neighbours(int rows, int columns, const RefineOptions& options, s
     return image;
 }
 
-std::vector<DropImage> some_images(const RefineOptions& options, std::size_t n, int rows = 16,
-                                   int columns = 40) {
+std::vector<DropImage> make_some_images(const RefineOptions& options, std::size_t count, int rows = 16,
+                                        int columns = 40) {
     std::vector<DropImage> images;
-    for (std::size_t i = 0; i < n; ++i) images.push_back(dark_neighbours(rows, columns, options, 20 + i));
+    for (std::size_t i = 0; i < count; ++i)
+        images.push_back(make_dark_neighbours(rows, columns, options, 20 + i));
     return images;
 }
 
-double accuracy_of(const std::vector<float>& probability, const DropImage& image) {
+double compute_accuracy(const std::vector<float>& probability, const DropImage& image) {
     double right = 0.0;
     for (std::size_t i = 0; i < probability.size(); ++i)
         right += (probability[i] > 0.5f) == (image.dropped[i] > 0.5f);
     return right / double(probability.size());
 }
 
-RefineOptions short_training() {
+RefineOptions make_short_training() {
     RefineOptions options;
     options.levels = 1;
     options.epochs = 40;
@@ -63,38 +64,38 @@ RefineOptions short_training() {
 }
 
 TEST_F(DropNetworkTest, LearnsWhatNeighboursSay) {
-    RefineOptions options = short_training();
+    RefineOptions options = make_short_training();
     options.epochs = 20;
-    const DropNetwork network = train_drop_network(device(), some_images(options, 32), options, 1, {});
+    const DropNetwork network = train_drop_network(device(), make_some_images(options, 32), options, 1, {});
     DropRefiner refiner(device(), network);
-    const DropImage seen_first_now = dark_neighbours(16, 40, options, 99),
-                    larger = dark_neighbours(25, 61, options, 98);
+    const DropImage seen_first_now = make_dark_neighbours(16, 40, options, 99),
+                    larger = make_dark_neighbours(25, 61, options, 98);
     // always predicting a return would reach 0.7
-    EXPECT_GT(accuracy_of(refiner.refine(seen_first_now), seen_first_now), 0.97);
-    EXPECT_GT(accuracy_of(refiner.refine(larger), larger), 0.97);
+    EXPECT_GT(compute_accuracy(refiner.refine(seen_first_now), seen_first_now), 0.97);
+    EXPECT_GT(compute_accuracy(refiner.refine(larger), larger), 0.97);
     EXPECT_EQ(refiner.refine(larger), refiner.refine(larger));
     // more shapes than the network caches
-    const DropImage shapes[] = {seen_first_now, larger, dark_neighbours(20, 50, options, 97)};
+    const DropImage shapes[] = {seen_first_now, larger, make_dark_neighbours(20, 50, options, 97)};
     for (const int which : {0, 1, 0, 2, 1, 2, 0})
         EXPECT_EQ(refiner.refine(shapes[which]), DropRefiner(device(), network).refine(shapes[which]))
             << which;
 }
 
 TEST_F(DropNetworkTest, PixelsByThemselvesCannotKnow) {
-    RefineOptions options = short_training();
+    RefineOptions options = make_short_training();
     options.network = "pixel";
     options.levels = -1;
-    const DropNetwork network = train_drop_network(device(), some_images(options, 4), options, 1, {});
-    const DropImage image = dark_neighbours(16, 40, options, 99);
-    EXPECT_LT(accuracy_of(DropRefiner(device(), network).refine(image), image), 0.8);
+    const DropNetwork network = train_drop_network(device(), make_some_images(options, 4), options, 1, {});
+    const DropImage image = make_dark_neighbours(16, 40, options, 99);
+    EXPECT_LT(compute_accuracy(DropRefiner(device(), network).refine(image), image), 0.8);
 }
 
 TEST_F(DropNetworkTest, SameSeedGivesTheSameBitsAnotherDoesNot) {
-    RefineOptions options = short_training();
+    RefineOptions options = make_short_training();
     options.epochs = 2;
     options.network = "paper";  // the paper's network uses dropout
     options.width = 8;
-    const std::vector<DropImage> images = some_images(options, 4);
+    const std::vector<DropImage> images = make_some_images(options, 4);
     const DropNetwork a = train_drop_network(device(), images, options, 1, {}),
                       b = train_drop_network(device(), images, options, 1, {}),
                       c = train_drop_network(device(), images, options, 2, {});
@@ -104,18 +105,18 @@ TEST_F(DropNetworkTest, SameSeedGivesTheSameBitsAnotherDoesNot) {
 }
 
 TEST_F(DropNetworkTest, StartsAsTheRenderingItself) {
-    RefineOptions options = short_training();
+    RefineOptions options = make_short_training();
     options.epochs = 1;
     options.rate = 1e-12;
-    const DropNetwork network = train_drop_network(device(), some_images(options, 2), options, 1, {});
-    for (const float p : DropRefiner(device(), network).refine(dark_neighbours(16, 40, options, 5)))
+    const DropNetwork network = train_drop_network(device(), make_some_images(options, 2), options, 1, {});
+    for (const float p : DropRefiner(device(), network).refine(make_dark_neighbours(16, 40, options, 5)))
         EXPECT_NEAR(p, 1.0 / (1.0 + std::exp(-0.3)), 1e-5);
 }
 
 TEST_F(DropNetworkTest, PixelsThatAreNotKnownDoNotCount) {
-    RefineOptions options = short_training();
+    RefineOptions options = make_short_training();
     options.epochs = 1;
-    std::vector<DropImage> images = some_images(options, 2), blinded = images;
+    std::vector<DropImage> images = make_some_images(options, 2), blinded = images;
     for (std::size_t i = 0; i < 100; ++i) {
         images[0].dropped[i] = images[1].dropped[i] = -1.0f;
         blinded[0].dropped[i] = blinded[1].dropped[i] = -3.0f;
@@ -125,21 +126,21 @@ TEST_F(DropNetworkTest, PixelsThatAreNotKnownDoNotCount) {
 }
 
 TEST_F(DropNetworkTest, StopsWhereProgressSaysSo) {
-    const RefineOptions options = short_training();
+    const RefineOptions options = make_short_training();
     int steps = 0;
     const auto three = [&](const RefineProgress& p, const auto&) {
         EXPECT_EQ(p.step, ++steps);
         EXPECT_EQ(p.n_steps, 80);
         return steps < 3;
     };
-    const DropNetwork network = train_drop_network(device(), some_images(options, 4), options, 1, three);
+    const DropNetwork network = train_drop_network(device(), make_some_images(options, 4), options, 1, three);
     EXPECT_EQ(steps, 3);
     EXPECT_FALSE(network.empty());
 }
 
 /// Trains until `step` and returns the training state after this step.
-RefineState state_after(Device& device, const std::vector<DropImage>& images, const RefineOptions& options,
-                        int step, const RefineState* start = nullptr) {
+RefineState train_for_steps(Device& device, const std::vector<DropImage>& images,
+                            const RefineOptions& options, int step, const RefineState* start = nullptr) {
     RefineState kept;
     train_drop_network(
         device, images, options, 1,
@@ -153,12 +154,12 @@ RefineState state_after(Device& device, const std::vector<DropImage>& images, co
 
 TEST_F(DropNetworkTest, GoesOnWithTheSameBits) {
     for (const char* name : {"small", "paper"}) {
-        RefineOptions options = short_training();
+        RefineOptions options = make_short_training();
         options.network = name;
         options.width = 8;
         options.rays = "origin,direction";
         options.epochs = 4;
-        const std::vector<DropImage> images = some_images(options, 6);
+        const std::vector<DropImage> images = make_some_images(options, 6);
         std::vector<RefineProgress> uninterrupted, parts;
         const auto collect_into = [](std::vector<RefineProgress>& lines) {
             return [&](const RefineProgress& p, const auto&) { return lines.push_back(p), true; };
@@ -166,8 +167,8 @@ TEST_F(DropNetworkTest, GoesOnWithTheSameBits) {
         const DropNetwork expected =
             train_drop_network(device(), images, options, 1, collect_into(uninterrupted));
         ASSERT_EQ(uninterrupted.size(), 12u);
-        const RefineState in_an_epoch = state_after(device(), images, options, 4),
-                          at_its_end = state_after(device(), images, options, 6, &in_an_epoch);
+        const RefineState in_an_epoch = train_for_steps(device(), images, options, 4),
+                          at_its_end = train_for_steps(device(), images, options, 6, &in_an_epoch);
         EXPECT_EQ(at_its_end.step, 6);
         EXPECT_GE(at_its_end.seconds, in_an_epoch.seconds);
         const DropNetwork resumed =
@@ -181,7 +182,7 @@ TEST_F(DropNetworkTest, GoesOnWithTheSameBits) {
             EXPECT_EQ(parts[i].epoch, uninterrupted[i + 6].epoch);
             EXPECT_EQ(parts[i].entropy, uninterrupted[i + 6].entropy);
         }
-        const RefineState all = state_after(device(), images, options, 12, &in_an_epoch);
+        const RefineState all = train_for_steps(device(), images, options, 12, &in_an_epoch);
         EXPECT_EQ(train_drop_network(device(), images, options, 1, collect_into(parts), &all).parameters,
                   expected.parameters);
         EXPECT_EQ(parts.size(), 6u) << "nothing was left to do";
@@ -206,29 +207,29 @@ TEST_F(DropNetworkTest, RefusesWhatItCannotWorkWith) {
         return "";
     };
     using testing::HasSubstr;
-    RefineOptions options = short_training();
+    RefineOptions options = make_short_training();
     options.levels = 3;
-    EXPECT_THAT(message(some_images(options, 1, 6, 40), options),
+    EXPECT_THAT(message(make_some_images(options, 1, 6, 40), options),
                 HasSubstr("6 x 40 pixels, expected at least 8 x 8"));
     EXPECT_THAT(message({}, options), HasSubstr("no training images"));
-    std::vector<DropImage> images = some_images(options, 2);
+    std::vector<DropImage> images = make_some_images(options, 2);
     images[1].channels[16 * 40 + 45] = std::numeric_limits<float>::quiet_NaN();
     EXPECT_THAT(message(images, options), HasSubstr("intensity at row 1 and column 5 is nan"));
-    images = some_images(options, 2);
+    images = make_some_images(options, 2);
     for (DropImage& image : images) std::fill(image.dropped.begin(), image.dropped.end(), 0.0f);
     EXPECT_THAT(message(images, options), HasSubstr("no training frame has a dropped ray"));
-    images = some_images(options, 1);
-    images.push_back(dark_neighbours(16, 41, options, 3));
+    images = make_some_images(options, 1);
+    images.push_back(make_dark_neighbours(16, 41, options, 3));
     EXPECT_THAT(message(images, options), HasSubstr("image 1 has 16 x 41 pixels, expected 16 x 40"));
-    images = some_images(options, 1);
+    images = make_some_images(options, 1);
     images[0].dropped.clear();
     EXPECT_THAT(message(images, options), HasSubstr("no measured drops"));
 }
 
 TEST_F(DropNetworkTest, RefusesWeightsOfAnotherConfiguration) {
-    RefineOptions options = short_training();
+    RefineOptions options = make_short_training();
     options.epochs = 1;
-    DropNetwork network = train_drop_network(device(), some_images(options, 2), options, 1, {});
+    DropNetwork network = train_drop_network(device(), make_some_images(options, 2), options, 1, {});
     network.widths[0] += 1;
     EXPECT_THAT([&] { DropRefiner(device(), network); },
                 testing::ThrowsMessage<DataError>(testing::HasSubstr("parameters, expected")));
@@ -246,7 +247,7 @@ TEST(DropNetworkShape, PaperHasAbout65MillionParameters) {
     options.network = "paper";
     options.rays = "origin,direction";
     // Channels: d, intensity, beta, origin, and the elevation of the direction.
-    EXPECT_EQ(drop_channel_names(options).size(), 7u);
+    EXPECT_EQ(list_drop_channels(options).size(), 7u);
     EXPECT_NEAR(double(count_parameters(options)), 6.5e6, 0.1e6);
 }
 

@@ -20,23 +20,23 @@ namespace relidar::test {
 using reference::ImageBatch;
 
 /// Returns normally distributed numbers, rounded to float, times `scale` plus `offset`.
-inline std::vector<double> random_floats(std::size_t n, std::uint64_t seed, double scale = 1.0,
-                                         double offset = 0.0) {
+inline std::vector<double> make_random_floats(std::size_t count, std::uint64_t seed, double scale = 1.0,
+                                              double offset = 0.0) {
     std::mt19937_64 random(seed);
     std::normal_distribution<double> normal;
-    std::vector<double> values(n);
+    std::vector<double> values(count);
     for (double& x : values) x = double(float(offset + scale * normal(random)));
     return values;
 }
 
-inline ImageBatch random_images(const refine::Grid& grid, int channels, std::uint64_t seed,
-                                double scale = 1.0, double offset = 0.0) {
+inline ImageBatch make_random_images(const refine::Grid& grid, int channels, std::uint64_t seed,
+                                     double scale = 1.0, double offset = 0.0) {
     ImageBatch images(int(grid.n), channels, int(grid.rows), int(grid.columns));
-    images.values = random_floats(images.values.size(), seed, scale, offset);
+    images.values = make_random_floats(images.values.size(), seed, scale, offset);
     return images;
 }
 
-inline refine::Grid grid_of(const ImageBatch& images) {
+inline refine::Grid get_grid(const ImageBatch& images) {
     return {std::uint32_t(images.n), std::uint32_t(images.rows), std::uint32_t(images.columns)};
 }
 
@@ -47,14 +47,14 @@ Array<float, Meaning> to_device(Device& device, const std::vector<double>& value
 }
 
 template <class Meaning = void>
-Array<glm::vec2, Meaning> pairs_to_device(Device& device, const std::vector<double>& x,
-                                          const std::vector<double>& y) {
+Array<glm::vec2, Meaning> upload_pairs(Device& device, const std::vector<double>& x,
+                                       const std::vector<double>& y) {
     std::vector<glm::vec2> pairs;
     for (std::size_t i = 0; i < x.size(); ++i) pairs.emplace_back(float(x[i]), float(y[i]));
     return {device, std::span<const glm::vec2>(pairs), "pairs"};
 }
 
-inline std::vector<double> doubles(const Array<float>& values) {
+inline std::vector<double> to_doubles(const Array<float>& values) {
     const std::vector<float> floats = values.download();
     return {floats.begin(), floats.end()};
 }
@@ -71,7 +71,7 @@ class OnDevice {
 public:
     /// @param before,after number of channels before and after the images
     OnDevice(Device& device, const ImageBatch& images, std::uint32_t before = 2, std::uint32_t after = 1)
-        : tensor_(device, before + std::uint32_t(images.channels) + after, grid_of(images), "images"),
+        : tensor_(device, before + std::uint32_t(images.channels) + after, get_grid(images), "images"),
           before_(before),
           shape_(images) {
         std::vector<float> values(tensor_.channels * tensor_.grid.all_pixels(), kGuard);
@@ -81,8 +81,8 @@ public:
         upload(tensor_, values);
     }
     /// Makes an output tensor filled with NaN.
-    static OnDevice unwritten(Device& device, const refine::Grid& grid, int channels,
-                              std::uint32_t before = 1, std::uint32_t after = 2) {
+    static OnDevice make_unwritten(Device& device, const refine::Grid& grid, int channels,
+                                   std::uint32_t before = 1, std::uint32_t after = 2) {
         ImageBatch images(int(grid.n), channels, int(grid.rows), int(grid.columns));
         for (double& x : images.values) x = std::nan("");
         return OnDevice(device, images, before, after);
@@ -124,7 +124,7 @@ private:
 
 /// Returns the largest error divided by the largest expected value, so that a single
 /// wrong element is detected. Returns infinity if a value is NaN.
-inline double worst_error(const std::vector<double>& actual, const std::vector<double>& expected) {
+inline double compute_worst_error(const std::vector<double>& actual, const std::vector<double>& expected) {
     if (actual.size() != expected.size()) return HUGE_VAL;
     double worst = 0.0, largest = 0.0;
     for (std::size_t i = 0; i < actual.size(); ++i) {
@@ -134,18 +134,18 @@ inline double worst_error(const std::vector<double>& actual, const std::vector<d
     }
     return largest > 0.0 ? worst / largest : worst;
 }
-inline double worst_error(const ImageBatch& actual, const ImageBatch& expected) {
-    return worst_error(actual.values, expected.values);
+inline double compute_worst_error(const ImageBatch& actual, const ImageBatch& expected) {
+    return compute_worst_error(actual.values, expected.values);
 }
 
 /// Sets derivatives to 0 if the normalised value is so close to 0 that rounding decides
 /// whether ReLU passes the gradient.
-inline void leave_out_kinks(ImageBatch& upstream, const ImageBatch& from, const std::vector<double>& beta,
-                            const std::vector<double>& gamma) {
+inline void exclude_kinks(ImageBatch& upstream, const ImageBatch& from, const std::vector<double>& beta,
+                          const std::vector<double>& gamma) {
     reference::NormLayer above{beta, gamma, {}}, below = above;
     for (double& x : below.beta) x = -x;
     for (double& x : below.gamma) x = -x;
-    const reference::Moments moments = reference::moments_of(from);
+    const reference::Moments moments = reference::compute_moments(from);
     const ImageBatch positive = reference::normalise(from, moments, above),
                      negative = reference::normalise(from, moments, below);
     for (std::size_t i = 0; i < upstream.values.size(); ++i)

@@ -17,14 +17,14 @@ namespace {
 
 using dnnl::algorithm, dnnl::memory, dnnl::prop_kind;
 using refine::Grid;
-using test::ImageBatch, test::OnDevice, test::worst_error;
+using test::ImageBatch, test::OnDevice, test::compute_worst_error;
 
 class OneDnnTest : public test::DeviceTest {
 protected:
     dnnl::engine engine_{dnnl::engine::kind::cpu, 0};
     dnnl::stream stream_{engine_};
 
-    static memory::desc images_like(const ImageBatch& images) {
+    static memory::desc describe_images(const ImageBatch& images) {
         return {{images.n, images.channels, images.rows, images.columns},
                 memory::data_type::f32,
                 memory::format_tag::nchw};
@@ -34,13 +34,13 @@ protected:
         std::copy(values.begin(), values.end(), static_cast<float*>(result.get_data_handle()));
         return result;
     }
-    memory given(const ImageBatch& images) { return given(images_like(images), images.values); }
+    memory given(const ImageBatch& images) { return given(describe_images(images), images.values); }
     memory empty(const memory::desc& desc) { return memory(desc, engine_); }
-    static std::vector<double> values_of(const memory& from, std::size_t n) {
+    static std::vector<double> values_of(const memory& from, std::size_t count) {
         const auto* values = static_cast<const float*>(from.get_data_handle());
-        return {values, values + n};
+        return {values, values + count};
     }
-    static ImageBatch images_of(const memory& from, ImageBatch shape) {
+    static ImageBatch get_images(const memory& from, ImageBatch shape) {
         shape.values = values_of(from, shape.values.size());
         return shape;
     }
@@ -50,40 +50,40 @@ protected:
     }
 };
 
-/// Pads images on both sides with `by` columns of the opposite side.
-ImageBatch ringed(const ImageBatch& images, int by) {
-    ImageBatch result(images.n, images.channels, images.rows, images.columns + 2 * by);
+/// Pads images on both sides with `margin` columns of the opposite side.
+ImageBatch pad_images(const ImageBatch& images, int margin) {
+    ImageBatch result(images.n, images.channels, images.rows, images.columns + 2 * margin);
     for (int image = 0; image < images.n; ++image)
         for (int c = 0; c < images.channels; ++c)
             for (int y = 0; y < images.rows; ++y)
                 for (int x = 0; x < result.columns; ++x)
                     result.at(image, c, y, x) =
-                        images.at(image, c, y, (x - by + images.columns) % images.columns);
+                        images.at(image, c, y, (x - margin + images.columns) % images.columns);
     return result;
 }
 
-/// Computes the transpose of ringed(), which pads images: adds the gradients of the
+/// Computes the transpose of pad_images(), which pads images: adds the gradients of the
 /// padding to the columns from which it was copied.
-ImageBatch folded(const ImageBatch& images, int by) {
-    ImageBatch result(images.n, images.channels, images.rows, images.columns - 2 * by);
+ImageBatch folded(const ImageBatch& images, int margin) {
+    ImageBatch result(images.n, images.channels, images.rows, images.columns - 2 * margin);
     for (int image = 0; image < images.n; ++image)
         for (int c = 0; c < images.channels; ++c)
             for (int y = 0; y < images.rows; ++y)
                 for (int x = 0; x < images.columns; ++x)
-                    result.at(image, c, y, (x - by + result.columns) % result.columns) +=
+                    result.at(image, c, y, (x - margin + result.columns) % result.columns) +=
                         images.at(image, c, y, x);
     return result;
 }
 
-/// Removes `by` columns on both sides, or adds zeros if `by` is negative.
-ImageBatch cropped(const ImageBatch& images, int by) {
-    ImageBatch result(images.n, images.channels, images.rows, images.columns - 2 * by);
+/// Removes `margin` columns on both sides, or adds zeros if `margin` is negative.
+ImageBatch crop_images(const ImageBatch& images, int margin) {
+    ImageBatch result(images.n, images.channels, images.rows, images.columns - 2 * margin);
     for (int image = 0; image < images.n; ++image)
         for (int c = 0; c < images.channels; ++c)
             for (int y = 0; y < images.rows; ++y)
                 for (int x = 0; x < result.columns; ++x)
-                    if (x + by >= 0 && x + by < images.columns)
-                        result.at(image, c, y, x) = images.at(image, c, y, x + by);
+                    if (x + margin >= 0 && x + margin < images.columns)
+                        result.at(image, c, y, x) = images.at(image, c, y, x + margin);
     return result;
 }
 
@@ -97,8 +97,8 @@ protected:
     ConvAnswers ask(const ImageBatch& plain, const std::vector<double>& weights,
                     const std::vector<double>& bias, const ImageBatch& d_to, int taps) {
         const int side = taps == 9 ? 3 : 1, reach = side / 2;
-        const ImageBatch from = ringed(plain, reach);
-        const memory::desc of_from = images_like(from), of_to = images_like(d_to),
+        const ImageBatch from = pad_images(plain, reach);
+        const memory::desc of_from = describe_images(from), of_to = describe_images(d_to),
                            of_weights({d_to.channels, plain.channels, side, side}, memory::data_type::f32,
                                       memory::format_tag::oihw),
                            of_bias({d_to.channels}, memory::data_type::f32, memory::format_tag::x);
@@ -122,7 +122,7 @@ protected:
                                                                  {DNNL_ARG_DIFF_DST, d_output},
                                                                  {DNNL_ARG_DIFF_WEIGHTS, d_w},
                                                                  {DNNL_ARG_DIFF_BIAS, d_b}});
-        return {images_of(out, d_to), folded(images_of(d_in, from), reach), values_of(d_w, weights.size()),
+        return {get_images(out, d_to), folded(get_images(d_in, from), reach), values_of(d_w, weights.size()),
                 values_of(d_b, bias.size())};
     }
 };
@@ -136,34 +136,34 @@ TEST_P(OneDnnConv, Agrees) {
     };
     for (const Sizes& size :
          {Sizes{{4, 9, 37}, 9, 17}, Sizes{{1, 66, 1030}, 10, 16}, Sizes{{2, 2, 13}, 3, 1}}) {
-        const ImageBatch values = test::random_images(size.grid, size.n_in, 1),
-                         d_output = test::random_images(size.grid, size.n_out, 2);
+        const ImageBatch values = test::make_random_images(size.grid, size.n_in, 1),
+                         d_output = test::make_random_images(size.grid, size.n_out, 2);
         const std::vector<double> weights =
-                                      test::random_floats(std::size_t(size.n_in) * size.n_out * taps, 3),
-                                  bias = test::random_floats(std::size_t(size.n_out), 4);
+                                      test::make_random_floats(std::size_t(size.n_in) * size.n_out * taps, 3),
+                                  bias = test::make_random_floats(std::size_t(size.n_out), 4);
         const ConvAnswers expected = ask(values, weights, bias, d_output, int(taps));
         refine::Conv conv(device(), taps);
         refine::Norm norm(device());
         norm.reserve(device(), std::uint32_t(size.n_out), size.grid);
-        conv.reserve(device(),
-                     conv.partial_floats(size.grid, std::uint32_t(size.n_in), std::uint32_t(size.n_out)));
+        conv.reserve(device(), conv.count_partial_floats(size.grid, std::uint32_t(size.n_in),
+                                                         std::uint32_t(size.n_out)));
         Stream stream(device());
         const OnDevice from(device(), values), d_to(device(), d_output),
-            to = OnDevice::unwritten(device(), size.grid, size.n_out),
-            d_from = OnDevice::unwritten(device(), size.grid, size.n_in);
+            to = OnDevice::make_unwritten(device(), size.grid, size.n_out),
+            d_from = OnDevice::make_unwritten(device(), size.grid, size.n_in);
         const auto w = test::to_device<shared::ConvWeights>(device(), weights);
         const auto b = test::to_device<shared::ConvBias>(device(), bias);
         const Array<float, shared::ConvWeights> d_w(device(), weights.size(), "gradient");
         const Array<float, shared::ConvBias> d_b(device(), bias.size(), "gradient");
         conv.forward(stream, from.slice(), w.address(), b.address(), to.slice());
-        conv.input_vjp(stream, d_to.slice(), w.address(), d_from.slice());
-        conv.weights_vjp(stream, from.slice(), d_to.slice(), d_w.address());
-        norm.bias_vjp(stream, d_to.slice(), d_b.address());
+        conv.backpropagate_input(stream, d_to.slice(), w.address(), d_from.slice());
+        conv.backpropagate_weights(stream, from.slice(), d_to.slice(), d_w.address());
+        norm.backpropagate_bias(stream, d_to.slice(), d_b.address());
         stream.finish();
-        EXPECT_LT(worst_error(to.read(), expected.to), test::kLayer);
-        EXPECT_LT(worst_error(d_from.read(), expected.d_from), test::kLayer);
-        EXPECT_LT(worst_error(test::doubles(d_w), expected.d_weights), test::kLayer);
-        EXPECT_LT(worst_error(test::doubles(d_b), expected.d_bias), test::kLayer);
+        EXPECT_LT(compute_worst_error(to.read(), expected.to), test::kLayer);
+        EXPECT_LT(compute_worst_error(d_from.read(), expected.d_from), test::kLayer);
+        EXPECT_LT(compute_worst_error(test::to_doubles(d_w), expected.d_weights), test::kLayer);
+        EXPECT_LT(compute_worst_error(test::to_doubles(d_b), expected.d_bias), test::kLayer);
     }
 }
 
@@ -176,7 +176,7 @@ class OneDnnNorm : public OneDnnTest {
 protected:
     /// Runs batch normalisation in oneDNN and applies ReLU by hand.
     NormAnswers ask(const ImageBatch& from, const std::vector<double>& gamma_beta, const ImageBatch& d_to) {
-        const memory::desc of_images = images_like(from);
+        const memory::desc of_images = describe_images(from);
         const auto flags = dnnl::normalization_flags::use_scale | dnnl::normalization_flags::use_shift;
         const auto forward = onednn::describe_norm(engine_, of_images, 1e-5f, flags);
         const auto backward = onednn::describe_norm_backward(engine_, forward, of_images, 1e-5f, flags);
@@ -193,7 +193,7 @@ protected:
                                                              {DNNL_ARG_MEAN, mean},
                                                              {DNNL_ARG_VARIANCE, variance},
                                                              {DNNL_ARG_DST, out}});
-        ImageBatch to = images_of(out, from), d_output = d_to;
+        ImageBatch to = get_images(out, from), d_output = d_to;
         for (std::size_t i = 0; i < to.values.size(); ++i) {
             if (to.values[i] <= 0.0) d_output.values[i] = 0.0;
             to.values[i] = std::max(to.values[i], 0.0);
@@ -212,41 +212,41 @@ protected:
         std::vector<double> d_gamma_beta = values_of(d_scale, std::size_t(from.channels));
         const std::vector<double> d_beta = values_of(d_shift, std::size_t(from.channels));
         d_gamma_beta.insert(d_gamma_beta.end(), d_beta.begin(), d_beta.end());
-        return {to, images_of(d_in, from), d_gamma_beta};
+        return {to, get_images(d_in, from), d_gamma_beta};
     }
 };
 
 TEST_F(OneDnnNorm, Agrees) {
     for (const Grid& grid : {Grid{4, 33, 65}, Grid{1, 66, 1030}}) {
         const int channels = 9;
-        const ImageBatch values = test::random_images(grid, channels, 1, 2.0, 0.7);
-        ImageBatch d_output = test::random_images(grid, channels, 2);
-        const std::vector<double> beta = test::random_floats(channels, 5, 0.5),
-                                  gamma = test::random_floats(channels, 6);
-        test::leave_out_kinks(d_output, values, beta, gamma);
+        const ImageBatch values = test::make_random_images(grid, channels, 1, 2.0, 0.7);
+        ImageBatch d_output = test::make_random_images(grid, channels, 2);
+        const std::vector<double> beta = test::make_random_floats(channels, 5, 0.5),
+                                  gamma = test::make_random_floats(channels, 6);
+        test::exclude_kinks(d_output, values, beta, gamma);
         std::vector<double> gamma_beta = gamma;
         gamma_beta.insert(gamma_beta.end(), beta.begin(), beta.end());
         const NormAnswers expected = ask(values, gamma_beta, d_output);
         refine::Norm norm(device());
         norm.reserve(device(), channels, grid);
         refine::NormState state(device(), channels);
-        const auto parameters = test::pairs_to_device<shared::BetaGamma>(device(), beta, gamma);
-        const auto running = test::pairs_to_device<shared::RunningMoments>(device(), beta, gamma);
+        const auto parameters = test::upload_pairs<shared::BetaGamma>(device(), beta, gamma);
+        const auto running = test::upload_pairs<shared::RunningMoments>(device(), beta, gamma);
         const Array<float> d_parameters(device(), 2 * channels, "gradient");
         Stream stream(device());
         const OnDevice from(device(), values), d_to(device(), d_output),
-            to = OnDevice::unwritten(device(), grid, channels),
-            d_from = OnDevice::unwritten(device(), grid, channels);
+            to = OnDevice::make_unwritten(device(), grid, channels),
+            d_from = OnDevice::make_unwritten(device(), grid, channels);
         norm.forward(stream, from.slice(), {parameters.address(), running.address()}, state, to.slice());
         norm.vjp(stream, from.slice(), state, d_to.slice(), d_from.slice(), {d_parameters, 0});
         stream.finish();
-        EXPECT_LT(worst_error(to.read(), expected.to), test::kLayer);
-        EXPECT_LT(worst_error(d_from.read(), expected.d_from), 2e-5);
-        const std::vector<double> d = test::doubles(d_parameters);
+        EXPECT_LT(compute_worst_error(to.read(), expected.to), test::kLayer);
+        EXPECT_LT(compute_worst_error(d_from.read(), expected.d_from), 2e-5);
+        const std::vector<double> d = test::to_doubles(d_parameters);
         std::vector<double> d_gamma_beta;
         for (std::size_t k = 0; k < channels; ++k) d_gamma_beta.push_back(d[2 * k + 1]);
         for (std::size_t k = 0; k < channels; ++k) d_gamma_beta.push_back(d[2 * k]);
-        EXPECT_LT(worst_error(d_gamma_beta, expected.d_gamma_beta), 2e-5);
+        EXPECT_LT(compute_worst_error(d_gamma_beta, expected.d_gamma_beta), 2e-5);
     }
 }
 
@@ -254,9 +254,9 @@ class OneDnnResample : public OneDnnTest {};
 
 TEST_F(OneDnnResample, PoolingAgrees) {
     for (const Grid& grid : {Grid{4, 7, 13}, Grid{1, 66, 1030}}) {
-        const ImageBatch values = test::random_images(grid, 3, 1),
-                         d_output = test::random_images(refine::pooled(grid), 3, 2);
-        const memory::desc of_from = images_like(values), of_to = images_like(d_output);
+        const ImageBatch values = test::make_random_images(grid, 3, 1),
+                         d_output = test::make_random_images(refine::halve_grid(grid), 3, 2);
+        const memory::desc of_from = describe_images(values), of_to = describe_images(d_output);
         const memory::dims two{2, 2}, none{0, 0};
         const auto forward = onednn::describe<onednn::pooling_forward>(engine_, prop_kind::forward_training,
                                                                        algorithm::pooling_max, of_from, of_to,
@@ -272,13 +272,13 @@ TEST_F(OneDnnResample, PoolingAgrees) {
         refine::Resample resample(device());
         Stream stream(device());
         const OnDevice from(device(), values), d_to(device(), d_output),
-            to = OnDevice::unwritten(device(), refine::pooled(grid), 3),
+            to = OnDevice::make_unwritten(device(), refine::halve_grid(grid), 3),
             d_from(device(), ImageBatch(values.n, 3, values.rows, values.columns));
         resample.pool(stream, from.slice(), to.slice());
-        resample.pool_vjp(stream, from.slice(), d_to.slice(), d_from.slice());
+        resample.backpropagate_pool(stream, from.slice(), d_to.slice(), d_from.slice());
         stream.finish();
-        EXPECT_EQ(to.read().values, images_of(out, d_output).values);
-        EXPECT_EQ(d_from.read().values, images_of(d_in, values).values);
+        EXPECT_EQ(to.read().values, get_images(out, d_output).values);
+        EXPECT_EQ(d_from.read().values, get_images(d_in, values).values);
     }
 }
 
@@ -289,10 +289,10 @@ TEST_F(OneDnnResample, UpsamplingAgrees) {
         Grid small, large;
     };
     for (const Sizes& size : {Sizes{{4, 3, 13}, {4, 7, 26}}, Sizes{{1, 33, 515}, {1, 66, 1030}}}) {
-        const ImageBatch values = test::random_images(size.small, 3, 1),
-                         d_output = test::random_images(size.large, 3, 2);
-        const ImageBatch wide = ringed(values, 1), wide_gradient = cropped(d_output, -2);
-        const memory::desc of_from = images_like(wide), of_to = images_like(wide_gradient);
+        const ImageBatch values = test::make_random_images(size.small, 3, 1),
+                         d_output = test::make_random_images(size.large, 3, 2);
+        const ImageBatch wide = pad_images(values, 1), wide_gradient = crop_images(d_output, -2);
+        const memory::desc of_from = describe_images(wide), of_to = describe_images(wide_gradient);
         const auto forward = onednn::describe<dnnl::resampling_forward>(
             engine_, prop_kind::forward_training, algorithm::resampling_linear, of_from, of_to);
         const auto backward = onednn::describe_backward<dnnl::resampling_backward>(
@@ -303,15 +303,15 @@ TEST_F(OneDnnResample, UpsamplingAgrees) {
         refine::Resample resample(device());
         Stream stream(device());
         const OnDevice from(device(), values), d_to(device(), d_output),
-            to = OnDevice::unwritten(device(), size.large, 3),
-            d_from = OnDevice::unwritten(device(), size.small, 3);
+            to = OnDevice::make_unwritten(device(), size.large, 3),
+            d_from = OnDevice::make_unwritten(device(), size.small, 3);
         resample.upsample(stream, from.slice(), to.slice());
-        resample.upsample_vjp(stream, d_to.slice(), d_from.slice());
+        resample.backpropagate_upsample(stream, d_to.slice(), d_from.slice());
         stream.finish();
         // tolerance: single precision computes a position among 1030 pixels with an error
         // of about 3e-5
-        EXPECT_LT(worst_error(to.read(), cropped(images_of(out, wide_gradient), 2)), 5e-5);
-        EXPECT_LT(worst_error(d_from.read(), folded(images_of(d_in, wide), 1)), 5e-5);
+        EXPECT_LT(compute_worst_error(to.read(), crop_images(get_images(out, wide_gradient), 2)), 5e-5);
+        EXPECT_LT(compute_worst_error(d_from.read(), folded(get_images(d_in, wide), 1)), 5e-5);
     }
 }
 

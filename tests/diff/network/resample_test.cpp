@@ -1,6 +1,6 @@
-// SPDX-License-Identifier: Apache-2.0
-// Compares diff/network/pool, pool_vjp, upsample and upsample_vjp with the double
-// reference. Covers odd sizes, equal pixels, the ring of columns, and slices.
+// SPDX-License-Identifier: Apache-2.0 Compares diff/network/pool, backpropagate_pool,
+// upsample and backpropagate_upsample with the double reference. Covers odd sizes, equal
+// pixels, the ring of columns, and slices.
 #include "diff/network/resample.hpp"
 
 #include "../../support/device.hpp"
@@ -11,23 +11,24 @@ namespace relidar {
 namespace {
 
 using refine::Grid, refine::Resample;
-using test::OnDevice, test::worst_error;
+using test::OnDevice, test::compute_worst_error;
 
 struct PoolCase {
     Grid grid;
     int channels;
 };
-void PrintTo(const PoolCase& c, std::ostream* out) {
-    *out << c.grid.n << "x" << c.grid.rows << "x" << c.grid.columns << ", " << c.channels;
+void PrintTo(const PoolCase& test_case, std::ostream* out) {
+    *out << test_case.grid.n << "x" << test_case.grid.rows << "x" << test_case.grid.columns << ", "
+         << test_case.channels;
 }
 
 struct UpsampleCase {
     Grid small, large;
     int channels;
 };
-void PrintTo(const UpsampleCase& c, std::ostream* out) {
-    *out << c.small.n << "x" << c.small.rows << "x" << c.small.columns << " -> " << c.large.rows << "x"
-         << c.large.columns << ", " << c.channels;
+void PrintTo(const UpsampleCase& test_case, std::ostream* out) {
+    *out << test_case.small.n << "x" << test_case.small.rows << "x" << test_case.small.columns << " -> "
+         << test_case.large.rows << "x" << test_case.large.columns << ", " << test_case.channels;
 }
 
 class ResampleTest : public test::DeviceTest {};
@@ -48,25 +49,25 @@ INSTANTIATE_TEST_SUITE_P(
 
 TEST_P(PoolSizes, PoolAndItsDerivative) {
     const PoolCase& c = GetParam();
-    test::ImageBatch values = test::random_images(c.grid, c.channels, 1);
+    test::ImageBatch values = test::make_random_images(c.grid, c.channels, 1);
     // makes many values equal
     for (std::size_t i = 0; i < values.values.size(); i += 2) values.values[i] = std::round(values.values[i]);
-    const Grid small = refine::pooled(c.grid);
+    const Grid small = refine::halve_grid(c.grid);
     EXPECT_EQ(small, (Grid{c.grid.n, c.grid.rows / 2, c.grid.columns / 2}));
-    const test::ImageBatch upstream = test::random_images(small, c.channels, 2),
-                           before = test::random_images(c.grid, c.channels, 3);
+    const test::ImageBatch upstream = test::make_random_images(small, c.channels, 2),
+                           before = test::make_random_images(c.grid, c.channels, 3);
     Resample resample(device());
     Stream stream(device());
-    const OnDevice from(device(), values), to = OnDevice::unwritten(device(), small, c.channels),
+    const OnDevice from(device(), values), to = OnDevice::make_unwritten(device(), small, c.channels),
                                            d_to(device(), upstream), d_from(device(), before);
     resample.pool(stream, from.slice(), to.slice());
-    resample.pool_vjp(stream, from.slice(), d_to.slice(), d_from.slice());
+    resample.backpropagate_pool(stream, from.slice(), d_to.slice(), d_from.slice());
     stream.finish();
     EXPECT_EQ(to.read().values, reference::pool(values).values);
-    test::ImageBatch expected = reference::pool_vjp(values, upstream);
-    // pool_vjp adds to the existing gradient
+    test::ImageBatch expected = reference::backpropagate_pool(values, upstream);
+    // backpropagate_pool adds to the existing gradient
     for (std::size_t i = 0; i < expected.values.size(); ++i) expected.values[i] += before.values[i];
-    EXPECT_LT(worst_error(d_from.read(), expected), 1e-6);
+    EXPECT_LT(compute_worst_error(d_from.read(), expected), 1e-6);
 }
 
 /// If several pixels of a block have the maximum, the first of these pixels must get the
@@ -85,7 +86,7 @@ TEST_F(ResampleTest, OfEqualPixelsTheFirstWins) {
     Stream stream(device());
     const OnDevice from(device(), values), d_to(device(), ones),
         d_from(device(), test::ImageBatch(1, 1, 2, 10));
-    resample.pool_vjp(stream, from.slice(), d_to.slice(), d_from.slice());
+    resample.backpropagate_pool(stream, from.slice(), d_to.slice(), d_from.slice());
     stream.finish();
     const test::ImageBatch d = d_from.read();
     for (int q = 0; q < 5; ++q)
@@ -96,19 +97,20 @@ TEST_F(ResampleTest, OfEqualPixelsTheFirstWins) {
 
 TEST_P(UpsampleSizes, UpsampleAndItsDerivative) {
     const UpsampleCase& c = GetParam();
-    const test::ImageBatch values = test::random_images(c.small, c.channels, 1),
-                           upstream = test::random_images(c.large, c.channels, 2);
+    const test::ImageBatch values = test::make_random_images(c.small, c.channels, 1),
+                           upstream = test::make_random_images(c.large, c.channels, 2);
     Resample resample(device());
     Stream stream(device());
-    const OnDevice from(device(), values), to = OnDevice::unwritten(device(), c.large, c.channels),
+    const OnDevice from(device(), values), to = OnDevice::make_unwritten(device(), c.large, c.channels),
                                            d_to(device(), upstream),
-                                           d_from = OnDevice::unwritten(device(), c.small, c.channels);
+                                           d_from = OnDevice::make_unwritten(device(), c.small, c.channels);
     resample.upsample(stream, from.slice(), to.slice());
-    resample.upsample_vjp(stream, d_to.slice(), d_from.slice());
+    resample.backpropagate_upsample(stream, d_to.slice(), d_from.slice());
     stream.finish();
     const test::ImageBatch actual = to.read(), back = d_from.read();
-    EXPECT_LT(worst_error(actual, reference::upsample(values, actual.rows, actual.columns)), 2e-6);
-    EXPECT_LT(worst_error(back, reference::upsample_vjp(upstream, back.rows, back.columns)), 2e-6);
+    EXPECT_LT(compute_worst_error(actual, reference::upsample(values, actual.rows, actual.columns)), 2e-6);
+    EXPECT_LT(compute_worst_error(back, reference::backpropagate_upsample(upstream, back.rows, back.columns)),
+              2e-6);
     // The forward and the backward kernel compute pixel positions in the same way, so
     // they are transposes up to rounding.
     const double forth = test::dot(upstream.values, actual.values);
@@ -124,9 +126,9 @@ TEST_F(ResampleTest, ColumnsAreARingAndRowsEnd) {
     for (double& x : ones.values) x = 1.0;
     Resample resample(device());
     Stream stream(device());
-    const OnDevice from(device(), first), to = OnDevice::unwritten(device(), {1, 4, 8}, 1),
+    const OnDevice from(device(), first), to = OnDevice::make_unwritten(device(), {1, 4, 8}, 1),
                                           even(device(), ones),
-                                          even_to = OnDevice::unwritten(device(), {1, 7, 11}, 1);
+                                          even_to = OnDevice::make_unwritten(device(), {1, 7, 11}, 1);
     resample.upsample(stream, from.slice(), to.slice());
     resample.upsample(stream, even.slice(), even_to.slice());
     stream.finish();

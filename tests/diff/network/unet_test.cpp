@@ -26,7 +26,7 @@ public:
     ReferenceUnet(const DropNetwork& network, std::vector<double> parameters, bool training)
         : network_(network), plan_(network), parameters_(std::move(parameters)), training_(training) {}
 
-    ImageBatch logits(const ImageBatch& inputs) const {
+    ImageBatch compute_logits(const ImageBatch& inputs) const {
         const std::size_t n_levels = network_.widths.size() - 1;
         std::vector<ImageBatch> skips{convolve(plan_.head, inputs)};
         for (std::size_t l = 1; l <= n_levels; ++l)
@@ -49,8 +49,9 @@ private:
     std::vector<double> parameters_;
     bool training_;
 
-    std::vector<double> part(std::size_t first, std::size_t n) const {
-        return {parameters_.begin() + std::ptrdiff_t(first), parameters_.begin() + std::ptrdiff_t(first + n)};
+    std::vector<double> part(std::size_t first, std::size_t count) const {
+        return {parameters_.begin() + std::ptrdiff_t(first),
+                parameters_.begin() + std::ptrdiff_t(first + count)};
     }
     ImageBatch convolve(const ConvLayer& layer, const ImageBatch& from) const {
         const std::vector<double> bias = layer.bias ? part(*layer.bias, layer.n_out) : std::vector<double>{};
@@ -67,8 +68,8 @@ private:
             running.mean.push_back(double(network_.running[block.running + 2 * c]));
             running.variance.push_back(double(network_.running[block.running + 2 * c + 1]));
         }
-        return convolve(block.conv,
-                        reference::normalise(from, training_ ? reference::moments_of(from) : running, layer));
+        return convolve(block.conv, reference::normalise(
+                                        from, training_ ? reference::compute_moments(from) : running, layer));
     }
     void attend(ImageBatch& images) const {
         const ImageBatch added =
@@ -112,12 +113,12 @@ protected:
         refine::initialise(network_, plan, 5);
         // uses random values instead of the initial zeros, which would hide errors of
         // gradients
-        parameters_ = test::random_floats(plan.n_parameters, 6, 0.4, 0.1);
+        parameters_ = test::make_random_floats(plan.n_parameters, 6, 0.4, 0.1);
         network_.parameters.assign(parameters_.begin(), parameters_.end());
-        const std::vector<double> running = test::random_floats(plan.n_running, 7, 0.3);
+        const std::vector<double> running = test::make_random_floats(plan.n_running, 7, 0.3);
         for (std::size_t i = 0; i < running.size(); ++i)
             network_.running[i] = float(i % 2 ? 1.0 + std::abs(running[i]) : running[i]);
-        inputs_ = test::random_images(GetParam().grid, 3, 8);
+        inputs_ = test::make_random_images(GetParam().grid, 3, 8);
     }
     void fill_inputs(const refine::Unet& unet) { test::upload(unet.inputs(), inputs_.values); }
 };
@@ -130,15 +131,15 @@ INSTANTIATE_TEST_SUITE_P(Networks, UnetTest,
                          [](const auto& tested) { return std::string(tested.param.name); });
 
 void expect_near(const std::vector<double>& device_result, const std::vector<double>& expected,
-                 double tolerance, const char* what) {
+                 double tolerance, const char* description) {
     ASSERT_EQ(device_result.size(), expected.size());
     double error = 0.0, size = 0.0;
     for (std::size_t i = 0; i < device_result.size(); ++i) {
         error += (device_result[i] - expected[i]) * (device_result[i] - expected[i]);
         size += expected[i] * expected[i];
     }
-    EXPECT_GT(size, 0.0) << what;
-    EXPECT_LE(std::sqrt(error / size), tolerance) << what;
+    EXPECT_GT(size, 0.0) << description;
+    EXPECT_LE(std::sqrt(error / size), tolerance) << description;
 }
 
 TEST_P(UnetTest, LogitsAreTheReferencesInBothModes) {
@@ -149,12 +150,13 @@ TEST_P(UnetTest, LogitsAreTheReferencesInBothModes) {
     Stream stream(device());
     unet.evaluate(stream);
     stream.finish();
-    expect_near(test::doubles(unet.logit().values),
-                ReferenceUnet(network_, parameters_, false).logits(inputs_).values, 1e-5, "evaluation");
+    expect_near(test::to_doubles(unet.logit().values),
+                ReferenceUnet(network_, parameters_, false).compute_logits(inputs_).values, 1e-5,
+                "evaluation");
     unet.forward(stream, 1, 0.0f);
     stream.finish();
-    expect_near(test::doubles(unet.logit().values),
-                ReferenceUnet(network_, parameters_, true).logits(inputs_).values, 1e-4, "training");
+    expect_near(test::to_doubles(unet.logit().values),
+                ReferenceUnet(network_, parameters_, true).compute_logits(inputs_).values, 1e-4, "training");
 }
 
 TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
@@ -162,18 +164,18 @@ TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
     refine::Unet unet(device(), network_);
     unet.reserve(device(), GetParam().grid, true);
     fill_inputs(unet);
-    const std::vector<double> upstream = test::random_floats(GetParam().grid.all_pixels(), 9);
+    const std::vector<double> upstream = test::make_random_floats(GetParam().grid.all_pixels(), 9);
     test::upload(unet.d_logit(), upstream);
     Stream stream(device());
     unet.forward(stream, 1, 0.0f);
     unet.backward(stream);
     stream.finish();
-    const std::vector<double> gradients = test::doubles(unet.gradients());
+    const std::vector<double> gradients = test::to_doubles(unet.gradients());
 
     const auto loss = [&](std::size_t parameter, double step) {
         std::vector<double> moved = parameters_;
         moved[parameter] += step;
-        const ImageBatch logits = ReferenceUnet(network_, std::move(moved), true).logits(inputs_);
+        const ImageBatch logits = ReferenceUnet(network_, std::move(moved), true).compute_logits(inputs_);
         return std::inner_product(upstream.begin(), upstream.end(), logits.values.begin(), 0.0);
     };
     const UnetPlan plan(network_);
@@ -200,8 +202,10 @@ TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
         }
         // A bias before a batch normalisation has an effect only through the zero padding
         // of the next convolution, so its gradient is small.
-        const double largest = std::abs(*std::max_element(
-            expected.begin(), expected.end(), [](double a, double b) { return std::abs(a) < std::abs(b); }));
+        const double largest =
+            std::abs(*std::max_element(expected.begin(), expected.end(), [](double first, double second) {
+                return std::abs(first) < std::abs(second);
+            }));
         for (std::size_t k = 0; k < device_result.size(); ++k)
             EXPECT_NEAR(device_result[k], expected[k], 2e-3 * largest + 1e-3)
                 << "parameter " << k << " of the group at " << first;

@@ -21,11 +21,11 @@ class AdamTest : public test::DeviceTest {};
 class AdamThreads : public test::DeviceTest, public testing::WithParamInterface<bool> {};
 INSTANTIATE_TEST_SUITE_P(PerRowAndPerFloat, AdamThreads, testing::Bool());
 
-Surfels random_surfels(std::uint32_t n, std::uint64_t seed, ParameterSet of) {
+Surfels make_random_surfels(std::uint32_t count, std::uint64_t seed, ParameterSet parameter_set) {
     std::mt19937_64 random(seed);
     std::normal_distribution<float> normal;
     Surfels s;
-    s.resize(n, of);
+    s.resize(count, parameter_set);
     for (auto& x : s.mean) x = {normal(random), normal(random), normal(random)};
     for (auto& x : s.rotation) x = {normal(random), normal(random), normal(random), normal(random)};
     for (auto& x : s.log_scale) x = {normal(random), normal(random)};
@@ -65,11 +65,11 @@ TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
     Adam adam(device(), n, {.n_fixed = n_fixed});
     Stream stream(device());
     SurfelArrays parameters(device(), n, "parameters"), gradients(device(), n, "gradients");
-    const Surfels start = random_surfels(n, 1, Primitive::surfel);
+    const Surfels start = make_random_surfels(n, 1, Primitive::surfel);
     parameters.upload(start);
     std::vector<Surfels> g;
     for (int t = 1; t <= 2; ++t) {
-        g.push_back(random_surfels(n, 20 + std::uint64_t(t), Primitive::surfel));
+        g.push_back(make_random_surfels(n, 20 + std::uint64_t(t), Primitive::surfel));
         gradients.upload(g.back());
         adam.step(stream, parameters, gradients, nullptr, rates, t, 2);
         stream.finish();
@@ -103,7 +103,7 @@ TEST_F(AdamTest, StepsEachParameterOnceInALargeLaunch) {
     stream.finish();
     const Surfels actual = parameters.download();
     const auto n_wrong =
-        std::ranges::count_if(actual.sh, [](float x) { return std::abs(x + 1e-2f) > 1e-6f; });
+        std::ranges::count_if(actual.sh, [](float value) { return std::abs(value + 1e-2f) > 1e-6f; });
     EXPECT_EQ(n_wrong, 0);
 }
 
@@ -117,9 +117,9 @@ const LearningRates kRates{.mean = 1e-3,
                            .intensity_factor = 0.4};
 
 /// Returns upper bounds of scales. A third of the initial scales exceed their bound.
-std::vector<float> some_bounds(std::uint32_t n) {
-    std::vector<float> bounds(n);
-    for (std::uint32_t i = 0; i < n; ++i) bounds[i] = 0.4f + 0.2f * float(i) / float(n);
+std::vector<float> make_some_bounds(std::uint32_t count) {
+    std::vector<float> bounds(count);
+    for (std::uint32_t i = 0; i < count; ++i) bounds[i] = 0.4f + 0.2f * float(i) / float(count);
     return bounds;
 }
 
@@ -130,28 +130,29 @@ void for_each_parameter(const Surfels& start, const Surfels& actual, std::uint32
                         Expect&& expect) {
     for (int k = 0; k < 3; ++k)
         expect(start.mean[i][k], actual.mean[i][k], kRates.mean,
-               [&](const Surfels& s) { return s.mean[i][k]; });
+               [&](const Surfels& surfels) { return surfels.mean[i][k]; });
     for (int k = 0; k < 4; ++k)
         expect(start.rotation[i][k], actual.rotation[i][k], kRates.rotation,
-               [&](const Surfels& s) { return s.rotation[i][k]; });
+               [&](const Surfels& surfels) { return surfels.rotation[i][k]; });
     for (int k = 0; k < 2; ++k)
         expect(start.log_scale[i][k], actual.log_scale[i][k], kRates.log_scale,
-               [&](const Surfels& s) { return s.log_scale[i][k]; });
+               [&](const Surfels& surfels) { return surfels.log_scale[i][k]; });
     for (int k = 0; k < 5 && set.bends; ++k)
         expect((&start.gait[i].phase)[k], (&actual.gait[i].phase)[k], kRates.gait,
-               [&](const Surfels& s) { return (&s.gait[i].phase)[k]; });
+               [&](const Surfels& surfels) { return (&surfels.gait[i].phase)[k]; });
     if (kind_of(set.primitive).third_scale)
         expect(start.log_scale_w[i], actual.log_scale_w[i], kRates.log_scale,
-               [&](const Surfels& s) { return s.log_scale_w[i]; });
+               [&](const Surfels& surfels) { return surfels.log_scale_w[i]; });
     expect(start.opacity_logit[i], actual.opacity_logit[i], kRates.opacity_logit,
-           [&](const Surfels& s) { return s.opacity_logit[i]; });
+           [&](const Surfels& surfels) { return surfels.opacity_logit[i]; });
     for (std::size_t k = 0; k < kShFloats; ++k) {
         const std::size_t within = k % kShCoefficients, slot = i * kShFloats + k;
         // degree 2: nine coefficients
         const double factor = (within == 0 ? 1.0 : kRates.sh_rest_factor) *
                               (k < kShCoefficients ? kRates.intensity_factor : 1.0);
         const double rate = within >= 9 ? 0.0 : kRates.sh * factor;
-        expect(start.sh[slot], actual.sh[slot], rate, [&](const Surfels& s) { return s.sh[slot]; });
+        expect(start.sh[slot], actual.sh[slot], rate,
+               [&](const Surfels& surfels) { return surfels.sh[slot]; });
     }
 }
 
@@ -160,7 +161,7 @@ void for_each_parameter(const Surfels& start, const Surfels& actual, std::uint32
 /// first rows are fixed.
 TEST_P(AdamThreads, AgreeWithAdamInDouble) {
     const std::uint32_t n = 133;
-    const std::vector<float> bounds = some_bounds(n);
+    const std::vector<float> bounds = make_some_bounds(n);
     enum class Untouched { none, decay, stay };
     for (const Untouched untouched : {Untouched::none, Untouched::decay, Untouched::stay}) {
         const bool only_touched = untouched == Untouched::stay;
@@ -173,15 +174,15 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
         Stream stream(device());
         SurfelArrays parameters(device(), n, "parameters", parameter_set),
             gradients(device(), n, "gradients", parameter_set);
-        const Surfels start = random_surfels(n, 1, parameter_set);
+        const Surfels start = make_random_surfels(n, 1, parameter_set);
         parameters.upload(start);
-        const auto is_touched = [&](std::uint32_t i, int t) {
-            return untouched == Untouched::none || i % 3 == 0 || int(i % 3) == t;
+        const auto is_touched = [&](std::uint32_t index, int t) {
+            return untouched == Untouched::none || index % 3 == 0 || int(index % 3) == t;
         };
         std::vector<Surfels> g;
         for (int t = 1; t <= 3; ++t) {
             // gradients of untouched rows must not be read
-            g.push_back(random_surfels(n, 10 + std::uint64_t(t), parameter_set));
+            g.push_back(make_random_surfels(n, 10 + std::uint64_t(t), parameter_set));
             gradients.upload(g.back());
             std::vector<std::uint32_t> touched(n);
             for (std::uint32_t i = 0; i < n; ++i) touched[i] = is_touched(i, t);
@@ -246,15 +247,16 @@ TEST_F(AdamTest, MoreRowsThanOneDimensionOfWorkgroups) {
          .n_active = 1});
     stream.finish();
     const std::vector<float> values = value.download();
-    EXPECT_EQ(std::count_if(values.begin(), values.end(), [](float x) { return std::abs(x + 1.0f) < 1e-4f; }),
+    EXPECT_EQ(std::count_if(values.begin(), values.end(),
+                            [](float value) { return std::abs(value + 1.0f) < 1e-4f; }),
               std::ptrdiff_t(n));
 }
 
 TEST(Schedule, IsExponentialBetweenItsEnds) {
-    EXPECT_DOUBLE_EQ(exponential_schedule(1e-2, 1e-4, 0, 100), 1e-2);
-    EXPECT_NEAR(exponential_schedule(1e-2, 1e-4, 50, 100), 1e-3, 1e-15);
-    EXPECT_NEAR(exponential_schedule(1e-2, 1e-4, 100, 100), 1e-4, 1e-16);
-    EXPECT_NEAR(exponential_schedule(1e-2, 1e-4, 1000, 100), 1e-4, 1e-16);
+    EXPECT_DOUBLE_EQ(interpolate_exponentially(1e-2, 1e-4, 0, 100), 1e-2);
+    EXPECT_NEAR(interpolate_exponentially(1e-2, 1e-4, 50, 100), 1e-3, 1e-15);
+    EXPECT_NEAR(interpolate_exponentially(1e-2, 1e-4, 100, 100), 1e-4, 1e-16);
+    EXPECT_NEAR(interpolate_exponentially(1e-2, 1e-4, 1000, 100), 1e-4, 1e-16);
 }
 
 }  // namespace

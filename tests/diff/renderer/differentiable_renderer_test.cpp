@@ -42,9 +42,9 @@ RenderedGradients to_arrays(const std::vector<reference::PixelGradient>& d) {
 }
 
 /// Computes the gradients of a scene's rays with the reference.
-reference::Gradients expected_gradients(const test::RandomScene& scene, reference::Settings settings,
-                                        const std::vector<reference::PixelGradient>& d_rendered,
-                                        std::vector<reference::RayGradient>& d_rays) {
+reference::Gradients compute_expected_gradients(const test::RandomScene& scene, reference::Settings settings,
+                                                const std::vector<reference::PixelGradient>& d_rendered,
+                                                std::vector<reference::RayGradient>& d_rays) {
     settings.view_origin = scene.view_origin;
     const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
     reference::Gradients expected(scene.world);
@@ -55,9 +55,9 @@ reference::Gradients expected_gradients(const test::RandomScene& scene, referenc
 }
 
 TEST_F(Differentiable, HostGradientsAgreeWithTheReference) {
-    const std::vector<reference::PixelGradient> d_rendered = test::random_upstream(scene.rays.size(), 5);
+    const std::vector<reference::PixelGradient> d_rendered = test::make_random_upstream(scene.rays.size(), 5);
     std::vector<reference::RayGradient> d_rays;
-    const reference::Gradients expected = expected_gradients(scene, settings, d_rendered, d_rays);
+    const reference::Gradients expected = compute_expected_gradients(scene, settings, d_rendered, d_rays);
     DifferentiableRenderer renderer(device(), placed.scene, settings.image, {},
                                     {.wanted = {.rays = true, .poses = true}});
     place(renderer);
@@ -81,13 +81,13 @@ TEST_F(Differentiable, HostGradientsAgreeWithTheReference) {
     table.add_row("pose", lanes(expected.instances[1].translation, 3), lanes(&device_result.poses[6], 3));
     EXPECT_EQ(device_result.sensor.size(), 6u);
     for (const auto& [name, group] : table.groups()) {
-        EXPECT_LE(group.worst_error(), test::kKernelGradient) << name;
-        EXPECT_EQ(group.missing_rows(), 0u) << name;
+        EXPECT_LE(group.compute_worst_error(), test::kKernelGradient) << name;
+        EXPECT_EQ(group.count_missing_rows(), 0u) << name;
     }
 }
 
 TEST_F(Differentiable, EmptyLanesAreZeroAndOnlyRequestedValuesReturn) {
-    std::vector<reference::PixelGradient> d_rendered = test::random_upstream(scene.rays.size(), 6);
+    std::vector<reference::PixelGradient> d_rendered = test::make_random_upstream(scene.rays.size(), 6);
     for (reference::PixelGradient& g : d_rendered) g = {.depth = g.depth};
     const GradientOptions bit_equal{.sums = {.reduction = Reduction::gather}};
     DifferentiableRenderer renderer(device(), placed.scene, settings.image, {.keep_hits = 8}, bit_equal);
@@ -192,7 +192,7 @@ TEST_F(FirstUseTest, FindsWhatIsWrong) {
 /// the largest remaining size must be chosen.
 TEST_F(FirstUseTest, ChoosesAnotherSubgroupSize) {
     if (!device().info().software) GTEST_SKIP() << "no subgroups of a known size";
-    const std::vector<int> sizes = subgroup_sizes(device());
+    const std::vector<int> sizes = list_subgroup_sizes(device());
     const int size = device().info().subgroup_size;
     gpu::set_faults("subgroups:" + std::to_string(size));
     if (sizes.size() == 1) {

@@ -19,23 +19,23 @@ double uniform(Random& random, double low, double high) {
     return std::uniform_real_distribution<double>(low, high)(random);
 }
 
-glm::dvec3 uniform_point(Random& random, double half) {
+glm::dvec3 draw_uniform_point(Random& random, double half) {
     const double x = uniform(random, -half, half), y = uniform(random, -half, half),
                  z = uniform(random, -half, half);
     return {x, y, z};
 }
 
-glm::dvec3 unit_vector(Random& random) {
+glm::dvec3 draw_unit_vector(Random& random) {
     std::normal_distribution<double> normal;
     return glm::normalize(glm::dvec3(normal(random), normal(random), normal(random)));
 }
 
-double logit(double p) { return std::log(p / (1.0 - p)); }
+double logit(double probability) { return std::log(probability / (1.0 - probability)); }
 
 /// Returns a surfel at (x, 0, 0) that faces the x axis: a_u = y, a_v = z.
-Surfel facing_surfel(double x, double scale_m, double opacity) {
+Surfel make_facing_surfel(double value, double scale_m, double opacity) {
     Surfel s;
-    s.mean = {x, 0, 0};
+    s.mean = {value, 0, 0};
     s.rotation = {0.5, 0.5, 0.5, 0.5};
     s.log_scale = glm::dvec2(std::log(scale_m));
     s.opacity_logit = logit(opacity);
@@ -44,10 +44,10 @@ Surfel facing_surfel(double x, double scale_m, double opacity) {
 
 /// Returns a surfel with random orientation (quaternion not normalised), standard
 /// deviations of 0.03 to 0.5 m, and an opacity between alpha_min and 0.99.
-Surfel random_surfel(Random& random, double half_m) {
+Surfel make_random_surfel(Random& random, double half_m) {
     std::normal_distribution<double> normal;
     Surfel s;
-    s.mean = uniform_point(random, half_m);
+    s.mean = draw_uniform_point(random, half_m);
     s.rotation = {normal(random), normal(random), normal(random), normal(random)};
     s.log_scale = {uniform(random, std::log(0.03), std::log(0.5)),
                    uniform(random, std::log(0.03), std::log(0.5))};
@@ -55,30 +55,34 @@ Surfel random_surfel(Random& random, double half_m) {
     return s;
 }
 
-void add_ray(TraversalCase& c, const glm::dvec3& origin, const glm::dvec3& direction) {
-    c.rays.origin.emplace_back(origin);
-    c.rays.direction.emplace_back(glm::normalize(direction));
+void add_ray(TraversalCase& test_case, const glm::dvec3& origin, const glm::dvec3& direction) {
+    test_case.rays.origin.emplace_back(origin);
+    test_case.rays.direction.emplace_back(glm::normalize(direction));
 }
 
-std::vector<reference::Placement> one_instance(std::size_t n) { return {{0, std::uint32_t(n), {}}}; }
+std::vector<reference::Placement> make_one_instance(std::size_t count) {
+    return {{0, std::uint32_t(count), {}}};
+}
 
-double proxy_k(const Surfel& s) {
-    return std::sqrt(2.0 * std::log(255.0 / (1.0 + std::exp(-s.opacity_logit))));
+double compute_proxy_factor(const Surfel& surfel) {
+    return std::sqrt(2.0 * std::log(255.0 / (1.0 + std::exp(-surfel.opacity_logit))));
 }
 
 }  // namespace
 
-reference::World to_world(const TraversalCase& c) { return {to_reference(c.surfels), c.instances}; }
+reference::World to_world(const TraversalCase& test_case) {
+    return {to_reference(test_case.surfels), test_case.instances};
+}
 
-TraversalCase empty_case() {
+TraversalCase make_empty_case() {
     TraversalCase c{"empty", {}, {}, {}};
     add_ray(c, {0, 0, 0}, {1, 0, 0});
     add_ray(c, {1, 2, 3}, {0, -1, 1});
     return c;
 }
 
-TraversalCase single_case() {
-    TraversalCase c{"single", to_surfels({facing_surfel(5, 0.5, 0.8)}), one_instance(1), {}};
+TraversalCase make_single_case() {
+    TraversalCase c{"single", to_surfels({make_facing_surfel(5, 0.5, 0.8)}), make_one_instance(1), {}};
     add_ray(c, {0, 0, 0}, {1, 0, 0});
     add_ray(c, {0, 0.3, -0.4}, {1, 0, 0});
     add_ray(c, {10, 0.3, -0.4}, {-1, 0, 0});  // from the back
@@ -91,8 +95,8 @@ TraversalCase single_case() {
     return c;
 }
 
-TraversalCase equal_depth_case() {
-    const Surfel s = facing_surfel(0, 0.5, 0.3);
+TraversalCase make_equal_depth_case() {
+    const Surfel s = make_facing_surfel(0, 0.5, 0.3);
     TraversalCase c{"equal depth", to_surfels(std::vector<Surfel>(7, s)), {}, {}};
     const Pose at_five{glm::dquat(1, 0, 0, 0), {5, 0, 0}}, at_six{glm::dquat(1, 0, 0, 0), {6, 0, 0}};
     c.instances = {{0, 7, at_five}, {0, 7, at_six}, {0, 7, at_five}, {3, 2, at_five}};
@@ -104,39 +108,42 @@ TraversalCase equal_depth_case() {
     return c;
 }
 
-TraversalCase long_list_case() {
+TraversalCase make_long_list_case() {
     std::vector<Surfel> surfels;
-    for (int i = 0; i < 100; ++i) surfels.push_back(facing_surfel(1 + ((i * 37) % 100) * 0.1, 1.0, 0.05));
-    TraversalCase c{"long list", to_surfels(surfels), one_instance(100), {}};
+    for (int i = 0; i < 100; ++i)
+        surfels.push_back(make_facing_surfel(1 + ((i * 37) % 100) * 0.1, 1.0, 0.05));
+    TraversalCase c{"long list", to_surfels(surfels), make_one_instance(100), {}};
     Random random(8);
     for (int i = 0; i < 20; ++i)
         add_ray(c, {0, 0, 0}, {11, uniform(random, -0.5, 0.5), uniform(random, -0.5, 0.5)});
     return c;
 }
 
-TraversalCase tied_list_case(int n) {
+TraversalCase make_tied_list_case(int count) {
     std::vector<Surfel> surfels;
-    for (int i = 0; i < n; ++i) {
-        surfels.push_back(facing_surfel(1 + (i * 37) % (n / 3 + 1) * 0.01, 1.0, 0.01));
+    for (int i = 0; i < count; ++i) {
+        surfels.push_back(make_facing_surfel(1 + (i * 37) % (count / 3 + 1) * 0.01, 1.0, 0.01));
         // surfels at equal distance are not in the order of their ids
         surfels.back().mean.y = (3 - i % 7) * 0.05;
     }
-    TraversalCase c{"list of " + std::to_string(n), to_surfels(surfels), one_instance(surfels.size()), {}};
+    TraversalCase c{
+        "list of " + std::to_string(count), to_surfels(surfels), make_one_instance(surfels.size()), {}};
     Random random(9);
     for (int i = 0; i < 6; ++i)
         add_ray(c, {0, 0, 0}, {11, uniform(random, -0.5, 0.5), uniform(random, -0.5, 0.5)});
     return c;
 }
 
-TraversalCase outline_case(std::uint64_t seed, int n_rays) {
+TraversalCase make_outline_case(std::uint64_t seed, int n_rays) {
     Random random(seed);
     std::vector<Surfel> surfels;
-    for (int i = 0; i < 60; ++i) surfels.push_back(random_surfel(random, 3.0));
-    TraversalCase c{"outline", to_surfels(surfels), one_instance(surfels.size()), {}};
+    for (int i = 0; i < 60; ++i) surfels.push_back(make_random_surfel(random, 3.0));
+    TraversalCase c{"outline", to_surfels(surfels), make_one_instance(surfels.size()), {}};
     for (int i = 0; i < n_rays; ++i) {
         const Surfel& s = surfels[std::size_t(i) % surfels.size()];
         const reference::Activated a = reference::activate(s);
-        const double k = proxy_k(s), along = uniform(random, -1, 1), angle = uniform(random, 0, 2 * kPi);
+        const double k = compute_proxy_factor(s), along = uniform(random, -1, 1),
+                     angle = uniform(random, 0, 2 * kPi);
         const double side = uniform(random, 0, 1) < 0.5 ? -1.0 : 1.0, rim = i % 2 == 0 ? 0.99 : 1.01;
         const glm::dvec2 on_rim = rim * glm::dvec2(std::cos(angle), std::sin(angle));
         const glm::dvec2 spots[6] = {{along, along}, {along, -along}, {along, side},
@@ -145,22 +152,22 @@ TraversalCase outline_case(std::uint64_t seed, int n_rays) {
         const glm::dvec2 spot = spots[i % 6] * half;
         const glm::dvec3 target = a.mean + spot.x * a.rotation[0] + spot.y * a.rotation[1];
         const glm::dvec3 origin =
-            target + uniform(random, 1, 6) * glm::normalize(a.rotation[2] + 0.8 * unit_vector(random));
+            target + uniform(random, 1, 6) * glm::normalize(a.rotation[2] + 0.8 * draw_unit_vector(random));
         add_ray(c, origin, target - origin);
     }
     return c;
 }
 
-TraversalCase grazing_case(std::uint64_t seed, int n_rays) {
+TraversalCase make_grazing_case(std::uint64_t seed, int n_rays) {
     Random random(seed);
     std::vector<Surfel> surfels;
-    for (int i = 0; i < 200; ++i) surfels.push_back(random_surfel(random, 6.0));
-    TraversalCase c{"grazing", to_surfels(surfels), one_instance(surfels.size()), {}, true};
+    for (int i = 0; i < 200; ++i) surfels.push_back(make_random_surfel(random, 6.0));
+    TraversalCase c{"grazing", to_surfels(surfels), make_one_instance(surfels.size()), {}, true};
     for (int i = 0; i < n_rays; ++i) {
         const Surfel& s = surfels[std::size_t(i) % surfels.size()];
         const reference::Activated a = reference::activate(s);
-        const double r = uniform(random, 0, 1.05) * proxy_k(s), angle = uniform(random, 0, 2 * kPi),
-                     heading = uniform(random, 0, 2 * kPi);
+        const double r = uniform(random, 0, 1.05) * compute_proxy_factor(s),
+                     angle = uniform(random, 0, 2 * kPi), heading = uniform(random, 0, 2 * kPi);
         const glm::dvec3 target = a.mean + r * (std::cos(angle) * a.scale.x * a.rotation[0] +
                                                 std::sin(angle) * a.scale.y * a.rotation[1]);
         const double facing = std::exp(uniform(random, std::log(1e-3), std::log(1e-2)));
@@ -171,10 +178,10 @@ TraversalCase grazing_case(std::uint64_t seed, int n_rays) {
     return c;
 }
 
-TraversalCase degenerate_case() {
+TraversalCase make_degenerate_case() {
     const double nan = std::numeric_limits<double>::quiet_NaN(),
                  inf = std::numeric_limits<double>::infinity();
-    const Surfel good = facing_surfel(5, 0.5, 0.5);
+    const Surfel good = make_facing_surfel(5, 0.5, 0.5);
     std::vector<Surfel> surfels(16, good);
     for (std::size_t i = 0; i < surfels.size(); ++i) surfels[i].mean.x = 4.0 + 0.1 * double(i);
     surfels[0].mean.y = nan;
@@ -197,11 +204,11 @@ TraversalCase degenerate_case() {
     return c;
 }
 
-TraversalCase random_case(std::uint64_t seed, int n_surfels, int n_rays) {
+TraversalCase make_random_case(std::uint64_t seed, int n_surfels, int n_rays) {
     Random random(seed);
     std::vector<Surfel> surfels;
     for (int i = 0; i < n_surfels; ++i)
-        surfels.push_back(random_surfel(random, i < n_surfels * 3 / 4 ? 4.0 : 1.5));
+        surfels.push_back(make_random_surfel(random, i < n_surfels * 3 / 4 ? 4.0 : 1.5));
     // exact copies, which have equal t
     for (int i = 0; i < n_surfels / 20; ++i)
         surfels[std::size_t(i)] = surfels[std::size_t(n_surfels / 2 + i)];
@@ -210,22 +217,23 @@ TraversalCase random_case(std::uint64_t seed, int n_surfels, int n_rays) {
                n_actor = std::uint32_t(n_surfels) - n_background;
     c.instances.push_back({0, n_background, {}});
     for (int i = 0; i < 3; ++i)
-        c.instances.push_back(
-            {n_background,
-             n_actor,
-             {glm::angleAxis(uniform(random, 0, kPi), unit_vector(random)), uniform_point(random, 2.0)}});
+        c.instances.push_back({n_background,
+                               n_actor,
+                               {glm::angleAxis(uniform(random, 0, kPi), draw_unit_vector(random)),
+                                draw_uniform_point(random, 2.0)}});
     for (int i = 0; i < n_rays; ++i) {
-        const glm::dvec3 origin = uniform_point(random, 5.0);
-        add_ray(c, origin, uniform_point(random, 3.0) - origin);
+        const glm::dvec3 origin = draw_uniform_point(random, 5.0);
+        add_ray(c, origin, draw_uniform_point(random, 3.0) - origin);
     }
     return c;
 }
 
-TraversalCase street_case(const Surfels& street, const RayTable& rays, double radius_m, int stride) {
+TraversalCase make_street_test_case(const Surfels& street, const RayTable& rays, double radius_m,
+                                    int stride) {
     std::vector<std::uint32_t> near_sensor;
     for (std::uint32_t i = 0; i < street.mean.size(); ++i)
         if (double(glm::length(street.mean[i] - rays.origin.at(0))) < radius_m) near_sensor.push_back(i);
-    TraversalCase c{"street", take(street, near_sensor), one_instance(near_sensor.size()), {}};
+    TraversalCase c{"street", take(street, near_sensor), make_one_instance(near_sensor.size()), {}};
     for (std::size_t i = 0; i < rays.size(); i += std::size_t(stride)) {
         c.rays.origin.push_back(rays.origin[i]);
         c.rays.direction.push_back(rays.direction[i]);
@@ -233,25 +241,25 @@ TraversalCase street_case(const Surfels& street, const RayTable& rays, double ra
     return c;
 }
 
-TraversalCase as_gaussians(TraversalCase c, std::uint64_t seed) {
+TraversalCase to_gaussians(TraversalCase test_case, std::uint64_t seed) {
     Random random(seed);
     constexpr float kNan = std::numeric_limits<float>::quiet_NaN(),
                     kInfinity = std::numeric_limits<float>::infinity();
     const float unusable[] = {kNan, -kInfinity, -800.0f};  // for the last value 1 / s overflows
-    for (std::size_t i = 0; i < c.surfels.mean.size(); ++i) {
+    for (std::size_t i = 0; i < test_case.surfels.mean.size(); ++i) {
         const auto thickness = static_cast<float>(uniform(random, std::log(0.03), std::log(0.5)));
-        c.surfels.log_scale_w.push_back(i % 20 == 19 ? unusable[i / 20 % 3] : thickness);
+        test_case.surfels.log_scale_w.push_back(i % 20 == 19 ? unusable[i / 20 % 3] : thickness);
     }
-    c.surfels.primitive = Primitive::gaussian;
-    c.name += " as 3D Gaussians";
-    return c;
+    test_case.surfels.primitive = Primitive::gaussian;
+    test_case.name += " as 3D Gaussians";
+    return test_case;
 }
 
-TraversalCase crowded_case(std::uint64_t seed, int n_gaussians, int n_rays) {
+TraversalCase make_crowded_case(std::uint64_t seed, int n_gaussians, int n_rays) {
     Random random(seed);
     std::vector<Surfel> surfels;
     for (int i = 0; i < n_gaussians; ++i) {
-        Surfel s = random_surfel(random, 4.0);
+        Surfel s = make_random_surfel(random, 4.0);
         s.log_scale += std::log(6.0);
         s.log_scale_w = uniform(random, std::log(0.2), std::log(3.0));
         if (i % 4 == 0) s.log_scale_w = uniform(random, std::log(1e-5), std::log(1e-3));
@@ -259,61 +267,62 @@ TraversalCase crowded_case(std::uint64_t seed, int n_gaussians, int n_rays) {
         surfels.push_back(s);
     }
     TraversalCase c{"crowded 3D Gaussians", to_surfels(surfels), {}, {}};
-    c.instances = {
-        {0, std::uint32_t(n_gaussians), {}},
-        {0, std::uint32_t(n_gaussians / 2), {glm::angleAxis(0.8, unit_vector(random)), {0.5, -0.3, 0.2}}}};
-    for (int i = 0; i < n_rays; ++i) add_ray(c, uniform_point(random, 5.0), unit_vector(random));
+    c.instances = {{0, std::uint32_t(n_gaussians), {}},
+                   {0,
+                    std::uint32_t(n_gaussians / 2),
+                    {glm::angleAxis(0.8, draw_unit_vector(random)), {0.5, -0.3, 0.2}}}};
+    for (int i = 0; i < n_rays; ++i) add_ray(c, draw_uniform_point(random, 5.0), draw_unit_vector(random));
     return c;
 }
 
-std::vector<TraversalCase> gaussian_cases(std::uint64_t seed, int n_rays) {
+std::vector<TraversalCase> make_gaussian_cases(std::uint64_t seed, int n_rays) {
     std::vector<TraversalCase> cases;
-    for (const TraversalCase& c : {single_case(), equal_depth_case(), degenerate_case(),
-                                   outline_case(seed, n_rays), random_case(seed + 2, 400, n_rays)})
-        cases.push_back(as_gaussians(c, seed + 3));
-    cases.push_back(crowded_case(seed + 4, 120, n_rays));
+    for (const TraversalCase& c : {make_single_case(), make_equal_depth_case(), make_degenerate_case(),
+                                   make_outline_case(seed, n_rays), make_random_case(seed + 2, 400, n_rays)})
+        cases.push_back(to_gaussians(c, seed + 3));
+    cases.push_back(make_crowded_case(seed + 4, 120, n_rays));
     return cases;
 }
 
-TraversalCase that_moves(TraversalCase c, std::uint64_t seed) {
+TraversalCase make_moving_case(TraversalCase test_case, std::uint64_t seed) {
     Random random(seed);
-    for (std::size_t i = 0; i < c.instances.size(); ++i) {
+    for (std::size_t i = 0; i < test_case.instances.size(); ++i) {
         if (i % 4 == 2) continue;
-        reference::Motion& m = c.instances[i].motion;
-        m.velocity = uniform(random, 5.0, 40.0) * unit_vector(random);
-        if (i % 2 == 1) m.turn_rate = uniform(random, 0.5, 6.0) * unit_vector(random);
+        reference::Motion& m = test_case.instances[i].motion;
+        m.velocity = uniform(random, 5.0, 40.0) * draw_unit_vector(random);
+        if (i % 2 == 1) m.turn_rate = uniform(random, 0.5, 6.0) * draw_unit_vector(random);
         m.half_span_s = double(float(i % 3 == 0 ? 0.05 : uniform(random, 0.002, 0.03)));
         m.middle_s = double(float(i % 3 == 0 ? 0.0 : uniform(random, -0.03, 0.03)));
     }
-    for (std::size_t i = 0; i < c.rays.size(); ++i)
-        c.rays.time_s.push_back(float(uniform(random, -0.07, 0.07)));
-    c.name += " that moves";
-    return c;
+    for (std::size_t i = 0; i < test_case.rays.size(); ++i)
+        test_case.rays.time_s.push_back(float(uniform(random, -0.07, 0.07)));
+    test_case.name += " that moves";
+    return test_case;
 }
 
-std::vector<TraversalCase> moving_cases(std::uint64_t seed, int n_rays) {
-    TraversalCase many = random_case(seed + 1, 200, n_rays);  // more surfels than a mask has bits
+std::vector<TraversalCase> make_moving_cases(std::uint64_t seed, int n_rays) {
+    TraversalCase many = make_random_case(seed + 1, 200, n_rays);  // more surfels than a mask has bits
     Random random(seed);
     for (int i = 0; i < 12; ++i)
-        many.instances.push_back(
-            {150,
-             50,
-             {glm::angleAxis(uniform(random, 0, kPi), unit_vector(random)), uniform_point(random, 3.0)}});
-    return {that_moves(equal_depth_case(), seed), that_moves(random_case(seed, 800, n_rays), seed),
-            that_moves(many, seed + 2),
-            that_moves(as_gaussians(random_case(seed + 3, 400, n_rays), seed), seed),
-            that_moves(crowded_case(seed + 4, 120, n_rays), seed)};
+        many.instances.push_back({150,
+                                  50,
+                                  {glm::angleAxis(uniform(random, 0, kPi), draw_unit_vector(random)),
+                                   draw_uniform_point(random, 3.0)}});
+    return {make_moving_case(make_equal_depth_case(), seed),
+            make_moving_case(make_random_case(seed, 800, n_rays), seed), make_moving_case(many, seed + 2),
+            make_moving_case(to_gaussians(make_random_case(seed + 3, 400, n_rays), seed), seed),
+            make_moving_case(make_crowded_case(seed + 4, 120, n_rays), seed)};
 }
 
-std::vector<TraversalCase> conformance_cases(std::uint64_t seed, int n_rays) {
-    return {empty_case(),
-            single_case(),
-            equal_depth_case(),
-            long_list_case(),
-            degenerate_case(),
-            outline_case(seed, n_rays),
-            grazing_case(seed + 1, n_rays),
-            random_case(seed + 2, 800, n_rays)};
+std::vector<TraversalCase> make_conformance_cases(std::uint64_t seed, int n_rays) {
+    return {make_empty_case(),
+            make_single_case(),
+            make_equal_depth_case(),
+            make_long_list_case(),
+            make_degenerate_case(),
+            make_outline_case(seed, n_rays),
+            make_grazing_case(seed + 1, n_rays),
+            make_random_case(seed + 2, 800, n_rays)};
 }
 
 }  // namespace relidar::test

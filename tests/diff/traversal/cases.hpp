@@ -26,56 +26,56 @@ struct TraversalCase {
 };
 
 /// Converts the surfels and placements of the case for the reference.
-reference::World to_world(const TraversalCase& c);
+reference::World to_world(const TraversalCase& test_case);
 
-TraversalCase empty_case();
+TraversalCase make_empty_case();
 /// Makes a scene with a single surfel. Rays hit the surfel head on, off centre, and at
 /// the near limit. Further rays lie in its plane, are parallel to the plane, or start
 /// behind the surfel.
-TraversalCase single_case();
+TraversalCase make_single_case();
 /// Makes exact copies of surfels at the same position, within a model and in several
 /// instances.
-TraversalCase equal_depth_case();
+TraversalCase make_equal_depth_case();
 /// Makes a scene with 100 surfels along each ray, which is more than any chunk.
-TraversalCase long_list_case();
-/// Makes a scene with n surfels along each ray, three at each distance. No ray stops
-/// early.
-TraversalCase tied_list_case(int n);
+TraversalCase make_long_list_case();
+/// Makes a scene with `count` surfels along each ray, three at each distance. No ray
+/// stops early.
+TraversalCase make_tied_list_case(int count);
 /// Makes rays through the diagonals, edges and corners of the proxies, and rays 1 %
 /// inside and outside the rim alpha = alpha_min.
-TraversalCase outline_case(std::uint64_t seed, int n_rays);
+TraversalCase make_outline_case(std::uint64_t seed, int n_rays);
 /// |n . d| between 1e-3 and 1e-2.
-TraversalCase grazing_case(std::uint64_t seed, int n_rays);
+TraversalCase make_grazing_case(std::uint64_t seed, int n_rays);
 /// Makes a scene with surfels that must never be hit (not finite, zero or overflowing
 /// scale, zero quaternion, opacity at most alpha_min) among valid surfels.
-TraversalCase degenerate_case();
+TraversalCase make_degenerate_case();
 /// Makes random surfels of many sizes and all orientations, and a second model with three
 /// rotated, overlapping instances.
-TraversalCase random_case(std::uint64_t seed, int n_surfels, int n_rays);
+TraversalCase make_random_case(std::uint64_t seed, int n_surfels, int n_rays);
 /// Returns the surfels of the benchmark street within `radius_m` of the sensor, with
 /// every `stride`-th ray.
-TraversalCase street_case(const Surfels& street, const RayTable& rays, double radius_m, int stride);
+TraversalCase make_street_test_case(const Surfels& street, const RayTable& rays, double radius_m, int stride);
 
 /// Replaces the surfels by 3D Gaussians that are 0.03 to 0.5 m thick. Every twentieth
 /// Gaussian has an invalid thickness.
-TraversalCase as_gaussians(TraversalCase c, std::uint64_t seed);
+TraversalCase to_gaussians(TraversalCase test_case, std::uint64_t seed);
 /// Makes 3D Gaussians that are larger than the distances between them. Rays start inside
 /// many Gaussians, and proxies extend over several chunks. The scene also contains
 /// needles and discs with axis ratios of 1000 and more.
-TraversalCase crowded_case(std::uint64_t seed, int n_gaussians, int n_rays);
+TraversalCase make_crowded_case(std::uint64_t seed, int n_gaussians, int n_rays);
 /// Returns all cases of 3D Gaussians, with sizes that take seconds on a slow device.
-std::vector<TraversalCase> gaussian_cases(std::uint64_t seed, int n_rays);
+std::vector<TraversalCase> make_gaussian_cases(std::uint64_t seed, int n_rays);
 
 /// Returns the case with instances that move and turn during a sweep of 0.1 s. Some
 /// instances move only for a part of the sweep, and a single instance does not move. Rays
 /// are fired during the sweep and outside it.
-TraversalCase that_moves(TraversalCase c, std::uint64_t seed);
+TraversalCase make_moving_case(TraversalCase test_case, std::uint64_t seed);
 /// Returns cases with moving instances for both primitives, with sizes that take seconds
 /// on a slow device.
-std::vector<TraversalCase> moving_cases(std::uint64_t seed, int n_rays);
+std::vector<TraversalCase> make_moving_cases(std::uint64_t seed, int n_rays);
 
-/// Returns all surfel cases except street_case, with sizes that take seconds on a slow
-/// device.
-std::vector<TraversalCase> conformance_cases(std::uint64_t seed, int n_rays);
+/// Returns all surfel cases except make_street_test_case, with sizes that take seconds on
+/// a slow device.
+std::vector<TraversalCase> make_conformance_cases(std::uint64_t seed, int n_rays);
 
 }  // namespace relidar::test

@@ -19,7 +19,7 @@ namespace relidar::test {
 
 constexpr std::uint32_t kMaxHits = 256;
 
-inline std::vector<reference::Hit> hits_of(const CollectedHits& c, std::size_t ray) {
+inline std::vector<reference::Hit> list_hits(const CollectedHits& c, std::size_t ray) {
     std::vector<reference::Hit> hits;
     for (std::uint32_t i = 0; i < std::min(c.counts[ray], c.max_hits); ++i) {
         const std::size_t slot = ray * c.max_hits + i;
@@ -29,7 +29,7 @@ inline std::vector<reference::Hit> hits_of(const CollectedHits& c, std::size_t r
 }
 
 /// Converts hits of a scene from to_scene() to the surfel ids of the reference world.
-inline CollectedHits in_world(CollectedHits hits, const SceneAndPoses& placed) {
+inline CollectedHits convert_to_world(CollectedHits hits, const SceneAndPoses& placed) {
     for (std::size_t ray = 0; ray < hits.counts.size(); ++ray)
         for (std::uint32_t i = 0; i < std::min(hits.counts[ray], hits.max_hits); ++i) {
             std::uint32_t& surfel = hits.surfel[ray * hits.max_hits + i];
@@ -41,23 +41,25 @@ inline CollectedHits in_world(CollectedHits hits, const SceneAndPoses& placed) {
 class DeviceHits : public DeviceTest {
 protected:
     /// Compares every ray of a case with a host provider that intersects in float.
-    HitDifferences compare(const TraversalCase& c, const reference::HitProvider& expected,
+    HitDifferences compare(const TraversalCase& test_case, const reference::HitProvider& expected,
                            const CollectedHits& actual) {
-        const reference::World world = to_world(c);
-        const std::vector<reference::Ray> rays = to_reference(c.rays);
+        const reference::World world = to_world(test_case);
+        const std::vector<reference::Ray> rays = to_reference(test_case.rays);
         HitDifferences differences;
         for (std::size_t i = 0; i < rays.size(); ++i) {
             EXPECT_LE(actual.counts[i], kMaxHits) << "the case has more hits than the test keeps";
-            compare_hits(world, {}, rays[i], i, reference::all_hits(expected, rays[i], 64),
-                         hits_of(actual, i), differences);
+            compare_hits(world, {}, rays[i], i, reference::list_all_hits(expected, rays[i], 64),
+                         list_hits(actual, i), differences);
         }
         return differences;
     }
 
-    void expect_equal(const TraversalCase& c, const HitDifferences& d, const std::string& title) {
-        EXPECT_EQ(d.n_errors, 0u) << d.summary(title) << "\n" << d.first_error;
-        const std::size_t allowed = c.grazing ? d.n_rays / 100 : 2 + d.n_rays / 5000;
-        EXPECT_LE(d.n_different_rays, allowed) << d.summary(title);
+    void expect_equal(const TraversalCase& test_case, const HitDifferences& differences,
+                      const std::string& title) {
+        EXPECT_EQ(differences.n_errors, 0u) << differences.summary(title) << "\n" << differences.first_error;
+        const std::size_t allowed =
+            test_case.grazing ? differences.n_rays / 100 : 2 + differences.n_rays / 5000;
+        EXPECT_LE(differences.n_different_rays, allowed) << differences.summary(title);
     }
 };
 

@@ -10,19 +10,20 @@ namespace relidar {
 namespace {
 
 using test::HitDifferences;
-using test::hits_of;
 using test::kMaxHits;
+using test::list_hits;
 using test::TraversalCase;
 
 class DeviceHits : public test::DeviceHits {
 protected:
-    CollectedHits collect(const TraversalCase& c, const AccelOptions& accel, const TraceOptions& trace) {
-        const test::SceneAndPoses placed = test::to_scene(c.surfels, c.instances);
+    CollectedHits collect(const TraversalCase& test_case, const AccelOptions& accel,
+                          const TraceOptions& trace) {
+        const test::SceneAndPoses placed = test::to_scene(test_case.surfels, test_case.instances);
         ImageModel model;
-        model.primitive = c.surfels.primitive;
-        return test::in_world(
-            collect_hits(device(), {&placed.scene, placed.world_from_instance, model, accel, trace}, c.rays,
-                         kMaxHits),
+        model.primitive = test_case.surfels.primitive;
+        return test::convert_to_world(
+            collect_hits(device(), {&placed.scene, placed.world_from_instance, model, accel, trace},
+                         test_case.rays, kMaxHits),
             placed);
     }
     void expect_conformance(const std::vector<TraversalCase>& cases);
@@ -60,17 +61,17 @@ void DeviceHits::expect_conformance(const std::vector<TraversalCase>& cases) {
     }
 }
 
-TEST_F(DeviceHits, ConformanceCases) { expect_conformance(test::conformance_cases(11, 1000)); }
-TEST_F(DeviceHits, ConformanceCasesOfGaussians) { expect_conformance(test::gaussian_cases(13, 500)); }
+TEST_F(DeviceHits, ConformanceCases) { expect_conformance(test::make_conformance_cases(11, 1000)); }
+TEST_F(DeviceHits, ConformanceCasesOfGaussians) { expect_conformance(test::make_gaussian_cases(13, 500)); }
 
-TEST_F(DeviceHits, CasesThatMove) { expect_conformance(test::moving_cases(17, 200)); }
+TEST_F(DeviceHits, CasesThatMove) { expect_conformance(test::make_moving_cases(17, 200)); }
 
 class ChunkSize : public DeviceHits, public testing::WithParamInterface<Primitive> {};
 INSTANTIATE_TEST_SUITE_P(Primitives, ChunkSize, testing::Values(Primitive::surfel, Primitive::gaussian));
 
 TEST_P(ChunkSize, DoesNotMatter) {
-    const TraversalCase c =
-        GetParam() == Primitive::gaussian ? test::crowded_case(6, 100, 500) : test::random_case(5, 400, 2000);
+    const TraversalCase c = GetParam() == Primitive::gaussian ? test::make_crowded_case(6, 100, 500)
+                                                              : test::make_random_case(5, 400, 2000);
     const CollectedHits expected = collect(c, {}, {.chunk = 64});
     for (const int chunk : {1, 5, 32})
         for (const Setting& s : providers(device(), chunk)) {
@@ -78,7 +79,7 @@ TEST_P(ChunkSize, DoesNotMatter) {
             const CollectedHits actual = collect(c, s.accel, s.trace);
             EXPECT_EQ(actual.counts, expected.counts) << s.name << ", chunk " << chunk;
             for (std::size_t ray = 0; ray < c.rays.size(); ++ray)
-                ASSERT_EQ(hits_of(actual, ray), hits_of(expected, ray))
+                ASSERT_EQ(list_hits(actual, ray), list_hits(expected, ray))
                     << s.name << ", chunk " << chunk << ", ray " << ray;
         }
 }

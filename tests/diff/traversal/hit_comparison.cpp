@@ -14,23 +14,23 @@ namespace {
 
 using Id = std::pair<std::uint32_t, std::uint32_t>;
 
-Id id_of(const reference::Hit& hit) { return {hit.instance, hit.surfel}; }
+Id get_id(const reference::Hit& hit) { return {hit.instance, hit.surfel}; }
 
-std::string describe(std::size_t ray_index, const char* what, const reference::Hit& hit) {
+std::string describe(std::size_t ray_index, const char* description, const reference::Hit& hit) {
     char text[160];
-    std::snprintf(text, sizeof text, "ray %zu: %s (instance %u, surfel %u) at t = %.9g", ray_index, what,
-                  hit.instance, hit.surfel, hit.t);
+    std::snprintf(text, sizeof text, "ray %zu: %s (instance %u, surfel %u) at t = %.9g", ray_index,
+                  description, hit.instance, hit.surfel, hit.t);
     return text;
 }
 
-void add_error(HitDifferences& d, const std::string& message) {
-    if (d.n_errors++ == 0) d.first_error = message;
+void add_error(HitDifferences& differences, const std::string& message) {
+    if (differences.n_errors++ == 0) differences.first_error = message;
 }
 
 }  // namespace
 
-bool on_boundary(const reference::World& world, const ImageModel& model, const reference::Ray& ray,
-                 const reference::Hit& hit) {
+bool is_on_boundary(const reference::World& world, const ImageModel& model, const reference::Ray& ray,
+                    const reference::Hit& hit) {
     const reference::DoubleRecord r = reference::make_record(world.surfels[hit.surfel]);
     const auto local = reference::to_model(world.instances[hit.instance].at(ray.time_s), ray);
     const reference::PlaneHit<double> met = reference::meet(r, local);
@@ -57,36 +57,36 @@ bool on_boundary(const reference::World& world, const ImageModel& model, const r
 
 void compare_hits(const reference::World& world, const ImageModel& model, const reference::Ray& ray,
                   std::size_t ray_index, const std::vector<reference::Hit>& expected,
-                  const std::vector<reference::Hit>& actual, HitDifferences& d) {
-    d.n_rays += 1;
-    d.n_hits += expected.size();
-    const auto same_id = [](const reference::Hit& a, const reference::Hit& b) {
-        return id_of(a) == id_of(b);
+                  const std::vector<reference::Hit>& actual, HitDifferences& differences) {
+    differences.n_rays += 1;
+    differences.n_hits += expected.size();
+    const auto same_id = [](const reference::Hit& first, const reference::Hit& second) {
+        return get_id(first) == get_id(second);
     };
     if (std::equal(expected.begin(), expected.end(), actual.begin(), actual.end(), same_id)) return;
-    d.n_different_rays += 1;
+    differences.n_different_rays += 1;
     std::map<Id, double> expected_t;
     std::map<Id, int> seen;
-    for (const reference::Hit& hit : expected) expected_t[id_of(hit)] = hit.t;
+    for (const reference::Hit& hit : expected) expected_t[get_id(hit)] = hit.t;
     double last_t = -HUGE_VAL;
     for (const reference::Hit& hit : actual) {
-        if (++seen[id_of(hit)] > 1) add_error(d, describe(ray_index, "reported twice:", hit));
-        const auto match = expected_t.find(id_of(hit));
+        if (++seen[get_id(hit)] > 1) add_error(differences, describe(ray_index, "reported twice:", hit));
+        const auto match = expected_t.find(get_id(hit));
         if (match == expected_t.end()) {
-            if (on_boundary(world, model, ray, hit)) d.n_flips += 1;
-            else add_error(d, describe(ray_index, "not a hit:", hit));
+            if (is_on_boundary(world, model, ray, hit)) differences.n_flips += 1;
+            else add_error(differences, describe(ray_index, "not a hit:", hit));
             continue;
         }
         if (match->second < last_t) {
-            if (last_t - match->second <= 1e-5 * (1.0 + std::abs(last_t))) d.n_swaps += 1;
-            else add_error(d, describe(ray_index, "out of order:", hit));
+            if (last_t - match->second <= 1e-5 * (1.0 + std::abs(last_t))) differences.n_swaps += 1;
+            else add_error(differences, describe(ray_index, "out of order:", hit));
         }
         last_t = std::max(last_t, match->second);
     }
     for (const reference::Hit& hit : expected) {
-        if (seen.contains(id_of(hit))) continue;
-        if (on_boundary(world, model, ray, hit)) d.n_flips += 1;
-        else add_error(d, describe(ray_index, "missed:", hit));
+        if (seen.contains(get_id(hit))) continue;
+        if (is_on_boundary(world, model, ray, hit)) differences.n_flips += 1;
+        else add_error(differences, describe(ray_index, "missed:", hit));
     }
 }
 

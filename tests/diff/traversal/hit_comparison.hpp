@@ -35,7 +35,7 @@ void compare_hits(const reference::World& world, const ImageModel& model, const 
 /// - near| is within the rounding error. For a surfel, the error of the intersection
 /// grows as 1 / |n . d|. For a 3D Gaussian, it is the error of a point in standard
 /// deviations.
-bool on_boundary(const reference::World& world, const ImageModel& model, const reference::Ray& ray,
-                 const reference::Hit& hit);
+bool is_on_boundary(const reference::World& world, const ImageModel& model, const reference::Ray& ray,
+                    const reference::Hit& hit);
 
 }  // namespace relidar::test

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the hit providers of the host. Embree over proxies (M3) must return the same
 // ordered ids as brute force over the same float records, for chunk sizes 1 to 32. Float
-// and double intersections may differ only on boundaries. next_hits must fulfil its
-// contract (all_hits throws otherwise).
+// and double intersections may differ only on boundaries. find_next_hits must fulfil its
+// contract (list_all_hits throws otherwise).
 #include <gtest/gtest.h>
 
 #include <cstdio>
@@ -23,31 +23,33 @@ constexpr std::uint64_t kSeed = 20261121;
 constexpr int kAll = 1 << 30;
 
 /// Compares every ray of a case with chunk sizes 1, 2, ... 32 in turn.
-HitDifferences compare(const TraversalCase& c, const HitProvider& expected, const HitProvider& actual,
+HitDifferences compare(const TraversalCase& test_case, const HitProvider& expected, const HitProvider& actual,
                        const ImageModel& model = {}) {
-    const World world = to_world(c);
+    const World world = to_world(test_case);
     HitDifferences differences;
-    const std::vector<Ray> rays = test::to_reference(c.rays);
+    const std::vector<Ray> rays = test::to_reference(test_case.rays);
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const int chunk = 1 + int(i % 32);
-        compare_hits(world, model, rays[i], i, all_hits(expected, rays[i], kAll),
-                     all_hits(actual, rays[i], chunk), differences);
+        compare_hits(world, model, rays[i], i, list_all_hits(expected, rays[i], kAll),
+                     list_all_hits(actual, rays[i], chunk), differences);
     }
-    std::printf("  %s\n", differences.summary(c.name).c_str());
+    std::printf("  %s\n", differences.summary(test_case.name).c_str());
     return differences;
 }
 
-HitDifferences compare_embree(const TraversalCase& c, ProxyMargin margin = {}) {
-    const World world = to_world(c);
-    return compare(c, BruteForce(world, {}, Precision::float_record), EmbreeFilter(world, {}, margin));
+HitDifferences compare_embree(const TraversalCase& test_case, ProxyMargin margin = {}) {
+    const World world = to_world(test_case);
+    return compare(test_case, BruteForce(world, {}, Precision::float_record),
+                   EmbreeFilter(world, {}, margin));
 }
 
-void expect_identical(const HitDifferences& d, const TraversalCase& c) {
-    EXPECT_EQ(d.n_different_rays, 0u) << c.name << ", seed " << kSeed << ": " << d.first_error;
+void expect_identical(const HitDifferences& differences, const TraversalCase& test_case) {
+    EXPECT_EQ(differences.n_different_rays, 0u)
+        << test_case.name << ", seed " << kSeed << ": " << differences.first_error;
 }
 
 TEST(HostProviders, EmbreeAgreesOnAllCases) {
-    for (const TraversalCase& c : test::conformance_cases(kSeed, 6000)) {
+    for (const TraversalCase& c : test::make_conformance_cases(kSeed, 6000)) {
         const HitDifferences d = compare_embree(c);
         EXPECT_EQ(d.n_errors, 0u) << c.name << ", seed " << kSeed << ": " << d.first_error;
         if (!c.grazing) expect_identical(d, c);
@@ -57,7 +59,7 @@ TEST(HostProviders, EmbreeAgreesOnAllCases) {
 
 /// The double reference computes each pose with a separate formula (sine and cosine).
 TEST(HostProviders, AgreeOnModelsThatMove) {
-    for (const TraversalCase& c : test::moving_cases(kSeed, 3000)) {
+    for (const TraversalCase& c : test::make_moving_cases(kSeed, 3000)) {
         const World world = to_world(c);
         ImageModel model;
         model.primitive = c.surfels.primitive;
@@ -71,7 +73,7 @@ TEST(HostProviders, AgreeOnModelsThatMove) {
 }
 
 TEST(HostProviders, EmbreeAgreesOn100000RandomRays) {
-    const TraversalCase c = test::random_case(kSeed, 600, 100000);
+    const TraversalCase c = test::make_random_case(kSeed, 600, 100000);
     const HitDifferences d = compare_embree(c);
     expect_identical(d, c);
     EXPECT_GT(d.n_hits, 400000u);
@@ -79,19 +81,19 @@ TEST(HostProviders, EmbreeAgreesOn100000RandomRays) {
 
 TEST(HostProviders, EmbreeAgreesInTheStreet) {
     const TraversalCase c =
-        test::street_case(make_benchmark_street(100000), make_benchmark_rays("waymo"), 6.0, 9);
+        test::make_street_test_case(make_benchmark_street(100000), make_benchmark_rays("waymo"), 6.0, 9);
     const HitDifferences d = compare_embree(c);
     expect_identical(d, c);
     EXPECT_GT(d.n_hits, d.n_rays);
 }
 
 TEST(HostProviders, GrazingRaysAreExactWithWiderProxies) {
-    const TraversalCase c = test::grazing_case(kSeed + 5, 20000);
+    const TraversalCase c = test::make_grazing_case(kSeed + 5, 20000);
     expect_identical(compare_embree(c, {1.01, 1e-2}), c);
 }
 
 TEST(HostProviders, DoubleAndFloatDifferOnlyOnBoundaries) {
-    for (const TraversalCase& c : test::conformance_cases(kSeed, 3000)) {
+    for (const TraversalCase& c : test::make_conformance_cases(kSeed, 3000)) {
         const World world = to_world(c);
         const HitDifferences d = compare(c, BruteForce(world, {}, Precision::double_record),
                                          BruteForce(world, {}, Precision::float_record));
@@ -101,23 +103,24 @@ TEST(HostProviders, DoubleAndFloatDifferOnlyOnBoundaries) {
 }
 
 TEST(HostProviders, EveryChunkSizeGivesTheSameList) {
-    const TraversalCase c = test::random_case(kSeed + 3, 800, 50);
+    const TraversalCase c = test::make_random_case(kSeed + 3, 800, 50);
     const World world = to_world(c);
     const BruteForce brute(world, {}, Precision::float_record);
     const EmbreeFilter embree(world, {});
     for (const Ray& ray : test::to_reference(c.rays)) {
-        const std::vector<Hit> expected = all_hits(brute, ray, kAll);
+        const std::vector<Hit> expected = list_all_hits(brute, ray, kAll);
         for (int chunk = 1; chunk <= 32; ++chunk) {
-            EXPECT_EQ(all_hits(brute, ray, chunk), expected);
-            EXPECT_EQ(all_hits(embree, ray, chunk), expected);
+            EXPECT_EQ(list_all_hits(brute, ray, chunk), expected);
+            EXPECT_EQ(list_all_hits(embree, ray, chunk), expected);
         }
     }
 }
 
 TEST(HostProviders, TiesAreOrderedByInstanceAndSurfel) {
-    const TraversalCase c = test::equal_depth_case();
+    const TraversalCase c = test::make_equal_depth_case();
     const World world = to_world(c);
-    const std::vector<Hit> hits = all_hits(EmbreeFilter(world, {}), test::to_reference(c.rays).back(), 4);
+    const std::vector<Hit> hits =
+        list_all_hits(EmbreeFilter(world, {}), test::to_reference(c.rays).back(), 4);
     ASSERT_EQ(hits.size(), 7u + 7u + 2u + 7u);
     for (std::size_t i = 0; i < 16; ++i) {
         EXPECT_EQ(hits[i].t, 5.0);
@@ -127,7 +130,7 @@ TEST(HostProviders, TiesAreOrderedByInstanceAndSurfel) {
 }
 
 TEST(HostProviders, DegenerateSurfelsAreNeverReported) {
-    const TraversalCase c = test::degenerate_case();
+    const TraversalCase c = test::make_degenerate_case();
     const World world = to_world(c);
     const BruteForce brute(world, {}, Precision::float_record);
     const EmbreeFilter embree(world, {});
@@ -135,7 +138,7 @@ TEST(HostProviders, DegenerateSurfelsAreNeverReported) {
     for (const Ray& ray : test::to_reference(c.rays))
         for (const HitProvider* provider :
              {static_cast<const HitProvider*>(&brute), static_cast<const HitProvider*>(&embree)})
-            for (const Hit& hit : all_hits(*provider, ray, 3)) {
+            for (const Hit& hit : list_all_hits(*provider, ray, 3)) {
                 EXPECT_TRUE(hit.surfel == 2 || hit.surfel == 9 || hit.surfel == 14 || hit.surfel == 15)
                     << "surfel " << hit.surfel;
                 EXPECT_EQ(hit.instance, 0u);
@@ -155,11 +158,11 @@ TEST(HostProviders, HugeSurfelsAndFarOriginsStayFinite) {
     const World world{surfels, {{0, 2, {}}}};
     const EmbreeFilter embree(world, {});
     const Ray ray{{0, 0.25, 0.5}, {1, 0, 0}};
-    const std::vector<Hit> hits = all_hits(embree, ray, 16);
+    const std::vector<Hit> hits = list_all_hits(embree, ray, 16);
     ASSERT_EQ(hits.size(), 1u);
     EXPECT_EQ(hits[0].surfel, 0u);
     EXPECT_EQ(hits[0].t, 5.0);
-    for (const Hit& hit : all_hits(embree, {{1e8, 0, 0}, {-1, 1e-20, 0}}, 16))
+    for (const Hit& hit : list_all_hits(embree, {{1e8, 0, 0}, {-1, 1e-20, 0}}, 16))
         EXPECT_TRUE(std::isfinite(hit.t));
 }
 

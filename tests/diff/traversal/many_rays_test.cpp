@@ -21,65 +21,66 @@ namespace {
 
 using test::TraversalCase;
 
-int many() {
+int get_many_count() {
     const char* text = std::getenv("RELIDAR_MANY_RAYS");
     return text ? std::atoi(text) : 10000;
 }
 
 /// Makes every fortieth surfel invalid, each in a different way.
-void spoil(Surfels& s) {
+void fill_with_invalid_values(Surfels& surfels) {
     constexpr float kNan = std::numeric_limits<float>::quiet_NaN(),
                     kInf = std::numeric_limits<float>::infinity();
-    for (std::size_t i = 0; i < s.size(); i += 40) switch (i / 40 % 6) {
+    for (std::size_t i = 0; i < surfels.size(); i += 40) switch (i / 40 % 6) {
             case 0:
-                s.mean[i].y = kNan;
+                surfels.mean[i].y = kNan;
                 break;
             case 1:
-                s.mean[i].x = -kInf;
+                surfels.mean[i].x = -kInf;
                 break;
             case 2:
-                s.rotation[i] = glm::vec4(0.0f);
+                surfels.rotation[i] = glm::vec4(0.0f);
                 break;
             case 3:
-                s.log_scale[i].x = -kInf;
+                surfels.log_scale[i].x = -kInf;
                 break;
             case 4:
-                s.opacity_logit[i] = kNan;
+                surfels.opacity_logit[i] = kNan;
                 break;
             default:
-                s.opacity_logit[i] = -1e4f;
+                surfels.opacity_logit[i] = -1e4f;
                 break;
         }
 }
 
 /// Changes surfels like large steps of an optimiser.
-void disturb(Surfels& s, std::mt19937& random) {
+void move_randomly(Surfels& surfels, std::mt19937& random) {
     std::normal_distribution<float> normal;
-    for (std::size_t i = 0; i < s.size(); ++i) {
-        s.mean[i] += 0.3f * glm::vec3(normal(random), normal(random), normal(random));
-        s.rotation[i] += 0.2f * glm::vec4(normal(random), normal(random), normal(random), normal(random));
-        s.log_scale[i] += 0.2f * glm::vec2(normal(random), normal(random));
-        if (s.primitive == Primitive::gaussian) s.log_scale_w[i] += 0.2f * normal(random);
+    for (std::size_t i = 0; i < surfels.size(); ++i) {
+        surfels.mean[i] += 0.3f * glm::vec3(normal(random), normal(random), normal(random));
+        surfels.rotation[i] +=
+            0.2f * glm::vec4(normal(random), normal(random), normal(random), normal(random));
+        surfels.log_scale[i] += 0.2f * glm::vec2(normal(random), normal(random));
+        if (surfels.primitive == Primitive::gaussian) surfels.log_scale_w[i] += 0.2f * normal(random);
     }
 }
 
 class ManyRays : public test::DeviceHits, public testing::WithParamInterface<Primitive> {
 protected:
-    TraversalCase case_ = test::random_case(20261120, 900, many());
+    TraversalCase case_ = test::make_random_case(20261120, 900, get_many_count());
     test::SceneAndPoses placed_;
     ImageModel model_;
 
     void SetUp() override {
         DeviceHits::SetUp();
         if (GetParam() == Primitive::gaussian)
-            case_ = test::as_gaussians(test::random_case(20261123, 450, many()), 3);
-        spoil(case_.surfels);
+            case_ = test::to_gaussians(test::make_random_case(20261123, 450, get_many_count()), 3);
+        fill_with_invalid_values(case_.surfels);
         model_.primitive = GetParam();
         placed_ = test::to_scene(case_.surfels, case_.instances);
     }
 
     CollectedHits collect(const DeviceScene& scene, const Accel& accel, const TraceOptions& options) {
-        return test::collect(device(), traversal_variant(device()),
+        return test::collect(device(), get_traversal_variant(device()),
                              trace_constants(device(), accel.proxy(), options, model_),
                              trace_scene(scene, accel.addresses(), model_), case_.rays, 64);
     }
@@ -94,7 +95,7 @@ protected:
             const CollectedHits result = collect(scene, accel, {.walk = walk});
             std::size_t n_different = 0;
             for (std::size_t i = 0; i < case_.rays.size(); ++i)
-                n_different += test::hits_of(result, i) != test::hits_of(brute, i);
+                n_different += test::list_hits(result, i) != test::list_hits(brute, i);
             EXPECT_EQ(n_different, 0u) << state << (walk == Walk::lane ? ", lane" : ", subgroup")
                                        << ": rays whose hits differ from brute force";
         }
@@ -126,11 +127,11 @@ TEST_P(ManyRays, AgreeAfterBuildRefitAndRebuild) {
     };
     update(false);
     expect_agreement(scene, accel, "built");
-    disturb(case_.surfels, random);
+    move_randomly(case_.surfels, random);
     update(false);
     ASSERT_EQ(accel.refits_since_build(), 1);
     expect_agreement(scene, accel, "refitted");
-    disturb(case_.surfels, random);
+    move_randomly(case_.surfels, random);
     update(true);
     ASSERT_EQ(accel.refits_since_build(), 0);
     expect_agreement(scene, accel, "rebuilt");

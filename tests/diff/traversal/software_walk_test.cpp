@@ -14,31 +14,31 @@ using test::TraversalCase;
 
 class SoftwareWalk : public test::DeviceHits {
 protected:
-    CollectedHits collect(const TraversalCase& c, std::uint32_t chunk, std::uint32_t packet) {
-        const test::SceneAndPoses placed = test::to_scene(c.surfels, c.instances);
+    CollectedHits collect(const TraversalCase& test_case, std::uint32_t chunk, std::uint32_t packet) {
+        const test::SceneAndPoses placed = test::to_scene(test_case.surfels, test_case.instances);
         Stream stream(device());
         DeviceScene scene(device(), placed.scene);
         scene.set_poses(placed.world_from_instance);
         ImageModel model;
-        model.primitive = c.surfels.primitive;
+        model.primitive = test_case.surfels.primitive;
         scene.activate(stream, model, glm::vec3(0.0f));
         stream.finish();
         const test::HostBvh bvh(device(), scene);
         const shared::TraceScene trace =
             trace_scene(scene, {.tlas = {}, .proxy_reach = {}, .bvh = bvh.pointers()}, model);
-        const auto primitive = static_cast<std::uint32_t>(c.surfels.primitive);
+        const auto primitive = static_cast<std::uint32_t>(test_case.surfels.primitive);
         const std::vector<Constant> constants{
             {ConstantId::CHUNK, chunk}, {ConstantId::TOGETHER, packet}, {ConstantId::PRIMITIVE, primitive}};
-        return test::in_world(
-            test::collect(device(), KernelVariant("@software_bvh"), constants, trace, c.rays, test::kMaxHits),
-            placed);
+        return test::convert_to_world(test::collect(device(), KernelVariant("@software_bvh"), constants,
+                                                    trace, test_case.rays, test::kMaxHits),
+                                      placed);
     }
 };
 
 TEST_F(SoftwareWalk, ConformanceCases) {
     if (device().traversal() != Traversal::software) GTEST_SKIP() << "the software traversal's own";
-    std::vector<TraversalCase> cases = test::conformance_cases(21, 1000);
-    cases.push_back(test::crowded_case(22, 120, 500));
+    std::vector<TraversalCase> cases = test::make_conformance_cases(21, 1000);
+    cases.push_back(test::make_crowded_case(22, 120, 500));
     for (const TraversalCase& c : cases) {
         const reference::BruteForce brute(test::to_world(c), {}, reference::Precision::float_record);
         for (const std::uint32_t chunk : {1u, 64u})

@@ -27,7 +27,7 @@ namespace {
 namespace fs = std::filesystem;
 using testing::HasSubstr;
 
-DatasetOptions skipping(const std::string& part = {}) {
+DatasetOptions make_skipping_options(const std::string& part = {}) {
     DatasetOptions options;
     options.sequence = part;
     options.skip_broken = true;
@@ -51,13 +51,13 @@ std::vector<int> numbers(const Sequence& sequence) {
 Sequence expect_left_out(const fs::path& log, const fs::path& scan, int number,
                          const std::string& part = {}) {
     SCOPED_TRACE(scan.string());
-    DatasetOptions strict = skipping(part);
+    DatasetOptions strict = make_skipping_options(part);
     strict.skip_broken = false;
-    std::vector<int> expected = numbers(load_sequence(log.string(), skipping(part)));
+    std::vector<int> expected = numbers(load_sequence(log.string(), make_skipping_options(part)));
     EXPECT_EQ(std::erase(expected, number), 1u);
     cut(scan);
     EXPECT_THROW(load_sequence(log.string(), strict), DataError);
-    Sequence left = load_sequence(log.string(), skipping(part));
+    Sequence left = load_sequence(log.string(), make_skipping_options(part));
     EXPECT_EQ(numbers(left), expected);
     const auto n_notes = std::count_if(left.notes.begin(), left.notes.end(), [&](const std::string& note) {
         return note.starts_with("a broken scan is skipped: ") &&
@@ -86,7 +86,7 @@ TEST(BrokenScans, OfKittiAreAsMissingOnes) {
 }
 
 /// Reads a drive and returns the error message, or "" if reading succeeds.
-std::string complaint(const test::KittiDrive& drive) {
+std::string get_complaint(const test::KittiDrive& drive) {
     try {
         load_sequence(drive.folder.string(), {});
     } catch (const DataError& error) {
@@ -116,7 +116,7 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     expect_left("the scan has no returns");
     for (int frame = 0; frame < 3; ++frame)
         test::write_text(drive.scan(frame), std::string(original.size(), '\0'));
-    EXPECT_THAT(complaint(drive), HasSubstr("all 3 scans are broken"));
+    EXPECT_THAT(get_complaint(drive), HasSubstr("all 3 scans are broken"));
     for (int frame = 0; frame < 3; ++frame) test::write_text(drive.scan(frame), original);
     const auto early =
         testing::Contains(HasSubstr("0000000001.bin: the last ring of the scan ends at "
@@ -130,16 +130,17 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
         expect_left("the last ring of the scan ends at azimuth ");
     }
     put(original);
-    EXPECT_EQ(complaint(drive), "");
+    EXPECT_EQ(get_complaint(drive), "");
     EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes, testing::Not(early));
 }
 
 /// Replaces all intensities of a drive.
-/// @param of new value instead of the original value 0.25
-void set_intensities(const test::KittiDrive& drive, float of) {
+/// @param intensity new value instead of the original value 0.25
+void set_intensities(const test::KittiDrive& drive, float intensity) {
     for (int frame = 0; frame < 3; ++frame) {
         std::string bytes = test::read_text(drive.scan(frame));
-        for (std::size_t at = 12; at < bytes.size(); at += 16) std::memcpy(bytes.data() + at, &of, sizeof of);
+        for (std::size_t at = 12; at < bytes.size(); at += 16)
+            std::memcpy(bytes.data() + at, &intensity, sizeof intensity);
         test::write_text(drive.scan(frame), bytes);
     }
 }
@@ -155,7 +156,7 @@ TEST(BrokenScans, OfKittiMayCountIntensitiesTo255) {
                 testing::Contains(HasSubstr("whole numbers up to 51, so they are divided by 255")));
     for (const float wrong : {1.5f, 256.0f, -1.0f}) {
         set_intensities(drive, wrong);
-        EXPECT_THAT(complaint(drive), HasSubstr("expected 0 to 1, or whole numbers up to 255")) << wrong;
+        EXPECT_THAT(get_complaint(drive), HasSubstr("expected 0 to 1, or whole numbers up to 255")) << wrong;
     }
     set_intensities(drive, 0.0f);
     EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes,
@@ -186,9 +187,9 @@ protected:
                 points.push_back({glm::vec3(20.0 * std::cos(a), 20.0 * std::sin(a), 20.0 * std::tan(e)), 0.2f,
                                   std::uint16_t(b), 0.0});
             }
-        for (int i = 0; i < 5; ++i) test::write_text(folder / scan(i), test::pcd_binary(points));
+        for (int i = 0; i < 5; ++i) test::write_text(folder / scan(i), test::make_pcd_binary(points));
     }
-    static std::string scan(int i) { return std::to_string(i) + ".pcd"; }
+    static std::string scan(int index) { return std::to_string(index) + ".pcd"; }
     fs::path folder;
 };
 
@@ -221,10 +222,10 @@ TEST_F(BareFolder, LeavesBrokenScansOut) {
     test::write_text(folder / "poses.txt", poses);
     expect_left_out(folder, folder / scan(2), 2);
     cut(folder / scan(0));  // the first scans determine the beams
-    EXPECT_EQ(numbers(load_sequence(folder.string(), skipping())), (std::vector<int>{1, 3, 4}));
+    EXPECT_EQ(numbers(load_sequence(folder.string(), make_skipping_options())), (std::vector<int>{1, 3, 4}));
     for (const int i : {1, 3, 4}) cut(folder / scan(i));
     try {
-        load_sequence(folder.string(), skipping());
+        load_sequence(folder.string(), make_skipping_options());
         ADD_FAILURE() << "read a log without a scan";
     } catch (const DataError& error) {
         EXPECT_THAT(error.what(), HasSubstr("all 5 scans are broken"));

@@ -17,13 +17,13 @@ namespace {
 
 const float kNan = std::numeric_limits<float>::quiet_NaN();
 
-const Sequence& good() {
+const Sequence& make_good_sequence() {
     static const Sequence log = make_synthetic_street({.n_frames = 3, .rows = 4, .columns = 32});
     return log;
 }
 
-std::string error_after(const std::function<void(Sequence&)>& damage) {
-    Sequence log = good();
+std::string get_error_after(const std::function<void(Sequence&)>& damage) {
+    Sequence log = make_good_sequence();
     damage(log);
     try {
         check_sequence(log);
@@ -41,8 +41,8 @@ std::size_t returned(const Scan& scan) {
 }
 
 TEST(CheckSequence, GoodLogsPass) {
-    EXPECT_NO_THROW(check_sequence(good()));
-    EXPECT_EQ(error_after([](Sequence& s) {
+    EXPECT_NO_THROW(check_sequence(make_good_sequence()));
+    EXPECT_EQ(get_error_after([](Sequence& s) {
                   s.frames[1].scan.second_returns.assign(
                       1, {std::vector<float>(128, 0.0f), std::vector<float>(128, 0.0f)});
                   s.frames[1].scan.second_returns[0].range_m[returned(s.frames[1].scan)] = 30.0f;
@@ -54,7 +54,7 @@ TEST(CheckSequence, GoodLogsPass) {
 /// contains the expected text.
 void expect_errors(const std::vector<std::pair<std::function<void(Sequence&)>, std::string>>& cases) {
     for (const auto& [damage, expected] : cases) {
-        const std::string message = error_after(damage);
+        const std::string message = get_error_after(damage);
         EXPECT_NE(message.find(expected), std::string::npos)
             << "found " << message << "\nexpected " << expected;
         EXPECT_EQ(message.find('\n'), std::string::npos);
@@ -143,7 +143,7 @@ TEST(CheckSequence, NamesFrameRayAndField) {
 }
 
 /// Makes ten frames. One frame starts `gap_s` seconds late.
-Sequence with_gap(double gap_s) {
+Sequence make_sequence_with_gap(double gap_s) {
     Sequence log;
     log.name = "log";
     for (int i = 0; i < 10; ++i) log.frames.push_back({i, 0.1 * i + (i > 6 ? gap_s : 0.0), {}});
@@ -151,7 +151,7 @@ Sequence with_gap(double gap_s) {
 }
 
 TEST(CheckGaps, SaysWhereFramesAreMissing) {
-    Sequence log = with_gap(4.9);
+    Sequence log = make_sequence_with_gap(4.9);
     check_gaps(log);
     ASSERT_EQ(log.notes.size(), 1u);
     EXPECT_NE(
@@ -159,14 +159,14 @@ TEST(CheckGaps, SaysWhereFramesAreMissing) {
         std::string::npos)
         << log.notes[0];
     for (const double gap_s : {0.0, 0.3}) {
-        log = with_gap(gap_s);
+        log = make_sequence_with_gap(gap_s);
         check_gaps(log);
         EXPECT_TRUE(log.notes.empty()) << "frames that a log leaves out";
     }
 }
 
 TEST(CheckGaps, AJumpOfTheClockIsAnError) {
-    Sequence log = with_gap(3600.0);
+    Sequence log = make_sequence_with_gap(3600.0);
     try {
         check_gaps(log);
         FAIL() << "an hour between two frames";

@@ -17,7 +17,7 @@ constexpr int kBeams = 32, kColumns = 900;
 
 /// Returns a sensor with beams 0.4 to 1.2 degrees apart, staggered by less than half a
 /// column.
-SpinningSensor true_sensor(bool clockwise = true) {
+SpinningSensor make_true_sensor(bool clockwise = true) {
     SpinningSensor s;
     double elevation_deg = 15.0;
     for (int b = 0; b < kBeams; ++b) {
@@ -34,9 +34,9 @@ SpinningSensor true_sensor(bool clockwise = true) {
 
 /// Returns points on four of five rays, at ranges of 3 to 70 m (3 to 8 m for beams that
 /// look down). Rings are counted from the lowest beam.
-Points points_on(const SpinningSensor& s, std::uint64_t seed) {
+Points make_points_on(const SpinningSensor& sensor, std::uint64_t seed) {
     Random random(seed);
-    const RayTable rays = make_rays(s);
+    const RayTable rays = make_rays(sensor);
     Points points;
     for (std::size_t i = 0; i < rays.size(); ++i) {
         if (random.uniform() < 0.2) continue;
@@ -44,21 +44,21 @@ Points points_on(const SpinningSensor& s, std::uint64_t seed) {
                                     float(random.uniform(3.0, rays.channel[i] < 20 ? 70.0 : 8.0)) *
                                         rays.direction[i]);
         points.intensity.push_back(0.5f);
-        points.ring.push_back(std::uint16_t(s.beams.size() - 1 - rays.channel[i]));
+        points.ring.push_back(std::uint16_t(sensor.beams.size() - 1 - rays.channel[i]));
         points.time_offset_s.push_back(rays.time_offset_s[i]);
     }
     return points;
 }
 
-void expect_beams(const std::vector<Beam>& found, const std::vector<Beam>& truth, double tolerance) {
-    ASSERT_EQ(found.size(), truth.size());
+void expect_beams(const std::vector<Beam>& beams, const std::vector<Beam>& truth, double tolerance) {
+    ASSERT_EQ(beams.size(), truth.size());
     for (std::size_t b = 0; b < truth.size(); ++b)
-        EXPECT_NEAR(found[b].elevation_rad, truth[b].elevation_rad, tolerance) << "beam " << b;
+        EXPECT_NEAR(beams[b].elevation_rad, truth[b].elevation_rad, tolerance) << "beam " << b;
 }
 
 TEST(FindBeams, FromElevationsAlone) {
-    const SpinningSensor truth = true_sensor();
-    expect_beams(find_beams({points_on(truth, 1), points_on(truth, 2)}), truth.beams, 1e-5);
+    const SpinningSensor truth = make_true_sensor();
+    expect_beams(find_beams({make_points_on(truth, 1), make_points_on(truth, 2)}), truth.beams, 1e-5);
 }
 
 TEST(FindBeams, NoneWhereElevationsDoNotGather) {
@@ -69,18 +69,18 @@ TEST(FindBeams, NoneWhereElevationsDoNotGather) {
                                        random.uniform(-3.0, 3.0));
     EXPECT_TRUE(find_beams({points}).empty());
     EXPECT_TRUE(find_beams({}).empty());
-    SpinningSensor wide = true_sensor();
+    SpinningSensor wide = make_true_sensor();
     // Viewed from the centre, the elevation range of each beam is wider than the beam
     // spacing.
     for (Beam& beam : wide.beams) beam.origin_up_m = 1.0;
-    EXPECT_TRUE(find_beams({points_on(wide, 1)}).empty());
+    EXPECT_TRUE(find_beams({make_points_on(wide, 1)}).empty());
 }
 
 TEST(RecoverRings, OfBeamsThatStartBesideTheCentre) {
-    SpinningSensor s = true_sensor();
+    SpinningSensor s = make_true_sensor();
     // 2 degrees at 3 m, which is three beam spacings
     for (Beam& beam : s.beams) beam.origin_offset_m = 0.03, beam.origin_up_m = 0.15;
-    Points points = points_on(s, 4);
+    Points points = make_points_on(s, 4);
     std::vector<std::uint16_t> truth;
     for (const std::uint16_t ring : points.ring) truth.push_back(std::uint16_t(kBeams - 1 - ring));
     recover_rings(points, s.beams);
@@ -90,8 +90,8 @@ TEST(RecoverRings, OfBeamsThatStartBesideTheCentre) {
 
 TEST(FitSensor, BeamsColumnsAndTurning) {
     for (const bool clockwise : {true, false}) {
-        const SpinningSensor truth = true_sensor(clockwise);
-        const FittedSensor fit = fit_sensor({points_on(truth, 5), points_on(truth, 6)}, 0.1);
+        const SpinningSensor truth = make_true_sensor(clockwise);
+        const FittedSensor fit = fit_sensor({make_points_on(truth, 5), make_points_on(truth, 6)}, 0.1);
         expect_beams(fit.sensor.beams, truth.beams, 1e-5);
         EXPECT_EQ(fit.sensor.columns, kColumns);
         EXPECT_EQ(fit.sensor.clockwise, clockwise);
@@ -107,7 +107,7 @@ TEST(FitSensor, BeamsColumnsAndTurning) {
 }
 
 TEST(FitSensor, WithoutTimesTakesThePeriodThatIsGiven) {
-    Points points = points_on(true_sensor(false), 5);
+    Points points = make_points_on(make_true_sensor(false), 5);
     points.time_offset_s.clear();
     const FittedSensor fit = fit_sensor({points}, 0.1);
     EXPECT_EQ(fit.sensor.period_s, 0.1);
@@ -115,7 +115,7 @@ TEST(FitSensor, WithoutTimesTakesThePeriodThatIsGiven) {
 }
 
 TEST(FitSensor, KeepsRingsWithoutPointsOut) {
-    Points points = points_on(true_sensor(), 5);
+    Points points = make_points_on(make_true_sensor(), 5);
     for (std::uint16_t& ring : points.ring) ring = std::uint16_t(ring + (ring >= 10));
     const FittedSensor fit = fit_sensor({points}, 0.1);
     EXPECT_EQ(fit.sensor.beams.size(), std::size_t(kBeams));
@@ -124,7 +124,7 @@ TEST(FitSensor, KeepsRingsWithoutPointsOut) {
 }
 
 TEST(FitSensor, WhatItCannotFit) {
-    Points points = points_on(true_sensor(), 5);
+    Points points = make_points_on(make_true_sensor(), 5);
     points.ring.clear();
     EXPECT_THROW(fit_sensor({points}, 0.1), UsageError);
     EXPECT_THROW(fit_sensor({}, 0.1), UsageError);

@@ -28,7 +28,7 @@ void append(std::string& bytes, T value) {
 }
 
 /// Makes a table of two points with 23 bytes each: x, y, z, ring, a colour, a time.
-PointTable two_points(std::int64_t first_time, std::int64_t second_time) {
+PointTable make_two_points(std::int64_t first_time, std::int64_t second_time) {
     std::string bytes;
     for (const auto& [x, ring, time] : {std::tuple(3.5f, std::uint16_t(7), first_time),
                                         std::tuple(-2.25f, std::uint16_t(300), second_time)}) {
@@ -43,7 +43,7 @@ PointTable two_points(std::int64_t first_time, std::int64_t second_time) {
 TEST(PointTable, KeepsTheTypeOfTheFile) {
     // two integers that are equal as doubles, because a double has 53 bits
     constexpr std::int64_t kFirst = (std::int64_t(1) << 53) + 1, kSecond = std::int64_t(1) << 53;
-    const PointTable table = two_points(kFirst, kSecond);
+    const PointTable table = make_two_points(kFirst, kSecond);
     const FieldValues* time = table.find(PointValue::time);
     ASSERT_NE(time, nullptr);
     time->visit([&](const auto& time_at) {
@@ -61,7 +61,7 @@ TEST(PointTable, KeepsTheTypeOfTheFile) {
 TEST(PointTable, CopiesOutliveTheirTable) {
     PointTable copy;
     {
-        const PointTable table = two_points(0, 1);
+        const PointTable table = make_two_points(0, 1);
         copy = table;
     }
     EXPECT_EQ((*copy.find(PointValue::x))[1], -2.25);
@@ -81,8 +81,8 @@ constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInfinite = std::numeric_limits<float>::infinity();
 
 /// Returns a table with the fields x, y and z, and further fields with a value per point.
-PointTable table_of(const std::vector<glm::vec3>& points,
-                    const std::vector<std::pair<std::string, std::vector<float>>>& fields) {
+PointTable make_point_table(const std::vector<glm::vec3>& points,
+                            const std::vector<std::pair<std::string, std::vector<float>>>& fields) {
     PointTable table(points.size());
     for (int axis = 0; axis < 3; ++axis) {
         std::vector<float> values;
@@ -95,9 +95,9 @@ PointTable table_of(const std::vector<glm::vec3>& points,
 
 /// Returns points in different directions and at different ranges, similar to the points
 /// of a LiDAR.
-std::vector<glm::vec3> measured_points(std::size_t n) {
+std::vector<glm::vec3> make_measured_points(std::size_t count) {
     std::vector<glm::vec3> points;
-    for (std::size_t i = 0; i < n; ++i) {
+    for (std::size_t i = 0; i < count; ++i) {
         const double azimuth = 0.01 * double(i), range_m = 20.0 + 15.0 * std::sin(0.37 * double(i));
         points.emplace_back(range_m * std::cos(azimuth), range_m * std::sin(azimuth), 0.001 * double(i % 97));
     }
@@ -117,15 +117,15 @@ TEST(DroppedRays, HaveManySpellings) {
                                             {1e-5f, 0.0f, 1e-5f}};
     std::vector<glm::vec3> points;
     for (const glm::vec3& p : dropped) points.push_back(p), points.push_back(real);
-    const Points returns = points_of(table_of(points, {}), PointUnits{}, 0.0, "test");
+    const Points returns = make_points(make_point_table(points, {}), PointUnits{}, 0.0, "test");
     ASSERT_EQ(returns.size(), dropped.size());
     for (const glm::vec3& p : returns.position_m) EXPECT_EQ(p, real);
 }
 
 TEST(DroppedRays, HaveRangeZeroInARangeField) {
-    const std::vector<glm::vec3> points = measured_points(4);
+    const std::vector<glm::vec3> points = make_measured_points(4);
     const auto n_returns = [&](const std::vector<float>& range) {
-        return points_of(table_of(points, {{"range", range}}), PointUnits{}, 0.0, "test").size();
+        return make_points(make_point_table(points, {{"range", range}}), PointUnits{}, 0.0, "test").size();
     };
     for (const float unit : {1.0f, 1000.0f}) {  // metres, millimetres
         const float first = unit * glm::length(points[0]), last = unit * glm::length(points[3]);
@@ -137,16 +137,16 @@ TEST(DroppedRays, HaveRangeZeroInARangeField) {
 }
 
 TEST(DroppedRays, HaveAPositionThatIsRepeated) {
-    std::vector<glm::vec3> points = measured_points(2000);
-    EXPECT_EQ(find_meaning({table_of(points, {})}).no_return, std::nullopt);
+    std::vector<glm::vec3> points = make_measured_points(2000);
+    EXPECT_EQ(find_meaning({make_point_table(points, {})}).no_return, std::nullopt);
     // Mounting position of a LiDAR. Rays without a return are stored as points at the
     // sensor. The driver has transformed these points to the mounting position.
     const glm::vec3 mounting(1.2f, 0.0f, 1.7f);
     for (std::size_t i = 0; i < points.size(); i += 20) points[i] = mounting;
     PointUnits units;
-    units.no_return = find_meaning({table_of(points, {})}).no_return;
+    units.no_return = find_meaning({make_point_table(points, {})}).no_return;
     EXPECT_EQ(units.no_return, mounting);
-    EXPECT_EQ(points_of(table_of(points, {}), units, 0.0, "test").size(), 1900u);
+    EXPECT_EQ(make_points(make_point_table(points, {}), units, 0.0, "test").size(), 1900u);
 }
 
 TEST(DroppedRays, MarkTheMaximumRangeOfTheSensor) {
@@ -154,7 +154,7 @@ TEST(DroppedRays, MarkTheMaximumRangeOfTheSensor) {
         Sequence sequence;
         add_frame(sequence, 0, 0.0, Pose{});
         Scan& scan = sequence.frames[0].scan;
-        scan = unordered_scan(Points{measured_points(2000), std::vector<float>(2000, 0.5f)});
+        scan = make_unordered_scan(Points{make_measured_points(2000), std::vector<float>(2000, 0.5f)});
         for (std::size_t i = 0; i < 2000; ++i) {
             scan.rays.channel[i] = std::uint16_t(i % 16);
             if (i % 10 == 0) scan.range_m[i] = marker_m * (1.0f + 1e-7f * float(i % 3));
@@ -170,30 +170,30 @@ TEST(DroppedRays, MarkTheMaximumRangeOfTheSensor) {
 TEST(PointTable, FindsFieldsByTheirMeaning) {
     for (const char* name : {"intensity", "Intensity", "INTENSITY", "scalar_intensity", "scalar_Intensity",
                              "i", "intensities", "reflectance", "remission", "signal", "amplitude"})
-        EXPECT_EQ(value_of_field(name), PointValue::intensity) << name;
+        EXPECT_EQ(find_value_of_field(name), PointValue::intensity) << name;
     for (const char* name : {"x", "X", "scalar_x", "point_x", "pos_X", "position.x", "//X"})
-        EXPECT_EQ(value_of_field(name), PointValue::x) << name;
+        EXPECT_EQ(find_value_of_field(name), PointValue::x) << name;
     for (const char* name : {"nx", "normal_x", "velocity_x", "vx", "x_origin", "rgb", "ambient", "in", ""})
-        EXPECT_EQ(value_of_field(name), std::nullopt) << name;
-    const std::vector<glm::vec3> points = measured_points(3);
-    const PointTable table = table_of(points, {{"scalar_x", {7.0f, 7.0f, 7.0f}}});
+        EXPECT_EQ(find_value_of_field(name), std::nullopt) << name;
+    const std::vector<glm::vec3> points = make_measured_points(3);
+    const PointTable table = make_point_table(points, {{"scalar_x", {7.0f, 7.0f, 7.0f}}});
     EXPECT_EQ((*table.find(PointValue::x))[1], double(points[1].x)) << "the exact name is used first";
 }
 
 TEST(PointMeaning, UsesIntensitiesThatAreNotZero) {
-    const std::vector<glm::vec3> points = measured_points(3);
+    const std::vector<glm::vec3> points = make_measured_points(3);
     const std::vector<float> zero(3, 0.0f), bright = {12.0f, 187.0f, 3.0f};
     const PointMeaning meaning =
-        find_meaning({table_of(points, {{"intensity", zero}, {"reflectivity", bright}})});
+        find_meaning({make_point_table(points, {{"intensity", zero}, {"reflectivity", bright}})});
     EXPECT_EQ(meaning.intensity_field, "reflectivity");
     EXPECT_EQ(meaning.scale.max, 255.0);
     PointUnits units;
     units.intensity_field = meaning.intensity_field;
     units.intensity_max = meaning.scale.max;
-    const PointTable table = table_of(points, {{"intensity", zero}, {"reflectivity", bright}});
-    EXPECT_FLOAT_EQ(points_of(table, units, 0.0, "test").intensity[1], 187.0f / 255.0f);
-    EXPECT_EQ(find_meaning({table_of(points, {{"intensity", zero}})}).notes.size(), 1u);
-    EXPECT_TRUE(find_meaning({table_of(points, {{"intensity", bright}})}).notes.size() == 1);
+    const PointTable table = make_point_table(points, {{"intensity", zero}, {"reflectivity", bright}});
+    EXPECT_FLOAT_EQ(make_points(table, units, 0.0, "test").intensity[1], 187.0f / 255.0f);
+    EXPECT_EQ(find_meaning({make_point_table(points, {{"intensity", zero}})}).notes.size(), 1u);
+    EXPECT_TRUE(find_meaning({make_point_table(points, {{"intensity", bright}})}).notes.size() == 1);
 }
 
 TEST(PointMeaning, FindsTheScaleOfIntensities) {
@@ -211,7 +211,7 @@ TEST(PointMeaning, FindsTheScaleOfIntensities) {
 /// beams x 90 columns.
 class CountedScans : public ScanSource {
 public:
-    explicit CountedScans(std::size_t n) : n_reads(n) {}
+    explicit CountedScans(std::size_t count) : n_reads(count) {}
     std::string name(std::size_t frame) const override { return "scan " + std::to_string(frame); }
     bool has_points(std::size_t) const override { return true; }
     Scan rays(std::size_t) const override { return {}; }

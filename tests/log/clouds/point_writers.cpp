@@ -15,18 +15,18 @@ void append(std::string& bytes, T value) {
     bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
 }
 
-std::uint8_t byte_of(float intensity) { return std::uint8_t(std::lround(intensity * 255.0f)); }
+std::uint8_t get_byte(float intensity) { return std::uint8_t(std::lround(intensity * 255.0f)); }
 
-std::string pcd_header(std::size_t n, const char* data) {
+std::string make_pcd_header(std::size_t count, const char* data) {
     return fmt::format(
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z _ intensity ring "
         "timestamp\nSIZE 4 4 4 1 1 2 8\nTYPE F F F "
         "U U U F\n"
         "COUNT 1 1 1 3 1 1 1\nWIDTH {}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {}\nDATA {}\n",
-        n, n, data);
+        count, count, data);
 }
 
-std::string ply_header(std::size_t n, const char* format) {
+std::string make_ply_header(std::size_t count, const char* format) {
     return fmt::format(
         "ply\nformat {} 1.0\ncomment by hand\nelement vertex {}\nproperty double x\nproperty float64 "
         "y\nproperty double z\nproperty float "
@@ -34,53 +34,53 @@ std::string ply_header(std::size_t n, const char* format) {
         "property ushort channel\nproperty double t\nproperty uchar red\nelement face 0\nproperty list uchar "
         "int "
         "vertex_indices\nend_header\n",
-        format, n);
+        format, count);
 }
 
 }  // namespace
 
-std::string pcd_text(const FilePoints& points) {
-    std::string text = pcd_header(points.size(), "ascii");
+std::string make_pcd_text(const FilePoints& points) {
+    std::string text = make_pcd_header(points.size(), "ascii");
     for (const FilePoint& p : points)
         text += fmt::format("{} {} {} 7 7 7 {} {} {}\n", p.point_m.x, p.point_m.y, p.point_m.z,
-                            byte_of(p.intensity), p.ring, p.time_s);
+                            get_byte(p.intensity), p.ring, p.time_s);
     return text;
 }
 
-std::string pcd_binary(const FilePoints& points) {
-    std::string bytes = pcd_header(points.size(), "binary");
+std::string make_pcd_binary(const FilePoints& points) {
+    std::string bytes = make_pcd_header(points.size(), "binary");
     for (const FilePoint& p : points) {
         for (int axis = 0; axis < 3; ++axis) append(bytes, p.point_m[axis]);
         bytes += "___";
-        append(bytes, byte_of(p.intensity)), append(bytes, p.ring), append(bytes, p.time_s);
+        append(bytes, get_byte(p.intensity)), append(bytes, p.ring), append(bytes, p.time_s);
     }
     return bytes;
 }
 
-std::string pcd_compressed(const FilePoints& points) {
+std::string make_pcd_compressed(const FilePoints& points) {
     std::string fields;
     for (int axis = 0; axis < 3; ++axis)
         for (const FilePoint& p : points) append(fields, p.point_m[axis]);
     fields += std::string(3 * points.size(), '_');
-    for (const FilePoint& p : points) append(fields, byte_of(p.intensity));
+    for (const FilePoint& p : points) append(fields, get_byte(p.intensity));
     for (const FilePoint& p : points) append(fields, p.ring);
     for (const FilePoint& p : points) append(fields, p.time_s);
-    const std::string packed = lzf(fields);
-    std::string bytes = pcd_header(points.size(), "binary_compressed");
+    const std::string packed = compress_lzf(fields);
+    std::string bytes = make_pcd_header(points.size(), "binary_compressed");
     append(bytes, std::uint32_t(packed.size())), append(bytes, std::uint32_t(fields.size()));
     return bytes + packed;
 }
 
-std::string ply_text(const FilePoints& points) {
-    std::string text = ply_header(points.size(), "ascii");
+std::string make_ply_text(const FilePoints& points) {
+    std::string text = make_ply_header(points.size(), "ascii");
     for (const FilePoint& p : points)
         text += fmt::format("{} {} {} {} {} {} 255\n", p.point_m.x, p.point_m.y, p.point_m.z, p.intensity,
                             p.ring, p.time_s);
     return text;
 }
 
-std::string ply_binary(const FilePoints& points) {
-    std::string bytes = ply_header(points.size(), "binary_little_endian");
+std::string make_ply_binary(const FilePoints& points) {
+    std::string bytes = make_ply_header(points.size(), "binary_little_endian");
     for (const FilePoint& p : points) {
         for (int axis = 0; axis < 3; ++axis) append(bytes, double(p.point_m[axis]));
         append(bytes, p.intensity), append(bytes, p.ring), append(bytes, p.time_s),
@@ -112,7 +112,7 @@ std::string npy(const FilePoints& points) {
     return bytes;
 }
 
-std::string lzf(const std::string& bytes) {
+std::string compress_lzf(const std::string& bytes) {
     std::string out, plain;
     std::map<std::string, std::size_t> last;  // last position of each sequence of three bytes
     const auto flush = [&] {

@@ -21,13 +21,13 @@ using FilePoints = std::vector<FilePoint>;
 
 /// Returns a PCD file with the fields x y z float32, intensity uint8 (0 to 255), ring
 /// uint16, timestamp float64, and a padding field "_" of 3 bytes.
-std::string pcd_text(const FilePoints& points);
-std::string pcd_binary(const FilePoints& points);
-std::string pcd_compressed(const FilePoints& points);
+std::string make_pcd_text(const FilePoints& points);
+std::string make_pcd_binary(const FilePoints& points);
+std::string make_pcd_compressed(const FilePoints& points);
 /// Returns a PLY file with the properties x y z double, intensity float, channel ushort,
 /// t double, red uchar.
-std::string ply_text(const FilePoints& points);
-std::string ply_binary(const FilePoints& points);
+std::string make_ply_text(const FilePoints& points);
+std::string make_ply_binary(const FilePoints& points);
 /// n x float32: x y z intensity ring.
 std::string bin(const FilePoints& points);
 /// [n, 6] float64: x y z intensity ring timestamp.
@@ -35,6 +35,6 @@ std::string npy(const FilePoints& points);
 
 /// Compresses bytes with LZF. Uses matches of at least 3 bytes at any encodable distance,
 /// and literals for the remaining bytes.
-std::string lzf(const std::string& bytes);
+std::string compress_lzf(const std::string& bytes);
 
 }  // namespace relidar::test

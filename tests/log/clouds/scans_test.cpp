@@ -36,9 +36,9 @@ struct Truth {
     Scan scan;
     Points points;  ///< shuffled
 
-    explicit Truth(const SpinningSensor& s, bool second = false) {
+    explicit Truth(const SpinningSensor& sensor, bool second = false) {
         Random random(5);
-        scan.rays = make_rays(s);
+        scan.rays = make_rays(sensor);
         scan.range_m.assign(scan.rays.size(), 0.0f);
         scan.intensity.assign(scan.rays.size(), 0.0f);
         if (second) scan.second_returns.assign(1, {to_vector(scan.range_m), to_vector(scan.intensity)});
@@ -89,14 +89,14 @@ void expect_same_rays(const Scan& actual, const Scan& truth, float late_s) {
 TEST(SpinningScan, PointsFindTheirRaysAndTheRestIsDropped) {
     Truth truth(sensor());
     truth.points.time_offset_s.clear();
-    expect_same_rays(spinning_scan(truth.points, sensor(), even_sweep(truth.points, sensor())), truth.scan,
-                     0.0f);
+    expect_same_rays(make_spinning_scan(truth.points, sensor(), make_even_sweep(truth.points, sensor())),
+                     truth.scan, 0.0f);
 }
 
 TEST(SpinningScan, RaysTakeTheTimesOfTheirPoints) {
     const Truth truth(sensor());
-    expect_same_rays(spinning_scan(truth.points, sensor(), even_sweep(truth.points, sensor())), truth.scan,
-                     0.004f);
+    expect_same_rays(make_spinning_scan(truth.points, sensor(), make_even_sweep(truth.points, sensor())),
+                     truth.scan, 0.004f);
 }
 
 TEST(SpinningScan, CounterClockwiseHeadsRunTheOtherWay) {
@@ -104,12 +104,13 @@ TEST(SpinningScan, CounterClockwiseHeadsRunTheOtherWay) {
     other.clockwise = false;
     Truth truth(other);
     truth.points.time_offset_s.clear();
-    expect_same_rays(spinning_scan(truth.points, other, even_sweep(truth.points, other)), truth.scan, 0.0f);
+    expect_same_rays(make_spinning_scan(truth.points, other, make_even_sweep(truth.points, other)),
+                     truth.scan, 0.0f);
 }
 
 TEST(SpinningScan, KeepsSecondReturns) {
     const Truth truth(sensor(), true);
-    const Scan actual = spinning_scan(truth.points, sensor(), even_sweep(truth.points, sensor()));
+    const Scan actual = make_spinning_scan(truth.points, sensor(), make_even_sweep(truth.points, sensor()));
     ASSERT_EQ(actual.second_returns.size(), 1u);
     for (std::size_t i = 0; i < truth.scan.rays.size(); ++i) {
         EXPECT_NEAR(actual.range_m[i], truth.scan.range_m[i], 1e-4f);
@@ -117,7 +118,7 @@ TEST(SpinningScan, KeepsSecondReturns) {
         EXPECT_EQ(actual.second_returns[0].intensity[i], truth.scan.second_returns[0].intensity[i]);
     }
     Scan cut = actual;
-    drop_outside(cut, {0.0, 30.0});
+    drop_outside_limits(cut, {0.0, 30.0});
     for (std::size_t i = 0; i < cut.range_m.size(); ++i)
         EXPECT_TRUE(cut.second_returns[0].range_m[i] == 0.0f ||
                     (cut.second_returns[0].range_m[i] <= 30.0f && cut.range_m[i] > 0.0f));
@@ -126,11 +127,11 @@ TEST(SpinningScan, KeepsSecondReturns) {
 TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
     const SpinningSensor s = sensor();
     Points points;
-    const BeamRay ray = beam_ray(s.beams[0], 0.0);
+    const BeamRay ray = compute_beam_ray(s.beams[0], 0.0);
     for (const double range : {10.0, 12.0, 14.0, 11.0, 9.0, 200.0})
         points.position_m.emplace_back(ray.origin_m + range * ray.direction),
             points.intensity.push_back(2.0f), points.ring.push_back(0);
-    const Scan scan = spinning_scan(points, s, even_sweep(points, s));
+    const Scan scan = make_spinning_scan(points, s, make_even_sweep(points, s));
     EXPECT_EQ(scan.count_returns(), 3u) << "its own ray and those beside it";
     EXPECT_NEAR(*std::max_element(scan.range_m.begin(), scan.range_m.end()), 14.0f, 1e-3f);
     EXPECT_EQ(std::count(scan.intensity.begin(), scan.intensity.end(), 1.0f), 3) << "intensities are cut";
@@ -156,13 +157,13 @@ TEST(SpinningScan, ToldFiringsOfOneAzimuthStayApart) {
                         {0.05f, 0.0f, 0.1f},
                         {},
                         {2, 1, 0}};
-    const Scan scan = spinning_scan(points, one, sweep);
+    const Scan scan = make_spinning_scan(points, one, sweep);
     EXPECT_EQ(scan.rays.time_offset_s, (ScanArray<float>{0.1f, 0.0f, 0.05f}));
     for (std::size_t i = 0; i < 3; ++i)
         EXPECT_NEAR(scan.range_m[i], (std::array{6.0f, 5.0f, 7.0f}[i]), 1e-6f);
     Points beyond = points;
     beyond.firing[0] = 3;
-    EXPECT_THROW(spinning_scan(beyond, one, sweep), UsageError);
+    EXPECT_THROW(make_spinning_scan(beyond, one, sweep), UsageError);
 }
 
 TEST(UnorderedScan, HasARayForEachPointAndNoOther) {
@@ -171,7 +172,7 @@ TEST(UnorderedScan, HasARayForEachPointAndNoOther) {
     points.intensity = {0.1f, 0.2f, 0.3f, 0.4f, -1.0f};
     points.time_offset_s = {0.0f, 0.0f, 0.01f, 0.02f, 0.03f};
     points.return_number = {1, 2, 1, 1, 1};
-    const Scan scan = unordered_scan(points);
+    const Scan scan = make_unordered_scan(points);
     EXPECT_EQ(scan.rays.rows, 1);
     EXPECT_EQ(scan.rays.columns, 3) << "a point in the sensor has no direction";
     EXPECT_EQ(scan.range_m, (ScanArray<float>{5, 2, 1}));
@@ -183,7 +184,7 @@ TEST(UnorderedScan, HasARayForEachPointAndNoOther) {
 
 std::string error_of(const Points& points) {
     try {
-        spinning_scan(points, sensor(), {{360, 0.0}, {0}});
+        make_spinning_scan(points, sensor(), {{360, 0.0}, {0}});
     } catch (const UsageError& error) {
         return error.what();
     }
@@ -239,7 +240,7 @@ TEST(Tracks, LabelsJoinByIdAndTheWorldMovesAsOne) {
     add_frame(log, 2, 0.2, {{1, 0, 0, 0}, {77.0, 0.0, 0.0}}, 1);
     EXPECT_EQ(log.frames.size(), 4u);
     EXPECT_EQ(log.world_from_vehicle.pose.size(), 3u) << "the pose of that time is known";
-    recentre(log);
+    recentre_sequence(log);
     EXPECT_EQ(log.world_offset_m, glm::dvec3(1001, 5, 0));
     EXPECT_EQ(log.world_from_vehicle.pose[2].translation, glm::dvec3(1, 0, 0));
     EXPECT_EQ(log.boxes[0].world_from_box.pose[1].translation, glm::dvec3(10, 0, 0));

@@ -28,7 +28,7 @@ void append_floats(std::string& bytes, std::initializer_list<float> values) {
 }
 
 /// Writes a 3x4 matrix, row by row.
-std::string matrix_text(const Pose& pose, const char* between) {
+std::string format_matrix(const Pose& pose, const char* between) {
     const glm::dmat4 m = to_matrix(pose);
     std::string text;
     for (int r = 0; r < 3; ++r)
@@ -52,16 +52,16 @@ glm::dvec3 angles_of(const glm::dquat& rotation, int order) {
 
 }  // namespace
 
-double off_yard_m(const glm::dvec3& p) {
-    return std::min({std::abs(p.z + 0.35), std::abs(p.x + 31.0), std::abs(p.x - 42.0), std::abs(p.y + 24.0),
-                     std::abs(p.y - 29.0)});
+double measure_distance_to_yard_m(const glm::dvec3& point) {
+    return std::min({std::abs(point.z + 0.35), std::abs(point.x + 31.0), std::abs(point.x - 42.0),
+                     std::abs(point.y + 24.0), std::abs(point.y - 29.0)});
 }
 
-Pose StampedDrive::vehicle_at(double time_s) const {
+Pose StampedDrive::compute_vehicle_pose(double time_s) const {
     const double heading = heading_rad + rate_rad_s * time_s, radius_m = speed_mps / rate_rad_s;
     const glm::dvec3 gone(std::sin(heading) - std::sin(heading_rad),
                           std::cos(heading_rad) - std::cos(heading), 0.0);
-    return {rotation_of(heading, pitch_rad, roll_rad), world_m + start_m + radius_m * gone};
+    return {make_rotation(heading, pitch_rad, roll_rad), world_m + start_m + radius_m * gone};
 }
 
 void StampedDrive::cast() {
@@ -72,12 +72,12 @@ void StampedDrive::cast() {
                 StampedRay ray;
                 ray.time_s = s * step_s + kTurn_s * (double(c) / columns - 0.5);
                 const glm::dvec3 d =
-                    beam_ray(beams[b], first_azimuth_rad - 2.0 * kPi * c / columns).direction;
-                const Pose fired = lidar_at(ray.time_s);
+                    compute_beam_ray(beams[b], first_azimuth_rad - 2.0 * kPi * c / columns).direction;
+                const Pose fired = compute_lidar_pose_at(ray.time_s);
                 ray.origin_m = fired.translation;
-                ray.point_m = world_m + yard_hit(ray.origin_m - world_m, fired.rotation * d);
+                ray.point_m = world_m + intersect_yard(ray.origin_m - world_m, fired.rotation * d);
                 ray.local_m = glm::vec3(glm::distance(ray.origin_m, ray.point_m) * d);
-                ray.returned = hash64(std::uint64_t(c) * beams.size() + b, std::uint64_t(s)) % 8 != 0;
+                ray.returned = combine_hashes(std::uint64_t(c) * beams.size() + b, std::uint64_t(s)) % 8 != 0;
                 scan.push_back(ray);
             }
     }
@@ -112,7 +112,7 @@ BoreasFolder::BoreasFolder(const std::string& name, int angles, int columns)
     drive.pitch_rad = 0.02, drive.roll_rad = -0.015;
     drive.start_m = {-3.0, -4.0, 0.9};
     drive.world_m = {312.5, -204.25, 12.0};
-    drive.vehicle_from_lidar.rotation = rotation_of(-42.6 * kDegree, 0.0, 0.0);
+    drive.vehicle_from_lidar.rotation = make_rotation(-42.6 * kDegree, 0.0, 0.0);
     drive.beams = std::get<SpinningSensor>(find_built_in_sensor("VLS-128")->pattern).beams;
     drive.columns = columns, drive.n_scans = kScans;
     drive.first_azimuth_rad = 0.0;
@@ -123,7 +123,7 @@ BoreasFolder::BoreasFolder(const std::string& name, int angles, int columns)
             const StampedRay& ray = drive.rays[std::size_t(s)][i];
             if (!ray.returned) continue;
             const glm::vec3& p = ray.local_m;
-            append_floats(bytes, {p.x, p.y, p.z, 51.0f, float(laser_of(i % 128)),
+            append_floats(bytes, {p.x, p.y, p.z, 51.0f, float(find_laser(i % 128)),
                                   float(ray.time_s - s * drive.step_s)});
         }
         write_text(scan(s), bytes);
@@ -132,23 +132,23 @@ BoreasFolder::BoreasFolder(const std::string& name, int angles, int columns)
         "GPSTime,easting,northing,altitude,vel_east,vel_north,vel_up,roll,pitch,heading,angvel_z,angvel_y,"
         "angvel_x\n";
     for (int s = 0; s < 400; ++s) {
-        const Pose pose = drive.lidar_at(s * drive.step_s);
+        const Pose pose = drive.compute_lidar_pose_at(s * drive.step_s);
         const glm::dvec3 a = angles_of(pose.rotation, angles), &t = pose.translation;
         const double heading = drive.heading_rad + drive.rate_rad_s * s * drive.step_s;
         lines += fmt::format("{},{},{},{},{},{},0.0,{},{},{},0.3,0.0,0.0\n", stamp(s), t.x, t.y, t.z,
                              8.0 * std::cos(heading), 8.0 * std::sin(heading), a.x, a.y, a.z);
     }
     write_text(poses(), lines);
-    const Pose applanix_from_vehicle{rotation_of(kPi / 2.0, 0.0, 0.0), {}};  // x right, y forward
+    const Pose applanix_from_vehicle{make_rotation(kPi / 2.0, 0.0, 0.0), {}};  // x right, y forward
     write_text(calibration(),
-               matrix_text(applanix_from_vehicle * drive.vehicle_from_lidar, " ") + "\n0 0 0 1\n");
+               format_matrix(applanix_from_vehicle * drive.vehicle_from_lidar, " ") + "\n0 0 0 1\n");
 }
 
 MulranFolder::MulranFolder(const std::string& name, bool by_column) : StampedFolder("mulran", name) {
     kind = "mulran:";
     drive.start_m = {-3.0, -4.0, -0.35};
     drive.world_m = {353012.5, 4026107.25, 21.0};
-    drive.vehicle_from_lidar = {rotation_of(179.6654 * kDegree, 0.0003 * kDegree, 0.0001 * kDegree),
+    drive.vehicle_from_lidar = {make_rotation(179.6654 * kDegree, 0.0003 * kDegree, 0.0001 * kDegree),
                                 {1.7042, -0.021, 1.8047}};
     for (int b = 0; b < 64; ++b)
         drive.beams.push_back({.elevation_rad = (16.6 - b * 33.2 / 63.0) * kDegree,
@@ -168,28 +168,28 @@ MulranFolder::MulranFolder(const std::string& name, bool by_column) : StampedFol
     std::string lines;
     for (int k = 0; k < 32; ++k)  // 100 per second, starting 46 ms after the first scan
         lines += fmt::format("{},{}\n", stamp(0) + 46000000 + k * std::int64_t(10000000),
-                             matrix_text(drive.vehicle_at(0.046 + 0.01 * k), ","));
+                             format_matrix(drive.compute_vehicle_pose(0.046 + 0.01 * k), ","));
     write_text(poses(), lines);
 }
 
 OnceFolder::OnceFolder(const std::string& name, bool w_first, int columns) : StampedFolder("once", name) {
     drive.rate_rad_s = 0.1, drive.start_m = {-12.0, -6.0, 1.45};
     // x axis to the left, y axis backward
-    drive.vehicle_from_lidar.rotation = rotation_of(kPi / 2.0, 0.0, 0.0);
+    drive.vehicle_from_lidar.rotation = make_rotation(kPi / 2.0, 0.0, 0.0);
     drive.beams = std::get<SpinningSensor>(find_built_in_sensor("Pandar40P")->pattern).beams;
     drive.columns = columns, drive.n_scans = kScans, drive.step_s = 0.5;
     // Starts half a step after backward, because a point that is exactly backward can
     // belong to either end of the turn.
     drive.first_azimuth_rad = kPi / 2.0 - kPi / columns;
     drive.cast();
-    const Pose world = drive.lidar_at(0.0);
+    const Pose world = drive.compute_lidar_pose_at(0.0);
     std::string frames;
     for (int s = 0; s < kScans; ++s) {
         std::string bytes;
         for (const StampedRay& ray : drive.rays[std::size_t(s)])
             if (ray.returned) append_floats(bytes, {ray.local_m.x, ray.local_m.y, ray.local_m.z, 0.25f});
         write_text(scan(s), bytes);
-        const Pose pose = inverse(world) * drive.lidar_at(s * drive.step_s);
+        const Pose pose = inverse(world) * drive.compute_lidar_pose_at(s * drive.step_s);
         const glm::dquat& q = pose.rotation;
         const std::string rotation = w_first ? fmt::format("{}, {}, {}, {}", q.w, q.x, q.y, q.z)
                                              : fmt::format("{}, {}, {}, {}", q.x, q.y, q.z, q.w);

@@ -38,8 +38,10 @@ struct StampedDrive {
     double first_azimuth_rad = kPi;                  ///< in the LiDAR's frame
     std::vector<std::vector<StampedRay>> rays = {};  ///< [scan] column by column
 
-    Pose vehicle_at(double time_s) const;
-    Pose lidar_at(double time_s) const { return vehicle_at(time_s) * vehicle_from_lidar; }
+    Pose compute_vehicle_pose(double time_s) const;
+    Pose compute_lidar_pose_at(double time_s) const {
+        return compute_vehicle_pose(time_s) * vehicle_from_lidar;
+    }
     void cast();
     std::size_t count_returns(int scan) const;
 };
@@ -76,7 +78,7 @@ struct BoreasFolder : StampedFolder {
     }
     std::filesystem::path poses() const { return folder / "applanix/lidar_poses.csv"; }
     std::filesystem::path calibration() const { return folder / "calib/T_applanix_lidar.txt"; }
-    static int laser_of(std::size_t beam) { return int(beam * 37 + 11) % 128; }
+    static int find_laser(std::size_t beam) { return int(beam * 37 + 11) % 128; }
 };
 
 /// MulRan sequence with 64 x 1024 points per scan, starting backward. The poses of the
@@ -110,6 +112,6 @@ struct OnceFolder : StampedFolder {
 };
 
 /// Returns the distance of a point to the nearest surface of the yard.
-double off_yard_m(const glm::dvec3& point_m);
+double measure_distance_to_yard_m(const glm::dvec3& point_m);
 
 }  // namespace relidar::test

@@ -19,7 +19,7 @@ SyntheticOptions options() {
 }
 
 TEST(TwoLidars, WorldReturnsAreVehicleTimesMounting) {
-    const Sequence street = test::two_lidar_street(options());
+    const Sequence street = test::make_two_lidar_street(options());
     const Lidar& rear = street.lidars[1];
     const Frame& frame = street.frames[7];
     ASSERT_EQ(frame.lidar, 1);
@@ -29,7 +29,7 @@ TEST(TwoLidars, WorldReturnsAreVehicleTimesMounting) {
         const glm::dvec4 p = to_matrix(street.world_from_vehicle.at(t_s)) *
                              to_matrix(rear.vehicle_from_sensor) *
                              glm::dvec4(glm::dvec3(frame.scan.point(i)), 1.0);
-        EXPECT_LT(glm::distance(world_return(street, frame, i).point_m, glm::dvec3(p)),
+        EXPECT_LT(glm::distance(compute_world_return(street, frame, i).point_m, glm::dvec3(p)),
                   // tolerance: between poses, the LiDAR moves on an arc, but its
                   // interpolated position moves on the chord
                   1e-3);
@@ -38,12 +38,12 @@ TEST(TwoLidars, WorldReturnsAreVehicleTimesMounting) {
 
 /// Returns the mean difference between the road heights of both LiDARs, over the cells of
 /// half a metre in which both have returns.
-double height_difference_m(const Sequence& street) {
+double measure_height_difference_m(const Sequence& street) {
     std::map<std::tuple<int, int>, double> sum[2], count[2];
     for (const Frame& frame : street.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (!(frame.scan.range_m[i] > 0.0f) || frame.scan.range_m[i] > 25.0f) continue;
-            const glm::dvec3 p = world_return(street, frame, i).point_m;
+            const glm::dvec3 p = compute_world_return(street, frame, i).point_m;
             // The road is at height 0 of the street.
             if (std::abs(p.z + street.world_offset_m.z) > 0.5) continue;
             const std::tuple cell(int(std::floor(2.0 * p.x)), int(std::floor(2.0 * p.y)));
@@ -58,26 +58,26 @@ double height_difference_m(const Sequence& street) {
 }
 
 TEST(TwoLidars, BothSeeTheSameRoad) {
-    Sequence street = test::two_lidar_street(options());
-    EXPECT_LT(height_difference_m(street), 0.02) << "pavements are 0.1 m higher";
+    Sequence street = test::make_two_lidar_street(options());
+    EXPECT_LT(measure_height_difference_m(street), 0.02) << "pavements are 0.1 m higher";
     street.lidars[1].vehicle_from_sensor.translation.z += 0.15;
-    EXPECT_GT(height_difference_m(street), 0.1) << "a wrong mounting shows";
+    EXPECT_GT(measure_height_difference_m(street), 0.1) << "a wrong mounting shows";
 }
 
 TEST(TwoLidars, ATurnIsHeldOutAsAWhole) {
-    const Sequence street = test::two_lidar_street(options());
+    const Sequence street = test::make_two_lidar_street(options());
     const Split split = split_frames(street, 10);
     EXPECT_EQ(split.test, (std::vector<int>{20, 21}));
     EXPECT_EQ(split.train.size(), 22u);
-    EXPECT_GT(neighbour_points(street, 21, split.train, BoxMotion::stay).count_returns(), 1000u);
+    EXPECT_GT(predict_neighbour_points(street, 21, split.train, BoxMotion::stay).count_returns(), 1000u);
 }
 
 TEST(TwoLidars, LasersAreCountedThrough) {
-    Sequence street = test::two_lidar_street(options());
+    Sequence street = test::make_two_lidar_street(options());
     EXPECT_EQ(street.count_beams(), 36u);
-    EXPECT_EQ(street.beam_number(0, 23), 23);
-    EXPECT_EQ(street.beam_number(1, 0), 24);
-    EXPECT_FALSE(street.beam_number(1, 12).has_value());
+    EXPECT_EQ(street.find_beam_number(0, 23), 23);
+    EXPECT_EQ(street.find_beam_number(1, 0), 24);
+    EXPECT_FALSE(street.find_beam_number(1, 12).has_value());
     for (Frame& frame : street.frames)
         for (float& range : frame.scan.range_m)
             if (frame.lidar == 1 && range > 0.0f) range += 0.06f;  // all beams of the second LiDAR

@@ -24,7 +24,7 @@ struct Segment {
 
 /// Computes the length of a segment within a cell by clipping the segment to the six
 /// planes of the cell.
-double length_within(const Segment& segment, const Cell& cell) {
+double measure_length_within(const Segment& segment, const Cell& cell) {
     const glm::dvec3 low(std::get<0>(cell), std::get<1>(cell), std::get<2>(cell)),
         d = segment.to_m - segment.from_m;
     double begin = 0.0, end = 1.0;
@@ -36,14 +36,14 @@ double length_within(const Segment& segment, const Cell& cell) {
     return std::max(end - begin, 0.0) * glm::length(d);
 }
 
-std::vector<Segment> random_segments(int n, std::uint64_t seed) {
+std::vector<Segment> make_random_segments(int count, std::uint64_t seed) {
     Random random(seed);
     const auto place = [&] {
         return glm::dvec3(random.uniform(-12.0, 12.0), random.uniform(-12.0, 12.0),
                           random.uniform(-9.0, 9.0));
     };
     std::vector<Segment> segments;
-    for (int i = 0; i < n; ++i) {
+    for (int i = 0; i < count; ++i) {
         const glm::dvec3 from = place();
         segments.push_back({from, place()});
     }
@@ -51,7 +51,7 @@ std::vector<Segment> random_segments(int n, std::uint64_t seed) {
 }
 
 TEST(Coverage, SharesAreThoseOfCellsThatWereCrossed) {
-    const std::vector<Segment> segments = random_segments(40, 1);
+    const std::vector<Segment> segments = make_random_segments(40, 1);
     Coverage coverage;
     std::set<Cell> crossed;
     for (const Segment& segment : segments) {
@@ -59,7 +59,7 @@ TEST(Coverage, SharesAreThoseOfCellsThatWereCrossed) {
         for (int x = -13; x < 13; ++x)
             for (int y = -13; y < 13; ++y)
                 for (int z = -10; z < 10; ++z)
-                    if (length_within(segment, {x, y, z}) > 0.0) crossed.insert({x, y, z});
+                    if (measure_length_within(segment, {x, y, z}) > 0.0) crossed.insert({x, y, z});
     }
     std::size_t n_cells = 0;
     for (const Coverage::Block& block : coverage.blocks())
@@ -68,9 +68,9 @@ TEST(Coverage, SharesAreThoseOfCellsThatWereCrossed) {
     for (const Segment& segment : segments)
         EXPECT_NEAR(coverage.share(segment.from_m, segment.to_m), 1.0, 1e-12);
     int n_partly = 0;
-    for (const Segment& segment : random_segments(60, 2)) {
+    for (const Segment& segment : make_random_segments(60, 2)) {
         double within_m = 0.0;
-        for (const Cell& cell : crossed) within_m += length_within(segment, cell);
+        for (const Cell& cell : crossed) within_m += measure_length_within(segment, cell);
         const double expected = within_m / glm::distance(segment.from_m, segment.to_m);
         EXPECT_NEAR(coverage.share(segment.from_m, segment.to_m), expected, 1e-9);
         n_partly += expected > 0.01 && expected < 0.99;
@@ -93,7 +93,7 @@ TEST(Coverage, AlongAnAxisAndAtRestCellsAreFoundToo) {
 
 /// Makes a LiDAR 2 m above the origin with beams at 20, 0, -20 and -40 degrees and 360
 /// columns.
-Sequence one_sweep() {
+Sequence make_one_sweep() {
     Sequence sequence;
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     for (const double degrees : {20.0, 0.0, -20.0, -40.0}) sensor.beams.push_back({degrees * kPi / 180.0});
@@ -123,7 +123,7 @@ double seen(const Coverage& coverage, double elevation_deg, double from_m, doubl
 }
 
 TEST(Coverage, AScanHasLookedAsFarAsItsReturns) {
-    Sequence sequence = one_sweep();
+    Sequence sequence = make_one_sweep();
     set_ranges(sequence, {30.0f, 20.0f, 5.8f, 3.1f});  // a wall and flat ground
     const Coverage coverage = find_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
     EXPECT_GT(seen(coverage, 20.0, 0.5, 29.5), 0.99);
@@ -135,7 +135,7 @@ TEST(Coverage, AScanHasLookedAsFarAsItsReturns) {
 }
 
 TEST(Coverage, ADroppedRayTellsWhatItsNeighboursTell) {
-    Sequence sequence = one_sweep();
+    Sequence sequence = make_one_sweep();
     set_ranges(sequence, {0.0f, 0.0f, 5.8f, 3.1f});  // no surface above the ground
     Coverage coverage = find_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
     EXPECT_GT(seen(coverage, 20.0, 0.5, 79.0), 0.99) << "the sky";

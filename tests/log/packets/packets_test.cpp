@@ -24,26 +24,26 @@ namespace {
 constexpr double kStart_s = 1'700'000'000.0;  // 2023-11-14 22:13:20 UTC
 constexpr std::int64_t kStart_ns = 1'700'000'000'000'000'000;
 
-SpinningSensor sensor_named(const std::string& name) {
+SpinningSensor make_sensor_named(const std::string& name) {
     // A VLS-128 fires every 55.3 us, not every 53.3 us as its manual states.
     const int columns = name == "VLS-128" ? 1808 : 0;
     return std::get<SpinningSensor>(find_built_in_sensor(name, columns)->pattern);
 }
 
-/// Returns the range that ray `i` measures. The range is a multiple of 8 mm. Every fifth
-/// ray has no return.
-float range_of(std::size_t i) { return i % 5 == 0 ? 0.0f : 0.008f * float(500 + i * 7 % 4000); }
-float intensity_of(std::size_t i) { return float(1 + i % 250) / 255.0f; }
+/// Returns the range that ray `index` measures. The range is a multiple of 8 mm. Every
+/// fifth ray has no return.
+float range_of(std::size_t index) { return index % 5 == 0 ? 0.0f : 0.008f * float(500 + index * 7 % 4000); }
+float to_intensity(std::size_t index) { return float(1 + index % 250) / 255.0f; }
 
-/// Returns a scan with ranges from range_of() and intensities from intensity_of().
-Scan known_scan(const SpinningSensor& sensor, bool has_second_returns = false) {
+/// Returns a scan with ranges from range_of() and intensities from to_intensity().
+Scan make_known_scan(const SpinningSensor& sensor, bool has_second_returns = false) {
     Scan scan;
     scan.rays = make_rays(sensor);
     const std::size_t n = scan.rays.size();
     if (has_second_returns) scan.second_returns.resize(1);
     for (std::size_t i = 0; i < n; ++i) {
         scan.range_m.push_back(range_of(i));
-        scan.intensity.push_back(range_of(i) > 0.0f ? intensity_of(i) : 0.0f);
+        scan.intensity.push_back(range_of(i) > 0.0f ? to_intensity(i) : 0.0f);
         if (!has_second_returns) continue;
         const bool is_split = i % 3 == 1 && range_of(i) > 0.0f;
         scan.second_returns[0].range_m.push_back(is_split ? range_of(i) + (i % 2 ? 0.8f : -0.8f) : 0.0f);
@@ -52,31 +52,31 @@ Scan known_scan(const SpinningSensor& sensor, bool has_second_returns = false) {
     return scan;
 }
 
-std::vector<SensorPacket> packets_of(const SpinningSensor& sensor, const PacketOptions& options, int n_scans,
-                                     bool has_second_returns = false) {
+std::vector<SensorPacket> make_packets_of(const SpinningSensor& sensor, const PacketOptions& options,
+                                          int n_scans, bool has_second_returns = false) {
     PacketEncoder encoder(sensor, options);
     std::vector<SensorPacket> packets;
     for (int k = 0; k < n_scans; ++k)
         for (SensorPacket& packet :
-             encoder.encode(known_scan(sensor, has_second_returns), 1.0 + sensor.period_s * k))
+             encoder.encode(make_known_scan(sensor, has_second_returns), 1.0 + sensor.period_s * k))
             packets.push_back(std::move(packet));
     for (SensorPacket& packet : encoder.finish()) packets.push_back(std::move(packet));
     return packets;
 }
 
 template <class T>
-T number_at(const std::string& bytes, std::size_t at) {
+T number_at(const std::string& bytes, std::size_t offset) {
     T value{};
-    std::memcpy(&value, bytes.data() + at, sizeof value);
+    std::memcpy(&value, bytes.data() + offset, sizeof value);
     return value;
 }
 
 /// Compares with manual 63-9243. Laser k of a VLP-16 has the elevation -15 + k for even k
 /// and k for odd k. It fires k * 2.304 us after the first laser. A block has two firings.
 TEST(Packets, OfAVlp16AreThoseOfItsManual) {
-    const SpinningSensor sensor = sensor_named("VLP-16");
-    const std::vector<SensorPacket> packets = packets_of(sensor, {.start_ns = kStart_ns}, 2);
-    const Scan scan = known_scan(sensor);
+    const SpinningSensor sensor = make_sensor_named("VLP-16");
+    const std::vector<SensorPacket> packets = make_packets_of(sensor, {.start_ns = kStart_ns}, 2);
+    const Scan scan = make_known_scan(sensor);
     // Expects an additional firing without returns before the scan and an additional
     // packet after the scan.
     ASSERT_EQ(packets.size(), std::size_t((1 + 2 * sensor.columns + 23) / 24 + 1));
@@ -120,7 +120,7 @@ TEST(Packets, OfAVlp16AreThoseOfItsManual) {
 /// second, a constant and the packet number.
 TEST(Packets, OfAnXt32HaveModeDateAndNumber) {
     const std::vector<SensorPacket> packets =
-        packets_of(sensor_named("XT32"), {.start_ns = kStart_ns, .returns = 2}, 1, true);
+        make_packets_of(make_sensor_named("XT32"), {.start_ns = kStart_ns, .returns = 2}, 1, true);
     for (std::size_t p = 0; p < packets.size(); ++p) {
         const std::string& bytes = packets[p].bytes;
         ASSERT_EQ(bytes.size(), 1080u);
@@ -152,7 +152,7 @@ void PrintTo(const WrittenProduct& product, std::ostream* out) {
 }
 
 /// Writes two turns of a scan as a capture, and reads the capture as a log.
-Sequence written_log(const SpinningSensor& sensor, const PacketOptions& options, const Scan& scan) {
+Sequence write_and_load_log(const SpinningSensor& sensor, const PacketOptions& options, const Scan& scan) {
     const std::filesystem::path folder =
         std::filesystem::path(::testing::TempDir()) / "relidar_sensor_packets";
     std::filesystem::create_directories(folder);
@@ -177,10 +177,10 @@ class WrittenPackets : public ::testing::TestWithParam<WrittenProduct> {};
 
 TEST_P(WrittenPackets, GiveTheSameReturnsAgain) {
     const auto& [name, profile, returns, quantum_m] = GetParam();
-    const SpinningSensor sensor = sensor_named(name);
+    const SpinningSensor sensor = make_sensor_named(name);
     const PacketOptions options{.start_ns = kStart_ns, .returns = returns, .ouster_profile = profile};
-    const Scan scan = known_scan(sensor, returns == 2);
-    const Sequence log = written_log(sensor, options, scan);
+    const Scan scan = make_known_scan(sensor, returns == 2);
+    const Sequence log = write_and_load_log(sensor, options, scan);
     ASSERT_EQ(log.frames.size(), 2u);
     const double start_s = 1e-9 * double(log_start_ns(log) - kStart_ns);
     const std::vector<BeamFiring> beams = std::string(name).starts_with("OS")
@@ -235,7 +235,7 @@ INSTANTIATE_TEST_SUITE_P(
                       WrittenProduct{"OS0-32", "RNG19_RFL8_SIG16_NIR16_DUAL", 2, 0.001}));
 
 TEST(Packets, OfOtherSensorsAreRefused) {
-    SpinningSensor sensor = sensor_named("HDL-64E");
+    SpinningSensor sensor = make_sensor_named("HDL-64E");
     try {
         const PacketEncoder encoder(sensor, {});
         FAIL() << "packets of an HDL-64E";
@@ -245,13 +245,13 @@ TEST(Packets, OfOtherSensorsAreRefused) {
     }
     sensor.name = "VLP-16";
     EXPECT_THROW(PacketEncoder(sensor, {}), UsageError) << "64 beams";
-    sensor = sensor_named("VLP-16");
+    sensor = make_sensor_named("VLP-16");
     sensor.columns = 900;
     EXPECT_THROW(PacketEncoder(sensor, {}), UsageError) << "it fires 1808 times in a turn";
-    EXPECT_THROW(PacketEncoder(sensor_named("OS1-64"), {.ouster_profile = "RNG99"}), DataError);
-    sensor = sensor_named("VLP-16");
+    EXPECT_THROW(PacketEncoder(make_sensor_named("OS1-64"), {.ouster_profile = "RNG99"}), DataError);
+    sensor = make_sensor_named("VLP-16");
     PacketEncoder encoder(sensor, {});
-    Scan scan = known_scan(sensor);
+    Scan scan = make_known_scan(sensor);
     encoder.encode(scan, 0.0);
     EXPECT_THROW(encoder.encode(scan, 0.05), UsageError) << "scans that overlap";
     std::ranges::fill(scan.rays.time_offset_s, 0.0f);
@@ -261,9 +261,9 @@ TEST(Packets, OfOtherSensorsAreRefused) {
 /// If the time between frames is longer than a turn of the sensor, the packets must still
 /// have even intervals, and the azimuth must never decrease.
 TEST(Packets, FollowEachOtherEvenlyThroughAGap) {
-    const SpinningSensor sensor = sensor_named("HDL-32E");
+    const SpinningSensor sensor = make_sensor_named("HDL-32E");
     PacketEncoder encoder(sensor, {.start_ns = kStart_ns});
-    const Scan scan = known_scan(sensor);
+    const Scan scan = make_known_scan(sensor);
     std::vector<SensorPacket> packets = encoder.encode(scan, 1.0);
     for (SensorPacket& packet : encoder.encode(scan, 1.1035)) packets.push_back(std::move(packet));
     for (std::size_t p = 1; p < packets.size(); ++p) {

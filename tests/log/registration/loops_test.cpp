@@ -14,18 +14,19 @@
 namespace relidar {
 namespace {
 
-LoopOptions loop_options() {
+LoopOptions make_loop_options() {
     return {{2.0, 0.5}, {0.5, 0.1}, [](double) { return true; }};
 }
 
 std::vector<std::vector<ThinPoint>> thin(const Sequence& log) {
     RegisterOptions movers;
     movers.movers = log.boxes;
-    return thin_scans(log, sweeps_of(log), std::vector<bool>(log.frames.size(), true), movers, 0.5);
+    return thin_scans(log, group_frames_by_sweep(log), std::vector<bool>(log.frames.size(), true), movers,
+                      0.5);
 }
 
 /// Simulates the drift of odometry by rotating every step slightly sideways and down.
-PoseTrack bent(const PoseTrack& exact, double yaw_rad_per_m, double pitch_rad_per_m) {
+PoseTrack bend_track(const PoseTrack& exact, double yaw_rad_per_m, double pitch_rad_per_m) {
     PoseTrack track = exact;
     for (std::size_t k = 1; k < track.pose.size(); ++k) {
         Pose step = inverse(exact.pose[k - 1]) * exact.pose[k];
@@ -46,9 +47,9 @@ double gap_m(const PoseTrack& track, const PoseTrack& exact) {
 TEST(CloseLoops, ADriveAroundABlockMeetsItsBeginning) {
     const Sequence drive = test::drive_around_block(300);
     const PoseTrack& exact = drive.world_from_vehicle;
-    const PoseTrack drifted = bent(exact, 2e-4, 2e-4);  // about 3.2 degrees over 283 m
+    const PoseTrack drifted = bend_track(exact, 2e-4, 2e-4);  // about 3.2 degrees over 283 m
     EXPECT_GT(gap_m(drifted, exact), 2.0) << "the start is far off";
-    const ClosedLoops closed = close_loops(drifted, thin(drive), loop_options());
+    const ClosedLoops closed = close_loops(drifted, thin(drive), make_loop_options());
     EXPECT_GE(closed.places, 2u);
     EXPECT_GT(closed.largest_m, 2.0);
     EXPECT_LT(gap_m(closed.track, exact), 0.1);
@@ -65,11 +66,11 @@ TEST(CloseLoops, WhereNothingIsSeenAgainAllStays) {
     const Sequence log = make_synthetic_street(street);
     const auto scans = thin(log);
     const PoseTrack& exact = log.world_from_vehicle;
-    EXPECT_EQ(close_loops(exact, scans, loop_options()).places, 0u);
+    EXPECT_EQ(close_loops(exact, scans, make_loop_options()).places, 0u);
     // Wrong poses turn the straight street into a circle. The end of the circle is close
     // to its start, but the scans at both positions differ.
-    const PoseTrack circle = bent(exact, 2.0 * kPi / 120.0, 0.0);
-    const ClosedLoops closed = close_loops(circle, scans, loop_options());
+    const PoseTrack circle = bend_track(exact, 2.0 * kPi / 120.0, 0.0);
+    const ClosedLoops closed = close_loops(circle, scans, make_loop_options());
     EXPECT_EQ(closed.places, 0u) << "up to " << closed.largest_m << " m";
     for (std::size_t k = 0; k < exact.pose.size(); ++k)
         ASSERT_EQ(closed.track.pose[k].translation, circle.pose[k].translation);

@@ -16,7 +16,7 @@ namespace {
 constexpr double kSides_m[3][2] = {{-20.0, 25.0}, {-7.0, 9.0}, {-1.7, 6.0}};
 
 /// Returns the wall that a ray from inside hits.
-VisibleSurface wall_of(const glm::dvec3& origin_m, const glm::dvec3& direction) {
+VisibleSurface intersect_wall(const glm::dvec3& origin_m, const glm::dvec3& direction) {
     double nearest = std::numeric_limits<double>::infinity();
     VisibleSurface wall;
     for (int axis = 0; axis < 3; ++axis) {
@@ -38,7 +38,7 @@ Sequence drive() {
     for (int k = 0; k < 3; ++k) {
         log.world_from_vehicle.time_s.push_back(0.1 * k);
         log.world_from_vehicle.pose.push_back(
-            {rotation_of(0.05 * k, 0.01 * k, -0.01), {1.0 * k, 0.1 * k, 0.0}});
+            {make_rotation(0.05 * k, 0.01 * k, -0.01), {1.0 * k, 0.1 * k, 0.0}});
     }
     for (int k = 0; k < 3; ++k) {
         Frame frame{k, 0.1 * k, {}};
@@ -52,9 +52,10 @@ Sequence drive() {
         }
         frame.scan.rays.rows = 1, frame.scan.rays.columns = 24 * 360;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
-            const WorldRay ray = world_ray(log.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
+            const WorldRay ray =
+                make_world_ray(log.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
             frame.scan.range_m.push_back(static_cast<float>(
-                glm::distance(wall_of(ray.origin_m, ray.direction).point_m, ray.origin_m)));
+                glm::distance(intersect_wall(ray.origin_m, ray.direction).point_m, ray.origin_m)));
             frame.scan.intensity.push_back(0.5f);
         }
         log.frames.push_back(std::move(frame));
@@ -68,19 +69,20 @@ ScanPlacement placed(const Sequence& log, std::size_t pose, const RegisterOption
         [&](int position, const std::vector<std::size_t>& rays, const PoseTrack& world_from_vehicle) {
             const Frame& frame = log.frames[std::size_t(position)];
             const PoseTrack world_from_sensor =
-                mounted_track(world_from_vehicle, log.lidar_of(frame).vehicle_from_sensor);
+                make_mounted_track(world_from_vehicle, log.get_lidar(frame).vehicle_from_sensor);
             std::vector<VisibleSurface> seen;
             for (const std::size_t i : rays) {
-                const WorldRay ray = world_ray(world_from_sensor, frame.time_s, frame.scan.rays, i, true);
-                seen.push_back(wall_of(ray.origin_m, ray.direction));
+                const WorldRay ray =
+                    make_world_ray(world_from_sensor, frame.time_s, frame.scan.rays, i, true);
+                seen.push_back(intersect_wall(ray.origin_m, ray.direction));
             }
             return seen;
         },
         options);
 }
 
-double angle_between(const Pose& a, const Pose& b) {
-    const Twist twist = twist_between(a, b);
+double compute_angle_between(const Pose& first, const Pose& second) {
+    const Twist twist = compute_twist(first, second);
     return glm::length(glm::dvec3(twist[3], twist[4], twist[5]));
 }
 
@@ -99,7 +101,7 @@ TEST(PlaceScan, FindsThePoseOfOneSweepAmongOthersThatStay) {
         const Pose& truth = exact.world_from_vehicle.pose[position];
         ASSERT_TRUE(found.found);
         EXPECT_LT(glm::distance(found.world_from_vehicle.translation, truth.translation), 1e-4) << position;
-        EXPECT_LT(angle_between(found.world_from_vehicle, truth), 1e-5) << position;
+        EXPECT_LT(compute_angle_between(found.world_from_vehicle, truth), 1e-5) << position;
         EXPECT_NEAR(found.moved_m, glm::distance(pose.translation, truth.translation), 1e-4);
         EXPECT_GT(found.on_surfaces, 0.99);
     }
@@ -122,9 +124,9 @@ TEST(PlaceScan, ReturnsThatAreNoWallsHardlyPull) {
 
 /// Makes the same drive with two LiDARs that measure different surfaces. The LiDAR
 /// `first` has only the returns of the two side walls.
-Sequence drive_of_two() {
+Sequence make_drive_of_two() {
     Sequence log = drive();
-    const Pose mounted{rotation_of(0.4, 0.1, -0.05), {0.8, -0.3, 0.2}};
+    const Pose mounted{make_rotation(0.4, 0.1, -0.05), {0.8, -0.3, 0.2}};
     log.lidars = {{"first", {}, {}}, {"second", {}, mounted}};
     std::vector<Frame> frames;
     const PoseTrack second = log.world_from_sensor(1);
@@ -132,15 +134,17 @@ Sequence drive_of_two() {
         Frame other = frame;
         other.lidar = 1;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
-            const WorldRay ray = world_ray(second, frame.time_s, frame.scan.rays, i, true);
-            const VisibleSurface wall = wall_of(ray.origin_m, ray.direction);
+            const WorldRay ray = make_world_ray(second, frame.time_s, frame.scan.rays, i, true);
+            const VisibleSurface wall = intersect_wall(ray.origin_m, ray.direction);
             other.scan.range_m[i] =
                 wall.normal.y == 0.0 ? static_cast<float>(glm::distance(wall.point_m, ray.origin_m)) : 0.0f;
         }
         frames.push_back(frame);
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
-            const WorldRay ray = world_ray(log.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
-            if (wall_of(ray.origin_m, ray.direction).normal.y == 0.0) frames.back().scan.range_m[i] = 0.0f;
+            const WorldRay ray =
+                make_world_ray(log.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
+            if (intersect_wall(ray.origin_m, ray.direction).normal.y == 0.0)
+                frames.back().scan.range_m[i] = 0.0f;
         }
         frames.push_back(std::move(other));
     }
@@ -149,7 +153,7 @@ Sequence drive_of_two() {
 }
 
 TEST(PlaceScan, LidarsThatSweepTogetherArePlacedTogether) {
-    const Sequence exact = drive_of_two();
+    const Sequence exact = make_drive_of_two();
     Sequence log = exact;
     Pose& pose = log.world_from_vehicle.pose[1];
     pose = moved(pose, {0.02, -0.03, 0.02, 2e-3, -1e-3, 2e-3});
@@ -158,7 +162,7 @@ TEST(PlaceScan, LidarsThatSweepTogetherArePlacedTogether) {
     ASSERT_TRUE(both.found);
     EXPECT_LT(glm::distance(both.world_from_vehicle.translation, truth.translation), 5e-4)
         << "between poses the mounting turns on an arc, its track on a chord";
-    EXPECT_LT(angle_between(both.world_from_vehicle, truth), 1e-5);
+    EXPECT_LT(compute_angle_between(both.world_from_vehicle, truth), 1e-5);
     std::erase_if(log.frames, [](const Frame& frame) { return frame.lidar == 1; });
     EXPECT_GT(glm::distance(placed(log, 1).world_from_vehicle.translation, truth.translation), 0.01)
         << "side walls say nothing of the way";

@@ -25,14 +25,14 @@ struct Problem {
     double scale_m = 0.1;
 };
 
-Plane plane_through(const glm::dvec3& at_m, const glm::dvec3& normal) {
+Plane make_plane_through(const glm::dvec3& at_m, const glm::dvec3& normal) {
     const glm::dvec3 n = glm::normalize(normal), u = glm::normalize(glm::cross(n, glm::dvec3(0.3, 0.5, 0.8)));
     return {at_m, n, u, glm::cross(n, u)};
 }
 
 /// Makes planes that are observed from poses a metre apart. A third of the points
 /// deviates by a kernel width or more.
-Problem random_problem(unsigned seed) {
+Problem make_random_problem(unsigned seed) {
     std::mt19937 random(seed);
     std::uniform_real_distribution<double> uniform(-1.0, 1.0);
     Problem p;
@@ -43,7 +43,7 @@ Problem random_problem(unsigned seed) {
     }
     for (int i = 0; i < 60; ++i) {
         const glm::dvec3 centre(10.0 * uniform(random), 10.0 * uniform(random), 3.0 * uniform(random));
-        const Plane plane = plane_through(centre, {uniform(random), uniform(random), uniform(random)});
+        const Plane plane = make_plane_through(centre, {uniform(random), uniform(random), uniform(random)});
         std::vector<std::uint32_t>& members = p.members.emplace_back();
         for (int k = 0; k < kPointsAPlane; ++k) {
             const double off_m = k % 3 == 0 ? 0.3 * uniform(random) : 0.02 * uniform(random);
@@ -70,20 +70,20 @@ struct DenseEquations {
     Eigen::VectorXd g;
 };
 
-DenseEquations dense_equations(const Problem& p, double prior) {
-    const Eigen::Index n = 6 * (kPoses + 1), m = n + 3 * Eigen::Index(p.planes.size());
+DenseEquations make_dense_equations(const Problem& problem, double prior) {
+    const Eigen::Index n = 6 * (kPoses + 1), m = n + 3 * Eigen::Index(problem.planes.size());
     Eigen::MatrixXd h = Eigen::MatrixXd::Zero(m, m);
     Eigen::VectorXd g = Eigen::VectorXd::Zero(m);
-    for (std::size_t c = 0; c < p.planes.size(); ++c)
-        for (const std::uint32_t i : p.members[c]) {
-            const Row row = row_of(p.placed[i], p.planes[c], p.scale_m);
-            const ThinPoint& point = p.points[i];
-            const glm::dvec3 d = p.placed[i].point_m - p.planes[c].point_m;
+    for (std::size_t c = 0; c < problem.planes.size(); ++c)
+        for (const std::uint32_t i : problem.members[c]) {
+            const Row row = row_of(problem.placed[i], problem.planes[c], problem.scale_m);
+            const ThinPoint& point = problem.points[i];
+            const glm::dvec3 d = problem.placed[i].point_m - problem.planes[c].point_m;
             Eigen::VectorXd all = Eigen::VectorXd::Zero(m);
             all.segment<6>(6 * Eigen::Index(point.left)) += (1.0 - double(point.s)) * row.j;
             all.segment<6>(6 * Eigen::Index(point.left + 1)) += double(point.s) * row.j;
             all.segment<3>(n + 3 * Eigen::Index(c)) -=
-                Eigen::Vector3d(1.0, glm::dot(p.planes[c].u, d), glm::dot(p.planes[c].v, d));
+                Eigen::Vector3d(1.0, glm::dot(problem.planes[c].u, d), glm::dot(problem.planes[c].v, d));
             h += row.weight * all * all.transpose();
             g += row.weight * row.residual_m * all;
         }
@@ -102,14 +102,14 @@ DenseEquations dense_equations(const Problem& p, double prior) {
 /// some directions of the step.
 TEST(PoseEquations, StepIsThatOfTheWholeProblem) {
     for (const unsigned seed : {1u, 2u, 3u, 4u, 5u}) {
-        const Problem p = random_problem(seed);
+        const Problem p = make_random_problem(seed);
         PoseEquations equations(kPoses + 1);
         for (std::size_t c = 0; c < p.planes.size(); ++c)
             equations.add_cell(p.points, p.placed, p.members[c], p.planes[c], p.scale_m);
         constexpr double kPrior = 1e-4;
         const Eigen::VectorXd actual =
             equations.solve(p.track, Eigen::VectorXd::Zero(6 * (kPoses + 1)), kPrior);
-        const DenseEquations dense = dense_equations(p, kPrior);
+        const DenseEquations dense = make_dense_equations(p, kPrior);
         const Eigen::VectorXd expected = -dense.h.ldlt().solve(dense.g), off = actual - expected;
         EXPECT_LT(off.dot(dense.h * off), 1e-4 * expected.dot(dense.h * expected)) << "seed " << seed;
     }

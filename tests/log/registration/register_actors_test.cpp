@@ -16,7 +16,7 @@ constexpr double kDegree = 0.017453292519943295;
 
 /// Adds typical label errors to all poses of a box: a drift of 10 cm along the track,
 /// jitter with a standard deviation of 5 cm, and a yaw that drifts by 2 degrees.
-BoxTrack with_label_errors(BoxTrack box, std::uint64_t seed) {
+BoxTrack add_label_errors(BoxTrack box, std::uint64_t seed) {
     std::mt19937_64 random(seed);
     std::normal_distribution<double> jitter(0.0, 0.05);
     PoseTrack& track = box.world_from_box;
@@ -34,7 +34,7 @@ BoxTrack with_label_errors(BoxTrack box, std::uint64_t seed) {
 struct TrackError {
     double along_m = 0.0, across_m = 0.0, yaw_rad = 0.0;
 };
-TrackError error_of_track(const BoxTrack& box, const BoxTrack& exact) {
+TrackError measure_error_of_track(const BoxTrack& box, const BoxTrack& exact) {
     std::vector<glm::dvec3> errors;  // x, y, yaw
     glm::dvec3 mean(0.0);
     for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
@@ -61,13 +61,13 @@ TEST(RegisterActors, CorrectsDriftingLabels) {
     const Sequence exact = make_synthetic_street(options);
     Sequence street = exact;
     for (std::size_t i = 0; i < street.boxes.size(); ++i)
-        street.boxes[i] = with_label_errors(street.boxes[i], i + 1);
+        street.boxes[i] = add_label_errors(street.boxes[i], i + 1);
     const Sequence labelled = street;
     const Split split = split_frames(street, 10);
     const ActorRegistration registration = register_actors(street, split.train);
     EXPECT_GT(registration.n_registered, 0u);
-    const TrackError before = error_of_track(labelled.boxes[0], exact.boxes[0]),
-                     after = error_of_track(street.boxes[0], exact.boxes[0]);
+    const TrackError before = measure_error_of_track(labelled.boxes[0], exact.boxes[0]),
+                     after = measure_error_of_track(street.boxes[0], exact.boxes[0]);
     EXPECT_GT(before.along_m, 0.08);
     EXPECT_GT(before.yaw_rad, 1.9 * kDegree);
     EXPECT_LT(after.along_m, 0.01);
@@ -83,7 +83,7 @@ TEST(RegisterActors, KeepsExactLabels) {
     Sequence street = exact;
     register_actors(street, split_frames(street, 0).train);
     for (std::size_t i = 0; i < street.boxes.size(); ++i)
-        EXPECT_LT(error_of_track(street.boxes[i], exact.boxes[i]).along_m, 0.01) << "box " << i;
+        EXPECT_LT(measure_error_of_track(street.boxes[i], exact.boxes[i]).along_m, 0.01) << "box " << i;
 }
 
 /// A parked car must get a single pose, although its label drifts by 2.5 m.

@@ -21,40 +21,41 @@ namespace {
 using test::error_of;
 using test::PoseError;
 
-Sequence street_of(int n_frames) {
+Sequence make_street_of(int n_frames) {
     SyntheticOptions options;
     options.n_frames = n_frames, options.rows = 32, options.columns = 256;
     return make_synthetic_street(options);
 }
 
-RegisterOptions leaving_out(const std::vector<BoxTrack>& movers) {
+RegisterOptions make_options_without_movers(const std::vector<BoxTrack>& movers) {
     RegisterOptions options;
     options.movers = movers;
     return options;
 }
 
-Registration registered(const Sequence& street, int test_every = 0) {
-    return register_scans(street, split_frames(street, test_every), leaving_out(street.boxes));
+Registration register_street(const Sequence& street, int test_every = 0) {
+    return register_scans(street, split_frames(street, test_every),
+                          make_options_without_movers(street.boxes));
 }
 
 /// Checks that the poses of training and test scans have the required accuracy: 1 cm and
 /// 0.05 degrees.
 void expect_registered(const Registration& registration, const PoseTrack& exact, const Split& split,
-                       const char* what) {
+                       const char* description) {
     const PoseError train = error_of(registration.world_from_vehicle, exact, split.train);
-    EXPECT_LT(train.median_m, 0.005) << what;
-    EXPECT_LT(train.median_deg, 0.02) << what;
+    EXPECT_LT(train.median_m, 0.005) << description;
+    EXPECT_LT(train.median_deg, 0.02) << description;
     if (split.test.empty()) return;
     std::vector<int> all = split.train;
     all.insert(all.end(), split.test.begin(), split.test.end());
     const PoseError both = error_of(registration.world_from_vehicle, exact, all);
-    EXPECT_LT(both.median_m, 0.005) << what;
+    EXPECT_LT(both.median_m, 0.005) << description;
     for (const int k : split.test) {  // relative to the previous training pose
         const Pose exact_step = inverse(exact.pose[std::size_t(k - 1)]) * exact.pose[std::size_t(k)],
                    step = inverse(registration.world_from_vehicle.pose[std::size_t(k - 1)]) *
                           registration.world_from_vehicle.pose[std::size_t(k)];
         EXPECT_LT(glm::length(step.translation - exact_step.translation), 0.02)
-            << what << ", held-out frame " << k;
+            << description << ", held-out frame " << k;
     }
 }
 
@@ -64,7 +65,7 @@ TEST(RegisterScans, LongStreetStaysWhereItIs) {
     SyntheticOptions options;
     options.seed = 7, options.n_frames = 400, options.rows = 32, options.columns = 256;
     const Sequence street = make_synthetic_street(options);
-    const Registration registration = registered(street, 10);
+    const Registration registration = register_street(street, 10);
     EXPECT_TRUE(registration.lost.empty()) << registration.lost.size() << " scans are lost";
     const PoseError error =
         error_of(registration.world_from_vehicle, street.world_from_vehicle, split_frames(street, 10).train);
@@ -73,25 +74,26 @@ TEST(RegisterScans, LongStreetStaysWhereItIs) {
 }
 
 TEST(RegisterScans, FindsPosesBackAfterNoiseAndDrift) {
-    const Sequence street = street_of(21);
+    const Sequence street = make_street_of(21);
     const PoseTrack& exact = street.world_from_vehicle;
     const Split split = split_frames(street, 10);
     expect_registered(
-        registered(test::with_poses(street, test::perturbed(exact, 0.05, 0.3 * test::kDegree, 1)), 10), exact,
-        split, "noise of 5 cm and 0.3 degrees");
+        register_street(test::set_poses(street, test::perturb_track(exact, 0.05, 0.3 * test::kDegree, 1)),
+                        10),
+        exact, split, "noise of 5 cm and 0.3 degrees");
     expect_registered(
-        registered(test::with_poses(street, test::drifting(exact, 0.2, 0.3 * test::kDegree)), 10), exact,
+        register_street(test::set_poses(street, test::add_drift(exact, 0.2, 0.3 * test::kDegree)), 10), exact,
         split, "drift of 20 cm");
 }
 
 /// Registers three sweeps with a held-out sweep among them. The planes of only two scans
 /// need more points of each scan.
 TEST(RegisterScans, TwoScansAreEnough) {
-    const Sequence street = street_of(3);
+    const Sequence street = make_street_of(3);
     const PoseTrack& exact = street.world_from_vehicle;
-    PoseTrack wrong = test::perturbed(exact, 0.1, 0.3 * test::kDegree, 6);
-    const Registration registration =
-        register_scans(test::with_poses(street, wrong), {{0, 2}, {1}}, leaving_out(street.boxes));
+    PoseTrack wrong = test::perturb_track(exact, 0.1, 0.3 * test::kDegree, 6);
+    const Registration registration = register_scans(test::set_poses(street, wrong), {{0, 2}, {1}},
+                                                     make_options_without_movers(street.boxes));
     ASSERT_TRUE(registration.done);
     EXPECT_TRUE(registration.lost.empty());
     const PoseError error = error_of(registration.world_from_vehicle, exact, {0, 1, 2});
@@ -111,25 +113,25 @@ TEST(RegisterScans, WithoutARollingShutterToo) {
     street.rolling_shutter = false;
     const PoseTrack exact = street.world_from_vehicle;
     expect_registered(
-        registered(test::with_poses(street, test::perturbed(exact, 0.05, 0.3 * test::kDegree, 2)), 5), exact,
-        split_frames(street, 5), "all rays at once");
+        register_street(test::set_poses(street, test::perturb_track(exact, 0.05, 0.3 * test::kDegree, 2)), 5),
+        exact, split_frames(street, 5), "all rays at once");
 }
 
 TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
-    const Sequence street = street_of(11);
+    const Sequence street = make_street_of(11);
     const Sequence wrong =
-        test::with_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 3));
-    const Registration registration = registered(wrong);
+        test::set_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 3));
+    const Registration registration = register_street(wrong);
     glm::dvec3 v(0.0), w(0.0);
     for (std::size_t k = 0; k < registration.world_from_vehicle.pose.size(); ++k) {
         const Twist c =
-            twist_between(wrong.world_from_vehicle.pose[k], registration.world_from_vehicle.pose[k]);
+            compute_twist(wrong.world_from_vehicle.pose[k], registration.world_from_vehicle.pose[k]);
         v += glm::dvec3(c[0], c[1], c[2]);
         w += glm::dvec3(c[3], c[4], c[5]);
     }
     EXPECT_LT(glm::length(v), 1e-6);
     EXPECT_LT(glm::length(w), 1e-6);
-    const Registration kept = registered(street);
+    const Registration kept = register_street(street);
     for (std::size_t k = 0; k < kept.world_from_vehicle.pose.size(); ++k)
         EXPECT_LT(glm::length(kept.world_from_vehicle.pose[k].translation -
                               street.world_from_vehicle.pose[k].translation),
@@ -140,14 +142,15 @@ TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
 
 /// The content of a held-out scan must not change the training poses in any bit.
 TEST(RegisterScans, HeldOutScansMoveNoOtherPose) {
-    Sequence street = street_of(11);
-    set_vehicle_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 4));
+    Sequence street = make_street_of(11);
+    set_vehicle_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 4));
     const Split split = split_frames(street, 5);
-    const Registration registration = register_scans(street, split, leaving_out(street.boxes));
+    const Registration registration =
+        register_scans(street, split, make_options_without_movers(street.boxes));
     Sequence other = street;
     for (const int k : split.test)
         for (float& range : other.frames[std::size_t(k)].scan.range_m) range *= 1.01f;
-    const Registration again = register_scans(other, split, leaving_out(street.boxes));
+    const Registration again = register_scans(other, split, make_options_without_movers(street.boxes));
     for (const int k : split.train) {
         EXPECT_EQ(registration.world_from_vehicle.pose[std::size_t(k)].translation,
                   again.world_from_vehicle.pose[std::size_t(k)].translation);
@@ -161,13 +164,13 @@ TEST(RegisterScans, HeldOutScansMoveNoOtherPose) {
 }
 
 TEST(RegisterScans, AScanOfGarbageIsPlacedAsItsNeighbours) {
-    Sequence street = street_of(11);
+    Sequence street = make_street_of(11);
     const PoseTrack exact = street.world_from_vehicle;
-    set_vehicle_poses(street, test::drifting(exact, 0.2, 0.3 * test::kDegree));
+    set_vehicle_poses(street, test::add_drift(exact, 0.2, 0.3 * test::kDegree));
     std::mt19937_64 random(5);
     std::uniform_real_distribution<float> range(2.0f, 70.0f);
     for (float& r : street.frames[5].scan.range_m) r = range(random);
-    const Registration registration = registered(street);
+    const Registration registration = register_street(street);
     EXPECT_EQ(registration.lost, std::vector<std::size_t>{5});
     const PoseError error = error_of(registration.world_from_vehicle, exact, {0, 1, 2, 3, 4, 6, 7, 8, 9, 10});
     EXPECT_LT(error.median_m, 0.01);
@@ -177,11 +180,11 @@ TEST(RegisterScans, AScanOfGarbageIsPlacedAsItsNeighbours) {
 }
 
 TEST(RegisterScans, CorrectionsBeyondWhatIsAllowedAreNotBelieved) {
-    Sequence street = street_of(11);
+    Sequence street = make_street_of(11);
     PoseTrack track = street.world_from_vehicle;
     track.pose[4].translation += glm::dvec3(0.3, 0.4, 0.0);
     set_vehicle_poses(street, track);
-    RegisterOptions options = leaving_out(street.boxes);
+    RegisterOptions options = make_options_without_movers(street.boxes);
     const Registration registration = register_scans(street, split_frames(street, 0), options);
     EXPECT_TRUE(registration.lost.empty()) << "half a metre is found";
     options.largest_m = 0.25;
@@ -189,13 +192,13 @@ TEST(RegisterScans, CorrectionsBeyondWhatIsAllowedAreNotBelieved) {
 }
 
 TEST(RegisterScans, SaysWhatIsMissing) {
-    Sequence street = street_of(4);
+    Sequence street = make_street_of(4);
     const Registration one = register_scans(street, {{0}, {}}, {});
     EXPECT_TRUE(one.rounds.empty()) << "one scan is where it is";
     int n_polls = 0;
     RegisterOptions options;
     options.stop = [&] { return ++n_polls == 3; };
-    set_vehicle_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.0, 1));
+    set_vehicle_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.0, 1));
     const Registration stopped = register_scans(street, split_frames(street, 0), options);
     EXPECT_TRUE(stopped.stopped);
     EXPECT_EQ(stopped.world_from_vehicle.pose[2].translation, street.world_from_vehicle.pose[2].translation);

@@ -8,19 +8,19 @@
 namespace relidar::test {
 namespace {
 
-double median(std::vector<double> x) {
-    std::nth_element(x.begin(), x.begin() + std::ptrdiff_t(x.size() / 2), x.end());
-    return x[x.size() / 2];
+double median(std::vector<double> values) {
+    std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(values.size() / 2), values.end());
+    return values[values.size() / 2];
 }
 
 }  // namespace
 
-Sequence with_poses(Sequence street, PoseTrack track) {
+Sequence set_poses(Sequence street, PoseTrack track) {
     set_vehicle_poses(street, std::move(track));
     return street;
 }
 
-PoseTrack perturbed(PoseTrack track, double sigma_m, double sigma_rad, std::uint64_t seed) {
+PoseTrack perturb_track(PoseTrack track, double sigma_m, double sigma_rad, std::uint64_t seed) {
     std::mt19937_64 random(seed);
     std::normal_distribution<double> normal(0.0, 1.0 / std::sqrt(3.0));
     for (Pose& pose : track.pose) {
@@ -31,7 +31,7 @@ PoseTrack perturbed(PoseTrack track, double sigma_m, double sigma_rad, std::uint
     return track;
 }
 
-PoseTrack drifting(PoseTrack track, double amplitude_m, double amplitude_rad) {
+PoseTrack add_drift(PoseTrack track, double amplitude_m, double amplitude_rad) {
     for (std::size_t k = 0; k < track.pose.size(); ++k) {
         const double x = 2.0 * kPi * double(k) / double(track.pose.size());
         const double m = amplitude_m, w = amplitude_rad;
@@ -42,7 +42,7 @@ PoseTrack drifting(PoseTrack track, double amplitude_m, double amplitude_rad) {
     return track;
 }
 
-PoseTrack with_drift_and_jumps(const PoseTrack& exact) {
+PoseTrack add_drift_and_jumps(const PoseTrack& exact) {
     PoseTrack track = exact;
     const std::size_t n = exact.pose.size();
     for (std::size_t k = 1; k < n; ++k) {
@@ -64,10 +64,10 @@ namespace {
 
 /// Removes the mean rigid motion between `track` and the exact track from `track`. Some
 /// of the poses determine the mean motion and its centre.
-PoseTrack aligned(PoseTrack track, const PoseTrack& exact, const std::vector<int>& positions) {
+PoseTrack align_track(PoseTrack track, const PoseTrack& exact, const std::vector<int>& positions) {
     glm::dvec3 centre(0.0), v(0.0), w(0.0);
     for (const int k : positions) {
-        const Twist twist = twist_between(exact.pose[std::size_t(k)], track.pose[std::size_t(k)]);
+        const Twist twist = compute_twist(exact.pose[std::size_t(k)], track.pose[std::size_t(k)]);
         centre += track.pose[std::size_t(k)].translation / double(positions.size());
         v += glm::dvec3(twist[0], twist[1], twist[2]) / double(positions.size());
         w += glm::dvec3(twist[3], twist[4], twist[5]) / double(positions.size());
@@ -84,11 +84,11 @@ PoseError error_of(PoseTrack track, const PoseTrack& exact, const std::vector<in
     const Pose start =
         exact.pose[std::size_t(positions.front())] * inverse(track.pose[std::size_t(positions.front())]);
     for (Pose& pose : track.pose) pose = start * pose;  // close enough to average rotations
-    for (int i = 0; i < 5; ++i) track = aligned(std::move(track), exact, positions);
+    for (int i = 0; i < 5; ++i) track = align_track(std::move(track), exact, positions);
     std::vector<double> metres, degrees;
     double squares = 0.0;
     for (const int k : positions) {
-        const Twist e = twist_between(exact.pose[std::size_t(k)], track.pose[std::size_t(k)]);
+        const Twist e = compute_twist(exact.pose[std::size_t(k)], track.pose[std::size_t(k)]);
         metres.push_back(glm::length(glm::dvec3(e[0], e[1], e[2])));
         degrees.push_back(glm::length(glm::dvec3(e[3], e[4], e[5])) * 180.0 / kPi);
         squares += metres.back() * metres.back();

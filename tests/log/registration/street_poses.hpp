@@ -12,17 +12,17 @@ namespace relidar::test {
 
 inline constexpr double kDegree = kPi / 180.0;
 
-Sequence with_poses(Sequence street, PoseTrack track);
+Sequence set_poses(Sequence street, PoseTrack track);
 
 /// Adds white noise with these total standard deviations to every pose.
-PoseTrack perturbed(PoseTrack track, double sigma_m, double sigma_rad, std::uint64_t seed);
+PoseTrack perturb_track(PoseTrack track, double sigma_m, double sigma_rad, std::uint64_t seed);
 /// Adds a smooth curve with these amplitudes to the poses.
-PoseTrack drifting(PoseTrack track, double amplitude_m, double amplitude_rad);
+PoseTrack add_drift(PoseTrack track, double amplitude_m, double amplitude_rad);
 
 /// Returns poses with the errors of wheel odometry and gyroscopes: 1 % too much distance,
 /// 1 degree of heading and 0.3 degrees of pitch per 100 m. The poses also jump by 0.3 m
 /// at 1/5, 2/5, 3/5 and 4/5 of the track.
-PoseTrack with_drift_and_jumps(const PoseTrack& exact);
+PoseTrack add_drift_and_jumps(const PoseTrack& exact);
 
 struct PoseError {
     double median_m, median_deg, rms_m, worst_m, worst_deg;

@@ -18,7 +18,7 @@ using street::Shape;
 constexpr double kStraights_m[] = {70.0, 40.0, 70.0, 40.0}, kRadius_m = 10.0;
 constexpr double kBeyond_m = 12.0, kStop_s = 2.0;
 
-double length_of_loop() { return 220.0 + 2.0 * kPi * kRadius_m; }
+double compute_loop_length() { return 220.0 + 2.0 * kPi * kRadius_m; }
 
 struct Place {
     glm::dvec2 at_m{0.0};
@@ -28,7 +28,7 @@ struct Place {
 
 /// Returns the position of the centre of the lane after a driven distance.
 Place lane(double s_m) {
-    s_m = std::fmod(s_m + length_of_loop(), length_of_loop());
+    s_m = std::fmod(s_m + compute_loop_length(), compute_loop_length());
     Place p;
     for (const double straight : kStraights_m) {
         const glm::dvec2 ahead(std::cos(p.yaw_rad), std::sin(p.yaw_rad)), left(-ahead.y, ahead.x);
@@ -57,7 +57,7 @@ street::Street make_town() {
     street::Street town;
     Random random(7);
     for (const double side : {1.0, -1.0}) {
-        for (double s = 0.0; s < length_of_loop() - 8.0;) {  // facades
+        for (double s = 0.0; s < compute_loop_length() - 8.0;) {  // facades
             const double width = random.uniform(7.0, 14.0), depth = random.uniform(5.0, 9.0),
                          height = random.uniform(5.0, 14.0);
             if (side < 0.0 || !(lane(s).in_curve || lane(s + width).in_curve)) {
@@ -70,12 +70,12 @@ street::Street make_town() {
             s += width + (random.uniform() < 0.3 ? random.uniform(2.0, 5.0) : 0.0);
         }
         // poles
-        for (double s = random.uniform(2.0, 8.0); s < length_of_loop(); s += random.uniform(8.0, 15.0))
+        for (double s = random.uniform(2.0, 8.0); s < compute_loop_length(); s += random.uniform(8.0, 15.0))
             town.shapes.push_back(beside(
                 {Shape::Kind::cylinder, {}, {0.1, 0.1, random.uniform(2.0, 3.5)}, 0.0, Material::metal, 0.5},
                 s, 5.0 * side));
         // parked cars
-        for (double s = random.uniform(2.0, 8.0); s < length_of_loop(); s += random.uniform(7.0, 20.0))
+        for (double s = random.uniform(2.0, 8.0); s < compute_loop_length(); s += random.uniform(7.0, 20.0))
             town.shapes.push_back(beside(
                 {Shape::Kind::box, {}, {2.1, 0.9, 0.7}, random.uniform(-0.04, 0.04), Material::paint, 0.5}, s,
                 3.5 * side));
@@ -85,8 +85,8 @@ street::Street make_town() {
 
 /// Returns the distance that the car has driven at a time. The speed is constant except
 /// for a stop half-way, which is smoothed to limit the acceleration.
-double driven_m(double t_s, double duration_s) {
-    const double speed = (length_of_loop() + kBeyond_m) / (duration_s - kStop_s),
+double compute_driven_m(double t_s, double duration_s) {
+    const double speed = (compute_loop_length() + kBeyond_m) / (duration_s - kStop_s),
                  middle = 0.5 * (duration_s - kStop_s);
     const double after = std::clamp((t_s - middle) / kStop_s, 0.0, 1.0);
     // The slope of this polynomial is at most 1.5, so the car rolls back slightly.
@@ -94,7 +94,7 @@ double driven_m(double t_s, double duration_s) {
     return speed * (t_s - std::min(lost_s, std::max(0.0, t_s - middle)));
 }
 
-Pose sensor_at(double s_m) {
+Pose compute_sensor_pose_at(double s_m) {
     const Place p = lane(s_m);
     const glm::dquat turn = glm::angleAxis(p.yaw_rad + 0.01 * std::sin(0.31 * s_m), glm::dvec3(0, 0, 1)) *
                             glm::angleAxis(0.004 * std::sin(0.43 * s_m), glm::dvec3(0, 1, 0)) *
@@ -121,7 +121,8 @@ Sequence drive_around_block(int n_frames) {
     const RayTable rays = make_rays(drive.lidars[0].sensor);
     for (int k = 0; k < n_frames; ++k) {
         drive.world_from_vehicle.time_s.push_back(0.1 * k);
-        drive.world_from_vehicle.pose.push_back(sensor_at(driven_m(0.1 * k, 0.1 * n_frames)));
+        drive.world_from_vehicle.pose.push_back(
+            compute_sensor_pose_at(compute_driven_m(0.1 * k, 0.1 * n_frames)));
         drive.frames.push_back(
             {.index = k,
              .time_s = 0.1 * k,
@@ -130,10 +131,10 @@ Sequence drive_around_block(int n_frames) {
     const street::StreetCaster town(make_town());
     parallel_for(n_frames, [&](int k) {
         Frame& frame = drive.frames[std::size_t(k)];
-        Random random(hash64(11, std::uint64_t(k)));
+        Random random(combine_hashes(11, std::uint64_t(k)));
         for (std::size_t ray = 0; ray < rays.size(); ++ray) {
-            const auto hit = town.cast(world_ray(drive.world_from_vehicle, frame.time_s, rays, ray, true),
-                                       frame.time_s, 80.0);
+            const auto hit = town.cast(
+                make_world_ray(drive.world_from_vehicle, frame.time_s, rays, ray, true), frame.time_s, 80.0);
             const double noise_m = 0.01 * random.normal();
             if (hit) frame.scan.range_m[ray] = static_cast<float>(hit->range_m + noise_m);
         }

@@ -21,7 +21,8 @@ protected:
         return drive;
     }
 
-    static Registration registered(const PoseTrack& initial_poses, bool use_pose_motion, const Split& split) {
+    static Registration register_street(const PoseTrack& initial_poses, bool use_pose_motion,
+                                        const Split& split) {
         Sequence wrong = drive();
         set_vehicle_poses(wrong, initial_poses);
         RegisterOptions options;
@@ -31,38 +32,38 @@ protected:
 
     /// Checks that the errors are at most 2 cm and 0.05 degrees over the complete drive,
     /// including held-out scans, and that all scans are registered.
-    static void expect_registered(const Registration& registration, const char* what) {
+    static void expect_registered(const Registration& registration, const char* description) {
         std::vector<int> all;
         for (std::size_t k = 0; k < drive().frames.size(); ++k) all.push_back(static_cast<int>(k));
         const test::PoseError error =
             test::error_of(registration.world_from_vehicle, drive().world_from_vehicle, all);
-        EXPECT_LT(error.rms_m, 0.02) << what;
-        EXPECT_LT(error.worst_m, 0.05) << what;
-        EXPECT_LT(error.median_deg, 0.02) << what;
-        EXPECT_LT(error.worst_deg, 0.05) << what;
-        EXPECT_TRUE(registration.lost.empty()) << what;
-        EXPECT_GT(registration.on_planes, 0.3) << what;
+        EXPECT_LT(error.rms_m, 0.02) << description;
+        EXPECT_LT(error.worst_m, 0.05) << description;
+        EXPECT_LT(error.median_deg, 0.02) << description;
+        EXPECT_LT(error.worst_deg, 0.05) << description;
+        EXPECT_TRUE(registration.lost.empty()) << description;
+        EXPECT_GT(registration.on_planes, 0.3) << description;
     }
 };
 
 TEST_F(WholeDrive, FindsPosesBackFromDriftAndJumps) {
-    const PoseTrack initial_poses = test::with_drift_and_jumps(drive().world_from_vehicle);
+    const PoseTrack initial_poses = test::add_drift_and_jumps(drive().world_from_vehicle);
     const int last = kSweeps - 1;
     EXPECT_GT(
         test::error_of(initial_poses, drive().world_from_vehicle, {0, last / 3, 2 * last / 3, last}).worst_m,
         1.0)
         << "the start is far off";
-    expect_registered(registered(initial_poses, true, split_frames(drive(), 10)), "drift and jumps");
+    expect_registered(register_street(initial_poses, true, split_frames(drive(), 10)), "drift and jumps");
 }
 
 TEST_F(WholeDrive, StaysWithExactPoses) {
-    expect_registered(registered(drive().world_from_vehicle, true, split_frames(drive(), 10)), "exact");
+    expect_registered(register_street(drive().world_from_vehicle, true, split_frames(drive(), 10)), "exact");
 }
 
 TEST_F(WholeDrive, NeedsNoPoses) {
     PoseTrack none = drive().world_from_vehicle;
     for (Pose& pose : none.pose) pose = {};
-    const Registration registration = registered(none, false, split_frames(drive(), 10));
+    const Registration registration = register_street(none, false, split_frames(drive(), 10));
     expect_registered(registration, "no poses");
     const Split split = split_frames(drive(), 10);
     EXPECT_EQ(

@@ -44,7 +44,7 @@ TEST(ChannelList, NumbersAndRowsAgree) {
         {{.name = "share"}, std::vector<float>{0.5f, 0.25f}}};
     std::vector<std::string> names;
     std::vector<bool> integers;
-    for (const auto& [name, is_integer] : numbers_of(channels, "."))
+    for (const auto& [name, is_integer] : list_channel_numbers(channels, "."))
         names.push_back(name), integers.push_back(is_integer);
     EXPECT_THAT(names, ElementsAre("way.x", "way.y", "way.z", "label", "share"));
     EXPECT_THAT(integers, ElementsAre(false, false, false, true, false));
@@ -60,10 +60,10 @@ TEST(ChannelList, NumbersAndRowsAgree) {
 }
 
 TEST(ChannelList, WhatACallerAddsIsChecked) {
-    const auto check = [](const std::string& name, std::size_t n) {
+    const auto check = [](const std::string& name, std::size_t count) {
         check_channels(
-            {{{.name = "mine"}, std::vector<float>(3)}, {{.name = name}, std::vector<std::int32_t>(n)}}, 3,
-            "a scan");
+            {{{.name = "mine"}, std::vector<float>(3)}, {{.name = name}, std::vector<std::int32_t>(count)}},
+            3, "a scan");
     };
     EXPECT_NO_THROW(check("label_2", 3));
     EXPECT_THROW(check("label", 2), DataError);
@@ -79,8 +79,8 @@ std::string row_of(const ChannelInfo& channel) {
 
 TEST(ChannelList, IsWhatTheGuideSays) {
     const std::string guide = read_file(std::filesystem::path(RELIDAR_SOURCE_DIR) / "docs" / "guide.md");
-    for (const ChannelInfo& channel : file_channels()) EXPECT_THAT(guide, HasSubstr(row_of(channel)));
-    for (const ChannelInfo& channel : optional_channels()) EXPECT_THAT(guide, HasSubstr(row_of(channel)));
+    for (const ChannelInfo& channel : list_file_channels()) EXPECT_THAT(guide, HasSubstr(row_of(channel)));
+    for (const ChannelInfo& channel : get_optional_channels()) EXPECT_THAT(guide, HasSubstr(row_of(channel)));
 }
 
 }  // namespace

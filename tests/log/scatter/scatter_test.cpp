@@ -25,7 +25,7 @@ constexpr std::size_t kRays = std::size_t(kRows) * kColumns;
 
 /// Makes panels of 16 columns each. The rendered brightness of a panel is 0.2, 0.4, 0.6
 /// or 0.8.
-RenderedIntensities panels() {
+RenderedIntensities make_panels() {
     RenderedIntensities image{kRows,
                               kColumns,
                               {},
@@ -45,7 +45,7 @@ RenderedIntensities panels() {
 /// random) returns the measured value of a ray.
 template <class Measure>
 MeasuredIntensities measured(std::uint64_t seed, const Measure& measure) {
-    MeasuredIntensities result{panels(), {}};
+    MeasuredIntensities result{make_panels(), {}};
     Random random(seed);
     double before = 0.0;
     for (std::size_t i = 0; i < kRays; ++i) {
@@ -58,9 +58,9 @@ MeasuredIntensities measured(std::uint64_t seed, const Measure& measure) {
 }
 
 template <class Measure>
-std::vector<MeasuredIntensities> scans_of(int n, const Measure& measure) {
+std::vector<MeasuredIntensities> make_scans(int count, const Measure& measure) {
     std::vector<MeasuredIntensities> scans;
-    for (int k = 0; k < n; ++k) scans.push_back(measured(std::uint64_t(k), measure));
+    for (int k = 0; k < count; ++k) scans.push_back(measured(std::uint64_t(k), measure));
     return scans;
 }
 
@@ -75,16 +75,16 @@ double coins(double rendered, double, Random& random) {
     return (std::round(100.0 * rendered) + heads - n / 2) / 100.0;
 }
 
-double binomial(int n, int k) {
-    return std::exp(std::lgamma(n + 1.0) - std::lgamma(k + 1.0) - std::lgamma(n - k + 1.0)) *
-           std::pow(0.5, n);
+double compute_binomial(int count, int k) {
+    return std::exp(std::lgamma(count + 1.0) - std::lgamma(k + 1.0) - std::lgamma(count - k + 1.0)) *
+           std::pow(0.5, count);
 }
 
 TEST(Scatter, DrawsTheDistributionOfEachBrightness) {
-    const IntensityScatter scatter = fit_scatter(scans_of(60, coins));
+    const IntensityScatter scatter = fit_scatter(make_scans(60, coins));
     ASSERT_FALSE(scatter.empty());
     EXPECT_NEAR(scatter.step, 0.01, 1e-8);
-    const RenderedIntensities image = panels();
+    const RenderedIntensities image = make_panels();
     for (const int panel : {1, 2, 3, 4}) {
         const int n = panel == 4 ? 16 : 4;
         std::vector<double> counts(std::size_t(n) + 1, 0.0);
@@ -101,7 +101,7 @@ TEST(Scatter, DrawsTheDistributionOfEachBrightness) {
         }
         double chi_square = 0.0, degrees = -1.0;
         for (int k = 0; k <= n; ++k) {
-            const double expected = drawn * binomial(n, k);
+            const double expected = drawn * compute_binomial(n, k);
             if (expected < 20.0) continue;
             chi_square += std::pow(counts[std::size_t(k)] - expected, 2) / expected;
             degrees += 1.0;
@@ -119,10 +119,10 @@ double grain(double rendered, double before, Random& random) {
 }
 
 TEST(Scatter, IsCorrelatedAlongABeam) {
-    const IntensityScatter scatter = fit_scatter(scans_of(100, grain));
+    const IntensityScatter scatter = fit_scatter(make_scans(100, grain));
     EXPECT_EQ(scatter.step, 0.0) << "a continuous log stays continuous";
     EXPECT_EQ(scatter.quantised(0.123456f), 0.123456f);
-    const RenderedIntensities image = panels();
+    const RenderedIntensities image = make_panels();
     std::array<double, 4> products{};
     double n = 0.0;
     for (std::uint64_t seed = 1; seed <= 8; ++seed) {
@@ -145,8 +145,8 @@ TEST(Scatter, IsCorrelatedAlongABeam) {
 double even(double rendered, double, Random& random) { return rendered * random.uniform(0.5, 1.5); }
 
 TEST(Scatter, ContinuousDrawsFollowTheirDistributionFunction) {
-    const IntensityScatter scatter = fit_scatter(scans_of(60, even));
-    const RenderedIntensities image = panels();
+    const IntensityScatter scatter = fit_scatter(make_scans(60, even));
+    const RenderedIntensities image = make_panels();
     const std::vector<float> drawn = draw_intensities(scatter, image, kAll, 5);
     for (const int panel : {1, 2, 3, 4}) {
         std::vector<double> shares;  // position between 0.5 and 1.5
@@ -164,19 +164,19 @@ TEST(Scatter, ContinuousDrawsFollowTheirDistributionFunction) {
 }
 
 TEST(Scatter, TheSeedReproducesAndDroppedRaysHaveNone) {
-    const IntensityScatter scatter = fit_scatter(scans_of(10, coins)),
-                           again = fit_scatter(scans_of(10, coins));
+    const IntensityScatter scatter = fit_scatter(make_scans(10, coins)),
+                           again = fit_scatter(make_scans(10, coins));
     EXPECT_EQ(scatter.values, again.values);
     std::vector<std::uint8_t> returns(kRays);
     for (std::size_t i = 0; i < kRays; ++i) returns[i] = i % 3 != 0;
-    const std::vector<float> drawn = draw_intensities(scatter, panels(), returns, 9);
-    EXPECT_EQ(drawn, draw_intensities(again, panels(), returns, 9));
-    EXPECT_NE(drawn, draw_intensities(scatter, panels(), returns, 10));
+    const std::vector<float> drawn = draw_intensities(scatter, make_panels(), returns, 9);
+    EXPECT_EQ(drawn, draw_intensities(again, make_panels(), returns, 9));
+    EXPECT_NE(drawn, draw_intensities(scatter, make_panels(), returns, 10));
     for (std::size_t i = 0; i < kRays; ++i) ASSERT_EQ(drawn[i] == kNoIntensity, i % 3 == 0) << i;
 }
 
 /// The first rows and columns of an image.
-RenderedIntensities cut_out(const RenderedIntensities& image, int rows, int columns) {
+RenderedIntensities crop_image(const RenderedIntensities& image, int rows, int columns) {
     const auto cut = [&](const std::vector<float>& values) {
         std::vector<float> part;
         for (int row = 0; row < rows; ++row) {
@@ -197,10 +197,10 @@ RenderedIntensities cut_out(const RenderedIntensities& image, int rows, int colu
 /// Tiles are drawn in parallel. The widths give a narrow last tile, a single tile, and a
 /// tile that is narrower than the columns that a tile looks ahead.
 TEST(Scatter, IsDrawnAsOneRayAfterTheOther) {
-    const IntensityScatter scatter = fit_scatter(scans_of(40, grain));
+    const IntensityScatter scatter = fit_scatter(make_scans(40, grain));
     for (const auto& [rows, columns] :
          {std::pair(kRows, kColumns), {kRows, 129}, {kRows, 64}, {1, kColumns}, {kRows, 2}}) {
-        const RenderedIntensities image = cut_out(panels(), rows, columns);
+        const RenderedIntensities image = crop_image(make_panels(), rows, columns);
         std::vector<float> expected(image.intensity.size(), kNoIntensity);
         const scatter_detail::Context context(image, expected);
         for (std::size_t i = 0; i < expected.size(); ++i) {
@@ -209,9 +209,8 @@ TEST(Scatter, IsDrawnAsOneRayAfterTheOther) {
             while (node->feature >= 0)
                 node = &scatter.nodes[std::size_t(node->child) +
                                       (asked[std::size_t(node->feature)] <= node->at ? 0 : 1)];
-            expected[i] =
-                scatter
-                    .values[node->first + std::size_t(Random(hash64(11, i)).uniform() * double(node->count))];
+            expected[i] = scatter.values[node->first + std::size_t(Random(combine_hashes(11, i)).uniform() *
+                                                                   double(node->count))];
         }
         const std::vector<std::uint8_t> all(expected.size(), 1);
         for (int repetition = 0; repetition < 20; ++repetition)
@@ -229,10 +228,10 @@ TEST(Scatter, FewReturnsTellNothingAndSizesAreChecked) {
 }
 
 TEST(Scatter, FindsTheStepOfALog) {
-    const auto multiples = [](double step, int n) {
+    const auto multiples = [](double step, int count) {
         std::vector<float> values;
         // not sorted
-        for (int k = 0; k < n; ++k) values.push_back(static_cast<float>(step * double(7 * k % n)));
+        for (int k = 0; k < count; ++k) values.push_back(static_cast<float>(step * double(7 * k % count)));
         return values;
     };
     EXPECT_NEAR(find_step(multiples(0.01, 100)), 0.01, 1e-8);

@@ -21,21 +21,21 @@ TEST(Beam, MeasuringAndItsInverseArePairs) {
                         .range_offset_m = 0.2 * random.uniform() - 0.1};
         const double range = 1.0 + 80.0 * random.uniform(), fall = 0.3 + 0.5 * random.uniform(),
                      albedo = 0.6 * random.uniform();
-        EXPECT_NEAR(beam.surface_range(beam.measured_range(range)), range, 1e-12);
-        EXPECT_NEAR(beam.measured_range(beam.surface_range(range)), range, 1e-12);
-        EXPECT_NEAR(beam.surface_intensity(beam.measured_intensity(albedo, fall), fall), albedo, 1e-12);
+        EXPECT_NEAR(beam.to_surface_range(beam.to_measured_range(range)), range, 1e-12);
+        EXPECT_NEAR(beam.to_measured_range(beam.to_surface_range(range)), range, 1e-12);
+        EXPECT_NEAR(beam.to_surface_intensity(beam.to_measured_intensity(albedo, fall), fall), albedo, 1e-12);
     }
 }
 
 TEST(Beam, CutsWhatItCannotMeasure) {
     const Beam beam{.intensity_gain = 2.0, .intensity_offset = -0.1, .range_offset_m = -0.5};
-    EXPECT_EQ(beam.measured_intensity(0.9, 1.0), 1.0);
-    EXPECT_EQ(beam.measured_intensity(0.01, 1.0), 0.0);
-    EXPECT_NEAR(beam.measured_intensity(0.3, 0.5), 2.0 * 0.5 * 0.3 - 0.1, 1e-15);
-    EXPECT_EQ(beam.measured_range(0.2), 0.0);
-    EXPECT_EQ(beam.measured_range(0.0), 0.0) << "nothing came back";
-    EXPECT_EQ(beam.surface_range(0.0), 0.0);
-    EXPECT_EQ((Beam{.range_offset_m = 3.0}.surface_range(1.0)), 1e-3);
+    EXPECT_EQ(beam.to_measured_intensity(0.9, 1.0), 1.0);
+    EXPECT_EQ(beam.to_measured_intensity(0.01, 1.0), 0.0);
+    EXPECT_NEAR(beam.to_measured_intensity(0.3, 0.5), 2.0 * 0.5 * 0.3 - 0.1, 1e-15);
+    EXPECT_EQ(beam.to_measured_range(0.2), 0.0);
+    EXPECT_EQ(beam.to_measured_range(0.0), 0.0) << "nothing came back";
+    EXPECT_EQ(beam.to_surface_range(0.0), 0.0);
+    EXPECT_EQ((Beam{.range_offset_m = 3.0}.to_surface_range(1.0)), 1e-3);
 }
 
 TEST(HeadAzimuth, IsTheHeadThatFired) {
@@ -47,10 +47,10 @@ TEST(HeadAzimuth, IsTheHeadThatFired) {
                         .origin_up_m = 0.3 * random.uniform(),
                         .origin_left_m = 0.1 * random.uniform() - 0.05};
         const double head = 2.0 * kPi * (random.uniform() - 0.5), range = 1.0 + 60.0 * random.uniform();
-        const BeamRay ray = beam_ray(beam, head);
-        EXPECT_NEAR(
-            std::remainder(head_azimuth(beam, ray.origin_m + range * ray.direction) - head, 2.0 * kPi), 0.0,
-            1e-12);
+        const BeamRay ray = compute_beam_ray(beam, head);
+        EXPECT_NEAR(std::remainder(compute_head_azimuth(beam, ray.origin_m + range * ray.direction) - head,
+                                   2.0 * kPi),
+                    0.0, 1e-12);
     }
 }
 

@@ -37,7 +37,7 @@ SpinningSensor spinning(const std::string& name) {
 }
 
 TEST(KnownSensors, EveryNameMakesRaysHighestBeamFirst) {
-    for (const std::string& name : sensor_names()) {
+    for (const std::string& name : list_sensor_names()) {
         const SensorModel model = find_sensor(name);
         EXPECT_EQ(model.name, name);
         EXPECT_FALSE(model.about.empty()) << name << " does not say where its figures are from";
@@ -50,7 +50,7 @@ TEST(KnownSensors, EveryNameMakesRaysHighestBeamFirst) {
         }
     }
     EXPECT_NEAR(spinning("VLP-16").beams[15].elevation_rad, -15 * kPi / 180, 1e-12);
-    EXPECT_EQ(make_rays(find_sensor("kitti360")).direction, make_rays(kitti360_grid()).direction);
+    EXPECT_EQ(make_rays(find_sensor("kitti360")).direction, make_rays(make_kitti360_grid()).direction);
 }
 
 /// Compares field of view and resolution of the sensor with its data sheet.

@@ -15,7 +15,7 @@ namespace relidar {
 namespace {
 
 TEST(RangeGrid, EveryPixelRayProjectsToItsOwnPixel) {
-    const RangeGrid grid = kitti360_grid();
+    const RangeGrid grid = make_kitti360_grid();
     const RayTable rays = make_rays(grid);
     ASSERT_EQ(rays.rows, 66);
     ASSERT_EQ(rays.columns, 1030);
@@ -27,7 +27,7 @@ TEST(RangeGrid, EveryPixelRayProjectsToItsOwnPixel) {
 }
 
 TEST(RangeGrid, BinsAreCentredOnTheRays) {
-    const RangeGrid grid = kitti360_grid();
+    const RangeGrid grid = make_kitti360_grid();
     const auto point = [](double row, double column) {
         const double el = (2.0 - row * 26.9 / 66) * kPi / 180,
                      az = (180.0 - column * 360.0 / 1030) * kPi / 180;
@@ -43,7 +43,7 @@ TEST(RangeGrid, BinsAreCentredOnTheRays) {
 }
 
 TEST(RangeGrid, NearestPointWinsAPixel) {
-    const RangeGrid grid = kitti360_grid();
+    const RangeGrid grid = make_kitti360_grid();
     const GridImage image =
         project_points(grid, {{20, 0, 0}, {10, 0, 0}, {15, 0, 0}, {0, 0, 5}}, {0.1f, 0.2f, 0.3f, 0.4f});
     const auto at = static_cast<std::size_t>(*project(grid, {10, 0, 0}));

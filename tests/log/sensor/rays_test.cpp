@@ -14,7 +14,7 @@
 namespace relidar {
 namespace {
 
-SpinningSensor two_beams() {
+SpinningSensor make_two_beams() {
     SpinningSensor sensor;
     sensor.name = "two";
     sensor.beams = {{.elevation_rad = 0.1}, {.elevation_rad = -0.3}};
@@ -23,10 +23,10 @@ SpinningSensor two_beams() {
     return sensor;
 }
 
-double azimuth(const glm::vec3& d) { return std::atan2(d.y, d.x); }
+double azimuth(const glm::vec3& direction) { return std::atan2(direction.y, direction.x); }
 
 TEST(Rays, ColumnsFallFromFirstAzimuthAndTimesFollowTheHead) {
-    const RayTable rays = make_rays(two_beams());
+    const RayTable rays = make_rays(make_two_beams());
     ASSERT_EQ(rays.size(), 16u);
     for (int c = 0; c < 8; ++c) {
         const double az = kPi - kPi / 8 - c * kPi / 4;
@@ -35,7 +35,7 @@ TEST(Rays, ColumnsFallFromFirstAzimuthAndTimesFollowTheHead) {
         EXPECT_NEAR(rays.time_offset_s[c], -az / (2 * kPi) * 0.1, 1e-8);
         EXPECT_EQ(rays.channel[8 + c], 1);
     }
-    SpinningSensor other = two_beams();
+    SpinningSensor other = make_two_beams();
     other.clockwise = false;
     EXPECT_NEAR(make_rays(other).time_offset_s[0], -rays.time_offset_s[0], 1e-9);
 }
@@ -44,7 +44,7 @@ TEST(Rays, OusterOriginsLieAlongTheHeadNotTheBeam) {
     // At theta = 0 the origin is (n, 0, 0), and the direction is at the azimuth offset
     // (Ouster's xyz formula with r = n).
     const BeamRay ray =
-        beam_ray({.elevation_rad = 0.2, .azimuth_offset_rad = 0.05, .origin_offset_m = 0.015}, 0.0);
+        compute_beam_ray({.elevation_rad = 0.2, .azimuth_offset_rad = 0.05, .origin_offset_m = 0.015}, 0.0);
     EXPECT_NEAR(glm::length(ray.origin_m - glm::dvec3(0.015, 0, 0)), 0.0, 1e-12);
     EXPECT_NEAR(std::atan2(ray.direction.y, ray.direction.x), 0.05, 1e-12);
 }
@@ -53,7 +53,7 @@ TEST(Rays, LiftedBeamsCrossTheAxisAtUpOverCosine) {
     const double el = -0.2, up = 0.12;
     for (const double head : {0.0, 1.0, -2.5}) {
         const BeamRay ray =
-            beam_ray({.elevation_rad = el, .azimuth_offset_rad = 0.1, .origin_up_m = up}, head);
+            compute_beam_ray({.elevation_rad = el, .azimuth_offset_rad = 0.1, .origin_up_m = up}, head);
         const double t = -(ray.origin_m.x * ray.direction.x + ray.origin_m.y * ray.direction.y) /
                          std::pow(std::cos(el), 2);
         const glm::dvec3 p = ray.origin_m + t * ray.direction;
@@ -62,12 +62,12 @@ TEST(Rays, LiftedBeamsCrossTheAxisAtUpOverCosine) {
         EXPECT_NEAR(glm::dot(ray.origin_m, ray.direction), 0.0, 1e-12);
         EXPECT_NEAR(glm::length(ray.origin_m), up, 1e-12);
     }
-    const BeamRay left = beam_ray({.azimuth_offset_rad = kPi / 2, .origin_left_m = 0.03}, 0.0);
+    const BeamRay left = compute_beam_ray({.azimuth_offset_rad = kPi / 2, .origin_left_m = 0.03}, 0.0);
     EXPECT_NEAR(left.origin_m.x, -0.03, 1e-12);  // the beam points along +y, so its left is -x
 }
 
 TEST(Rays, OffsetBeamsAreMovedByWholeColumns) {
-    SpinningSensor sensor = two_beams();
+    SpinningSensor sensor = make_two_beams();
     sensor.columns = 360;
     sensor.first_azimuth_rad = kPi - kPi / 360;
     sensor.beams[1].azimuth_offset_rad = 7.3 * kPi / 180;
@@ -81,13 +81,13 @@ TEST(Rays, OffsetBeamsAreMovedByWholeColumns) {
 }
 
 TEST(Rays, ImpossibleSensorsAreRefused) {
-    SpinningSensor sensor = two_beams();
+    SpinningSensor sensor = make_two_beams();
     sensor.beams.clear();
     EXPECT_THROW(make_rays(sensor), UsageError);
-    sensor = two_beams();
+    sensor = make_two_beams();
     sensor.columns = 0;
     EXPECT_THROW(make_rays(sensor), UsageError);
-    sensor = two_beams();
+    sensor = make_two_beams();
     sensor.beams[1].origin_up_m = std::numeric_limits<double>::quiet_NaN();
     EXPECT_THROW(make_rays(sensor), UsageError);
 }

@@ -39,7 +39,7 @@ void run_in_child_process(const Checks& checks) {
 }
 
 /// Returns the anonymous memory of the process in bytes.
-std::uint64_t anonymous_bytes() {
+std::uint64_t measure_anonymous_bytes() {
     std::ifstream status("/proc/self/status");
     for (std::string line; std::getline(status, line);)
         if (line.starts_with("RssAnon:")) return 1024 * std::stoull(line.substr(8));
@@ -49,8 +49,8 @@ std::uint64_t anonymous_bytes() {
 TEST(ScanMemory, IsUnlimitedUntilItIsLimited) {
     run_in_child_process([] {
         const ScanArray<float> array(1 << 20, 1.0f);
-        EXPECT_EQ(scan_memory_use().in_memory, 4u << 20);
-        EXPECT_EQ(scan_memory_use().in_file, 0u);
+        EXPECT_EQ(get_scan_memory_use().in_memory, 4u << 20);
+        EXPECT_EQ(get_scan_memory_use().in_file, 0u);
     });
 }
 
@@ -58,14 +58,14 @@ TEST(ScanMemory, ProcessesOfAMachineShareTheDefault) {
     run_in_child_process([] {
         limit_scan_memory(0, fs::temp_directory_path());
         const ScanArray<float> alone(1 << 18, 1.0f);
-        EXPECT_EQ(scan_memory_use().in_file, 0u);
+        EXPECT_EQ(get_scan_memory_use().in_file, 0u);
         share_scan_memory(10'000'000);  // each may use some kilobytes
         limit_scan_memory(0, fs::temp_directory_path());
         const ScanArray<float> one_of_many(1 << 18, 1.0f);
-        EXPECT_EQ(scan_memory_use().in_file, 1u << 20);
+        EXPECT_EQ(get_scan_memory_use().in_file, 1u << 20);
         limit_scan_memory(8 << 20, fs::temp_directory_path());
         const ScanArray<float> as_told(1 << 18, 1.0f);
-        EXPECT_EQ(scan_memory_use().in_file, 1u << 20) << "what a setting gives is each process's own";
+        EXPECT_EQ(get_scan_memory_use().in_file, 1u << 20) << "what a setting gives is each process's own";
     });
 }
 
@@ -94,13 +94,13 @@ TEST(ScanMemory, KeepsWhatIsWrittenWhereverItLies) {
             for (std::size_t i = 0; i < arrays[k].size(); ++i) ASSERT_EQ(arrays[k][i], first[k] + i);
             bytes += arrays[k].size() * sizeof(std::uint32_t);
         }
-        const ScanMemoryUse use = scan_memory_use();
+        const ScanMemoryUse use = get_scan_memory_use();
         EXPECT_LE(use.in_memory, 3u << 20);
         EXPECT_GT(use.in_file, bytes / 2);
         EXPECT_LT(use.in_memory + use.in_file, bytes + arrays.size() * 65536);
         arrays.clear();
-        EXPECT_EQ(scan_memory_use().in_memory, 0u);
-        EXPECT_EQ(scan_memory_use().in_file, 0u);
+        EXPECT_EQ(get_scan_memory_use().in_memory, 0u);
+        EXPECT_EQ(get_scan_memory_use().in_file, 0u);
     });
 }
 
@@ -116,7 +116,7 @@ TEST(ScanMemory, ServesSeveralThreads) {
                 }
             });
         for (std::thread& thread : threads) thread.join();
-        EXPECT_EQ(scan_memory_use().in_file, 0u);
+        EXPECT_EQ(get_scan_memory_use().in_file, 0u);
     });
 }
 
@@ -126,12 +126,12 @@ TEST(ScanMemory, ALogThatDoesNotFitIsTheSame) {
     run_in_child_process([] {
         const SyntheticOptions street{.n_frames = 40, .rows = 32, .columns = 512};
         const Sequence whole = make_synthetic_street(street);  // 29 MB
-        const std::uint64_t of_scans = scan_memory_use().in_memory, before = anonymous_bytes();
+        const std::uint64_t of_scans = get_scan_memory_use().in_memory, before = measure_anonymous_bytes();
         EXPECT_GT(of_scans, 20u << 20);
         limit_scan_memory(1 << 20, fs::temp_directory_path());
         const Sequence log = make_synthetic_street(street);
-        EXPECT_GT(scan_memory_use().in_file, of_scans * 9 / 10);
-        EXPECT_LT(anonymous_bytes(), before + of_scans / 2);
+        EXPECT_GT(get_scan_memory_use().in_file, of_scans * 9 / 10);
+        EXPECT_LT(measure_anonymous_bytes(), before + of_scans / 2);
         for (std::size_t k = 0; k < log.frames.size(); ++k) {
             const Scan &a = whole.frames[k].scan, &b = log.frames[k].scan;
             EXPECT_TRUE(a.range_m == b.range_m && a.intensity == b.intensity &&
@@ -158,7 +158,7 @@ TEST(ScanMemory, AFolderThatCannotTakeThemIsNamed) {
         EXPECT_THAT(error_message<DataError>([&] { arrays.emplace_back(3 << 20, 2.0f); }),
                     testing::HasSubstr("File too large"));
         EXPECT_EQ(arrays.size(), 1u);
-        EXPECT_EQ(scan_memory_use().in_file, 4u << 20)
+        EXPECT_EQ(get_scan_memory_use().in_file, 4u << 20)
             << "what was there stays, what did not fit takes nothing";
         EXPECT_EQ(arrays[0].back(), 1.0f);
     });

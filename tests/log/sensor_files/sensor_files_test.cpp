@@ -104,9 +104,9 @@ TEST(SensorFiles, BeamsMayDivergeEachByItself) {
         ASSERT_EQ(rays.ray_divergence_rad.size(), 3u) << file;
         for (std::size_t i = 0; i < 3; ++i) {
             EXPECT_FLOAT_EQ(rays.ray_divergence_rad[i], divergence[i]) << file << " " << i;
-            EXPECT_EQ(rays.divergence_of(i), double(rays.ray_divergence_rad[i]));
+            EXPECT_EQ(rays.compute_divergence(i), double(rays.ray_divergence_rad[i]));
         }
-        EXPECT_FLOAT_EQ(float(rays.largest_divergence()), 2e-3f);
+        EXPECT_FLOAT_EQ(float(rays.find_largest_divergence()), 2e-3f);
     }
     const RayTable alike = make_rays(find_sensor(npz("alike.npz", same)));
     EXPECT_TRUE(alike.ray_divergence_rad.empty()) << "one number where all have the same";
@@ -129,8 +129,8 @@ TEST(SensorFiles, BeamsMayDivergeEachByItself) {
 /// Computes a point with the equation of Ouster's manual, in the sensor's frame without
 /// its height.
 /// @param m column, of w columns; the range is measured from the axis
-glm::dvec3 ouster_point(double range_m, double offset_m, double altitude_deg, double azimuth_deg, int m,
-                        int w) {
+glm::dvec3 compute_ouster_point(double range_m, double offset_m, double altitude_deg, double azimuth_deg,
+                                int m, int w) {
     const double encoder = 2.0 * kPi * (1.0 - double(m) / w), azimuth = -azimuth_deg * kPi / 180.0,
                  altitude = altitude_deg * kPi / 180.0;
     const double r = range_m - offset_m;
@@ -161,9 +161,9 @@ TEST(SensorFiles, OustersMetadataMakesOustersPoints) {
         for (int beam = 0; beam < 3; ++beam) {
             for (const int m : {0, 1, 100, 511}) {
                 const double head = spinning.first_azimuth_rad - 2.0 * kPi * m / 512.0;
-                const BeamRay ray = beam_ray(spinning.beams[std::size_t(beam)], head);
+                const BeamRay ray = compute_beam_ray(spinning.beams[std::size_t(beam)], head);
                 const glm::dvec3 expected =
-                    ouster_point(30.0, offset_m, altitude[beam], azimuth[beam], m, 512);
+                    compute_ouster_point(30.0, offset_m, altitude[beam], azimuth[beam], m, 512);
                 EXPECT_LT(glm::length(ray.origin_m + (30.0 - offset_m) * ray.direction - expected), 1e-9)
                     << beam << " " << m;
             }

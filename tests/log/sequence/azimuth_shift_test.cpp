@@ -31,31 +31,32 @@ SpinningSensor sensor() {
 /// Returns the azimuth error of a firing. It is a parabola from 3 mrad at the first
 /// firing to -5 mrad at the last firing. An error within packets of seven firings is
 /// added.
-double unevenness(int firing) {
+double compute_unevenness(int firing) {
     const double x = double(firing) / kColumns;
     return 3e-3 - 4e-3 * x - 4e-3 * x * x + 4e-4 * (firing % 7 - 3);
 }
 
-glm::vec3 turned(const glm::vec3& v, double angle) {
+glm::vec3 rotate_vector(const glm::vec3& vector, double angle) {
     const double c = std::cos(angle), s = std::sin(angle);
-    return {float(c * v.x - s * v.y), float(s * v.x + c * v.y), v.z};
+    return {float(c * vector.x - s * vector.y), float(s * vector.x + c * vector.y), vector.z};
 }
 
-int firing_of(const SpinningSensor& sensor, std::size_t ray) {
+int get_firing(const SpinningSensor& sensor, std::size_t ray) {
     const int row = int(ray) / kColumns, column = int(ray) % kColumns;
-    return (column + column_shift(sensor.beams[std::size_t(row)], kColumns) + kColumns) % kColumns;
+    return (column + compute_column_shift(sensor.beams[std::size_t(row)], kColumns) + kColumns) % kColumns;
 }
 
 /// Makes a sweep with uneven rotation. Each ray has an error of up to 0.02 mrad, and only
 /// a share of the rays has a return.
-Scan uneven_scan(double share, unsigned seed) {
+Scan make_uneven_scan(double share, unsigned seed) {
     std::mt19937 random(seed);
     std::uniform_real_distribution<double> unit(0.0, 1.0);
     Scan scan;
     scan.rays = make_rays(sensor());
     for (std::size_t i = 0; i < scan.rays.size(); ++i) {
-        scan.rays.direction[i] = turned(
-            scan.rays.direction[i], unevenness(firing_of(sensor(), i)) + 2e-5 * (2.0 * unit(random) - 1.0));
+        scan.rays.direction[i] =
+            rotate_vector(scan.rays.direction[i],
+                          compute_unevenness(get_firing(sensor(), i)) + 2e-5 * (2.0 * unit(random) - 1.0));
         scan.range_m.push_back(unit(random) < share ? 20.0f : 0.0f);
         scan.intensity.push_back(0.0f);
     }
@@ -67,31 +68,31 @@ std::vector<float> shift_of(const Scan& scan) {
 }
 
 /// Returns the largest angle between corresponding rays of two tables.
-double worst_angle(const RayTable& a, const RayTable& b) {
+double compute_worst_angle(const RayTable& first, const RayTable& second) {
     double worst = 0.0;
-    for (std::size_t i = 0; i < a.size(); ++i)
-        worst = std::max(worst, double(glm::length(a.direction[i] - b.direction[i])));
+    for (std::size_t i = 0; i < first.size(); ++i)
+        worst = std::max(worst, double(glm::length(first.direction[i] - second.direction[i])));
     return worst;
 }
 
 TEST(AzimuthShift, IsFoundAndPutBackOn) {
     const RayTable nominal = make_rays(sensor());
     for (const double share : {1.0, 0.6}) {
-        const Scan scan = uneven_scan(share, 3);
+        const Scan scan = make_uneven_scan(share, 3);
         const std::vector<float> shift_rad = shift_of(scan);
         ASSERT_EQ(shift_rad.size(), std::size_t(kColumns));
-        EXPECT_GT(worst_angle(nominal, scan.rays), 5e-3);
-        EXPECT_LT(worst_angle(shifted_azimuths(nominal, sensor(), shift_rad), scan.rays), 5e-5)
+        EXPECT_GT(compute_worst_angle(nominal, scan.rays), 5e-3);
+        EXPECT_LT(compute_worst_angle(shift_azimuths(nominal, sensor(), shift_rad), scan.rays), 5e-5)
             << "each ray's own 0.02 mrad, twice";
     }
 }
 
 TEST(AzimuthShift, TurnsOriginsAlong) {
     const RayTable nominal = make_rays(sensor());
-    const RayTable uneven = shifted_azimuths(nominal, sensor(), std::vector<float>(kColumns, 0.01f));
+    const RayTable uneven = shift_azimuths(nominal, sensor(), std::vector<float>(kColumns, 0.01f));
     for (std::size_t i = 0; i < nominal.size(); ++i) {
-        ASSERT_LT(glm::length(uneven.origin[i] - turned(nominal.origin[i], 0.01)), 1e-8f);
-        ASSERT_LT(glm::length(uneven.direction[i] - turned(nominal.direction[i], 0.01)), 1e-6f);
+        ASSERT_LT(glm::length(uneven.origin[i] - rotate_vector(nominal.origin[i], 0.01)), 1e-8f);
+        ASSERT_LT(glm::length(uneven.direction[i] - rotate_vector(nominal.direction[i], 0.01)), 1e-6f);
         ASSERT_EQ(uneven.time_offset_s[i], nominal.time_offset_s[i]);
     }
 }
@@ -99,7 +100,7 @@ TEST(AzimuthShift, TurnsOriginsAlong) {
 /// A pane of glass removes the returns of half of the beams in some columns. The azimuths
 /// that are estimated from the remaining beams must not reveal which rays were dropped.
 TEST(AzimuthShift, SaysNothingOfWhichRaysWereDropped) {
-    Scan scan = uneven_scan(1.0, 5);
+    Scan scan = make_uneven_scan(1.0, 5);
     const std::vector<float> before = shift_of(scan);
     for (std::size_t i = 0; i < scan.rays.size(); ++i)
         if (i / kColumns < 8 && i % kColumns > 500 && i % kColumns < 540) scan.range_m[i] = 0.0f;
@@ -110,10 +111,10 @@ TEST(AzimuthShift, SaysNothingOfWhichRaysWereDropped) {
 }
 
 TEST(AzimuthShift, FiringsWithoutReturnsAreBetweenTheirNeighbours) {
-    Scan scan = uneven_scan(1.0, 7);
+    Scan scan = make_uneven_scan(1.0, 7);
     const auto hide = [&](int first, int end) {
         for (std::size_t i = 0; i < scan.rays.size(); ++i)
-            if (const int firing = firing_of(sensor(), i); firing >= first && firing < end)
+            if (const int firing = get_firing(sensor(), i); firing >= first && firing < end)
                 scan.range_m[i] = 0.0f;
     };
     hide(0, 10), hide(300, 321), hide(1000, kColumns);
@@ -129,20 +130,20 @@ TEST(AzimuthShift, FiringsWithoutReturnsAreBetweenTheirNeighbours) {
 
 TEST(AzimuthShift, IsNotThereWhereNothingSaysIt) {
     const RayTable nominal = make_rays(sensor());
-    Scan even = uneven_scan(1.0, 1);
+    Scan even = make_uneven_scan(1.0, 1);
     even.rays = nominal;
     EXPECT_TRUE(shift_of(even).empty()) << "where it nominally is";
-    EXPECT_TRUE(shift_of(uneven_scan(0.0, 1)).empty()) << "no returns";
-    EXPECT_TRUE(find_azimuth_shift(uneven_scan(1.0, 1), sensor(), {}).empty()) << "no nominal rays";
-    Scan other = uneven_scan(1.0, 1);
+    EXPECT_TRUE(shift_of(make_uneven_scan(0.0, 1)).empty()) << "no returns";
+    EXPECT_TRUE(find_azimuth_shift(make_uneven_scan(1.0, 1), sensor(), {}).empty()) << "no nominal rays";
+    Scan other = make_uneven_scan(1.0, 1);
     other.rays.rows = 8, other.rays.columns = 2 * kColumns;
     EXPECT_TRUE(shift_of(other).empty()) << "another order";
-    Scan apart = uneven_scan(1.0, 1);
+    Scan apart = make_uneven_scan(1.0, 1);
     for (std::size_t i = 0; i < apart.rays.size(); ++i)
         apart.rays.direction[i] =
-            turned(apart.rays.direction[i], double(i / kColumns % 5) * 0.4 * kColumn_rad);
+            rotate_vector(apart.rays.direction[i], double(i / kColumns % 5) * 0.4 * kColumn_rad);
     EXPECT_TRUE(shift_of(apart).empty()) << "beams that do not turn together";
-    EXPECT_EQ(worst_angle(shifted_azimuths(nominal, sensor(), {}), nominal), 0.0);
+    EXPECT_EQ(compute_worst_angle(shift_azimuths(nominal, sensor(), {}), nominal), 0.0);
 }
 
 }  // namespace

@@ -12,11 +12,11 @@ namespace relidar {
 namespace {
 
 /// Returns deterministic noise in -1..1.
-double noise(std::uint64_t k) { return std::fmod(std::sin(double(k) * 12.9898) * 43758.5453, 1.0); }
+double noise(std::uint64_t index) { return std::fmod(std::sin(double(index) * 12.9898) * 43758.5453, 1.0); }
 
 /// Returns the brightness of the ground: a checkerboard of 0.5 m tiles.
-double brightness(const glm::dvec3& p) {
-    return (int(std::floor(p.x * 2.0)) + int(std::floor(p.y * 2.0))) % 2 == 0 ? 0.3 : 0.6;
+double compute_brightness(const glm::dvec3& point) {
+    return (int(std::floor(point.x * 2.0)) + int(std::floor(point.y * 2.0))) % 2 == 0 ? 0.3 : 0.6;
 }
 
 /// Makes a log of a sensor with n beams 2 m above a plane. The sensor looks down while it
@@ -35,7 +35,7 @@ Sequence drive(const std::vector<Beam>& beams, double noise_size) {
             const glm::dvec3 d(frame.scan.rays.direction[i]);
             const double range = -2.0 / d.z;
             const Beam& beam = beams[frame.scan.rays.channel[i]];
-            const double value = beam.intensity_gain * brightness(pose.translation + range * d) +
+            const double value = beam.intensity_gain * compute_brightness(pose.translation + range * d) +
                                  beam.intensity_offset + noise_size * noise(++k);
             frame.scan.range_m.push_back(float(range));
             frame.scan.intensity.push_back(float(value));
@@ -49,7 +49,7 @@ Sequence drive(const std::vector<Beam>& beams, double noise_size) {
 
 const std::vector<int> kAll{0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11};
 
-std::vector<Beam> unequal_beams() {
+std::vector<Beam> make_unequal_beams() {
     std::vector<Beam> beams(8);
     double gain = 0.0, offset = 0.0;
     for (std::size_t b = 0; b < beams.size(); ++b) {
@@ -67,7 +67,7 @@ std::vector<Beam> unequal_beams() {
 }
 
 TEST(IntensityResponse, ComesBackFromSharedPlaces) {
-    const std::vector<Beam> truth = unequal_beams();
+    const std::vector<Beam> truth = make_unequal_beams();
     Sequence sequence = drive(truth, 0.01);
     const IntensityCalibration calibration = calibrate_intensity(sequence, kAll);
     ASSERT_GT(calibration.returns, 2000u);
@@ -93,7 +93,7 @@ TEST(IntensityResponse, ComesBackFromSharedPlaces) {
 }
 
 TEST(IntensityResponse, EqualLasersStayEqual) {
-    std::vector<Beam> beams = unequal_beams();
+    std::vector<Beam> beams = make_unequal_beams();
     for (Beam& beam : beams) beam.intensity_gain = 1.0, beam.intensity_offset = 0.0;
     Sequence sequence = drive(beams, 0.02);
     calibrate_intensity(sequence, kAll);
@@ -149,7 +149,7 @@ TEST(IntensityResponse, FallAndLasersAreToldApart) {
 }
 
 TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
-    Sequence original = drive(unequal_beams(), 0.01), changed = original;
+    Sequence original = drive(make_unequal_beams(), 0.01), changed = original;
     for (float& value : changed.frames[5].scan.intensity) value = 0.9f;
     const std::vector<int> without{0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11};
     calibrate_intensity(original, without);
@@ -163,25 +163,25 @@ TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
 }
 
 TEST(IntensityResponse, NothingSharedLeavesTheSensorAlone) {
-    Sequence sequence = drive(unequal_beams(), 0.0);
+    Sequence sequence = drive(make_unequal_beams(), 0.0);
     const IntensityCalibration calibration = calibrate_intensity(sequence, {});
     EXPECT_EQ(calibration.returns, 0u);
     for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
 }
 
 TEST(IntensityResponse, SurfaceIntensityUndoesTheResponse) {
-    Sequence sequence = drive(unequal_beams(), 0.0);
+    Sequence sequence = drive(make_unequal_beams(), 0.0);
     const Frame& frame = sequence.frames[3];
     for (std::size_t i = 0; i < frame.scan.range_m.size(); i += 7) {
-        const WorldReturn w = world_return(sequence, frame, i);
-        EXPECT_NEAR(w.intensity, surface_return(sequence, frame, i).intensity, 0.0);
+        const WorldReturn w = compute_world_return(sequence, frame, i);
+        EXPECT_NEAR(w.intensity, compute_surface_return(sequence, frame, i).intensity, 0.0);
         const Beam& beam = sequence.lidars[0].sensor.beams[frame.scan.rays.channel[i]];
         EXPECT_NEAR(beam.intensity_gain * double(w.intensity) + beam.intensity_offset,
                     double(frame.scan.intensity[i]), 1e-6);
     }
-    const float near_by = surface_return(sequence, frame, 3).intensity;
+    const float near_by = compute_surface_return(sequence, frame, 3).intensity;
     sequence.intensity_response = {{0.0, 100.0}, {0.5, 0.5}, 0.0};
-    EXPECT_NEAR(surface_return(sequence, frame, 3).intensity, 2.0f * near_by, 1e-6f)
+    EXPECT_NEAR(compute_surface_return(sequence, frame, 3).intensity, 2.0f * near_by, 1e-6f)
         << "what falls to half was twice as bright";
 }
 

@@ -15,16 +15,17 @@ const std::vector<double> kOffsets_m{0.05, -0.03, 0.02, -0.06, 0.01, 0.04, -0.05
 
 /// Returns the range of a ray in a street with a ground plane, a wall on each side, and
 /// square posts. The posts provide surfaces across the street.
-double cast(const glm::dvec3& o, const glm::dvec3& d) {
+double cast(const glm::dvec3& o, const glm::dvec3& direction) {
     double nearest = 1e9;
     const auto plane = [&](int axis, double at, auto&& on) {
-        const double t = (at - o[axis]) / d[axis];
-        if (t > 0.1 && t < nearest && on(o + t * d)) nearest = t;
+        const double t = (at - o[axis]) / direction[axis];
+        if (t > 0.1 && t < nearest && on(o + t * direction)) nearest = t;
     };
     plane(2, 0.0, [](const glm::dvec3&) { return true; });
-    for (const double side : {-4.0, 5.0}) plane(1, side, [](const glm::dvec3& p) { return p.z < 6.0; });
+    for (const double side : {-4.0, 5.0})
+        plane(1, side, [](const glm::dvec3& point) { return point.z < 6.0; });
     for (int k = -4; k < 8; ++k)
-        plane(0, 5.0 * k, [](const glm::dvec3& p) { return p.y > 3.0 || p.y < -2.5; });
+        plane(0, 5.0 * k, [](const glm::dvec3& point) { return point.y > 3.0 || point.y < -2.5; });
     return nearest;
 }
 
@@ -90,8 +91,9 @@ TEST(RangeOffset, ReturnsComeFromWhereTheSurfaceIs) {
     const Frame& frame = sequence.frames[2];
     for (std::size_t i = 0; i < frame.scan.range_m.size(); i += 13) {
         if (!(frame.scan.range_m[i] > 0.0f)) continue;
-        const WorldRay ray = world_ray(sequence.world_from_vehicle, frame.time_s, frame.scan.rays, i, false);
-        EXPECT_NEAR(glm::distance(world_return(sequence, frame, i).point_m, ray.origin_m),
+        const WorldRay ray =
+            make_world_ray(sequence.world_from_vehicle, frame.time_s, frame.scan.rays, i, false);
+        EXPECT_NEAR(glm::distance(compute_world_return(sequence, frame, i).point_m, ray.origin_m),
                     cast(ray.origin_m, ray.direction), 0.006);
     }
 }

@@ -14,39 +14,43 @@
 namespace relidar {
 namespace {
 
-Pose turned(double yaw, const glm::dvec3& t) { return {glm::angleAxis(yaw, glm::dvec3(0, 0, 1)), t}; }
+Pose make_turned_pose(double yaw, const glm::dvec3& t) {
+    return {glm::angleAxis(yaw, glm::dvec3(0, 0, 1)), t};
+}
 
-double yaw_of(const Pose& pose) {
+double get_yaw(const Pose& pose) {
     const glm::dvec3 x = pose.rotation * glm::dvec3(1, 0, 0);
     return std::atan2(x.y, x.x);
 }
 
 TEST(PoseTrack, InterpolatesAndContinuesAtTheEnds) {
     const PoseTrack track{{0.0, 1.0, 3.0},
-                          {turned(0.0, {0, 0, 0}), turned(0.2, {1, 0, 0}), turned(0.2, {1, 4, 0})}};
+                          {make_turned_pose(0.0, {0, 0, 0}), make_turned_pose(0.2, {1, 0, 0}),
+                           make_turned_pose(0.2, {1, 4, 0})}};
     EXPECT_NEAR(track.at(0.5).translation.x, 0.5, 1e-12);
-    EXPECT_NEAR(yaw_of(track.at(0.5)), 0.1, 1e-9);
+    EXPECT_NEAR(get_yaw(track.at(0.5)), 0.1, 1e-9);
     EXPECT_NEAR(track.at(2.0).translation.y, 2.0, 1e-12);
     EXPECT_NEAR(track.at(-0.5).translation.x, -0.5, 1e-12);
-    EXPECT_NEAR(yaw_of(track.at(-0.5)), -0.1, 1e-9);
+    EXPECT_NEAR(get_yaw(track.at(-0.5)), -0.1, 1e-9);
     EXPECT_NEAR(track.at(3.5).translation.y, 5.0, 1e-12);
     EXPECT_THROW(PoseTrack{}.at(0.0), DataError);
-    const PoseTrack one{{2.0}, {turned(0.3, {1, 2, 3})}};
+    const PoseTrack one{{2.0}, {make_turned_pose(0.3, {1, 2, 3})}};
     EXPECT_NEAR(one.at(7.0).translation.z, 3.0, 1e-12);
 }
 
 TEST(PoseTrack, WhatIsMountedGoesRoundBendsOfFineTurns) {
-    const PoseTrack track{
-        {0.0, 1.0, 1.5, 3.0},
-        {turned(0.0, {0, 0, 0}), turned(0.8, {1, 0, 0}), turned(0.8, {2, 0, 1}), turned(-0.4, {1, 4, 0})}};
-    const PoseTrack fine = with_fine_turns(track);
-    const Pose mounted = turned(0.3, {2, 1, 0.5});
-    const PoseTrack coarse_ride = mounted_track(track, mounted), ride = mounted_track(fine, mounted);
+    const PoseTrack track{{0.0, 1.0, 1.5, 3.0},
+                          {make_turned_pose(0.0, {0, 0, 0}), make_turned_pose(0.8, {1, 0, 0}),
+                           make_turned_pose(0.8, {2, 0, 1}), make_turned_pose(-0.4, {1, 4, 0})}};
+    const PoseTrack fine = refine_turns(track);
+    const Pose mounted = make_turned_pose(0.3, {2, 1, 0.5});
+    const PoseTrack coarse_ride = make_mounted_track(track, mounted),
+                    ride = make_mounted_track(fine, mounted);
     double largest_m = 0.0, coarse_m = 0.0;
     for (double t = 0.0; t <= 3.0; t += 0.01) {
         EXPECT_LT(glm::distance(fine.at(t).translation, track.at(t).translation), 1e-12)
             << "the same path at " << t;
-        EXPECT_NEAR(yaw_of(fine.at(t)), yaw_of(track.at(t)), 1e-9);
+        EXPECT_NEAR(get_yaw(fine.at(t)), get_yaw(track.at(t)), 1e-9);
         const glm::dvec3 truth = (track.at(t) * mounted).translation;
         largest_m = std::max(largest_m, glm::distance(ride.at(t).translation, truth));
         coarse_m = std::max(coarse_m, glm::distance(coarse_ride.at(t).translation, truth));
@@ -54,21 +58,28 @@ TEST(PoseTrack, WhatIsMountedGoesRoundBendsOfFineTurns) {
     EXPECT_LT(largest_m, 1e-5);
     EXPECT_GT(coarse_m, 0.1) << "along chords";
     EXPECT_EQ(fine.time_s.size(), fine.pose.size());
-    EXPECT_TRUE(with_fine_turns({}).pose.empty());
-    EXPECT_EQ(with_fine_turns({{0.0, 1.0}, {turned(0.2, {0, 0, 0}), turned(0.2, {9, 0, 0})}}).pose.size(), 2u)
+    EXPECT_TRUE(refine_turns({}).pose.empty());
+    EXPECT_EQ(refine_turns({{0.0, 1.0}, {make_turned_pose(0.2, {0, 0, 0}), make_turned_pose(0.2, {9, 0, 0})}})
+                  .pose.size(),
+              2u)
         << "straight on needs none";
 }
 
 TEST(SensorPoses, BoxesStayWhereTheSensorSawThem) {
-    const auto turned = [](double angle, const glm::dvec3& t) {
+    const auto make_turned_pose = [](double angle, const glm::dvec3& t) {
         return Pose{glm::angleAxis(angle, glm::normalize(glm::dvec3(1, 2, 3))), t};
     };
     Sequence log;
-    log.world_from_vehicle = {{0.0, 1.0}, {turned(0.1, {0, 0, 0}), turned(0.3, {8, 1, 0})}};
+    log.world_from_vehicle = {{0.0, 1.0},
+                              {make_turned_pose(0.1, {0, 0, 0}), make_turned_pose(0.3, {8, 1, 0})}};
     log.boxes.push_back(
-        {"0", "Car", {4, 2, 1.5}, {{0.25, 1.0}, {turned(0.7, {10, 3, 0}), turned(0.9, {15, 3, 1})}}});
+        {"0",
+         "Car",
+         {4, 2, 1.5},
+         {{0.25, 1.0}, {make_turned_pose(0.7, {10, 3, 0}), make_turned_pose(0.9, {15, 3, 1})}}});
     const Sequence before = log;
-    const PoseTrack track{{0.0, 1.0}, {turned(0.2, {0.3, -0.2, 0.1}), turned(0.25, {8.1, 1.4, 0.2})}};
+    const PoseTrack track{{0.0, 1.0},
+                          {make_turned_pose(0.2, {0.3, -0.2, 0.1}), make_turned_pose(0.25, {8.1, 1.4, 0.2})}};
     set_vehicle_poses(log, track);
     EXPECT_EQ(log.world_from_vehicle.pose[1].translation, track.pose[1].translation);
     for (std::size_t k = 0; k < 2; ++k) {
@@ -84,13 +95,13 @@ TEST(SensorPoses, BoxesStayWhereTheSensorSawThem) {
 }
 
 TEST(WorldRay, UsesThePoseAtTheRaysOwnTime) {
-    const PoseTrack track{{0.0, 1.0}, {turned(0.0, {0, 0, 0}), turned(0.0, {10, 0, 0})}};
+    const PoseTrack track{{0.0, 1.0}, {make_turned_pose(0.0, {0, 0, 0}), make_turned_pose(0.0, {10, 0, 0})}};
     RayTable rays;
     rays.origin = {{0, 0, 0.2f}};
     rays.direction = {{0, 1, 0}};
     rays.time_offset_s = {0.05f};
-    const WorldRay rolling = world_ray(track, 0.5, rays, 0, true),
-                   global = world_ray(track, 0.5, rays, 0, false);
+    const WorldRay rolling = make_world_ray(track, 0.5, rays, 0, true),
+                   global = make_world_ray(track, 0.5, rays, 0, false);
     EXPECT_NEAR(rolling.origin_m.x, 5.5, 1e-6);
     EXPECT_NEAR(global.origin_m.x, 5.0, 1e-12);
     EXPECT_NEAR(rolling.origin_m.z, 0.2, 1e-6);
@@ -105,14 +116,15 @@ TEST(Scan, PointsAndReturns) {
     EXPECT_EQ(scan.point(0), glm::vec3(3, 0, 1));
 }
 
-/// Makes a car with n labels at intervals of step_s. The labels vary by 9 cm, as in
+/// Makes a car with `count` labels at intervals of step_s. The labels vary by 9 cm, as in
 /// KITTI.
-BoxTrack driven(int n, double speed_mps, double step_s = 0.1) {
+BoxTrack driven(int count, double speed_mps, double step_s = 0.1) {
     BoxTrack box;
     box.size_m = {4.4, 1.8, 1.6};
-    for (int i = 0; i < n; ++i) {
+    for (int i = 0; i < count; ++i) {
         box.world_from_box.time_s.push_back(step_s * i);
-        box.world_from_box.pose.push_back(turned(0.0, {step_s * i * speed_mps, i % 2 ? 0.045 : -0.045, 0}));
+        box.world_from_box.pose.push_back(
+            make_turned_pose(0.0, {step_s * i * speed_mps, i % 2 ? 0.045 : -0.045, 0}));
     }
     return box;
 }
@@ -145,7 +157,8 @@ TEST(MovingBox, IsNoneThatJittersHoweverOftenItIsLabelled) {
         const int n = 2 + things % 12;
         for (int k = 0; k < n; ++k) {
             keyframes.time_s.push_back(0.5 * k);
-            keyframes.pose.push_back(turned(0.3, {10.0 + off(random), 5.0 + off(random), off(random)}));
+            keyframes.pose.push_back(
+                make_turned_pose(0.3, {10.0 + off(random), 5.0 + off(random), off(random)}));
         }
         BoxTrack parked{"p", "car", {4.4, 1.8, 1.6}, {}}, driving = parked;
         for (int i = 0; i <= 10 * (n - 1); ++i) {
@@ -163,27 +176,27 @@ TEST(MovingBox, IsNoneThatJittersHoweverOftenItIsLabelled) {
 TEST(MovingBox, OnlyMovingBoxesAtTheirTimes) {
     BoxTrack car;
     car.size_m = {4, 2, 1.5};
-    car.world_from_box = {
-        {0.0, 0.1, 0.2},
-        {turned(kPi / 2, {0, 0, 0}), turned(kPi / 2, {0, 1, 0}), turned(kPi / 2, {0, 2, 0})}};
+    car.world_from_box = {{0.0, 0.1, 0.2},
+                          {make_turned_pose(kPi / 2, {0, 0, 0}), make_turned_pose(kPi / 2, {0, 1, 0}),
+                           make_turned_pose(kPi / 2, {0, 2, 0})}};
     // The length is along y: centre 0.5, half size 2.
-    EXPECT_TRUE(in_moving_box({car}, {0.9, 2.4, 0.0}, 0.05, 0.0));
-    EXPECT_FALSE(in_moving_box({car}, {1.1, 2.4, 0.0}, 0.05, 0.0));
-    EXPECT_TRUE(in_moving_box({car}, {1.1, 2.4, 0.0}, 0.05, 0.2));
+    EXPECT_TRUE(is_in_moving_box({car}, {0.9, 2.4, 0.0}, 0.05, 0.0));
+    EXPECT_FALSE(is_in_moving_box({car}, {1.1, 2.4, 0.0}, 0.05, 0.0));
+    EXPECT_TRUE(is_in_moving_box({car}, {1.1, 2.4, 0.0}, 0.05, 0.2));
     BoxTrack parked = car;
     for (Pose& pose : parked.world_from_box.pose) pose.translation = {};
-    EXPECT_FALSE(in_moving_box({parked}, {0.0, 0.5, 0.0}, 0.05, 0.0));
-    EXPECT_TRUE(in_moving_box({car}, {0.0, 0.0, 0.0}, -0.04, 0.0));  // the sweep of the first label
-    EXPECT_FALSE(in_moving_box({car}, {0.0, 0.0, 0.0}, -0.06, 0.0));
+    EXPECT_FALSE(is_in_moving_box({parked}, {0.0, 0.5, 0.0}, 0.05, 0.0));
+    EXPECT_TRUE(is_in_moving_box({car}, {0.0, 0.0, 0.0}, -0.04, 0.0));  // the sweep of the first label
+    EXPECT_FALSE(is_in_moving_box({car}, {0.0, 0.0, 0.0}, -0.06, 0.0));
 }
 
 /// Makes rays of a uniformly rotating sensor. The rays start at an azimuth and a time and
 /// cover half a turn or more.
-RayTable turning_rays(const SpinningSensor& sensor, double from_rad, double from_s, int n) {
+RayTable make_turning_rays(const SpinningSensor& sensor, double from_rad, double from_s, int count) {
     RayTable rays;
     rays.rows = 1;
-    rays.columns = n;
-    for (int i = 0; i < n; ++i) {
+    rays.columns = count;
+    for (int i = 0; i < count; ++i) {
         const double azimuth = from_rad + (sensor.clockwise ? -1.0 : 1.0) * 2.0 * kPi * i / 500.0;
         rays.direction.emplace_back(std::cos(azimuth), std::sin(azimuth), 0.0);
         rays.time_offset_s.push_back(static_cast<float>(from_s + sensor.period_s * i / 500.0));
@@ -198,14 +211,14 @@ TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
         sensor.clockwise = clockwise;
         for (const double from_rad : {-2.5, 0.3, 2.0}) {
             for (const double from_s : {-0.05, -0.099, 0.003}) {
-                const RayTable rays = turning_rays(sensor, from_rad, from_s, 500);
+                const RayTable rays = make_turning_rays(sensor, from_rad, from_s, 500);
                 const auto start = find_start(rays, sensor);
                 ASSERT_TRUE(start.has_value());
                 // skips the first ray, which is as close to the end of the turn as to its
                 // start
                 for (std::size_t i = 1; i < 500; i += 7) {
                     const double facing_s =
-                        facing_time(sequence, 9.0 * glm::dvec3(rays.direction[i]), {100.0, 0, start});
+                        compute_facing_time(sequence, 9.0 * glm::dvec3(rays.direction[i]), {100.0, 0, start});
                     ASSERT_NEAR(facing_s, 100.0 + double(rays.time_offset_s[i]), 1e-6)
                         << from_rad << " " << from_s << " " << i;
                 }
@@ -233,25 +246,25 @@ TEST(SweepStart, AWindowFacesAThingWhenItsColumnIsFired) {
         const auto start = find_start(rays, sequence.lidars[0]);
         EXPECT_EQ(start.has_value(), later_s != 0.0f);
         for (std::size_t i = 0; i < rays.size(); ++i)
-            ASSERT_NEAR(facing_time(sequence, 5.0 * glm::dvec3(rays.direction[i]), {7.0, 0, start}),
+            ASSERT_NEAR(compute_facing_time(sequence, 5.0 * glm::dvec3(rays.direction[i]), {7.0, 0, start}),
                         7.0 + double(rays.time_offset_s[i]), 1.1e-3)
                 << "half a column: " << later_s << " " << i;
     }
-    EXPECT_EQ(nominal_rays(sequence.lidars[0], 3.0).direction, make_rays(window).direction);
+    EXPECT_EQ(make_nominal_rays(sequence.lidars[0], 3.0).direction, make_rays(window).direction);
     const Rosette rosette{
         .name = "r", .deflection_rad = 0.1, .first_hz = 30.0, .second_hz = -20.0, .n_rays = 50};
     sequence.lidars[0].pattern = rosette;
-    EXPECT_EQ(facing_time(sequence, {3, 1, 0}, {7.0, 0, {}}), 7.0);
-    EXPECT_EQ(facing_time(sequence, {3, 1, 0}, {7.0, 0, SweepStart{0.0, 0.0}}), 7.05)
+    EXPECT_EQ(compute_facing_time(sequence, {3, 1, 0}, {7.0, 0, {}}), 7.0);
+    EXPECT_EQ(compute_facing_time(sequence, {3, 1, 0}, {7.0, 0, SweepStart{0.0, 0.0}}), 7.05)
         << "half of 0.1 s after its beginning";
-    EXPECT_EQ(nominal_rays(sequence.lidars[0], 3.3).direction, make_rays(rosette, 3.3).direction);
+    EXPECT_EQ(make_nominal_rays(sequence.lidars[0], 3.3).direction, make_rays(rosette, 3.3).direction);
 }
 
 TEST(SweepStart, TheUsualOneIsNoneAndNothingIsMadeUp) {
     SpinningSensor sensor;
-    EXPECT_FALSE(find_start(turning_rays(sensor, kPi, -0.05, 500), sensor).has_value());
-    EXPECT_TRUE(find_start(turning_rays(sensor, kPi, 0.0, 500), sensor).has_value());
-    RayTable at_once = turning_rays(sensor, 0.0, 0.0, 500);
+    EXPECT_FALSE(find_start(make_turning_rays(sensor, kPi, -0.05, 500), sensor).has_value());
+    EXPECT_TRUE(find_start(make_turning_rays(sensor, kPi, 0.0, 500), sensor).has_value());
+    RayTable at_once = make_turning_rays(sensor, 0.0, 0.0, 500);
     for (float& t : at_once.time_offset_s) t = 0.0f;
     EXPECT_FALSE(find_start(at_once, sensor).has_value()) << "all rays of one moment";
     sensor.period_s = 0.0;
@@ -288,7 +301,7 @@ TEST(Split, APublishedPartHoldsOutWhatIsPublished) {
 
 /// Makes a log with the frames 100, 103, 106 ... of two LiDARs. The second LiDAR has no
 /// sweep 106.
-Sequence numbered_in_threes() {
+Sequence make_sweeps_of_three() {
     Sequence sequence;
     for (int i = 0; i < 8; ++i) {
         for (int lidar = 0; lidar < 2; ++lidar) {
@@ -302,7 +315,7 @@ Sequence numbered_in_threes() {
 }
 
 TEST(Split, NamedSweepsAreHeldOutWithAllTheirLidars) {
-    const Sequence sequence = numbered_in_threes();
+    const Sequence sequence = make_sweeps_of_three();
     const auto held_out = [&](const std::string& list) {
         const Split split = split_frames(sequence, 10, list);
         std::vector<int> all = split.train;
@@ -325,7 +338,7 @@ TEST(Split, NamedSweepsAreHeldOutWithAllTheirLidars) {
 }
 
 TEST(Split, ListsThatNameNoPartOfTheLogAreRefused) {
-    const Sequence sequence = numbered_in_threes();
+    const Sequence sequence = make_sweeps_of_three();
     const auto refused = [&](const std::string& list, const std::string& why) {
         try {
             split_frames(sequence, 10, list);
@@ -358,12 +371,12 @@ TEST(BoxTrack, KnowsWhatOfItWasLabelled) {
         car.world_from_box.time_s.push_back(0.1 * i);
         car.world_from_box.pose.push_back({{}, {double(i), 0.0, 0.0}});
     }
-    EXPECT_EQ(car.labelled_part().world_from_box.time_s, car.world_from_box.time_s);
+    EXPECT_EQ(car.get_labelled_part().world_from_box.time_s, car.world_from_box.time_s);
     car.n_before = 2, car.n_after = 1;
-    const PoseTrack labelled = car.labelled_part().world_from_box;
+    const PoseTrack labelled = car.get_labelled_part().world_from_box;
     EXPECT_EQ(labelled.time_s, (std::vector<double>{0.1 * 2, 0.1 * 3, 0.1 * 4}));
     EXPECT_EQ(labelled.pose.front().translation.x, 2.0);
-    EXPECT_EQ(car.labelled_part().n_before + car.labelled_part().n_after, 0u);
+    EXPECT_EQ(car.get_labelled_part().n_before + car.get_labelled_part().n_after, 0u);
 }
 
 }  // namespace

@@ -34,7 +34,7 @@ protected:
         std::string pattern = (fs::temp_directory_path() / "relidar-blocks-XXXXXX").string();
         ASSERT_NE(::mkdtemp(pattern.data()), nullptr);
         folder = pattern;
-        log = test::log_along(kFrames, [](int i) { return glm::dvec3(10.0 * i, 0.0, 0.0); });
+        log = test::log_along(kFrames, [](int index) { return glm::dvec3(10.0 * index, 0.0, 0.0); });
         log.lidars[0].sensor.beams = {{0.02}, {-0.05}};
         log.lidars[0].sensor.columns = 64;
         log.lidars[0].sensor.first_azimuth_rad = kPi;
@@ -47,7 +47,7 @@ protected:
         run.config.refine.enabled = false;
         std::vector<float> xs;
         for (float x = -40.0f; x < 830.0f; x += 7.0f) xs.push_back(x);
-        whole = make_background_scene(test::walls_at(xs));
+        whole = make_background_scene(test::make_walls_at(xs));
         // no surfels on the road
         for (std::size_t i = 1; i < whole.surfels.size(); i += 3) whole.surfels.mean[i].y = 14.0f;
         blocks = plan_blocks(log, run.split, {200.0, 40.0});
@@ -61,19 +61,19 @@ protected:
         DeviceTest::TearDown();
     }
 
-    /// Saves block `k` in the same way as training. Blocks 0 and 1 contain the car. In
-    /// block 0, the car is near the sensor in more frames.
-    void save_block(std::size_t k) {
-        const BlockLog part = block_log(log, run.split, blocks[k], run.config);
-        folders.push_back(run.folder / "blocks" / ("00" + std::to_string(k)));
+    /// Saves block `index` in the same way as training. Blocks 0 and 1 contain the car.
+    /// In block 0, the car is near the sensor in more frames.
+    void save_block(std::size_t index) {
+        const BlockLog part = load_block_log(log, run.split, blocks[index], run.config);
+        folders.push_back(run.folder / "blocks" / ("00" + std::to_string(index)));
         relidar::Run block{folders.back(), part.config, part.sequence, part.split, whole};
-        remove_overlap_surfels(block.scene, log, blocks, k);
-        block.scene.sensor_drop = {1, 2, {0.25f * float(k), 0.5f}};
+        remove_overlap_surfels(block.scene, log, blocks, index);
+        block.scene.sensor_drop = {1, 2, {0.25f * float(index), 0.5f}};
         // poses as after refinement
-        for (Pose& pose : block.sequence.world_from_vehicle.pose) pose.translation.z += 0.001 * double(k);
+        for (Pose& pose : block.sequence.world_from_vehicle.pose) pose.translation.z += 0.001 * double(index);
         block.refined_poses = "sensor";
-        if (k < 2) {
-            const Surfels car = test::walls_at({0.1f * float(k)});
+        if (index < 2) {
+            const Surfels car = test::make_walls_at({0.1f * float(index)});
             block.scene.models.push_back(
                 {"car", std::uint32_t(block.scene.surfels.size()), std::uint32_t(car.size())});
             block.scene.instances.push_back({1, "car"});
@@ -84,7 +84,7 @@ protected:
 
     RenderedScan rendered(const Scene& scene, const Config& config, int frame) {
         ScanRenderer renderer(device(), scene, config, log);
-        return renderer.render(configured_sensor(config, log), log.frames[std::size_t(frame)].time_s);
+        return renderer.render(make_configured_sensor(config, log), log.frames[std::size_t(frame)].time_s);
     }
 
     fs::path folder;
@@ -95,16 +95,16 @@ protected:
     std::vector<fs::path> folders;
 };
 
-void expect_same(const RenderedScan& a, const RenderedScan& b, const std::string& what) {
-    ASSERT_EQ(a.image.range_m.size(), b.image.range_m.size());
+void expect_same(const RenderedScan& first, const RenderedScan& second, const std::string& description) {
+    ASSERT_EQ(first.image.range_m.size(), second.image.range_m.size());
     std::size_t returned = 0;
-    for (std::size_t i = 0; i < a.image.range_m.size(); ++i) {
-        returned += a.image.drop_prob[i] < 0.5f;
-        EXPECT_FLOAT_EQ(a.image.range_m[i], b.image.range_m[i]) << what << ", ray " << i;
-        EXPECT_FLOAT_EQ(a.image.drop_prob[i], b.image.drop_prob[i]) << what << ", ray " << i;
-        EXPECT_EQ(a.instance[i], b.instance[i]) << what << ", ray " << i;
+    for (std::size_t i = 0; i < first.image.range_m.size(); ++i) {
+        returned += first.image.drop_prob[i] < 0.5f;
+        EXPECT_FLOAT_EQ(first.image.range_m[i], second.image.range_m[i]) << description << ", ray " << i;
+        EXPECT_FLOAT_EQ(first.image.drop_prob[i], second.image.drop_prob[i]) << description << ", ray " << i;
+        EXPECT_EQ(first.instance[i], second.instance[i]) << description << ", ray " << i;
     }
-    EXPECT_GT(returned, 20u) << what << ": hardly a ray meets anything";
+    EXPECT_GT(returned, 20u) << description << ": hardly a ray meets anything";
 }
 
 TEST_F(JoinedBlocks, HasEverySurfelOnceAndTheCarOfTheBlockThatSawItMost) {
@@ -146,7 +146,7 @@ TEST_F(JoinedBlocks, RendersAsOnePieceWithFewBlocksOnTheDevice) {
     Config config = run.config;
     config.render.memory_mib = 0;
     const Scene one = load_all_blocks(run.scene);
-    const SensorChoice sensor = configured_sensor(config, log);
+    const SensorChoice sensor = make_configured_sensor(config, log);
     const std::uint64_t before = device().allocated_bytes();
     std::uint64_t most = 0;
     {
@@ -178,16 +178,17 @@ TEST_F(JoinedBlocks, EditedAndSavedElsewhereItRendersTheSame) {
 
 TEST_F(JoinedBlocks, NamesTheFileThatIsWrong) {
     fs::rename(folders[2], folder / "aside");
-    EXPECT_THAT(data_error([&] { load_run(run.folder); }),
+    EXPECT_THAT(get_data_error_message([&] { load_run(run.folder); }),
                 HasSubstr("blocks/002/model.safetensors is missing"));
     fs::create_directories(folders[2]);
     fs::copy_file(folders[0] / kModelFile, folders[2] / kModelFile);
-    EXPECT_THAT(data_error([&] { load_all_blocks(load_run(run.folder).scene); }),
+    EXPECT_THAT(get_data_error_message([&] { load_all_blocks(load_run(run.folder).scene); }),
                 HasSubstr("blocks/002/model.safetensors: the block has "));
     Scene scene = run.scene;
     scene.blocks[1].file = folder / "aside" / kModelFile;  // outside of the run's folder
     save_model(run.folder / kModelFile, scene);
-    EXPECT_THAT(data_error([&] { load_run(run.folder); }), HasSubstr("in the folder of the model"));
+    EXPECT_THAT(get_data_error_message([&] { load_run(run.folder); }),
+                HasSubstr("in the folder of the model"));
 }
 
 }  // namespace

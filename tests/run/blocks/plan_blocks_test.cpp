@@ -28,7 +28,7 @@ glm::dvec3 place(const Sequence& log, int position) {
 
 /// Checks that each frame belongs to a single block, in order, and that the training
 /// frames of a block are exactly the frames within the halo.
-void expect_sound(const Sequence& log, const Split& split, const std::vector<Block>& blocks, double halo_m) {
+void expect_valid(const Sequence& log, const Split& split, const std::vector<Block>& blocks, double halo_m) {
     std::vector<int> own;
     for (const Block& block : blocks) {
         ASSERT_FALSE(block.own.empty());
@@ -54,7 +54,7 @@ void expect_sound(const Sequence& log, const Split& split, const std::vector<Blo
 }
 
 TEST(PlanBlocks, StraightStreetIsCutIntoEqualParts) {
-    const Sequence log = log_along(201, [](int i) { return glm::dvec3(1.0 * i, 0.0, 0.0); });
+    const Sequence log = log_along(201, [](int index) { return glm::dvec3(1.0 * index, 0.0, 0.0); });
     const Split split = split_frames(log, 10);
     const std::vector<Block> blocks = plan_blocks(log, split, {60.0, 25.0});
     ASSERT_THAT(blocks, SizeIs(4));  // three blocks of 60 m would cover only 180 m
@@ -63,16 +63,17 @@ TEST(PlanBlocks, StraightStreetIsCutIntoEqualParts) {
                                            67, 68, 69, 70, 71, 72, 73, 74, 75, 76, 77, 78, 79, 80, 81, 82, 83,
                                            84, 85, 86, 87, 88, 89, 90, 91, 92, 93, 94, 95, 96, 97, 98, 99));
     EXPECT_THAT(blocks[1].train, Each(testing::AllOf(Ge(25), Le(124))));
-    expect_sound(log, split, blocks, 25.0);
+    expect_valid(log, split, blocks, 25.0);
 }
 
 TEST(PlanBlocks, SecondWayThroughAStreetTeachesTheSameBlocks) {
     // 150 m forward and 150 m back on the other lane
-    const Sequence log = log_along(
-        301, [](int i) { return i <= 150 ? glm::dvec3(i, 0.0, 0.0) : glm::dvec3(300 - i, 3.0, 0.0); });
+    const Sequence log = log_along(301, [](int index) {
+        return index <= 150 ? glm::dvec3(index, 0.0, 0.0) : glm::dvec3(300 - index, 3.0, 0.0);
+    });
     const Split split = split_frames(log, 0);
     const std::vector<Block> blocks = plan_blocks(log, split, {50.0, 10.0});
-    expect_sound(log, split, blocks, 10.0);
+    expect_valid(log, split, blocks, 10.0);
     EXPECT_EQ(std::count(blocks[0].train.begin(), blocks[0].train.end(), 299), 1)
         << "the sweeps of the way back see it too";
     EXPECT_EQ(std::count(blocks[0].train.begin(), blocks[0].train.end(), 150), 0);
@@ -84,14 +85,15 @@ TEST(PlanBlocks, StandstillAndGapsAreNoTrouble) {
     ASSERT_THAT(one, SizeIs(1));
     EXPECT_THAT(one[0].own, SizeIs(40));
     // a tunnel of 300 m without a sweep
-    const Sequence gap = log_along(40, [](int i) { return glm::dvec3(i < 20 ? i : i + 300, 0.0, 0.0); });
+    const Sequence gap =
+        log_along(40, [](int index) { return glm::dvec3(index < 20 ? index : index + 300, 0.0, 0.0); });
     const std::vector<Block> blocks = plan_blocks(gap, split_frames(gap, 10), {60.0, 40.0});
     EXPECT_THAT(blocks, SizeIs(2)) << "a stretch without a sweep is no block";
-    expect_sound(gap, split_frames(gap, 10), blocks, 40.0);
+    expect_valid(gap, split_frames(gap, 10), blocks, 40.0);
 }
 
 TEST(PlanBlocks, RefusesABlockThatNothingTrains) {
-    const Sequence log = log_along(6, [](int i) { return glm::dvec3(100.0 * i, 0.0, 0.0); });
+    const Sequence log = log_along(6, [](int index) { return glm::dvec3(100.0 * index, 0.0, 0.0); });
     Split split = split_frames(log, 0);
     split.train = {0, 1, 2, 4, 5};
     split.test = {3};
@@ -106,13 +108,14 @@ TEST(PlanBlocks, RefusesABlockThatNothingTrains) {
 TEST(BlockLog, MovesAsTheLogDoes) {
     // Drives along a road and back after a long detour, so that a block has frames with a
     // time gap between them.
-    const Sequence log = log_along(300, [](int i) {
-        if (i < 100) return glm::dvec3(0.8 * i, 0.0, 0.0);
-        return i < 200 ? glm::dvec3(80.0, 5.0 * (i - 100), 0.0) : glm::dvec3(0.8 * (299 - i), 2.0, 0.0);
+    const Sequence log = log_along(300, [](int index) {
+        if (index < 100) return glm::dvec3(0.8 * index, 0.0, 0.0);
+        return index < 200 ? glm::dvec3(80.0, 5.0 * (index - 100), 0.0)
+                           : glm::dvec3(0.8 * (299 - index), 2.0, 0.0);
     });
     const Split split = split_frames(log, 10);
     const std::vector<Block> blocks = plan_blocks(log, split, {40.0, 15.0});
-    const BlockLog part = block_log(log, split, blocks[0], make_preset("quick"));
+    const BlockLog part = load_block_log(log, split, blocks[0], make_preset("quick"));
     EXPECT_EQ(part.config.blocks.length_m, 0.0);
     EXPECT_EQ(part.split.train.size(), blocks[0].train.size());
     for (std::size_t i = 0; i < part.split.train.size(); ++i)
@@ -133,13 +136,13 @@ TEST(BlockLog, MovesAsTheLogDoes) {
 }
 
 TEST(BlockLog, HasTheBoxesThatComeNear) {
-    Sequence log = log_along(400, [](int i) { return glm::dvec3(1.0 * i, 0.0, 0.0); });
-    const auto box_at = [&](const char* id, double x, double from_s, double to_s) {
+    Sequence log = log_along(400, [](int index) { return glm::dvec3(1.0 * index, 0.0, 0.0); });
+    const auto box_at = [&](const char* id, double value, double from_s, double to_s) {
         log.boxes.push_back(
             {id,
              "Car",
              {4, 2, 2},
-             {{from_s, to_s}, {Pose{{1, 0, 0, 0}, {x, 5, 0}}, Pose{{1, 0, 0, 0}, {x + 9, 5, 0}}}}});
+             {{from_s, to_s}, {Pose{{1, 0, 0, 0}, {value, 5, 0}}, Pose{{1, 0, 0, 0}, {value + 9, 5, 0}}}}});
     };
     box_at("near", 30.0, 2.0, 5.0);
     box_at("far", 350.0, 2.0, 5.0);     // visible while the sensor is at 20 to 50 m
@@ -148,8 +151,8 @@ TEST(BlockLog, HasTheBoxesThatComeNear) {
     const std::vector<Block> blocks = plan_blocks(log, split, {100.0, 40.0});
     Config config = make_preset("quick");
     config.init.actor_tracks = "far,near";
-    const BlockLog first = block_log(log, split, blocks[0], config),
-                   third = block_log(log, split, blocks[2], config);
+    const BlockLog first = load_block_log(log, split, blocks[0], config),
+                   third = load_block_log(log, split, blocks[2], config);
     ASSERT_THAT(first.sequence.boxes, SizeIs(1));
     EXPECT_EQ(first.sequence.boxes[0].id, "near");
     EXPECT_EQ(first.config.init.actor_tracks, "near");
@@ -161,12 +164,12 @@ TEST(BlockLog, HasTheBoxesThatComeNear) {
 
 TEST(KeepOwnSurfels, EachPlaceBelongsToTheBlockOfTheNearestSweep) {
     const Sequence log =
-        log_along(120, [](int i) { return glm::dvec3(2.0 * i, 10.0 * std::sin(0.05 * i), 0.0); });
+        log_along(120, [](int index) { return glm::dvec3(2.0 * index, 10.0 * std::sin(0.05 * index), 0.0); });
     const std::vector<Block> blocks = plan_blocks(log, split_frames(log, 10), {70.0, 40.0});
     std::vector<float> xs;
     for (float x = -60.0f; x < 300.0f; x += 1.7f) xs.push_back(x);
-    Scene all = make_background_scene(test::walls_at(xs));
-    const Surfels actor = test::walls_at({1.0f, 2.0f});
+    Scene all = make_background_scene(test::make_walls_at(xs));
+    const Surfels actor = test::make_walls_at({1.0f, 2.0f});
     all.models.push_back({"actor", std::uint32_t(all.surfels.size()), std::uint32_t(actor.size())});
     all.instances.push_back({1, "actor"});
     all.surfels.append(actor);

@@ -9,22 +9,22 @@
 
 namespace relidar::test {
 
-/// Returns a log of n frames at intervals of 0.1 s. In frame i the vehicle is at position
-/// way(i).
-inline Sequence log_along(int n, const std::function<glm::dvec3(int)>& way) {
+/// Returns a log of `count` frames at intervals of 0.1 s. In frame i the vehicle is at
+/// position way(i).
+inline Sequence log_along(int count, const std::function<glm::dvec3(int)>& path) {
     Sequence log;
     log.name = "way";
-    for (int i = 0; i < n; ++i) {
+    for (int i = 0; i < count; ++i) {
         log.frames.push_back({100 + i, 0.1 * i, {}});
         log.world_from_vehicle.time_s.push_back(0.1 * i);
-        log.world_from_vehicle.pose.push_back({{1, 0, 0, 0}, way(i)});
+        log.world_from_vehicle.pose.push_back({{1, 0, 0, 0}, path(i)});
     }
     return log;
 }
 
 /// Returns surfels with a standard deviation of 1 m that face along x. For each x, the
 /// surfels are at intervals of 10 m along y.
-inline Surfels walls_at(const std::vector<float>& xs) {
+inline Surfels make_walls_at(const std::vector<float>& xs) {
     Surfels surfels;
     surfels.resize(3 * xs.size());
     for (std::size_t i = 0; i < surfels.size(); ++i) {

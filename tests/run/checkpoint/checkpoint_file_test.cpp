@@ -27,15 +27,15 @@ Checkpoint example(int iteration) {
     return checkpoint;
 }
 
-void expect_equal(const Checkpoint& a, const Checkpoint& b) {
-    EXPECT_EQ(a.iteration, b.iteration);
-    EXPECT_EQ(a.texts, b.texts);
-    ASSERT_EQ(a.arrays.size(), b.arrays.size());
-    for (std::size_t i = 0; i < a.arrays.size(); ++i) {
-        EXPECT_EQ(a.arrays[i].name, b.arrays[i].name);
-        EXPECT_EQ(a.arrays[i].dtype, b.arrays[i].dtype);
-        EXPECT_EQ(a.arrays[i].shape, b.arrays[i].shape);
-        EXPECT_TRUE(a.arrays[i].bytes == b.arrays[i].bytes) << a.arrays[i].name;
+void expect_equal(const Checkpoint& first, const Checkpoint& second) {
+    EXPECT_EQ(first.iteration, second.iteration);
+    EXPECT_EQ(first.texts, second.texts);
+    ASSERT_EQ(first.arrays.size(), second.arrays.size());
+    for (std::size_t i = 0; i < first.arrays.size(); ++i) {
+        EXPECT_EQ(first.arrays[i].name, second.arrays[i].name);
+        EXPECT_EQ(first.arrays[i].dtype, second.arrays[i].dtype);
+        EXPECT_EQ(first.arrays[i].shape, second.arrays[i].shape);
+        EXPECT_TRUE(first.arrays[i].bytes == second.arrays[i].bytes) << first.arrays[i].name;
     }
 }
 
@@ -90,13 +90,13 @@ TEST_F(CheckpointFile, CutAnywhereItIsRefusedAndTheOneBeforeIsTaken) {
     save_checkpoint(folder, example(100), 2);
     save_checkpoint(folder, example(200), 2);
     const fs::path newest = list_checkpoints(folder).back();
-    const std::string whole = contents(newest);
+    const std::string whole = read_contents(newest);
     constexpr std::size_t kCuts = 200;
     for (std::size_t i = 0; i < kCuts; ++i) {
         const std::size_t length = i * whole.size() / kCuts;
         SCOPED_TRACE(length);
         put(newest, whole.substr(0, length));
-        const std::string message = data_error([&] { read_checkpoint(newest); });
+        const std::string message = get_data_error_message([&] { read_checkpoint(newest); });
         EXPECT_NE(message.find(newest.string()), std::string::npos) << message;
         const Loaded loaded = load(folder);
         ASSERT_TRUE(loaded.checkpoint);
@@ -109,7 +109,7 @@ TEST_F(CheckpointFile, CutAnywhereItIsRefusedAndTheOneBeforeIsTaken) {
 
 TEST_F(CheckpointFile, EveryFlippedBitIsNoticed) {
     write_checkpoint(folder / "a", example(400));
-    const std::string whole = contents(folder / "a");
+    const std::string whole = read_contents(folder / "a");
     std::mt19937 random(7);
     for (int i = 0; i < 2000; ++i) {
         const std::size_t bit = random() % (8 * whole.size());
@@ -133,7 +133,7 @@ TEST_F(CheckpointFile, OtherVersionsAndFormatsAreRefused) {
         if (value.empty()) texts.erase(key);
         else texts[key] = value;
         write_safetensors(folder / "a", arrays, texts);
-        return data_error([&] { read_checkpoint(folder / "a"); });
+        return get_data_error_message([&] { read_checkpoint(folder / "a"); });
     };
     EXPECT_NE(message("version", "2").find("metadata version: found \"2\", expected \"1\""),
               std::string::npos);
@@ -149,11 +149,12 @@ TEST_F(CheckpointFile, NumbersThatAreNotFiniteAreRefused) {
         Checkpoint checkpoint = example(400);
         StateWriter write(checkpoint);
         write("moments", std::vector<float>{1.0f, 2.0f, bad});
-        const std::string before = data_error([&] { check_finite(checkpoint); });
+        const std::string before = get_data_error_message([&] { check_finite(checkpoint); });
         EXPECT_NE(before.find("row 2 of array \"moments\""), std::string::npos) << before;
         write_checkpoint(folder / "a", checkpoint);
-        EXPECT_NE(data_error([&] { read_checkpoint(folder / "a"); }).find("row 2 of array \"moments\""),
-                  std::string::npos);
+        EXPECT_NE(
+            get_data_error_message([&] { read_checkpoint(folder / "a"); }).find("row 2 of array \"moments\""),
+            std::string::npos);
     }
 }
 
@@ -184,15 +185,16 @@ TEST_F(CheckpointFile, NoneIsNothingAndOnlyDamagedOnesAreAnError) {
     EXPECT_FALSE(load(folder).checkpoint);
     save_checkpoint(folder, example(10), 2);
     put(list_checkpoints(folder).back(), "damaged");
-    EXPECT_NE(data_error([&] { load(folder); }).find("contains 1 checkpoint"), std::string::npos);
+    EXPECT_NE(get_data_error_message([&] { load(folder); }).find("contains 1 checkpoint"), std::string::npos);
 }
 
 TEST_F(CheckpointFile, AFullDiskLosesNothing) {
     save_checkpoint(folder, example(10), 1);
     {
         const test::FileSizeLimit limit(256);
-        EXPECT_NE(data_error([&] { save_checkpoint(folder, example(20), 1); }).find("File too large"),
-                  std::string::npos);
+        EXPECT_NE(
+            get_data_error_message([&] { save_checkpoint(folder, example(20), 1); }).find("File too large"),
+            std::string::npos);
     }
     EXPECT_EQ(files().size(), 1u);
     EXPECT_EQ(load(folder).checkpoint->iteration, 10);

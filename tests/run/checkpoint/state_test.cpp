@@ -44,19 +44,23 @@ TEST(State, WhatDoesNotFitIsNamed) {
     const StateReader read(checkpoint);
     double number = 0.0;
     std::vector<double> wrong_type;
-    EXPECT_NE(data_error([&] { read("y", number); }).find("checkpoint of iteration 7 has no array \"y\""),
+    EXPECT_NE(get_data_error_message([&] {
+                  read("y", number);
+              }).find("checkpoint of iteration 7 has no array \"y\""),
               std::string::npos);
-    EXPECT_NE(data_error([&] { read("x", number); }).find("array x: found f4 [2], expected f8 []"),
-              std::string::npos);
-    EXPECT_NE(data_error([&] { read("x", wrong_type); }).find("array x: found f4 [2], expected f8 [2]"),
-              std::string::npos);
-    EXPECT_NE(data_error([&] { checkpoint.text("layout"); }).find("no metadata key \"layout\""),
+    EXPECT_NE(
+        get_data_error_message([&] { read("x", number); }).find("array x: found f4 [2], expected f8 []"),
+        std::string::npos);
+    EXPECT_NE(
+        get_data_error_message([&] { read("x", wrong_type); }).find("array x: found f4 [2], expected f8 [2]"),
+        std::string::npos);
+    EXPECT_NE(get_data_error_message([&] { checkpoint.text("layout"); }).find("no metadata key \"layout\""),
               std::string::npos);
 }
 
 TEST_F(DeviceState, SurfelsAndArraysComeBack) {
     constexpr std::uint32_t n = 5;
-    const Surfels surfels = example_surfels(n);
+    const Surfels surfels = make_example_surfels(n);
     SurfelArrays arrays(device(), n, "state"), back(device(), n, "state read back"),
         smaller(device(), n - 1, "too small");
     arrays.upload(surfels);
@@ -79,18 +83,19 @@ TEST_F(DeviceState, SurfelsAndArraysComeBack) {
         EXPECT_EQ(s->sh, surfels.sh);
     }
     EXPECT_EQ(statistics_back.download(), statistics.download());
-    EXPECT_NE(data_error([&] {
+    EXPECT_NE(get_data_error_message([&] {
                   read("parameters", smaller);
               }).find("array parameters/mean: found f4 [5, 3], expected f4 [4, 3]"),
               std::string::npos);
     std::erase_if(checkpoint.arrays, [](const NamedArray& a) { return a.name == "parameters/rotation"; });
-    EXPECT_NE(data_error([&] { read.surfels("parameters"); }).find("no array \"parameters/rotation\""),
-              std::string::npos);
+    EXPECT_NE(
+        get_data_error_message([&] { read.surfels("parameters"); }).find("no array \"parameters/rotation\""),
+        std::string::npos);
 }
 
 TEST_F(DeviceState, GaussiansComeBackAndNothingElseInTheirPlace) {
     constexpr std::uint32_t n = 5;
-    Surfels gaussians = example_surfels(n);
+    Surfels gaussians = make_example_surfels(n);
     make_primitive(gaussians, Primitive::gaussian, 0.3);
     SurfelArrays arrays(device(), n, "state", Primitive::gaussian),
         back(device(), n, "state read back", Primitive::gaussian), of_surfels(device(), n, "surfels");
@@ -101,17 +106,19 @@ TEST_F(DeviceState, GaussiansComeBackAndNothingElseInTheirPlace) {
     read("parameters", back);
     EXPECT_EQ(back.download().log_scale_w, gaussians.log_scale_w);
     EXPECT_EQ(read.surfels("parameters").log_scale_w, gaussians.log_scale_w);
-    data_error([&] { read("parameters", of_surfels); });
+    get_data_error_message([&] { read("parameters", of_surfels); });
     EXPECT_EQ(checkpoint.text("parameters/primitive"), "gaussian");
     checkpoint.texts.clear();
-    EXPECT_NE(data_error([&] { read.surfels("parameters"); }).find("\"parameters/primitive\""),
+    EXPECT_NE(get_data_error_message([&] { read.surfels("parameters"); }).find("\"parameters/primitive\""),
               std::string::npos);
     checkpoint.arrays.pop_back();
     checkpoint.texts["parameters/primitive"] = "gaussian";
-    EXPECT_NE(data_error([&] { read.surfels("parameters"); }).find("no array \"parameters/log_scale_w\""),
+    EXPECT_NE(get_data_error_message([&] {
+                  read.surfels("parameters");
+              }).find("no array \"parameters/log_scale_w\""),
               std::string::npos);
     checkpoint.texts["parameters/primitive"] = "cube";
-    EXPECT_NE(data_error([&] {
+    EXPECT_NE(get_data_error_message([&] {
                   read.surfels("parameters");
               }).find("found \"cube\", expected one of surfel, gaussian"),
               std::string::npos);

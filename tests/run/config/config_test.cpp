@@ -20,31 +20,31 @@ namespace {
 using ConfigFile = TemporaryFolder;
 
 template <class Call>
-std::string usage_error(const Call& call) {
+std::string get_usage_error_message(const Call& call) {
     return error_message<UsageError>(call);
 }
 
 std::string set_error(const std::string& key, const std::string& value) {
-    return usage_error([&] {
+    return get_usage_error_message([&] {
         Config config;
         set_key(config, key, value);
     });
 }
 
 std::string value_of(const Config& config, const std::string& key) {
-    for (const ConfigKey& entry : config_keys(config))
+    for (const ConfigKey& entry : list_config_keys(config))
         if (entry.key == key) return entry.value;
     ADD_FAILURE() << "no key " << key;
     return "";
 }
 
-void expect_equal(const Config& a, const Config& b) {
-    const std::vector<ConfigKey> x = config_keys(a), y = config_keys(b);
+void expect_equal(const Config& first, const Config& second) {
+    const std::vector<ConfigKey> x = list_config_keys(first), y = list_config_keys(second);
     ASSERT_EQ(x.size(), y.size());
     for (std::size_t i = 0; i < x.size(); ++i) EXPECT_EQ(x[i].value, y[i].value) << x[i].key;
 }
 
-Config through_toml(const Config& config, const std::filesystem::path& folder) {
+Config convert_through_toml(const Config& config, const std::filesystem::path& folder) {
     put(folder / "config.toml", to_toml(config));
     Config result;
     load_config(result, folder / "config.toml");
@@ -72,22 +72,23 @@ TEST_F(ConfigFile, PresetsRoundTrip) {
     for (const char* name : {"paper", "released", "default", "quick"}) {
         const Config config = make_preset(name);
         EXPECT_EQ(config.preset, name);
-        EXPECT_TRUE(through_toml(config, folder) == config) << name << ": constants come with the preset";
+        EXPECT_TRUE(convert_through_toml(config, folder) == config)
+            << name << ": constants come with the preset";
     }
 }
 
 TEST_F(ConfigFile, EveryKeyRoundTrips) {
     const Config defaults = make_preset("default");
     Config all = defaults;
-    for (const ConfigKey& entry : config_keys(defaults)) {
+    for (const ConfigKey& entry : list_config_keys(defaults)) {
         if (entry.key == "preset") continue;
         Config one = defaults;
         ASSERT_TRUE(change(one, entry.key)) << entry.key << " takes no other value";
         EXPECT_NE(value_of(one, entry.key), entry.value) << entry.key;
-        expect_equal(one, through_toml(one, folder));
+        expect_equal(one, convert_through_toml(one, folder));
         change(all, entry.key);
     }
-    expect_equal(all, through_toml(all, folder));
+    expect_equal(all, convert_through_toml(all, folder));
 }
 
 TEST_F(ConfigFile, ValuesReadBackBitByBit) {
@@ -95,7 +96,7 @@ TEST_F(ConfigFile, ValuesReadBackBitByBit) {
     config.loss.depth = 0.1f / 3.0f;
     config.refine.rate = 1.6e-4 / 7.0;
     config.train.seed = 9007199254740991u;
-    const Config read = through_toml(config, folder);
+    const Config read = convert_through_toml(config, folder);
     EXPECT_EQ(read.loss.depth, config.loss.depth);
     EXPECT_EQ(read.refine.rate, config.refine.rate);
     EXPECT_EQ(read.train.seed, config.train.seed);
@@ -107,7 +108,7 @@ TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
     const std::string whole = to_toml(make_preset("quick"));
     const auto error = [&](const std::string& text) {
         put(folder / "config.toml", text);
-        return data_error([&] { load_saved_config(folder / "config.toml"); });
+        return get_data_error_message([&] { load_saved_config(folder / "config.toml"); });
     };
     put(folder / "config.toml", whole);
     expect_equal(load_saved_config(folder / "config.toml"), make_preset("quick"));
@@ -161,7 +162,7 @@ TEST(Config, ChannelsAreAList) {
 
 TEST(Config, KeysAreUniqueAndExplained) {
     std::set<std::string> seen;
-    for (const ConfigKey& entry : config_keys(Config{})) {
+    for (const ConfigKey& entry : list_config_keys(Config{})) {
         EXPECT_TRUE(seen.insert(entry.key).second) << entry.key << " twice";
         EXPECT_GT(entry.help.size(), 10u) << entry.key;
         if (entry.key == "preset") continue;
@@ -220,7 +221,8 @@ TEST(Config, PresetReplacesEverything) {
     set_key(config, "loss.depth", "5");
     set_key(config, "preset", "paper");
     expect_equal(config, make_preset("paper"));
-    EXPECT_NE(usage_error([] { make_preset("papr"); }).find("did you mean 'paper'"), std::string::npos);
+    EXPECT_NE(get_usage_error_message([] { make_preset("papr"); }).find("did you mean 'paper'"),
+              std::string::npos);
 }
 
 TEST(Config, PaperIsThePaper) {
@@ -268,9 +270,9 @@ TEST(Config, ReleasedDiffersFromThePaperInThreeLosses) {
 
 TEST(Config, EnumFieldsReachTheirStages) {
     Config config;
-    EXPECT_EQ(backward_options(config).reduction, Reduction::automatic);
+    EXPECT_EQ(make_backward_options(config).reduction, Reduction::automatic);
     set_key(config, "train.deterministic", "true");
-    EXPECT_EQ(backward_options(config).reduction, Reduction::gather);
+    EXPECT_EQ(make_backward_options(config).reduction, Reduction::gather);
     set_key(config, "trace.chunk", "8");
     EXPECT_EQ(trace_options(config).chunk, 8);
 }
@@ -279,26 +281,26 @@ TEST(Config, EnumFieldsReachTheirStages) {
 /// values, except for the normals of surfels.
 TEST(Config, LossesReachTheTraceOfTraining) {
     Config config;
-    EXPECT_FALSE(training_trace_options(config).likelihood);
+    EXPECT_FALSE(make_training_trace_options(config).likelihood);
     set_key(config, "loss.likelihood", "0.1");
     config.loss.likelihood_scale_m = 0.2f;
-    const TraceOptions likelihood = training_trace_options(config);
+    const TraceOptions likelihood = make_training_trace_options(config);
     EXPECT_FALSE(likelihood.has_surfaces());
     ASSERT_TRUE(likelihood.likelihood);
     EXPECT_EQ(likelihood.likelihood->scale_m, 0.2f);
-    EXPECT_TRUE(rendering_trace_options(config).normals);
+    EXPECT_TRUE(make_rendering_trace_options(config).normals);
     set_key(config, "image.primitive", "gaussian");
-    EXPECT_FALSE(rendering_trace_options(config).has_surfaces());
+    EXPECT_FALSE(make_rendering_trace_options(config).has_surfaces());
     set_key(config, "render.range", "mode");
     set_key(config, "sensor.return_separation_m", "0.7");
-    EXPECT_EQ(rendering_trace_options(config).mode_gap_m, 0.7f);
-    EXPECT_FALSE(training_trace_options(config).mode_gap_m);
+    EXPECT_EQ(make_rendering_trace_options(config).mode_gap_m, 0.7f);
+    EXPECT_FALSE(make_training_trace_options(config).mode_gap_m);
 }
 
 TEST_F(ConfigFile, BadFilesNameFileAndKey) {
     const auto error = [&](const std::string& text) {
         put(folder / "c.toml", text);
-        return usage_error([&] {
+        return get_usage_error_message([&] {
             Config config;
             load_config(config, folder / "c.toml");
         });
@@ -320,17 +322,20 @@ TEST_F(ConfigFile, BadFilesNameFileAndKey) {
 TEST_F(ConfigFile, DamagedFilesAreDataErrors) {
     Config config;
     put(folder / "c.toml", "[loss]\ndepth = \n");
-    const std::string message = data_error([&] { load_config(config, folder / "c.toml"); });
+    const std::string message = get_data_error_message([&] { load_config(config, folder / "c.toml"); });
     EXPECT_NE(message.find("c.toml:2: not valid TOML"), std::string::npos) << message;
     std::string dots = "loss";
     for (int i = 0; i < 40000; ++i) dots += ".a";
     put(folder / "c.toml", dots + " = 1\n");
-    EXPECT_NE(data_error([&] { load_config(config, folder / "c.toml"); }).find("c.toml:1: found a key"),
-              std::string::npos);
     EXPECT_NE(
-        data_error([&] { load_config(config, folder / "missing.toml"); }).find("missing.toml: no such file"),
+        get_data_error_message([&] { load_config(config, folder / "c.toml"); }).find("c.toml:1: found a key"),
         std::string::npos);
-    EXPECT_NE(data_error([&] { load_config(config, folder); }).find(folder.string()), std::string::npos);
+    EXPECT_NE(get_data_error_message([&] {
+                  load_config(config, folder / "missing.toml");
+              }).find("missing.toml: no such file"),
+              std::string::npos);
+    EXPECT_NE(get_data_error_message([&] { load_config(config, folder); }).find(folder.string()),
+              std::string::npos);
 }
 
 TEST_F(ConfigFile, FileStartsFromItsPresetAndFailsWhole) {

@@ -22,7 +22,7 @@ protected:
         return read_trajectory(folder / "t.csv");
     }
     std::string error(const std::string& text) {
-        return data_error([&] { read(text); });
+        return get_data_error_message([&] { read(text); });
     }
 };
 
@@ -109,7 +109,8 @@ TEST_F(TrajectoryFile, ComplaintsNameLineAndColumn) {
     EXPECT_NE(error("time_s,x,y,z,yaw_deg\n0,1,2,3,0\n").find("found 1 poses, expected at least two"),
               std::string::npos);
     EXPECT_NE(error("").find("found 0 poses"), std::string::npos);
-    EXPECT_NE(data_error([&] { read_trajectory(folder / "none.csv"); }).find("none.csv"), std::string::npos);
+    EXPECT_NE(get_data_error_message([&] { read_trajectory(folder / "none.csv"); }).find("none.csv"),
+              std::string::npos);
 }
 
 }  // namespace

@@ -15,10 +15,10 @@
 namespace relidar {
 namespace {
 
-Surfels numbered(std::size_t n, float first) {
+Surfels make_numbered_surfels(std::size_t count, float first) {
     Surfels surfels;
-    surfels.resize(n);
-    for (std::size_t i = 0; i < n; ++i) surfels.mean[i] = {first + float(i), 0.0f, 0.0f};
+    surfels.resize(count);
+    for (std::size_t i = 0; i < count; ++i) surfels.mean[i] = {first + float(i), 0.0f, 0.0f};
     return surfels;
 }
 
@@ -30,9 +30,9 @@ Pose at(double x, double y, double yaw_rad = 0.0) {
 /// surfels that drives a curve, a car of 4 surfels, and a pedestrian without a model.
 DrivingScene example() {
     DrivingScene d;
-    d.scene.surfels = numbered(3, 0.0f);
-    d.scene.surfels.append(numbered(2, 100.0f));
-    d.scene.surfels.append(numbered(4, 200.0f));
+    d.scene.surfels = make_numbered_surfels(3, 0.0f);
+    d.scene.surfels.append(make_numbered_surfels(2, 100.0f));
+    d.scene.surfels.append(make_numbered_surfels(4, 200.0f));
     d.scene.models = {
         {"background", 0, 3, {}}, {"van", 3, 2, {2.6f, 1.1f, 1.1f}}, {"car", 5, 4, {2.1f, 1.1f, 0.85f}}};
     d.scene.instances = {{0, ""}, {1, "van"}, {2, "car"}};
@@ -52,26 +52,27 @@ DrivingScene example() {
     return d;
 }
 
-const BoxTrack& box(const DrivingScene& d, std::string_view id) {
-    return *std::find_if(d.sequence.boxes.begin(), d.sequence.boxes.end(),
+const BoxTrack& box(const DrivingScene& driving, std::string_view id) {
+    return *std::find_if(driving.sequence.boxes.begin(), driving.sequence.boxes.end(),
                          [&](const BoxTrack& b) { return b.id == id; });
 }
 
-std::vector<std::string> tracks(const DrivingScene& d) {
+std::vector<std::string> tracks(const DrivingScene& driving) {
     std::vector<std::string> names;
-    for (const Instance& i : d.scene.instances) names.push_back(i.track);
+    for (const Instance& i : driving.scene.instances) names.push_back(i.track);
     return names;
 }
 
 /// Returns x of the first surfel of an instance, and the number of its surfels.
-std::pair<float, std::uint32_t> model_of(const DrivingScene& d, std::size_t instance) {
-    const Model& m = d.scene.models[d.scene.instances[instance].model];
-    return {m.count ? d.scene.surfels.mean[m.first].x : 0.0f, m.count};
+std::pair<float, std::uint32_t> model_of(const DrivingScene& driving, std::size_t instance) {
+    const Model& m = driving.scene.models[driving.scene.instances[instance].model];
+    return {m.count ? driving.scene.surfels.mean[m.first].x : 0.0f, m.count};
 }
 
-void expect_near(const Pose& a, const Pose& b, double tolerance = 1e-12) {
-    EXPECT_LT(glm::length(a.translation - b.translation), tolerance);
-    EXPECT_LT(std::min(glm::length(a.rotation - b.rotation), glm::length(a.rotation + b.rotation)),
+void expect_near(const Pose& first, const Pose& second, double tolerance = 1e-12) {
+    EXPECT_LT(glm::length(first.translation - second.translation), tolerance);
+    EXPECT_LT(std::min(glm::length(first.rotation - second.rotation),
+                       glm::length(first.rotation + second.rotation)),
               tolerance);
 }
 
@@ -91,15 +92,15 @@ TEST(Edit, RemovedActorsLeaveWithTheirSurfelsAndBoxes) {
 TEST(Edit, SaysHowManyFramesLoseAnActor) {
     const DrivingScene before = example();
     const BoxTrack van = box(before, "van");
-    EXPECT_EQ(lost_frames_note(van, retime_track(before, "van", 0.4).sequence),
+    EXPECT_EQ(describe_lost_frames(van, retime_track(before, "van", 0.4).sequence),
               "track van is now missing in 4 frames between 0 and 3 in which it was present before, "
               "because its new trajectory lasts only from 0.40 to 1.30 s");
     const PoseTrack path{{0.2, 0.5}, {at(0, 0), at(3, 0)}};
-    EXPECT_EQ(lost_frames_note(van, replace_trajectory(before, "van", path).sequence),
+    EXPECT_EQ(describe_lost_frames(van, replace_trajectory(before, "van", path).sequence),
               "track van is now missing in 6 frames between 0 and 9 in which it was present before, "
               "because its new trajectory lasts only from 0.20 to 0.50 s");
-    EXPECT_EQ(lost_frames_note(van, retime_track(before, "van", 0.02).sequence), "");
-    EXPECT_EQ(lost_frames_note(van, move_track(before, "van", at(0, 1)).sequence), "");
+    EXPECT_EQ(describe_lost_frames(van, retime_track(before, "van", 0.02).sequence), "");
+    EXPECT_EQ(describe_lost_frames(van, move_track(before, "van", at(0, 1)).sequence), "");
 }
 
 TEST(Edit, MoveIsInTheFrameOfTheBoxAtEachTime) {

@@ -33,17 +33,17 @@ void add_surfel(Surfels& surfels, const glm::dvec3& mean, const glm::dvec3& norm
     surfels.opacity_logit[i] = 2.0f;
 }
 
-double slope_height(double x, double y) { return kAlong * x + kAcross * y; }
+double compute_slope_height(double x, double y) { return kAlong * x + kAcross * y; }
 
 /// Returns a scene with a slope of 40 x 20 m around the origin and a van. The surfels of
 /// the slope are 0.25 m apart, with noise of 2 cm. The van drives uphill with its box 0.2
 /// m above the slope.
-DrivingScene slope() {
+DrivingScene make_slope() {
     DrivingScene d;
     int n = 0;
     for (double x = -20.0; x <= 20.0; x += 0.25)
         for (double y = -10.0; y <= 10.0; y += 0.25)
-            add_surfel(d.scene.surfels, {x, y, slope_height(x, y) + 0.02 * std::sin(12.9898 * ++n)},
+            add_surfel(d.scene.surfels, {x, y, compute_slope_height(x, y) + 0.02 * std::sin(12.9898 * ++n)},
                        kSlopeNormal);
     const auto background = static_cast<std::uint32_t>(d.scene.surfels.size());
     add_surfel(d.scene.surfels, {0, 0, 0}, {0, 0, 1});
@@ -52,7 +52,7 @@ DrivingScene slope() {
     d.sequence.world_offset_m = kWorldOffset_m;
     BoxTrack van{"van", "Van", {4.0, 2.0, 1.6}, {}};
     for (int i = 0; i < 5; ++i) {
-        const double time_s = 0.1 * i, x = -8.0 + i, z = slope_height(x, 0.0);
+        const double time_s = 0.1 * i, x = -8.0 + i, z = compute_slope_height(x, 0.0);
         d.sequence.frames.push_back({i, time_s, {}});
         d.sequence.world_from_vehicle.time_s.push_back(time_s);
         d.sequence.world_from_vehicle.pose.push_back(
@@ -65,13 +65,15 @@ DrivingScene slope() {
     return d;
 }
 
-Start place_on_ground(const DrivingScene& d, const GroundPlace& place, const std::string& track) {
-    return start_on_ground({d.scene, d.sequence}, place, {d.scene, d.sequence}, track);
+Start place_on_ground(const DrivingScene& driving, const GroundPlace& place, const std::string& track) {
+    return start_on_ground({driving.scene, driving.sequence}, place, {driving.scene, driving.sequence},
+                           track);
 }
 
 /// Returns the pose of the van in relidar's world after it is placed at a position.
-Pose placed(const DrivingScene& d, double x, double y, std::optional<double> yaw_rad = {}) {
-    Start start = place_on_ground(d, {{x + kWorldOffset_m.x, y + kWorldOffset_m.y}, yaw_rad, 3.0}, "van");
+Pose placed(const DrivingScene& driving, double x, double y, std::optional<double> yaw_rad = {}) {
+    Start start =
+        place_on_ground(driving, {{x + kWorldOffset_m.x, y + kWorldOffset_m.y}, yaw_rad, 3.0}, "van");
     EXPECT_EQ(start.speed_mps, 3.0);
     start.dataset_from_box.translation -= kWorldOffset_m;
     return start.dataset_from_box;
@@ -82,7 +84,7 @@ Pose placed(const DrivingScene& d, double x, double y, std::optional<double> yaw
 void expect_on_slope(const Pose& pose, double x, double y, double yaw_rad) {
     EXPECT_NEAR(pose.translation.x, x, 1e-9);
     EXPECT_NEAR(pose.translation.y, y, 1e-9);
-    const glm::dvec3 ground(x, y, slope_height(x, y));
+    const glm::dvec3 ground(x, y, compute_slope_height(x, y));
     EXPECT_NEAR(glm::dot(kSlopeNormal, pose.translation - ground), 1.0, 0.02)
         << "half a height of 0.8 m and 0.2 m above the ground";
     const glm::dvec3 up = pose.rotation * glm::dvec3(0, 0, 1), ahead = pose.rotation * glm::dvec3(1, 0, 0);
@@ -91,18 +93,18 @@ void expect_on_slope(const Pose& pose, double x, double y, double yaw_rad) {
 }
 
 TEST(Ground, GivesHeightAndTiltOfASlope) {
-    const DrivingScene d = slope();
+    const DrivingScene d = make_slope();
     expect_on_slope(placed(d, 6.0, 3.0, 2.0), 6.0, 3.0, 2.0);
     expect_on_slope(placed(d, -4.0, -5.0, -1.0), -4.0, -5.0, -1.0);
     expect_on_slope(placed(d, 6.0, 3.0), 6.0, 3.0, 0.3);  // same heading as the recording vehicle
 }
 
 TEST(Ground, PathFollowsAHill) {
-    const auto hill = [](double x) { return 0.004 * x * x; };  // slope 0.16 after 20 m
-    DrivingScene d = slope();
+    const auto hill = [](double value) { return 0.004 * value * value; };  // slope 0.16 after 20 m
+    DrivingScene d = make_slope();
     for (std::uint32_t i = 0; i < d.scene.models[0].count; ++i) {
         glm::vec3& mean = d.scene.surfels.mean[i];
-        mean.z += float(hill(mean.x) - slope_height(mean.x, mean.y));
+        mean.z += float(hill(mean.x) - compute_slope_height(mean.x, mean.y));
         d.scene.surfels.rotation[i] = {1, 0, 0, 0};
     }
     for (int i = 0; i < 5; ++i) d.sequence.frames[std::size_t(i)].time_s = i;
@@ -128,31 +130,31 @@ TEST(Ground, PathFollowsAHill) {
 }
 
 TEST(Ground, IsAsFarBelowAnActorAsItIsKnownToBe) {
-    const DrivingScene d = slope();
+    const DrivingScene d = make_slope();
     const DrivingScene alone = keep_actors(d);  // an asset does not contain any ground
-    EXPECT_NEAR(ground_clearance({d.scene, d.sequence}, "van").value_or(-1.0), 0.2, 0.02);
-    EXPECT_FALSE(ground_clearance({alone.scene, alone.sequence}, "van"));
-    EXPECT_THROW(ground_clearance({d.scene, d.sequence}, "nobody"), UsageError);
+    EXPECT_NEAR(measure_ground_clearance({d.scene, d.sequence}, "van").value_or(-1.0), 0.2, 0.02);
+    EXPECT_FALSE(measure_ground_clearance({alone.scene, alone.sequence}, "van"));
+    EXPECT_THROW(measure_ground_clearance({d.scene, d.sequence}, "nobody"), UsageError);
     for (const double clearance_m : {0.0, 0.5}) {
         GroundPlace place{{6.0 + kWorldOffset_m.x, 3.0 + kWorldOffset_m.y}, 0.0};
         place.clearance_m = clearance_m;
         const Start start =
             start_on_ground({d.scene, d.sequence}, place, {alone.scene, alone.sequence}, "van");
         const glm::dvec3 above = start.dataset_from_box.translation - kWorldOffset_m -
-                                 glm::dvec3(6.0, 3.0, slope_height(6.0, 3.0));
+                                 glm::dvec3(6.0, 3.0, compute_slope_height(6.0, 3.0));
         EXPECT_NEAR(glm::dot(kSlopeNormal, above), 0.8 + clearance_m, 0.02);
     }
 }
 
 TEST(Ground, IsNeitherARoofNorAWallNorWhatIsFaint) {
-    DrivingScene d = slope();
+    DrivingScene d = make_slope();
     Surfels others;
     for (double x = 2.0; x <= 10.0; x += 0.1)
         for (double y = -1.0; y <= 7.0; y += 0.1) {
-            add_surfel(others, {x, y, slope_height(x, y) + 6.0}, {0, 0, 1});  // a bridge
+            add_surfel(others, {x, y, compute_slope_height(x, y) + 6.0}, {0, 0, 1});  // a bridge
             // a wall next to the van
-            if (y > 4.0) add_surfel(others, {x, 4.0, slope_height(x, 4.0) + (y - 4.0)}, {0, 1, 0});
-            add_surfel(others, {x, y, slope_height(x, y) + 0.8}, {0, 0, 1});  // haze
+            if (y > 4.0) add_surfel(others, {x, 4.0, compute_slope_height(x, 4.0) + (y - 4.0)}, {0, 1, 0});
+            add_surfel(others, {x, y, compute_slope_height(x, y) + 0.8}, {0, 0, 1});  // haze
             others.opacity_logit.back() = -6.0f;
         }
     const std::uint32_t n = d.scene.models[0].count;
@@ -166,7 +168,7 @@ TEST(Ground, IsNeitherARoofNorAWallNorWhatIsFaint) {
 }
 
 TEST(Ground, IsNotTiltedByAFewSurfelsOfWhatStoodThere) {
-    DrivingScene d = slope();
+    DrivingScene d = make_slope();
     // surfels of rings of a distant sweep at intervals of 1 m or more, and of the side of
     // a passing car
     Surfels rings;
@@ -188,7 +190,7 @@ TEST(Ground, IsNotTiltedByAFewSurfelsOfWhatStoodThere) {
 class GroundOfBlocks : public TemporaryFolder {};
 
 TEST_F(GroundOfBlocks, IsFoundInTheirFiles) {
-    const DrivingScene whole = slope();
+    const DrivingScene whole = make_slope();
     const std::uint32_t n = whole.scene.models[0].count;
     const auto block_file = folder / "model.safetensors";
     save_model(block_file, make_background_scene(whole.scene.surfels.slice(0, n)));
@@ -200,12 +202,13 @@ TEST_F(GroundOfBlocks, IsFoundInTheirFiles) {
     expect_on_slope(placed(d, 6.0, 3.0, 2.0), 6.0, 3.0, 2.0);
 }
 
-std::string refusal(const DrivingScene& d, const glm::dvec2& dataset_m, const std::string& track = "van") {
-    return error_message<UsageError>([&] { (void)place_on_ground(d, {dataset_m}, track); });
+std::string refusal(const DrivingScene& driving, const glm::dvec2& dataset_m,
+                    const std::string& track = "van") {
+    return error_message<UsageError>([&] { (void)place_on_ground(driving, {dataset_m}, track); });
 }
 
 TEST(Ground, SaysWhereThereIsNone) {
-    const DrivingScene d = slope();
+    const DrivingScene d = make_slope();
     EXPECT_THAT(refusal(d, {1040.0, -50.0}), HasSubstr("place van on the ground at 1040,-50"));
     EXPECT_THAT(refusal(d, {1040.0, -50.0}), HasSubstr("20.0 m away"));
     EXPECT_NE(refusal(d, {1022.0, -50.0}), "") << "half of the van would hang over the edge";
@@ -214,7 +217,7 @@ TEST(Ground, SaysWhereThereIsNone) {
 }
 
 TEST(Ground, BelowACarThatHidItIsWhereTheCarStands) {
-    DrivingScene d = slope();
+    DrivingScene d = make_slope();
     const auto n = static_cast<std::size_t>(d.scene.models[0].count);
     Surfels seen;  // no surfels within 4.5 m of the van's start
     for (std::size_t i = 0; i < n; ++i)

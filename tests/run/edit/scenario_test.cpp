@@ -15,10 +15,10 @@ namespace {
 
 using testing::HasSubstr;
 
-std::string replaced(std::string text, const std::string& what, const std::string& by) {
-    const std::size_t at = text.find(what);
-    EXPECT_NE(at, std::string::npos) << what;
-    return at == std::string::npos ? text : text.replace(at, what.size(), by);
+std::string replace_text(std::string text, const std::string& description, const std::string& replacement) {
+    const std::size_t at = text.find(description);
+    EXPECT_NE(at, std::string::npos) << description;
+    return at == std::string::npos ? text : text.replace(at, description.size(), replacement);
 }
 
 /// Scenario with three entities. A van turns left at 10 m/s from Init. A car starts 2 s
@@ -78,8 +78,8 @@ protected:
         put(folder / "s.xosc", text);
         return read_scenario(folder / "s.xosc");
     }
-    std::string error(const std::string& what, const std::string& by) {
-        return data_error([&] { read(replaced(kScenario, what, by)); });
+    std::string error(const std::string& description, const std::string& replacement) {
+        return get_data_error_message([&] { read(replace_text(kScenario, description, replacement)); });
     }
 };
 
@@ -91,7 +91,7 @@ TEST_F(Scenario, EntitiesFollowTheirPolylinesAtTheirTimes) {
     EXPECT_THAT(van.world_from_reference.time_s, testing::ElementsAre(0.25, 2.25))
         << "twice as slow, a quarter of a second later";
     EXPECT_EQ(van.world_from_reference.pose[1].translation, glm::dvec3(20.0, -3.5, 0.5));
-    const glm::dquat expected = rotation_of(kPi / 2, 0.1, 0.2);
+    const glm::dquat expected = make_rotation(kPi / 2, 0.1, 0.2);
     EXPECT_GT(std::abs(glm::dot(van.world_from_reference.pose[1].rotation, expected)), 1.0 - 1e-12);
     EXPECT_THAT(van.ignored, testing::ElementsAre("TeleportAction"));
     EXPECT_EQ(van.size_m, glm::dvec3(5.0, 2.0, 2.0));
@@ -107,7 +107,7 @@ TEST_F(Scenario, EntitiesFollowTheirPolylinesAtTheirTimes) {
 /// a metre lower.
 TEST_F(Scenario, ActorsStandWhereTheBoxOfTheEntityDoes) {
     const ScenarioEntity van = read(kScenario)[0];
-    const PoseTrack track = box_track(van, 100.0, {4.0, 1.8, 1.5});
+    const PoseTrack track = make_box_track(van, 100.0, {4.0, 1.8, 1.5});
     EXPECT_DOUBLE_EQ(track.time_s.front(), 100.25);
     EXPECT_DOUBLE_EQ(track.time_s.back(), 102.25);
     EXPECT_LT(glm::distance(track.pose.front().translation, glm::dvec3(11.5, -3.5, 0.5 + 0.75)), 1e-12);
@@ -120,7 +120,7 @@ TEST_F(Scenario, ActorsStandWhereTheBoxOfTheEntityDoes) {
 TEST_F(Scenario, WhatATrajectoryMayNotBeIsNamed) {
     const auto says = [](const char* text) { return HasSubstr(text); };
     EXPECT_THAT(error("<Storyboard>", "<Story"), says("s.xosc: malformed XML at byte"));
-    EXPECT_THAT(data_error([&] { read("<OpenSCENARIO/>"); }), says("OpenSCENARIO XML 1.x"));
+    EXPECT_THAT(get_data_error_message([&] { read("<OpenSCENARIO/>"); }), says("OpenSCENARIO XML 1.x"));
     EXPECT_THAT(error("x=\"20.0\"", "x=\"2O\""),
                 says("entity Van: Vertex 2: x: found \"2O\", expected a finite number"));
     EXPECT_THAT(error("x=\"20.0\"", ""), says("entity Van: Vertex 2: x: found \"\""));

@@ -9,15 +9,15 @@
 
 namespace relidar {
 
-inline Pose example_pose(double s) {
-    return {glm::normalize(glm::dquat(1.0, 0.1 / 3.0 * s, -0.7 / 9.0, 0.2 * s)),
-            {1.0 / 3.0 * s, -2e-7 / 3.0, 4.1e3 + s / 7.0}};
+inline Pose make_example_pose(double fraction) {
+    return {glm::normalize(glm::dquat(1.0, 0.1 / 3.0 * fraction, -0.7 / 9.0, 0.2 * fraction)),
+            {1.0 / 3.0 * fraction, -2e-7 / 3.0, 4.1e3 + fraction / 7.0}};
 }
 
-inline Surfels example_surfels(std::size_t n) {
+inline Surfels make_example_surfels(std::size_t count) {
     Surfels surfels;
-    surfels.resize(n);
-    for (std::size_t i = 0; i < n; ++i) {
+    surfels.resize(count);
+    for (std::size_t i = 0; i < count; ++i) {
         const float x = static_cast<float>(i) + 1.0f / 3.0f;
         surfels.mean[i] = {x, -x / 7.0f, 1e-20f * x};
         surfels.rotation[i] = {1.0f, x, 2.0f * x, -x};
@@ -29,7 +29,7 @@ inline Surfels example_surfels(std::size_t n) {
     return surfels;
 }
 
-inline Run example_run(const std::filesystem::path& folder) {
+inline Run make_example_run(const std::filesystem::path& folder) {
     Run run;
     run.folder = folder;
     run.config = make_preset("quick");
@@ -55,15 +55,17 @@ inline Run example_run(const std::filesystem::path& folder) {
     for (int i = 0; i < 4; ++i) {
         s.frames.push_back({10 + i, 1.3e9 + i / 10.0, {}});
         s.world_from_vehicle.time_s.push_back(s.frames.back().time_s);
-        s.world_from_vehicle.pose.push_back(example_pose(i));
+        s.world_from_vehicle.pose.push_back(make_example_pose(i));
     }
     for (int k = 0; k < s.lidars[0].sensor.columns; ++k)
         s.frames[1].azimuth_shift_rad.push_back(1e-3f / 3.0f * float(k) - 2e-3f);
-    s.boxes.push_back(
-        {"7", "Car", {4.2, 1.8, 1.5}, {{1.3e9, 1.3e9 + 0.1}, {example_pose(0.5), example_pose(0.6)}}});
+    s.boxes.push_back({"7",
+                       "Car",
+                       {4.2, 1.8, 1.5},
+                       {{1.3e9, 1.3e9 + 0.1}, {make_example_pose(0.5), make_example_pose(0.6)}}});
     s.boxes.push_back({"8", "Van", {5.2, 2.0, 2.5}, {}});
     run.split = {{0, 1}, {2}};  // frame 3 is unused
-    run.scene = make_background_scene(example_surfels(5));
+    run.scene = make_background_scene(make_example_surfels(5));
     run.edits = {{"/runs/first", "--move 7:0,3.5,0"}, {"/runs/second", "--remove 9"}};
     return run;
 }

@@ -20,7 +20,7 @@ protected:
     void SetUp() override {
         TemporaryFolder::SetUp();
         path = folder / "model.safetensors";
-        scene = make_background_scene(example_surfels(4));
+        scene = make_background_scene(make_example_surfels(4));
         scene.models = {{"background", 0, 3}, {"track 7", 3, 1, {2.25f, 0.875f, 0.75f}}};
         scene.instances = {{0, ""}, {1, "7"}};
         save_model(path, scene);
@@ -28,9 +28,9 @@ protected:
         arrays = read_safetensors(path, &metadata);
     }
     std::string load_error() {
-        return data_error([&] { load_model(path); });
+        return get_data_error_message([&] { load_model(path); });
     }
-    std::string error_with_layout(const std::string& layout) {
+    std::string get_error_with_layout(const std::string& layout) {
         metadata["layout"] = layout;
         write_safetensors(path, arrays, metadata);
         return load_error();
@@ -164,7 +164,7 @@ TEST_F(ModelFile, AnEmptySceneRoundTrips) {
 }
 
 TEST_F(ModelFile, CutFilesAreRefused) {
-    const std::string whole = contents(path);
+    const std::string whole = read_contents(path);
     for (std::size_t keep = 0; keep < whole.size(); keep += keep < 600 ? 37 : 211) {
         put(path, std::string_view(whole).substr(0, keep));
         EXPECT_NE(load_error().find("model.safetensors"), std::string::npos) << keep;
@@ -198,7 +198,7 @@ TEST_F(ModelFile, ValuesThatAreNotFiniteAreNamed) {
     write_safetensors(path, arrays, metadata);
     EXPECT_NE(load_error().find("array log_scale: row 2 contains nan"), std::string::npos);
     scene.surfels.sh[1 * kShFloats + 5] = std::numeric_limits<float>::infinity();
-    EXPECT_NE(data_error([&] { save_model(path, scene); }).find("array sh: row 1 contains inf"),
+    EXPECT_NE(get_data_error_message([&] { save_model(path, scene); }).find("array sh: row 1 contains inf"),
               std::string::npos);
     scene.surfels.rotation.pop_back();
     EXPECT_THROW(save_model(path, scene), DataError);
@@ -207,7 +207,7 @@ TEST_F(ModelFile, ValuesThatAreNotFiniteAreNamed) {
 TEST_F(ModelFile, ModelsMustCoverTheSurfels) {
     const std::string models = R"({"models":[{"name":"b","first":)", box = R"(,"half_size_m":[0,0,0]}])";
     const std::string instances = R"(,"instances":[{"model":0,"track":""}]})";
-    const auto error = [&](const std::string& text) { return error_with_layout(models + text); };
+    const auto error = [&](const std::string& text) { return get_error_with_layout(models + text); };
     EXPECT_NE(error(R"(0,"count":3)" + box + instances).find("models of 3 surfels, expected 4"),
               std::string::npos);
     EXPECT_NE(error(R"(1,"count":3)" + box + instances).find("models[0].first: found 1, expected 0"),
@@ -223,7 +223,7 @@ TEST_F(ModelFile, ModelsMustCoverTheSurfels) {
               std::string::npos);
     EXPECT_NE(error(R"(0,"count":4)" + box + R"(,"instances":[]})").find("found no model or no instance"),
               std::string::npos);
-    EXPECT_NE(error_with_layout("{").find("metadata layout: not valid JSON"), std::string::npos);
+    EXPECT_NE(get_error_with_layout("{").find("metadata layout: not valid JSON"), std::string::npos);
 }
 
 TEST_F(ModelFile, OtherFilesAreRefused) {

@@ -22,21 +22,21 @@ using Json = nlohmann::json;
 class RunFolder : public SavedRun {
 protected:
     std::string load_error() {
-        return data_error([&] { load_run(run.folder); });
+        return get_data_error_message([&] { load_run(run.folder); });
     }
     /// Changes scene.json, loads the run and returns the error message.
-    std::string error_with(const Json& changed) {
+    std::string get_error_with(const Json& changed) {
         put(run.folder / "scene.json", changed.dump());
         return load_error();
     }
 };
 
-void expect_equal(const Pose& a, const Pose& b) {
-    EXPECT_EQ(a.translation, b.translation);
-    for (int k = 0; k < 4; ++k) EXPECT_EQ(a.rotation[k], b.rotation[k]);
+void expect_equal(const Pose& first, const Pose& second) {
+    EXPECT_EQ(first.translation, second.translation);
+    for (int k = 0; k < 4; ++k) EXPECT_EQ(first.rotation[k], second.rotation[k]);
 }
 
-DropNetwork example_network() {
+DropNetwork make_example_network() {
     DropNetwork network;
     network.image = "kitti360";
     network.inputs = {"log_range", "intensity", "drop_logit"};
@@ -51,7 +51,7 @@ DropNetwork example_network() {
 
 TEST_F(RunFolder, RayDropNetworkIsPartOfIt) {
     EXPECT_TRUE(load_run(run.folder).drop_network.empty());
-    const DropNetwork network = run.drop_network = example_network();
+    const DropNetwork network = run.drop_network = make_example_network();
     save_run(run);
     const DropNetwork read = load_run(run.folder).drop_network;
     EXPECT_EQ(read.image, network.image);
@@ -69,10 +69,10 @@ TEST_F(RunFolder, RayDropNetworkIsPartOfIt) {
 }
 
 TEST_F(RunFolder, RefusesADamagedRayDropNetwork) {
-    run.drop_network = example_network();
+    run.drop_network = make_example_network();
     save_run(run);
     const auto file = run.folder / "drop_network.safetensors";
-    const std::string whole = contents(file);
+    const std::string whole = read_contents(file);
     const auto replaced = [&](const std::string& from, const std::string& to) {
         std::string text = whole;
         text.replace(text.find(from), from.size(), to);
@@ -92,7 +92,7 @@ TEST_F(RunFolder, RefusesADamagedRayDropNetwork) {
     EXPECT_THAT(load_error(), ::testing::HasSubstr("array parameters: entry 7 is nan"));
 }
 
-std::vector<IntensityScatter> example_scatter() {
+std::vector<IntensityScatter> make_example_scatter() {
     IntensityScatter scatter;
     scatter.nodes = {{3, -1.0f / 3.0f, 1, 0, 5}, {-1, 0.0f, 0, 0, 2}, {-1, 0.0f, 0, 2, 3}};
     scatter.values = {0.1f, 0.2f, 0.3f, 0.5f, 0.7f};
@@ -109,7 +109,7 @@ TEST_F(RunFolder, KnowsWhetherHeldOutScansWerePlaced) {
 
 TEST_F(RunFolder, HowIntensitiesScatterIsPartOfIt) {
     EXPECT_TRUE(load_run(run.folder).intensity_scatter.empty());
-    run.intensity_scatter = example_scatter();
+    run.intensity_scatter = make_example_scatter();
     save_run(run);
     const std::vector<IntensityScatter> read = load_run(run.folder).intensity_scatter;
     ASSERT_EQ(read.size(), run.sequence.lidars.size());
@@ -131,7 +131,7 @@ TEST_F(RunFolder, HowIntensitiesScatterIsPartOfIt) {
 
 TEST_F(RunFolder, RefusesWhatIsNoTree) {
     const auto error_of = [&](const auto& damage) {
-        run.intensity_scatter = example_scatter();
+        run.intensity_scatter = make_example_scatter();
         damage(run.intensity_scatter[0]);
         save_run(run);
         return load_error();
@@ -152,8 +152,8 @@ TEST_F(RunFolder, RefusesWhatIsNoTree) {
 
 TEST_F(RunFolder, IsTheSameInEveryLocale) {
     const auto files = [&] {
-        return contents(run.folder / "config.toml") + contents(run.folder / "scene.json") +
-               contents(run.folder / "model.safetensors");
+        return read_contents(run.folder / "config.toml") + read_contents(run.folder / "scene.json") +
+               read_contents(run.folder / "model.safetensors");
     };
     const std::string before = files();
     const test::CommaLocale comma;
@@ -278,19 +278,19 @@ TEST_F(RunFolder, SensorRoundTripsExactly) {
 
 TEST_F(RunFolder, TwoLidarsAtOneTimeShareAPose) {
     Sequence& s = run.sequence;
-    s.lidars.push_back({"rear", s.lidars[0].sensor, example_pose(0.3)});
+    s.lidars.push_back({"rear", s.lidars[0].sensor, make_example_pose(0.3)});
     s.lidars[0].name = "front";
     s.frames.insert(s.frames.begin() + 2, {11, s.frames[1].time_s, {}, 1});
     save_run(run);
     const Sequence read = load_run(run.folder).sequence;
     ASSERT_EQ(read.lidars.size(), 2u);
     EXPECT_EQ(read.lidars[1].name, "rear");
-    expect_equal(read.lidars[1].vehicle_from_sensor, example_pose(0.3));
+    expect_equal(read.lidars[1].vehicle_from_sensor, make_example_pose(0.3));
     ASSERT_EQ(read.frames.size(), 5u);
     EXPECT_EQ(read.frames[2].lidar, 1);
     EXPECT_EQ(read.world_from_vehicle.time_s, s.world_from_vehicle.time_s);
     std::swap(s.frames[1], s.frames[2]);
-    EXPECT_NE(data_error([&] { save_run(run); }).find("frames[2].time_s"), std::string::npos)
+    EXPECT_NE(get_data_error_message([&] { save_run(run); }).find("frames[2].time_s"), std::string::npos)
         << "in the order of LiDARs";
 }
 
@@ -319,17 +319,17 @@ TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
         ASSERT_TRUE(read.pattern);
         EXPECT_EQ(read.pattern->index(), pattern.index());
         EXPECT_EQ(read.period_s(), s.lidars[0].period_s());
-        const RayTable a = nominal_rays(read, 1.7), b = nominal_rays(s.lidars[0], 1.7);
+        const RayTable a = make_nominal_rays(read, 1.7), b = make_nominal_rays(s.lidars[0], 1.7);
         EXPECT_TRUE(a.direction == b.direction && a.origin == b.origin &&
                     a.time_offset_s == b.time_offset_s && a.channel == b.channel);
         EXPECT_EQ(a.divergence_rad, b.divergence_rad);
         EXPECT_EQ(to_vector(a.ray_divergence_rad), to_vector(b.ray_divergence_rad));
     }
-    Json broken = Json::parse(contents(run.folder / "scene.json"));
+    Json broken = Json::parse(read_contents(run.folder / "scene.json"));
     Json& rays = broken["lidars"][0]["sensor"]["rays"];
     rays["origin"].push_back(1.0);
     put(run.folder / "scene.json", broken.dump());
-    EXPECT_NE(data_error([&] {
+    EXPECT_NE(get_data_error_message([&] {
                   load_run(run.folder);
               }).find("lidars[0].sensor.rays: origin has 91 numbers, expected 90"),
               std::string::npos);
@@ -337,7 +337,9 @@ TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
     rays.erase("divergence_rad");
     rays["divergence"] = std::vector<double>(30, -1e-3);
     put(run.folder / "scene.json", broken.dump());
-    EXPECT_NE(data_error([&] { load_run(run.folder); }).find("entry 0 of divergence (radians) is -0.001"),
+    EXPECT_NE(get_data_error_message([&] {
+                  load_run(run.folder);
+              }).find("entry 0 of divergence (radians) is -0.001"),
               std::string::npos);
 }
 
@@ -368,7 +370,7 @@ TEST_F(RunFolder, EveryFieldIsNeeded) {
         Json changed = whole;
         const Json::json_pointer at(field);
         changed.at(at.parent_pointer()).erase(at.back());
-        const std::string message = error_with(changed);
+        const std::string message = get_error_with(changed);
         EXPECT_NE(message.find("scene.json: "), std::string::npos) << message;
         EXPECT_NE(message.find(at.back()), std::string::npos) << field << ": " << message;
         ++n_tried;
@@ -381,7 +383,7 @@ TEST_F(RunFolder, RefusesWrongFramesAndPoses) {
     const auto replaced = [&](const char* pointer, const Json& value) {
         Json changed = whole;
         changed[Json::json_pointer(pointer)] = value;
-        return error_with(changed);
+        return get_error_with(changed);
     };
     EXPECT_NE(
         replaced("/frames/2/time_s", nullptr).find("frames[2].time_s: found null, expected a finite number"),
@@ -407,7 +409,7 @@ TEST_F(RunFolder, RefusesWrongSensorsBoxesAndCounts) {
     const auto replaced = [&](const char* pointer, const Json& value) {
         Json changed = whole;
         changed[Json::json_pointer(pointer)] = value;
-        return error_with(changed);
+        return get_error_with(changed);
     };
     EXPECT_NE(replaced("/lidars/0/sensor/spinning/beams/1/range_offset_m", 1e308)
                   .find("lidars[0].sensor.spinning.beams[1].range_offset_m: found 1e+308"),
@@ -419,7 +421,7 @@ TEST_F(RunFolder, RefusesWrongSensorsBoxesAndCounts) {
     Json& spinning = many["lidars"][0]["sensor"]["spinning"];
     spinning["columns"] = 1000000;
     for (int i = 0; i < 200; ++i) spinning["beams"].insert(spinning["beams"].begin(), spinning["beams"][0]);
-    EXPECT_NE(error_with(many).find("beams x 1000000 columns, expected at most 16777216 rays"),
+    EXPECT_NE(get_error_with(many).find("beams x 1000000 columns, expected at most 16777216 rays"),
               std::string::npos)
         << "sizes are bounded by their product too";
     EXPECT_NE(replaced("/frames", Json::array()).find("frames: found no frame"), std::string::npos);
@@ -461,7 +463,7 @@ TEST_F(RunFolder, MissingFilesAreNamed) {
         EXPECT_NE(message.find(std::string(name) + " is missing"), std::string::npos) << message;
         std::filesystem::rename(folder / name, run.folder / name);
     }
-    EXPECT_NE(data_error([&] { load_run(folder / "nowhere"); }).find("nowhere: no such folder"),
+    EXPECT_NE(get_data_error_message([&] { load_run(folder / "nowhere"); }).find("nowhere: no such folder"),
               std::string::npos);
     EXPECT_TRUE(is_run(run.folder));
     EXPECT_FALSE(is_run(folder));
@@ -479,31 +481,40 @@ TEST_F(RunFolder, WrongSettingIsDamage) {
 TEST_F(RunFolder, WhatCannotBeReadBackIsNotWritten) {
     run.folder = folder / "second";
     run.sequence.world_from_vehicle.pose[1].translation.x = std::numeric_limits<double>::quiet_NaN();
-    EXPECT_NE(data_error([&] { save_run(run); }).find("frames[1].world_from_vehicle[0]"), std::string::npos);
-    EXPECT_FALSE(is_run(run.folder));
-    run = example_run(folder / "second");
-    run.sequence.world_from_vehicle.pose.pop_back();
-    EXPECT_NE(data_error([&] { save_run(run); }).find("3 poses of the vehicle at 4 times"),
+    EXPECT_NE(get_data_error_message([&] { save_run(run); }).find("frames[1].world_from_vehicle[0]"),
               std::string::npos);
-    run = example_run(folder / "second");
+    EXPECT_FALSE(is_run(run.folder));
+    run = make_example_run(folder / "second");
+    run.sequence.world_from_vehicle.pose.pop_back();
+    EXPECT_NE(get_data_error_message([&] { save_run(run); }).find("3 poses of the vehicle at 4 times"),
+              std::string::npos);
+    run = make_example_run(folder / "second");
     // Changes a constant of the preset. The file config.toml cannot contain this change.
     run.config.train.mean_rate *= 2.0;
-    EXPECT_NE(data_error([&] { save_run(run); }).find("an option that is not a setting"), std::string::npos);
+    EXPECT_NE(get_data_error_message([&] { save_run(run); }).find("an option that is not a setting"),
+              std::string::npos);
     EXPECT_FALSE(is_run(run.folder));
 }
 
 TEST_F(RunFolder, UnwritableFoldersFailEarly) {
     put(folder / "file", "x");
-    EXPECT_NE(data_error([&] { check_writable(folder / "file"); }).find("cannot create the folder"),
+    EXPECT_NE(
+        get_data_error_message([&] { check_writable(folder / "file"); }).find("cannot create the folder"),
+        std::string::npos);
+    EXPECT_NE(get_data_error_message([&] {
+                  check_writable(folder / "file" / "run");
+              }).find("cannot create the folder"),
               std::string::npos);
-    EXPECT_NE(data_error([&] { check_writable(folder / "file" / "run"); }).find("cannot create the folder"),
-              std::string::npos);
-    EXPECT_NE(data_error([&] { check_writable(folder / std::string(300, 'x')); }).find("File name too long"),
+    EXPECT_NE(get_data_error_message([&] {
+                  check_writable(folder / std::string(300, 'x'));
+              }).find("File name too long"),
               std::string::npos);
     std::filesystem::create_symlink(folder / "loop", folder / "loop");
-    EXPECT_NE(data_error([&] { check_writable(folder / "loop" / "run"); }).find("Too many levels"),
+    EXPECT_NE(
+        get_data_error_message([&] { check_writable(folder / "loop" / "run"); }).find("Too many levels"),
+        std::string::npos);
+    EXPECT_NE(get_data_error_message([&] { check_writable("/proc/relidar"); }).find("/proc/relidar"),
               std::string::npos);
-    EXPECT_NE(data_error([&] { check_writable("/proc/relidar"); }).find("/proc/relidar"), std::string::npos);
     check_writable(folder / "a" / "b");
     EXPECT_TRUE(std::filesystem::is_empty(folder / "a" / "b"));
 }

@@ -35,7 +35,7 @@ private:
 };
 
 TEST_F(SavedRun, IsSavedCompleteOrNotAtAll) {
-    const std::string model = contents(run.folder / kModelFile);
+    const std::string model = read_contents(run.folder / kModelFile);
     relidar::Run grown = run;
     DropNetwork& network = grown.drop_network;
     network.image = "kitti360";
@@ -57,8 +57,8 @@ TEST_F(SavedRun, IsSavedCompleteOrNotAtAll) {
                 EXPECT_THAT(error.what(), testing::HasSubstr(grown.folder.string() + "/"));
                 EXPECT_THAT(error.what(), testing::Not(testing::HasSubstr(".tmp-")));
                 EXPECT_FALSE(std::filesystem::exists(folder / "new"));
-                EXPECT_EQ(contents(run.folder / "scene.json"), scene);
-                EXPECT_EQ(contents(run.folder / kModelFile), model);
+                EXPECT_EQ(read_contents(run.folder / "scene.json"), scene);
+                EXPECT_EQ(read_contents(run.folder / kModelFile), model);
             }
         }
         std::filesystem::remove_all(folder / "new");
@@ -76,7 +76,7 @@ TEST_F(SavedRun, GivesItsFilesTheirNamesWhenAllAreWritten) {
         EXPECT_TRUE(std::filesystem::exists(run.folder / kModelFile));
     });
     EXPECT_TRUE(was_called);
-    EXPECT_EQ(contents(load_run(run.folder).folder / "scene.json"), scene);
+    EXPECT_EQ(read_contents(load_run(run.folder).folder / "scene.json"), scene);
 }
 
 }  // namespace

@@ -13,9 +13,9 @@ class SavedRun : public TemporaryFolder {
 protected:
     void SetUp() override {
         TemporaryFolder::SetUp();
-        run = example_run(folder / "run");
+        run = make_example_run(folder / "run");
         save_run(run);
-        scene = contents(run.folder / "scene.json");
+        scene = read_contents(run.folder / "scene.json");
     }
 
     relidar::Run run;

@@ -37,12 +37,12 @@ protected:
 
     inline static Sequence street;
     const Frame& frame = street.frames[3];
-    const RangeImage real = real_image(native(), frame.scan);
+    const RangeImage real = make_real_image(native(), frame.scan);
 
-    ActorScores all_scores(const RangeImage& rendered) const {
-        return actor_scores(rendered, rendered.range_m, real, street, moment_of(frame));
+    ActorScores compute_all_scores(const RangeImage& rendered) const {
+        return compute_actor_scores(rendered, rendered.range_m, real, street, get_sweep_moment(frame));
     }
-    MetricRow scores(const RangeImage& rendered) const { return all_scores(rendered).metrics; }
+    MetricRow scores(const RangeImage& rendered) const { return compute_all_scores(rendered).metrics; }
 };
 
 TEST_F(ActorScoresOf, OfTheScanItselfAreTheBest) {
@@ -72,7 +72,7 @@ TEST_F(ActorScoresOf, RangesThatAreTooLongHaveThisBias) {
     RangeImage longer = real;
     for (std::size_t i = 0; i < longer.range_m.size(); ++i)
         if (real.range_m[i] > 0.0f) longer.range_m[i] += i % 3 == 0 ? 0.5f : 0.05f;
-    const ActorScores found = all_scores(longer);
+    const ActorScores found = compute_all_scores(longer);
     EXPECT_NEAR(found.metrics.at("actors/vehicles_bias_m"), 0.05, 1e-5);
     EXPECT_NEAR(found.metrics.at("actors/people_above_30cm"), 1.0 / 3.0, 0.02);
     std::size_t n_seen = 0;
@@ -102,16 +102,17 @@ TEST_F(ActorScoresOf, APointWhereACarWasIsInItsTail) {
     const Pose sensor_from_world =
         inverse(street.world_from_vehicle.at(last.time_s, street.lidars[0].vehicle_from_sensor));
     const glm::dvec3 earlier = sensor_from_world * fastest->world_from_box.pose.front().translation;
-    RangeImage ghost = real_image(native(), last.scan);
+    RangeImage ghost = make_real_image(native(), last.scan);
     const RangeImage measured = ghost;
-    const auto angle_to = [&](const glm::vec3& d) {
-        return -glm::dot(glm::dvec3(d), glm::normalize(earlier));
+    const auto angle_to = [&](const glm::vec3& direction) {
+        return -glm::dot(glm::dvec3(direction), glm::normalize(earlier));
     };
     const std::size_t ray =
         std::size_t(std::ranges::min_element(ghost.direction, {}, angle_to) - ghost.direction.begin());
     ghost.range_m[ray] = float(glm::length(earlier));
     ghost.drop_prob[ray] = 0.0f;
-    const ActorScores found = actor_scores(ghost, ghost.range_m, measured, street, moment_of(last));
+    const ActorScores found =
+        compute_actor_scores(ghost, ghost.range_m, measured, street, get_sweep_moment(last));
     const auto actor = std::ranges::find(found.actors, fastest->id, &ActorScore::track);
     ASSERT_NE(actor, found.actors.end());
     EXPECT_EQ(actor->metrics.at("tail"), actor->metrics.at("tail_real") + 1.0);
@@ -123,7 +124,7 @@ TEST_F(ActorScoresOf, SeveralFramesAreWeightedByTheirPoints) {
          {"b", "Van", {{"points", 5}, {"points_real", 5}, {"range_above_30cm", 0.25}, {"tail", 0}}}},
         {{"a", "Car", {{"points", 30}, {"points_real", 30}, {"range_above_30cm", 0.1}, {"tail", 1}}},
          {"c", "Van", {{"points", 0}, {"points_real", 0}, {"tail", 4}}}}};
-    const std::vector<ActorScore> all = over_frames(frames);
+    const std::vector<ActorScore> all = average_over_frames(frames);
     ASSERT_EQ(all.size(), 3u);
     EXPECT_EQ(all[0].track, "b") << "the highest share of large errors is first";
     EXPECT_EQ(all[1].category, "Car");
@@ -139,19 +140,20 @@ TEST_F(ActorScoresOf, TakePointsAtTheMomentOfTheirFiring) {
     for (Pose& pose : world_from_sensor.pose) pose = pose * mounted;
     std::size_t n_people = 0;
     for (const BoxTrack& box : street.boxes) {
-        if (object_kind(box.category) != ObjectKind::person || !box.present(frame.time_s)) continue;
+        if (parse_object_kind(box.category) != ObjectKind::person || !box.present(frame.time_s)) continue;
         ++n_people;
         std::size_t expected = 0;
         const glm::dvec3 half = 0.5 * box.size_m + 0.1;
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
-            const WorldRay ray = world_ray(world_from_sensor, frame.time_s, frame.scan.rays, i, true);
+            const WorldRay ray = make_world_ray(world_from_sensor, frame.time_s, frame.scan.rays, i, true);
             const double t_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
             const glm::dvec3 p = inverse(box.world_from_box.at(t_s)) *
                                  (ray.origin_m + double(frame.scan.range_m[i]) * ray.direction);
             expected += glm::all(glm::lessThanEqual(glm::abs(p), half)) && p.z >= 0.15 - 0.5 * box.size_m.z;
         }
-        const BoxPoints points = points_in_box(real, real.range_m, real, street, moment_of(frame), box);
+        const BoxPoints points =
+            collect_points_in_box(real, real.range_m, real, street, get_sweep_moment(frame), box);
         EXPECT_NEAR(double(points.real_m.size()), double(expected), 2.0)
             << box.id << ": a point at the edge may fall to either side";
     }

@@ -34,19 +34,19 @@ protected:
 
     /// Checks that every frame was reported with its images. After the evaluation, only
     /// the images of the middle frame must still be stored.
-    void expect_forgotten(const Evaluation& evaluation, const std::vector<ScoredFrame>& seen) {
+    void expect_forgotten(const Evaluation& evaluation, const std::vector<ScoredFrame>& frames) {
         ASSERT_EQ(evaluation.frames.size(), std::size_t(kFrames));
-        ASSERT_EQ(seen.size(), std::size_t(kFrames));
-        for (std::size_t i = 0; i < seen.size(); ++i) {
-            EXPECT_EQ(seen[i].frame, int(i));
-            EXPECT_EQ(seen[i].real.range_m.size(), 512u);
-            EXPECT_EQ(seen[i].rendered.image.range_m.size(), 512u);
+        ASSERT_EQ(frames.size(), std::size_t(kFrames));
+        for (std::size_t i = 0; i < frames.size(); ++i) {
+            EXPECT_EQ(frames[i].frame, int(i));
+            EXPECT_EQ(frames[i].real.range_m.size(), 512u);
+            EXPECT_EQ(frames[i].rendered.image.range_m.size(), 512u);
             const std::size_t n_kept = i == std::size_t(kFrames) / 2 ? 512 : 0;
             EXPECT_EQ(evaluation.frames[i].real.range_m.size(), n_kept) << i;
             EXPECT_EQ(evaluation.frames[i].rendered.image.range_m.size(), n_kept) << i;
             EXPECT_EQ(evaluation.frames[i].rendered.median_range_m.capacity() > 0,
-                      n_kept > 0 && !seen[i].rendered.median_range_m.empty());
-            EXPECT_EQ(evaluation.frames[i].rendered.trace_ms, seen[i].rendered.trace_ms);
+                      n_kept > 0 && !frames[i].rendered.median_range_m.empty());
+            EXPECT_EQ(evaluation.frames[i].rendered.trace_ms, frames[i].rendered.trace_ms);
         }
     }
 

@@ -139,7 +139,7 @@ TEST(Evaluate, ClampsRanges) {
     EXPECT_NEAR(evaluate(rendered, real, options).at("peer/depth_rmse_m"), 21.0, 1e-12);
 }
 
-RangeImage random_image(int rows, int columns, unsigned seed) {
+RangeImage make_random_image(int rows, int columns, unsigned seed) {
     std::mt19937 random(seed);
     std::uniform_real_distribution<float> unit(0.0f, 1.0f);
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
@@ -156,7 +156,7 @@ RangeImage random_image(int rows, int columns, unsigned seed) {
 }
 
 TEST(Evaluate, IdenticalImagesArePerfect) {
-    const RangeImage image = random_image(16, 40, 7);
+    const RangeImage image = make_random_image(16, 40, 7);
     const MetricRow row = evaluate(image, image);
     for (const char* name :
          {"peer/depth_rmse_m", "peer/depth_mae_m", "peer/depth_medae_m", "peer/intensity_rmse",
@@ -191,7 +191,7 @@ TEST(Evaluate, LeavesOutWhatIsNotDefined) {
 }
 
 TEST(Evaluate, RefusesWrongShapesAndValues) {
-    const RangeImage good = random_image(2, 3, 1);
+    const RangeImage good = make_random_image(2, 3, 1);
     const auto refused = [&](auto change) {
         RangeImage bad = good;
         change(bad);

@@ -34,7 +34,7 @@ struct Pair {
 
 /// Returns two correlated images with random directions. Some ranges exceed 80 m, and
 /// some intensities exceed 1.
-Pair random_pair() {
+Pair make_random_pair() {
     std::mt19937 random(20261120);
     std::uniform_real_distribution<float> unit(0.0f, 1.0f);
     std::normal_distribution<float> normal;
@@ -75,7 +75,7 @@ for cut in (0.4, 0.5):
     for k, v in r.items(): print('%g:%s %.17g' % (cut, k, v))
 )";
 
-std::map<std::string, double> independent_scores(const fs::path& bench, const Pair& pair) {
+std::map<std::string, double> compute_independent_scores(const fs::path& bench, const Pair& pair) {
     const fs::path folder = fs::temp_directory_path() / fmt::format("relidar-metrics-{}", ::getpid());
     fs::create_directories(folder);
     const auto image = [](const char* name, const std::vector<float>& v) {
@@ -109,12 +109,12 @@ TEST(Metrics, AgreeWithAnIndependentScript) {
         (shared ? fs::path(shared) : fs::path(RELIDAR_SOURCE_DIR).parent_path() / "shared") / "bench";
     if (!fs::exists(bench / "evaluate.py"))
         GTEST_SKIP() << (bench / "evaluate.py") << " is not there; RELIDAR_SHARED names another folder";
-    const Pair pair = random_pair();
-    const std::map<std::string, double> expected = independent_scores(bench, pair);
+    const Pair pair = make_random_pair();
+    const std::map<std::string, double> expected = compute_independent_scores(bench, pair);
     if (expected.empty()) GTEST_SKIP() << "no python3 with numpy and scipy";
     const std::vector<bool> moving(pair.moving.begin(), pair.moving.end());
     const MetricRow found =
-        evaluate_all({{&pair.rendered, &pair.real, standard_regions(pair.real, moving)}}).front();
+        evaluate_all({{&pair.rendered, &pair.real, make_standard_regions(pair.real, moving)}}).front();
     std::vector<std::pair<std::string, std::string>> names = {
         {"0.4:cd_sq", "peer/cd_sq_m2"},
         {"0.4:F22", "peer/f_score"},

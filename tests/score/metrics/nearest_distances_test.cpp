@@ -24,17 +24,18 @@ std::vector<double> brute_force(const Points& query, const Points& target) {
     return distance;
 }
 
-Points random_points(int n, glm::dvec3 centre, glm::dvec3 extent, unsigned seed) {
+Points make_random_points(int count, glm::dvec3 centre, glm::dvec3 extent, unsigned seed) {
     std::mt19937 random(seed);
     std::normal_distribution<double> normal;
     Points points;
-    for (int i = 0; i < n; ++i)
+    for (int i = 0; i < count; ++i)
         points.push_back(centre + extent * glm::dvec3(normal(random), normal(random), normal(random)));
     return points;
 }
 
 void expect_exact(const Points& query, const Points& target) {
-    const std::vector<double> found = nearest_distances(query, target), expected = brute_force(query, target);
+    const std::vector<double> found = compute_nearest_distances(query, target),
+                              expected = brute_force(query, target);
     ASSERT_EQ(found.size(), expected.size());
     for (std::size_t i = 0; i < found.size(); ++i)
         ASSERT_NEAR(found[i], expected[i], 1e-12 * (1.0 + expected[i])) << i;
@@ -42,36 +43,37 @@ void expect_exact(const Points& query, const Points& target) {
 
 TEST(NearestDistances, AgreeWithBruteForce) {
     const glm::dvec3 origin(0.0), wide(30.0, 30.0, 2.0);
-    expect_exact(random_points(500, origin, wide, 1), random_points(700, origin, wide, 2));
-    expect_exact(random_points(300, origin, wide, 3), random_points(1, origin, wide, 4));
+    expect_exact(make_random_points(500, origin, wide, 1), make_random_points(700, origin, wide, 2));
+    expect_exact(make_random_points(300, origin, wide, 3), make_random_points(1, origin, wide, 4));
     // points on a line
-    expect_exact(random_points(300, origin, wide, 5), random_points(400, origin, {30.0, 0.0, 0.0}, 6));
+    expect_exact(make_random_points(300, origin, wide, 5),
+                 make_random_points(400, origin, {30.0, 0.0, 0.0}, 6));
     // coordinates of a map grid
-    expect_exact(random_points(300, {4e5, 5e6, 100.0}, wide, 7),
-                 random_points(400, {4e5, 5e6, 100.0}, wide, 8));
+    expect_exact(make_random_points(300, {4e5, 5e6, 100.0}, wide, 7),
+                 make_random_points(400, {4e5, 5e6, 100.0}, wide, 8));
     // all points equal
-    expect_exact(random_points(300, origin, wide, 9), Points(1000, glm::dvec3(1.0, 2.0, 3.0)));
+    expect_exact(make_random_points(300, origin, wide, 9), Points(1000, glm::dvec3(1.0, 2.0, 3.0)));
 }
 
 TEST(NearestDistances, AgreeOnManyThreads) {
-    const Points query = random_points(20'000, glm::dvec3(0.0), glm::dvec3(10.0), 1);
-    expect_exact(query, random_points(200, glm::dvec3(0.0), glm::dvec3(10.0), 2));
+    const Points query = make_random_points(20'000, glm::dvec3(0.0), glm::dvec3(10.0), 1);
+    expect_exact(query, make_random_points(200, glm::dvec3(0.0), glm::dvec3(10.0), 2));
 }
 
 TEST(NearestDistances, AreZeroToThemselves) {
-    const Points points = random_points(1000, glm::dvec3(0.0), glm::dvec3(10.0), 1);
-    EXPECT_EQ(nearest_distances(points, points), std::vector<double>(1000, 0.0));
+    const Points points = make_random_points(1000, glm::dvec3(0.0), glm::dvec3(10.0), 1);
+    EXPECT_EQ(compute_nearest_distances(points, points), std::vector<double>(1000, 0.0));
 }
 
 TEST(NearestDistances, OfNothingAreNone) {
-    EXPECT_TRUE(nearest_distances({}, {}).empty());
-    EXPECT_THROW(nearest_distances({glm::dvec3(0.0)}, {}), DataError);
+    EXPECT_TRUE(compute_nearest_distances({}, {}).empty());
+    EXPECT_THROW(compute_nearest_distances({glm::dvec3(0.0)}, {}), DataError);
 }
 
 TEST(NearestDistances, RefuseValuesThatAreNotFinite) {
     const Points good{glm::dvec3(0.0)}, bad{glm::dvec3(0.0, std::numeric_limits<double>::quiet_NaN(), 0.0)};
-    EXPECT_THROW(nearest_distances(bad, good), DataError);
-    EXPECT_THROW(nearest_distances(good, bad), DataError);
+    EXPECT_THROW(compute_nearest_distances(bad, good), DataError);
+    EXPECT_THROW(compute_nearest_distances(good, bad), DataError);
 }
 
 }  // namespace

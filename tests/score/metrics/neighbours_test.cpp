@@ -21,7 +21,7 @@ Pose turned(double yaw_rad, glm::dvec3 translation) {
 }
 
 /// Returns a frame from a list of returns. All returns have the same time offset.
-Frame frame_of(int index, double time_s, const std::vector<glm::vec3>& points, float offset_s) {
+Frame make_frame(int index, double time_s, const std::vector<glm::vec3>& points, float offset_s) {
     Frame frame{index, time_s, {}};
     for (const glm::vec3& p : points) {
         frame.scan.rays.origin.emplace_back(0.0f);
@@ -43,7 +43,7 @@ Sequence drive(bool rolling_shutter) {
     s.rolling_shutter = rolling_shutter;
     for (int i = 0; i < 5; ++i) {
         s.frames.push_back(
-            frame_of(i, 0.1 * i, {{10.0f + float(i), 2.0f, 1.0f}}, rolling_shutter ? 0.01f : 0.0f));
+            make_frame(i, 0.1 * i, {{10.0f + float(i), 2.0f, 1.0f}}, rolling_shutter ? 0.01f : 0.0f));
         s.world_from_vehicle.time_s.push_back(0.1 * i);
         s.world_from_vehicle.pose.push_back(turned(0.05 * i, {1.5 * i, 0.1 * i, 0.0}));
     }
@@ -52,7 +52,8 @@ Sequence drive(bool rolling_shutter) {
 
 TEST(Neighbours, AreTheNearestTrainingFramesMovedByThePoses) {
     const Sequence s = drive(false);
-    const Scan points = neighbour_points(s, 2, {0, 1, 4}, BoxMotion::stay);  // frame 3 is held out too
+    const Scan points =
+        predict_neighbour_points(s, 2, {0, 1, 4}, BoxMotion::stay);  // frame 3 is held out too
     ASSERT_EQ(points.range_m.size(), 2u);
     const int frames[] = {1, 4};
     for (std::size_t k = 0; k < 2; ++k) {
@@ -63,15 +64,15 @@ TEST(Neighbours, AreTheNearestTrainingFramesMovedByThePoses) {
         EXPECT_EQ(points.intensity[k], float(frames[k]) + 0.25f);
     }
     // no later frame exists
-    EXPECT_EQ(neighbour_points(s, 4, {0, 1}, BoxMotion::stay).range_m.size(), 1u);
-    EXPECT_THROW((void)neighbour_points(s, 2, {}, BoxMotion::stay), DataError);
+    EXPECT_EQ(predict_neighbour_points(s, 4, {0, 1}, BoxMotion::stay).range_m.size(), 1u);
+    EXPECT_THROW((void)predict_neighbour_points(s, 2, {}, BoxMotion::stay), DataError);
 }
 
 /// With a rolling shutter, the baseline must use the sensor positions at the firing times
 /// of both scans.
 TEST(Neighbours, FollowTheRollingShutter) {
     const Sequence s = drive(true);
-    const Scan points = neighbour_points(s, 2, {1, 3}, BoxMotion::stay);
+    const Scan points = predict_neighbour_points(s, 2, {1, 3}, BoxMotion::stay);
     ASSERT_EQ(points.range_m.size(), 2u);
     for (std::size_t k = 0; k < 2; ++k) {
         const Frame& from = s.frames[k == 0 ? 1 : 3];
@@ -96,8 +97,8 @@ TEST(Neighbours, MoveWithTheirBoxes) {
         box.world_from_box.pose.push_back(turned(0.1 * i, {9.5 + i, 2.0, 1.0}));
     }
     s.boxes = {box};
-    const Scan still = neighbour_points(s, 2, {1, 3}, BoxMotion::stay),
-               moved = neighbour_points(s, 2, {1, 3}, BoxMotion::follow);
+    const Scan still = predict_neighbour_points(s, 2, {1, 3}, BoxMotion::stay),
+               moved = predict_neighbour_points(s, 2, {1, 3}, BoxMotion::follow);
     ASSERT_EQ(moved.range_m.size(), 2u);
     for (std::size_t k = 0; k < 2; ++k) {
         const std::size_t f = k == 0 ? 1 : 3;
@@ -109,10 +110,10 @@ TEST(Neighbours, MoveWithTheirBoxes) {
     }
     s.boxes[0].world_from_box.time_s.resize(2);  // the box does not exist in sweep 2
     s.boxes[0].world_from_box.pose.resize(2);
-    EXPECT_EQ(neighbour_points(s, 2, {1, 3}, BoxMotion::follow).range_m.size(), 1u);
+    EXPECT_EQ(predict_neighbour_points(s, 2, {1, 3}, BoxMotion::follow).range_m.size(), 1u);
 }
 
-SpinningSensor uneven_sensor() {
+SpinningSensor make_uneven_sensor() {
     SpinningSensor sensor;
     sensor.columns = 180;
     for (const double elevation_deg : {4.0, 1.5, 1.0, -2.0, -9.0})
@@ -124,7 +125,7 @@ SpinningSensor uneven_sensor() {
 TEST(BinOntoRays, GivesEachRayItsOwnPoint) {
     std::mt19937 random(3);
     std::uniform_real_distribution<float> uniform(2.0f, 80.0f);
-    const RayTable rays = make_rays(uneven_sensor());
+    const RayTable rays = make_rays(make_uneven_sensor());
     Scan points{rays, {}, {}};
     for (std::size_t i = 0; i < rays.size(); ++i)
         points.range_m.push_back(uniform(random)), points.intensity.push_back(uniform(random));
@@ -136,7 +137,7 @@ TEST(BinOntoRays, GivesEachRayItsOwnPoint) {
 }
 
 TEST(BinOntoRays, TakesTheNearestAndLeavesOutWhatNoBeamMeets) {
-    const RayTable rays = make_rays(uneven_sensor());
+    const RayTable rays = make_rays(make_uneven_sensor());
     const std::size_t ray = 2 * 180 + 77;
     const auto at = [&](double elevation_deg) {
         const double e = elevation_deg * kPi / 180.0;
@@ -175,7 +176,7 @@ TEST(Regions, ScoreTheirRealReturnsWhateverIsDropped) {
     const RangeImage real = image_of({10, 20, 30, 0, 50}, {0, 0, 0, 1, 0}),
                      rendered = image_of({11, 20, 33, 7, 50}, {0, 0.9f, 0.6f, 0, 0});
     const MetricRow row =
-        evaluate_regions(rendered, real, standard_regions(real, {true, false, true, true, false}));
+        evaluate_regions(rendered, real, make_standard_regions(real, {true, false, true, true, false}));
     EXPECT_EQ(row.at("moving_boxes/pixels"), 2.0);    // pixel 3 has no return
     EXPECT_EQ(row.at("moving_boxes/returned"), 0.5);  // pixel 2 is dropped, but counts
     EXPECT_NEAR(row.at("moving_boxes/depth_medae_m"), 2.0, 1e-12);
@@ -202,20 +203,20 @@ TEST(Regions, KnowWhatMoves) {
              s.world_from_vehicle.at(0.21) * glm::dvec3(12.0, 2.0 + 2.0 * (i - 2.1), 1.0)});
     }
     s.boxes = {box};
-    EXPECT_EQ(moving_returns(s, s.frames[2]), std::vector<bool>{true});
-    EXPECT_EQ(moving_returns(s, s.frames[2], {{1.0, 0.0, 0.0, 0.0}, {0.0, 2.0, 0.0}}),
+    EXPECT_EQ(find_moving_returns(s, s.frames[2]), std::vector<bool>{true});
+    EXPECT_EQ(find_moving_returns(s, s.frames[2], {{1.0, 0.0, 0.0, 0.0}, {0.0, 2.0, 0.0}}),
               std::vector<bool>{false});
-    EXPECT_EQ(moving_returns(s, s.frames[4]), std::vector<bool>{false});
-    EXPECT_EQ(discovered_returns(s, s.frames[2]), std::vector<bool>{false}) << "it is labelled";
+    EXPECT_EQ(find_moving_returns(s, s.frames[4]), std::vector<bool>{false});
+    EXPECT_EQ(find_discovered_returns(s, s.frames[2]), std::vector<bool>{false}) << "it is labelled";
     s.boxes[0].category = kDiscoveredCategory;
-    EXPECT_EQ(discovered_returns(s, s.frames[2]), std::vector<bool>{true});
-    EXPECT_EQ(discovered_returns(s, s.frames[4]), std::vector<bool>{false});
-    EXPECT_EQ(moving_returns(s, s.frames[2]), std::vector<bool>{false}) << "it is scored on its own";
+    EXPECT_EQ(find_discovered_returns(s, s.frames[2]), std::vector<bool>{true});
+    EXPECT_EQ(find_discovered_returns(s, s.frames[4]), std::vector<bool>{false});
+    EXPECT_EQ(find_moving_returns(s, s.frames[2]), std::vector<bool>{false}) << "it is scored on its own";
     s.boxes[0].category = "Car";
     // The labels end before frame 2. The discovery of moving objects has added the later
     // poses, and such poses must not change scores.
     s.boxes[0].n_after = 3;
-    EXPECT_EQ(moving_returns(s, s.frames[2]), std::vector<bool>{false});
+    EXPECT_EQ(find_moving_returns(s, s.frames[2]), std::vector<bool>{false});
 }
 
 }  // namespace

@@ -16,7 +16,7 @@ namespace {
 
 using ReportFile = TemporaryFolder;
 
-Report some_report() {
+Report make_some_report() {
     Report report;
     report.title = "Title <b>&\"'";
     report.summary = "One paragraph.";
@@ -27,7 +27,7 @@ Report some_report() {
     report.metrics = {{"relidar", {{"peer/depth_rmse_m", 3.25}, {"peer/depth_psnr_db", 28.0}}},
                       {"paper", {{"peer/depth_rmse_m", 3.4671}}}};
     report.timings_ms = {{"Training step", {{"forward", 3.0}, {"backward", 9.0}}}};
-    report.figures = {{"Frame 5", {{"real", colour_map({0, 1}, 1, 2, 0, 1, "turbo")}}}};
+    report.figures = {{"Frame 5", {{"real", apply_colour_map({0, 1}, 1, 2, 0, 1, "turbo")}}}};
     report.bars = {{"Errors",
                     "Of all rays.",
                     {"small", "large"},
@@ -42,7 +42,7 @@ Report some_report() {
 /// Returns the report with three points: a point at (1.5, -2, 0.25) m, a point beyond the
 /// displayed range, and a NaN point.
 Report report_with_view() {
-    Report report = some_report();
+    Report report = make_some_report();
     const float nan = std::nanf("");
     report.views = {
         {"Points",
@@ -58,7 +58,7 @@ std::string between(const std::string& text, const std::string& before, const st
 
 std::string written(const std::filesystem::path& folder, const Report& report) {
     write_report(folder / "report.html", report);
-    return contents(folder / "report.html");
+    return read_contents(folder / "report.html");
 }
 
 std::size_t count(const std::string& text, const std::string& part) {
@@ -90,7 +90,7 @@ void expect_well_formed(const std::string& html) {
 }
 
 /// Returns the y coordinates of the points of the first path.
-std::vector<double> path_heights(const std::string& html) {
+std::vector<double> list_path_heights(const std::string& html) {
     const std::size_t start = html.find(" d=\"M") + 4, end = html.find('"', start);
     std::istringstream path(html.substr(start, end - start));
     std::vector<double> heights;
@@ -100,7 +100,7 @@ std::vector<double> path_heights(const std::string& html) {
 }
 
 TEST_F(ReportFile, HoldsEverything) {
-    const std::string html = written(folder, some_report());
+    const std::string html = written(folder, make_some_report());
     expect_well_formed(html);
     EXPECT_EQ(count(html, "<svg"), 2u);  // two groups of curves
     EXPECT_EQ(count(html, "<path"), 3u);
@@ -108,7 +108,7 @@ TEST_F(ReportFile, HoldsEverything) {
                              "backward", "9.000", "75.0 %", "12.000", "Frame 5", "real"})
         EXPECT_NE(html.find(part), std::string::npos) << part;
     EXPECT_NE(html.find("<td class=\"best\">3.250</td><td>3.467</td>"), std::string::npos);
-    Report apart = some_report();
+    Report apart = make_some_report();
     apart.same_scans = false;
     EXPECT_EQ(written(folder, apart).find("class=\"best\""), std::string::npos)
         << "scores of different scans are not compared";
@@ -145,7 +145,7 @@ TEST_F(ReportFile, PacksPointsInEightBytes) {
 }
 
 TEST_F(ReportFile, HoldsScriptForViewsAlone) {
-    EXPECT_EQ(written(folder, some_report()).find("<script"), std::string::npos);
+    EXPECT_EQ(written(folder, make_some_report()).find("<script"), std::string::npos);
     const std::string html = written(folder, report_with_view());
     EXPECT_EQ(count(html, "<script"), 1u);
     const std::string script = between(html, "<script>", "</script>");
@@ -166,7 +166,7 @@ TEST_F(ReportFile, StaysBelowEightMegabytes) {
 }
 
 TEST_F(ReportFile, EscapesWhateverItIsGiven) {
-    Report report = some_report();
+    Report report = make_some_report();
     const std::string evil = "</title></style><script>alert(1)</script>\"'&";
     report.title = report.summary = evil;
     report.facts = {{evil, evil}};
@@ -184,7 +184,7 @@ TEST_F(ReportFile, EscapesWhateverItIsGiven) {
 }
 
 TEST_F(ReportFile, NeedsNothingBesideIt) {
-    const std::string html = written(folder, some_report());
+    const std::string html = written(folder, make_some_report());
     EXPECT_EQ(html.find("http"), std::string::npos);
     EXPECT_EQ(count(html, "src="), count(html, "src=\"data:image/png;base64,iVBORw0KGgo"));
     EXPECT_EQ(count(html, "href="), 0u);
@@ -192,9 +192,9 @@ TEST_F(ReportFile, NeedsNothingBesideIt) {
 }
 
 TEST_F(ReportFile, EncodesPicturesAsBase64) {
-    const std::string html = written(folder, some_report());
+    const std::string html = written(folder, make_some_report());
     const std::size_t start = html.find("base64,") + 7, end = html.find('"', start);
-    const std::vector<std::uint8_t> png = encode_png(some_report().figures[0].images[0].second);
+    const std::vector<std::uint8_t> png = encode_png(make_some_report().figures[0].images[0].second);
     EXPECT_EQ(end - start, (png.size() + 2) / 3 * 4);
     EXPECT_EQ(end - start - html.substr(start, end - start).find_last_not_of('=') - 1,
               (3 - png.size() % 3) % 3);
@@ -203,13 +203,13 @@ TEST_F(ReportFile, EncodesPicturesAsBase64) {
 TEST_F(ReportFile, LogarithmicAxisOnlyWhereAllValuesArePositive) {
     Report report;
     report.curves = {{"loss", {0, 1, 2}, {100, 10, 1}}};
-    const std::vector<double> y = path_heights(written(folder, report));
+    const std::vector<double> y = list_path_heights(written(folder, report));
     ASSERT_EQ(y.size(), 3u);
     EXPECT_NEAR(y[1] - y[0], y[2] - y[1], 0.21);  // equal factors must give equal steps
     EXPECT_LT(y[0], y[2]);                        // y points down in SVG
 
     report.curves[0].y = {100, 50, 0};
-    const std::vector<double> linear = path_heights(written(folder, report));
+    const std::vector<double> linear = list_path_heights(written(folder, report));
     ASSERT_EQ(linear.size(), 3u);
     EXPECT_NEAR(linear[1] - linear[0], linear[2] - linear[1], 0.21);
 }
@@ -241,17 +241,17 @@ TEST_F(ReportFile, TakesPoisonedAndLongCurves) {
 TEST_F(ReportFile, RefusesCurvesOfUnequalLength) {
     Report report;
     report.curves = {{"loss", {0, 1, 2}, {1, 2}}};
-    data_error([&] { write_report(folder / "report.html", report); });
+    get_data_error_message([&] { write_report(folder / "report.html", report); });
     EXPECT_TRUE(files().empty());
 }
 
 TEST_F(ReportFile, EmptyReportIsAPage) { expect_well_formed(written(folder, {})); }
 
 TEST_F(ReportFile, IsTheSameInEveryLocale) {
-    write_report(folder / "before.html", some_report());
+    write_report(folder / "before.html", make_some_report());
     const test::CommaLocale comma;
-    write_report(folder / "after.html", some_report());
-    EXPECT_EQ(contents(folder / "after.html"), contents(folder / "before.html"));
+    write_report(folder / "after.html", make_some_report());
+    EXPECT_EQ(read_contents(folder / "after.html"), read_contents(folder / "before.html"));
 }
 
 }  // namespace

@@ -25,12 +25,12 @@ class Sightings : public test::DeviceTest {
 protected:
     double seen(const relidar::Run& run, BoxSide side) {
         const auto sightings = observe_actors(device(), run);
-        return sightings.empty() ? 0.0 : seen_surface(kCarSize_m, sightings.at("7")).seen(side);
+        return sightings.empty() ? 0.0 : compute_visible_surface(kCarSize_m, sightings.at("7")).seen(side);
     }
 };
 
 TEST_F(Sightings, AreOnTheSideThatIsTurnedToTheSensor) {
-    const relidar::Run run = run_of(plates(), kAhead);
+    const relidar::Run run = run_of(make_plates(), kAhead);
     const auto sightings = observe_actors(device(), run);
     ASSERT_EQ(sightings.count("7"), 1u);
     const ActorObservations& actor = sightings.at("7");
@@ -38,7 +38,7 @@ TEST_F(Sightings, AreOnTheSideThatIsTurnedToTheSensor) {
     for (const glm::vec3& point_m : actor.points_m)
         EXPECT_LT(point_m.x, -1.6f) << "at the rear, or on the rim of a side";
     const auto on_plate = std::ranges::count_if(
-        actor.points_m, [](const glm::vec3& p) { return std::abs(p.x + 1.95f) < 0.02f; });
+        actor.points_m, [](const glm::vec3& point) { return std::abs(point.x + 1.95f) < 0.02f; });
     EXPECT_GT(double(on_plate), 0.8 * double(actor.points_m.size()));
     EXPECT_NEAR(actor.nearest_m, 8.05, 0.02);
     EXPECT_GT(seen(run, BoxSide::rear), 0.9);
@@ -48,30 +48,30 @@ TEST_F(Sightings, AreOnTheSideThatIsTurnedToTheSensor) {
 TEST_F(Sightings, TurnWithTheActor) {
     // its left side faces the LiDAR
     const Pose across{glm::angleAxis(0.5 * kPi, glm::dvec3(0, 0, 1)), {10.0, 0.0, -0.5}};
-    EXPECT_GT(seen(run_of(plates(), across), BoxSide::left), 0.9);
-    EXPECT_EQ(seen(run_of(plates(), across), BoxSide::right), 0.0);
+    EXPECT_GT(seen(run_of(make_plates(), across), BoxSide::left), 0.9);
+    EXPECT_EQ(seen(run_of(make_plates(), across), BoxSide::right), 0.0);
 }
 
 TEST_F(Sightings, WhatHidesAnActorHidesIt) {
-    relidar::Run run = run_of(plates(), kAhead);
+    relidar::Run run = run_of(make_plates(), kAhead);
     Surfels wall;
     wall.resize(1);
     wall.mean[0] = {4.0f, 0.0f, 0.0f};
     wall.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};
     wall.log_scale[0] = glm::vec2(std::log(5.0f));
     wall.opacity_logit[0] = 8.0f;
-    run.scene = with_background(run.scene, wall);
+    run.scene = add_background(run.scene, wall);
     EXPECT_EQ(seen(run, BoxSide::rear), 0.0);
 }
 
 TEST_F(Sightings, HeldOutFramesDoNotCount) {
-    relidar::Run run = run_of(plates(), kAhead);
+    relidar::Run run = run_of(make_plates(), kAhead);
     run.split = {{}, {0, 1, 2}};
     EXPECT_TRUE(observe_actors(device(), run).empty());
 }
 
 TEST(MakeAsset, LeavesOutWhatCanShowNowhere) {
-    Surfels car = plates();
+    Surfels car = make_plates();
     const std::size_t n = car.size();
     car.opacity_logit[3] = -7.0f;      // below 1 / 255
     car.mean[5] = {2.3f, 0.0f, 0.0f};  // 30 cm in front of the box
@@ -82,7 +82,7 @@ TEST(MakeAsset, LeavesOutWhatCanShowNowhere) {
 }
 
 TEST(MakeAsset, OnlyVehiclesAreMirrored) {
-    ActorObservations left = from_outside(plates().mean);
+    ActorObservations left = from_outside(make_plates().mean);
     for (std::size_t i = left.points_m.size(); i-- > 0;) {
         if (left.points_m[i].y > 0.9f) continue;
         left.points_m.erase(left.points_m.begin() + std::ptrdiff_t(i)),
@@ -90,7 +90,7 @@ TEST(MakeAsset, OnlyVehiclesAreMirrored) {
     }
     for (const auto& [category, is_vehicle] :
          {std::pair("Car", true), {"Pedestrian", false}, {"Cyclist", false}, {kDiscoveredCategory, true}}) {
-        relidar::Run run = run_of(plates(), kAhead);
+        relidar::Run run = run_of(make_plates(), kAhead);
         run.sequence.boxes[0].category = category;
         const Asset asset = make_asset(run, "7", left);
         EXPECT_EQ(asset.facts.kind == ObjectKind::vehicle, is_vehicle) << category;
@@ -101,7 +101,7 @@ TEST(MakeAsset, OnlyVehiclesAreMirrored) {
 }
 
 TEST(MakeAsset, IsARunOfThatActorAlone) {
-    relidar::Run run = run_of(plates(), kAhead);
+    relidar::Run run = run_of(make_plates(), kAhead);
     run.scene.instances.push_back({1, "copy"});
     run.sequence.boxes.push_back(run.sequence.boxes[0]);
     run.sequence.boxes[1].id = "copy";
@@ -119,13 +119,13 @@ TEST(MakeAsset, IsARunOfThatActorAlone) {
 class AssetFiles : public TemporaryFolder {};
 
 TEST_F(AssetFiles, SayAgainWhatTheyWereTold) {
-    Asset asset = make_asset(run_of(plates(), kAhead), "7",
+    Asset asset = make_asset(run_of(make_plates(), kAhead), "7",
                              from_outside({{-1.95f, 0.0f, 0.2f}, {0.1f, 0.95f, 0.3f}}, 8.25));
     asset.facts.clearance_m = 0.15;
     save_asset(asset, folder / "car-7");
-    EXPECT_EQ(asset_clearance(load_run(folder / "car-7")), 0.15);
-    EXPECT_FALSE(asset_clearance(run_of(plates(), kAhead)));
-    ASSERT_EQ(asset_folders(folder), std::vector<std::filesystem::path>{folder / "car-7"});
+    EXPECT_EQ(measure_asset_clearance(load_run(folder / "car-7")), 0.15);
+    EXPECT_FALSE(measure_asset_clearance(run_of(make_plates(), kAhead)));
+    ASSERT_EQ(list_asset_folders(folder), std::vector<std::filesystem::path>{folder / "car-7"});
     const AssetFacts found = read_asset_facts(folder / "car-7");
     EXPECT_EQ(found.name, "car-7");
     EXPECT_EQ(found.category, "Car");
@@ -145,32 +145,33 @@ TEST_F(AssetFiles, SayAgainWhatTheyWereTold) {
 }
 
 TEST_F(AssetFiles, DamageIsNamed) {
-    EXPECT_THAT(data_error([&] { asset_folders(folder); }), HasSubstr("contains no asset"));
-    EXPECT_THAT(data_error([&] { asset_folders(folder / "nowhere"); }), HasSubstr("nowhere"));
-    save_asset(make_asset(run_of(plates(), kAhead), "7", from_outside({}, 8.0)), folder / "car-7");
-    const std::string good = contents(folder / "car-7" / kAssetFile);
+    EXPECT_THAT(get_data_error_message([&] { list_asset_folders(folder); }), HasSubstr("contains no asset"));
+    EXPECT_THAT(get_data_error_message([&] { list_asset_folders(folder / "nowhere"); }),
+                HasSubstr("nowhere"));
+    save_asset(make_asset(run_of(make_plates(), kAhead), "7", from_outside({}, 8.0)), folder / "car-7");
+    const std::string good = read_contents(folder / "car-7" / kAssetFile);
     const nlohmann::json wrong = {{"seen", 1.5}, {"kind", "plane"}, {"size_m", {1, 2}}, {"format", "x"}};
     for (const auto& [member, value] : wrong.items()) {
         nlohmann::json json = nlohmann::json::parse(good);
         json[member] = value;
         put(folder / "car-7" / kAssetFile, json.dump());
-        EXPECT_THAT(data_error([&] { read_asset_facts(folder / "car-7"); }), HasSubstr(member));
+        EXPECT_THAT(get_data_error_message([&] { read_asset_facts(folder / "car-7"); }), HasSubstr(member));
     }
 }
 
 class InsertedAsset : public Sightings {};
 
 TEST_F(InsertedAsset, RendersAsTheActorItWas) {
-    const relidar::Run run = run_of(plates(), kAhead);
+    const relidar::Run run = run_of(make_plates(), kAhead);
     // no surfel is mirrored or omitted
-    const Asset asset = make_asset(run, "7", from_outside(plates().mean));
+    const Asset asset = make_asset(run, "7", from_outside(make_plates().mean));
     ASSERT_EQ(asset.facts.mirrored, 0u);
     const DrivingScene empty = remove_track(run.driving(), "7");
     Pose dataset_from_car = kAhead;
     dataset_from_car.translation += run.sequence.world_offset_m;
     const DrivingScene inserted =
         insert_track(empty, asset.run.driving(), asset.facts.name, {dataset_from_car});
-    const SensorChoice sensor = configured_sensor(run.config, run.sequence);
+    const SensorChoice sensor = make_configured_sensor(run.config, run.sequence);
     const RenderedScan before =
         ScanRenderer(device(), run.scene, run.config, run.sequence).render(sensor, 0.5);
     const RenderedScan after =

@@ -13,14 +13,15 @@ inline const glm::dvec3 kCarSize_m(4.0, 2.0, 1.6);
 
 /// Returns random surfels with means inside a box, and with random rotation, size and
 /// direction-dependent brightness.
-inline Surfels random_surfels(std::size_t n, const glm::vec3& low_m, const glm::vec3& high_m, unsigned seed) {
+inline Surfels make_random_surfels(std::size_t count, const glm::vec3& low_m, const glm::vec3& high_m,
+                                   unsigned seed) {
     std::mt19937 random(seed);
     const auto between = [&](float low, float high) {
         return std::uniform_real_distribution<float>(low, high)(random);
     };
     Surfels surfels;
-    surfels.resize(n);
-    for (std::size_t i = 0; i < n; ++i) {
+    surfels.resize(count);
+    for (std::size_t i = 0; i < count; ++i) {
         for (int axis = 0; axis < 3; ++axis) surfels.mean[i][axis] = between(low_m[axis], high_m[axis]);
         for (int k = 0; k < 4; ++k) surfels.rotation[i][k] = between(-1.0f, 1.0f);
         surfels.log_scale[i] = {std::log(between(0.02f, 0.2f)), std::log(between(0.02f, 0.2f))};
@@ -62,7 +63,7 @@ inline Run run_of(Surfels car, const Pose& world_from_car) {
 
 /// Returns opaque plates on the four sides of the car, 5 cm inside its box. Each plate is
 /// a grid of surfels that reflect light.
-inline Surfels plates() {
+inline Surfels make_plates() {
     Surfels surfels;
     const auto add = [&](const glm::vec3& at_m, const glm::quat& turn) {
         const std::size_t i = surfels.size();

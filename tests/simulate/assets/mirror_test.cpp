@@ -14,39 +14,43 @@ namespace {
 
 const glm::dmat3 kMirror(glm::dvec3(1, 0, 0), glm::dvec3(0, -1, 0), glm::dvec3(0, 0, 1));
 
-Surfels anywhere(std::size_t n) { return random_surfels(n, glm::vec3(-1.0f), glm::vec3(1.0f), 3); }
+Surfels make_surfels_anywhere(std::size_t count) {
+    return make_random_surfels(count, glm::vec3(-1.0f), glm::vec3(1.0f), 3);
+}
 
 /// Returns the covariance of a disc or an ellipsoid.
-glm::dmat3 covariance(const Surfels& surfels, std::size_t i) {
-    const glm::vec4 q = surfels.rotation[i];
+glm::dmat3 compute_covariance(const Surfels& surfels, std::size_t index) {
+    const glm::vec4 q = surfels.rotation[index];
     const glm::dmat3 axes = glm::mat3_cast(glm::normalize(glm::dquat(q[0], q[1], q[2], q[3])));
-    glm::dvec3 sigma(std::exp(surfels.log_scale[i].x), std::exp(surfels.log_scale[i].y), 0.0);
-    if (kind_of(surfels.primitive).third_scale) sigma.z = std::exp(surfels.log_scale_w[i]);
+    glm::dvec3 sigma(std::exp(surfels.log_scale[index].x), std::exp(surfels.log_scale[index].y), 0.0);
+    if (kind_of(surfels.primitive).third_scale) sigma.z = std::exp(surfels.log_scale_w[index]);
     const glm::dmat3 scaled(sigma.x * axes[0], sigma.y * axes[1], sigma.z * axes[2]);
     return scaled * glm::transpose(scaled);
 }
 
-double difference(const glm::dmat3& a, const glm::dmat3& b) {
+double difference(const glm::dmat3& first, const glm::dmat3& second) {
     double most = 0.0;
     for (int c = 0; c < 3; ++c)
-        for (int r = 0; r < 3; ++r) most = std::max(most, std::abs(a[c][r] - b[c][r]));
+        for (int r = 0; r < 3; ++r) most = std::max(most, std::abs(first[c][r] - second[c][r]));
     return most;
 }
 
 TEST(Mirror, CovarianceIsMirrored) {
-    Surfels discs = anywhere(50), ellipsoids = discs;
+    Surfels discs = make_surfels_anywhere(50), ellipsoids = discs;
     make_primitive(ellipsoids, Primitive::gaussian, 0.3);
     for (const Surfels* surfels : {&discs, &ellipsoids}) {
         const Surfels other = mirror_left_right(*surfels);
         for (std::size_t i = 0; i < surfels->size(); ++i) {
             EXPECT_EQ(other.mean[i], glm::vec3(kMirror * glm::dvec3(surfels->mean[i])));
-            EXPECT_LT(difference(covariance(other, i), kMirror * covariance(*surfels, i) * kMirror), 1e-9);
+            EXPECT_LT(
+                difference(compute_covariance(other, i), kMirror * compute_covariance(*surfels, i) * kMirror),
+                1e-9);
         }
     }
 }
 
 TEST(Mirror, HarmonicsAreThoseOfTheMirroredDirection) {
-    const Surfels surfels = anywhere(20);
+    const Surfels surfels = make_surfels_anywhere(20);
     const std::vector<reference::Surfel> here = test::to_reference(surfels),
                                          there = test::to_reference(mirror_left_right(surfels));
     std::mt19937 random(9);
@@ -55,24 +59,24 @@ TEST(Mirror, HarmonicsAreThoseOfTheMirroredDirection) {
         for (int k = 0; k < 20; ++k) {
             const glm::dvec3 direction =
                 glm::normalize(glm::dvec3(normal(random), normal(random), normal(random)));
-            const glm::dvec3 expected = reference::sh_values(here[i], direction, 3);
-            const glm::dvec3 found = reference::sh_values(there[i], kMirror * direction, 3);
+            const glm::dvec3 expected = reference::evaluate_sh(here[i], direction, 3);
+            const glm::dvec3 found = reference::evaluate_sh(there[i], kMirror * direction, 3);
             EXPECT_LT(glm::length(found - expected), 1e-12);
-            EXPECT_GT(glm::length(reference::sh_values(here[i], kMirror * direction, 3) - expected), 1e-6)
+            EXPECT_GT(glm::length(reference::evaluate_sh(here[i], kMirror * direction, 3) - expected), 1e-6)
                 << "they depend on it";
         }
     }
 }
 
 TEST(Mirror, TwiceIsNoChange) {
-    const Surfels surfels = anywhere(5), twice = mirror_left_right(mirror_left_right(surfels));
+    const Surfels surfels = make_surfels_anywhere(5), twice = mirror_left_right(mirror_left_right(surfels));
     EXPECT_EQ(twice.mean, surfels.mean);
     EXPECT_EQ(twice.rotation, surfels.rotation);
     EXPECT_EQ(twice.sh, surfels.sh);
 }
 
 /// Returns rays towards the car from a point 8 m to its right, or to its left if y is -1.
-RayTable rays_from_the_right(double y) {
+RayTable make_rays_from_the_right(double y) {
     RayTable rays;
     rays.rows = 40, rays.columns = 80;
     for (int row = 0; row < rays.rows; ++row) {
@@ -98,14 +102,14 @@ protected:
 };
 
 TEST_F(MirroredCar, LooksFromTheUnseenSideAsItDoesFromTheSeenOne) {
-    const Surfels left = random_surfels(600, {-1.2f, 0.85f, -0.4f}, {1.2f, 0.95f, 0.4f}, 1);
+    const Surfels left = make_random_surfels(600, {-1.2f, 0.85f, -0.4f}, {1.2f, 0.95f, 0.4f}, 1);
     Surfels guessed = left;  // adds surfels that training left on the unobserved side
-    guessed.append(random_surfels(100, {-1.2f, -0.95f, -0.4f}, {1.2f, -0.85f, 0.4f}, 2));
+    guessed.append(make_random_surfels(100, {-1.2f, -0.95f, -0.4f}, {1.2f, -0.85f, 0.4f}, 2));
     const Asset asset = make_asset(run_of(guessed, {}), "7", from_outside(left.mean, 8.0));
     EXPECT_EQ(asset.facts.mirrored, left.size());
     EXPECT_EQ(asset.facts.surfels, 2 * left.size()) << "guesses have made room";
-    const RenderedScan expected = seen(asset.run, rays_from_the_right(-1.0)),
-                       found = seen(asset.run, rays_from_the_right(1.0));
+    const RenderedScan expected = seen(asset.run, make_rays_from_the_right(-1.0)),
+                       found = seen(asset.run, make_rays_from_the_right(1.0));
     ASSERT_EQ(found.weight.size(), expected.weight.size());
     std::size_t met = 0;
     for (std::size_t i = 0; i < found.weight.size(); ++i) {
@@ -120,7 +124,7 @@ TEST_F(MirroredCar, LooksFromTheUnseenSideAsItDoesFromTheSeenOne) {
 }
 
 TEST_F(MirroredCar, KeepsWhatWasSeen) {
-    const Surfels left = random_surfels(600, {-1.2f, 0.85f, -0.4f}, {1.2f, 0.95f, 0.4f}, 1);
+    const Surfels left = make_random_surfels(600, {-1.2f, 0.85f, -0.4f}, {1.2f, 0.95f, 0.4f}, 1);
     const Surfels found = make_asset(run_of(left, {}), "7", from_outside(left.mean)).run.scene.surfels;
     for (std::size_t i = 0; i < left.size(); ++i) {
         const auto it = std::ranges::find(found.mean, left.mean[i]);

@@ -20,25 +20,25 @@ namespace {
 constexpr int kStep = 14;
 constexpr const char *kLabel = "my_label", *kShare = "my_share", *kWay = "my_way";
 
-const std::vector<std::int32_t>& labels_of(const RenderedScan& scan) {
+const std::vector<std::int32_t>& get_labels(const RenderedScan& scan) {
     return *find_values<std::int32_t>(scan.channels, kLabel);
 }
-const std::vector<float>& shares_of(const RenderedScan& scan) {
+const std::vector<float>& get_shares(const RenderedScan& scan) {
     return *find_values<float>(scan.channels, kShare);
 }
-const std::vector<glm::vec3>& ways_of(const RenderedScan& scan) {
+const std::vector<glm::vec3>& list_ways(const RenderedScan& scan) {
     return *find_values<glm::vec3>(scan.channels, kWay);
 }
 
 /// Returns a scan whose values encode the channel and the ray: 14 ray + channel. All rays
 /// have a return and almost the same origin.
-RenderedScan marked_scan(int n, int first = 0) {
+RenderedScan make_marked_scan(int count, int first = 0) {
     RenderedScan scan;
-    scan.image.rows = 1, scan.image.columns = n;
+    scan.image.rows = 1, scan.image.columns = count;
     std::vector<std::int32_t> label;
     std::vector<float> share;
     std::vector<glm::vec3> way;
-    for (int i = 0; i < n; ++i) {
+    for (int i = 0; i < count; ++i) {
         const auto code = float(kStep * (first + i));
         scan.image.origin.emplace_back(0.0f);
         scan.image.direction.push_back(glm::normalize(glm::vec3(1.0f, 0.05f * float(first + i), 0.0f)));
@@ -56,51 +56,54 @@ RenderedScan marked_scan(int n, int first = 0) {
     return scan;
 }
 
-/// Checks that entry `at` of a scan has the values that marked_scan() assigned to a ray.
-void expect_marks(const RenderedScan& scan, std::size_t at, int ray) {
+/// Checks that entry `index` of a scan has the values that make_marked_scan() assigned to
+/// a ray.
+void expect_marks(const RenderedScan& scan, std::size_t index, int ray) {
     const auto code = float(kStep * ray);
-    EXPECT_NEAR(scan.image.range_m[at], code + 1.0f, 1e-3f) << at;
-    EXPECT_NEAR(scan.median_range_m[at], code + 2.0f, 1e-3f) << at;
-    EXPECT_NEAR(scan.mean_range_m[at], code + 3.0f, 1e-3f) << at;
-    EXPECT_EQ(scan.image.intensity[at], code + 4.0f) << at;
-    EXPECT_EQ(scan.image.drop_prob[at], 1e-6f * (code + 5.0f)) << at;
-    EXPECT_EQ(scan.weight[at], code + 6.0f) << at;
-    EXPECT_EQ(scan.instance[at], int(code) + 7) << at;
-    EXPECT_EQ(labels_of(scan)[at], int(code) + 9) << at;
-    EXPECT_EQ(shares_of(scan)[at], code + 10.0f) << at;
-    EXPECT_EQ(ways_of(scan)[at], glm::vec3(code + 11.0f, code + 12.0f, code + 13.0f)) << at;
+    EXPECT_NEAR(scan.image.range_m[index], code + 1.0f, 1e-3f) << index;
+    EXPECT_NEAR(scan.median_range_m[index], code + 2.0f, 1e-3f) << index;
+    EXPECT_NEAR(scan.mean_range_m[index], code + 3.0f, 1e-3f) << index;
+    EXPECT_EQ(scan.image.intensity[index], code + 4.0f) << index;
+    EXPECT_EQ(scan.image.drop_prob[index], 1e-6f * (code + 5.0f)) << index;
+    EXPECT_EQ(scan.weight[index], code + 6.0f) << index;
+    EXPECT_EQ(scan.instance[index], int(code) + 7) << index;
+    EXPECT_EQ(get_labels(scan)[index], int(code) + 9) << index;
+    EXPECT_EQ(get_shares(scan)[index], code + 10.0f) << index;
+    EXPECT_EQ(list_ways(scan)[index], glm::vec3(code + 11.0f, code + 12.0f, code + 13.0f)) << index;
 }
 
 TEST(Channels, AMergedScanHasThemOfEachRay) {
-    const RenderedScan merged = merge_scans({marked_scan(2), marked_scan(3, 2)}, {Pose{}, Pose{}});
+    const RenderedScan merged = merge_scans({make_marked_scan(2), make_marked_scan(3, 2)}, {Pose{}, Pose{}});
     for (int ray = 0; ray < 5; ++ray) expect_marks(merged, std::size_t(ray), ray);
 }
 
 TEST(Channels, WhatOneScanOfARigHasAloneIsNothingInTheOthers) {
-    RenderedScan bare = marked_scan(2);
+    RenderedScan bare = make_marked_scan(2);
     bare.channels.clear();
     for (const bool first : {true, false}) {
-        const RenderedScan merged = first ? merge_scans({bare, marked_scan(1)}, {Pose{}, Pose{}})
-                                          : merge_scans({marked_scan(1), bare}, {Pose{}, Pose{}});
+        const RenderedScan merged = first ? merge_scans({bare, make_marked_scan(1)}, {Pose{}, Pose{}})
+                                          : merge_scans({make_marked_scan(1), bare}, {Pose{}, Pose{}});
         const std::size_t known = first ? 2 : 0;
         for (std::size_t i = 0; i < 3; ++i) {
-            EXPECT_EQ(labels_of(merged)[i], i == known ? 9 : -5) << i;
-            EXPECT_EQ(ways_of(merged)[i], i == known ? glm::vec3(11.0f, 12.0f, 13.0f) : glm::vec3(0.0f)) << i;
+            EXPECT_EQ(get_labels(merged)[i], i == known ? 9 : -5) << i;
+            EXPECT_EQ(list_ways(merged)[i], i == known ? glm::vec3(11.0f, 12.0f, 13.0f) : glm::vec3(0.0f))
+                << i;
         }
     }
-    RenderedScan other = marked_scan(2);
+    RenderedScan other = make_marked_scan(2);
     other.channels[0].values = std::vector<float>(2);
-    EXPECT_THROW(merge_scans({marked_scan(2), other}, {Pose{}, Pose{}}), UsageError) << "of another type";
+    EXPECT_THROW(merge_scans({make_marked_scan(2), other}, {Pose{}, Pose{}}), UsageError)
+        << "of another type";
     other.channels[0].values = std::vector<std::int32_t>(1);
     EXPECT_THROW(merge_scans({other}, {Pose{}}), DataError) << "of another length";
-    other = marked_scan(2);
+    other = make_marked_scan(2);
     other.channels[1].info.name = "range";
     EXPECT_THROW(merge_scans({other}, {Pose{}}), DataError) << "a basic channel's name";
 }
 
 TEST(Channels, ACellHasThemOfItsRay) {
-    const RangeGrid grid = kitti360_grid();
-    const RenderedScan scan = marked_scan(5), binned = project_scan(scan, grid);
+    const RangeGrid grid = make_kitti360_grid();
+    const RenderedScan scan = make_marked_scan(5), binned = project_scan(scan, grid);
     std::set<std::size_t> taken;
     for (std::size_t ray = 0; ray < 5; ++ray) {
         const std::optional<int> cell =
@@ -111,14 +114,14 @@ TEST(Channels, ACellHasThemOfItsRay) {
     }
     for (std::size_t cell = 0; cell < binned.weight.size(); ++cell) {
         if (taken.contains(cell)) continue;
-        ASSERT_EQ(labels_of(binned)[cell], -5);
-        ASSERT_EQ(shares_of(binned)[cell], 0.0f);
+        ASSERT_EQ(get_labels(binned)[cell], -5);
+        ASSERT_EQ(get_shares(binned)[cell], 0.0f);
     }
 }
 
 /// Five sub-rays hit the same surface at 10 m with equal intensities.
 TEST(Channels, ABeamHasThemOfTheSubRayNearestToItsMiddle) {
-    RenderedScan parts = marked_scan(5);
+    RenderedScan parts = make_marked_scan(5);
     parts.median_range_m.assign(5, 10.0f), parts.image.intensity.assign(5, 0.5f);
     parts.channels.push_back(
         {{.name = "my_drop", .join = ChannelJoin::drop}, std::vector<float>{0.0f, 0.1f, 0.2f, 0.3f, 0.9f}});
@@ -146,9 +149,9 @@ TEST(Channels, ABeamHasThemOfTheSubRayNearestToItsMiddle) {
         EXPECT_EQ(joined.instance[0], 7);
         EXPECT_NEAR(joined.image.range_m[0], 29.0f, 1e-3f);
         EXPECT_NEAR(joined.mean_range_m[0], 31.0f, 1e-3f);
-        EXPECT_EQ(labels_of(joined)[0], 9);
-        EXPECT_EQ(shares_of(joined)[0], 10.0f);
-        EXPECT_EQ(ways_of(joined)[0], glm::vec3(11.0f, 12.0f, 13.0f));
+        EXPECT_EQ(get_labels(joined)[0], 9);
+        EXPECT_EQ(get_shares(joined)[0], 10.0f);
+        EXPECT_EQ(list_ways(joined)[0], glm::vec3(11.0f, 12.0f, 13.0f));
         EXPECT_NEAR(first_of(joined, "my_drop"), 0.3f, 1e-6f) << "the mean over all";
         EXPECT_NEAR(first_of(joined, "my_light"), 3.0f, 1e-6f);
         EXPECT_NEAR(first_of(joined, "my_range"), 4.0f, 1e-5f)
@@ -164,7 +167,7 @@ protected:
         options.n_frames = 4;
         log = make_synthetic_street(options);
         scene = initialise_scene(log, {0, 1, 2, 3}, {});
-        for (const std::string& name : optional_channel_names())
+        for (const std::string& name : list_optional_channels())
             config.render.channels += (config.render.channels.empty() ? "" : ",") + name;
     }
     RenderedScan scan(const std::string& sensor = "native") {
@@ -183,7 +186,7 @@ TEST_F(RenderedChannels, AllThatCanBeAskedForAreThere) {
         config.sensor.sub_rays = sub_rays, config.sensor.divergence_mrad = 3.0;
         for (const char* sensor : {"native", "kitti360", "VLP-16"}) {
             const RenderedScan found = scan(sensor);
-            std::vector<std::string> names, expected = optional_channel_names();
+            std::vector<std::string> names, expected = list_optional_channels();
             for (const ScanChannel& channel : found.channels) {
                 names.push_back(channel.info.name);
                 EXPECT_EQ(size(channel.values), found.image.range_m.size()) << channel.info.name;
@@ -207,8 +210,7 @@ TEST_F(RenderedChannels, TheStreetHasTheVelocityOfTheSensor) {
     std::size_t n_standing = 0;
     for (std::size_t i = 0; i < velocity.size(); ++i) {
         if (found.instance[i] != 0) continue;
-        const glm::dvec3 direction =
-            found.world_from_firing(i).rotation * glm::dvec3(found.image.direction[i]);
+        const glm::dvec3 direction = found.get_firing_pose(i).rotation * glm::dvec3(found.image.direction[i]);
         ASSERT_NEAR(velocity[i],
                     -SyntheticOptions{}.speed_mps * glm::dot(direction, glm::normalize(driven_length_m)),
                     0.01);
@@ -224,7 +226,7 @@ TEST_F(RenderedChannels, AreWantedByName) {
     ScanRenderer renderer(device(), scene, config, log);
     renderer.enable_channels("spread");
     renderer.enable_channels("spread");
-    EXPECT_EQ(renderer.render(configured_sensor(config, log), 0.1).channels.size(), 1u);
+    EXPECT_EQ(renderer.render(make_configured_sensor(config, log), 0.1).channels.size(), 1u);
     config.image.primitive = Primitive::gaussian;
     scene.surfels.resize(scene.surfels.size(), Primitive::gaussian);
     EXPECT_THROW(ScanRenderer(device(), scene, config, log).enable_channels("normal"), UsageError)

@@ -30,7 +30,7 @@ constexpr int kScans = 3;
 
 /// Returns a run with a wall across x in the dataset's world and a compensated log. The
 /// sensor of the log drives along x and passes the origin at kFirst_s.
-Run towards_wall() {
+Run make_run_towards_wall() {
     Run run;
     Surfels& wall = run.scene.surfels;
     wall.resize(1);
@@ -57,7 +57,7 @@ Run towards_wall() {
 }
 
 /// Returns the position of the sensor along x at a time, computed by hand.
-double sensor_x(double time_s) { return kSpeed_mps * (time_s - kFirst_s) - 8.0; }
+double compute_sensor_x(double time_s) { return kSpeed_mps * (time_s - kFirst_s) - 8.0; }
 
 struct TimedPoint {
     glm::dvec3 position_m;
@@ -66,7 +66,7 @@ struct TimedPoint {
 
 class CompensatedLog : public test::DeviceTest {
 protected:
-    relidar::Run run = towards_wall();
+    relidar::Run run = make_run_towards_wall();
     std::filesystem::path folder = std::filesystem::temp_directory_path() / "relidar-compensated-log";
 
     void TearDown() override {
@@ -78,7 +78,7 @@ protected:
     void write(const SensorChoice& sensor, bool deskew) {
         std::filesystem::remove_all(folder);
         std::filesystem::create_directories(folder);
-        ScanFormat format = scan_format(run, sensor);
+        ScanFormat format = make_scan_format(run, sensor);
         format.formats = {"npz", "exr", "ply", "pcd", "mcap", "rosbag"};
         format.deskew = deskew;
         ScanRenderer renderer(device(), run);
@@ -87,7 +87,7 @@ protected:
             scans.write(frame.index, renderer.render(sensor, frame.time_s));
         scans.finish();
     }
-    std::string text(const char* name) const { return contents(folder / name); }
+    std::string text(const char* name) const { return read_contents(folder / name); }
 
     /// Returns the points in the npz file of the first scan.
     std::vector<TimedPoint> points() const {
@@ -111,12 +111,12 @@ protected:
     /// size.
     /// @param end_of_header text at which the header ends
     std::vector<glm::dvec3> points_of(const char* name, const std::string& end_of_header,
-                                      std::size_t n) const {
+                                      std::size_t count) const {
         const std::string bytes = text(name);
         const std::size_t begin = bytes.find(end_of_header) + end_of_header.size(),
-                          stride = (bytes.size() - begin) / n;
+                          stride = (bytes.size() - begin) / count;
         std::vector<glm::dvec3> result;
-        for (std::size_t i = 0; i < n; ++i) {
+        for (std::size_t i = 0; i < count; ++i) {
             glm::vec3 xyz;
             std::memcpy(&xyz, bytes.data() + begin + i * stride, sizeof xyz);
             result.emplace_back(xyz);
@@ -143,7 +143,7 @@ protected:
         for (const char* recording : {"scans.mcap", "rosbag.mcap"}) {
             const Sequence log = load_sequence((folder / recording).string(), {});
             EXPECT_EQ(log.rolling_shutter, rolls) << recording;
-            const PoseTrack track = shifted_track(log.world_from_sensor(0), log.world_offset_m);
+            const PoseTrack track = shift_track(log.world_from_sensor(0), log.world_offset_m);
             std::size_t n = 0;
             for (const Frame& frame : log.frames)
                 for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
@@ -169,7 +169,7 @@ TEST_F(CompensatedLog, AnotherSensorHasItsOwnRollingShutter) {
     ASSERT_GT(raw.size(), 100u);
     double first_s = 1e9, last_s = -1e9;
     for (const auto& [position_m, time_s] : raw) {
-        EXPECT_NEAR(position_m.x + sensor_x(time_s), kWall_m, kTolerance_m)
+        EXPECT_NEAR(position_m.x + compute_sensor_x(time_s), kWall_m, kTolerance_m)
             << "in the sensor's frame when the ray is fired";
         first_s = std::min(first_s, time_s), last_s = std::max(last_s, time_s);
     }
@@ -193,7 +193,7 @@ TEST_F(CompensatedLog, AnotherSensorHasItsOwnRollingShutter) {
     const std::vector<TimedPoint> deskewed = points();
     ASSERT_EQ(deskewed.size(), raw.size());
     for (std::size_t i = 0; i < raw.size(); ++i) {
-        EXPECT_NEAR(deskewed[i].position_m.x + sensor_x(kFirst_s), kWall_m, kTolerance_m)
+        EXPECT_NEAR(deskewed[i].position_m.x + compute_sensor_x(kFirst_s), kWall_m, kTolerance_m)
             << "in the sensor's frame at the scan's time";
         EXPECT_NEAR(deskewed[i].position_m.x - raw[i].position_m.x, kSpeed_mps * (raw[i].time_s - kFirst_s),
                     1e-4)
@@ -209,7 +209,7 @@ TEST_F(CompensatedLog, ItsOwnSensorIsCompensatedAndSaysSo) {
     ASSERT_GT(own.size(), 20u);
     for (const auto& [position_m, time_s] : own) {
         EXPECT_EQ(time_s, kFirst_s) << "all rays are fired at the scan's time";
-        EXPECT_NEAR(position_m.x + sensor_x(time_s), kWall_m, kTolerance_m);
+        EXPECT_NEAR(position_m.x + compute_sensor_x(time_s), kWall_m, kTolerance_m);
     }
 }
 
@@ -219,7 +219,7 @@ TEST_F(CompensatedLog, TheSettingGivesItsOwnSensorARollingShutter) {
     expect_statements(false);
     expect_recordings(true);
     for (const auto& [position_m, time_s] : points())
-        EXPECT_NEAR(position_m.x + sensor_x(time_s), kWall_m, kTolerance_m);
+        EXPECT_NEAR(position_m.x + compute_sensor_x(time_s), kWall_m, kTolerance_m);
 
     run.config.sensor.rolling_shutter = RollingShutter::no;
     write(choose_sensor("VLP-16:96x10", run.config, run.sequence), false);
@@ -241,7 +241,7 @@ TEST_F(CompensatedLog, PointsOfTheServiceToo) {
             const glm::dvec3 at_m = points.world_from_points * glm::dvec3(points.position_m[i]);
             EXPECT_NEAR(at_m.x, kWall_m, kTolerance_m);
             const double offset_s = points.time_offset_s[i], time_s = kFirst_s + offset_s;
-            const glm::dvec3 way = at_m - glm::dvec3(sensor_x(time_s), 0.0, 0.0);
+            const glm::dvec3 way = at_m - glm::dvec3(compute_sensor_x(time_s), 0.0, 0.0);
             // direction in which the sensor fired at that time
             const double elevation = std::atan2(way.z, std::hypot(way.x, way.y));
             const double beam =

@@ -14,7 +14,7 @@
 namespace relidar {
 namespace {
 
-RayTable one_ray(const glm::vec3& direction) {
+RayTable make_one_ray(const glm::vec3& direction) {
     RayTable rays;
     rays.rows = rays.columns = 1;
     rays.origin = {{0.1f, 0.2f, 0.3f}};
@@ -25,11 +25,11 @@ RayTable one_ray(const glm::vec3& direction) {
 }
 
 /// Returns a fan of rays in a plane, with divergences of 0, 1, 2, ... milliradians.
-RayTable fan(int n) {
+RayTable make_fan(int count) {
     RayTable rays;
     rays.rows = 1;
-    rays.columns = n;
-    for (int i = 0; i < n; ++i) {
+    rays.columns = count;
+    for (int i = 0; i < count; ++i) {
         rays.origin.emplace_back(0.0f, 0.1f * float(i), 0.0f);
         rays.direction.push_back(glm::normalize(glm::vec3(1.0f, 0.3f * float(i), -0.2f * float(i))));
         rays.time_offset_s.push_back(0.01f * float(i));
@@ -39,20 +39,20 @@ RayTable fan(int n) {
     return rays;
 }
 
-/// Returns the mean squared angle between ray `i` and its sub-rays, divided by the mean
-/// squared angle of a uniform disc with a full angle of 1.
-double spread(const RayTable& rays, const RayTable& parts, std::size_t i, std::size_t n) {
+/// Returns the mean squared angle between ray `index` and its sub-rays, divided by the
+/// mean squared angle of a uniform disc with a full angle of 1.
+double spread(const RayTable& rays, const RayTable& parts, std::size_t index, std::size_t count) {
     double squares = 0.0;
-    for (std::size_t k = 0; k < n; ++k) {
+    for (std::size_t k = 0; k < count; ++k) {
         const double chord =
-            glm::distance(glm::dvec3(parts.direction[i * n + k]), glm::dvec3(rays.direction[i]));
-        squares += std::pow(2.0 * std::asin(0.5 * chord), 2.0) / double(n);
+            glm::distance(glm::dvec3(parts.direction[index * count + k]), glm::dvec3(rays.direction[index]));
+        squares += std::pow(2.0 * std::asin(0.5 * chord), 2.0) / double(count);
     }
     return squares / 0.125;
 }
 
 TEST(Footprint, EachRayHasItsOwnCone) {
-    const RayTable rays = fan(8);
+    const RayTable rays = make_fan(8);
     for (const std::size_t n : {std::size_t(5), std::size_t(9), std::size_t(40)}) {
         const RayTable own = split_rays(rays, int(n), 0.0), same = split_rays(rays, int(n), 4e-3);
         ASSERT_EQ(own.size(), 8 * n);
@@ -63,12 +63,12 @@ TEST(Footprint, EachRayHasItsOwnCone) {
                 << "what is asked for stands for all";
         }
     }
-    EXPECT_FLOAT_EQ(float(rays.largest_divergence()), 7e-3f);
-    EXPECT_EQ(one_ray({1, 0, 0}).largest_divergence(), 0.0);
+    EXPECT_FLOAT_EQ(float(rays.find_largest_divergence()), 7e-3f);
+    EXPECT_EQ(make_one_ray({1, 0, 0}).find_largest_divergence(), 0.0);
 }
 
 TEST(Footprint, SomeRaysKeepTheirOwnCones) {
-    const RayTable rays = fan(6), some = some_rays(rays, {4, 1, 5});
+    const RayTable rays = make_fan(6), some = select_rays(rays, {4, 1, 5});
     EXPECT_EQ(some.columns, 3);
     const ScanArray<float>& all = rays.ray_divergence_rad;
     EXPECT_EQ(to_vector(some.ray_divergence_rad), (std::vector<float>{all[4], all[1], all[5]}));
@@ -76,7 +76,7 @@ TEST(Footprint, SomeRaysKeepTheirOwnCones) {
     RayTable one = rays;
     one.ray_divergence_rad.clear();
     one.divergence_rad = 3e-3f;
-    const RayTable few = some_rays(one, {4, 1});
+    const RayTable few = select_rays(one, {4, 1});
     EXPECT_TRUE(few.ray_divergence_rad.empty());
     EXPECT_EQ(few.divergence_rad, 3e-3f);
 }
@@ -86,7 +86,7 @@ TEST(Footprint, PartsAreSpreadAsAnEvenlyLitDisc) {
     for (const int n : {5, 9}) {
         for (const glm::vec3& direction :
              {glm::vec3(1, 0, 0), glm::vec3(0, 0, 1), glm::vec3(-0.3f, 0.5f, -0.7f)}) {
-            const RayTable rays = one_ray(direction), parts = split_rays(rays, n, divergence);
+            const RayTable rays = make_one_ray(direction), parts = split_rays(rays, n, divergence);
             ASSERT_EQ(parts.size(), std::size_t(n));
             EXPECT_EQ(parts.direction[0], rays.direction[0]);
             double squares = 0.0;
@@ -131,7 +131,7 @@ RenderedScan scan_of(const std::vector<Part>& parts) {
 RenderedScan joined(const std::vector<Part>& parts, SensorConfig config = {}) {
     config.sub_rays = static_cast<int>(parts.size());
     config.returns = 2;
-    return join_footprints(scan_of(parts), one_ray({1, 0, 0}), config);
+    return join_footprints(scan_of(parts), make_one_ray({1, 0, 0}), config);
 }
 
 constexpr float kNear = 1e-6f;
@@ -157,7 +157,7 @@ TEST(Footprint, AnEdgeGivesTwoReturnsTheStrongestFirst) {
                                       {30.0f, 0.3f, 0.0f, 0.25f},
                                       {10.0f, 0.2f, 0.0f, 4.0f},
                                       {30.0f, 0.3f, 0.0f, 0.0f}});
-    EXPECT_NEAR(range_spread(scan)[0], 0.25f, 1e-5f) << "of the return's own parts";
+    EXPECT_NEAR(compute_range_spread(scan)[0], 0.25f, 1e-5f) << "of the return's own parts";
     EXPECT_NEAR(scan.median_range_m[0], 30.0f, 1e-5f);
     EXPECT_NEAR(scan.image.intensity[0], 3 * 0.3f / 5, kNear);
     EXPECT_EQ(scan.instance[0], 0) << "of the part nearest to the middle";
@@ -169,7 +169,8 @@ TEST(Footprint, AnEdgeGivesTwoReturnsTheStrongestFirst) {
 /// A road at a grazing angle has ranges that differ by metres within a single footprint.
 /// Also tests a road with a wall in front of its upper part.
 TEST(Footprint, ASlopeIsOneReturnHoweverSteep) {
-    const RayTable ray = one_ray({std::cos(0.04f), 0.0f, -std::sin(0.04f)}), parts = split_rays(ray, 9, 4e-3);
+    const RayTable ray = make_one_ray({std::cos(0.04f), 0.0f, -std::sin(0.04f)}),
+                   parts = split_rays(ray, 9, 4e-3);
     const auto cast = [&](float wall_m) {
         std::vector<Part> cone;
         for (const glm::vec3& d : parts.direction)

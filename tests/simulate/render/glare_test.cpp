@@ -23,7 +23,7 @@ constexpr double kStep_deg = 0.25, kRadius_deg = 2.5;
 /// Returns a scan of a wall at 20 m with round reflectors. Rays are at intervals of 0.25
 /// degrees.
 /// @param reflectors position of each reflector as {azimuth_deg, elevation_deg, range_m}
-RenderedScan wall_with(const std::vector<glm::dvec3>& reflectors) {
+RenderedScan make_wall_with(const std::vector<glm::dvec3>& reflectors) {
     constexpr std::size_t n = std::size_t(kBeams) * kSteps;
     RenderedScan scan;
     scan.image.rows = kBeams, scan.image.columns = kSteps;
@@ -52,7 +52,7 @@ std::size_t ray_at(int row, int column) { return std::size_t(row) * kSteps + std
 
 /// Returns the echo of stray light on each ray of a scan. The sensor detects any power.
 /// Returns an empty list if no ray has stray light.
-std::vector<Echo> stray_light(const RenderedScan& scan, double bloom, std::uint64_t seed) {
+std::vector<Echo> compute_stray_light(const RenderedScan& scan, double bloom, std::uint64_t seed) {
     const WeatherSensor sensor{.darkest = 0.0};
     const auto effect = kBlooming.prepare(
         {.weather = {.bloom = bloom}, .sensor = sensor, .scan = scan, .response = {}, .seed = seed});
@@ -68,7 +68,7 @@ std::vector<Echo> stray_light(const RenderedScan& scan, double bloom, std::uint6
 
 /// Computes the integral of angle^-3 over a round reflector ahead, as a sum over small
 /// squares, in degrees.
-double integral_at(double azimuth_deg, double elevation_deg) {
+double compute_integral_at(double azimuth_deg, double elevation_deg) {
     constexpr double kFine_deg = 0.05;
     double sum = 0.0;
     for (double a = -kRadius_deg; a < kRadius_deg; a += kFine_deg)
@@ -79,18 +79,18 @@ double integral_at(double azimuth_deg, double elevation_deg) {
 }
 
 TEST(StrayLightOnScans, IsItsIntegralOverTheReflector) {
-    const RenderedScan scan = wall_with({{0.0, 0.0, 4.0}});
+    const RenderedScan scan = make_wall_with({{0.0, 0.0, 4.0}});
     double sum = 0.0, squares = 0.0, n = 0.0;
     const auto expected_in = [](int column) {
         std::vector<double> of_row;
         for (int row = 0; row < kBeams; ++row)
-            of_row.push_back(1e-4 * integral_at(kStep_deg * (column - kSteps / 2 + 0.5),
-                                                kStep_deg * (kBeams / 2 - row - 0.5)));
+            of_row.push_back(1e-4 * compute_integral_at(kStep_deg * (column - kSteps / 2 + 0.5),
+                                                        kStep_deg * (kBeams / 2 - row - 0.5)));
         return of_row;
     };
     const std::vector<double> of_near = expected_in(kSteps / 2 + 24), of_far = expected_in(kSteps / 2 - 60);
     for (std::uint64_t seed = 0; seed < 40; ++seed) {
-        const std::vector<Echo> stray = stray_light(scan, 1e-4, seed);
+        const std::vector<Echo> stray = compute_stray_light(scan, 1e-4, seed);
         ASSERT_EQ(stray.size(), scan.ring.size());
         EXPECT_EQ(stray[ray_at(kBeams / 2, kSteps / 2)].source, PointSource::nothing)
             << "the reflector itself";
@@ -104,29 +104,29 @@ TEST(StrayLightOnScans, IsItsIntegralOverTheReflector) {
                 << "squares of a degree, and a beam's deviate";
             sum += std::log(deviate), squares += std::log(deviate) * std::log(deviate), ++n;
         }
-        const std::vector<Echo> again = stray_light(scan, 1e-4, seed);
+        const std::vector<Echo> again = compute_stray_light(scan, 1e-4, seed);
         for (std::size_t i = 0; i < stray.size(); i += 97)
             ASSERT_EQ(stray[i].reflectivity, again[i].reflectivity);
     }
     EXPECT_NEAR(sum / n, 0.0, 4.0 * 3.0 / std::sqrt(n));
     EXPECT_NEAR(std::sqrt(squares / n), 3.0, 4.0 * 3.0 / std::sqrt(2.0 * n));
-    EXPECT_TRUE(stray_light(wall_with({}), 1e-4, 1).empty());
+    EXPECT_TRUE(compute_stray_light(make_wall_with({}), 1e-4, 1).empty());
 }
 
 /// A reflector at twice the range with the same angular size must have a quarter of the
 /// power.
 TEST(StrayLightOnScans, IsOfTheReflectorWithTheMostPower) {
-    const RenderedScan scan = wall_with({{-8.0, 0.0, 4.0}, {8.0, 0.0, 8.0}});
-    const std::vector<Echo> stray = stray_light(scan, 1e-4, 1);
+    const RenderedScan scan = make_wall_with({{-8.0, 0.0, 4.0}, {8.0, 0.0, 8.0}});
+    const std::vector<Echo> stray = compute_stray_light(scan, 1e-4, 1);
     const int row = kBeams / 2 + 20;
     EXPECT_NEAR(stray[ray_at(row, kSteps / 2)].range_m, 4.0, 1e-6);
     EXPECT_NEAR(stray[ray_at(row, kSteps / 2 + 32)].range_m, 8.0, 1e-6);
 }
 
 TEST(StrayLightOnScans, TakesThePlaceOfWeakReturns) {
-    RenderedScan scan = wall_with({{0.0, 0.0, 4.0}});
+    RenderedScan scan = make_wall_with({{0.0, 0.0, 4.0}});
     const RenderedScan before = scan;
-    const std::vector<Echo> stray = stray_light(scan, 1e-3, 1);
+    const std::vector<Echo> stray = compute_stray_light(scan, 1e-3, 1);
     add_weather(scan, {.weather = {.bloom = 1e-3}, .sensor = {}, .scan = scan, .response = {}, .seed = 1});
     const std::vector<std::int32_t>& source = *find_values<std::int32_t>(scan.channels, "source");
     int bloomed = 0;
@@ -149,7 +149,7 @@ class GlareInScenes : public test::DeviceTest {};
 
 /// Returns a disc of 2 m at a distance of 12 m ahead. The beams have elevations from -1
 /// to 2.5 degrees.
-Surfels disc_ahead() {
+Surfels make_disc_ahead() {
     Surfels disc;
     disc.resize(1);
     disc.mean[0] = {12.0f, 0.0f, 0.0f};
@@ -160,7 +160,7 @@ Surfels disc_ahead() {
     disc.sh[kShCoefficients] = 20.0f;  // hit logit
     return disc;
 }
-Sequence level_beams() {
+Sequence make_level_beams() {
     Sequence sequence;
     sequence.lidars[0].sensor.columns = 720;
     sequence.lidars[0].sensor.first_azimuth_rad = kPi;
@@ -173,9 +173,9 @@ Sequence level_beams() {
 
 TEST_F(GlareInScenes, TheSunIsNoiseAroundItUnlessAWallHidesIt) {
     const Config config;
-    const Sequence sequence = level_beams();
-    ScanRenderer renderer(device(), make_background_scene(disc_ahead()), config, sequence);
-    const SensorChoice sensor = configured_sensor(config, sequence);
+    const Sequence sequence = make_level_beams();
+    ScanRenderer renderer(device(), make_background_scene(make_disc_ahead()), config, sequence);
+    const SensorChoice sensor = make_configured_sensor(config, sequence);
     const RenderedScan dark = renderer.render(sensor, 0.0, {}, 1);
     const auto noise_in = [&](const Sun& sun) {
         renderer.set_weather({.sun = sun});

@@ -29,27 +29,27 @@ RenderedScan scan_of(const Pose& rig_from_sensor, float range_m) {
     scan.weight = {1.0f, 0.9f};
     scan.instance = {0, 2};
     scan.channels = {
-        {optional_channels()[0], std::vector<glm::vec3>{{-1.0f, 0.0f, 0.0f}, {0.0f, 0.0f, -1.0f}}}};
+        {get_optional_channels()[0], std::vector<glm::vec3>{{-1.0f, 0.0f, 0.0f}, {0.0f, 0.0f, -1.0f}}}};
     scan.time_offset_s = {-0.05f, 0.04f};
     scan.ring = {3, 1};
-    scan.track = mounted_track({{0.0, 1.0}, {start, end}}, rig_from_sensor);
+    scan.track = make_mounted_track({{0.0, 1.0}, {start, end}}, rig_from_sensor);
     scan.time_s = 0.5;
     scan.world_from_sensor = scan.track.at(0.5);
     return scan;
 }
 
-const std::vector<glm::vec3>& normals_of(const RenderedScan& scan) {
+const std::vector<glm::vec3>& get_normals(const RenderedScan& scan) {
     return *find_values<glm::vec3>(scan.channels, "normal");
 }
 
-glm::dvec3 world_point(const RenderedScan& scan, std::size_t i) {
-    return scan.world_from_firing(i) *
-           glm::dvec3(scan.image.origin[i] + scan.image.range_m[i] * scan.image.direction[i]);
+glm::dvec3 compute_world_point(const RenderedScan& scan, std::size_t index) {
+    return scan.get_firing_pose(index) *
+           glm::dvec3(scan.image.origin[index] + scan.image.range_m[index] * scan.image.direction[index]);
 }
 
 /// Returns the same rays in two rows. The last ray of the second row is fired later than
 /// the first ray of its column.
-RenderedScan in_two_rows(RenderedScan scan) {
+RenderedScan arrange_in_two_rows(RenderedScan scan) {
     const auto twice = []<class T>(std::vector<T>& values) {
         const std::vector<T> once = values;
         values.insert(values.end(), once.begin(), once.end());
@@ -65,10 +65,11 @@ RenderedScan in_two_rows(RenderedScan scan) {
 
 TEST(MergeScans, PointsOfRowsStayWhereTheyAre) {
     const Pose mounting{glm::angleAxis(1.2, glm::normalize(glm::dvec3(1, 2, 3))), {1.0, -0.5, 2.0}};
-    const RenderedScan scan = in_two_rows(scan_of(mounting, 10.0f)), merged = merge_scans({scan}, {mounting});
+    const RenderedScan scan = arrange_in_two_rows(scan_of(mounting, 10.0f)),
+                       merged = merge_scans({scan}, {mounting});
     ASSERT_EQ(merged.image.range_m.size(), 4u);
     for (std::size_t i = 0; i < 4; ++i)
-        EXPECT_LT(glm::length(world_point(merged, i) - world_point(scan, i)), 1e-4) << i;
+        EXPECT_LT(glm::length(compute_world_point(merged, i) - compute_world_point(scan, i)), 1e-4) << i;
 }
 
 TEST(MergeScans, PointsStayWhereTheyAre) {
@@ -81,16 +82,16 @@ TEST(MergeScans, PointsStayWhereTheyAre) {
     EXPECT_EQ(merged.image.columns, 4);
     for (std::size_t i = 0; i < 4; ++i) {
         const RenderedScan& own = scans[i / 2];
-        EXPECT_LT(glm::length(world_point(merged, i) - world_point(own, i % 2)), 1e-4) << i;
-        const glm::dvec3 normal = merged.world_from_firing(i).rotation * glm::dvec3(normals_of(merged)[i]);
+        EXPECT_LT(glm::length(compute_world_point(merged, i) - compute_world_point(own, i % 2)), 1e-4) << i;
+        const glm::dvec3 normal = merged.get_firing_pose(i).rotation * glm::dvec3(get_normals(merged)[i]);
         EXPECT_LT(
-            glm::length(normal - own.world_from_firing(i % 2).rotation * glm::dvec3(normals_of(own)[i % 2])),
+            glm::length(normal - own.get_firing_pose(i % 2).rotation * glm::dvec3(get_normals(own)[i % 2])),
             1e-6)
             << i;
         EXPECT_EQ(merged.image.intensity[i], own.image.intensity[i % 2]);
         EXPECT_EQ(merged.instance[i], own.instance[i % 2]);
     }
-    EXPECT_EQ(range_spread(merged), (std::vector<float>{1.0f, 2.0f, 1.0f, 2.0f}));
+    EXPECT_EQ(compute_range_spread(merged), (std::vector<float>{1.0f, 2.0f, 1.0f, 2.0f}));
     EXPECT_EQ(merged.ring, (std::vector<std::uint16_t>{3, 1, 7, 5}))
         << "of the second sensor behind the four of the first";
     EXPECT_THROW(merge_scans({}, {}), UsageError);

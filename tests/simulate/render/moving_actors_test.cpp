@@ -37,7 +37,7 @@ void add_wall(Surfels& surfels, const glm::vec3& middle_m, const glm::quat& from
 
 /// Returns a scene with a single actor and no background.
 /// @param surfels surfels of the actor in the frame of its box
-Scene one_actor(const Surfels& surfels, const glm::dvec3& size_m) {
+Scene make_one_actor(const Surfels& surfels, const glm::dvec3& size_m) {
     Scene scene;
     scene.models = {{"background", 0, 0},
                     {"actor", 0, std::uint32_t(surfels.size()), glm::vec3(0.5 * size_m)}};
@@ -69,7 +69,7 @@ using PoseAt = std::function<Pose(double)>;
 
 /// Returns the mean range along x of the rays behind the sensor, separately for the rays
 /// at the start and at the end of the sweep.
-std::array<double, 2> halves_behind(const RenderedScan& scan) {
+std::array<double, 2> measure_halves_behind(const RenderedScan& scan) {
     std::array<double, 2> sum{}, n{};
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         const glm::dvec3 d(scan.image.direction[i]);
@@ -88,7 +88,7 @@ protected:
     RenderedScan render(const Scene& scene, const Sequence& log, double time_s) {
         Config config;
         ScanRenderer renderer(device(), scene, config, log);
-        return renderer.render(configured_sensor(config, log), time_s);
+        return renderer.render(make_configured_sensor(config, log), time_s);
     }
 };
 
@@ -103,7 +103,8 @@ TEST_F(MovingActors, AVanThatFollowsIsNotTornBehindTheSensor) {
         const PoseAt van = [&](double t_s) { return Pose{{1, 0, 0, 0}, {speed_mps * t_s - 10.0, 0.0, 0.0}}; };
         const Sequence log = drive(720, sensor, van, size_m);
         for (const double time_s : {0.5, 0.51}) {  // at a label, and between two labels
-            const auto [first_m, last_m] = halves_behind(render(one_actor(front, size_m), log, time_s));
+            const auto [first_m, last_m] =
+                measure_halves_behind(render(make_one_actor(front, size_m), log, time_s));
             EXPECT_NEAR(first_m, 8.0, 1e-3) << speed_mps << " m/s at " << time_s << " s";
             EXPECT_NEAR(last_m, 8.0, 1e-3) << speed_mps << " m/s at " << time_s << " s";
         }
@@ -123,7 +124,7 @@ TEST_F(MovingActors, AVanThatFollowsRoundABendIsNotTorn) {
     const PoseAt sensor = [&](double t_s) { return at(t_s, 0.0); },
                  van = [&](double t_s) { return at(t_s, 10.0); };
     const auto [first_m, last_m] =
-        halves_behind(render(one_actor(front, size_m), drive(720, sensor, van, size_m), 0.5));
+        measure_halves_behind(render(make_one_actor(front, size_m), drive(720, sensor, van, size_m), 0.5));
     EXPECT_NEAR(first_m, 8.0, 1e-3);  // tolerance: interpolated poses lie on chords of 0.015 rad
     EXPECT_NEAR(last_m, 8.0, 1e-3);
 }
@@ -142,7 +143,7 @@ TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
     const PoseAt car = [](double t_s) {
         return Pose{{1, 0, 0, 0}, {kCarSpeed_mps * (t_s - 0.475), 7.0, 0.0}};
     };
-    const RenderedScan scan = render(one_actor(posts, size_m), drive(7200, sensor, car, size_m), 0.5);
+    const RenderedScan scan = render(make_one_actor(posts, size_m), drive(7200, sensor, car, size_m), 0.5);
     double n[2] = {}, x_m[2] = {}, t_s[2] = {};
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f)) continue;
@@ -170,7 +171,7 @@ TEST_F(MovingActors, WithoutRollingShutterActorsStand) {
     const PoseAt van = [](double t_s) { return Pose{{1, 0, 0, 0}, {20.0 * (t_s - 0.5) - 10.0, 0.0, 0.0}}; };
     Sequence log = drive(720, sensor, van, size_m);
     log.rolling_shutter = false;
-    const auto [first_m, last_m] = halves_behind(render(one_actor(front, size_m), log, 0.5));
+    const auto [first_m, last_m] = measure_halves_behind(render(make_one_actor(front, size_m), log, 0.5));
     EXPECT_NEAR(first_m, 8.0, 1e-3);
     EXPECT_NEAR(last_m, 8.0, 1e-3);
 }
@@ -187,7 +188,7 @@ TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
     Sequence log = drive(7200, sensor, van, {4.0, 2.0, 2.0});
     log.boxes[0].category = "Pedestrian";
     const auto expect_share = [&](double wall_x_m, double share) {
-        Scene scene = one_actor(rear, {4.0, 2.0, 2.0});
+        Scene scene = make_one_actor(rear, {4.0, 2.0, 2.0});
         scene.surfels = {};
         // Three narrow surfels in a row, so that the wall has a sharp edge at y = 0.
         for (int k = 0; k < 3; ++k)
@@ -198,9 +199,9 @@ TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
         Config config;
         config.render.channels = "class";
         ScanRenderer renderer(device(), scene, config, log);
-        EXPECT_TRUE(renderer.render(configured_sensor(config, log), 0.5).actor_views.empty());
+        EXPECT_TRUE(renderer.render(make_configured_sensor(config, log), 0.5).actor_views.empty());
         renderer.compute_views();
-        const RenderedScan scan = renderer.render(configured_sensor(config, log), 0.5);
+        const RenderedScan scan = renderer.render(make_configured_sensor(config, log), 0.5);
         ASSERT_EQ(scan.actor_views.size(), 1u);
         const ActorView& view = scan.actor_views[0];
         EXPECT_EQ(view.track, "actor");
@@ -226,7 +227,7 @@ TEST_F(MovingActors, TheVelocityIsTheRateOfTheRange) {
     add_wall(wall, {0.0f, 12.0f, 0.0f}, glm::quat(std::sqrt(0.5f), 0.0f, 0.0f, -std::sqrt(0.5f)),
              {2.0f, 30.0f});
     add_wall(rear, {-2.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(1.0f));
-    Scene scene = one_actor(rear, size_m);
+    Scene scene = make_one_actor(rear, size_m);
     scene.surfels = wall;
     scene.surfels.append(rear);
     scene.models[0].count = scene.models[1].first = 1;
@@ -243,7 +244,7 @@ TEST_F(MovingActors, TheVelocityIsTheRateOfTheRange) {
         Config config;
         config.render.channels = "velocity";
         ScanRenderer renderer(device(), scene, config, log);
-        const RenderedScan scan = renderer.render(configured_sensor(config, log), 0.5);
+        const RenderedScan scan = renderer.render(make_configured_sensor(config, log), 0.5);
         const std::vector<float>& velocity = *find_values<float>(scan.channels, "velocity");
         int n[2] = {};
         for (std::size_t i = 0; i < velocity.size(); ++i) {

@@ -38,10 +38,10 @@ protected:
     /// Returns the path of a drive through a bend of the street, in the dataset's world
     /// frame.
     PoseTrack bend() const {
-        PoseTrack track = shifted_track(log.world_from_sensor(0), log.world_offset_m);
+        PoseTrack track = shift_track(log.world_from_sensor(0), log.world_offset_m);
         for (std::size_t k = 0; k < track.pose.size(); ++k)
             track.pose[k].rotation =
-                rotation_of(0.4 * double(k), 0.01 * double(k), -0.02 * std::sin(double(k)));
+                make_rotation(0.4 * double(k), 0.01 * double(k), -0.02 * std::sin(double(k)));
         return track;
     }
     double middle_s() const { return log.frames[log.frames.size() / 2].time_s; }
@@ -55,21 +55,21 @@ protected:
         renderer.reset();
         DeviceTest::TearDown();
     }
-    RenderedPoints on_host(const PointRequest& wish) {
-        const RenderedScan scan = renderer->render(wish.sensor, wish.request, wish.sample);
-        return {place_points(scan, config, wish.request.dataset_from_sensor.at(wish.points_at_s)),
+    RenderedPoints on_host(const PointRequest& request) {
+        const RenderedScan scan = renderer->render(request.sensor, request.request, request.sample);
+        return {place_points(scan, config, request.request.dataset_from_sensor.at(request.points_at_s)),
                 scan.image.range_m.size(), scan.unseen_share};
     }
-    void ask(const PointRequest& wish, ScanRenderer::Send when = ScanRenderer::Send::now) {
-        renderer->submit_points(wish.sensor, wish.request, wish.points_at_s, wish.sample, when);
+    void ask(const PointRequest& request, ScanRenderer::Send mode = ScanRenderer::Send::now) {
+        renderer->submit_points(request.sensor, request.request, request.points_at_s, request.sample, mode);
     }
-    RenderedPoints alone(const PointRequest& wish) {
-        ask(wish);
+    RenderedPoints alone(const PointRequest& request) {
+        ask(request);
         return renderer->wait_for_points();
     }
-    void ask_together(const std::vector<PointRequest>& wishes) {
-        for (const PointRequest& wish : wishes)
-            ask(wish, &wish == &wishes.back() ? ScanRenderer::Send::now : ScanRenderer::Send::with_next);
+    void ask_together(const std::vector<PointRequest>& requests) {
+        for (const PointRequest& wish : requests)
+            ask(wish, &wish == &requests.back() ? ScanRenderer::Send::now : ScanRenderer::Send::with_next);
     }
     /// Returns requests for the scans of a rig with several sensors, some of them equal,
     /// at two times and with two sets of actors.
@@ -80,7 +80,7 @@ protected:
             const double k = double(wishes.size());
             PoseTrack track = bend();
             for (Pose& pose : track.pose)
-                pose = pose * Pose{rotation_of(0.9 * k, 0.0, 0.0), {0.3 * k, -0.2 * k, 0.1}};
+                pose = pose * Pose{make_rotation(0.9 * k, 0.0, 0.0), {0.3 * k, -0.2 * k, 0.1}};
             wishes.push_back({sensor(name), {middle_s() + 0.1 * std::floor(k / 3.0), track}, middle_s()});
             if (k == 2.0) wishes.back().request.dataset_from_actor = ActorPoses{};
         }
@@ -94,20 +94,22 @@ protected:
 };
 
 /// Checks that two results are equal bit by bit.
-void expect_equal(const RenderedPoints& found, const RenderedPoints& expected, const std::string& what) {
-    const Points &p = found.points, &e = expected.points;
-    ASSERT_EQ(p.size(), e.size()) << what;
-    ASSERT_GT(p.size(), 100u) << what;
-    EXPECT_EQ(found.n_rays, expected.n_rays) << what;
-    EXPECT_EQ(found.unseen_share, expected.unseen_share) << what;
-    EXPECT_EQ(p.time_s, e.time_s) << what;
-    EXPECT_EQ(p.world_from_points.translation, e.world_from_points.translation) << what;
-    EXPECT_EQ(std::memcmp(p.position_m.data(), e.position_m.data(), p.size() * sizeof(glm::vec3)), 0) << what;
-    EXPECT_EQ(p.intensity, e.intensity) << what;
-    EXPECT_EQ(p.ring, e.ring) << what;
-    EXPECT_EQ(p.time_offset_s, e.time_offset_s) << what;
-    EXPECT_EQ(p.instance, e.instance) << what;
-    EXPECT_EQ(p.return_number, e.return_number) << what;
+void expect_equal(const RenderedPoints& actual, const RenderedPoints& expected,
+                  const std::string& description) {
+    const Points &p = actual.points, &e = expected.points;
+    ASSERT_EQ(p.size(), e.size()) << description;
+    ASSERT_GT(p.size(), 100u) << description;
+    EXPECT_EQ(actual.n_rays, expected.n_rays) << description;
+    EXPECT_EQ(actual.unseen_share, expected.unseen_share) << description;
+    EXPECT_EQ(p.time_s, e.time_s) << description;
+    EXPECT_EQ(p.world_from_points.translation, e.world_from_points.translation) << description;
+    EXPECT_EQ(std::memcmp(p.position_m.data(), e.position_m.data(), p.size() * sizeof(glm::vec3)), 0)
+        << description;
+    EXPECT_EQ(p.intensity, e.intensity) << description;
+    EXPECT_EQ(p.ring, e.ring) << description;
+    EXPECT_EQ(p.time_offset_s, e.time_offset_s) << description;
+    EXPECT_EQ(p.instance, e.instance) << description;
+    EXPECT_EQ(p.return_number, e.return_number) << description;
 }
 
 /// Tests rays of a moving and of a static sensor. The rays of a column share a firing
@@ -115,13 +117,13 @@ void expect_equal(const RenderedPoints& found, const RenderedPoints& expected, c
 TEST(FiringPoses, AreThoseOfEachRay) {
     RenderedScan scan;
     scan.time_s = 5.0;
-    scan.world_from_sensor = {rotation_of(0.3, 0.0, 0.1), {4.0, 5.0, 6.0}};
+    scan.world_from_sensor = {make_rotation(0.3, 0.0, 0.1), {4.0, 5.0, 6.0}};
     PoseTrack bend;
     for (int k = 0; k < 8; ++k) {
         bend.time_s.push_back(4.9 + 0.05 * k);
-        bend.pose.push_back({rotation_of(0.1 * k, 0.02, 0.0), {2.0 * k, 0.1 * k, 0.0}});
+        bend.pose.push_back({make_rotation(0.1 * k, 0.02, 0.0), {2.0 * k, 0.1 * k, 0.0}});
     }
-    const Pose target{rotation_of(-0.5, 0.2, 0.0), {1.0, -2.0, 0.5}};
+    const Pose target{make_rotation(-0.5, 0.2, 0.0), {1.0, -2.0, 0.5}};
     for (const PoseTrack& track : {bend, PoseTrack{{5.0}, {bend.pose[3]}}, PoseTrack{}})
         for (const float late_s : {0.0f, 1e-3f}) {  // delay of each row relative to the row above
             scan.track = track;
@@ -132,7 +134,7 @@ TEST(FiringPoses, AreThoseOfEachRay) {
             FiringPoses poses(scan, target);
             for (std::size_t k = 0; k < 128; ++k) {
                 const std::size_t ray = k < 64 ? k : k * 37 % 64;
-                const Pose expected = target * scan.world_from_firing(ray), found = poses.at(ray);
+                const Pose expected = target * scan.get_firing_pose(ray), found = poses.at(ray);
                 EXPECT_EQ(found.translation, expected.translation) << ray;
                 EXPECT_EQ(found.rotation, expected.rotation) << ray;
             }
@@ -148,7 +150,7 @@ TEST(PlacePoints, LieWhereDoublePrecisionPutsThem) {
     for (int k = 0; k < 5; ++k) {
         scan.track.time_s.push_back(4.92 + 0.05 * k);
         scan.track.pose.push_back(
-            {rotation_of(0.3 * k, 0.05, 0.1 * k), {455000.0 + k, 5428000.0 - k, 113.0}});
+            {make_rotation(0.3 * k, 0.05, 0.1 * k), {455000.0 + k, 5428000.0 - k, 113.0}});
     }
     scan.world_from_sensor = scan.track.at(scan.time_s);
     Random random(7);
@@ -171,7 +173,7 @@ TEST(PlacePoints, LieWhereDoublePrecisionPutsThem) {
         for (std::size_t i = 0; i < n; ++i) {
             const glm::dvec3 end = glm::dvec3(scan.image.origin[i]) +
                                    double(scan.image.range_m[i]) * glm::dvec3(scan.image.direction[i]);
-            const glm::dvec3 expected = inverse(frame) * (scan.world_from_firing(i) * end);
+            const glm::dvec3 expected = inverse(frame) * (scan.get_firing_pose(i) * end);
             for (int axis = 0; axis < 3; ++axis)
                 farthest_m =
                     std::max(farthest_m, std::abs(double(points.position_m[i][axis]) - expected[axis]));
@@ -287,7 +289,7 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
         {sensor("VLP-16:300x10"), {middle_s() + 0.1, bend()}, middle_s()}};
     const RenderedScan scan = renderer->render(wishes[0].sensor, wishes[0].request);
     const RefineOptions options{.network = "pixel", .epochs = 60, .rate = 1e-2};
-    DropImage image = drop_image(scan, drop_channel_names(options), first_origin(log));
+    DropImage image = make_drop_image(scan, list_drop_channels(options), get_first_origin(log));
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i)
         image.dropped.push_back(scan.median_range_m[i] > 12.0f ? 1.0f : 0.0f);
     const std::size_t before = on_host(wishes[0]).points.size();
@@ -318,7 +320,7 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     for (int round = 0; round < 3; ++round) {
         expect_equal(alone(beside[2]), expected_points[2], "by turns");
         expect_equal(alone(beside[3]), expected_points[3], "by turns");
-        buffers.push_back(impl_of(device()).n_buffers);
+        buffers.push_back(get_impl(device()).n_buffers);
     }
     EXPECT_EQ(buffers[2], buffers[0]) << "memory is found once";
 }
@@ -330,8 +332,8 @@ TEST_F(PointsOfScans, NetworksBringNothingBackFromBeyondTheLimits) {
     make_renderer();
     PointRequest wish{sensor("native"), {middle_s(), bend()}, middle_s()};
     const RefineOptions options{.network = "pixel", .epochs = 60, .rate = 2e-2};
-    DropImage image = drop_image(renderer->render(wish.sensor, wish.request), drop_channel_names(options),
-                                 first_origin(log));
+    DropImage image = make_drop_image(renderer->render(wish.sensor, wish.request),
+                                      list_drop_channels(options), get_first_origin(log));
     image.dropped.assign(std::size_t(image.rows) * std::size_t(image.columns), 0.0f);
     image.dropped[0] = 1.0f;  // without a dropped ray, the loss of the network would have no gradient
     renderer->refine_drops(

@@ -33,7 +33,7 @@ RenderedScan scan_of(const std::vector<glm::vec3>& points, const std::vector<flo
 }
 
 TEST(ProjectScan, NearestReturnedPointWinsAndOneReturnIsEnough) {
-    const RangeGrid grid = kitti360_grid();
+    const RangeGrid grid = make_kitti360_grid();
     const glm::vec3 a(10.0f, 0.0f, -0.5f);
     // The cell contains a far point with a return, a nearer point with a return, and the
     // nearest point, which is dropped.
@@ -54,7 +54,7 @@ TEST(ProjectScan, NearestReturnedPointWinsAndOneReturnIsEnough) {
 }
 
 TEST(ProjectScan, WhatHedgesBetweenTwoSurfacesIsBinnedByTheDominantOne) {
-    const RangeGrid grid = kitti360_grid();
+    const RangeGrid grid = make_kitti360_grid();
     const glm::vec3 a(10.0f, 0.0f, -0.5f);
     RenderedScan scan = scan_of({a, 0.8f * a}, {0.1f, 0.2f});
     scan.image.range_m[0] *= 0.6f;  // the mean range lies between the surface at `a` and a nearer surface
@@ -64,14 +64,14 @@ TEST(ProjectScan, WhatHedgesBetweenTwoSurfacesIsBinnedByTheDominantOne) {
     const std::size_t cell = std::size_t(*project(grid, glm::dvec3(a)));
     EXPECT_EQ(binned.instance[cell], 1) << "0.8 a returns, 0.6 a is thin air";
     EXPECT_NEAR(binned.median_range_m[cell], 0.8f * glm::length(a), 1e-4f);
-    EXPECT_NEAR(range_spread(binned)[cell], 2.5f, 1e-2f)
+    EXPECT_NEAR(compute_range_spread(binned)[cell], 2.5f, 1e-2f)
         << "the winner's; the sensor is 0.2 m above the grid's origin";
     EXPECT_NEAR(binned.image.drop_prob[cell], 0.1f, 1e-6f);
 }
 
 /// Returns a scan of a wall 10 m ahead. Incidence is normal at azimuth 0 and oblique
 /// elsewhere. Half of the returns are dropped at random.
-RenderedScan half_dropped_wall() {
+RenderedScan make_half_dropped_wall() {
     std::vector<glm::vec3> points;
     for (int row = 0; row < 64; ++row)
         for (int column = 0; column < 256; ++column)
@@ -83,7 +83,7 @@ RenderedScan half_dropped_wall() {
 }
 
 TEST(SampleReturns, DropsAndNoiseAreAsLikelyAsTold) {
-    const RenderedScan likely = half_dropped_wall();
+    const RenderedScan likely = make_half_dropped_wall();
     const RangeNoise noise{{80.0}, {0.8, 1.0}, {0.2, 0.05}};
     RenderedScan scan = likely, again = likely, other = likely;
     for (float& mean_m : scan.mean_range_m) mean_m += 0.5f;
@@ -92,7 +92,7 @@ TEST(SampleReturns, DropsAndNoiseAreAsLikelyAsTold) {
     sample_returns(other, noise, {}, 8);
     EXPECT_EQ(scan.image.range_m, again.image.range_m);
     EXPECT_NE(scan.image.drop_prob, other.image.drop_prob);
-    const std::vector<float> spread_m = range_spread(scan);
+    const std::vector<float> spread_m = compute_range_spread(scan);
     double n = 0.0, square[2] = {0.0, 0.0}, count[2] = {0.0, 0.0};
     for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
         ASSERT_TRUE(scan.image.drop_prob[i] == 0.0f || scan.image.drop_prob[i] == 1.0f);
@@ -117,7 +117,7 @@ TEST(SampleReturns, DropsAndNoiseAreAsLikelyAsTold) {
 }
 
 TEST(SampleReturns, WhatCannotReturnDoesNotAndWhatMustDoes) {
-    RenderedScan scan = half_dropped_wall();
+    RenderedScan scan = make_half_dropped_wall();
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         scan.image.drop_prob[i] = i % 2 ? 1.0f : 0.0f;
     const std::vector<float> before = scan.image.drop_prob, ranges_m = scan.image.range_m;
@@ -140,8 +140,8 @@ TEST(ProjectScan, RealAndSimulatedPointsAreBinnedAlike) {
     real.intensity = to_scan_array(simulated.image.intensity);
     Config config;
     config.sensor.grid = "kitti360";
-    const RangeImage image = real_image(config, real);
-    const RenderedScan projected = project_scan(simulated, kitti360_grid());
+    const RangeImage image = make_real_image(config, real);
+    const RenderedScan projected = project_scan(simulated, make_kitti360_grid());
     for (std::size_t i = 0; i < image.range_m.size(); ++i) {
         EXPECT_NEAR(image.range_m[i], projected.image.range_m[i], 1e-5f);
         EXPECT_EQ(image.drop_prob[i], projected.image.drop_prob[i]);

@@ -30,7 +30,7 @@ protected:
     /// Returns a scan of the street without its cars, from a sensor on the path of the
     /// log.
     RenderedScan scan_of(const RayTable& rays, const DropNetwork& network) {
-        return scan_of(rays, network, shifted_track(log.world_from_sensor(0), log.world_offset_m));
+        return scan_of(rays, network, shift_track(log.world_from_sensor(0), log.world_offset_m));
     }
     RenderedScan scan_of(const RayTable& rays, const DropNetwork& network,
                          const PoseTrack& dataset_from_sensor) {
@@ -66,7 +66,7 @@ void expect_same_rays(const RenderedScan& scan, const RenderedScan& other,
 
 TEST_F(RayDrop, DoesNotDependOnTheOrderOfTheRays) {
     const RayTable all = rays();
-    const RenderedScan scan = scan_of(all, test::network_of_rays());
+    const RenderedScan scan = scan_of(all, test::make_network_of_rays());
     const std::size_t n_plain = count_returns(scan_of(all, {}).image.drop_prob),
                       n = count_returns(scan.image.drop_prob);
     EXPECT_GT(std::max(n, n_plain) - std::min(n, n_plain), all.size() / 50)
@@ -74,18 +74,18 @@ TEST_F(RayDrop, DoesNotDependOnTheOrderOfTheRays) {
     std::vector<std::size_t> order(all.size());
     std::iota(order.begin(), order.end(), std::size_t(0));
     std::shuffle(order.begin(), order.end(), std::mt19937_64(4));
-    RayTable shuffled = some_rays(all, order);
+    RayTable shuffled = select_rays(all, order);
     shuffled.rows = all.rows, shuffled.columns = all.columns;
-    expect_same_rays(scan, scan_of(shuffled, test::network_of_rays()), order);
+    expect_same_rays(scan, scan_of(shuffled, test::make_network_of_rays()), order);
     shuffled.rows = 1, shuffled.columns = int(all.size());  // a list without image order
-    expect_same_rays(scan, scan_of(shuffled, test::network_of_rays()), order);
+    expect_same_rays(scan, scan_of(shuffled, test::make_network_of_rays()), order);
 }
 
 TEST_F(RayDrop, OfOneRayAloneIsThatOfTheRayInAnImage) {
     const RayTable all = rays();
-    const RenderedScan scan = scan_of(all, test::network_of_rays());
+    const RenderedScan scan = scan_of(all, test::make_network_of_rays());
     for (std::size_t ray = 77; ray < all.size(); ray += all.size() / 9)
-        expect_same_rays(scan, scan_of(some_rays(all, {ray}), test::network_of_rays()), {ray});
+        expect_same_rays(scan, scan_of(select_rays(all, {ray}), test::make_network_of_rays()), {ray});
 }
 
 /// Rotates a static sensor by 180 degrees. The rays in the world are equal, but the order
@@ -100,16 +100,17 @@ TEST_F(RayDrop, DoesNotDependOnTheSensorsYaw) {
         for (std::size_t c = 0; c < std::size_t(all.columns); ++c)
             order.push_back(row * std::size_t(all.columns) +
                             (c + std::size_t(all.columns / 2)) % std::size_t(all.columns));
-    RayTable turned = some_rays(all, order);
+    RayTable turned = select_rays(all, order);
     turned.rows = all.rows, turned.columns = all.columns;
     for (glm::vec3& d : turned.direction) d = {-d.x, -d.y, d.z};
     for (glm::vec3& o : turned.origin) o = {-o.x, -o.y, o.z};
     const auto standing = [&](const glm::dquat& rotation) {
         return PoseTrack{{log.frames[3].time_s}, {{rotation, place_m}}};
     };
-    const RenderedScan scan = scan_of(all, test::network_of_rays(), standing({1.0, 0.0, 0.0, 0.0}));
+    const RenderedScan scan = scan_of(all, test::make_network_of_rays(), standing({1.0, 0.0, 0.0, 0.0}));
     EXPECT_GT(count_returns(scan.image.drop_prob), 100u);
-    expect_same_rays(scan, scan_of(turned, test::network_of_rays(), standing({0.0, 0.0, 0.0, 1.0})), order);
+    expect_same_rays(scan, scan_of(turned, test::make_network_of_rays(), standing({0.0, 0.0, 0.0, 1.0})),
+                     order);
 }
 
 /// Tests beams, sub-rays, cells of a grid, a sensor whose rays mostly point into the sky,
@@ -122,9 +123,9 @@ TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
                 of_scan.sensor.sub_rays = sub_rays, of_scan.sensor.divergence_mrad = 3.0,
                 of_scan.render.range = range;
                 ScanRenderer renderer(device(), scene, of_scan, log);
-                renderer.refine_drops(test::network_that_never_drops());
+                renderer.refine_drops(test::make_network_that_never_drops());
                 const ScanRequest request{log.frames[3].time_s,
-                                          shifted_track(log.world_from_sensor(0), log.world_offset_m)};
+                                          shift_track(log.world_from_sensor(0), log.world_offset_m)};
                 SensorChoice sensor = choose_sensor(name, of_scan, log);
                 sensor.limits.min_m = 0.0;
                 const RenderedScan scan = renderer.render(sensor, request);
@@ -151,7 +152,7 @@ TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
 /// Fog must produce returns at its range even if no surface is behind it.
 TEST_F(RayDrop, WeatherReturnsWhereSurfacesDoNot) {
     ScanRenderer renderer(device(), scene, config, log);
-    renderer.refine_drops(test::network_that_never_drops());
+    renderer.refine_drops(test::make_network_that_never_drops());
     renderer.set_weather({.fog_visibility_m = 20.0});
     const RenderedScan scan =
         renderer.render(choose_sensor("VLP-16:300x10", config, log), log.frames[3].time_s);
@@ -166,7 +167,7 @@ TEST_F(RayDrop, WeatherReturnsWhereSurfacesDoNot) {
 }
 
 TEST_F(RayDrop, ANetworkOfOtherInputsIsRefused) {
-    DropNetwork network = test::network_of_rays();
+    DropNetwork network = test::make_network_of_rays();
     network.inputs.back() = "direction_x";
     ScanRenderer renderer(device(), scene, config, log);
     EXPECT_THAT(

@@ -15,7 +15,7 @@ namespace {
 class Render : public test::DeviceTest {};
 
 /// Returns a wall 10 m ahead with returns of intensity 0.5.
-Surfels wall_ahead() {
+Surfels make_wall_ahead() {
     Surfels wall;
     wall.resize(1);
     wall.mean[0] = {10.0f, 0.0f, 0.0f};
@@ -28,7 +28,7 @@ Surfels wall_ahead() {
 }
 
 /// Returns a log with four horizontal rays from the origin, a quarter turn apart.
-Sequence cross_sequence() {
+Sequence make_cross_sequence() {
     Sequence sequence;
     sequence.lidars[0].sensor.beams = {{0.0}};
     sequence.lidars[0].sensor.columns = 4;
@@ -40,8 +40,8 @@ Sequence cross_sequence() {
 }
 
 /// Returns a post of 8 cm width at 10 m, in front of a wall at 14 m.
-Surfels post_before_wall() {
-    Surfels scene = wall_ahead();
+Surfels make_post_before_wall() {
+    Surfels scene = make_wall_ahead();
     scene.resize(2);
     for (std::size_t k = 0; k < kShFloats; ++k) scene.sh[kShFloats + k] = scene.sh[k];
     scene.sh[0] = scene.sh[kShFloats] = 1.0f;  // equal brightness
@@ -54,8 +54,10 @@ Surfels post_before_wall() {
 }
 
 /// Returns the share of a disc that is covered by a strip through its middle.
-/// @param x half of the strip's width divided by the disc's radius
-double strip_share(double x) { return 2.0 / kPi * (std::asin(x) + x * std::sqrt(1.0 - x * x)); }
+/// @param value half of the strip's width divided by the disc's radius
+double compute_strip_share(double value) {
+    return 2.0 / kPi * (std::asin(value) + value * std::sqrt(1.0 - value * value));
+}
 
 /// A footprint of 0.2 m diameter hits the post. The edge of the post is at the radius of
 /// its Gaussian where half of the light passes.
@@ -70,8 +72,8 @@ TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
         Config config;
         config.sensor.sub_rays = sub_rays;
         config.sensor.returns = returns;
-        ScanRenderer renderer(device(), make_background_scene(post_before_wall()), config, sequence);
-        return renderer.render(configured_sensor(config, sequence), 0.0);
+        ScanRenderer renderer(device(), make_background_scene(make_post_before_wall()), config, sequence);
+        return renderer.render(make_configured_sensor(config, sequence), 0.0);
     };
     EXPECT_NEAR(render(1, 1).median_range_m[0], 10.0f, 1e-3f) << "the middle of the beam meets the post";
     EXPECT_TRUE(render(9, 1).second_returns.empty());
@@ -79,8 +81,8 @@ TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
     ASSERT_EQ(scan.image.range_m.size(), 1u);
     EXPECT_NEAR(scan.median_range_m[0], 14.0f, 2e-3f) << "the wider of the two";
     EXPECT_NEAR(scan.second_returns[0].range_m[0], 10.0f, 2e-3f);
-    const double opacity = 1.0 / (1.0 + std::exp(-double(post_before_wall().opacity_logit[0])));
-    const double share = strip_share(0.02 * std::sqrt(2.0 * std::log(2.0 * opacity)) / 0.1);
+    const double opacity = 1.0 / (1.0 + std::exp(-double(make_post_before_wall().opacity_logit[0])));
+    const double share = compute_strip_share(0.02 * std::sqrt(2.0 * std::log(2.0 * opacity)) / 0.1);
     EXPECT_NEAR(scan.second_returns[0].intensity[0] / scan.image.intensity[0], share / (1.0 - share), 0.07)
         << "one part of forty is 0.05";
     EXPECT_LT(scan.image.drop_prob[0], 0.1f);
@@ -98,31 +100,32 @@ TEST_F(Render, EachBeamOfATableHasItsOwnFootprint) {
     rays.ray_divergence_rad = {1e-3f, 0.02f, 0.0f};
     Config config;
     config.sensor.sub_rays = 9, config.sensor.returns = 2;
-    ScanRenderer renderer(device(), make_background_scene(post_before_wall()), config, cross_sequence());
+    ScanRenderer renderer(device(), make_background_scene(make_post_before_wall()), config,
+                          make_cross_sequence());
     const RenderedScan scan =
-        renderer.render(sensor_choice({.name = "mixed", .limits = {0.0, 80.0}, .pattern = rays}), 0.0);
+        renderer.render(make_sensor_choice({.name = "mixed", .limits = {0.0, 80.0}, .pattern = rays}), 0.0);
     EXPECT_THAT(scan.median_range_m, testing::Pointwise(testing::FloatNear(2e-3f), {10.0f, 14.0f, 10.0f}));
     EXPECT_THAT(scan.second_returns[0].range_m,
                 testing::Pointwise(testing::FloatNear(2e-3f), {0.0f, 10.0f, 0.0f}));
 }
 
 TEST_F(Render, SubRaysNeedADivergence) {
-    Sequence sequence = cross_sequence();
+    Sequence sequence = make_cross_sequence();
     Config config;
     config.sensor.sub_rays = 5;
-    ScanRenderer renderer(device(), make_background_scene(wall_ahead()), config, sequence);
-    EXPECT_THROW(renderer.render(configured_sensor(config, sequence), 0.0), UsageError);
+    ScanRenderer renderer(device(), make_background_scene(make_wall_ahead()), config, sequence);
+    EXPECT_THROW(renderer.render(make_configured_sensor(config, sequence), 0.0), UsageError);
     config.sensor.divergence_mrad = 2.0;
-    ScanRenderer with(device(), make_background_scene(wall_ahead()), config, sequence);
-    EXPECT_EQ(with.render(configured_sensor(config, sequence), 0.0).image.range_m.size(), 4u);
+    ScanRenderer with(device(), make_background_scene(make_wall_ahead()), config, sequence);
+    EXPECT_EQ(with.render(make_configured_sensor(config, sequence), 0.0).image.range_m.size(), 4u);
     config.sensor.sub_rays = 1;
     config.sensor.returns = 2;
-    ScanRenderer two(device(), make_background_scene(wall_ahead()), config, sequence);
-    EXPECT_THROW(two.render(configured_sensor(config, sequence), 0.0), UsageError);
+    ScanRenderer two(device(), make_background_scene(make_wall_ahead()), config, sequence);
+    EXPECT_THROW(two.render(make_configured_sensor(config, sequence), 0.0), UsageError);
 }
 
 TEST_F(Render, WallIsWhereItStands) {
-    const Surfels wall = wall_ahead();
+    const Surfels wall = make_wall_ahead();
     Sequence sequence;
     sequence.lidars[0].sensor.beams = {{0.0}};
     sequence.lidars[0].sensor.columns = 8;
@@ -132,7 +135,7 @@ TEST_F(Render, WallIsWhereItStands) {
     sequence.world_from_vehicle.pose = {Pose{}, Pose{{1, 0, 0, 0}, {2.0, 0.0, 0.0}}};
     Config config;
     ScanRenderer renderer(device(), make_background_scene(wall), config, sequence);
-    const SensorChoice sensor = configured_sensor(config, sequence);
+    const SensorChoice sensor = make_configured_sensor(config, sequence);
     std::size_t ahead = 0;
     for (std::size_t i = 0; i < sensor.rays.size(); ++i)
         if (sensor.rays.direction[i].x > 0.999f) ahead = i;
@@ -152,10 +155,10 @@ TEST_F(Render, WallIsWhereItStands) {
 TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     constexpr int kColumns = 64;
     constexpr double kColumn_rad = 2.0 * kPi / kColumns;
-    Surfels post = wall_ahead();
+    Surfels post = make_wall_ahead();
     // The post is 0.1 m wide. At its range, columns are 1 m apart.
     post.log_scale[0] = {std::log(5.0f), std::log(0.1f)};
-    Sequence sequence = cross_sequence();
+    Sequence sequence = make_cross_sequence();
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     sensor.beams = {{0.0}}, sensor.columns = kColumns, sensor.max_range_m = 80.0;
     sequence.frames = {{0, 0.0, {}}, {1, 1.0, {}}};
@@ -168,7 +171,7 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
         return int(std::min_element(scan.image.drop_prob.begin(), scan.image.drop_prob.end()) -
                    scan.image.drop_prob.begin());
     };
-    const SensorChoice own = configured_sensor(config, sequence);
+    const SensorChoice own = make_configured_sensor(config, sequence);
     EXPECT_TRUE(own.follows_sweeps);
     const int nominal = kColumns / 2;  // the azimuth starts at pi and decreases from column to column
     EXPECT_EQ(column_of_post(renderer.render(own, 0.0)), nominal) << "a sweep without a shift";
@@ -178,7 +181,7 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     EXPECT_EQ(column_of_post(renderer.render(own, ScanRequest{1.0, {{1.0}, {Pose{}}}})), nominal)
         << "driven by somebody else";
     config.render.follow_sweeps = false;
-    EXPECT_EQ(column_of_post(renderer.render(configured_sensor(config, sequence), 1.0)), nominal);
+    EXPECT_EQ(column_of_post(renderer.render(make_configured_sensor(config, sequence), 1.0)), nominal);
     EXPECT_FALSE(choose_sensor("HDL-32E", config, sequence).follows_sweeps);
 }
 
@@ -187,7 +190,7 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
 /// have no range.
 TEST_F(Render, ModeIsTheHeaviestSurface) {
     Surfels scene;
-    const Surfels wall = wall_ahead();
+    const Surfels wall = make_wall_ahead();
     const float x[] = {6.0f, 8.0f, 10.0f, 10.1f}, opacity[] = {0.3f, 0.35f, 0.5f, 0.9f};
     scene.resize(4);
     for (std::size_t i = 0; i < 4; ++i) {
@@ -196,13 +199,13 @@ TEST_F(Render, ModeIsTheHeaviestSurface) {
         scene.opacity_logit[i] = std::log(opacity[i] / (1.0f - opacity[i]));
         std::copy(wall.sh.begin(), wall.sh.end(), scene.sh.begin() + std::ptrdiff_t(i * kShFloats));
     }
-    const Sequence sequence = cross_sequence();
+    const Sequence sequence = make_cross_sequence();
     const float w[] = {0.3f, 0.245f, 0.2275f, 0.20475f};
     for (const std::string range : {"median", "mode"}) {
         Config config;
         config.render.range = range;
         ScanRenderer renderer(device(), make_background_scene(scene), config, sequence);
-        const SensorChoice sensor = configured_sensor(config, sequence);
+        const SensorChoice sensor = make_configured_sensor(config, sequence);
         const RenderedScan scan = renderer.render(sensor, 0.0);
         for (std::size_t i = 0; i < 4; ++i) {
             const bool ahead = sensor.rays.direction[i].x > 0.9f;
@@ -218,7 +221,7 @@ TEST_F(Render, ModeIsTheHeaviestSurface) {
     }
 }
 
-std::size_t ray_towards(const RayTable& rays, const glm::vec3& direction) {
+std::size_t find_ray_towards(const RayTable& rays, const glm::vec3& direction) {
     std::size_t best = 0;
     for (std::size_t i = 0; i < rays.size(); ++i)
         if (glm::dot(rays.direction[i], direction) > glm::dot(rays.direction[best], direction)) best = i;
@@ -228,8 +231,8 @@ std::size_t ray_towards(const RayTable& rays, const glm::vec3& direction) {
 /// Range offsets and intensity gains of beams belong to the sensor of the log. They must
 /// be applied to scans of this sensor, and not to scans of a different sensor.
 TEST_F(Render, LasersMeasureInTheirOwnWay) {
-    const Surfels wall = wall_ahead();
-    Sequence sequence = cross_sequence();
+    const Surfels wall = make_wall_ahead();
+    Sequence sequence = make_cross_sequence();
     sequence.lidars[0].sensor.beams = {
         {.elevation_rad = 0.1}, {.elevation_rad = 0.0}, {.elevation_rad = -0.1}};
     sequence.lidars[0].sensor.beams[1] = {
@@ -238,7 +241,7 @@ TEST_F(Render, LasersMeasureInTheirOwnWay) {
     Config config;
     config.render.range = "normalised";
     ScanRenderer renderer(device(), make_background_scene(wall), config, sequence);
-    const SensorChoice own = configured_sensor(config, sequence);
+    const SensorChoice own = make_configured_sensor(config, sequence);
     std::size_t ahead = 0;
     for (std::size_t i = 0; i < 4; ++i)
         if (own.rays.direction[i].x > 0.9f) ahead = i;
@@ -262,15 +265,15 @@ TEST_F(Render, LasersMeasureInTheirOwnWay) {
 /// A ray must be dropped if its surface lies outside the range limits of the sensor. This
 /// applies to both returns of the ray.
 TEST_F(Render, RangesBeyondTheSensorAreDrops) {
-    Sequence sequence = cross_sequence();
-    const Scene scene = make_background_scene(wall_ahead());
+    Sequence sequence = make_cross_sequence();
+    const Scene scene = make_background_scene(make_wall_ahead());
     Config config;
     ScanRenderer renderer(device(), scene, config, sequence);
     const auto dropped = [&](double min_m, double max_m) {
-        SensorChoice sensor = configured_sensor(config, sequence);
+        SensorChoice sensor = make_configured_sensor(config, sequence);
         sensor.limits = {min_m, max_m};
         const RenderedScan scan = renderer.render(sensor, 0.0);
-        const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0});
+        const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0});
         EXPECT_NEAR(scan.image.range_m[ahead], 10.0 + sequence.lidars[0].sensor.beams[0].range_offset_m,
                     1e-4);
         return scan.image.drop_prob[ahead] == 1.0f;
@@ -283,27 +286,27 @@ TEST_F(Render, RangesBeyondTheSensorAreDrops) {
 }
 
 TEST_F(Render, LimitsAreTheSensorsAndTheSettings) {
-    Sequence sequence = cross_sequence();
+    Sequence sequence = make_cross_sequence();
     sequence.lidars[0].sensor.min_range_m = 0.5;
     sequence.lidars[0].sensor.max_range_m = 60.0;
     Config config;
-    EXPECT_EQ(configured_sensor(config, sequence).limits.min_m, 0.5);
-    EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 60.0);
+    EXPECT_EQ(make_configured_sensor(config, sequence).limits.min_m, 0.5);
+    EXPECT_EQ(make_configured_sensor(config, sequence).limits.max_m, 60.0);
     config.dataset.max_range_m = 30.0;
     config.dataset.min_range_m = 2.0;
-    EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 30.0);
+    EXPECT_EQ(make_configured_sensor(config, sequence).limits.max_m, 30.0);
     EXPECT_EQ(choose_sensor("Native", config, sequence).limits.min_m, 2.0);
     EXPECT_EQ(choose_sensor("VLP-16", config, sequence).limits.max_m, 100.0) << "another sensor has its own";
     config.sensor.grid = "kitti360";
-    EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 30.0);
+    EXPECT_EQ(make_configured_sensor(config, sequence).limits.max_m, 30.0);
     config.dataset.max_range_m = sequence.lidars[0].sensor.max_range_m = 200.0;
-    EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 80.0) << "of the grid's convention";
+    EXPECT_EQ(make_configured_sensor(config, sequence).limits.max_m, 80.0) << "of the grid's convention";
 }
 
 /// Returns a plate 4 m ahead that blocks 30 % of the light, and the wall behind it.
-Surfels faint_plate_before_a_wall() {
-    Surfels surfels = wall_ahead();
-    surfels.append(wall_ahead());
+Surfels make_faint_plate_before_wall() {
+    Surfels surfels = make_wall_ahead();
+    surfels.append(make_wall_ahead());
     surfels.mean[0].x = 4.0f;
     surfels.opacity_logit[0] = std::log(0.3f / 0.7f);
     return surfels;
@@ -312,19 +315,19 @@ Surfels faint_plate_before_a_wall() {
 /// A ray hits a faint plate in front of the wall. The mean range lies between plate and
 /// wall. The point must lie on the dominant surface, which is the wall.
 TEST_F(Render, PointsLieOnTheDominantSurface) {
-    Surfels surfels = faint_plate_before_a_wall();
-    const Sequence sequence = cross_sequence();
+    Surfels surfels = make_faint_plate_before_wall();
+    const Sequence sequence = make_cross_sequence();
     Config config;
-    const SensorChoice sensor = configured_sensor(config, sequence);
+    const SensorChoice sensor = make_configured_sensor(config, sequence);
     const RenderedScan scan =
         ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
-    const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}),
-                      behind = ray_towards(sensor.rays, {-1, 0, 0});
+    const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
+                      behind = find_ray_towards(sensor.rays, {-1, 0, 0});
     EXPECT_NEAR(scan.image.range_m[ahead], 0.3 * 4.0 + 0.7 * 10.0, 0.05);
-    EXPECT_NEAR(point_ranges(scan, config)[ahead], 10.0, 1e-4);
-    EXPECT_EQ(point_ranges(scan, config)[behind], 0.0f);
+    EXPECT_NEAR(select_point_ranges(scan, config)[ahead], 10.0, 1e-4);
+    EXPECT_EQ(select_point_ranges(scan, config)[behind], 0.0f);
     config.render.points = "range";
-    EXPECT_EQ(point_ranges(scan, config), scan.image.range_m);
+    EXPECT_EQ(select_point_ranges(scan, config), scan.image.range_m);
 
     surfels.opacity_logit.assign(2, -1.5f);  // T stays above 0.5
     const RenderedScan faint =
@@ -338,32 +341,34 @@ TEST_F(Render, PointsLieOnTheDominantSurface) {
 /// farther surface must be reported as the spread, for any choice of the image's range.
 /// With a single surface, the spread must be zero.
 TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
-    const Surfels surfels = faint_plate_before_a_wall();
-    const Sequence sequence = cross_sequence();
+    const Surfels surfels = make_faint_plate_before_wall();
+    const Sequence sequence = make_cross_sequence();
     Config config;
-    const SensorChoice sensor = configured_sensor(config, sequence);
-    const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}),
-                      behind = ray_towards(sensor.rays, {-1, 0, 0});
+    const SensorChoice sensor = make_configured_sensor(config, sequence);
+    const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
+                      behind = find_ray_towards(sensor.rays, {-1, 0, 0});
     const RenderedScan plane =
-        ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.0);
-    EXPECT_NEAR(range_spread(plane)[ahead], 0.0f, 1e-4f);
+        ScanRenderer(device(), make_background_scene(make_wall_ahead()), config, sequence)
+            .render(sensor, 0.0);
+    EXPECT_NEAR(compute_range_spread(plane)[ahead], 0.0f, 1e-4f);
     // The share of the light is 0.3 for the plate. For the wall, it is the remainder
     // times the maximum opacity of a surfel.
     const double wall = 0.7 * double(config.image.alpha_max), weight = 0.3 + wall;
-    std::vector<std::string> channels = drop_channel_names(config.refine);
+    std::vector<std::string> channels = list_drop_channels(config.refine);
     std::vector<DropImage> seen;
     for (const char* range : {"normalised", "expected", "median", "mode"}) {
         config.render.range = range;
         const RenderedScan scan =
             ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
-        EXPECT_NEAR(range_spread(scan)[ahead], 10.0 - (0.3 * 4.0 + wall * 10.0) / weight, 1e-3) << range;
-        EXPECT_EQ(range_spread(scan)[behind], 0.0f) << range;
-        seen.push_back(drop_image(scan, channels, glm::dvec3(0.0)));
+        EXPECT_NEAR(compute_range_spread(scan)[ahead], 10.0 - (0.3 * 4.0 + wall * 10.0) / weight, 1e-3)
+            << range;
+        EXPECT_EQ(compute_range_spread(scan)[behind], 0.0f) << range;
+        seen.push_back(make_drop_image(scan, channels, glm::dvec3(0.0)));
         EXPECT_EQ(seen.back().channels, seen.front().channels)
             << "a network sees the same with render.range=" << range;
         if (seen.size() > 1) continue;
         for (std::size_t i = 0; i < scan.image.range_m.size(); ++i)
-            EXPECT_EQ(range_spread(scan)[i], std::abs(scan.median_range_m[i] - scan.image.range_m[i]))
+            EXPECT_EQ(compute_range_spread(scan)[i], std::abs(scan.median_range_m[i] - scan.image.range_m[i]))
                 << "of the image, as it was trained";
     }
 }
@@ -371,21 +376,22 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
 /// A sensor moves while its head turns. The pose at the firing time of each ray must put
 /// the point of the ray on the static wall.
 TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
-    Sequence sequence = cross_sequence();
+    Sequence sequence = make_cross_sequence();
     sequence.lidars[0].sensor.columns = 64;
     sequence.world_from_vehicle = {
         {0.0, 1.0}, {Pose{}, Pose{glm::angleAxis(1.0, glm::dvec3(0, 0, 1)), {4.0, -1.0, 0.0}}}};
     sequence.world_offset_m = {100.0, 0.0, 0.0};
     for (const bool rolling : {true, false}) {
         sequence.rolling_shutter = rolling;
-        const SensorChoice sensor = configured_sensor({}, sequence);
-        const RenderedScan scan = ScanRenderer(device(), make_background_scene(wall_ahead()), {}, sequence)
-                                      .render(sensor, 0.5, {{1, 0, 0, 0}, {-1.0, 0.0, 0.0}});
+        const SensorChoice sensor = make_configured_sensor({}, sequence);
+        const RenderedScan scan =
+            ScanRenderer(device(), make_background_scene(make_wall_ahead()), {}, sequence)
+                .render(sensor, 0.5, {{1, 0, 0, 0}, {-1.0, 0.0, 0.0}});
         std::size_t met = 0;
         for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
             if (!(scan.median_range_m[i] > 0.0f)) continue;
             const glm::dvec3 p =
-                scan.world_from_firing(i) *
+                scan.get_firing_pose(i) *
                 glm::dvec3(scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i]);
             EXPECT_NEAR(p.x, 110.0, 1e-4);
             ++met;
@@ -400,55 +406,57 @@ TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
 /// orientation, motion and binning of the sensor, the normal must be in the sensor's
 /// frame and face the sensor.
 TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
-    Sequence sequence = cross_sequence();
+    Sequence sequence = make_cross_sequence();
     sequence.lidars[0].sensor.columns = 64;
     sequence.rolling_shutter = true;
     sequence.world_from_vehicle = {
         {0.0, 1.0},
         {Pose{}, Pose{glm::angleAxis(1.0, glm::normalize(glm::dvec3(0.1, 0.2, 1))), {4.0, -1.0, 0.0}}}};
     Config config;
-    const SensorChoice sensor = configured_sensor(config, sequence);
-    EXPECT_TRUE(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence)
+    const SensorChoice sensor = make_configured_sensor(config, sequence);
+    EXPECT_TRUE(ScanRenderer(device(), make_background_scene(make_wall_ahead()), config, sequence)
                     .render(sensor, 0.5)
                     .channels.empty());
     config.render.channels = "normal";
     const RenderedScan scan =
-        ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.5);
+        ScanRenderer(device(), make_background_scene(make_wall_ahead()), config, sequence)
+            .render(sensor, 0.5);
     const std::vector<glm::vec3>& normal = *find_values<glm::vec3>(scan.channels, "normal");
     ASSERT_EQ(normal.size(), scan.instance.size());
     std::size_t met = 0;
     for (std::size_t i = 0; i < normal.size(); ++i) {
         if (scan.instance[i] < 0) EXPECT_EQ(normal[i], glm::vec3(0.0f));
         else
-            EXPECT_LT(glm::length(scan.world_from_firing(i).rotation * glm::dvec3(normal[i]) -
+            EXPECT_LT(glm::length(scan.get_firing_pose(i).rotation * glm::dvec3(normal[i]) -
                                   glm::dvec3(-1.0, 0.0, 0.0)),
                       1e-5)
                 << "ray " << i;
         met += scan.instance[i] >= 0;
     }
     EXPECT_GT(met, 5u);
-    const RenderedScan binned = project_scan(scan, kitti360_grid());
+    const RenderedScan binned = project_scan(scan, make_kitti360_grid());
     const std::vector<glm::vec3>& of_cells = *find_values<glm::vec3>(binned.channels, "normal");
     ASSERT_EQ(of_cells.size(), binned.instance.size());
     for (std::size_t i = 0; i < of_cells.size(); ++i)
         EXPECT_NEAR(glm::length(of_cells[i]), binned.instance[i] < 0 ? 0.0f : 1.0f, 1e-6f);
     config.render.channels = "incidence";
     const RenderedScan again =
-        ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.5);
+        ScanRenderer(device(), make_background_scene(make_wall_ahead()), config, sequence)
+            .render(sensor, 0.5);
     const std::vector<float>& incidence = *find_values<float>(again.channels, "incidence");
     for (std::size_t i = 0; i < normal.size(); ++i) {
-        const glm::dvec3 in_world =
-            again.world_from_firing(i).rotation * glm::dvec3(again.image.direction[i]);
+        const glm::dvec3 in_world = again.get_firing_pose(i).rotation * glm::dvec3(again.image.direction[i]);
         EXPECT_NEAR(incidence[i], again.instance[i] < 0 ? 0.0 : in_world.x, 1e-5) << "a wall across x";
     }
     config.image.primitive = Primitive::gaussian;
-    EXPECT_THROW(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence), UsageError);
+    EXPECT_THROW(ScanRenderer(device(), make_background_scene(make_wall_ahead()), config, sequence),
+                 UsageError);
 }
 
 /// Returns a wall behind the sensor on its right, and a plate that is placed twice. The
 /// first plate is ahead of the sensor. The second plate is behind the sensor and turned
 /// to face it. The brightness of the plate depends on the direction.
-Scene two_placements(Sequence& sequence) {
+Scene make_two_placements(Sequence& sequence) {
     Surfels surfels;
     surfels.resize(2);
     surfels.mean = {{0.0f, -6.0f, 0.0f}, {0.5f, 0.0f, 0.0f}};
@@ -473,15 +481,15 @@ Scene two_placements(Sequence& sequence) {
 }
 
 TEST_F(Render, EachPlacementOfAModelIsLitFromTheSensor) {
-    Sequence sequence = cross_sequence();
-    const Scene scene = two_placements(sequence);
+    Sequence sequence = make_cross_sequence();
+    const Scene scene = make_two_placements(sequence);
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
         Config config;
         config.image.sh_direction = direction;
-        const SensorChoice sensor = configured_sensor(config, sequence);
+        const SensorChoice sensor = make_configured_sensor(config, sequence);
         const RenderedScan scan = ScanRenderer(device(), scene, config, sequence).render(sensor, 0.0);
-        const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}),
-                          behind = ray_towards(sensor.rays, {-1, 0, 0});
+        const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
+                          behind = find_ray_towards(sensor.rays, {-1, 0, 0});
         EXPECT_EQ(scan.instance[ahead], 1);
         EXPECT_EQ(scan.instance[behind], 2);
         EXPECT_GT(std::abs(scan.image.intensity[ahead] - 0.5f), 0.1f) << "the harmonics must matter";
@@ -491,13 +499,13 @@ TEST_F(Render, EachPlacementOfAModelIsLitFromTheSensor) {
 }
 
 TEST_F(Render, OnlyVisibleActorsAreHit) {
-    Sequence sequence = cross_sequence();
-    const Scene scene = two_placements(sequence);
-    const SensorChoice sensor = configured_sensor({}, sequence);
+    Sequence sequence = make_cross_sequence();
+    const Scene scene = make_two_placements(sequence);
+    const SensorChoice sensor = make_configured_sensor({}, sequence);
     ScanRenderer renderer(device(), scene, {}, sequence);
-    const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}),
-                      behind = ray_towards(sensor.rays, {-1, 0, 0}),
-                      right = ray_towards(sensor.rays, {0, -1, 0});
+    const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
+                      behind = find_ray_towards(sensor.rays, {-1, 0, 0}),
+                      right = find_ray_towards(sensor.rays, {0, -1, 0});
     const auto labels = [&](const std::vector<std::string>& names) {
         renderer.show_only(select_instances(scene, names));
         const RenderedScan scan = renderer.render(sensor, 0.0);

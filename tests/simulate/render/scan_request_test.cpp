@@ -18,7 +18,7 @@ const glm::dvec3 kDatasetOrigin_m(455000.0, 5428000.0, 113.0);
 
 /// Returns a wall 10 m ahead of the world's origin and an actor "car". The car is a plate
 /// of 2 m perpendicular to its x axis. Both objects have returns.
-Scene wall_and_car() {
+Scene make_wall_and_car() {
     Scene scene;
     scene.surfels.resize(2);
     scene.surfels.mean = {{10.0f, 0.0f, 0.0f}, {0.0f, 0.0f, 0.0f}};
@@ -34,7 +34,7 @@ Scene wall_and_car() {
 }
 
 /// Returns a log in which sensor and car are static for a second.
-Sequence standing_log() {
+Sequence make_standing_log() {
     Sequence sequence;
     sequence.lidars[0].sensor.beams = {{0.0}};
     sequence.lidars[0].sensor.columns = 8;
@@ -48,17 +48,18 @@ Sequence standing_log() {
     return sequence;
 }
 
-Pose at_x(double x_m) { return {{1, 0, 0, 0}, kDatasetOrigin_m + glm::dvec3(x_m, 0.0, 0.0)}; }
+Pose make_pose_at_x(double x_m) { return {{1, 0, 0, 0}, kDatasetOrigin_m + glm::dvec3(x_m, 0.0, 0.0)}; }
 
 class ScanRequests : public test::DeviceTest {
 protected:
-    const Sequence log = standing_log();
-    const SensorChoice sensor = configured_sensor({}, log);
+    const Sequence log = make_standing_log();
+    const SensorChoice sensor = make_configured_sensor({}, log);
     std::optional<ScanRenderer> renderer;
 
     void SetUp() override {
         DeviceTest::SetUp();
-        if (!IsSkipped() && !HasFatalFailure()) renderer.emplace(device(), wall_and_car(), Config{}, log);
+        if (!IsSkipped() && !HasFatalFailure())
+            renderer.emplace(device(), make_wall_and_car(), Config{}, log);
     }
     void TearDown() override {
         renderer.reset();
@@ -70,7 +71,7 @@ protected:
             if (sensor.rays.direction[i].x > 0.999f) return i;
         return sensor.rays.size();
     }
-    double range_ahead(const ScanRequest& request) {
+    double measure_range_ahead(const ScanRequest& request) {
         return double(renderer->render(sensor, request).median_range_m[ahead()]);
     }
     std::string refusal(const ScanRequest& request) {
@@ -84,55 +85,64 @@ protected:
 };
 
 TEST_F(ScanRequests, SensorIsWhereTheCallerHasIt) {
-    EXPECT_NEAR(range_ahead({0.5, {{0.0}, {at_x(1.0)}}, ActorPoses{}}), 9.0, 1e-4)
+    EXPECT_NEAR(measure_range_ahead({0.5, {{0.0}, {make_pose_at_x(1.0)}}, ActorPoses{}}), 9.0, 1e-4)
         << "one pose: it stands; no actor is given: none is there";
-    const RenderedScan scan = renderer->render(sensor, {0.5, {{0.0}, {at_x(1.0)}}});
-    EXPECT_EQ(scan.world_from_sensor.translation, at_x(1.0).translation);
+    const RenderedScan scan = renderer->render(sensor, {0.5, {{0.0}, {make_pose_at_x(1.0)}}});
+    EXPECT_EQ(scan.world_from_sensor.translation, make_pose_at_x(1.0).translation);
     EXPECT_NEAR(scan.median_range_m[ahead()], 3.0, 1e-4) << "actors as the log has them";
 }
 
 TEST_F(ScanRequests, EachRayIsFiredFromWhereTheSensorIsThen) {
-    const PoseTrack way{{0.0, 2.0}, {at_x(-4.0), at_x(0.0)}};  // 2 m/s
+    const PoseTrack way{{0.0, 2.0}, {make_pose_at_x(-4.0), make_pose_at_x(0.0)}};  // 2 m/s
     const double fired_s = 1.0 + double(sensor.rays.time_offset_s[ahead()]);
     ASSERT_NE(sensor.rays.time_offset_s[ahead()], sensor.rays.time_offset_s[0]) << "the sensor turns";
-    EXPECT_NEAR(range_ahead({1.0, way, ActorPoses{}}), 10.0 + 4.0 - 2.0 * fired_s, 1e-4);
+    EXPECT_NEAR(measure_range_ahead({1.0, way, ActorPoses{}}), 10.0 + 4.0 - 2.0 * fired_s, 1e-4);
     const RenderedScan scan = renderer->render(sensor, {1.0, way, ActorPoses{}});
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f)) continue;
         const glm::dvec3 point =
-            scan.world_from_firing(i) *
+            scan.get_firing_pose(i) *
             glm::dvec3(scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i]);
         EXPECT_NEAR(point.x, kDatasetOrigin_m.x + 10.0, 1e-4) << "ray " << i;
     }
 }
 
 TEST_F(ScanRequests, ActorsAreWhereTheCallerHasThem) {
-    const PoseTrack stands{{0.0}, {at_x(0.0)}};
-    EXPECT_NEAR(range_ahead({0.5, stands, ActorPoses{{"car", {{0.0}, {at_x(6.0)}}}}}), 6.0, 1e-4);
+    const PoseTrack stands{{0.0}, {make_pose_at_x(0.0)}};
+    EXPECT_NEAR(measure_range_ahead({0.5, stands, ActorPoses{{"car", {{0.0}, {make_pose_at_x(6.0)}}}}}), 6.0,
+                1e-4);
     const double faced_s = 0.5;  // time at which a sweep with time stamp 0.5 s faces straight ahead
-    EXPECT_NEAR(range_ahead({0.5, stands, ActorPoses{{"car", {{0.0, 1.0}, {at_x(5.0), at_x(8.0)}}}}}),
-                5.0 + 3.0 * faced_s, 1e-4);
-    EXPECT_NEAR(range_ahead({70.0, stands, ActorPoses{{"car", {{0.0}, {at_x(6.0)}}}}}), 6.0, 1e-4)
+    EXPECT_NEAR(
+        measure_range_ahead(
+            {0.5, stands, ActorPoses{{"car", {{0.0, 1.0}, {make_pose_at_x(5.0), make_pose_at_x(8.0)}}}}}),
+        5.0 + 3.0 * faced_s, 1e-4);
+    EXPECT_NEAR(measure_range_ahead({70.0, stands, ActorPoses{{"car", {{0.0}, {make_pose_at_x(6.0)}}}}}), 6.0,
+                1e-4)
         << "the log's time does not bind the caller";
-    EXPECT_NEAR(range_ahead({70.0, stands}), 10.0, 1e-4) << "and its own actors have left by then";
-    EXPECT_NEAR(range_ahead({0.5, stands}), 4.0, 1e-4) << "a request leaves nothing behind for the next";
+    EXPECT_NEAR(measure_range_ahead({70.0, stands}), 10.0, 1e-4) << "and its own actors have left by then";
+    EXPECT_NEAR(measure_range_ahead({0.5, stands}), 4.0, 1e-4)
+        << "a request leaves nothing behind for the next";
 }
 
 TEST_F(ScanRequests, WhatMakesNoSenseIsRefused) {
     EXPECT_NE(refusal({0.0, {}}).find("poses of the sensor: found 0 poses and 0 times"), std::string::npos);
-    EXPECT_NE(refusal({0.0, {{0.0, 1.0}, {at_x(0)}}}).find("found 1 poses and 2 times"), std::string::npos);
-    EXPECT_NE(refusal({0.0, {{1.0, 1.0}, {at_x(0), at_x(1)}}}).find("found the time 1 s after the time 1 s"),
+    EXPECT_NE(refusal({0.0, {{0.0, 1.0}, {make_pose_at_x(0)}}}).find("found 1 poses and 2 times"),
               std::string::npos);
-    EXPECT_NE(refusal({0.0, {{0.0}, {at_x(kNan)}}}).find("found an invalid pose at entry 0"),
+    EXPECT_NE(refusal({0.0, {{1.0, 1.0}, {make_pose_at_x(0), make_pose_at_x(1)}}})
+                  .find("found the time 1 s after the time 1 s"),
               std::string::npos);
-    EXPECT_NE(refusal({0.0, {{0.0}, {at_x(1e300)}}}).find("entry 0"), std::string::npos);
-    EXPECT_NE(refusal({0.0, {{kNan}, {at_x(0)}}}).find("entry 0"), std::string::npos);
+    EXPECT_NE(refusal({0.0, {{0.0}, {make_pose_at_x(kNan)}}}).find("found an invalid pose at entry 0"),
+              std::string::npos);
+    EXPECT_NE(refusal({0.0, {{0.0}, {make_pose_at_x(1e300)}}}).find("entry 0"), std::string::npos);
+    EXPECT_NE(refusal({0.0, {{kNan}, {make_pose_at_x(0)}}}).find("entry 0"), std::string::npos);
     EXPECT_NE(refusal({0.0, {{0.0}, {Pose{{2, 0, 0, 0}, {}}}}}).find("a unit quaternion"), std::string::npos);
-    EXPECT_NE(refusal({kNan, {{0.0}, {at_x(0)}}}).find("time_s: found nan"), std::string::npos);
-    EXPECT_NE(
-        refusal({0.0, {{0.0}, {at_x(0)}}, ActorPoses{{"car", {}}}}).find("poses of actor car: found 0 poses"),
-        std::string::npos);
-    EXPECT_THROW(range_ahead({0.0, {{0.0}, {at_x(0)}}, ActorPoses{{"cat", {{0.0}, {at_x(0)}}}}}), UsageError);
+    EXPECT_NE(refusal({kNan, {{0.0}, {make_pose_at_x(0)}}}).find("time_s: found nan"), std::string::npos);
+    EXPECT_NE(refusal({0.0, {{0.0}, {make_pose_at_x(0)}}, ActorPoses{{"car", {}}}})
+                  .find("poses of actor car: found 0 poses"),
+              std::string::npos);
+    EXPECT_THROW(measure_range_ahead(
+                     {0.0, {{0.0}, {make_pose_at_x(0)}}, ActorPoses{{"cat", {{0.0}, {make_pose_at_x(0)}}}}}),
+                 UsageError);
 }
 
 }  // namespace

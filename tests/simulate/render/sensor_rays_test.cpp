@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the rays of a sensor on the device. Compares fired rays
-// (simulate/render/fire_rays) with world_ray() in double precision, measured rays
+// (simulate/render/fire_rays) with make_world_ray() in double precision, measured rays
 // (simulate/render/measure_rays) with Beam, limits and M6, and network channels
-// (simulate/render/drop_channels) with drop_image().
+// (simulate/render/drop_channels) with make_drop_image().
 #include "simulate/render/sensor_rays.hpp"
 
 #include <cmath>
@@ -19,7 +19,7 @@ namespace {
 
 class SensorRaysTest : public test::DeviceTest {};
 
-RayTable spinning_rays(int columns) {
+RayTable make_spinning_rays(int columns) {
     SpinningSensor sensor;
     sensor.beams = {{0.05, 0.01, 0.03, 0.12, 0.02}, {0.0}, {-0.4, -0.02, 0.05, 0.2, -0.01}};
     sensor.columns = columns;
@@ -29,18 +29,18 @@ RayTable spinning_rays(int columns) {
 
 /// Returns a track far from the origin that turns about all axes. Its poses have uneven
 /// time intervals.
-PoseTrack bend(double rad_per_s, int n) {
+PoseTrack bend(double rad_per_s, int count) {
     PoseTrack track;
-    for (int k = 0; k < n; ++k) {
+    for (int k = 0; k < count; ++k) {
         const double t = 0.03 * k + 0.004 * std::sin(k);
         track.time_s.push_back(t);
-        track.pose.push_back({rotation_of(rad_per_s * t + 2.0, 0.1 * rad_per_s * t, -0.2 * std::sin(t)),
+        track.pose.push_back({make_rotation(rad_per_s * t + 2.0, 0.1 * rad_per_s * t, -0.2 * std::sin(t)),
                               {400.0 + 20.0 * t, -250.0 - 3.0 * t, 2.0}});
     }
     return track;
 }
 
-double farthest_off(Device& device, const RayTable& rays, const PoseTrack& track, double time_s) {
+double measure_largest_error(Device& device, const RayTable& rays, const PoseTrack& track, double time_s) {
     SensorRays on_device(device);
     Stream stream(device);
     on_device.take(rays, "test", [](std::size_t) { return 0.0f; });
@@ -49,7 +49,7 @@ double farthest_off(Device& device, const RayTable& rays, const PoseTrack& track
     const std::vector<DeviceRay> fired = on_device.batch().rays->download();
     double farthest = 0.0;
     for (std::size_t i = 0; i < rays.size(); ++i) {
-        const WorldRay expected = world_ray(track, time_s, rays, i, true);
+        const WorldRay expected = make_world_ray(track, time_s, rays, i, true);
         farthest = std::max({farthest, glm::distance(glm::dvec3(fired[i].origin), expected.origin_m) / 80.0,
                              glm::distance(glm::dvec3(fired[i].direction), expected.direction)});
     }
@@ -59,19 +59,22 @@ double farthest_off(Device& device, const RayTable& rays, const PoseTrack& track
 /// Tolerances: at 400 m from the origin, neighbouring floats differ by 3e-5 m. An error
 /// of 5e-7 in a direction is 0.04 mm at 80 m.
 TEST_F(SensorRaysTest, AreFiredFromWhereTheSensorIsThen) {
-    const RayTable rays = spinning_rays(301);  // fired from -0.05 to 0.05 s
+    const RayTable rays = make_spinning_rays(301);  // fired from -0.05 to 0.05 s
     const double tolerance = 6e-7;
-    EXPECT_LT(farthest_off(device(), rays, bend(1.0, 12), 0.15), tolerance);
-    EXPECT_LT(farthest_off(device(), rays, bend(20.0, 12), 0.15), tolerance) << "0.6 rad between poses";
-    EXPECT_LT(farthest_off(device(), rays, bend(1.0, 12), 0.01), tolerance) << "begins before the track";
-    EXPECT_LT(farthest_off(device(), rays, bend(1.0, 12), 0.34), tolerance) << "ends behind it";
-    EXPECT_LT(farthest_off(device(), rays, bend(1.0, 1), 0.3), tolerance) << "a sensor that stands";
-    EXPECT_LT(farthest_off(device(), some_rays(rays, {7}), bend(1.0, 12), 0.15), tolerance) << "one ray";
+    EXPECT_LT(measure_largest_error(device(), rays, bend(1.0, 12), 0.15), tolerance);
+    EXPECT_LT(measure_largest_error(device(), rays, bend(20.0, 12), 0.15), tolerance)
+        << "0.6 rad between poses";
+    EXPECT_LT(measure_largest_error(device(), rays, bend(1.0, 12), 0.01), tolerance)
+        << "begins before the track";
+    EXPECT_LT(measure_largest_error(device(), rays, bend(1.0, 12), 0.34), tolerance) << "ends behind it";
+    EXPECT_LT(measure_largest_error(device(), rays, bend(1.0, 1), 0.3), tolerance) << "a sensor that stands";
+    EXPECT_LT(measure_largest_error(device(), select_rays(rays, {7}), bend(1.0, 12), 0.15), tolerance)
+        << "one ray";
 }
 
 TEST_F(SensorRaysTest, OnlyPosesOfTheSweepGoUp) {
     const PoseTrack track = bend(1.0, 1000);
-    const auto poses = poses_through_sweep(track, 15.0, -0.05, 0.05);
+    const auto poses = list_poses_through_sweep(track, 15.0, -0.05, 0.05);
     EXPECT_LE(poses.front().time_offset_s, -0.05f);
     EXPECT_GE(poses.back().time_offset_s, 0.05f);
     EXPECT_LE(poses.size(), 6u);
@@ -79,10 +82,10 @@ TEST_F(SensorRaysTest, OnlyPosesOfTheSweepGoUp) {
 
 /// Returns random rendered rays: near and far rays with strong hits, weak hits, and no
 /// hit.
-std::vector<shared::RenderedRay> random_rendering(std::size_t n) {
+std::vector<shared::RenderedRay> make_random_rendering(std::size_t count) {
     std::mt19937 random(5);
     std::uniform_real_distribution<float> uniform(0.0f, 1.0f);
-    std::vector<shared::RenderedRay> rendered(n);
+    std::vector<shared::RenderedRay> rendered(count);
     for (shared::RenderedRay& r : rendered) {
         const float t = 0.5f + 90.0f * uniform(random);
         r.weight = uniform(random) < 0.2f ? 5e-4f * uniform(random) : uniform(random);
@@ -99,28 +102,28 @@ struct Expected {
     double range_m, median_m, mean_m, intensity, drop_prob;
 };
 
-Expected expected_of(const shared::RenderedRay& r, const Beam& beam, double sees, double mode_m,
-                     const RayMeasuring& how) {
-    const double weight = r.weight, normalised = r.depth / weight, median = r.median_depth;
-    double chosen = how.range == "median" && median > 0.0 ? median : normalised;
-    if (how.range == "mode") chosen = mode_m;
-    if (weight < double(how.min_weight)) chosen = 0.0;
-    if (how.range == "expected") chosen = r.depth;
+Expected compute_expected(const shared::RenderedRay& ray, const Beam& beam, double sees, double mode_m,
+                          const RayMeasuring& options) {
+    const double weight = ray.weight, normalised = ray.depth / weight, median = ray.median_depth;
+    double chosen = options.range == "median" && median > 0.0 ? median : normalised;
+    if (options.range == "mode") chosen = mode_m;
+    if (weight < double(options.min_weight)) chosen = 0.0;
+    if (options.range == "expected") chosen = ray.depth;
     const double surface = median > 0.0 ? median : chosen;
-    Expected e{beam.measured_range(chosen), beam.measured_range(surface),
-               beam.measured_range(median > 0.0 ? normalised : surface),
-               beam.measured_intensity(r.intensity, how.response.at_range(surface)), 0.0};
-    const double hit = std::exp(double(r.hit_logit)), drop = std::exp(double(r.drop_logit));
-    const bool is_met = weight >= double(how.min_weight) && e.range_m > 0.0 && e.median_m > 0.0;
-    e.drop_prob = is_met && how.limits.contains(e.range_m) && how.limits.contains(e.median_m)
+    Expected e{beam.to_measured_range(chosen), beam.to_measured_range(surface),
+               beam.to_measured_range(median > 0.0 ? normalised : surface),
+               beam.to_measured_intensity(ray.intensity, options.response.at_range(surface)), 0.0};
+    const double hit = std::exp(double(ray.hit_logit)), drop = std::exp(double(ray.drop_logit));
+    const bool is_met = weight >= double(options.min_weight) && e.range_m > 0.0 && e.median_m > 0.0;
+    e.drop_prob = is_met && options.limits.contains(e.range_m) && options.limits.contains(e.median_m)
                       ? 1.0 - sees * hit / (hit + drop)
                       : 1.0;
     return e;
 }
 
 TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
-    const RayTable rays = spinning_rays(333);
-    const std::vector<shared::RenderedRay> rendering = random_rendering(rays.size());
+    const RayTable rays = make_spinning_rays(333);
+    const std::vector<shared::RenderedRay> rendering = make_random_rendering(rays.size());
     std::vector<shared::RenderedSurface> of_rays(rays.size());
     for (std::size_t i = 0; i < rays.size(); ++i) {
         of_rays[i].mode = 1.05f * rendering[i].median_depth;
@@ -135,7 +138,7 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
         // no beam for channel 2
         {.intensity_gain = 0.8, .intensity_offset = 0.02, .range_offset_m = -0.7}};
     const IntensityResponse response{{4.0, 10.0, 30.0, 70.0}, {0.6, 1.0, 1.4, 0.9}, 0.3};
-    const auto never = [](std::size_t i) { return i % 5 == 0 ? 0.75f : 0.0f; };
+    const auto never = [](std::size_t index) { return index % 5 == 0 ? 0.75f : 0.0f; };
     SensorRays on_device(device());
     on_device.take(rays, "test", never);
     Stream firing(device());
@@ -151,8 +154,8 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
         ASSERT_EQ(measured.size(), rays.size());
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const shared::MeasuredRay& m = measured[i];
-            const Expected e = expected_of(rendering[i], beam_of(beams, rays.channel[i]),
-                                           1.0 - double(never(i)), of_rays[i].mode, how);
+            const Expected e = compute_expected(rendering[i], find_beam(beams, rays.channel[i]),
+                                                1.0 - double(never(i)), of_rays[i].mode, how);
             EXPECT_NEAR(m.range_m, e.range_m, 2e-5) << range << i;
             EXPECT_NEAR(m.median_range_m, e.median_m, 2e-5) << range << i;
             EXPECT_NEAR(m.mean_range_m, e.mean_m, 2e-5) << range << i;
@@ -172,7 +175,7 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
 /// Rays must be uploaded again if a different sensor uses the same rays, or if different
 /// rays have the same size.
 TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
-    RayTable rays = spinning_rays(16);
+    RayTable rays = make_spinning_rays(16);
     shared::RenderedRay wall{};
     wall.depth = wall.median_depth = 10.0f, wall.weight = 1.0f, wall.hit_logit = 20.0f;
     const std::vector<shared::RenderedRay> rendering(rays.size(), wall);
@@ -197,8 +200,8 @@ TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
 }
 
 /// Returns a smooth surface with a step.
-std::vector<shared::RenderedRay> rendered_room(const RayTable& rays) {
-    std::vector<shared::RenderedRay> rendered = random_rendering(rays.size());
+std::vector<shared::RenderedRay> make_rendered_room(const RayTable& rays) {
+    std::vector<shared::RenderedRay> rendered = make_random_rendering(rays.size());
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const double azimuth = std::atan2(rays.direction[i].y, rays.direction[i].x);
         shared::RenderedRay& r = rendered[i];
@@ -227,8 +230,8 @@ RenderedScan scan_of(const RayTable& rays, std::span<const shared::MeasuredRay> 
 }
 
 TEST_F(SensorRaysTest, ANetworkSeesThemAsItSeesAScan) {
-    RayTable rays = spinning_rays(120);
-    const std::vector<shared::RenderedRay> rendering = rendered_room(rays);
+    RayTable rays = make_spinning_rays(120);
+    const std::vector<shared::RenderedRay> rendering = make_rendered_room(rays);
     const Array<shared::RenderedRay> rendered(device(), std::span<const shared::RenderedRay>(rendering),
                                               "rendered rays");
     SensorRays on_device(device());
@@ -250,7 +253,7 @@ TEST_F(SensorRaysTest, ANetworkSeesThemAsItSeesAScan) {
     for (const std::string network : {"pixel", "small"}) {
         const RefineOptions options{
             .network = network, .levels = 0, .rays = "origin,direction", .epochs = 100, .rate = 1e-2};
-        DropImage image = drop_image(scan, drop_channel_names(options), first_origin_m);
+        DropImage image = make_drop_image(scan, list_drop_channels(options), first_origin_m);
         for (std::size_t i = 0; i < rays.size(); ++i)
             image.dropped.push_back(image.channels[5 * rays.size() + i] > 0.8f ? 1.0f : 0.0f);
         const auto go_on = [](const RefineProgress&, const std::function<RefineState()>&) { return true; };

@@ -13,7 +13,7 @@ constexpr double kOffset_m = 500.0;
 /// Returns a scene with a van of 4 x 2 x 1.6 m, 10 m ahead of the origin. `rear_share` is
 /// the share of the rear that the log has observed. The log has observed all remaining
 /// sides completely.
-Scene van_scene(float rear_share) {
+Scene make_van_scene(float rear_share) {
     Scene scene;
     scene.models = {{"background", 0, 0, {}}, {"van", 0, 0, {2.0f, 1.0f, 0.8f}}};
     scene.models[1].seen_sides = SideShares{1.0f, rear_share, 1.0f, 1.0f, 1.0f};
@@ -21,7 +21,7 @@ Scene van_scene(float rear_share) {
     return scene;
 }
 
-Sequence van_sequence() {
+Sequence make_van_sequence() {
     Sequence sequence;
     sequence.world_offset_m = {kOffset_m, 0.0, 0.0};
     BoxTrack van{"van", "Van", {4.0, 2.0, 1.6}, {}};
@@ -34,7 +34,7 @@ Sequence van_sequence() {
 /// Returns a scan with rays to a grid of points on the plane of the van's rear, x = 8 m.
 /// The points are 0.1 m apart. 20 x 16 of these points are on the rear.
 /// @param return_m range of all returns; 0 if no ray returns
-RenderedScan grid_scan(float return_m) {
+RenderedScan make_grid_scan(float return_m) {
     RenderedScan scan;
     for (int y = -20; y < 20; ++y)
         for (int z = -20; z < 20; ++z) {
@@ -55,7 +55,7 @@ RenderedScan grid_scan(float return_m) {
 TEST(UnseenSides, CountsTheRaysThatEnterThroughTheRear) {
     for (const float return_m : {0.0f, 30.0f}) {  // no return, or a wall behind the van
         const std::vector<UnseenSide> sides =
-            find_unseen_sides(grid_scan(return_m), van_scene(0.0f), van_sequence());
+            find_unseen_sides(make_grid_scan(return_m), make_van_scene(0.0f), make_van_sequence());
         ASSERT_EQ(sides.size(), 1u);
         EXPECT_EQ(sides[0].track, "van");
         EXPECT_EQ(sides[0].side, BoxSide::rear);
@@ -64,15 +64,15 @@ TEST(UnseenSides, CountsTheRaysThatEnterThroughTheRear) {
 }
 
 TEST(UnseenSides, AreNotReportedIfSeenHiddenAbsentOrUnknown) {
-    EXPECT_TRUE(find_unseen_sides(grid_scan(0.0f), van_scene(0.5f), van_sequence()).empty());
-    EXPECT_TRUE(find_unseen_sides(grid_scan(5.0f), van_scene(0.0f), van_sequence()).empty())
+    EXPECT_TRUE(find_unseen_sides(make_grid_scan(0.0f), make_van_scene(0.5f), make_van_sequence()).empty());
+    EXPECT_TRUE(find_unseen_sides(make_grid_scan(5.0f), make_van_scene(0.0f), make_van_sequence()).empty())
         << "a wall in front of the van hides it";
-    RenderedScan late = grid_scan(0.0f);
+    RenderedScan late = make_grid_scan(0.0f);
     late.time_s = 9.0;
-    EXPECT_TRUE(find_unseen_sides(late, van_scene(0.0f), van_sequence()).empty());
-    Scene unknown = van_scene(0.0f);
+    EXPECT_TRUE(find_unseen_sides(late, make_van_scene(0.0f), make_van_sequence()).empty());
+    Scene unknown = make_van_scene(0.0f);
     unknown.models[1].seen_sides = {};
-    EXPECT_TRUE(find_unseen_sides(grid_scan(0.0f), unknown, van_sequence()).empty());
+    EXPECT_TRUE(find_unseen_sides(make_grid_scan(0.0f), unknown, make_van_sequence()).empty());
 }
 
 }  // namespace

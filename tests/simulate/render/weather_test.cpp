@@ -22,7 +22,7 @@ constexpr std::int32_t kNothing = -1, kSurface = 0, kFog = 1;
 
 /// Returns a scan of a wall in which every tenth ray has no return. All channels of the
 /// hits refer to actor 3. With two returns, both returns are from panes of the wall.
-RenderedScan wall_at(float range_m, float intensity, bool two_returns = false, int n_rays = kRays) {
+RenderedScan make_wall_at(float range_m, float intensity, bool two_returns = false, int n_rays = kRays) {
     const auto n = std::size_t(n_rays);
     RenderedScan scan;
     scan.image.rows = 1, scan.image.columns = n_rays;
@@ -61,38 +61,39 @@ void apply_weather(RenderedScan& scan, const Applied& applied) {
                        .blind = applied.blind});
 }
 
-const std::vector<std::int32_t>& sources_of(const RenderedScan& scan) {
+const std::vector<std::int32_t>& get_sources(const RenderedScan& scan) {
     return *find_values<std::int32_t>(scan.channels, "source");
 }
 
-void expect_same(const RenderedScan& a, const RenderedScan& b) {
-    EXPECT_EQ(a.image.range_m, b.image.range_m);
-    EXPECT_EQ(a.image.intensity, b.image.intensity);
-    EXPECT_EQ(a.image.drop_prob, b.image.drop_prob);
-    EXPECT_EQ(a.median_range_m, b.median_range_m);
-    EXPECT_EQ(a.mean_range_m, b.mean_range_m);
-    EXPECT_EQ(a.instance, b.instance);
+void expect_same(const RenderedScan& first, const RenderedScan& second) {
+    EXPECT_EQ(first.image.range_m, second.image.range_m);
+    EXPECT_EQ(first.image.intensity, second.image.intensity);
+    EXPECT_EQ(first.image.drop_prob, second.image.drop_prob);
+    EXPECT_EQ(first.median_range_m, second.median_range_m);
+    EXPECT_EQ(first.mean_range_m, second.mean_range_m);
+    EXPECT_EQ(first.instance, second.instance);
 }
 
 TEST(WeatherOnScans, ClearAirChangesNoBit) {
-    const RenderedScan before = wall_at(10.0f, 0.5f);
+    const RenderedScan before = make_wall_at(10.0f, 0.5f);
     RenderedScan scan = before;
     apply_weather(scan, {});
     expect_same(scan, before);
     ASSERT_EQ(scan.channels.size(), 3u);
-    for (std::size_t i = 0; i < kRays; ++i) ASSERT_EQ(sources_of(scan)[i], i % 10 == 0 ? kNothing : kSurface);
+    for (std::size_t i = 0; i < kRays; ++i)
+        ASSERT_EQ(get_sources(scan)[i], i % 10 == 0 ? kNothing : kSurface);
 }
 
 /// Also tests a sensor that reports half the brightness for the same surface at this
 /// range. The tolerance is 0.01.
 TEST(WeatherOnScans, AWallIsDarkerByTheFormula) {
     for (const double fall : {1.0, 0.5}) {
-        RenderedScan scan = wall_at(8.0f, 0.8f);
+        RenderedScan scan = make_wall_at(8.0f, 0.8f);
         apply_weather(
             scan, {.weather = {.fog_visibility_m = 150.0}, .response = {.range_m = {8.0}, .factor = {fall}}});
         int n = 0;
         for (std::size_t i = 0; i < kRays; ++i) {
-            if (sources_of(scan)[i] != kSurface) continue;
+            if (get_sources(scan)[i] != kSurface) continue;
             ++n;
             ASSERT_NEAR(scan.image.intensity[i] / (0.8 * std::exp(-2.0 * std::log(20.0) / 150.0 * 8.0)), 1.0,
                         0.01);
@@ -106,13 +107,13 @@ TEST(WeatherOnScans, AWallIsDarkerByTheFormula) {
 }
 
 TEST(WeatherOnScans, WhatReturnsFromTheAirSaysSo) {
-    RenderedScan scan = wall_at(25.0f, 0.3f);
+    RenderedScan scan = make_wall_at(25.0f, 0.3f);
     std::vector<std::uint8_t> blind(kRays, 0);
     for (std::size_t i = 0; i < kRays; i += 4) blind[i] = 1;
     apply_weather(scan, {.weather = {.fog_visibility_m = 50.0}, .blind = blind});
     int fog = 0;
     for (std::size_t i = 0; i < kRays; ++i) {
-        const std::int32_t source = sources_of(scan)[i];
+        const std::int32_t source = get_sources(scan)[i];
         EXPECT_EQ(find_values<float>(scan.channels, "of_ray")->at(i), 7.0f);
         if (blind[i] != 0) {
             ASSERT_EQ(source, i % 10 == 0 ? kNothing : kSurface);
@@ -137,16 +138,16 @@ TEST(WeatherOnScans, WhatReturnsFromTheAirSaysSo) {
 TEST(WeatherOnScans, WhatIsTooWeakIsDropped) {
     WeatherSensor sensor;
     sensor.min_range_m = 39.9;  // excludes returns of the fog
-    RenderedScan scan = wall_at(40.0f, 0.3f);
+    RenderedScan scan = make_wall_at(40.0f, 0.3f);
     apply_weather(scan, {.weather = {.fog_visibility_m = 20.0}, .sensor = sensor});
     for (std::size_t i = 0; i < kRays; ++i) {
-        ASSERT_EQ(sources_of(scan)[i], kNothing);
+        ASSERT_EQ(get_sources(scan)[i], kNothing);
         ASSERT_GE(scan.image.drop_prob[i], 0.5f);
     }
 }
 
 TEST(WeatherOnScans, SecondReturnsSayWhyTheyAreThere) {
-    RenderedScan scan = wall_at(20.0f, 0.3f, true);
+    RenderedScan scan = make_wall_at(20.0f, 0.3f, true);
     apply_weather(scan, {.weather = {.fog_visibility_m = 60.0}});
     ASSERT_EQ(scan.channels.back().info.name, "source");
     const auto& second = std::get<std::vector<std::int32_t>>(scan.channels.back().second);
@@ -155,13 +156,13 @@ TEST(WeatherOnScans, SecondReturnsSayWhyTheyAreThere) {
         const float range_m = scan.second_returns[0].range_m[i];
         ASSERT_EQ(second[i] == kNothing, range_m == 0.0f);
         ASSERT_TRUE(second[i] != kSurface || range_m == 20.0f || range_m == 22.0f);
-        behind_fog += sources_of(scan)[i] == kFog && second[i] == kSurface && range_m == 22.0f;
+        behind_fog += get_sources(scan)[i] == kFog && second[i] == kSurface && range_m == 22.0f;
         ScanChannel of_points{scan.channels.back().info, std::vector<std::int32_t>{}};
         append_return(of_points, scan.channels.back(), i, 2);
         ASSERT_EQ(std::get<std::vector<std::int32_t>>(of_points.values)[0], second[i]);
     }
     EXPECT_GT(behind_fog, kRays / 2);
-    RenderedScan one = wall_at(20.0f, 0.3f);
+    RenderedScan one = make_wall_at(20.0f, 0.3f);
     const RenderedScan merged = merge_scans({one, scan, one}, {Pose{}, Pose{}, Pose{}});
     const auto& of_rig = std::get<std::vector<std::int32_t>>(merged.channels.back().second);
     ASSERT_EQ(of_rig.size(), std::size_t(3 * kRays));
@@ -178,18 +179,19 @@ TEST(WeatherOnScans, SecondReturnsSayWhyTheyAreThere) {
 /// thread.
 TEST(WeatherOnScans, TheSameSeedIsTheSameOnAnyNumberOfThreads) {
     const Weather weather{.fog_visibility_m = 100.0, .rain_mm_h = 20.0};
-    RenderedScan a = wall_at(40.0f, 0.1f), b = a, other = a, by_one = wall_at(40.0f, 0.1f, false, 4096);
+    RenderedScan a = make_wall_at(40.0f, 0.1f), b = a, other = a,
+                 by_one = make_wall_at(40.0f, 0.1f, false, 4096);
     apply_weather(a, {.weather = weather, .seed = 7});
     apply_weather(b, {.weather = weather, .seed = 7});
     apply_weather(other, {.weather = weather, .seed = 8});
     apply_weather(by_one, {.weather = weather, .seed = 7});
     expect_same(a, b);
-    EXPECT_EQ(sources_of(a), sources_of(b));
+    EXPECT_EQ(get_sources(a), get_sources(b));
     EXPECT_NE(a.image.range_m, other.image.range_m);
     for (std::size_t i = 0; i < by_one.weight.size(); ++i) {
         ASSERT_EQ(a.image.range_m[i], by_one.image.range_m[i]);
         ASSERT_EQ(a.image.intensity[i], by_one.image.intensity[i]);
-        ASSERT_EQ(sources_of(a)[i], sources_of(by_one)[i]);
+        ASSERT_EQ(get_sources(a)[i], get_sources(by_one)[i]);
     }
 }
 
@@ -234,10 +236,10 @@ TEST_F(RenderedWeather, IsThatOfTheNextScan) {
     expect_same(fog, again);
     EXPECT_NE(fog.image.range_m, sample.image.range_m);
     for (const RenderedScan* scan : {&fog, &sample, &grid})
-        EXPECT_GT(std::ranges::count(sources_of(*scan), kFog), 100);
+        EXPECT_GT(std::ranges::count(get_sources(*scan), kFog), 100);
     for (std::size_t i = 0; i < fog.image.range_m.size(); ++i) {
-        ASSERT_EQ(sources_of(fog)[i] == kNothing, !returned(fog.image.drop_prob[i], fog.image.range_m[i]));
-        ASSERT_TRUE(sources_of(fog)[i] != kSurface || fog.image.intensity[i] <= clear.image.intensity[i]);
+        ASSERT_EQ(get_sources(fog)[i] == kNothing, !returned(fog.image.drop_prob[i], fog.image.range_m[i]));
+        ASSERT_TRUE(get_sources(fog)[i] != kSurface || fog.image.intensity[i] <= clear.image.intensity[i]);
     }
     renderer.set_weather({});
     expect_same(render("native"), clear);
@@ -246,7 +248,7 @@ TEST_F(RenderedWeather, IsThatOfTheNextScan) {
     const RenderedScan said = render("native");
     expect_same(said, clear);
     for (std::size_t i = 0; i < said.image.range_m.size(); ++i)
-        ASSERT_EQ(sources_of(said)[i],
+        ASSERT_EQ(get_sources(said)[i],
                   returned(said.image.drop_prob[i], said.image.range_m[i]) ? kSurface : kNothing);
 }
 

@@ -17,7 +17,7 @@ namespace {
 class WetGroundOnScans : public test::DeviceTest {};
 
 /// Returns a level disc with returns of intensity 0.5 + 0.28 times the coefficient.
-Surfels disc_of(float scale_m, float coefficient) {
+Surfels make_disc(float scale_m, float coefficient) {
     Surfels disc;
     disc.resize(1);
     disc.mean[0] = glm::vec3(0.0f);
@@ -32,8 +32,8 @@ Surfels disc_of(float scale_m, float coefficient) {
 
 /// Returns dark level ground half a metre below the sensor, built from opaque discs at
 /// intervals of 1 m. A wall of intensity 0.5 stands on the ground, 12 m ahead.
-Surfels ground_before_wall() {
-    Surfels scene = disc_of(3.0f, 0.0f), disc = disc_of(0.5f, -1.4f);
+Surfels make_ground_before_wall() {
+    Surfels scene = make_disc(3.0f, 0.0f), disc = make_disc(0.5f, -1.4f);
     scene.mean[0] = {12.0f, 0.0f, -0.5f};
     scene.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};
     for (int x = -20; x < 12; ++x) {
@@ -46,7 +46,7 @@ Surfels ground_before_wall() {
 }
 
 /// Returns a log of a sensor with eight beams that point down by 3.6 to 5.7 degrees.
-Sequence sequence_looking_down() {
+Sequence make_sequence_looking_down() {
     Sequence sequence;
     sequence.lidars[0].sensor.columns = 360;
     sequence.lidars[0].sensor.first_azimuth_rad = kPi;
@@ -62,9 +62,9 @@ Sequence sequence_looking_down() {
 /// the wall is stronger than the light of the ground, which water darkens.
 TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
     const Config config;
-    const Sequence sequence = sequence_looking_down();
-    ScanRenderer renderer(device(), make_background_scene(ground_before_wall()), config, sequence);
-    const SensorChoice sensor = configured_sensor(config, sequence);
+    const Sequence sequence = make_sequence_looking_down();
+    ScanRenderer renderer(device(), make_background_scene(make_ground_before_wall()), config, sequence);
+    const SensorChoice sensor = make_configured_sensor(config, sequence);
     const RenderedScan dry = renderer.render(sensor, 0.0);
     renderer.set_weather({.wet_mm = 2.0});
     const RenderedScan wet = renderer.render(sensor, 0.0);
@@ -84,12 +84,13 @@ TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
             const double up_m = (wall_m - ground_m) * -double(d.z), left_m = wall_m * double(d.y);
             const double wall =
                 0.5 / (1.0 + std::exp(-6.0)) * std::exp(-0.5 * (up_m * up_m + left_m * left_m) / 9.0);
-            ASSERT_NEAR(wet.image.intensity[i], wall * std::pow(mirrored_by_water(-double(d.z)), 2), 0.02);
+            ASSERT_NEAR(wet.image.intensity[i], wall * std::pow(compute_water_reflectance(-double(d.z)), 2),
+                        0.02);
         } else if (source[i] == std::int32_t(PointSource::surface)) {
             ++darker;
             ASSERT_EQ(wet.median_range_m[i], dry.median_range_m[i]);
             ASSERT_NEAR(wet.image.intensity[i] / dry.image.intensity[i],
-                        wet_over_dry(-double(d.z), double(dry.image.intensity[i])),
+                        compute_wet_to_dry_ratio(-double(d.z), double(dry.image.intensity[i])),
                         // close to the foot of the wall, the tolerance is larger, because
                         // the estimated ground is tilted
                         ground_m * double(d.x) < 6.0 ? 1e-3 : 0.05)

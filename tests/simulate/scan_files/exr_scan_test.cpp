@@ -18,7 +18,7 @@ using ExrScans = TemporaryFolder;
 
 /// Returns four rays of two beams. A ray is dropped, and a different ray has a second
 /// return.
-RenderedScan four_rays() {
+RenderedScan make_four_rays() {
     RenderedScan scan;
     scan.image.rows = 1, scan.image.columns = 4;
     scan.image.range_m = {10.0f, 12.0f, 7.0f, 55.125f};
@@ -40,7 +40,7 @@ RenderedScan four_rays() {
 TEST_F(ExrScans, AreReadAsScans) {
     ScanFormat format;
     format.formats = {"exr"};
-    RenderedScan truth = four_rays();
+    RenderedScan truth = make_four_rays();
     const auto write = [&] {
         ScanFolder scans(folder / "scans", format);
         scans.write(5, truth);
@@ -63,7 +63,7 @@ TEST_F(ExrScans, AreReadAsScans) {
     EXPECT_EQ(scan.second_returns[0].intensity, truth.second_returns[0].intensity);
     EXPECT_EQ(read_exr(folder / "scans" / "frame_000005.exr").channels.count("spread"), 0u)
         << "not asked for";
-    truth.channels = {{{.name = "spread"}, range_spread(truth)}};
+    truth.channels = {{{.name = "spread"}, compute_range_spread(truth)}};
     write();
     EXPECT_THAT(read_exr(folder / "scans" / "frame_000005.exr").channels.at("spread"),
                 testing::ElementsAre(0.5f, 0.5f, 0.0f, 1.0f));

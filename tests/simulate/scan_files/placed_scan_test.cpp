@@ -27,19 +27,19 @@ const std::vector<glm::dvec3>& places() {
 
 /// Returns a scan of a sensor that moves at 16 m/s and turns by 40 degrees per second.
 /// The pose changes by 0.8 m and 2 degrees before and after the time of the scan.
-RenderedScan lane_change() {
+RenderedScan make_lane_change() {
     RenderedScan scan;
     for (int i = 0; i <= 4; ++i) {
         const double t_s = 2.9 + 0.05 * i;
         scan.track.time_s.push_back(t_s);
         scan.track.pose.push_back(
-            {rotation_of(0.7 * (t_s - 3.0), 0.02, 0.01), {16.0 * (t_s - 3.0), 0.5 * (t_s - 3.0), 1.5}});
+            {make_rotation(0.7 * (t_s - 3.0), 0.02, 0.01), {16.0 * (t_s - 3.0), 0.5 * (t_s - 3.0), 1.5}});
     }
     scan.time_s = 3.0;
     scan.world_from_sensor = scan.track.at(scan.time_s);
     scan.time_offset_s = {-0.05f, -0.0125f, 0.0075f, 0.05f};
     for (std::size_t i = 0; i < places().size(); ++i) {
-        const glm::dvec3 seen = inverse(scan.world_from_firing(i)) * places()[i];
+        const glm::dvec3 seen = inverse(scan.get_firing_pose(i)) * places()[i];
         const glm::vec3 origin(0.1f, 0.0f, 0.05f);
         const glm::dvec3 way = seen - glm::dvec3(origin);
         scan.image.origin.push_back(origin);
@@ -56,14 +56,15 @@ RenderedScan lane_change() {
     return scan;
 }
 
-glm::dvec3 point(const std::vector<float>& numbers, std::size_t i) {
-    return {numbers[i], numbers[i + 1], numbers[i + 2]};
+glm::dvec3 point(const std::vector<float>& numbers, std::size_t index) {
+    return {numbers[index], numbers[index + 1], numbers[index + 2]};
 }
 
 /// Returns the points that follow the header of a file. The header ends with a text, and
 /// each record starts with x y z.
-std::vector<glm::dvec3> points_behind(const std::filesystem::path& path, const std::string& end_of_header) {
-    const std::string bytes = contents(path);
+std::vector<glm::dvec3> read_points_behind(const std::filesystem::path& path,
+                                           const std::string& end_of_header) {
+    const std::string bytes = read_contents(path);
     const std::size_t begin = end_of_header.empty() ? 0 : bytes.find(end_of_header) + end_of_header.size();
     const std::size_t stride = (bytes.size() - begin) / places().size();
     std::vector<glm::dvec3> points;
@@ -76,7 +77,7 @@ std::vector<glm::dvec3> points_behind(const std::filesystem::path& path, const s
 }
 
 /// Returns the numbers that follow a text in the header of a file.
-std::vector<double> numbers_behind(const std::string& text, const std::string& name) {
+std::vector<double> read_numbers_behind(const std::string& text, const std::string& name) {
     std::istringstream line(text.substr(text.find(name) + name.size()));
     std::vector<double> numbers;
     for (double x; line >> x;) numbers.push_back(x);
@@ -84,7 +85,7 @@ std::vector<double> numbers_behind(const std::string& text, const std::string& n
 }
 
 /// Returns the pose for a matrix in row-major order.
-Pose pose_of(const std::vector<double>& m) {
+Pose make_pose(const std::vector<double>& m) {
     const glm::dmat3 columns(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]);
     return {glm::quat_cast(columns), {m[3], m[7], m[11]}};
 }
@@ -100,21 +101,21 @@ protected:
         format.formats = {"npz", "exr", "ply", "pcd", "bin"};
         format.frame = frame, format.deskew = deskew;
         ScanFolder scans(folder, format);
-        scans.write(0, lane_change());
+        scans.write(0, make_lane_change());
         scans.finish();
     }
-    static void expect_places(const std::string& what, const Pose& world_from_points,
+    static void expect_places(const std::string& description, const Pose& world_from_points,
                               const std::vector<glm::dvec3>& points) {
         for (std::size_t i = 0; i < places().size(); ++i)
             EXPECT_LT(glm::distance(world_from_points * points[i], places()[i]), kTolerance_m)
-                << what << ", point " << i;
+                << description << ", point " << i;
     }
     /// Checks the points in all files.
     /// @param world_from_points function that returns the transform of a file's points,
     /// computed from the pose in the file
     void expect_all(const std::function<Pose(const Pose&)>& world_from_points) const {
         const auto arrays = read_npz(file("npz"));
-        const Pose of_npz = pose_of(find_array(arrays, "pose")->as_double());
+        const Pose of_npz = make_pose(find_array(arrays, "pose")->as_double());
         const std::vector<float> range_m = find_array(arrays, "range")->as_float(),
                                  origin = find_array(arrays, "origin")->as_float(),
                                  direction = find_array(arrays, "directions")->as_float();
@@ -130,13 +131,14 @@ protected:
         }
         expect_places("npz", world_from_points(of_npz), in_npz);
         expect_places(
-            "exr", world_from_points(pose_of(numbers_behind(exr.notes.at("world_from_sensor"), ""))), in_exr);
-        const Pose of_ply = pose_of(numbers_behind(contents(file("ply")), "world_from_sensor "));
-        expect_places("ply", world_from_points(of_ply), points_behind(file("ply"), "end_header\n"));
-        expect_places("bin", world_from_points(of_npz), points_behind(file("bin"), ""));
-        const std::vector<double> v = numbers_behind(contents(file("pcd")), "VIEWPOINT ");
+            "exr", world_from_points(make_pose(read_numbers_behind(exr.notes.at("world_from_sensor"), ""))),
+            in_exr);
+        const Pose of_ply = make_pose(read_numbers_behind(read_contents(file("ply")), "world_from_sensor "));
+        expect_places("ply", world_from_points(of_ply), read_points_behind(file("ply"), "end_header\n"));
+        expect_places("bin", world_from_points(of_npz), read_points_behind(file("bin"), ""));
+        const std::vector<double> v = read_numbers_behind(read_contents(file("pcd")), "VIEWPOINT ");
         expect_places("pcd", {glm::dquat(v[3], v[4], v[5], v[6]), {v[0], v[1], v[2]}},
-                      points_behind(file("pcd"), "DATA binary\n"));
+                      read_points_behind(file("pcd"), "DATA binary\n"));
     }
 };
 
@@ -153,7 +155,7 @@ TEST_F(PlacedScans, PointsOfTheWorldAreThere) {
 /// If a channel has values for second returns, npz and exr must store them in a separate
 /// array. PLY must store them with the second points.
 TEST_F(PlacedScans, SecondReturnsHaveTheirOwnValues) {
-    RenderedScan scan = lane_change();
+    RenderedScan scan = make_lane_change();
     scan.second_returns = {{{40.0f, 0.0f, 0.0f, 41.0f}, {0.1f, 0.0f, 0.0f, 0.1f}}};
     scan.channels = {{{.name = "why", .none = -1.0},
                       std::vector<std::int32_t>{1, 2, 0, 0},
@@ -167,7 +169,7 @@ TEST_F(PlacedScans, SecondReturnsHaveTheirOwnValues) {
     EXPECT_EQ(find_array(arrays, "why")->as_float(), (std::vector<float>{1, 2, 0, 0}));
     EXPECT_EQ(find_array(arrays, "why_2")->as_float(), (std::vector<float>{5, -1, -1, 7}));
     EXPECT_EQ(read_exr(file("exr")).channels.at("why_2"), (std::vector<float>{5, -1, -1, 7}));
-    const std::string ply = contents(file("ply"));
+    const std::string ply = read_contents(file("ply"));
     std::vector<std::int32_t> of_points;
     const std::size_t begin = ply.find("end_header\n") + 11, stride = (ply.size() - begin) / 6;
     for (std::size_t i = 0; i < 6; ++i)  // the last value of a point

@@ -15,7 +15,7 @@ using PointFiles = TemporaryFolder;
 
 const FileNotes kNotes = {{"sensor", "VLP-16"}, {"run", "a\nb"}};
 
-Points some_cloud() {
+Points make_some_cloud() {
     Points cloud;
     cloud.position_m = {{1.5f, -2.0f, 0.25f}, {10.0f, 20.0f, 30.0f}, {-0.5f, 0.0f, 80.0f}};
     cloud.intensity = {0.1f, 0.5f, 1.0f};
@@ -65,8 +65,8 @@ void expect_records(const std::string& body, const Points& cloud, std::size_t st
 }
 
 TEST_F(PointFiles, WritesPly) {
-    write_ply(folder / "a.ply", some_cloud(), kNotes);
-    const Parsed file = parse(contents(folder / "a.ply"), "end_header");
+    write_ply(folder / "a.ply", make_some_cloud(), kNotes);
+    const Parsed file = parse(read_contents(folder / "a.ply"), "end_header");
     const std::vector<std::string> expected{"ply",
                                             "format binary_little_endian 1.0",
                                             "comment sensor VLP-16",
@@ -81,12 +81,12 @@ TEST_F(PointFiles, WritesPly) {
                                             "property int instance",
                                             "end_header"};
     EXPECT_EQ(file.header, expected);
-    expect_records(file.body, some_cloud(), 26);
+    expect_records(file.body, make_some_cloud(), 26);
 }
 
 TEST_F(PointFiles, WritesPcd) {
-    write_pcd(folder / "a.pcd", some_cloud(), kNotes);
-    const Parsed file = parse(contents(folder / "a.pcd"), "DATA binary");
+    write_pcd(folder / "a.pcd", make_some_cloud(), kNotes);
+    const Parsed file = parse(read_contents(folder / "a.pcd"), "DATA binary");
     const std::vector<std::string> expected{"# .PCD v0.7 - Point Cloud Data file format",
                                             "# sensor VLP-16",
                                             "# run a b",
@@ -101,18 +101,18 @@ TEST_F(PointFiles, WritesPcd) {
                                             "POINTS 3",
                                             "DATA binary"};
     EXPECT_EQ(file.header, expected);
-    expect_records(file.body, some_cloud(), 26);
+    expect_records(file.body, make_some_cloud(), 26);
 }
 
 TEST_F(PointFiles, LeavesOutFieldsThatAreMissing) {
-    Points cloud = some_cloud();
+    Points cloud = make_some_cloud();
     cloud.ring.clear();
     cloud.time_offset_s.clear();
     cloud.instance.clear();
     write_ply(folder / "a.ply", cloud);
     write_pcd(folder / "a.pcd", cloud);
-    expect_records(parse(contents(folder / "a.ply"), "end_header").body, cloud, 16);
-    const Parsed pcd = parse(contents(folder / "a.pcd"), "DATA binary");
+    expect_records(parse(read_contents(folder / "a.ply"), "end_header").body, cloud, 16);
+    const Parsed pcd = parse(read_contents(folder / "a.pcd"), "DATA binary");
     EXPECT_EQ(pcd.header[2], "FIELDS x y z intensity");
     EXPECT_EQ(pcd.header[3], "SIZE 4 4 4 4");
     EXPECT_EQ(pcd.header[4], "TYPE F F F F");
@@ -121,17 +121,18 @@ TEST_F(PointFiles, LeavesOutFieldsThatAreMissing) {
 }
 
 TEST_F(PointFiles, WritesTheSpreadBehindTheOtherFields) {
-    Points cloud = some_cloud();
+    Points cloud = make_some_cloud();
     const std::vector<float> spread{0.0f, 0.5f, 12.25f};
     cloud.channels = {{{.name = "spread"}, spread}};
     write_ply(folder / "a.ply", cloud);
     write_pcd(folder / "a.pcd", cloud);
-    EXPECT_NE(contents(folder / "a.ply").find("property int instance\nproperty float spread\nend_header"),
-              std::string::npos);
-    EXPECT_NE(contents(folder / "a.pcd").find("\nFIELDS x y z intensity ring time instance spread\n"),
+    EXPECT_NE(
+        read_contents(folder / "a.ply").find("property int instance\nproperty float spread\nend_header"),
+        std::string::npos);
+    EXPECT_NE(read_contents(folder / "a.pcd").find("\nFIELDS x y z intensity ring time instance spread\n"),
               std::string::npos);
     for (const auto& [name, last] : {std::pair("a.ply", "end_header"), {"a.pcd", "DATA binary"}}) {
-        const std::string body = parse(contents(folder / name), last).body;
+        const std::string body = parse(read_contents(folder / name), last).body;
         ASSERT_EQ(body.size(), 3u * 30u) << name;
         for (std::size_t i = 0; i < 3; ++i) EXPECT_EQ(value_at<float>(body, 30 * i + 26), spread[i]) << name;
     }
@@ -140,18 +141,18 @@ TEST_F(PointFiles, WritesTheSpreadBehindTheOtherFields) {
 }
 
 TEST_F(PointFiles, WritesNormalsByTheNamesOfEachFormat) {
-    Points cloud = some_cloud();
+    Points cloud = make_some_cloud();
     cloud.ring.clear(), cloud.time_offset_s.clear(), cloud.instance.clear();
     const std::vector<glm::vec3> normal{{1.0f, 0.0f, 0.0f}, {0.0f, -1.0f, 0.0f}, {0.6f, 0.0f, 0.8f}};
     cloud.channels = {{{.name = "normal", .turns = true}, normal}};
     write_ply(folder / "a.ply", cloud);
     write_pcd(folder / "a.pcd", cloud);
-    const Parsed ply = parse(contents(folder / "a.ply"), "end_header"),
-                 pcd = parse(contents(folder / "a.pcd"), "DATA binary");
-    EXPECT_NE(contents(folder / "a.ply")
+    const Parsed ply = parse(read_contents(folder / "a.ply"), "end_header"),
+                 pcd = parse(read_contents(folder / "a.pcd"), "DATA binary");
+    EXPECT_NE(read_contents(folder / "a.ply")
                   .find("property float nx\nproperty float ny\nproperty float nz\nend_header"),
               std::string::npos);
-    EXPECT_NE(contents(folder / "a.pcd").find("\nFIELDS x y z intensity normal_x normal_y normal_z\n"),
+    EXPECT_NE(read_contents(folder / "a.pcd").find("\nFIELDS x y z intensity normal_x normal_y normal_z\n"),
               std::string::npos);
     EXPECT_EQ(ply.body, pcd.body);
     ASSERT_EQ(ply.body.size(), 3u * 28u);
@@ -159,43 +160,43 @@ TEST_F(PointFiles, WritesNormalsByTheNamesOfEachFormat) {
         for (int axis = 0; axis < 3; ++axis)
             EXPECT_EQ(value_at<float>(ply.body, 28 * i + 16 + 4 * std::size_t(axis)), normal[i][axis]);
     cloud.channels = {{{.name = "normal"}, std::vector<glm::vec3>(2)}};
-    data_error([&] { write_ply(folder / "b", cloud); });
+    get_data_error_message([&] { write_ply(folder / "b", cloud); });
 }
 
 TEST_F(PointFiles, WritesKittiBin) {
-    write_kitti_bin(folder / "a.bin", some_cloud());
-    expect_records(contents(folder / "a.bin"), some_cloud(), 16);
+    write_kitti_bin(folder / "a.bin", make_some_cloud());
+    expect_records(read_contents(folder / "a.bin"), make_some_cloud(), 16);
 }
 
 TEST_F(PointFiles, WritesEmptyClouds) {
     write_ply(folder / "a.ply", {});
     write_pcd(folder / "a.pcd", {});
     write_kitti_bin(folder / "a.bin", {});
-    EXPECT_EQ(parse(contents(folder / "a.ply"), "end_header").header[2], "element vertex 0");
-    EXPECT_EQ(parse(contents(folder / "a.pcd"), "DATA binary").body, "");
-    EXPECT_EQ(contents(folder / "a.bin"), "");
+    EXPECT_EQ(parse(read_contents(folder / "a.ply"), "end_header").header[2], "element vertex 0");
+    EXPECT_EQ(parse(read_contents(folder / "a.pcd"), "DATA binary").body, "");
+    EXPECT_EQ(read_contents(folder / "a.bin"), "");
 }
 
 TEST_F(PointFiles, KeepsFieldsWithoutAPoint) {
     write_ply(folder / "a.ply", {});
     write_pcd(folder / "a.pcd", {});
-    EXPECT_NE(contents(folder / "a.ply")
+    EXPECT_NE(read_contents(folder / "a.ply")
                   .find("property uint16 ring\nproperty float time\nproperty int instance\nend_header"),
               std::string::npos);
-    EXPECT_EQ(parse(contents(folder / "a.pcd"), "DATA binary").header[2],
+    EXPECT_EQ(parse(read_contents(folder / "a.pcd"), "DATA binary").header[2],
               "FIELDS x y z intensity ring time instance");
 }
 
 TEST_F(PointFiles, RefusesArraysOfUnequalLength) {
     for (int which : {0, 1, 2, 3}) {
-        Points cloud = some_cloud();
+        Points cloud = make_some_cloud();
         if (which == 0) cloud.intensity.pop_back();
         if (which == 1) cloud.ring.pop_back();
         if (which == 2) cloud.time_offset_s.pop_back();
         if (which == 3) cloud.instance.pop_back();
-        data_error([&] { write_ply(folder / "a", cloud); });
-        data_error([&] { write_pcd(folder / "a", cloud); });
-        data_error([&] { write_kitti_bin(folder / "a", cloud); });
+        get_data_error_message([&] { write_ply(folder / "a", cloud); });
+        get_data_error_message([&] { write_pcd(folder / "a", cloud); });
+        get_data_error_message([&] { write_kitti_bin(folder / "a", cloud); });
     }
     EXPECT_TRUE(files().empty());
 }

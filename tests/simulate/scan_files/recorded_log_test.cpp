@@ -21,7 +21,7 @@ constexpr int kFrames = 4, kRows = 8, kColumns = 180;
 constexpr double kPeriod_s = 0.1, kFirst_s = 1.0 + kPeriod_s * (0.5 / kColumns - 0.5);
 const Pose kMounting{glm::angleAxis(0.3, glm::dvec3(0, 0, 1)), {1.2, -0.1, 1.9}};
 
-PoseTrack way() {
+PoseTrack make_track() {
     PoseTrack track;
     for (int i = 0; i <= 60; ++i) {
         const double t = 0.9 + 0.01 * i, yaw = 0.5 * t;
@@ -60,7 +60,7 @@ RenderedScan room(double time_s) {
             scan.second_returns[0].range_m[i] = scan.image.range_m[i] + 2.0f,
             scan.second_returns[0].intensity[i] = 0.2f;
     scan.time_s = time_s;
-    scan.track = way();
+    scan.track = make_track();
     for (Pose& pose : scan.track.pose) pose = pose * kMounting;
     scan.world_from_sensor = scan.track.at(time_s);
     return scan;
@@ -76,7 +76,7 @@ struct SeenPoint {
     auto key() const { return std::tuple(std::llround(1e6 * time_s), ring, second); }
 };
 
-std::vector<SeenPoint> truth() {
+std::vector<SeenPoint> compute_truth() {
     std::vector<SeenPoint> points;
     for (int k = 0; k < kFrames; ++k) {
         const RenderedScan scan = room(1.0 + kPeriod_s * k);
@@ -99,7 +99,7 @@ std::vector<SeenPoint> truth() {
 /// @param zero_s time in the recording at which the time of the log is zero
 std::vector<SeenPoint> read_again(const Sequence& log, double zero_s) {
     std::vector<SeenPoint> points;
-    const PoseTrack track = shifted_track(log.world_from_sensor(0), log.world_offset_m);
+    const PoseTrack track = shift_track(log.world_from_sensor(0), log.world_offset_m);
     for (const Frame& frame : log.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
@@ -140,7 +140,7 @@ double faced_at(const BoxTrack& box, double time_s) {
     double faced_s = time_s;
     for (int round = 0; round < 20; ++round) {
         const glm::dvec3 seen =
-            inverse(way().at(faced_s) * kMounting) * box.world_from_box.at(faced_s).translation;
+            inverse(make_track().at(faced_s) * kMounting) * box.world_from_box.at(faced_s).translation;
         faced_s = time_s - std::atan2(seen.y, seen.x) / (2.0 * kPi) * kPeriod_s;
     }
     return faced_s;
@@ -183,7 +183,7 @@ void expect_same(const Sequence& log, bool has_second) {
     ASSERT_EQ(log.frames.size(), std::size_t(kFrames)) << testing::PrintToString(log.notes);
     EXPECT_EQ(log.lidars[0].sensor.beams.size(), std::size_t(kRows));
     EXPECT_EQ(log.lidars[0].sensor.columns, kColumns);
-    std::vector<SeenPoint> wanted = truth();
+    std::vector<SeenPoint> wanted = compute_truth();
     if (!has_second) std::erase_if(wanted, &SeenPoint::second);
     const std::vector<SeenPoint> found = read_again(log, kFirst_s);
     ASSERT_EQ(found.size(), wanted.size());
@@ -218,7 +218,7 @@ TEST_F(RecordedLog, OfEitherKindIsTheSameLog) {
 
 /// Returns a car that drives at 5 m/s to the right of and behind a static sensor, where a
 /// sweep of the head ends.
-BoxTrack car_behind() {
+BoxTrack make_car_behind() {
     BoxTrack car{"car", "Car", {4.2, 1.8, 1.5}, {}};
     for (int i = 0; i <= 10; ++i) {
         car.world_from_box.time_s.push_back(0.5 + 0.1 * i);
@@ -229,7 +229,7 @@ BoxTrack car_behind() {
 
 /// Returns the distance from the ray's origin to the point where the ray enters a box
 /// around the origin of the frame. Returns 0 if the ray misses the box.
-double entry_m(const glm::dvec3& origin_m, const glm::dvec3& direction, const glm::dvec3& size_m) {
+double compute_entry_m(const glm::dvec3& origin_m, const glm::dvec3& direction, const glm::dvec3& size_m) {
     double enters_m = 0.0, leaves_m = 1e9;
     for (int axis = 0; axis < 3; ++axis) {
         const double a = (-0.5 * size_m[axis] - origin_m[axis]) / direction[axis];
@@ -241,15 +241,16 @@ double entry_m(const glm::dvec3& origin_m, const glm::dvec3& direction, const gl
 
 /// Returns a scan that contains only the car. Each ray hits the position of the car at
 /// the firing time of the ray.
-RenderedScan scan_of_car(double time_s) {
+RenderedScan make_scan_of_car(double time_s) {
     RenderedScan scan = room(time_s);
     scan.second_returns.clear();
     scan.track = {{0.0, 10.0}, {Pose{}, Pose{}}};
     scan.world_from_sensor = {};
-    const BoxTrack car = car_behind();
+    const BoxTrack car = make_car_behind();
     for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
         const glm::dvec3 car_m = car.world_from_box.at(time_s + double(scan.time_offset_s[i])).translation;
-        const float range_m = float(entry_m(-car_m, glm::dvec3(scan.image.direction[i]) + 1e-9, car.size_m));
+        const float range_m =
+            float(compute_entry_m(-car_m, glm::dvec3(scan.image.direction[i]) + 1e-9, car.size_m));
         scan.image.range_m[i] = range_m > 0.0f ? range_m : 20.0f;
         scan.instance[i] = range_m > 0.0f ? 1 : 0;
         scan.image.drop_prob[i] = 0.0f;
@@ -263,9 +264,9 @@ RenderedScan scan_of_car(double time_s) {
 TEST_F(RecordedLog, BoxesHoldThePointsOfMovingActors) {
     ScanFormat format;
     format.formats = {"mcap", "rosbag"};
-    format.actors = {car_behind()};
+    format.actors = {make_car_behind()};
     ScanFolder scans(folder, format);
-    for (int k = 0; k < kFrames; ++k) scans.write(k, scan_of_car(1.0 + kPeriod_s * k));
+    for (int k = 0; k < kFrames; ++k) scans.write(k, make_scan_of_car(1.0 + kPeriod_s * k));
     scans.finish();
     for (const char* name : {"scans.mcap", "rosbag.mcap"}) {
         const Sequence log = load_sequence((folder / name).string(), {});
@@ -274,7 +275,7 @@ TEST_F(RecordedLog, BoxesHoldThePointsOfMovingActors) {
         ASSERT_EQ(boxes.pose.size(), std::size_t(kFrames));
         std::size_t n = 0;
         for (int k = 0; k < kFrames; ++k) {
-            const RenderedScan scan = scan_of_car(1.0 + kPeriod_s * k);
+            const RenderedScan scan = make_scan_of_car(1.0 + kPeriod_s * k);
             for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
                 if (scan.instance[i] != 1) continue;
                 const glm::dvec3 point_m =
@@ -283,7 +284,7 @@ TEST_F(RecordedLog, BoxesHoldThePointsOfMovingActors) {
                 const double later_s =
                     scan.time_s + double(scan.time_offset_s[i]) - (boxes.time_s[std::size_t(k)] + kFirst_s);
                 const auto outside_m = [&](const glm::dvec3& middle_m) {
-                    const glm::dvec3 beyond = glm::abs(point_m - middle_m) - 0.5 * car_behind().size_m;
+                    const glm::dvec3 beyond = glm::abs(point_m - middle_m) - 0.5 * make_car_behind().size_m;
                     return std::max({beyond.x, beyond.y, beyond.z});
                 };
                 EXPECT_LT(outside_m(box_m), 0.05)
@@ -294,7 +295,7 @@ TEST_F(RecordedLog, BoxesHoldThePointsOfMovingActors) {
         }
         EXPECT_GT(n, 50u);
     }
-    EXPECT_NE(contents(folder / "scans.mcap").find("5 0 0"), std::string::npos) << "its velocity";
+    EXPECT_NE(read_contents(folder / "scans.mcap").find("5 0 0"), std::string::npos) << "its velocity";
 }
 
 }  // namespace

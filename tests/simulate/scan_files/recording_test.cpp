@@ -24,7 +24,7 @@ constexpr const char* kMagic = "\x89MCAP0\r\n";
 
 /// Returns a scan of two rays that point ahead. Both rays have a return, and one ray has
 /// a second return. They are fired before and after the time of the scan.
-RenderedScan two_rays(double time_s) {
+RenderedScan make_two_rays(double time_s) {
     RenderedScan scan;
     scan.image = {1,
                   2,
@@ -44,9 +44,9 @@ RenderedScan two_rays(double time_s) {
 }
 
 template <class T>
-T number(const std::string& bytes, std::size_t at) {
+T number(const std::string& bytes, std::size_t offset) {
     T value{};
-    std::memcpy(&value, bytes.data() + at, sizeof value);
+    std::memcpy(&value, bytes.data() + offset, sizeof value);
     return value;
 }
 
@@ -55,14 +55,14 @@ struct Record {
 };
 
 /// Returns the records of a file or of a chunk, by record code.
-/// @param at start of the first record
-std::multimap<int, Record> records(const std::string& bytes, std::size_t at, std::size_t end) {
+/// @param offset start of the first record
+std::multimap<int, Record> records(const std::string& bytes, std::size_t offset, std::size_t end) {
     std::multimap<int, Record> found;
-    while (at < end) {
-        const std::size_t body = at + 9, next = body + number<std::uint64_t>(bytes, at + 1);
+    while (offset < end) {
+        const std::size_t body = offset + 9, next = body + number<std::uint64_t>(bytes, offset + 1);
         EXPECT_LE(next, end);
-        found.insert({static_cast<unsigned char>(bytes[at]), {at, body, next}});
-        at = next;
+        found.insert({static_cast<unsigned char>(bytes[offset]), {offset, body, next}});
+        offset = next;
     }
     return found;
 }
@@ -79,14 +79,14 @@ protected:
 
 TEST_F(Recordings, AppearWhenTheyAreFinished) {
     ScanFolder scans(folder, format);
-    scans.write(0, two_rays(1.0));
+    scans.write(0, make_two_rays(1.0));
     for (const std::string& name : files())
         EXPECT_EQ(name.front(), '.') << name << ": nothing has a final name yet";
     scans.finish();
     EXPECT_THAT(files(), UnorderedElementsAre("scans.mcap", "rosbag.mcap", "scans.json"));
-    EXPECT_THAT(contents(folder / "scans.json"),
+    EXPECT_THAT(read_contents(folder / "scans.json"),
                 HasSubstr("\"recordings\": [\n  \"scans.mcap\",\n  \"rosbag.mcap\"\n ]"));
-    EXPECT_EQ(scans_in(folder).size(), 3u) << "the next rendering knows them";
+    EXPECT_EQ(list_scan_files(folder).size(), 3u) << "the next rendering knows them";
 }
 
 /// The sensor faces the car with its second ray, 62.5 ms after the time of the scan. At
@@ -99,7 +99,7 @@ TEST_F(Recordings, ScansJsonHasTheBoxesAtTheTimeOfTheirRay) {
                       .world_from_box = {
                           {0.0, 2.0}, {{{1, 0, 0, 0}, {0.0, -5.0, 0.0}}, {{1, 0, 0, 0}, {0.0, 15.0, 0.0}}}}}};
     ScanFolder scans(folder, format);
-    RenderedScan scan = two_rays(1.0);
+    RenderedScan scan = make_two_rays(1.0);
     scan.time_offset_s = {-0.0625f, 0.0625f};
     scan.image.direction[1] = {0.0f, 1.0f, 0.0f};
     scan.actor_views = {{"car", 3, 4}};
@@ -107,8 +107,8 @@ TEST_F(Recordings, ScansJsonHasTheBoxesAtTheTimeOfTheirRay) {
     scan.actor_views.clear();
     scans.write(1, scan);
     scans.finish();
-    std::string text = contents(folder / "scans.json");
-    std::erase_if(text, [](char c) { return c == ' ' || c == '\n'; });
+    std::string text = read_contents(folder / "scans.json");
+    std::erase_if(text, [](char character) { return character == ' ' || character == '\n'; });
     EXPECT_THAT(text, HasSubstr(R"("boxes":[{"track":"car","category":"Van","class":"vehicle",)"
                                 R"("size_m":[4.0,2.0,1.5],"time_s":1.0625,"world_from_box":[[1.0,0.0,0.0,)"
                                 R"(0.0],[0.0,1.0,0.0,5.625],[0.0,0.0,1.0,0.0],[0.0,0.0,0.0,1.0]],)"));
@@ -119,17 +119,17 @@ TEST_F(Recordings, ScansJsonHasTheBoxesAtTheTimeOfTheirRay) {
 TEST_F(Recordings, LeaveNothingWhereTheRenderingWasInterrupted) {
     {
         ScanFolder scans(folder, format);
-        scans.write(0, two_rays(1.0));
+        scans.write(0, make_two_rays(1.0));
     }
     EXPECT_THAT(files(), ElementsAre());
 }
 
 TEST_F(Recordings, IndexLeadsToChunksAndTheirMessages) {
     ScanFolder scans(folder, format);
-    for (int i = 0; i < 3; ++i) scans.write(i, two_rays(1.0 + 0.1 * i));
+    for (int i = 0; i < 3; ++i) scans.write(i, make_two_rays(1.0 + 0.1 * i));
     scans.finish();
     for (const char* name : {"scans.mcap", "rosbag.mcap"}) {
-        const std::string bytes = contents(folder / name);
+        const std::string bytes = read_contents(folder / name);
         ASSERT_EQ(bytes.substr(0, 8), kMagic);
         ASSERT_EQ(bytes.substr(bytes.size() - 8), kMagic);
         const auto all = records(bytes, 8, bytes.size() - 8);
@@ -168,9 +168,9 @@ TEST_F(Recordings, IndexLeadsToChunksAndTheirMessages) {
 
 TEST_F(Recordings, TimesBeforeTheBeginningAreMovedByWholeSeconds) {
     ScanFolder scans(folder, format);
-    scans.write(0, two_rays(0.0));  // its first ray is fired at -0.05 s
+    scans.write(0, make_two_rays(0.0));  // its first ray is fired at -0.05 s
     scans.finish();
-    const std::string bytes = contents(folder / "rosbag.mcap");
+    const std::string bytes = read_contents(folder / "rosbag.mcap");
     const auto all = records(bytes, 8, bytes.size() - 8);
     EXPECT_NEAR(double(number<std::uint64_t>(bytes, all.find(8)->second.body)), 0.95e9, 5.0)
         << "the first stamp of the first chunk; times of rays are floats";
@@ -179,18 +179,20 @@ TEST_F(Recordings, TimesBeforeTheBeginningAreMovedByWholeSeconds) {
 
 TEST_F(Recordings, TimesThatNoFileHasAreRefused) {
     ScanFolder scans(folder, format);
-    scans.write(0, two_rays(100.0));
-    EXPECT_THAT(data_error([&] { scans.write(1, two_rays(-5.0)); }), HasSubstr("found a scan at -5 s"));
-    EXPECT_THAT(data_error([&] { scans.write(1, two_rays(99.0)); }),
+    scans.write(0, make_two_rays(100.0));
+    EXPECT_THAT(get_data_error_message([&] { scans.write(1, make_two_rays(-5.0)); }),
+                HasSubstr("found a scan at -5 s"));
+    EXPECT_THAT(get_data_error_message([&] { scans.write(1, make_two_rays(99.0)); }),
                 HasSubstr("expected times that do not decrease"));
-    EXPECT_THAT(data_error([&] { scans.write(1, two_rays(3e9)); }), HasSubstr("before the year 2038"));
+    EXPECT_THAT(get_data_error_message([&] { scans.write(1, make_two_rays(3e9)); }),
+                HasSubstr("before the year 2038"));
 }
 
 TEST_F(Recordings, OfARigAreOne) {
     ScanFormat left = format, right = format;
-    name_in_recordings(left, "left"), name_in_recordings(right, "2nd-right");
+    set_recording_name(left, "left"), set_recording_name(right, "2nd-right");
     ScanRecordings recordings(folder, {left, right});
-    const std::vector<RenderedScan> scans{two_rays(1.0), two_rays(1.0)};
+    const std::vector<RenderedScan> scans{make_two_rays(1.0), make_two_rays(1.0)};
     recordings.write(scans);
     EXPECT_THAT(error_message<UsageError>([&] { recordings.write(std::span(scans).first(1)); }),
                 HasSubstr("found 1 scans, expected 2"));
@@ -199,7 +201,7 @@ TEST_F(Recordings, OfARigAreOne) {
     EXPECT_THAT(files(), UnorderedElementsAre("scans.mcap", "rosbag.mcap"));
     for (const char* name : {"scans.mcap", "rosbag.mcap"})
         for (const char* topic : {"/lidar/left/points", "/lidar/_2nd_right/points"})
-            EXPECT_THAT(contents(folder / name), HasSubstr(topic)) << name;
+            EXPECT_THAT(read_contents(folder / name), HasSubstr(topic)) << name;
 }
 
 TEST_F(Recordings, RefuseNamesThatRosDoesNotTakeOrThatAreTaken) {
@@ -220,9 +222,9 @@ TEST_F(Recordings, RefuseNamesThatRosDoesNotTakeOrThatAreTaken) {
 }
 
 TEST_F(Recordings, AFolderThatCannotBeWrittenIsNamed) {
-    EXPECT_THAT(
-        data_error([&] { ScanFolder(folder / "file" / "below", (put(folder / "file", "x"), format)); }),
-        HasSubstr("file"));
+    EXPECT_THAT(get_data_error_message(
+                    [&] { ScanFolder(folder / "file" / "below", (put(folder / "file", "x"), format)); }),
+                HasSubstr("file"));
 }
 
 }  // namespace

@@ -25,14 +25,14 @@ constexpr int kBeams = 16, kSteps = 256;
 constexpr double kHeight_m = 3.0;  // height of the sensor above a plate of 4 m
 
 /// Returns the number of rays that hit a round plate on the ground below the sensor.
-std::size_t rays_onto_plate(const RayTable& rays, double radius_m) {
+std::size_t count_rays_onto_plate(const RayTable& rays, double radius_m) {
     std::size_t n = 0;
     for (const glm::vec3& d : rays.direction)
         n += d.z < 0.0f && kHeight_m / -double(d.z) * std::hypot(double(d.x), double(d.y)) < radius_m;
     return n;
 }
 
-Surfels plate_below() {
+Surfels make_plate_below() {
     Surfels surfels;
     surfels.resize(1);
     surfels.rotation[0] = {1.0f, 0.0f, 0.0f, 0.0f};
@@ -44,9 +44,9 @@ Surfels plate_below() {
 }
 
 template <class T>
-T value_at(const std::string& bytes, std::size_t at) {
+T value_at(const std::string& bytes, std::size_t offset) {
     T value{};
-    std::memcpy(&value, bytes.data() + at, sizeof value);
+    std::memcpy(&value, bytes.data() + offset, sizeof value);
     return value;
 }
 
@@ -55,12 +55,12 @@ std::size_t count_behind(const std::string& text, const std::string& word) {
     return std::stoul(text.substr(text.find(word) + word.size()));
 }
 
-std::size_t below_half(const std::vector<float>& values) {
-    return std::size_t(std::ranges::count_if(values, [](float x) { return x < 0.5f; }));
+std::size_t count_below_half(const std::vector<float>& values) {
+    return std::size_t(std::ranges::count_if(values, [](float value) { return value < 0.5f; }));
 }
 
 /// Returns the bytes of the first message on a topic of an uncompressed MCAP file.
-std::string message_on(const std::string& bytes, const std::string& topic) {
+std::string find_message_on(const std::string& bytes, const std::string& topic) {
     std::optional<std::uint16_t> channel;
     const auto walk = [&](std::size_t at, std::size_t end, const auto& self) -> std::string {
         while (at + 9 <= end) {
@@ -84,7 +84,7 @@ std::string message_on(const std::string& bytes, const std::string& topic) {
 }
 
 /// Returns the number of points of a sensor_msgs/PointCloud2 from its width and height.
-std::size_t points_of_ros(const std::string& message) {
+std::size_t count_points_of_ros(const std::string& message) {
     const std::size_t name = 4 + 8, end = name + 4 + value_at<std::uint32_t>(message, name),
                       sizes = (end - 4 + 3) / 4 * 4 + 4;
     return std::size_t(value_at<std::uint32_t>(message, sizes)) * value_at<std::uint32_t>(message, sizes + 4);
@@ -92,7 +92,7 @@ std::size_t points_of_ros(const std::string& message) {
 
 /// Returns the number of points of a foxglove.PointCloud: the size of field 6 divided by
 /// the size of a point, field 4.
-std::size_t points_of_foxglove(const std::string& message) {
+std::size_t count_points_of_foxglove(const std::string& message) {
     std::size_t at = 0, stride = 0, n_bytes = 0;
     const auto varint = [&] {
         std::size_t value = 0;
@@ -120,7 +120,7 @@ std::size_t points_of_foxglove(const std::string& message) {
 
 /// Counts the pixels of the first image (the ranges) whose colour differs from the colour
 /// of the first pixel, which is sky.
-std::size_t shown_pixels(const std::filesystem::path& path) {
+std::size_t count_shown_pixels(const std::filesystem::path& path) {
     png_image description{};
     description.version = PNG_IMAGE_VERSION;
     EXPECT_TRUE(png_image_begin_read_from_file(&description, path.c_str())) << description.message;
@@ -148,13 +148,13 @@ TEST_F(Returns, AreAsManyInEveryFormat) {
     log.world_from_vehicle = {{1.0}, {Pose{{1, 0, 0, 0}, {0.0, 0.0, kHeight_m}}}};
     log.rolling_shutter = false;
     const Config config;
-    const SensorChoice choice = configured_sensor(config, log);
-    ScanRenderer renderer(device(), make_background_scene(plate_below()), config, log);
-    renderer.refine_drops(test::network_that_never_drops());
+    const SensorChoice choice = make_configured_sensor(config, log);
+    ScanRenderer renderer(device(), make_background_scene(make_plate_below()), config, log);
+    renderer.refine_drops(test::make_network_that_never_drops());
     const RenderedScan scan = renderer.render(choice, 1.0);
     const std::size_t n = place_points(scan, config, {}, PointsOf::first_returns).size();
-    EXPECT_GT(n, rays_onto_plate(choice.rays, 4.0)) << "one standard deviation of the surfel";
-    EXPECT_LT(n, rays_onto_plate(choice.rays, 4.0 * 5.0)) << "nobody sees five of them";
+    EXPECT_GT(n, count_rays_onto_plate(choice.rays, 4.0)) << "one standard deviation of the surfel";
+    EXPECT_LT(n, count_rays_onto_plate(choice.rays, 4.0 * 5.0)) << "nobody sees five of them";
 
     struct Folder : TemporaryFolder {  // uses only SetUp() and TearDown() of the fixture
         using TemporaryFolder::folder;
@@ -170,14 +170,18 @@ TEST_F(Returns, AreAsManyInEveryFormat) {
     const auto file = [&](const char* extension) {
         return files.folder / (std::string("frame_000000.") + extension);
     };
-    EXPECT_EQ(below_half(find_array(read_npz(file("npz")), "drop_prob")->as_float()), n);
-    EXPECT_EQ(below_half(read_exr(file("exr")).channels.at("drop_prob")), n);
-    EXPECT_EQ(shown_pixels(file("png")), n);
-    EXPECT_EQ(count_behind(contents(file("ply")), "element vertex "), n);
-    EXPECT_EQ(count_behind(contents(file("pcd")), "POINTS "), n);
+    EXPECT_EQ(count_below_half(find_array(read_npz(file("npz")), "drop_prob")->as_float()), n);
+    EXPECT_EQ(count_below_half(read_exr(file("exr")).channels.at("drop_prob")), n);
+    EXPECT_EQ(count_shown_pixels(file("png")), n);
+    EXPECT_EQ(count_behind(read_contents(file("ply")), "element vertex "), n);
+    EXPECT_EQ(count_behind(read_contents(file("pcd")), "POINTS "), n);
     EXPECT_EQ(std::filesystem::file_size(file("bin")) / (4 * sizeof(float)), n);
-    EXPECT_EQ(points_of_foxglove(message_on(contents(files.folder / "scans.mcap"), "/lidar/points")), n);
-    EXPECT_EQ(points_of_ros(message_on(contents(files.folder / "rosbag.mcap"), "/lidar/points")), n);
+    EXPECT_EQ(count_points_of_foxglove(
+                  find_message_on(read_contents(files.folder / "scans.mcap"), "/lidar/points")),
+              n);
+    EXPECT_EQ(
+        count_points_of_ros(find_message_on(read_contents(files.folder / "rosbag.mcap"), "/lidar/points")),
+        n);
 }
 
 }  // namespace

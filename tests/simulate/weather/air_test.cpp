@@ -24,9 +24,9 @@ namespace {
 constexpr double kCell_m = 0.05, kNearest_m = 1.0;
 constexpr int kLevels = 400, kRays = 100'000;
 
-using test::air_of, test::ray_to;
+using test::make_air_of, test::make_ray_to;
 
-WeatherSensor sensor_to(double max_range_m) {
+WeatherSensor make_sensor_to(double max_range_m) {
     WeatherSensor sensor;
     sensor.max_range_m = max_range_m;
     sensor.darkest = 0.005;
@@ -36,12 +36,12 @@ double weakest(const WeatherSensor& sensor) { return 0.005 / (sensor.max_range_m
 
 Echo wall(double range_m, double reflectivity) { return {range_m, reflectivity, PointSource::surface}; }
 
-bool shows_surface(const RayEchoes& seen) {
-    return seen.strongest.source == PointSource::surface || seen.second.source == PointSource::surface;
+bool shows_surface(const RayEchoes& echoes) {
+    return echoes.strongest.source == PointSource::surface || echoes.second.source == PointSource::surface;
 }
 
 /// Solves x e^x = y for x by Newton's method.
-double lambert_w(double y) {
+double evaluate_lambert_w(double y) {
     double x = std::log1p(y);
     for (int i = 0; i < 50; ++i) x -= (x * std::exp(x) - y) / ((1.0 + x) * std::exp(x));
     return x;
@@ -67,7 +67,7 @@ TEST(Weather, IsReadAsItIsWritten) {
 /// Each example of an effect in the table must be weather that has this effect.
 TEST(Weather, EachRowOfTheTableIsComplete) {
     for (const WeatherEffect* effect : kWeatherEffects) {
-        EXPECT_NE(weather_help().find(effect->form), std::string::npos) << effect->form;
+        EXPECT_NE(make_weather_help().find(effect->form), std::string::npos) << effect->form;
         EXPECT_TRUE(effect->form.starts_with(effect->name)) << effect->form;
         EXPECT_NE(effect->prepare, nullptr) << effect->name;
         EXPECT_FALSE(effect->is_in({})) << effect->name;
@@ -118,14 +118,14 @@ TEST(Weather, WhatIsNoneIsRefusedInALine) {
             EXPECT_EQ(error.what(), line);
         }
     }
-    EXPECT_THROW(air_of({.rain_mm_h = -1.0}), UsageError);
-    EXPECT_THROW(air_of({.fog_visibility_m = std::nan("")}), UsageError);
-    EXPECT_THROW(air_of({.sun = {0.0, std::nan(""), 100.0}}), UsageError);
+    EXPECT_THROW(make_air_of({.rain_mm_h = -1.0}), UsageError);
+    EXPECT_THROW(make_air_of({.fog_visibility_m = std::nan("")}), UsageError);
+    EXPECT_THROW(make_air_of({.sun = {0.0, std::nan(""), 100.0}}), UsageError);
 }
 
 TEST(Weather, FogLeavesATwentiethAfterItsVisibility) {
-    EXPECT_NEAR(std::exp(-extinction({.fog_visibility_m = 70.0}) * 70.0), 0.05, 1e-12);
-    EXPECT_EQ(extinction({}), 0.0);
+    EXPECT_NEAR(std::exp(-compute_extinction({.fog_visibility_m = 70.0}) * 70.0), 0.05, 1e-12);
+    EXPECT_EQ(compute_extinction({}), 0.0);
 }
 
 /// The extinction must be twice the total cross-section area of all particles. The test
@@ -141,10 +141,10 @@ TEST(Weather, ParticlesTakeTwiceTheirShadow) {
         const double rain = shadows(8000.0, 4.1 * std::pow(rate, -0.21), 1.0),
                      snow = shadows(3.8e3 * std::pow(rate, -0.87), 2.55 * std::pow(rate, -0.48),
                                     std::pow(10.0, 1.0 / 3.0));
-        EXPECT_NEAR(extinction({.rain_mm_h = rate}), rain, 1e-4 * rain);
-        EXPECT_NEAR(extinction({.snow_mm_h = rate}), snow, 1e-4 * snow);
-        EXPECT_NEAR(extinction({.fog_visibility_m = 100.0, .rain_mm_h = rate}), std::log(20.0) / 100.0 + rain,
-                    1e-4 * rain);
+        EXPECT_NEAR(compute_extinction({.rain_mm_h = rate}), rain, 1e-4 * rain);
+        EXPECT_NEAR(compute_extinction({.snow_mm_h = rate}), snow, 1e-4 * snow);
+        EXPECT_NEAR(compute_extinction({.fog_visibility_m = 100.0, .rain_mm_h = rate}),
+                    std::log(20.0) / 100.0 + rain, 1e-4 * rain);
     }
 }
 
@@ -153,21 +153,21 @@ TEST(Weather, ParticlesTakeTwiceTheirShadow) {
 TEST(Weather, RainIsAsThickAsMeasured) {
     for (const double rate : {5.0, 25.0, 80.0}) {
         const double measured = 1.076 * std::pow(rate, 0.67) * std::log(10.0) / 10.0 / 1000.0;
-        EXPECT_NEAR(extinction({.rain_mm_h = rate}) / measured, 1.0, 0.4) << rate;
+        EXPECT_NEAR(compute_extinction({.rain_mm_h = rate}) / measured, 1.0, 0.4) << rate;
     }
 }
 
 TEST(Weather, AWallIsDarkerByTheFormula) {
     for (const Weather& weather :
          {Weather{.fog_visibility_m = 300.0}, Weather{.rain_mm_h = 10.0}, Weather{.snow_mm_h = 1.0}}) {
-        const Air air = air_of(weather, sensor_to(80.0));
+        const Air air = make_air_of(weather, make_sensor_to(80.0));
         int n = 0;
         for (std::uint64_t seed = 0; seed < 200; ++seed) {
-            const Echo seen = air.look(ray_to(wall(12.0, 0.8), 12.0), seed).strongest;
+            const Echo seen = air.look(make_ray_to(wall(12.0, 0.8), 12.0), seed).strongest;
             if (seen.source != PointSource::surface) continue;
             ++n;
             EXPECT_EQ(seen.range_m, 12.0);
-            EXPECT_NEAR(seen.reflectivity, 0.8 * std::exp(-2.0 * extinction(weather) * 12.0), 1e-12);
+            EXPECT_NEAR(seen.reflectivity, 0.8 * std::exp(-2.0 * compute_extinction(weather) * 12.0), 1e-12);
         }
         EXPECT_GT(n, 50) << to_text(weather);
     }
@@ -178,15 +178,15 @@ TEST(Weather, AWallIsDarkerByTheFormula) {
 /// returns, and the target is the last return.
 TEST(Weather, ATenthVanishesWhereItsPowerDoes) {
     for (const double visibility_m : {30.0, 50.0, 150.0, 400.0}) {
-        const WeatherSensor sensor = sensor_to(100.0);
+        const WeatherSensor sensor = make_sensor_to(100.0);
         const Weather fog{.fog_visibility_m = visibility_m};
-        const Air air = air_of(fog, sensor);
+        const Air air = make_air_of(fog, sensor);
         const double alpha = std::log(20.0) / visibility_m,
-                     end_m = lambert_w(alpha * std::sqrt(0.1 / weakest(sensor))) / alpha;
+                     end_m = evaluate_lambert_w(alpha * std::sqrt(0.1 / weakest(sensor))) / alpha;
         for (std::uint64_t seed = 0; seed < 100; ++seed) {
-            EXPECT_TRUE(shows_surface(air.look(ray_to(wall(0.999 * end_m, 0.1), 0.999 * end_m), seed)))
+            EXPECT_TRUE(shows_surface(air.look(make_ray_to(wall(0.999 * end_m, 0.1), 0.999 * end_m), seed)))
                 << visibility_m;
-            EXPECT_FALSE(shows_surface(air.look(ray_to(wall(1.001 * end_m, 0.1), 1.001 * end_m), seed)))
+            EXPECT_FALSE(shows_surface(air.look(make_ray_to(wall(1.001 * end_m, 0.1), 1.001 * end_m), seed)))
                 << visibility_m;
         }
     }
@@ -197,7 +197,7 @@ TEST(Weather, ATenthVanishesWhereItsPowerDoes) {
 class FreeAir {
 public:
     FreeAir(const Weather& weather, const WeatherSensor& sensor)
-        : sensor_(sensor), alpha_(extinction(weather)) {
+        : sensor_(sensor), alpha_(compute_extinction(weather)) {
         for (double r = kNearest_m + 0.5 * kCell_m; r < sensor.max_range_m; r += kCell_m)
             ranges_m_.push_back(r);
         for (int i = 0; i <= kLevels; ++i)
@@ -208,7 +208,7 @@ public:
     /// Computes the distribution for particles.
     /// @param brighter brighter(r, q) is the number of particles per metre at range r
     /// whose return is stronger than q
-    void of_particles(const std::function<double(double, double)>& brighter) {
+    void count_particles(const std::function<double(double, double)>& brighter) {
         std::vector<std::vector<double>> n(levels_.size());
         for (std::size_t i = 0; i < levels_.size(); ++i) {
             double all = 0.0;
@@ -223,7 +223,7 @@ public:
     /// Computes the distribution if each section of the ray has a return at a random
     /// position. The power of the return is log-normal with mean 1, times mean(r).
     /// Sections end at cells.
-    void of_stretches(std::size_t cells, const std::function<double(double)>& mean) {
+    void count_stretches(std::size_t cells, const std::function<double(double)>& mean) {
         const std::size_t n = ranges_m_.size() / cells;
         // P(power < level)
         std::vector<double> mean_of_cell, stretch(n), next(n), cell(n * cells), next_cell(n * cells);
@@ -246,7 +246,7 @@ public:
         }
     }
     double alpha() const { return alpha_; }
-    double beam_diameter_m(double r) const { return sensor_.aperture_m + sensor_.divergence_rad * r; }
+    double compute_beam_diameter_m(double r) const { return sensor_.aperture_m + sensor_.divergence_rad * r; }
     void expect_as(const Air& air, PointSource source) const;
 
 private:
@@ -259,7 +259,7 @@ private:
 
 /// Returns chi^2 of counts against their probabilities, as a standard normal deviate
 /// (Wilson and Hilferty 1931).
-double deviation(const std::vector<double>& counts, const std::vector<double>& probabilities) {
+double compute_deviation(const std::vector<double>& counts, const std::vector<double>& probabilities) {
     double chi2 = 0.0, in_bin = 0.0, of_bin = 0.0, sum = 0.0;
     int bins = 0;
     for (std::size_t k = 0; k < counts.size(); ++k) {
@@ -285,7 +285,7 @@ void FreeAir::expect_as(const Air& air, PointSource source) const {
     for (std::size_t i = 1; i < levels_.size(); ++i)
         stronger.push_back(none_stronger_[i] - none_stronger_[i - 1]);
     for (std::uint64_t seed = 0; seed < kRays; ++seed) {
-        const Echo echo = air.look(ray_to({}, sensor_.max_range_m), seed).strongest;
+        const Echo echo = air.look(make_ray_to({}, sensor_.max_range_m), seed).strongest;
         if (echo.source == PointSource::nothing) {
             ranges.back() += 1.0, powers.front() += 1.0;
             continue;
@@ -296,47 +296,48 @@ void FreeAir::expect_as(const Air& air, PointSource source) const {
                      level = std::log10(power / levels_[0]) / 7.0 * kLevels;
         powers.at(std::size_t(std::max(std::ceil(level), 1.0))) += 1.0;
     }
-    EXPECT_LT(deviation(ranges, from), kMostDeviation);
-    EXPECT_LT(deviation(powers, stronger), kMostDeviation);
+    EXPECT_LT(compute_deviation(ranges, from), kMostDeviation);
+    EXPECT_LT(compute_deviation(powers, stronger), kMostDeviation);
 }
 
 TEST(Weather, RainReturnsAsItsIntegral) {
     for (const double rate : {5.0, 25.0}) {
-        const WeatherSensor sensor = sensor_to(60.0);
+        const WeatherSensor sensor = make_sensor_to(60.0);
         FreeAir model({.rain_mm_h = rate}, sensor);
         const double slope = 4.1 * std::pow(rate, -0.21);
-        model.of_particles([&](double r, double power) {
+        model.count_particles([&](double r, double power) {
             // share of the beam's area
             const double share = power * r * r * std::exp(2.0 * model.alpha() * r) / 0.02;
             if (share > 1.0) return 0.0;
-            const double mm = 1000.0 * model.beam_diameter_m(r) * std::sqrt(share);
-            return kPi / 4.0 * std::pow(model.beam_diameter_m(r), 2) * 8000.0 / slope * std::exp(-slope * mm);
+            const double mm = 1000.0 * model.compute_beam_diameter_m(r) * std::sqrt(share);
+            return kPi / 4.0 * std::pow(model.compute_beam_diameter_m(r), 2) * 8000.0 / slope *
+                   std::exp(-slope * mm);
         });
-        model.expect_as(air_of({.rain_mm_h = rate}, sensor), PointSource::rain);
+        model.expect_as(make_air_of({.rain_mm_h = rate}, sensor), PointSource::rain);
     }
 }
 
 TEST(Weather, SnowReturnsAsItsIntegral) {
     const double rate = 1.0;
-    WeatherSensor sensor = sensor_to(60.0);
+    WeatherSensor sensor = make_sensor_to(60.0);
     sensor.divergence_rad = 0.0015;
     FreeAir model({.snow_mm_h = rate}, sensor);
-    model.of_particles([&](double r, double power) {
+    model.count_particles([&](double r, double power) {
         const double share = power * r * r * std::exp(2.0 * model.alpha() * r) / 0.25;
         if (share > 1.0) return 0.0;
         const double melted_mm =
-            1000.0 * model.beam_diameter_m(r) * std::sqrt(share) / std::pow(10.0, 1.0 / 3.0);
-        return kPi / 4.0 * std::pow(model.beam_diameter_m(r), 2) * 3800.0 / 2.55 *
+            1000.0 * model.compute_beam_diameter_m(r) * std::sqrt(share) / std::pow(10.0, 1.0 / 3.0);
+        return kPi / 4.0 * std::pow(model.compute_beam_diameter_m(r), 2) * 3800.0 / 2.55 *
                std::exp(-2.55 * melted_mm);
     });
-    model.expect_as(air_of({.snow_mm_h = rate}, sensor), PointSource::snow);
+    model.expect_as(make_air_of({.snow_mm_h = rate}, sensor), PointSource::snow);
 }
 
 /// Compares with the integral of fog over the pulse, computed by Simpson's rule. A pulse
 /// is 6 m long, so that a section of 3 m ends at the border of a cell.
 TEST(Weather, FogReturnsAsItsIntegral) {
     for (const double visibility_m : {50.0, 200.0}) {
-        WeatherSensor sensor = sensor_to(61.0);
+        WeatherSensor sensor = make_sensor_to(61.0);
         sensor.pulse_s = 6.0 / 299792458.0;
         FreeAir model({.fog_visibility_m = visibility_m}, sensor);
         const auto mean = [&](double range_m) {
@@ -350,16 +351,16 @@ TEST(Weather, FogReturnsAsItsIntegral) {
             }
             return kPi * 0.046 / visibility_m * sum * step / 3.0;
         };
-        model.of_stretches(60, mean);
-        model.expect_as(air_of({.fog_visibility_m = visibility_m}, sensor), PointSource::fog);
+        model.count_stretches(60, mean);
+        model.expect_as(make_air_of({.fog_visibility_m = visibility_m}, sensor), PointSource::fog);
     }
 }
 
 /// Returns a sensor that in clear air detects surfaces with a brightness of at least
 /// 0.0025 at any range, like KITTI's HDL-64E. Its intensities have steps of 0.01 and are
 /// 0 down to the shortest ranges.
-WeatherSensor sensor_with_time_control() {
-    WeatherSensor sensor = sensor_to(80.0);
+WeatherSensor make_sensor_with_time_control() {
+    WeatherSensor sensor = make_sensor_to(80.0);
     sensor.weakest_reflectivity = 0.0025;
     return sensor;
 }
@@ -368,8 +369,8 @@ WeatherSensor sensor_with_time_control() {
 /// double. For fog, the mean power over a pulse that is short relative to the range is
 /// divided into sections of half a pulse. The power of each section is log-normal with
 /// mean 1. For rain, the drops that are bright enough form a Poisson process.
-double false_returns(const Weather& weather, double reflectivity) {
-    const double alpha = extinction(weather), slope = 4.1 * std::pow(weather.rain_mm_h, -0.21),
+double count_expected_false_returns(const Weather& weather, double reflectivity) {
+    const double alpha = compute_extinction(weather), slope = 4.1 * std::pow(weather.rain_mm_h, -0.21),
                  half_pulse_m = 0.5 * 299792458.0 * 6e-9;
     double none = 1.0;
     if (std::isfinite(weather.fog_visibility_m))
@@ -391,10 +392,10 @@ double false_returns(const Weather& weather, double reflectivity) {
 }
 
 double count_false_returns(const Weather& weather) {
-    const Air air = air_of(weather, sensor_with_time_control());
+    const Air air = make_air_of(weather, make_sensor_with_time_control());
     int n = 0;
     for (std::uint64_t seed = 0; seed < kRays; ++seed)
-        n += air.look(ray_to({}, 80.0), seed).strongest.source != PointSource::nothing;
+        n += air.look(make_ray_to({}, 80.0), seed).strongest.source != PointSource::nothing;
     return double(n) / kRays;
 }
 
@@ -411,7 +412,8 @@ TEST(ThinWeather, ReturnsHardlyAnything) {
 TEST(ThinWeather, ReturnsAsTheClosedForm) {
     for (const Weather& weather : {Weather{.fog_visibility_m = 1000.0}, Weather{.fog_visibility_m = 400.0},
                                    Weather{.fog_visibility_m = 150.0}, Weather{.rain_mm_h = 200.0}}) {
-        const double expected = false_returns(weather, 0.0025), found = count_false_returns(weather);
+        const double expected = count_expected_false_returns(weather, 0.0025),
+                     found = count_false_returns(weather);
         EXPECT_GT(expected * kRays, 100.0) << to_text(weather);
         EXPECT_NEAR(found / expected, 1.0, 0.1 + 4.0 / std::sqrt(expected * kRays)) << to_text(weather);
     }
@@ -420,15 +422,15 @@ TEST(ThinWeather, ReturnsAsTheClosedForm) {
 /// With thicker weather, fewer surfaces must be detected. The total number of returns may
 /// exceed the number in clear air only by the reported returns from the air.
 TEST(ThinWeather, MoreOfItLeavesFewerSurfaces) {
-    const WeatherSensor sensor = sensor_with_time_control();
+    const WeatherSensor sensor = make_sensor_with_time_control();
     const auto count = [&](const Weather& weather) {
-        const Air air = air_of(weather, sensor);
+        const Air air = make_air_of(weather, sensor);
         std::pair<int, int> surfaces_and_others;
         for (std::uint64_t seed = 0; seed < 20'000; ++seed) {
             const double range_m = 2.0 + 78.0 * double(seed) / 20'000.0,
                          reflectivity = 0.01 * double(seed % 40);
             const PointSource source =
-                air.look(ray_to(wall(range_m, reflectivity), range_m), seed).strongest.source;
+                air.look(make_ray_to(wall(range_m, reflectivity), range_m), seed).strongest.source;
             surfaces_and_others.first += source == PointSource::surface;
             surfaces_and_others.second += source != PointSource::surface && source != PointSource::nothing;
         }
@@ -457,24 +459,24 @@ TEST(ThinWeather, HidesAsManyDarkSurfacesAsTheClosedForm) {
     for (const double rain_mm_h : {5.0, 25.0, 100.0})
         for (const double range_m : {20.0, 50.0}) {
             const Weather weather{.rain_mm_h = rain_mm_h};
-            const double left = std::exp(-2.0 * extinction(weather) * range_m);
+            const double left = std::exp(-2.0 * compute_extinction(weather) * range_m);
             const double expected = std::min(0.0025 * (1.0 / left - 1.0) / (0.01 - 0.0025), 1.0);
-            const Air air = air_of(weather, sensor_with_time_control());
+            const Air air = make_air_of(weather, make_sensor_with_time_control());
             int n_hidden = 0;
             for (std::uint64_t seed = 0; seed < kRays; ++seed)
-                n_hidden += !shows_surface(air.look(ray_to(wall(range_m, 0.0), range_m), seed));
+                n_hidden += !shows_surface(air.look(make_ray_to(wall(range_m, 0.0), range_m), seed));
             EXPECT_NEAR(double(n_hidden) / kRays, expected, 4.0 * std::sqrt(expected / kRays))
                 << rain_mm_h << ' ' << range_m;
         }
 }
 
 TEST(Weather, TwoReturnsAreThePeakAndTheLast) {
-    const WeatherSensor sensor = sensor_to(80.0);
-    const Air air = air_of({.fog_visibility_m = 60.0}, sensor);
+    const WeatherSensor sensor = make_sensor_to(80.0);
+    const Air air = make_air_of({.fog_visibility_m = 60.0}, sensor);
     int behind = 0, alone = 0;
     for (std::uint64_t seed = 0; seed < 500; ++seed) {
-        const RayEchoes far = air.look(ray_to(wall(20.0, 0.3), 20.0), seed),
-                        near = air.look(ray_to(wall(1.2, 0.9), 1.6, wall(1.6, 0.9)), seed);
+        const RayEchoes far = air.look(make_ray_to(wall(20.0, 0.3), 20.0), seed),
+                        near = air.look(make_ray_to(wall(1.2, 0.9), 1.6, wall(1.6, 0.9)), seed);
         if (far.strongest.source == PointSource::fog) {
             EXPECT_EQ(far.second.source, PointSource::surface);
             ++behind;
@@ -490,12 +492,12 @@ TEST(Weather, TwoReturnsAreThePeakAndTheLast) {
 }
 
 TEST(Weather, TheSameSeedIsTheSameWeather) {
-    const Air air = air_of({.fog_visibility_m = 100.0, .snow_mm_h = 1.0}, sensor_to(80.0));
+    const Air air = make_air_of({.fog_visibility_m = 100.0, .snow_mm_h = 1.0}, make_sensor_to(80.0));
     int others = 0;
     for (std::uint64_t seed = 0; seed < 100; ++seed) {
-        const Echo a = air.look(ray_to({}, 80.0), seed).strongest,
-                   b = air.look(ray_to({}, 80.0), seed).strongest;
-        const Echo c = air.look(ray_to({}, 80.0), seed + 1).strongest;
+        const Echo a = air.look(make_ray_to({}, 80.0), seed).strongest,
+                   b = air.look(make_ray_to({}, 80.0), seed).strongest;
+        const Echo c = air.look(make_ray_to({}, 80.0), seed + 1).strongest;
         EXPECT_EQ(a.range_m, b.range_m);
         EXPECT_EQ(a.reflectivity, b.reflectivity);
         others += a.range_m != c.range_m;

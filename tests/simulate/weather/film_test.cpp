@@ -13,28 +13,30 @@
 namespace relidar {
 namespace {
 
-using test::air_with, test::ray_to;
+using test::make_air_with, test::make_ray_to;
 
-WeatherSensor sensor_to_80_m() { return {.max_range_m = 80.0, .darkest = 0.005}; }
-Echo ground_at(double range_m, double reflectivity) { return {range_m, reflectivity, PointSource::surface}; }
+WeatherSensor make_sensor_to_80_m() { return {.max_range_m = 80.0, .darkest = 0.005}; }
+Echo make_ground_at(double range_m, double reflectivity) {
+    return {range_m, reflectivity, PointSource::surface};
+}
 
-/// Returns the integral of 2 c f(c) over the cosine c, which is the mean over a diffuse
-/// surface.
-double mean_over_dull(const std::function<double(double)>& f) {
+/// Returns the integral of 2 c function(c) over the cosine c, which is the mean over a
+/// diffuse surface.
+double average_over_dull_surface(const std::function<double(double)>& function) {
     double sum = 0.0;
-    for (int i = 0; i < 20'000; ++i) sum += 2.0 * (i + 0.5) / 20'000 * f((i + 0.5) / 20'000) / 20'000;
+    for (int i = 0; i < 20'000; ++i) sum += 2.0 * (i + 0.5) / 20'000 * function((i + 0.5) / 20'000) / 20'000;
     return sum;
 }
 
 TEST(WetGround, WaterMirrorsAsFresnelSays) {
     constexpr double n = 1.33;
-    EXPECT_NEAR(mirrored_by_water(1.0), std::pow((n - 1.0) / (n + 1.0), 2), 1e-12);
-    EXPECT_NEAR(mirrored_by_water(0.0), 1.0, 1e-12);
+    EXPECT_NEAR(compute_water_reflectance(1.0), std::pow((n - 1.0) / (n + 1.0), 2), 1e-12);
+    EXPECT_NEAR(compute_water_reflectance(0.0), 1.0, 1e-12);
     // At Brewster's angle, only light that is polarised perpendicular to the plane of
     // incidence is reflected.
     const double brewster = std::cos(std::atan(n));
-    EXPECT_NEAR(mirrored_by_water(brewster), 0.5 * std::pow((n * n - 1.0) / (n * n + 1.0), 2), 1e-12);
-    EXPECT_NEAR(mean_over_dull(mirrored_by_water), 0.066, 0.001)
+    EXPECT_NEAR(compute_water_reflectance(brewster), 0.5 * std::pow((n * n - 1.0) / (n * n + 1.0), 2), 1e-12);
+    EXPECT_NEAR(average_over_dull_surface(compute_water_reflectance), 0.066, 0.001)
         << "the diffuse reflectance of water in tables";
 }
 
@@ -45,41 +47,43 @@ TEST(WetGround, IsDarkerByTheSumOfItsBounces) {
     constexpr double n = 1.33;
     const auto kept_inside = [](double in_water) {
         const double squared = 1.0 - n * n * (1.0 - in_water * in_water);
-        return squared <= 0.0 ? 1.0 : mirrored_by_water(std::sqrt(squared));
+        return squared <= 0.0 ? 1.0 : compute_water_reflectance(std::sqrt(squared));
     };
-    const double kept = mean_over_dull(kept_inside);
+    const double kept = average_over_dull_surface(kept_inside);
     for (const double albedo : {0.0, 0.1, 0.4, 0.9}) {
         for (const double cosine : {1.0, 0.5, 0.1, 0.03}) {
-            const double passes = 1.0 - mirrored_by_water(cosine);
+            const double passes = 1.0 - compute_water_reflectance(cosine);
             double light = passes, returned = 0.0;  // per albedo
             for (int bounce = 0; bounce < 2000; ++bounce) returned += light, light *= albedo * kept;
-            EXPECT_NEAR(wet_over_dry(cosine, albedo), returned * passes / (n * n), 1e-3)
+            EXPECT_NEAR(compute_wet_to_dry_ratio(cosine, albedo), returned * passes / (n * n), 1e-3)
                 << cosine << ' ' << albedo;
         }
     }
-    EXPECT_EQ(film_share(0.0), 0.0);
-    EXPECT_EQ(film_share(0.25), 0.25);
-    EXPECT_EQ(film_share(3.0), 1.0);
+    EXPECT_EQ(compute_film_fraction(0.0), 0.0);
+    EXPECT_EQ(compute_film_fraction(0.25), 0.25);
+    EXPECT_EQ(compute_film_fraction(3.0), 1.0);
 }
 
 /// The weakest return has a reflectivity of 0.005 at 80 m.
 TEST(WetGround, WhatIsTooDarkLeavesToWhatItMirrors) {
-    const Echo ground = ground_at(40.0, 0.1), mirrored{60.0, 0.5, PointSource::mirror};
+    const Echo ground = make_ground_at(40.0, 0.1), mirrored{60.0, 0.5, PointSource::mirror};
     // the power is 0.001 at 40 m, which is less than the weakest detectable power 0.00125
-    const RayEchoes seen = air_with(sensor_to_80_m(), mirrored, 0.5, 0.01).look(ray_to(ground, 40.0), 1);
+    const RayEchoes seen =
+        make_air_with(make_sensor_to_80_m(), mirrored, 0.5, 0.01).look(make_ray_to(ground, 40.0), 1);
     EXPECT_EQ(seen.strongest.source, PointSource::mirror);
     EXPECT_EQ(seen.strongest.range_m, 60.0);
     EXPECT_EQ(seen.strongest.reflectivity, 0.25);
     EXPECT_EQ(seen.second.source, PointSource::nothing);
-    const RayEchoes both = air_with(sensor_to_80_m(), mirrored, 0.5, 0.9).look(ray_to(ground, 40.0), 1);
+    const RayEchoes both =
+        make_air_with(make_sensor_to_80_m(), mirrored, 0.5, 0.9).look(make_ray_to(ground, 40.0), 1);
     EXPECT_EQ(both.strongest.source, PointSource::mirror) << "0.25 / 60^2 is more than 0.09 / 40^2";
     EXPECT_EQ(both.second.source, PointSource::surface);
     EXPECT_EQ(both.second.reflectivity, 0.1 * 0.9);
 }
 
 TEST(WetGround, MirrorsNothingBeyondTheSensorsRange) {
-    const Air air = air_with(sensor_to_80_m(), {84.5, 0.5, PointSource::mirror});
-    const RayEchoes seen = air.look(ray_to(ground_at(40.0, 0.1), 40.0), 1);
+    const Air air = make_air_with(make_sensor_to_80_m(), {84.5, 0.5, PointSource::mirror});
+    const RayEchoes seen = air.look(make_ray_to(make_ground_at(40.0, 0.1), 40.0), 1);
     EXPECT_EQ(seen.strongest.source, PointSource::surface);
     EXPECT_EQ(seen.second.source, PointSource::nothing);
 }

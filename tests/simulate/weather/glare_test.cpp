@@ -20,24 +20,26 @@ constexpr double kDegree = kPi / 180.0, kLight_m_s = 299792458.0;
 
 /// Returns a sensor with pulses of 6 m length that detects a reflectivity of at least
 /// 0.005 at 60 m.
-WeatherSensor sensor_to_60_m() {
+WeatherSensor make_sensor_to_60_m() {
     WeatherSensor sensor;
     sensor.max_range_m = 60.0, sensor.darkest = 0.005, sensor.pulse_s = 6.0 / kLight_m_s;
     return sensor;
 }
 
-using test::air_with, test::ray_to;
+using test::make_air_with, test::make_ray_to;
 
 /// Returns the air for a ray whose direction differs from the direction of the sun by an
 /// angle.
-Air air_beside_sun(double off_deg, double klux, const WeatherSensor& sensor, float hides_sun = 0.0f) {
-    return test::air_of({.sun = {off_deg, 0.0, klux}}, sensor, hides_sun);
+Air make_air_beside_sun(double off_deg, double klux, const WeatherSensor& sensor, float hides_sun = 0.0f) {
+    return test::make_air_of({.sun = {off_deg, 0.0, klux}}, sensor, hides_sun);
 }
-Echo surface_at(double range_m, double reflectivity) { return {range_m, reflectivity, PointSource::surface}; }
+Echo make_surface_at(double range_m, double reflectivity) {
+    return {range_m, reflectivity, PointSource::surface};
+}
 
 /// Returns chi^2 of counts against expected counts, as a standard normal deviate (Wilson
 /// and Hilferty 1931). By chance, it is outside -4 to 4 in 1 of 16,000 cases.
-double chi2_deviate(const std::vector<double>& counts, const std::vector<double>& expected) {
+double compute_chi2_deviate(const std::vector<double>& counts, const std::vector<double>& expected) {
     double chi2 = 0.0;
     for (std::size_t k = 0; k < counts.size(); ++k)
         chi2 += (counts[k] - expected[k]) * (counts[k] - expected[k]) / expected[k];
@@ -58,33 +60,37 @@ TEST(Sunlight, IsShotNoiseOfItsPhotons) {
         return std::sqrt(3.0 * electrons) / of_signal;
     };
     const Sun sun{0.0, 0.0, 100.0}, half{0.0, 0.0, 50.0};
-    EXPECT_NEAR(sun_noise(sun, sensor, 2.0 * kDegree, 0.0, true) / expected(0.65 * 5.0 / 4.0), 1.0, 1e-3);
-    EXPECT_NEAR(sun_noise(half, sensor, 2.0 * kDegree, 0.0, true) / expected(0.325 * 5.0 / 4.0), 1.0, 1e-3);
-    EXPECT_NEAR(sun_noise(sun, sensor, 2.0 * kDegree, 0.4, false) / expected(0.65 * (1.25 + 0.4 / kPi)), 1.0,
+    EXPECT_NEAR(compute_sun_noise(sun, sensor, 2.0 * kDegree, 0.0, true) / expected(0.65 * 5.0 / 4.0), 1.0,
                 1e-3);
+    EXPECT_NEAR(compute_sun_noise(half, sensor, 2.0 * kDegree, 0.0, true) / expected(0.325 * 5.0 / 4.0), 1.0,
+                1e-3);
+    EXPECT_NEAR(
+        compute_sun_noise(sun, sensor, 2.0 * kDegree, 0.4, false) / expected(0.65 * (1.25 + 0.4 / kPi)), 1.0,
+        1e-3);
     const double disc_sr = kPi * 4.65e-3 * 4.65e-3, glare = 5.0 * std::pow(kDegree / 4.65e-3, 2);
-    EXPECT_NEAR(sun_noise(sun, sensor, 0.0, 0.0, true) / expected(0.65 * (glare + 1.0 / disc_sr)), 1.0, 1e-3);
-    EXPECT_NEAR(sun_noise(sun, sensor, 4.65e-3, 0.0, true) / expected(0.65 * (glare + 0.5 / disc_sr)), 1.0,
-                1e-3)
+    EXPECT_NEAR(compute_sun_noise(sun, sensor, 0.0, 0.0, true) / expected(0.65 * (glare + 1.0 / disc_sr)),
+                1.0, 1e-3);
+    EXPECT_NEAR(compute_sun_noise(sun, sensor, 4.65e-3, 0.0, true) / expected(0.65 * (glare + 0.5 / disc_sr)),
+                1.0, 1e-3)
         << "half of it";
-    EXPECT_NEAR(sun_noise(sun, sensor, 0.0, 0.0, false) / expected(0.65 * glare), 1.0, 1e-3)
+    EXPECT_NEAR(compute_sun_noise(sun, sensor, 0.0, 0.0, false) / expected(0.65 * glare), 1.0, 1e-3)
         << "something is before it";
 }
 
 /// Compares the rate of false returns with Rice's rate of level crossings, integrated
 /// over the time in which the sensor accepts returns.
 TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
-    const WeatherSensor sensor = sensor_to_60_m();
+    const WeatherSensor sensor = make_sensor_to_60_m();
     const double seconds = 2.0 * (60.0 - 1.0) / kLight_m_s;
     for (const double off_deg : {0.35, 0.4, 0.5}) {
         const double level =
-            sensor.weakest() / sun_noise({0.0, 0.0, 100.0}, sensor, off_deg * kDegree, 0.0, true);
+            sensor.weakest() / compute_sun_noise({0.0, 0.0, 100.0}, sensor, off_deg * kDegree, 0.0, true);
         const double n = seconds / (2.0 * std::sqrt(3.0) * sensor.pulse_s) * std::exp(-0.5 * level * level);
-        const Air air = air_beside_sun(off_deg, 100.0, sensor);
+        const Air air = make_air_beside_sun(off_deg, 100.0, sensor);
         std::vector<double> counts(21), expected(21, kPulses * (1.0 - std::exp(-n)) / 20.0);
         expected.back() = kPulses * std::exp(-n);
         for (std::uint64_t seed = 0; seed < kPulses; ++seed) {
-            const Echo echo = air.look(ray_to({}, 60.0), seed).strongest;
+            const Echo echo = air.look(make_ray_to({}, 60.0), seed).strongest;
             if (echo.source == PointSource::nothing) ++counts.back();
             else {
                 ASSERT_EQ(echo.source, PointSource::noise);
@@ -93,7 +99,7 @@ TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
             }
         }
         ASSERT_GT(expected.front(), 20.0) << off_deg;
-        EXPECT_LT(std::abs(chi2_deviate(counts, expected)), 4.0) << off_deg;
+        EXPECT_LT(std::abs(compute_chi2_deviate(counts, expected)), 4.0) << off_deg;
     }
 }
 
@@ -101,12 +107,12 @@ TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
 /// 1 - exp(-N exp(-S^2 / 2 sigma^2)) of the scans, where N is the number of noise crests.
 /// Half of the targets are hidden at R = sqrt(rho / S), S = sigma sqrt(2 ln(N / ln 2)).
 TEST(Sunlight, HidesWeakTargets) {
-    WeatherSensor sensor = sensor_to_60_m();
+    WeatherSensor sensor = make_sensor_to_60_m();
     sensor.darkest = 0.0005;
     const Sun sun{0.0, 0.0, 100.0};
-    const Air air = air_beside_sun(0.3, 100.0, sensor);
+    const Air air = make_air_beside_sun(0.3, 100.0, sensor);
     for (const double reflectivity : {0.002, 0.004}) {
-        const double sigma = sun_noise(sun, sensor, 0.3 * kDegree, reflectivity, false);
+        const double sigma = compute_sun_noise(sun, sensor, 0.3 * kDegree, reflectivity, false);
         const double crests = 2.0 * 59.0 / kLight_m_s / (2.0 * std::sqrt(3.0) * sensor.pulse_s);
         const double half_m =
             std::sqrt(reflectivity / (sigma * std::sqrt(2.0 * std::log(crests / std::log(2.0)))));
@@ -116,8 +122,8 @@ TEST(Sunlight, HidesWeakTargets) {
             const double lost = 1.0 - std::exp(-crests * std::exp(-0.5 * power * power / (sigma * sigma)));
             double n = 0.0;
             for (std::uint64_t seed = 0; seed < kPulses; ++seed)
-                n += air.look(ray_to(surface_at(range_m, reflectivity), range_m), seed).strongest.source ==
-                     PointSource::noise;
+                n += air.look(make_ray_to(make_surface_at(range_m, reflectivity), range_m), seed)
+                         .strongest.source == PointSource::noise;
             EXPECT_NEAR(n / kPulses, lost, 4.0 * std::sqrt(lost * (1.0 - lost) / kPulses)) << range_m;
             EXPECT_TRUE(range_m != half_m || std::abs(lost - 0.5) < 1e-9);
         }
@@ -125,37 +131,39 @@ TEST(Sunlight, HidesWeakTargets) {
 }
 
 TEST(Sunlight, ElsewhereChangesNothing) {
-    const WeatherSensor sensor = sensor_to_60_m();
-    const Air blind = air_beside_sun(0.0, 150.0, sensor);
+    const WeatherSensor sensor = make_sensor_to_60_m();
+    const Air blind = make_air_beside_sun(0.0, 150.0, sensor);
     for (std::uint64_t seed = 0; seed < 1000; ++seed)
-        ASSERT_EQ(blind.look(ray_to({}, 0.0), seed).strongest.source, PointSource::nothing)
+        ASSERT_EQ(blind.look(make_ray_to({}, 0.0), seed).strongest.source, PointSource::nothing)
             << "what is at the sensor hides it";
-    const Echo before = surface_at(20.0, 0.3);
+    const Echo before = make_surface_at(20.0, 0.3);
     for (const auto& [off_deg, hides_sun] : {std::pair(8.0, 0.0f), {90.0, 0.0f}, {0.0, 1.0f}}) {
-        const Air air = air_beside_sun(off_deg, 150.0, sensor, hides_sun);
+        const Air air = make_air_beside_sun(off_deg, 150.0, sensor, hides_sun);
         for (std::uint64_t seed = 0; seed < 1000; ++seed) {
-            const RayEchoes seen = air.look(ray_to(before, 20.0), seed);
+            const RayEchoes seen = air.look(make_ray_to(before, 20.0), seed);
             ASSERT_EQ(seen.strongest.source, PointSource::surface);
             ASSERT_EQ(seen.strongest.reflectivity, before.reflectivity);
-            ASSERT_EQ(air.look(ray_to({}, 60.0), seed).strongest.source, PointSource::nothing);
+            ASSERT_EQ(air.look(make_ray_to({}, 60.0), seed).strongest.source, PointSource::nothing);
         }
     }
 }
 
 /// A reflectivity of 0.002 at 4 m has the same power as a reflectivity of 0.05 at 20 m.
 TEST(StrayLight, WinsOverWhatIsWeaker) {
-    const WeatherSensor sensor = sensor_to_60_m();
+    const WeatherSensor sensor = make_sensor_to_60_m();
     Echo stray{4.0, 0.002, PointSource::blooming};
-    const Air air = air_with(sensor, stray);
-    const RayEchoes lost = air.look(ray_to(surface_at(20.0, 0.049), 20.0), 1);
+    const Air air = make_air_with(sensor, stray);
+    const RayEchoes lost = air.look(make_ray_to(make_surface_at(20.0, 0.049), 20.0), 1);
     EXPECT_EQ(lost.strongest.source, PointSource::blooming);
     EXPECT_EQ(lost.strongest.range_m, 4.0);
     EXPECT_EQ(lost.strongest.reflectivity, 0.002);
     EXPECT_EQ(lost.second.source, PointSource::surface);
-    EXPECT_EQ(air.look(ray_to(surface_at(20.0, 0.051), 20.0), 1).strongest.source, PointSource::surface);
-    EXPECT_EQ(air.look(ray_to({}, 60.0), 1).strongest.source, PointSource::blooming);
+    EXPECT_EQ(air.look(make_ray_to(make_surface_at(20.0, 0.051), 20.0), 1).strongest.source,
+              PointSource::surface);
+    EXPECT_EQ(air.look(make_ray_to({}, 60.0), 1).strongest.source, PointSource::blooming);
     stray.reflectivity = 0.9 * 0.005 * 16.0 / 3600.0;
-    EXPECT_EQ(air_with(sensor, stray).look(ray_to({}, 60.0), 1).strongest.source, PointSource::nothing)
+    EXPECT_EQ(make_air_with(sensor, stray).look(make_ray_to({}, 60.0), 1).strongest.source,
+              PointSource::nothing)
         << "too weak to be a return; a dark surface counts as darkest";
 }
 

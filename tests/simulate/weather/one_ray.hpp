@@ -27,8 +27,8 @@ private:
 };
 
 /// Returns clear air with an additional effect that adds an echo.
-inline Air air_with(const WeatherSensor& sensor, const Echo& echo, double transmission = 1.0,
-                    double through_water = 1.0) {
+inline Air make_air_with(const WeatherSensor& sensor, const Echo& echo, double transmission = 1.0,
+                         double through_water = 1.0) {
     std::vector<std::unique_ptr<EffectOnRays>> effects;
     effects.push_back(std::make_unique<GivenEcho>(sensor, echo, transmission, through_water));
     return {{}, sensor, std::move(effects)};
@@ -36,7 +36,7 @@ inline Air air_with(const WeatherSensor& sensor, const Echo& echo, double transm
 
 /// Returns the air of a scan that has a single ray along the x axis.
 /// @param hides_sun alpha of the surfaces between the sensor and the sun
-inline Air air_of(const Weather& weather, const WeatherSensor& sensor = {}, float hides_sun = 0.0f) {
+inline Air make_air_of(const Weather& weather, const WeatherSensor& sensor = {}, float hides_sun = 0.0f) {
     RenderedScan scan;
     scan.image.rows = scan.image.columns = 1;
     scan.image.origin = {glm::vec3(0.0f)}, scan.image.direction = {glm::vec3(1.0f, 0.0f, 0.0f)};
@@ -55,7 +55,7 @@ inline Air air_of(const Weather& weather, const WeatherSensor& sensor = {}, floa
 }
 
 /// Returns a ray with the returns of surfaces.
-inline RayInAir ray_to(const Echo& strongest, double free_m, const Echo& second = {}) {
+inline RayInAir make_ray_to(const Echo& strongest, double free_m, const Echo& second = {}) {
     return {.strongest = strongest, .second = second, .free_m = free_m};
 }
 

@@ -25,7 +25,7 @@ std::atomic<long> submissions_left{0};
 /// Returns the entry of the creation chain that links this layer to the next layer.
 /// @tparam Info VkLayerInstanceCreateInfo or VkLayerDeviceCreateInfo
 template <class Info>
-Info* link_in(const void* chain, VkStructureType type) {
+Info* find_link_in(const void* chain, VkStructureType type) {
     for (auto* info = static_cast<const Info*>(chain); info; info = static_cast<const Info*>(info->pNext))
         if (info->sType == type && info->function == VK_LAYER_LINK_INFO) return const_cast<Info*>(info);
     return nullptr;
@@ -34,7 +34,7 @@ Info* link_in(const void* chain, VkStructureType type) {
 VKAPI_ATTR VkResult VKAPI_CALL create_instance(const VkInstanceCreateInfo* info,
                                                const VkAllocationCallbacks* allocator, VkInstance* instance) {
     auto* link =
-        link_in<VkLayerInstanceCreateInfo>(info->pNext, VK_STRUCTURE_TYPE_LOADER_INSTANCE_CREATE_INFO);
+        find_link_in<VkLayerInstanceCreateInfo>(info->pNext, VK_STRUCTURE_TYPE_LOADER_INSTANCE_CREATE_INFO);
     if (!link) return VK_ERROR_INITIALIZATION_FAILED;
     next.of_instance = link->u.pLayerInfo->pfnNextGetInstanceProcAddr;
     link->u.pLayerInfo = link->u.pLayerInfo->pNext;
@@ -46,7 +46,8 @@ VKAPI_ATTR VkResult VKAPI_CALL create_instance(const VkInstanceCreateInfo* info,
 
 VKAPI_ATTR VkResult VKAPI_CALL create_device(VkPhysicalDevice physical, const VkDeviceCreateInfo* info,
                                              const VkAllocationCallbacks* allocator, VkDevice* device) {
-    auto* link = link_in<VkLayerDeviceCreateInfo>(info->pNext, VK_STRUCTURE_TYPE_LOADER_DEVICE_CREATE_INFO);
+    auto* link =
+        find_link_in<VkLayerDeviceCreateInfo>(info->pNext, VK_STRUCTURE_TYPE_LOADER_DEVICE_CREATE_INFO);
     if (!link) return VK_ERROR_INITIALIZATION_FAILED;
     const auto create = reinterpret_cast<PFN_vkCreateDevice>(
         link->u.pLayerInfo->pfnNextGetInstanceProcAddr(next.instance, "vkCreateDevice"));
@@ -60,9 +61,9 @@ VKAPI_ATTR VkResult VKAPI_CALL create_device(VkPhysicalDevice physical, const Vk
     return result;
 }
 
-VKAPI_ATTR VkResult VKAPI_CALL submit(VkQueue queue, std::uint32_t n, const VkSubmitInfo* submissions,
+VKAPI_ATTR VkResult VKAPI_CALL submit(VkQueue queue, std::uint32_t count, const VkSubmitInfo* submissions,
                                       VkFence fence) {
-    return submissions_left-- > 0 ? next.submit(queue, n, submissions, fence) : VK_ERROR_DEVICE_LOST;
+    return submissions_left-- > 0 ? next.submit(queue, count, submissions, fence) : VK_ERROR_DEVICE_LOST;
 }
 
 PFN_vkVoidFunction of_instance(VkInstance instance, const char* name);

@@ -45,7 +45,7 @@ struct BenchTimes {
     std::optional<double> scans_per_s;
 };
 
-double ms_since(Clock::time_point start) {
+double measure_ms_since(Clock::time_point start) {
     return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
 }
 
@@ -56,7 +56,7 @@ double median(std::vector<double> samples) {
 
 BenchTimes measure(Device& device, const BenchCase& bench) {
     const auto n_rays = static_cast<std::uint32_t>(bench.rays.size());
-    const RendererOptions options{.trace = training_trace_options(bench.config),
+    const RendererOptions options{.trace = make_training_trace_options(bench.config),
                                   .n_rays = n_rays,
                                   .keep_hits = static_cast<std::uint32_t>(bench.config.trace.keep_hits)};
     const auto rendered = [&] {
@@ -65,7 +65,8 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
         image.place(bench.placed, bench.view_origin_m);
         return image.forward(bench.rays);
     };
-    TrainingStep step(device, bench, options, noisy_targets(rendered(), bench.config.loss.normalised_depth));
+    TrainingStep step(device, bench, options,
+                      make_noisy_targets(rendered(), bench.config.loss.normalised_depth));
     DifferentiableRenderer& renderer = step.renderer;
     Stream& stream = renderer.stream();
     const Array<DeviceRay> rays(device, std::span<const DeviceRay>(to_device_rays(bench.rays)), "rays");
@@ -75,7 +76,7 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
         const Clock::time_point start = Clock::now();
         record();
         stream.finish();
-        samples.push_back(ms_since(start));
+        samples.push_back(measure_ms_since(start));
     };
     const auto repeat = [&] {
         stop_if_interrupted();
@@ -98,10 +99,10 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
     const double warm_up_ms = device.info().type == "CPU" ? 200.0 : 2000.0;
     Clock::time_point start = Clock::now();
     do repeat();
-    while (ms_since(start) < warm_up_ms);
+    while (measure_ms_since(start) < warm_up_ms);
     for (std::vector<double>* samples : {&build, &refit, &forward, &backward, &iteration}) samples->clear();
     start = Clock::now();
-    for (int i = 0; i < kLeast || (i < kMost && ms_since(start) < kEnough_ms); ++i) repeat();
+    for (int i = 0; i < kLeast || (i < kMost && measure_ms_since(start) < kEnough_ms); ++i) repeat();
     return {
         median(build), median(refit), median(forward), median(backward), median(iteration), build.size(), {}};
 }
@@ -109,10 +110,10 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
 /// Returns how many scans are rendered per second. The scans are evenly spaced along the
 /// recorded path of the log's sensor. While one scan is read, the device already renders
 /// the next scan.
-double scans_per_second(Device& device, const Run& run) {
+double measure_scans_per_second(Device& device, const Run& run) {
     ScanRenderer renderer(device, run);
     const SensorChoice sensor = choose_sensor("native", run.config, run.sequence);
-    const PoseTrack path = shifted_track(run.sequence.world_from_sensor(0), run.sequence.world_offset_m);
+    const PoseTrack path = shift_track(run.sequence.world_from_sensor(0), run.sequence.world_offset_m);
     const double first_s = path.time_s.front(), length_s = path.time_s.back() - first_s;
     const auto request = [&](int scan) {
         const double time_s = first_s + length_s * (scan + 0.5) / kScans;
@@ -128,48 +129,48 @@ double scans_per_second(Device& device, const Run& run) {
         if (scan < kScans) request(scan);
         renderer.wait_for_points();
     }
-    return 1e3 * kScans / ms_since(start);
+    return 1e3 * kScans / measure_ms_since(start);
 }
 
-const char* traversal_name(const Device& device) {
+const char* get_traversal_name(const Device& device) {
     return device.traversal() == Traversal::software ? "software" : "ray_query";
 }
 
-std::string report_text(const BenchCase& bench, const BenchTimes& t, const Device& device) {
+std::string format_report(const BenchCase& bench, const BenchTimes& times, const Device& device) {
     const double krays = double(bench.rays.size()) / 1000.0;
     std::string text = fmt::format(
         "device      {}\ndriver      {}\ntraversal   {}\nscene       {}, {} surfels, {} rays ({} x {})\n",
-        device.info().name, device.info().driver, traversal_name(device), bench.name,
+        device.info().name, device.info().driver, get_traversal_name(device), bench.name,
         bench.scene.surfels.size(), bench.rays.size(), bench.rows, bench.columns);
     text += fmt::format(
         "tree        build {:.2f} ms, refit {:.2f} ms\nforward     {:.2f} ms, {:.3f} Mrays/s\n"
         "backward    {:.2f} ms, {:.3f} Mrays/s\niteration   {:.2f} ms of training on all rays\n",
-        t.build_ms, t.refit_ms, t.forward_ms, krays / t.forward_ms, t.backward_ms, krays / t.backward_ms,
-        t.iteration_ms);
-    if (t.scans_per_s) text += fmt::format("scans       {:.1f} per second\n", *t.scans_per_s);
-    return text + fmt::format("relidar {}; wall times, medians of {}\n", RELIDAR_VERSION, t.repetitions);
+        times.build_ms, times.refit_ms, times.forward_ms, krays / times.forward_ms, times.backward_ms,
+        krays / times.backward_ms, times.iteration_ms);
+    if (times.scans_per_s) text += fmt::format("scans       {:.1f} per second\n", *times.scans_per_s);
+    return text + fmt::format("relidar {}; wall times, medians of {}\n", RELIDAR_VERSION, times.repetitions);
 }
 
-std::string report_json(const BenchCase& bench, const BenchTimes& t, const Device& device) {
+std::string make_report_json(const BenchCase& bench, const BenchTimes& times, const Device& device) {
     const double krays = double(bench.rays.size()) / 1000.0;
     nlohmann::ordered_json json = {{"format", "relidar check --speed"},
                                    {"version", 2},
                                    {"relidar", RELIDAR_VERSION},
                                    {"device", device.info().name},
                                    {"driver", device.info().driver},
-                                   {"traversal", traversal_name(device)},
+                                   {"traversal", get_traversal_name(device)},
                                    {"scene", bench.name},
                                    {"surfels", bench.scene.surfels.size()},
                                    {"rays", bench.rays.size()},
-                                   {"build_ms", t.build_ms},
-                                   {"refit_ms", t.refit_ms},
-                                   {"forward_ms", t.forward_ms},
-                                   {"backward_ms", t.backward_ms},
-                                   {"iteration_ms", t.iteration_ms},
-                                   {"forward_mrays_per_s", krays / t.forward_ms},
-                                   {"backward_mrays_per_s", krays / t.backward_ms},
-                                   {"repetitions", t.repetitions}};
-    if (t.scans_per_s) json["scans_per_s"] = *t.scans_per_s;
+                                   {"build_ms", times.build_ms},
+                                   {"refit_ms", times.refit_ms},
+                                   {"forward_ms", times.forward_ms},
+                                   {"backward_ms", times.backward_ms},
+                                   {"iteration_ms", times.iteration_ms},
+                                   {"forward_mrays_per_s", krays / times.forward_ms},
+                                   {"backward_mrays_per_s", krays / times.backward_ms},
+                                   {"repetitions", times.repetitions}};
+    if (times.scans_per_s) json["scans_per_s"] = *times.scans_per_s;
     return json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
@@ -178,13 +179,13 @@ std::string report_json(const BenchCase& bench, const BenchTimes& t, const Devic
 void measure_speed(const BenchOptions& options) {
     std::optional<Run> run;
     if (!options.run.empty()) run = load_run(options.run);
-    Device device(device_options(options.device));
+    Device device(make_device_options(options.device));
     const BenchCase bench = run ? make_run_case(*run)
                                 : make_street_case(100000, false, make_benchmark_rays(64, 1024, 2.0, -24.9));
     BenchTimes times = measure(device, bench);
-    if (run) times.scans_per_s = scans_per_second(device, *run);
-    if (!options.json.empty()) write_text(options.json, report_json(bench, times, device));
-    print(report_text(bench, times, device));
+    if (run) times.scans_per_s = measure_scans_per_second(device, *run);
+    if (!options.json.empty()) write_text(options.json, make_report_json(bench, times, device));
+    print(format_report(bench, times, device));
 }
 
 }  // namespace relidar::cli

@@ -21,7 +21,7 @@ BenchCase make_street_case(std::uint32_t n_surfels, bool refined, const RayTable
     // equals the world frame.
     bench.rays = {to_vector(rays.origin), to_vector(rays.direction)};
     const Surfels surfels = make_benchmark_street(n_surfels, 20261120, refined);
-    bench.scene = make_background_scene(surfels.permuted(kd_order(surfels.mean)));
+    bench.scene = make_background_scene(surfels.reorder(compute_kd_order(surfels.mean)));
     bench.config = make_preset("paper");
     bench.placed.resize(1);
     return bench;
@@ -35,9 +35,9 @@ BenchCase make_run_case(const Run& run) {
             run.folder.string()));
     const Frame& frame =
         run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];
-    const SensorChoice sensor = configured_sensor(run.config, run.sequence, frame.lidar);
+    const SensorChoice sensor = make_configured_sensor(run.config, run.sequence, frame.lidar);
     RayTable table = sensor.rays;
-    if (table.size() == 0) table = nominal_rays(run.sequence.lidar_of(frame), frame.time_s);
+    if (table.size() == 0) table = make_nominal_rays(run.sequence.get_lidar(frame), frame.time_s);
     BenchCase bench;
     bench.name = fmt::format("{}, frame {}", run.folder.string(), frame.index);
     bench.rows = table.rows;
@@ -46,12 +46,12 @@ BenchCase make_run_case(const Run& run) {
     bench.view_origin_m = glm::vec3(track.at(frame.time_s).translation);
     const bool rolls = has_rolling_shutter(sensor, run.config);
     for (std::size_t i = 0; i < table.size(); ++i) {
-        const WorldRay ray = world_ray(track, frame.time_s, table, i, rolls);
+        const WorldRay ray = make_world_ray(track, frame.time_s, table, i, rolls);
         bench.rays.origin.emplace_back(ray.origin_m);
         bench.rays.direction.emplace_back(ray.direction);
         bench.rays.time_s.push_back(rolls ? table.time_offset_s[i] : 0.0f);
     }
-    bench.placed = place_instances(run.scene, run.sequence, moment_of(frame));
+    bench.placed = place_instances(run.scene, run.sequence, get_sweep_moment(frame));
     bench.scene = load_all_blocks(run.scene);
     bench.config = run.config;
     return bench;

@@ -10,7 +10,7 @@
 
 namespace relidar::cli {
 
-std::vector<DeviceTarget> noisy_targets(const Rendering& rendering, bool normalised_depth) {
+std::vector<DeviceTarget> make_noisy_targets(const Rendering& rendering, bool normalised_depth) {
     constexpr float kRangeNoise_m = 0.1f, kIntensityNoise = 0.05f, kSolid = 0.5f;
     std::mt19937 random(1);
     const auto noise = [&] { return static_cast<float>(random()) / 2147483648.0f - 1.0f; };
@@ -29,7 +29,7 @@ TrainingStep::TrainingStep(Device& device, const BenchCase& bench, const Rendere
     : renderer(device, bench.scene, bench.config.image, options,
                // Adam skips surfels without a gradient, so the backward pass need not set
                // their gradients to zero.
-               {.sums = backward_options(bench.config), .zero_untouched = false}),
+               {.sums = make_backward_options(bench.config), .zero_untouched = false}),
       targets(device, std::span<const DeviceTarget>(wanted), "targets"),
       loss_(device, bench.config.loss),
       adam_(device, renderer.scene().size(), {.only_touched = bench.config.train.only_touched},

@@ -16,7 +16,7 @@ struct BenchCase;
 /// Creates target values for the losses. Adds uniform noise to a rendered image, because
 /// the gradient of an L1 loss is zero where the image equals the target. A ray with a low
 /// rendered weight becomes a dropped ray (a ray without return).
-std::vector<DeviceTarget> noisy_targets(const Rendering& rendering, bool normalised_depth);
+std::vector<DeviceTarget> make_noisy_targets(const Rendering& rendering, bool normalised_depth);
 
 /// Runs one training step for a benchmark. All learning rates are 0, so that the step
 /// does not change the scene.

@@ -41,7 +41,7 @@ struct CheckRow {
     double seconds = 0.0;
 };
 
-const char* word_of(Finding::Kind kind) {
+const char* get_word(Finding::Kind kind) {
     switch (kind) {
         case Finding::Kind::right:
             return "right";
@@ -62,9 +62,9 @@ CheckRow run_check(const Check& check, CheckedDevice& checked, bool& is_lost) {
         row.finding = check.run(checked);
     } catch (const DeviceLost& error) {
         is_lost = true;
-        row.finding = wrong(one_line(error.what()));
+        row.finding = report_wrong(join_lines(error.what()));
     } catch (const DeviceError& error) {
-        row.finding = wrong(one_line(error.what()));
+        row.finding = report_wrong(join_lines(error.what()));
     }
     row.seconds = std::chrono::duration<double>(Clock::now() - start).count();
     return row;
@@ -83,7 +83,7 @@ std::string check_json(const DeviceInfo& info, const std::vector<CheckRow>& rows
     for (const CheckRow& row : rows)
         json["checks"].push_back(
             {{"name", row.name},
-             {"result", row.finding.kind == Finding::Kind::wrong ? "wrong" : word_of(row.finding.kind)},
+             {"result", row.finding.kind == Finding::Kind::wrong ? "wrong" : get_word(row.finding.kind)},
              {"text", row.finding.text},
              {"seconds", row.seconds}});
     return json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
@@ -93,17 +93,17 @@ void run_checks(const CheckOptions& options) {
     // The checks show whether the driver computes correctly. With this setting, relidar
     // does not replace methods that fail on the device.
     const Trusting trusting(DeviceTrust{});
-    CheckedDevice checked(device_options(options.device));
+    CheckedDevice checked(make_device_options(options.device));
     const DeviceInfo& info = checked.device().info();
     print(fmt::format("device   {}\ndriver   {}\nrelidar  {}\n\n", info.name, info.driver, RELIDAR_VERSION));
     std::vector<CheckRow> rows;
     std::vector<std::string> wrong_names;
     bool is_lost = false;
-    for (const Check& check : all_checks()) {
+    for (const Check& check : list_all_checks()) {
         stop_if_interrupted();
         rows.push_back(run_check(check, checked, is_lost));
         const CheckRow& row = rows.back();
-        print(fmt::format("{:<22} {:<13} {:6.2f} s  {}\n", row.name, word_of(row.finding.kind), row.seconds,
+        print(fmt::format("{:<22} {:<13} {:6.2f} s  {}\n", row.name, get_word(row.finding.kind), row.seconds,
                           row.finding.text));
         if (row.finding.kind == Finding::Kind::wrong) wrong_names.push_back(row.name);
         if (is_lost) break;

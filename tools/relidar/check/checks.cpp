@@ -7,7 +7,7 @@
 
 namespace relidar::cli {
 
-std::span<const Check> all_checks() {
+std::span<const Check> list_all_checks() {
     using enum Traversal;
     static const std::array checks{
         Check{"float atomics", check_float_atomics},
@@ -38,8 +38,8 @@ Finding judge(double error, double tolerance) {
                 : fmt::format("found an error of {:.1e}, expected at most {:.0e}", error, tolerance)};
 }
 
-Finding wrong(const std::string& text) { return {Finding::Kind::wrong, text}; }
-Finding unsupported(const std::string& why) { return {Finding::Kind::unsupported, why}; }
+Finding report_wrong(const std::string& text) { return {Finding::Kind::wrong, text}; }
+Finding report_unsupported(const std::string& why) { return {Finding::Kind::unsupported, why}; }
 
 CheckedDevice::CheckedDevice(const DeviceOptions& options)
     : options_(options), default_(std::make_unique<Device>(options)) {

@@ -22,10 +22,10 @@ struct Finding {
     std::string text;  ///< Size of the error, or the reason why the check is wrong or unsupported.
 };
 /// Compares an error with a tolerance. Returns `right` if the error is at most the
-/// tolerance, otherwise `wrong`.
+/// tolerance, otherwise `report_wrong`.
 Finding judge(double error, double tolerance);
-Finding wrong(const std::string& text);
-Finding unsupported(const std::string& why);
+Finding report_wrong(const std::string& text);
+Finding report_unsupported(const std::string& why);
 
 /// A device under test. It is opened once for each method to trace rays (software or ray
 /// query) that a check needs.
@@ -49,7 +49,7 @@ struct Check {
     const char* name;
     std::function<Finding(CheckedDevice&)> run;
 };
-std::span<const Check> all_checks();
+std::span<const Check> list_all_checks();
 
 Finding check_float_atomics(CheckedDevice& checked);
 Finding check_float_swaps(CheckedDevice& checked);

@@ -20,9 +20,9 @@ namespace {
 constexpr std::uint64_t kMiB = std::uint64_t(1) << 20;
 
 /// Returns the number of bytes that the memory checks may allocate.
-std::uint64_t allowed_bytes(const Device& device) {
-    std::uint64_t n_free = gpu::memory_budget(impl_of(device).physical).n_free();
-    if (const std::uint64_t limit = impl_of(device).memory_limit_bytes; limit > 0)
+std::uint64_t compute_allowed_bytes(const Device& device) {
+    std::uint64_t n_free = gpu::query_memory_budget(get_impl(device).physical).n_free();
+    if (const std::uint64_t limit = get_impl(device).memory_limit_bytes; limit > 0)
         n_free = std::min(n_free, limit - std::min(limit, device.allocated_bytes()));
     return device.info().type == "CPU" ? std::min(n_free / 8, 2048 * kMiB) : n_free / 10 * 9;
 }
@@ -41,26 +41,26 @@ bool holds(const Buffer& buffer, std::uint32_t value) {
 
 Finding check_large_buffer(CheckedDevice& checked) {
     Device& device = checked.device();
-    const std::uint64_t limit = impl_of(device).largest_buffer.n_bytes,
-                        n_bytes = std::min(limit, allowed_bytes(device)) / 64 * 64;
-    if (n_bytes < kMiB) return unsupported("less than 1 MiB of device memory is free");
+    const std::uint64_t limit = get_impl(device).largest_buffer.n_bytes,
+                        n_bytes = std::min(limit, compute_allowed_bytes(device)) / 64 * 64;
+    if (n_bytes < kMiB) return report_unsupported("less than 1 MiB of device memory is free");
     const Buffer buffer(device, n_bytes, "the largest buffer");
     Stream stream(device);
     stream.fill(buffer, 0x5a5a1234u);
     stream.finish();
     if (!holds(buffer, 0x5a5a1234u))
-        return wrong(
-            fmt::format("a buffer of {} contains other values than were written", byte_size(n_bytes)));
+        return report_wrong(
+            fmt::format("a buffer of {} contains other values than were written", format_byte_size(n_bytes)));
     return {Finding::Kind::right,
-            fmt::format("{}{}", byte_size(n_bytes),
-                        n_bytes < limit / 64 * 64 ? fmt::format(" of at most {}", byte_size(limit))
+            fmt::format("{}{}", format_byte_size(n_bytes),
+                        n_bytes < limit / 64 * 64 ? fmt::format(" of at most {}", format_byte_size(limit))
                                                   : ", the limit of the device")};
 }
 
 Finding check_memory(CheckedDevice& checked) {
     Device& device = checked.device();
     constexpr std::uint64_t kPiece = 256 * kMiB;
-    const std::uint64_t allowed = allowed_bytes(device);
+    const std::uint64_t allowed = compute_allowed_bytes(device);
     std::vector<std::unique_ptr<Buffer>> pieces;
     Stream stream(device);
     while ((pieces.size() + 1) * kPiece <= allowed) {
@@ -68,14 +68,14 @@ Finding check_memory(CheckedDevice& checked) {
         stream.fill(*pieces.back(), static_cast<std::uint32_t>(pieces.size()));
     }
     stream.finish();
-    if (pieces.empty()) return unsupported("less than 256 MiB of device memory may be used");
+    if (pieces.empty()) return report_unsupported("less than 256 MiB of device memory may be used");
     for (std::size_t i = 0; i < pieces.size(); ++i)
         if (!holds(*pieces[i], static_cast<std::uint32_t>(i + 1)))
-            return wrong(
+            return report_wrong(
                 fmt::format("buffer {} of {} contains other values than were written", i + 1, pieces.size()));
     return {Finding::Kind::right,
-            fmt::format("{} of the memory budget of {}", byte_size(pieces.size() * kPiece),
-                        byte_size(gpu::memory_budget(impl_of(device).physical).n_bytes))};
+            fmt::format("{} of the memory budget of {}", format_byte_size(pieces.size() * kPiece),
+                        format_byte_size(gpu::query_memory_budget(get_impl(device).physical).n_bytes))};
 }
 
 }  // namespace relidar::cli

@@ -18,9 +18,9 @@ namespace {
 
 using Words = std::vector<std::uint32_t>;
 
-Words random_words(std::size_t n) {
+Words make_random_words(std::size_t count) {
     std::mt19937 random(7);
-    Words words(n);
+    Words words(count);
     for (std::uint32_t& x : words) x = static_cast<std::uint32_t>(random());
     return words;
 }
@@ -28,8 +28,8 @@ Words random_words(std::size_t n) {
 /// Sorts random keys by their low 24 bits on the device.
 /// @return true if the sorted keys and their order equal the result of a stable sort on
 /// the host
-bool sorts(Device& device, std::uint32_t n_keys, std::uint32_t capacity) {
-    const Words keys = random_words(capacity);
+bool is_sort_correct(Device& device, std::uint32_t n_keys, std::uint32_t capacity) {
+    const Words keys = make_random_words(capacity);
     const Array<std::uint32_t, shared::SortCount> count(device, Words{n_keys}, "number of keys");
     const Array<std::uint32_t, shared::SortKeys> first(device, std::span<const std::uint32_t>(keys), "keys"),
         second(device, capacity, "sorted keys");
@@ -42,7 +42,7 @@ bool sorts(Device& device, std::uint32_t n_keys, std::uint32_t capacity) {
     stream.finish();
     Words order(n_keys);
     std::iota(order.begin(), order.end(), 0u);
-    std::ranges::stable_sort(order, {}, [&](std::uint32_t i) { return keys[i] & 0xffffffu; });
+    std::ranges::stable_sort(order, {}, [&](std::uint32_t index) { return keys[index] & 0xffffffu; });
     const Words sorted = second.download(), sorted_order = second_order.download();
     for (std::uint32_t i = 0; i < n_keys; ++i)
         if (sorted_order[i] != order[i] || sorted[i] != keys[order[i]]) return false;
@@ -56,7 +56,7 @@ Finding check_prefix_sum(CheckedDevice& checked) {
     PrefixSum prefix_sum(device);
     Stream stream(device);
     for (const std::uint32_t n : {1u, 255u, 4096u, 4097u, 1'000'003u}) {
-        Words counts = random_words(n);
+        Words counts = make_random_words(n);
         for (std::uint32_t& x : counts) x %= 1000u;
         const Array<std::uint32_t, shared::ScanCounts> in(device, std::span<const std::uint32_t>(counts),
                                                           "counts");
@@ -65,7 +65,7 @@ Finding check_prefix_sum(CheckedDevice& checked) {
         prefix_sum.run(stream, {in.address()}, out.address(), n);
         stream.finish();
         std::exclusive_scan(counts.begin(), counts.end(), counts.begin(), 0u);
-        if (out.download() != counts) return wrong(fmt::format("{} counts", n));
+        if (out.download() != counts) return report_wrong(fmt::format("{} counts", n));
     }
     return {Finding::Kind::right, "exact"};
 }
@@ -73,11 +73,11 @@ Finding check_prefix_sum(CheckedDevice& checked) {
 Finding check_sort(CheckedDevice& checked) {
     Device& device = checked.device();
     if (!device.info().has_known_subgroups)
-        return unsupported("the device does not report its subgroup size");
+        return report_unsupported("the device does not report its subgroup size");
     const std::uint32_t most = device.info().type == "CPU" ? 1'000'000u : 10'000'000u;
     for (const auto& [n_keys, capacity] :
          {std::pair{0u, 10u}, {1u, 1u}, {4097u, 4097u}, {12'345u, 30'000u}, {most, most}})
-        if (!sorts(device, n_keys, capacity)) return wrong(fmt::format("{} keys", n_keys));
+        if (!is_sort_correct(device, n_keys, capacity)) return report_wrong(fmt::format("{} keys", n_keys));
     return {Finding::Kind::right, fmt::format("exact results for up to {} keys", most)};
 }
 

@@ -14,19 +14,20 @@ namespace relidar::cli {
 
 Finding check_points(CheckedDevice& checked) {
     const DeviceInfo& info = checked.device().info();
-    if (!info.software && !info.ray_query) return unsupported("no traversal");
+    if (!info.software && !info.ray_query) return report_unsupported("no traversal");
     const Sequence log = make_synthetic_street({.n_frames = 3, .rows = 16, .columns = 128});
     const Scene scene = initialise_scene(log, {0, 1, 2}, {});
     const Config config;
     ScanRenderer renderer(checked.device(), scene, config, log);
     const SensorChoice sensor = choose_sensor("VLP-16:128x10", config, log);
-    const PoseTrack track = shifted_track(log.world_from_sensor(0), log.world_offset_m);
+    const PoseTrack track = shift_track(log.world_from_sensor(0), log.world_offset_m);
     const double time_s = log.frames[1].time_s;
     renderer.submit_points(sensor, {time_s, track}, time_s);
     const Points actual = renderer.wait_for_points().points;
     const Points expected = place_points(renderer.render(sensor, {time_s, track}), config, track.at(time_s));
     if (actual.size() != expected.size() || actual.size() == 0)
-        return wrong(fmt::format("found {} points, expected {} points", actual.size(), expected.size()));
+        return report_wrong(
+            fmt::format("found {} points, expected {} points", actual.size(), expected.size()));
     double error_m = 0.0;
     for (std::size_t i = 0; i < actual.size(); ++i) {
         const double distance_m = glm::distance(actual.position_m[i], expected.position_m[i]);

@@ -21,7 +21,7 @@ namespace {
 
 /// Returns the reason why a device cannot use a method to trace rays. The text is empty
 /// if the device can use it.
-std::string why_not(const DeviceInfo& info, Traversal traversal) {
+std::string explain_unsupported(const DeviceInfo& info, Traversal traversal) {
     return traversal == Traversal::ray_query ? info.why_not_ray_query : info.why_not_software;
 }
 
@@ -43,7 +43,7 @@ Pass run_pass(Device& device) {
     pass.settings.image.sh_direction = ShDirection::surfel;
     pass.scene = test::make_random_scene(options, pass.settings);
     pass.settings.view_origin = pass.scene.view_origin;
-    pass.upstream = test::random_upstream(pass.scene.rays.size(), options.seed);
+    pass.upstream = test::make_random_upstream(pass.scene.rays.size(), options.seed);
     const test::SceneAndPoses placed =
         test::to_scene(test::to_surfels(pass.scene.world.surfels), pass.scene.world.instances);
     const auto n_rays = static_cast<std::uint32_t>(pass.scene.rays.size());
@@ -67,13 +67,13 @@ Pass run_pass(Device& device) {
 }
 
 template <class Vector>
-std::vector<double> numbers(const Vector& v, int n) {
+std::vector<double> numbers(const Vector& v, int count) {
     std::vector<double> row;
-    for (int k = 0; k < n; ++k) row.push_back(v[k]);
+    for (int k = 0; k < count; ++k) row.push_back(v[k]);
     return row;
 }
 
-double gradient_error(const Pass& pass, const reference::BruteForce& brute) {
+double measure_gradient_error(const Pass& pass, const reference::BruteForce& brute) {
     reference::Gradients expected(pass.scene.world);
     for (std::size_t i = 0; i < pass.scene.rays.size(); ++i)
         reference::backward(pass.scene.world, brute, pass.settings, pass.scene.rays[i], 16, pass.upstream[i],
@@ -88,10 +88,10 @@ double gradient_error(const Pass& pass, const reference::BruteForce& brute) {
         rows.add_row("opacity_logit", {s.opacity_logit}, {actual.opacity_logit[i]});
         rows.add_row("sh", numbers(s.sh, kShFloats), numbers(actual.sh.data() + i * kShFloats, kShFloats));
     }
-    return rows.worst_error();
+    return rows.compute_worst_error();
 }
 
-double image_error(const Pass& pass, const reference::BruteForce& brute) {
+double measure_image_error(const Pass& pass, const reference::BruteForce& brute) {
     double error = 0.0, power = 0.0;
     for (std::size_t i = 0; i < pass.scene.rays.size(); ++i) {
         const reference::Pixel p =
@@ -111,25 +111,25 @@ double image_error(const Pass& pass, const reference::BruteForce& brute) {
 }  // namespace
 
 Finding check_tree(CheckedDevice& checked, Traversal traversal) {
-    const std::string missing = why_not(checked.device().info(), traversal);
-    if (!missing.empty()) return unsupported("missing " + missing);
+    const std::string missing = explain_unsupported(checked.device().info(), traversal);
+    if (!missing.empty()) return report_unsupported("missing " + missing);
     const int n_built = count_wrong_rays(checked.with(traversal), TreeState::built),
               n_refitted = count_wrong_rays(checked.with(traversal), TreeState::refitted);
     if (n_built + n_refitted == 0) return {Finding::Kind::right, "all rays find the same surfels"};
-    return wrong(
+    return report_wrong(
         fmt::format("{} of 256 rays find other surfels after a build of the tree, and {} after a "
                     "refit",
                     n_built, n_refitted));
 }
 
 Finding check_render(CheckedDevice& checked, Traversal traversal) {
-    const std::string missing = why_not(checked.device().info(), traversal);
-    if (!missing.empty()) return unsupported("missing " + missing);
+    const std::string missing = explain_unsupported(checked.device().info(), traversal);
+    if (!missing.empty()) return report_unsupported("missing " + missing);
     const Pass pass = run_pass(checked.with(traversal));
     const reference::BruteForce brute(pass.scene.world, pass.settings.image,
                                       reference::Precision::double_record);
-    const Finding image = judge(image_error(pass, brute), std::sqrt(test::kKernelNmse)),
-                  gradient = judge(gradient_error(pass, brute), test::kKernelGradient);
+    const Finding image = judge(measure_image_error(pass, brute), std::sqrt(test::kKernelNmse)),
+                  gradient = judge(measure_gradient_error(pass, brute), test::kKernelGradient);
     return {std::max(image.kind, gradient.kind),
             fmt::format("image: {}; gradients: {}", image.text, gradient.text)};
 }

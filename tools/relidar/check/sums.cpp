@@ -12,29 +12,31 @@ namespace relidar::cli {
 namespace {
 
 /// Returns "right" only if a sum has no error. Sums of small integers are exact in float.
-Finding judge_sums(double error) {
+Finding judge_sum_error(double error) {
     if (error == 0.0) return {Finding::Kind::right, "exact"};
-    return wrong(fmt::format("a sum has a relative error of {:.3g}", error));
+    return report_wrong(fmt::format("a sum has a relative error of {:.3g}", error));
 }
 
 }  // namespace
 
 Finding check_float_atomics(CheckedDevice& checked) {
-    if (!checked.device().info().float_atomics) return unsupported("no VK_EXT_shader_atomic_float");
-    return judge_sums(sum_error(checked.device(), false));
+    if (!checked.device().info().float_atomics) return report_unsupported("no VK_EXT_shader_atomic_float");
+    return judge_sum_error(compute_sum_error(checked.device(), false));
 }
 
-Finding check_float_swaps(CheckedDevice& checked) { return judge_sums(sum_error(checked.device(), true)); }
+Finding check_float_swaps(CheckedDevice& checked) {
+    return judge_sum_error(compute_sum_error(checked.device(), true));
+}
 
 Finding check_subgroups(CheckedDevice& checked) {
     const DeviceInfo& info = checked.device().info();
-    if (!info.has_known_subgroups) return unsupported("the device does not report its subgroup size");
-    const std::vector<int> sizes = subgroup_sizes(checked.device());
+    if (!info.has_known_subgroups) return report_unsupported("the device does not report its subgroup size");
+    const std::vector<int> sizes = list_subgroup_sizes(checked.device());
     for (const int lanes : sizes) {
         const Trusting trusting(DeviceTrust{.subgroup_size = lanes});
         Device device(checked.options());
-        const std::string text = wrong_subgroups(device);
-        if (!text.empty()) return wrong(fmt::format("{} lanes, {}", lanes, text));
+        const std::string text = find_wrong_subgroups(device);
+        if (!text.empty()) return report_wrong(fmt::format("{} lanes, {}", lanes, text));
     }
     return {Finding::Kind::right, fmt::format("{} lanes", fmt::join(sizes, ", "))};
 }

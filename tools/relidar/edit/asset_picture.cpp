@@ -30,16 +30,16 @@ const AssetView kViews[] = {{{0, -1, 0}, {-1, 0, 0}, {0, 0, 1}},
                             {{1, 0, 0}, {0, -1, 0}, {0, 0, 1}},
                             {{-1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
 
-double extent_m(const glm::dvec3& axis, const glm::dvec3& size_m) {
+double compute_extent_m(const glm::dvec3& axis, const glm::dvec3& size_m) {
     return glm::dot(glm::abs(axis), size_m) + 2.0 * kAround_m;
 }
 
 /// Returns one ray per pixel in the box frame, row by row from the upper left pixel. All
 /// rays have the same direction.
-RayTable parallel_rays(const AssetView& view, const glm::dvec3& size_m, double pixel_m) {
+RayTable make_parallel_rays(const AssetView& view, const glm::dvec3& size_m, double pixel_m) {
     RayTable rays;
-    rays.rows = int(std::ceil(extent_m(view.up, size_m) / pixel_m));
-    rays.columns = int(std::ceil(extent_m(view.right, size_m) / pixel_m));
+    rays.rows = int(std::ceil(compute_extent_m(view.up, size_m) / pixel_m));
+    rays.columns = int(std::ceil(compute_extent_m(view.right, size_m) / pixel_m));
     const glm::dvec3 from = -(0.5 * glm::length(size_m) + 1.0) * view.along;
     for (int row = 0; row < rays.rows; ++row) {
         for (int column = 0; column < rays.columns; ++column) {
@@ -56,8 +56,8 @@ RayTable parallel_rays(const AssetView& view, const glm::dvec3& size_m, double p
 
 /// Returns the brightness of each pixel, from 0 to 1. A value of -1 means that the pixel
 /// shows no surface.
-std::vector<float> shades(const RenderedScan& scan, const AssetView& view, const glm::dquat& world_from_box,
-                          float brightest) {
+std::vector<float> compute_shades(const RenderedScan& scan, const AssetView& view,
+                                  const glm::dquat& world_from_box, float brightest) {
     std::vector<float> shade(scan.weight.size(), -1.0f);
     const glm::vec3 along(world_from_box * view.along);
     const auto* normals = find_values<glm::vec3>(scan.channels, "normal");
@@ -71,7 +71,7 @@ std::vector<float> shades(const RenderedScan& scan, const AssetView& view, const
 }
 
 /// Returns the intensity that only 5 % of the visible pixels exceed.
-float bright_intensity(const std::vector<RenderedScan>& scans) {
+float choose_bright_intensity(const std::vector<RenderedScan>& scans) {
     std::vector<float> values;
     for (const RenderedScan& scan : scans)
         for (std::size_t i = 0; i < scan.weight.size(); ++i)
@@ -101,7 +101,7 @@ void draw(Image& canvas, int row, int column, const RenderedScan& scan, const st
 
 }  // namespace
 
-Image asset_picture(Device& device, const Asset& asset, const BoxSurface& surface) {
+Image draw_asset_picture(Device& device, const Asset& asset, const BoxSurface& surface) {
     const Run& run = asset.run;
     Config config = run.config;
     config.render.channels = kind_of(run.scene.surfels.primitive).has_normals ? "normal" : "";
@@ -116,7 +116,7 @@ Image asset_picture(Device& device, const Asset& asset, const BoxSurface& surfac
     std::vector<RenderedScan> scans;
     for (const AssetView& view : kViews)
         scans.push_back(
-            renderer.render({.rays = parallel_rays(view, box.size_m, pixel_m), .name = "parallel rays"},
+            renderer.render({.rays = make_parallel_rays(view, box.size_m, pixel_m), .name = "parallel rays"},
                             {time_s, stands, ActorPoses{{asset.facts.name, stands}}}));
     const auto rows = [&](int view) { return scans[std::size_t(view)].image.rows; };
     const auto columns = [&](int view) { return scans[std::size_t(view)].image.columns; };
@@ -127,10 +127,10 @@ Image asset_picture(Device& device, const Asset& asset, const BoxSurface& surfac
     const int second = 2 * kGap + columns(kLeft), third = second + kGap + columns(kRight),
               below = upper + 2 * kGap;
     const int places[][2] = {{kGap, kGap}, {kGap, second}, {kGap, third}, {below, kGap}, {below, second}};
-    const float brightest = bright_intensity(scans);
+    const float brightest = choose_bright_intensity(scans);
     for (std::size_t v = 0; v < scans.size(); ++v)
         draw(canvas, places[v][0], places[v][1], scans[v],
-             shades(scans[v], kViews[v], dataset_from_box.rotation, brightest), surface);
+             compute_shades(scans[v], kViews[v], dataset_from_box.rotation, brightest), surface);
     return canvas;
 }
 

@@ -40,28 +40,28 @@ void check_new(const std::string& out) {
             fmt::format("--out {}: the folder is not empty, expected a new or empty folder", out));
 }
 
-std::string sides_text(const AssetFacts& facts) {
+std::string format_sides(const AssetFacts& facts) {
     std::string text;
     for (std::size_t s = 0; s < kBoxSides; ++s)
-        text += fmt::format("{}{} {:.2f}", s ? ", " : "", name_of(BoxSide(s)), facts.seen_sides[s]);
+        text += fmt::format("{}{} {:.2f}", s ? ", " : "", get_name(BoxSide(s)), facts.seen_sides[s]);
     return text;
 }
 
 /// Returns the reason why an actor is not saved as an asset. The text is empty if the
 /// actor is saved.
-std::string reason_against(const AssetFacts& facts, const ActorObservations& sightings, double least) {
+std::string explain_rejection(const AssetFacts& facts, const ActorObservations& sightings, double min_score) {
     if (sightings.points_m.empty()) return "no ray of the training frames hits this actor";
-    if (facts.score() >= least) return "";
+    if (facts.score() >= min_score) return "";
     return fmt::format(
         "the score of the actor is {:.2f}, expected at least {:.2f} (--least); the observed shares of its "
         "sides are {}{}",
-        facts.score(), least, sides_text(facts),
+        facts.score(), min_score, format_sides(facts),
         facts.completed > 0.0
             ? fmt::format("; its mirror image completed a share of {:.2f} of the surface", facts.completed)
             : "");
 }
 
-std::vector<std::string> actors_of(const Run& run) {
+std::vector<std::string> list_actors(const Run& run) {
     std::vector<std::string> tracks;
     // Surfel models that are already saved. A copy of an actor uses the same model, so it
     // is skipped.
@@ -99,8 +99,8 @@ void run_assets(const AssetOptions& options) {
     check_new(options.out);
     const StagedFolder folder(options.out);
     const Run run = load_run(options.run);
-    const std::vector<std::string> tracks = actors_of(run);
-    Device device(device_options(options.device));
+    const std::vector<std::string> tracks = list_actors(run);
+    Device device(make_device_options(options.device));
     Progress progress(options.quiet);
     const std::map<std::string, ActorObservations> sightings =
         observe_actors(device, run, make_progress(progress));
@@ -113,21 +113,22 @@ void run_assets(const AssetOptions& options) {
         const ActorObservations actor_sightings =
             seen == sightings.end() ? ActorObservations{} : seen->second;
         Asset asset = make_asset(run, track, actor_sightings);
-        if (const std::string reason = reason_against(asset.facts, actor_sightings, options.least);
+        if (const std::string reason = explain_rejection(asset.facts, actor_sightings, options.least);
             !reason.empty()) {
             skipped += fmt::format("skipped {} ({}): {}\n", track, asset.facts.category, reason);
             continue;
         }
         make_unique(asset, used_names);
         save_asset(asset, folder.path() / asset.facts.name);
-        const Image views = asset_picture(device, asset, seen_surface(asset.facts.size_m, actor_sightings));
+        const Image views =
+            draw_asset_picture(device, asset, compute_visible_surface(asset.facts.size_m, actor_sightings));
         write_png(folder.path() / asset.facts.name / "views.png", views);
         rows.push_back(row_of(asset.facts));
     }
     end_progress_line();
     if (rows.size() == 1)
         throw DataError(
-            fmt::format("no actor of run {} has a sufficient score: {}", options.run, one_line(skipped)));
+            fmt::format("no actor of run {} has a sufficient score: {}", options.run, join_lines(skipped)));
     folder.finish();
     if (options.quiet) return;
     print(table(rows) + skipped +

@@ -38,11 +38,11 @@ void check_other_folder(const EditOptions& options) {
             "--out {}: this is the folder of the run to edit; expected a different folder", options.out));
 }
 
-bool is_same(const PoseTrack& a, const PoseTrack& b) {
+bool is_same(const PoseTrack& first, const PoseTrack& second) {
     const auto same = [](const Pose& p, const Pose& q) {
         return p.translation == q.translation && p.rotation == q.rotation;
     };
-    return a.time_s == b.time_s && std::ranges::equal(a.pose, b.pose, same);
+    return first.time_s == second.time_s && std::ranges::equal(first.pose, second.pose, same);
 }
 
 /// Returns the track names of the actors that an edit has added or moved.
@@ -59,10 +59,10 @@ std::vector<std::string> list_new_tracks(const DrivingScene& driving, const Sequ
 
 /// Returns a warning line for each added or moved actor that has too few surfels. An
 /// actor needs more surfels if it is closer to the sensor.
-std::string sparse_actors(const DrivingScene& driving, const Sequence& before) {
+std::string describe_sparse_actors(const DrivingScene& driving, const Sequence& before) {
     std::string text;
     for (const std::string& track : list_new_tracks(driving, before)) {
-        const ActorDetail detail = actor_detail(driving, track);
+        const ActorDetail detail = measure_actor_detail(driving, track);
         if (!detail.is_sparse()) continue;
         text += fmt::format(
             "note: actor {} comes within {:.1f} m of the sensor at {:.2f} s, where {} rays hit its box, but "
@@ -82,9 +82,9 @@ void run_edit(const EditOptions& options) {
     Run run = load_run(options.run);
     if (!options.ply.empty())
         run.scene = read_surfel_ply(options.ply, load_all_blocks(run.scene), run.config.image.primitive);
-    const std::string origin = absolute_path(options.run);
+    const std::string origin = make_absolute_path(options.run);
     DrivingScene driving{std::move(run.scene), std::move(run.sequence)};
-    const Sequence before = without_frames(driving.sequence);
+    const Sequence before = copy_without_frames(driving.sequence);
     std::string text;
     for (const TypedEdit& edit : options.edits) {
         AppliedEdit applied = apply(std::move(driving), edit);
@@ -92,7 +92,7 @@ void run_edit(const EditOptions& options) {
         run.edits.push_back({origin, fmt::format("{} {}", edit.option, edit.value)});
         text += applied.said + "\n" + (applied.note.empty() ? "" : "note: " + applied.note + "\n");
     }
-    text += sparse_actors(driving, before);
+    text += describe_sparse_actors(driving, before);
     run.replace(std::move(driving));
     edited.save(run);
     if (!options.quiet)
@@ -134,7 +134,7 @@ void add_edit(CLI::App& app, Call& call) {
     const auto options = std::make_shared<EditOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
     command->add_option("--out", options->out, "folder for the edited run")->required()->type_name("DIR");
-    for (const EditOption& edit : edit_options()) {
+    for (const EditOption& edit : list_edit_options()) {
         const auto take = [options, option = std::string(edit.option)](const std::string& value) {
             options->edits.push_back({option, value});
         };

@@ -28,23 +28,26 @@ constexpr double kFarOff_m = 1e6;
     throw UsageError(fmt::format("{}: found \"{}\", expected {}", edit.option, edit.value, expected));
 }
 
-const char* form_of(const TypedEdit& edit) {
-    const auto& options = edit_options();
+const char* get_form(const TypedEdit& edit) {
+    const auto& options = list_edit_options();
     return std::find_if(options.begin(), options.end(),
                         [&](const EditOption& o) { return edit.option == o.option; })
         ->form;
 }
 
-/// Splits a text into two parts at position `at`. Throws an error if one part is empty.
-std::pair<std::string, std::string> cut(const TypedEdit& edit, const std::string& text, std::size_t at) {
-    if (at == std::string::npos || at == 0 || at + 1 == text.size()) refuse(edit, form_of(edit));
-    return {text.substr(0, at), text.substr(at + 1)};
+/// Splits a text into two parts at position `position`. Throws an error if one part is
+/// empty.
+std::pair<std::string, std::string> cut(const TypedEdit& edit, const std::string& text,
+                                        std::size_t position) {
+    if (position == std::string::npos || position == 0 || position + 1 == text.size())
+        refuse(edit, get_form(edit));
+    return {text.substr(0, position), text.substr(position + 1)};
 }
 
-std::vector<double> numbers(const TypedEdit& edit, const std::string& text, std::size_t least,
-                            std::size_t most) {
+std::vector<double> numbers(const TypedEdit& edit, const std::string& text, std::size_t min_count,
+                            std::size_t max_count) {
     const std::vector<double> values = parse_list(edit.option, text);
-    if (values.size() < least || values.size() > most) refuse(edit, form_of(edit));
+    if (values.size() < min_count || values.size() > max_count) refuse(edit, get_form(edit));
     for (const double v : values)
         if (std::abs(v) > 1e9) refuse(edit, "numbers below 1e9");
     return values;
@@ -52,21 +55,23 @@ std::vector<double> numbers(const TypedEdit& edit, const std::string& text, std:
 
 /// Converts numbers to a pose. The numbers are x, y and z in metres, and optionally yaw,
 /// pitch and roll in degrees.
-Pose pose_of(const std::vector<double>& v) {
-    const auto radians = [&](std::size_t i) { return i < v.size() ? v[i] * kPi / 180.0 : 0.0; };
-    return {rotation_of(radians(3), radians(4), radians(5)), {v[0], v[1], v[2]}};
+Pose make_pose(const std::vector<double>& values) {
+    const auto radians = [&](std::size_t index) {
+        return index < values.size() ? values[index] * kPi / 180.0 : 0.0;
+    };
+    return {make_rotation(radians(3), radians(4), radians(5)), {values[0], values[1], values[2]}};
 }
 
 /// Parses a position on the ground, "x,y,ground[,yaw_deg]". Returns no value if the third
 /// field is not the word "ground".
-std::optional<GroundPlace> ground_place(const TypedEdit& edit, const std::string& text) {
+std::optional<GroundPlace> parse_ground_place(const TypedEdit& edit, const std::string& text) {
     constexpr std::string_view kWord = ",ground";
     const std::size_t at = text.find(kWord);
     if (at == std::string::npos) return {};
     const std::vector<double> xy = numbers(edit, text.substr(0, at), 2, 2);
     GroundPlace place{{xy[0], xy[1]}};
     const std::string rest = text.substr(at + kWord.size());
-    if (!rest.empty() && rest[0] != ',') refuse(edit, form_of(edit));
+    if (!rest.empty() && rest[0] != ',') refuse(edit, get_form(edit));
     if (!rest.empty()) place.yaw_rad = numbers(edit, rest.substr(1), 1, 1)[0] * kPi / 180.0;
     return place;
 }
@@ -89,15 +94,15 @@ Start start_of(const TypedEdit& edit, const std::string& text, const DrivingScen
         colon == std::string::npos ? 0.0 : numbers(edit, text.substr(colon + 1), 1, 1)[0];
     if (std::abs(speed_mps) > kFarOff_m) refuse(edit, "a speed in m/s");
     const std::string place = text.substr(0, colon);
-    if (std::optional<GroundPlace> ground = ground_place(edit, place)) {
+    if (std::optional<GroundPlace> ground = parse_ground_place(edit, place)) {
         ground->speed_mps = speed_mps;
         ground->clearance_m = actor.clearance_m;
         return start_on_ground({driving.scene, driving.sequence}, *ground,
                                {actor.owner.scene, actor.owner.sequence}, actor.track);
     }
     const std::vector<double> pose = numbers(edit, place, 4, 6);
-    if (pose.size() == 5) refuse(edit, form_of(edit));
-    return {pose_of(pose), speed_mps};
+    if (pose.size() == 5) refuse(edit, get_form(edit));
+    return {make_pose(pose), speed_mps};
 }
 
 /// Describes the height and tilt of an actor that is placed on the ground, because the
@@ -114,7 +119,7 @@ std::string standing(const Start& start, const std::string& typed) {
 
 /// Returns a warning if the actor moves over ground that the log has not observed. The
 /// height of such ground is a guess.
-std::string unseen_ground_note(const Start& start, const std::string& track) {
+std::string describe_unseen_ground(const Start& start, const std::string& track) {
     if (start.unseen_m == 0.0) return "";
     return fmt::format(
         "track {}: the log has not observed the ground below {:.0f} m of its path, so the height there is "
@@ -124,7 +129,7 @@ std::string unseen_ground_note(const Start& start, const std::string& track) {
 
 /// Returns a warning if the log has not observed some sides of an actor. These sides have
 /// no surfels, so rays pass through them.
-std::string unseen_sides_note(const DrivingScene& driving) {
+std::string describe_unseen_sides(const DrivingScene& driving) {
     const Instance& added = driving.scene.instances.back();
     const Model& model = driving.scene.models[added.model];
     const std::string sides = model.seen_sides ? list_unseen_sides(*model.seen_sides) : "";
@@ -142,7 +147,9 @@ std::string join_notes(const std::vector<std::string>& notes) {
     return text;
 }
 
-const std::string& last_track(const DrivingScene& driving) { return driving.scene.instances.back().track; }
+const std::string& get_last_track(const DrivingScene& driving) {
+    return driving.scene.instances.back().track;
+}
 
 AppliedEdit remove_one(DrivingScene driving, const TypedEdit& edit) {
     return {remove_track(std::move(driving), edit.value), "removed " + edit.value, ""};
@@ -150,7 +157,7 @@ AppliedEdit remove_one(DrivingScene driving, const TypedEdit& edit) {
 
 AppliedEdit move(DrivingScene driving, const TypedEdit& edit) {
     const auto [track, offset] = cut(edit, edit.value, edit.value.rfind(':'));
-    return {move_track(std::move(driving), track, pose_of(numbers(edit, offset, 3, 4))), "moved " + track,
+    return {move_track(std::move(driving), track, make_pose(numbers(edit, offset, 3, 4))), "moved " + track,
             ""};
 }
 
@@ -164,11 +171,11 @@ bool is_present_in_any_frame(const DrivingScene& driving, const std::string& tra
 /// Returns a warning if an edit removes an actor from frames of the log, for example
 /// because its motion is delayed.
 /// @param before track of the actor before the edit; null for a new actor
-std::string absence_note(const DrivingScene& driving, const std::string& track, const BoxTrack* before) {
+std::string describe_absence(const DrivingScene& driving, const std::string& track, const BoxTrack* before) {
     if (!is_present_in_any_frame(driving, track))
         return fmt::format(
             "track {} is not visible in any frame, because all its times are outside the log's time", track);
-    return before ? lost_frames_note(*before, driving.sequence) : "";
+    return before ? describe_lost_frames(*before, driving.sequence) : "";
 }
 
 BoxTrack copy_of_box(const DrivingScene& driving, const std::string& track) {
@@ -178,19 +185,19 @@ BoxTrack copy_of_box(const DrivingScene& driving, const std::string& track) {
     return box ? *box : BoxTrack{};
 }
 
-AppliedEdit retime(DrivingScene driving, const TypedEdit& edit) {
+AppliedEdit apply_retime(DrivingScene driving, const TypedEdit& edit) {
     const auto [track, seconds] = cut(edit, edit.value, edit.value.rfind(':'));
     const BoxTrack before = copy_of_box(driving, track);
     driving = retime_track(std::move(driving), track, numbers(edit, seconds, 1, 1)[0]);
-    const std::string note = absence_note(driving, track, &before);
+    const std::string note = describe_absence(driving, track, &before);
     return {std::move(driving), fmt::format("delayed the motion of {} by {} s", track, seconds), note};
 }
 
-AppliedEdit trajectory(DrivingScene driving, const TypedEdit& edit) {
+AppliedEdit apply_trajectory(DrivingScene driving, const TypedEdit& edit) {
     const auto [track, file] = cut(edit, edit.value, edit.value.find(':'));
     const BoxTrack before = copy_of_box(driving, track);
     driving = replace_trajectory(std::move(driving), track, read_trajectory(file));
-    const std::string note = absence_note(driving, track, &before);
+    const std::string note = describe_absence(driving, track, &before);
     return {std::move(driving), fmt::format("{} follows {}", track, file), note};
 }
 
@@ -198,8 +205,9 @@ AppliedEdit copy(DrivingScene driving, const TypedEdit& edit) {
     const auto [track, place] = cut(edit, edit.value, edit.value.rfind('@'));
     const Start start = start_of(edit, place, driving, {driving, track, {}});
     driving = copy_track(std::move(driving), track, start);
-    return {driving, fmt::format("copied {} as {}{}", track, last_track(driving), standing(start, place)),
-            join_notes({unseen_ground_note(start, last_track(driving)), unseen_sides_note(driving)})};
+    return {
+        driving, fmt::format("copied {} as {}{}", track, get_last_track(driving), standing(start, place)),
+        join_notes({describe_unseen_ground(start, get_last_track(driving)), describe_unseen_sides(driving)})};
 }
 
 /// An actor that is inserted from another run or from an asset.
@@ -210,10 +218,10 @@ struct ExternalActor {
 };
 
 /// Loads an actor from a folder. The text is "RUN#TRACK" or "ASSET".
-ExternalActor load_external_actor(const TypedEdit& edit, const std::string& what) {
-    const bool named = what.find('#') != std::string::npos;
+ExternalActor load_external_actor(const TypedEdit& edit, const std::string& description) {
+    const bool named = description.find('#') != std::string::npos;
     const auto [folder, named_track] =
-        named ? cut(edit, what, what.rfind('#')) : std::pair(what, std::string());
+        named ? cut(edit, description, description.rfind('#')) : std::pair(description, std::string());
     Run run = load_run(folder);
     const std::string track = named ? named_track : find_only_track(run);
     DrivingScene owner = run.driving();
@@ -221,7 +229,7 @@ ExternalActor load_external_actor(const TypedEdit& edit, const std::string& what
 }
 
 /// Returns a warning if the actor was recorded with another type of sensor than this run.
-std::string sensor_note(const ExternalActor& actor, const DrivingScene& driving) {
+std::string describe_sensor_of_actor(const ExternalActor& actor, const DrivingScene& driving) {
     const SpinningSensor &actor_sensor = actor.run.sequence.lidars[0].sensor,
                          &run_sensor = driving.sequence.lidars[0].sensor;
     if (actor_sensor.name == run_sensor.name && actor_sensor.beams.size() == run_sensor.beams.size())
@@ -238,15 +246,16 @@ AppliedEdit insert(DrivingScene driving, const TypedEdit& edit) {
     const auto [what, place] = cut(edit, edit.value, edit.value.rfind('@'));
     const ExternalActor actor = load_external_actor(edit, what);
     const Start start =
-        start_of(edit, place, driving, {actor.owner, actor.track, asset_clearance(actor.run)});
-    const std::string sensor = sensor_note(actor, driving);
+        start_of(edit, place, driving, {actor.owner, actor.track, measure_asset_clearance(actor.run)});
+    const std::string sensor = describe_sensor_of_actor(actor, driving);
     driving = insert_track(std::move(driving), actor.owner, actor.track, start);
-    const std::string note =
-        join_notes({sensor, unseen_ground_note(start, last_track(driving)), unseen_sides_note(driving)});
+    const std::string note = join_notes(
+        {sensor, describe_unseen_ground(start, get_last_track(driving)), describe_unseen_sides(driving)});
     const std::string placed = standing(start, place);
-    return {driving,
-            fmt::format("inserted {} of {} as {}{}", actor.track, actor.folder, last_track(driving), placed),
-            note};
+    return {
+        driving,
+        fmt::format("inserted {} of {} as {}{}", actor.track, actor.folder, get_last_track(driving), placed),
+        note};
 }
 
 bool has_track(const DrivingScene& driving, const std::string& track) {
@@ -254,14 +263,14 @@ bool has_track(const DrivingScene& driving, const std::string& track) {
                                [&](const Instance& i) { return !track.empty() && i.track == track; });
 }
 
-glm::dvec3 size_of(const DrivingScene& driving, const std::string& track) {
+glm::dvec3 get_size_of_track(const DrivingScene& driving, const std::string& track) {
     const auto box = std::ranges::find(driving.sequence.boxes, track, &BoxTrack::id);
     return box == driving.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m;
 }
 
 /// Parses "ENTITY=WHAT,ENTITY=WHAT". Each pair says which actor (WHAT) plays an entity of
 /// an OpenSCENARIO file.
-std::map<std::string, std::string> roles_of(const TypedEdit& edit, const std::string& text) {
+std::map<std::string, std::string> parse_roles(const TypedEdit& edit, const std::string& text) {
     std::map<std::string, std::string> roles;
     std::istringstream words(text);
     for (std::string word; std::getline(words, word, ',');) {
@@ -277,38 +286,38 @@ void join_note(std::string& note, const std::string& more) {
 
 /// Moves an actor along the trajectory of an entity of an OpenSCENARIO file. If the run
 /// does not contain the actor, inserts it from another run or an asset.
-void follow(const TypedEdit& edit, const ScenarioEntity& entity, const std::string& what,
+void follow(const TypedEdit& edit, const ScenarioEntity& entity, const std::string& description,
             AppliedEdit& applied) {
     DrivingScene& driving = applied.driving;
-    std::string track = what;
-    const bool is_known = has_track(driving, what);
-    const BoxTrack before = copy_of_box(driving, what);
+    std::string track = description;
+    const bool is_known = has_track(driving, description);
+    const BoxTrack before = copy_of_box(driving, description);
     if (!is_known) {
-        if (what.find('#') == std::string::npos && !std::filesystem::exists(what))
+        if (description.find('#') == std::string::npos && !std::filesystem::exists(description))
             refuse(edit, fmt::format("{}=TRACK (a track of the run), RUN#TRACK (a track of another run) or "
                                      "an asset",
                                      entity.name));
-        const ExternalActor actor = load_external_actor(edit, what);
-        join_note(applied.note, sensor_note(actor, driving));
+        const ExternalActor actor = load_external_actor(edit, description);
+        join_note(applied.note, describe_sensor_of_actor(actor, driving));
         driving = insert_track(std::move(driving), actor.owner, actor.track, {});
-        track = last_track(driving);
+        track = get_last_track(driving);
     }
     const double begin_s = driving.sequence.frames.front().time_s;
-    driving =
-        replace_trajectory(std::move(driving), track, box_track(entity, begin_s, size_of(driving, track)));
+    driving = replace_trajectory(std::move(driving), track,
+                                 make_box_track(entity, begin_s, get_size_of_track(driving, track)));
     applied.said += fmt::format("{}{} follows {} of {}", applied.said.empty() ? "" : "\n", track, entity.name,
                                 edit.value.substr(0, edit.value.find('@')));
-    join_note(applied.note, absence_note(driving, track, is_known ? &before : nullptr));
+    join_note(applied.note, describe_absence(driving, track, is_known ? &before : nullptr));
     if (!entity.ignored.empty())
         join_note(applied.note, fmt::format("the element {} of entity {} is not supported and is ignored",
                                             fmt::join(entity.ignored, ", "), entity.name));
 }
 
-AppliedEdit scenario(DrivingScene driving, const TypedEdit& edit) {
+AppliedEdit apply_scenario(DrivingScene driving, const TypedEdit& edit) {
     const std::size_t at = edit.value.find('@');
     const std::string file = edit.value.substr(0, at);
     std::map<std::string, std::string> roles;
-    if (at != std::string::npos) roles = roles_of(edit, cut(edit, edit.value, at).second);
+    if (at != std::string::npos) roles = parse_roles(edit, cut(edit, edit.value, at).second);
     AppliedEdit applied{std::move(driving), "", ""};
     for (const ScenarioEntity& entity : read_scenario(file)) {
         const auto role = roles.extract(entity.name);
@@ -342,7 +351,7 @@ AppliedEdit keep(DrivingScene driving, const TypedEdit& edit) {
 
 }  // namespace
 
-const std::vector<EditOption>& edit_options() {
+const std::vector<EditOption>& list_edit_options() {
     static const std::vector<EditOption> options{
         {"--remove", "TRACK", "remove an actor; rays then hit the surfaces behind it"},
         {"--move", "TRACK:dx,dy,dz[,yaw_deg]",
@@ -369,9 +378,9 @@ const std::vector<EditOption>& edit_options() {
 AppliedEdit apply(DrivingScene driving, const TypedEdit& edit) {
     using Apply = AppliedEdit (*)(DrivingScene, const TypedEdit&);
     static const std::vector<std::pair<std::string, Apply>> functions{
-        {"--remove", remove_one},     {"--move", move}, {"--retime", retime},
-        {"--trajectory", trajectory}, {"--copy", copy}, {"--insert", insert},
-        {"--scenario", scenario},     {"--keep", keep}};
+        {"--remove", remove_one},           {"--move", move}, {"--retime", apply_retime},
+        {"--trajectory", apply_trajectory}, {"--copy", copy}, {"--insert", insert},
+        {"--scenario", apply_scenario},     {"--keep", keep}};
     const auto function = std::find_if(functions.begin(), functions.end(),
                                        [&](const auto& f) { return f.first == edit.option; });
     try {

@@ -23,7 +23,7 @@ struct EditOption {
     const char* form;
     const char* help;
 };
-const std::vector<EditOption>& edit_options();
+const std::vector<EditOption>& list_edit_options();
 
 /// Result of applying an edit to a scene.
 struct AppliedEdit {

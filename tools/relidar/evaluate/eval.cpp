@@ -46,12 +46,12 @@ struct EvalOptions {
     bool quiet = false;
 };
 
-void apply_options(Config& config, const EvalOptions& options) { apply_sets(config, options.sets); }
+void apply_options(Config& config, const EvalOptions& options) { apply_setting_texts(config, options.sets); }
 
-void check_held_out(const Split& split, const std::string& where) {
+void check_held_out(const Split& split, const std::string& location) {
     if (split.test.empty())
         throw DataError(
-            fmt::format("cannot evaluate {}: it has no held-out frames; expected at least one", where));
+            fmt::format("cannot evaluate {}: it has no held-out frames; expected at least one", location));
 }
 
 /// Output files and folders of the command. The first MPI process checks that they are
@@ -78,30 +78,31 @@ struct Output {
 void write_results(const Output& output, const Evaluation& evaluation, const Config& config,
                    const MetricsOrigin& origin, bool quiet) {
     end_progress_line();
-    if (!output.file.empty()) write_text(output.file, metrics_json(evaluation, config, origin));
+    if (!output.file.empty()) write_text(output.file, make_metrics_json(evaluation, config, origin));
     if (quiet) return;
-    print(metric_table(evaluation, origin.baseline));
+    print(format_metric_table(evaluation, origin.baseline));
     print(fmt::format("\n{} held-out frames", evaluation.frames.size()));
     if (evaluation.trace_ms > 0.0)
         print(fmt::format(", {:.1f} ms of tracing per frame, {:.3f} Mrays/s, {} of device memory",
-                          evaluation.trace_ms, evaluation.mrays_per_s, byte_size(origin.peak_device_bytes)));
-    if (!output.file.empty()) print("\nmetrics  " + absolute_path(output.file.string()));
+                          evaluation.trace_ms, evaluation.mrays_per_s,
+                          format_byte_size(origin.peak_device_bytes)));
+    if (!output.file.empty()) print("\nmetrics  " + make_absolute_path(output.file.string()));
     print("\n");
 }
 
-double seconds_since(std::chrono::steady_clock::time_point start) {
+double measure_seconds_since(std::chrono::steady_clock::time_point start) {
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 
 /// Writes the scores as a web page and opens this page in a browser.
 void open_page(const std::filesystem::path& page, const Report& report, bool quiet) {
     write_report(page, report);
-    if (!quiet) print("page     " + absolute_path(page.string()) + "\n");
-    open_in_browser(absolute_path(page.string()));
+    if (!quiet) print("page     " + make_absolute_path(page.string()) + "\n");
+    open_in_browser(make_absolute_path(page.string()));
 }
 
 /// Returns a note that explains what the scores of an edited run mean.
-std::string edit_note(const Run& run) {
+std::string describe_edits(const Run& run) {
     if (run.edits.empty()) return "";
     if (is_recastable(run))
         return "note: the synthetic street was rendered again with the run's edits and without noise; "
@@ -114,7 +115,7 @@ std::string edit_note(const Run& run) {
 /// @param before exact scan of the street without the edit
 void add_edited_scores(ScoredFrame& frame, const Config& config, const Scan& before) {
     frame.metrics.merge(evaluate_regions(frame.rendered.image, frame.real,
-                                         {edited_region(frame.real, real_image(config, before))}));
+                                         {find_edited_region(frame.real, make_real_image(config, before))}));
 }
 
 /// Keeps only the frames that this process scores. The other MPI processes score the
@@ -130,19 +131,19 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
     // command writes metrics.json there.
     std::optional<FolderLock> lock;
     if (ranks.is_first() && options.out.empty() && is_run(options.target)) lock.emplace(options.target);
-    std::vector<std::string> used = rendering_settings();
+    std::vector<std::string> used = list_rendering_settings();
     used.insert(used.end(), {"dataset."});
     check_sets(options.sets, used, "eval");
     Run run = load_run(options.target);
     apply_options(run.config, options);
-    run.config = with_farthest(std::move(run.config), run.sequence);
+    run.config = use_farthest_return(std::move(run.config), run.sequence);
     if (options.no_refine) run.config.refine.enabled = false;
     const Output output(
         options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out),
         options.pictures, ranks);
     check_held_out(run.split, run.folder.string());
     keep_rank_share(run.split.test, ranks);
-    Device device(device_options(options.device));
+    Device device(make_device_options(options.device));
     const Sequence log = load_dataset(run.config, options.quiet);
     std::vector<Scan> before;
     if (is_recastable(run)) before = attach_recast(run);
@@ -167,10 +168,10 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
         evaluate_frames(renderer, run.config, run.sequence, run.split.test, stop_on_interrupt(progress), see),
         ranks);
     if (!ranks.is_first()) return;
-    if (!options.quiet) print(edit_note(run));
+    if (!options.quiet) print(describe_edits(run));
     write_results(output, evaluation, run.config,
-                  {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(),
-                   seconds_since(start), baseline ? &*baseline : nullptr},
+                  {make_absolute_path(run.folder.string()), device.info().name, device.peak_bytes(),
+                   measure_seconds_since(start), baseline ? &*baseline : nullptr},
                   options.quiet);
     if (!options.open) return;
     const Report report = make_evaluation_report(run, evaluation, device, command_line);
@@ -189,13 +190,13 @@ void score_log(const EvalOptions& options, const Ranks& ranks) {
     check_sets(options.sets, kBaselineSettings, "eval LOG --baseline");
     Config config = make_preset("default");
     apply_options(config, options);
-    config.dataset.path = absolute_dataset(options.target);
+    config.dataset.path = make_dataset_absolute(options.target);
     apply_log_part(config, options.part);
     const Output output(options.out, options.pictures, ranks);
     const Sequence log = load_dataset(config, options.quiet);
     if (!options.quiet)
         for (const std::string& text : log.notes) note(text);
-    config = with_farthest(std::move(config), log);
+    config = use_farthest_return(std::move(config), log);
     Split split = split_frames(log, config.dataset.test_every, config.dataset.test_frames);
     check_held_out(split, options.target);
     keep_rank_share(split.test, ranks);
@@ -207,7 +208,8 @@ void score_log(const EvalOptions& options, const Ranks& ranks) {
     const Evaluation evaluation = joined(
         evaluate_baseline(options.baseline, config, log, split, stop_on_interrupt(progress), see), ranks);
     if (ranks.is_first())
-        write_results(output, evaluation, config, {"", "none", 0, seconds_since(start)}, options.quiet);
+        write_results(output, evaluation, config, {"", "none", 0, measure_seconds_since(start)},
+                      options.quiet);
 }
 
 void run_eval(const EvalOptions& typed_options, const std::string& command_line) {
@@ -217,7 +219,7 @@ void run_eval(const EvalOptions& typed_options, const std::string& command_line)
     if (!options.tables.empty()) {
         if (ranks.is_first()) write_score_tables(options.targets, options.tables);
         if (!options.quiet)
-            for (const std::string& file : options.tables) print("table  " + absolute_path(file) + "\n");
+            for (const std::string& file : options.tables) print("table  " + make_absolute_path(file) + "\n");
         return;
     }
     if (options.targets.size() > 1)

@@ -20,24 +20,24 @@ relidar::Progress stop_on_interrupt(Progress& progress);
 
 /// Returns the five most important scores for the terminal, one per line. A missing score
 /// is left out.
-std::string score_summary(const Evaluation& evaluation);
+std::string format_score_summary(const Evaluation& evaluation);
 /// Returns a table of the 20 moving boxes with the worst scores. The first row contains
 /// the column titles.
-std::vector<std::vector<std::string>> actor_rows(const Evaluation& evaluation);
+std::vector<std::vector<std::string>> make_actor_rows(const Evaluation& evaluation);
 /// Returns tables of all metrics for the terminal. They show the mean, minimum and
 /// maximum over the frames, the errors by region, and the meaning of each metric.
 /// @param baseline scores of a baseline, whose means are shown too; may be null
-std::string metric_table(const Evaluation& evaluation, const Evaluation* baseline = nullptr);
+std::string format_metric_table(const Evaluation& evaluation, const Evaluation* baseline = nullptr);
 
 /// Combines the scores of all MPI processes in the first process.
 /// @return in the first process, the scores of all frames; frames of other processes have
-/// no images. In the other processes, `mine`
-Evaluation joined(const Evaluation& mine, const Ranks& ranks);
+/// no images. In the other processes, `local`
+Evaluation joined(const Evaluation& local, const Ranks& ranks);
 
 /// Returns the scored frames as JSON objects. Each object contains the frame number,
 /// LiDAR, time, number of rays, render time, metrics, and the scores of each moving box.
 /// The program writes them into metrics.json and sends them between MPI processes.
-nlohmann::ordered_json frames_json(const Evaluation& evaluation);
+nlohmann::ordered_json make_frames_json(const Evaluation& evaluation);
 
 /// Says how the scores were computed. metrics.json contains these values in addition to
 /// the scores.
@@ -50,6 +50,7 @@ struct MetricsOrigin {
 };
 /// Returns the text of the file metrics.json. It contains the scores of each frame, their
 /// means, the evaluation protocol, timings, device and memory.
-std::string metrics_json(const Evaluation& evaluation, const Config& config, const MetricsOrigin& origin);
+std::string make_metrics_json(const Evaluation& evaluation, const Config& config,
+                              const MetricsOrigin& origin);
 
 }  // namespace relidar::cli

@@ -50,8 +50,8 @@ constexpr const char* kActors =
 constexpr const char* kColumns[] = {"pixels",      "returned",     "depth_medae_m",
                                     "depth_mae_m", "depth_rmse_m", "intensity_rmse"};
 
-Json protocol_json(const Config& config) {
-    const std::string lpips = lpips_weights_file();
+Json make_protocol_json(const Config& config) {
+    const std::string lpips = find_lpips_weights();
     return {
         {"frames", "held out of training; mean over frames, metric by metric, over the frames that have it"},
         {"grid", config.sensor.grid},
@@ -72,14 +72,14 @@ Json protocol_json(const Config& config) {
         {"drop_threshold", {{"peer", 0.4}, {"strict", 0.5}, {"regions", 0.5}}}};
 }
 
-bool of_protocol(const std::string& name) {
+bool is_of_protocol(const std::string& name) {
     return name.starts_with("peer/") || name.starts_with("strict/") || name.starts_with("points/") ||
            name.starts_with("actors/");
 }
 
 /// Returns the minimum and the maximum of a metric over all frames. Frames without this
 /// metric are skipped.
-std::pair<double, double> spread_of(const Evaluation& evaluation, const std::string& name) {
+std::pair<double, double> find_spread(const Evaluation& evaluation, const std::string& name) {
     double low = evaluation.mean.at(name), high = low;
     for (const ScoredFrame& frame : evaluation.frames) {
         const auto it = frame.metrics.find(name);
@@ -90,49 +90,49 @@ std::pair<double, double> spread_of(const Evaluation& evaluation, const std::str
     return {low, high};
 }
 
-Json actors_json(const std::vector<ActorScore>& actors) {
+Json make_actors_json(const std::vector<ActorScore>& actors) {
     Json json = Json::array();
     for (const ActorScore& actor : actors)
         json.push_back({{"track", actor.track}, {"class", actor.category}, {"metrics", actor.metrics}});
     return json;
 }
 
-std::string cell(const MetricRow& row, const std::string& name) {
+std::string format_cell(const MetricRow& row, const std::string& name) {
     return row.contains(name) ? number(row.at(name)) : "-";
 }
 
-Rows protocol_rows(const Evaluation& evaluation, const Evaluation* baseline) {
+Rows make_protocol_rows(const Evaluation& evaluation, const Evaluation* baseline) {
     const bool spread = evaluation.frames.size() > 1;
     Rows rows{{"metric", spread ? "mean" : "value"}};
     if (spread) rows.back().insert(rows.back().end(), {"lowest", "highest"});
     if (baseline) rows.back().push_back(baseline->title);
     for (const auto& [name, mean_value] : evaluation.mean) {
-        if (!of_protocol(name)) continue;
+        if (!is_of_protocol(name)) continue;
         rows.push_back({name, number(mean_value)});
-        const auto [low, high] = spread_of(evaluation, name);
+        const auto [low, high] = find_spread(evaluation, name);
         if (spread) rows.back().insert(rows.back().end(), {number(low), number(high)});
-        if (baseline) rows.back().push_back(cell(baseline->mean, name));
+        if (baseline) rows.back().push_back(format_cell(baseline->mean, name));
     }
     return rows;
 }
 
-Rows region_rows(const Evaluation& evaluation) {
+Rows make_region_rows(const Evaluation& evaluation) {
     Rows rows{{evaluation.title + ", by region"}};
     for (const char* column : kColumns) rows.back().emplace_back(column);
     std::set<std::string> regions;
     for (const auto& [name, value] : evaluation.mean)
-        if (!of_protocol(name)) regions.insert(name.substr(0, name.find('/')));
+        if (!is_of_protocol(name)) regions.insert(name.substr(0, name.find('/')));
     for (const std::string& region : regions) {
         rows.push_back({region});
         for (const char* column : kColumns)
-            rows.back().push_back(cell(evaluation.mean, region + "/" + column));
+            rows.back().push_back(format_cell(evaluation.mean, region + "/" + column));
     }
     return rows;
 }
 
 }  // namespace
 
-std::vector<std::vector<std::string>> actor_rows(const Evaluation& evaluation) {
+std::vector<std::vector<std::string>> make_actor_rows(const Evaluation& evaluation) {
     constexpr std::size_t kMost = 20;
     const auto number_in = [](const MetricRow& row, const char* name, int digits) {
         const auto it = row.find(name);
@@ -152,13 +152,13 @@ std::vector<std::vector<std::string>> actor_rows(const Evaluation& evaluation) {
 }
 
 relidar::Progress stop_on_interrupt(Progress& progress) {
-    return [show = make_progress(progress)](std::string_view what, double done) {
+    return [show = make_progress(progress)](std::string_view description, double done) {
         stop_if_interrupted();
-        show(what, done);
+        show(description, done);
     };
 }
 
-std::string score_summary(const Evaluation& evaluation) {
+std::string format_score_summary(const Evaluation& evaluation) {
     struct Score {
         const char* name;
         const char* label;
@@ -179,8 +179,8 @@ std::string score_summary(const Evaluation& evaluation) {
     return text;
 }
 
-std::string metric_table(const Evaluation& evaluation, const Evaluation* baseline) {
-    Rows rows = protocol_rows(evaluation, baseline);
+std::string format_metric_table(const Evaluation& evaluation, const Evaluation* baseline) {
+    Rows rows = make_protocol_rows(evaluation, baseline);
     const bool lpips = std::any_of(evaluation.mean.begin(), evaluation.mean.end(),
                                    [](const auto& metric) { return metric.first.ends_with("_lpips"); });
     if (!lpips)
@@ -188,14 +188,15 @@ std::string metric_table(const Evaluation& evaluation, const Evaluation* baselin
             rows.push_back({name, "no weights"});
             rows.back().resize(rows.front().size());
         }
-    std::string text = score_summary(evaluation) + "\n" + table(rows) + "\n" + table(region_rows(evaluation));
-    if (baseline) text += "\n" + table(region_rows(*baseline));
-    if (const Rows actors = actor_rows(evaluation); actors.size() > 1) text += "\n" + table(actors);
+    std::string text =
+        format_score_summary(evaluation) + "\n" + table(rows) + "\n" + table(make_region_rows(evaluation));
+    if (baseline) text += "\n" + table(make_region_rows(*baseline));
+    if (const Rows actors = make_actor_rows(evaluation); actors.size() > 1) text += "\n" + table(actors);
     return text + fmt::format("\npeer     {}\nstrict   {}\npoints   {}\nregions  {}\nactors   {}\n", kPeer,
                               kStrict, kPoints, kRegions, kActors);
 }
 
-Json frames_json(const Evaluation& evaluation) {
+Json make_frames_json(const Evaluation& evaluation) {
     Json frames = Json::array();
     for (const ScoredFrame& f : evaluation.frames)
         frames.push_back({{"frame", f.frame},
@@ -204,21 +205,22 @@ Json frames_json(const Evaluation& evaluation) {
                           {"n_rays", f.n_rays},
                           {"trace_ms", f.rendered.trace_ms},
                           {"metrics", f.metrics},
-                          {"actors", actors_json(f.actors)}});
+                          {"actors", make_actors_json(f.actors)}});
     return frames;
 }
 
-std::string metrics_json(const Evaluation& evaluation, const Config& config, const MetricsOrigin& origin) {
+std::string make_metrics_json(const Evaluation& evaluation, const Config& config,
+                              const MetricsOrigin& origin) {
     Json json = {{"format", "relidar metrics"},
                  {"version", 1},
                  {"relidar", RELIDAR_VERSION},
                  {"scored", evaluation.title},
                  {"run", origin.run},
                  {"dataset", config.dataset.path},
-                 {"protocol", protocol_json(config)},
+                 {"protocol", make_protocol_json(config)},
                  {"mean", evaluation.mean},
-                 {"actors", actors_json(evaluation.actors)},
-                 {"frames", frames_json(evaluation)},
+                 {"actors", make_actors_json(evaluation.actors)},
+                 {"frames", make_frames_json(evaluation)},
                  {"timings",
                   {{"kernel_ms", evaluation.kernel_ms},
                    {"trace_ms", evaluation.trace_ms},
@@ -229,7 +231,7 @@ std::string metrics_json(const Evaluation& evaluation, const Config& config, con
     if (origin.baseline)
         json["baseline"] = {{"scored", origin.baseline->title},
                             {"mean", origin.baseline->mean},
-                            {"frames", frames_json(*origin.baseline)}};
+                            {"frames", make_frames_json(*origin.baseline)}};
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 

@@ -30,15 +30,15 @@ void add_frames(std::vector<ScoredFrame>& frames, const std::string& text) {
 
 }  // namespace
 
-Evaluation joined(const Evaluation& mine, const Ranks& ranks) {
-    if (ranks.size() == 1) return mine;
-    const std::vector<std::string> all = ranks.gather(frames_json(mine).dump());
-    if (!ranks.is_first()) return mine;
-    std::vector<ScoredFrame> frames = mine.frames;
+Evaluation joined(const Evaluation& local, const Ranks& ranks) {
+    if (ranks.size() == 1) return local;
+    const std::vector<std::string> all = ranks.gather(make_frames_json(local).dump());
+    if (!ranks.is_first()) return local;
+    std::vector<ScoredFrame> frames = local.frames;
     for (std::size_t r = 1; r < all.size(); ++r) add_frames(frames, all[r]);
     Evaluation evaluation = summarise(std::move(frames), {});
-    evaluation.title = mine.title;
-    evaluation.kernel_ms = mine.kernel_ms;
+    evaluation.title = local.title;
+    evaluation.kernel_ms = local.kernel_ms;
     return evaluation;
 }
 

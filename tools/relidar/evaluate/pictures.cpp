@@ -18,52 +18,53 @@ namespace {
 constexpr float kRangeErrorScale_m = 1.0f;
 constexpr float kIntensityErrorScale = 0.3f;
 
-std::vector<float> both(std::vector<float> a, const std::vector<float>& b) {
-    for (std::size_t i = 0; i < a.size(); ++i) a[i] *= b[i];
-    return a;
+std::vector<float> combine_values(std::vector<float> first, const std::vector<float>& second) {
+    for (std::size_t i = 0; i < first.size(); ++i) first[i] *= second[i];
+    return first;
 }
 
-std::vector<float> distance(const std::vector<float>& a, const std::vector<float>& b) {
-    std::vector<float> result(a.size());
-    for (std::size_t i = 0; i < a.size(); ++i) result[i] = std::abs(a[i] - b[i]);
+std::vector<float> distance(const std::vector<float>& first, const std::vector<float>& second) {
+    std::vector<float> result(first.size());
+    for (std::size_t i = 0; i < first.size(); ++i) result[i] = std::abs(first[i] - second[i]);
     return result;
 }
 
 }  // namespace
 
-std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std::string& title,
-                                             const std::string& real_caption, double max_range_m) {
+std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, const std::string& title,
+                                                  const std::string& real_caption, double max_range_m) {
     const RangeImage& real = frame.real;
     const RangeImage& rendered = frame.rendered.image;
-    const std::vector<float> mask = both(returned_pixels(real), returned_pixels(rendered));
-    const auto error = [&](const std::vector<float>& a, const std::vector<float>& b, float scale,
+    const std::vector<float> mask =
+        combine_values(select_returned_pixels(real), select_returned_pixels(rendered));
+    const auto error = [&](const std::vector<float>& first, const std::vector<float>& second, float scale,
                            const std::vector<float>& shown) {
-        return colour_map(distance(a, b), real.rows, real.columns, 0.0f, scale, "heat", shown);
+        return apply_colour_map(distance(first, second), real.rows, real.columns, 0.0f, scale, "heat", shown);
     };
-    ReportFigure drops{title + ": ray drop", {{real_caption + ", white: dropped", drop_picture(real)}}};
+    ReportFigure drops{title + ": ray drop", {{real_caption + ", white: dropped", draw_drop_picture(real)}}};
     if (const auto* of_surfels = find_values<float>(frame.rendered.channels, "surfel_drop_prob")) {
         RangeImage surfels = rendered;
         surfels.drop_prob = *of_surfels;
-        drops.images.emplace_back("drop probability of the surfels", drop_picture(surfels));
+        drops.images.emplace_back("drop probability of the surfels", draw_drop_picture(surfels));
         drops.images.emplace_back("its absolute error", error(real.drop_prob, surfels.drop_prob, 1.0f, {}));
         drops.images.emplace_back("rendered drop probability, corrected by the network",
-                                  drop_picture(rendered));
+                                  draw_drop_picture(rendered));
     } else {
-        drops.images.emplace_back("rendered drop probability", drop_picture(rendered));
+        drops.images.emplace_back("rendered drop probability", draw_drop_picture(rendered));
     }
     drops.images.emplace_back("absolute error, black 0 to white 1",
                               error(real.drop_prob, rendered.drop_prob, 1.0f, {}));
     std::vector<ReportFigure> figures = {
         {title + ": range",
-         {{real_caption, range_picture(real, max_range_m)},
-          {"rendered", range_picture(rendered, max_range_m)},
+         {{real_caption, draw_range_picture(real, max_range_m)},
+          {"rendered", draw_range_picture(rendered, max_range_m)},
           {fmt::format("absolute error where both return, black 0 to white {} m", kRangeErrorScale_m),
            error(real.range_m, rendered.range_m, kRangeErrorScale_m, mask)}}}};
     if (has_intensities(real))
         figures.push_back(
             {title + ": intensity",
-             {{real_caption, intensity_picture(real)},
-              {"rendered", intensity_picture(rendered)},
+             {{real_caption, draw_intensity_picture(real)},
+              {"rendered", draw_intensity_picture(rendered)},
               {fmt::format("absolute error where both return, black 0 to white {}", kIntensityErrorScale),
                error(real.intensity, rendered.intensity, kIntensityErrorScale, mask)}}});
     figures.push_back(std::move(drops));
@@ -71,24 +72,25 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
 }
 
 void write_strips(const std::filesystem::path& folder, const ScoredFrame& frame, double max_range_m) {
-    // File names in the same order as the figures that comparison_figures() returns.
+    // File names in the same order as the figures that make_comparison_figures() returns.
     std::vector<const char*> names = {"range", "intensity", "drop"};
     if (!has_intensities(frame.real)) names.erase(names.begin() + 1);
-    const std::vector<ReportFigure> figures = comparison_figures(frame, "", "real", max_range_m);
+    const std::vector<ReportFigure> figures = make_comparison_figures(frame, "", "real", max_range_m);
     for (std::size_t k = 0; k < figures.size(); ++k) {
         std::vector<Image> strip;
         for (const auto& [caption, image] : figures[k].images) strip.push_back(image);
         write_png(folder / fmt::format("{}_{:06}.png", names[k], frame.frame),
-                  stack(strip, picture_stretch(frame.real)));
+                  stack_images(strip, compute_picture_stretch(frame.real)));
     }
 }
 
-Image range_pair(const ScoredFrame& frame, double max_range_m) {
-    return stack({range_picture(frame.real, max_range_m), range_picture(frame.rendered.image, max_range_m)},
-                 picture_stretch(frame.real));
+Image draw_range_pair(const ScoredFrame& frame, double max_range_m) {
+    return stack_images(
+        {draw_range_picture(frame.real, max_range_m), draw_range_picture(frame.rendered.image, max_range_m)},
+        compute_picture_stretch(frame.real));
 }
 
-Image ray_picture(const RayTable& rays) {
+Image draw_ray_picture(const RayTable& rays) {
     constexpr double kSector_rad = 20.0 * kPi / 180.0, kMargin_rad = 0.5 * kPi / 180.0;
     constexpr int kWidth = 1200, kDot = 2;
     std::vector<glm::dvec2> angle;  // Azimuth and elevation of each ray.
@@ -115,8 +117,8 @@ Image ray_picture(const RayTable& rays) {
     float earliest = first == seconds.end() ? 0.0f : *first, latest = earliest;
     for (const float value : seconds)
         if (drawn(value)) earliest = std::min(earliest, value), latest = std::max(latest, value);
-    return colour_map(seconds, rows, kWidth, earliest, std::max(latest, std::nextafter(earliest, 1e30f)),
-                      "turbo");
+    return apply_colour_map(seconds, rows, kWidth, earliest,
+                            std::max(latest, std::nextafter(earliest, 1e30f)), "turbo");
 }
 
 }  // namespace relidar::cli

@@ -22,8 +22,8 @@ namespace relidar::cli {
 /// figure is left out.
 /// @param title text before the name of each figure
 /// @param real caption of the real images
-std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std::string& title,
-                                             const std::string& real, double max_range_m);
+std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, const std::string& title,
+                                                  const std::string& real, double max_range_m);
 
 /// Writes pictures of a frame as FOLDER/{range,intensity,drop}_000123.png. Each picture
 /// shows the real image, the rendered image and the error, from top to bottom. If the log
@@ -31,12 +31,12 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
 void write_strips(const std::filesystem::path& folder, const ScoredFrame& frame, double max_range_m);
 
 /// Draws the rendered range image below the real range image.
-Image range_pair(const ScoredFrame& frame, double max_range_m);
+Image draw_range_pair(const ScoredFrame& frame, double max_range_m);
 
 /// Draws the ray pattern of a sensor. Each ray is a dot whose colour shows its firing
 /// time. Azimuth increases to the right as seen from the sensor, and elevation increases
 /// upwards. If the sensor covers all azimuths, the picture shows only the 40 degrees
 /// ahead.
-Image ray_picture(const RayTable& rays);
+Image draw_ray_picture(const RayTable& rays);
 
 }  // namespace relidar::cli

@@ -14,7 +14,7 @@ namespace relidar::cli {
 ReportView compare_points(const ScoredFrame& frame, const Config& config, const std::string& title,
                           const std::string& real_name) {
     const RangeImage &rendered = frame.rendered.image, &real = frame.real;
-    const std::vector<float>& range_m = point_ranges(frame.rendered, config);
+    const std::vector<float>& range_m = select_point_ranges(frame.rendered, config);
     FiringPoses sensor(frame.rendered, inverse(frame.rendered.world_from_sensor));
     ReportCloud measured{real_name, {}, {}, {}}, simulated{"simulated", {}, {}, {}};
     for (std::size_t i = 0; i < range_m.size(); ++i) {
@@ -35,7 +35,7 @@ ReportView compare_points(const ScoredFrame& frame, const Config& config, const 
     return {title, {std::move(measured), std::move(simulated)}};
 }
 
-ReportBars errors_by_range(const Evaluation& evaluation, const std::string& title) {
+ReportBars make_errors_by_range(const Evaluation& evaluation, const std::string& title) {
     ReportBars bars{
         title,
         "Share of all rays that return in the real scan. Missed: the simulated ray does not return.",
@@ -82,7 +82,7 @@ std::vector<ReportKeyMetric> key_metrics() {
          "peak signal to noise, dropped rays as 0 m; more is better"}};
 }
 
-std::string how_good(const MetricRow& mean) {
+std::string describe_quality(const MetricRow& mean) {
     const auto error = mean.find("strict/depth_medae_m"), drops = mean.find("strict/drop_accuracy");
     if (error == mean.end() || drops == mean.end()) return "";
     return fmt::format(

@@ -25,7 +25,7 @@ ReportView compare_points(const ScoredFrame& frame, const Config& config, const 
 
 /// Creates a bar chart of the range errors. Each bar shows the shares of rays with small
 /// and large errors, for one interval of the real range.
-ReportBars errors_by_range(const Evaluation& evaluation, const std::string& title);
+ReportBars make_errors_by_range(const Evaluation& evaluation, const std::string& title);
 
 /// Returns the most important metrics with their explanations.
 std::vector<ReportKeyMetric> key_metrics();
@@ -33,6 +33,6 @@ std::vector<ReportKeyMetric> key_metrics();
 /// Returns a sentence about the quality of a run. Example: "half of all ranges are within
 /// 2.1 cm of the real ones, and 97.3 % of all rays return or drop as they did". The text
 /// is empty if the metrics are missing.
-std::string how_good(const MetricRow& mean);
+std::string describe_quality(const MetricRow& mean);
 
 }  // namespace relidar::cli

@@ -13,9 +13,11 @@
 namespace relidar::cli {
 namespace {
 
-std::string frame_count(std::size_t n) { return fmt::format("{} frame{}", n, n == 1 ? "" : "s"); }
+std::string format_frame_count(std::size_t count) {
+    return fmt::format("{} frame{}", count, count == 1 ? "" : "s");
+}
 
-std::vector<ReportCurve> loss_curves(const TrainResult& result) {
+std::vector<ReportCurve> make_loss_curves(const TrainResult& result) {
     std::vector<ReportCurve> curves{{"loss/total", {}, {}}};
     for (const char* name : kLossTermNames) curves.push_back({std::string("loss/") + name, {}, {}});
     std::vector<bool> used(curves.size(), false);
@@ -43,8 +45,8 @@ Report make_report(const Run& run, const TrainResult& result, const Device& devi
     Report report;
     report.title = "relidar: " + run.sequence.name;
     report.summary = fmt::format("{} of a {} x {} LiDAR became {} surfels in {} of training.",
-                                 frame_count(run.split.train.size()), sensor.beams.size(), sensor.columns,
-                                 count_surfels(run.scene), duration(result.train_s));
+                                 format_frame_count(run.split.train.size()), sensor.beams.size(),
+                                 sensor.columns, count_surfels(run.scene), format_duration(result.train_s));
     report.facts = {{"Command", command_line},
                     {"Log", run.sequence.source},
                     {"Preset", run.config.preset},
@@ -54,19 +56,19 @@ Report make_report(const Run& run, const TrainResult& result, const Device& devi
                     {"Range", run.config.render.range},
                     {"Surfels", fmt::format("{}", count_surfels(run.scene))},
                     {"Iterations", fmt::format("{} of {}", done, run.config.train.iterations)},
-                    {"Initialisation", duration(result.initialise_s)},
-                    {"Training", fmt::format("{} ({:.2f} iterations/s)", duration(result.train_s),
+                    {"Initialisation", format_duration(result.initialise_s)},
+                    {"Training", fmt::format("{} ({:.2f} iterations/s)", format_duration(result.train_s),
                                              result.train_s > 0.0 ? done / result.train_s : 0.0)},
                     {"Device", device.info().name},
                     {"Driver", device.info().driver},
                     {"Traversal", device.traversal() == Traversal::software ? "software" : "ray query"},
-                    {"Peak device memory", byte_size(result.peak_device_bytes)},
+                    {"Peak device memory", format_byte_size(result.peak_device_bytes)},
                     {"relidar", RELIDAR_VERSION}};
-    if (const std::vector<BoxTrack> masked = masked_boxes(run.scene, run.sequence, run.config.init);
+    if (const std::vector<BoxTrack> masked = find_masked_boxes(run.scene, run.sequence, run.config.init);
         !masked.empty())
         report.facts.emplace_back("Moving boxes masked out", list_boxes(masked));
-    report.curves = loss_curves(result);
-    if (const MetricRow times = mean_times(result.times); !times.empty())
+    report.curves = make_loss_curves(result);
+    if (const MetricRow times = compute_mean_times(result.times); !times.empty())
         report.timings_ms.emplace_back("Training: mean of one launch", times);
     return report;
 }
@@ -87,15 +89,15 @@ Report make_evaluation_report(const Run& run, const Evaluation& evaluation, cons
 void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run,
                     const EvaluationTitle& title) {
     if (evaluation.frames.empty()) return;
-    if (const std::string good = how_good(evaluation.mean);
+    if (const std::string good = describe_quality(evaluation.mean);
         report.metrics.empty() && !good.empty() && report.summary.ends_with('.')) {
         report.summary.pop_back();
         report.summary += fmt::format("; on {} that were not used for training, {}.",
-                                      frame_count(evaluation.frames.size()), good);
+                                      format_frame_count(evaluation.frames.size()), good);
     }
     report.key_metrics = key_metrics();
-    report.metrics.emplace_back(fmt::format("{} ({})", title.column, frame_count(evaluation.frames.size())),
-                                evaluation.mean);
+    report.metrics.emplace_back(
+        fmt::format("{} ({})", title.column, format_frame_count(evaluation.frames.size())), evaluation.mean);
     report.facts.emplace_back(fmt::format("Rendering, {}", title.column),
                               fmt::format("{:.1f} ms per frame", evaluation.trace_ms));
     if (!evaluation.kernel_ms.empty())
@@ -104,13 +106,14 @@ void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run
     const ScoredFrame& shown = evaluation.frames[evaluation.frames.size() / 2];
     const std::string name = fmt::format("Frame {}, {}", shown.frame, title.column);
     report.views.push_back(compare_points(shown, run.config, name + ": points", title.real));
-    report.bars.push_back(errors_by_range(evaluation, fmt::format("Errors by range, {}", title.column)));
+    report.bars.push_back(make_errors_by_range(evaluation, fmt::format("Errors by range, {}", title.column)));
     report.tables.push_back({fmt::format("Moving objects, {}", title.column),
                              "Points of all frames in each moving box, the highest share of errors above "
                              "0.3 m first. Bias: median of simulated minus real ranges. F1: rays that "
                              "return from the box. Tail: points where the object is at another time.",
-                             actor_rows(evaluation)});
-    for (ReportFigure& figure : comparison_figures(shown, name, title.real, run.config.dataset.max_range_m))
+                             make_actor_rows(evaluation)});
+    for (ReportFigure& figure :
+         make_comparison_figures(shown, name, title.real, run.config.dataset.max_range_m))
         report.figures.push_back(std::move(figure));
 }
 

@@ -35,7 +35,7 @@ struct ScoredRun {
 
 ScoredRun read_scores(const std::string& path) {
     const fs::path folder = path;
-    if (!holds_run(folder))
+    if (!contains_run(folder))
         throw DataError(
             fmt::format("{} is not a run folder; expected a folder that `relidar train` has written", path));
     ScoredRun run;
@@ -53,7 +53,7 @@ ScoredRun read_scores(const std::string& path) {
     return run;
 }
 
-std::vector<MetricRow> scored_rows(const std::vector<ScoredRun>& runs) {
+std::vector<MetricRow> make_scored_rows(const std::vector<ScoredRun>& runs) {
     std::vector<MetricRow> rows;
     for (const ScoredRun& run : runs)
         if (!run.mean.empty()) rows.push_back(run.mean);
@@ -63,7 +63,7 @@ std::vector<MetricRow> scored_rows(const std::vector<ScoredRun>& runs) {
 /// Returns the names of the protocol settings that differ between the runs, such as
 /// "grid, range". The table warns about them, because scores of different protocols are
 /// not comparable.
-std::string protocol_differences(const std::vector<ScoredRun>& runs) {
+std::string describe_protocol_differences(const std::vector<ScoredRun>& runs) {
     std::set<std::string> keys;
     const ScoredRun* first = nullptr;
     for (const ScoredRun& run : runs) {
@@ -75,8 +75,8 @@ std::string protocol_differences(const std::vector<ScoredRun>& runs) {
     return fmt::format("{}", fmt::join(keys, ", "));
 }
 
-std::string protocol_note(const std::vector<ScoredRun>& runs) {
-    const std::string keys = protocol_differences(runs);
+std::string make_protocol_note(const std::vector<ScoredRun>& runs) {
+    const std::string keys = describe_protocol_differences(runs);
     return keys.empty()
                ? ""
                : fmt::format("Compare the runs with care, because their protocols differ in {}.", keys);
@@ -84,60 +84,60 @@ std::string protocol_note(const std::vector<ScoredRun>& runs) {
 
 /// Returns the names of the most important metrics for which at least one run has a
 /// value.
-std::vector<std::string> table_metrics(const MetricRow& mean) {
+std::vector<std::string> list_table_metrics(const MetricRow& mean) {
     std::vector<std::string> names;
     for (const ReportKeyMetric& key : key_metrics())
         if (mean.contains(key.metric)) names.push_back(key.metric);
     return names;
 }
 
-std::string markdown_line(const Cells& cells) {
+std::string format_markdown_line(const Cells& cells) {
     std::string line = "|";
     for (std::string cell : cells) {
         for (std::size_t at = 0; (at = cell.find('|', at)) != std::string::npos; at += 2)
             cell.insert(at, "\\");
-        line += " " + one_line(cell) + " |";
+        line += " " + join_lines(cell) + " |";
     }
     return line + "\n";
 }
 
-std::string markdown(const std::vector<ScoredRun>& runs) {
-    const std::vector<MetricRow> rows = scored_rows(runs);
+std::string format_markdown(const std::vector<ScoredRun>& runs) {
+    const std::vector<MetricRow> rows = make_scored_rows(runs);
     const MetricRow mean_row = mean(rows);
-    const std::vector<std::string> metrics = table_metrics(mean_row);
+    const std::vector<std::string> metrics = list_table_metrics(mean_row);
     const auto line = [&](Cells cells, const MetricRow& values) {
         for (const std::string& name : metrics)
             cells.push_back(values.contains(name) ? number(values.at(name)) : "-");
-        return markdown_line(cells);
+        return format_markdown_line(cells);
     };
     Cells head{"run", "log", "held-out frames", "training s"}, rule{"---", "---", "--:", "--:"};
     head.insert(head.end(), metrics.begin(), metrics.end());
     rule.resize(head.size(), "--:");
-    std::string text = markdown_line(head) + markdown_line(rule);
+    std::string text = format_markdown_line(head) + format_markdown_line(rule);
     for (const ScoredRun& run : runs)
         text += run.mean.empty()
                     ? line({run.name, "no scores", "-", number(run.training_s)}, {})
                     : line({run.name, run.log, fmt::format("{}", run.n_frames), number(run.training_s)},
                            run.mean);
     if (rows.size() > 1) text += line({fmt::format("mean of {} runs", rows.size()), "", "", ""}, mean_row);
-    const std::string note = protocol_note(runs);
+    const std::string note = make_protocol_note(runs);
     return note.empty() ? text : text + "\n" + note + "\n";
 }
 
-std::string csv_text(const std::string& text) {
+std::string quote_csv_text(const std::string& text) {
     std::string quoted = "\"";
     for (const char c : text) quoted += c == '"' ? "\"\"" : std::string(1, c);
     return quoted + "\"";
 }
 
-std::string csv(const std::vector<ScoredRun>& runs) {
-    const MetricRow metrics = mean(scored_rows(runs));
+std::string format_csv(const std::vector<ScoredRun>& runs) {
+    const MetricRow metrics = mean(make_scored_rows(runs));
     std::string text = "run,log,frames,training_s";
     for (const auto& [name, value] : metrics) text += "," + name;
     text += "\n";
     for (const ScoredRun& run : runs) {
-        text +=
-            fmt::format("{},{},{},{}", csv_text(run.name), csv_text(run.log), run.n_frames, run.training_s);
+        text += fmt::format("{},{},{},{}", quote_csv_text(run.name), quote_csv_text(run.log), run.n_frames,
+                            run.training_s);
         for (const auto& [name, value] : metrics)
             text += run.mean.contains(name) ? fmt::format(",{}", run.mean.at(name)) : ",";
         text += "\n";
@@ -146,23 +146,23 @@ std::string csv(const std::vector<ScoredRun>& runs) {
 }
 
 void write_page(const fs::path& file, const std::vector<ScoredRun>& runs) {
-    const std::vector<MetricRow> rows = scored_rows(runs);
+    const std::vector<MetricRow> rows = make_scored_rows(runs);
     Report report;
     report.title = fmt::format("relidar: scores of {} runs", runs.size());
     report.summary =
-        fmt::format("{} of {} runs have scores. {}", rows.size(), runs.size(), protocol_note(runs));
+        fmt::format("{} of {} runs have scores. {}", rows.size(), runs.size(), make_protocol_note(runs));
     report.key_metrics = key_metrics();
     std::set<std::string> logs;
     for (const ScoredRun& run : runs) {
         report.facts.emplace_back(
             run.name, run.mean.empty() ? "no scores"
                                        : fmt::format("{}, {} held-out frames, {} of training", run.log,
-                                                     run.n_frames, duration(run.training_s)));
+                                                     run.n_frames, format_duration(run.training_s)));
         if (run.mean.empty()) continue;
         logs.insert(fmt::format("{} {}", run.log, run.n_frames));
         report.metrics.emplace_back(run.name, run.mean);
     }
-    report.same_scans = logs.size() < 2 && protocol_differences(runs).empty();
+    report.same_scans = logs.size() < 2 && describe_protocol_differences(runs).empty();
     if (rows.size() > 1) report.metrics.emplace_back("mean", mean(rows));
     write_report(file, report);
 }
@@ -175,7 +175,8 @@ void check_scored(const std::vector<ScoredRun>& runs) {
     if (missing == runs.end()) return;
     throw DataError(fmt::format(
         "{} of {} runs have no scores in their metrics.json, for example {}; `relidar eval {}` computes them",
-        runs.size() - scored_rows(runs).size(), runs.size(), missing->name, shell_word(missing->name)));
+        runs.size() - make_scored_rows(runs).size(), runs.size(), missing->name,
+        quote_shell_word(missing->name)));
 }
 
 }  // namespace
@@ -189,7 +190,7 @@ void write_score_tables(const std::vector<std::string>& runs, const std::vector<
     for (const std::string& run : runs) scored.push_back(read_scores(run));
     for (const fs::path file : files) {
         if (file.extension() == ".html") write_page(file, scored);
-        else write_text(file, file.extension() == ".md" ? markdown(scored) : csv(scored));
+        else write_text(file, file.extension() == ".md" ? format_markdown(scored) : format_csv(scored));
     }
     check_scored(scored);
 }

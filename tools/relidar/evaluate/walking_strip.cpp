@@ -22,9 +22,9 @@ constexpr int kDot = 3;
 
 /// Returns the rays of a frame that may hit the box, as a list without image rows and
 /// columns.
-Scan rays_about(const Run& run, const Frame& frame, const BoxTrack& box) {
+Scan make_rays_about_box(const Run& run, const Frame& frame, const BoxTrack& box) {
     const Pose sensor =
-        run.sequence.world_from_vehicle.at(frame.time_s, run.sequence.lidar_of(frame).vehicle_from_sensor);
+        run.sequence.world_from_vehicle.at(frame.time_s, run.sequence.get_lidar(frame).vehicle_from_sensor);
     const glm::dvec3 about = inverse(sensor) * box.world_from_box.at(frame.time_s).translation;
     const double distance = glm::length(about), reach = 0.5 * glm::length(box.size_m) + kWider_m;
     const double cosine = distance > reach ? std::cos(std::asin(reach / distance)) : -1.0;
@@ -32,7 +32,7 @@ Scan rays_about(const Run& run, const Frame& frame, const BoxTrack& box) {
     for (std::size_t i = 0; i < frame.scan.rays.size(); ++i)
         if (glm::dot(glm::dvec3(frame.scan.rays.direction[i]), about) > cosine * distance)
             ray_indices.push_back(i);
-    Scan scan{some_rays(frame.scan.rays, ray_indices), {}, {}};
+    Scan scan{select_rays(frame.scan.rays, ray_indices), {}, {}};
     for (const std::size_t i : ray_indices) {
         scan.range_m.push_back(frame.scan.range_m[i]);
         scan.intensity.push_back(frame.scan.intensity[i]);
@@ -50,7 +50,7 @@ std::vector<const Frame*> frames_of(const Run& run, const BoxTrack& box) {
     return frames;
 }
 
-double distance_of(const Run& run, const Frame& frame, const BoxTrack& box) {
+double compute_distance(const Run& run, const Frame& frame, const BoxTrack& box) {
     return glm::distance(run.sequence.world_from_vehicle.at(frame.time_s).translation,
                          box.world_from_box.at(frame.time_s).translation);
 }
@@ -64,7 +64,7 @@ struct Walk {
 
 /// Finds the walking actor that comes nearest to the sensor, and the frames in which it
 /// is nearest. Near actors have the most points.
-Walk nearest_walk(const Run& run) {
+Walk find_nearest_walk(const Run& run) {
     Walk nearest;
     for (const Instance& instance : run.scene.instances) {
         const BoxTrack* box = find_box(run.sequence, instance.track);
@@ -74,7 +74,7 @@ Walk nearest_walk(const Run& run) {
             const std::vector<const Frame*> some(frames.begin() + std::ptrdiff_t(first),
                                                  frames.begin() + std::ptrdiff_t(first + kFrames));
             double sum = 0.0;
-            for (const Frame* frame : some) sum += distance_of(run, *frame, *box);
+            for (const Frame* frame : some) sum += compute_distance(run, *frame, *box);
             if (sum / double(kFrames) < nearest.distance_m) nearest = {box, some, sum / double(kFrames)};
         }
     }
@@ -83,7 +83,7 @@ Walk nearest_walk(const Run& run) {
 
 /// Draws several point clouds side by side, with one dot per point. The actor faces to
 /// the right. The colour shows how far left or right a point is on the body.
-Image drawn(const std::vector<std::vector<glm::dvec3>>& panels, const glm::dvec3& size_m) {
+Image draw_panels(const std::vector<std::vector<glm::dvec3>>& panels, const glm::dvec3& size_m) {
     const int width = int((size_m.x + 2.0 * kBeside_m) * kPixels_per_m),
               rows = int((size_m.z + 2.0 * kBeside_m) * kPixels_per_m);
     const int columns = width * int(panels.size());
@@ -99,13 +99,13 @@ Image drawn(const std::vector<std::vector<glm::dvec3>>& panels, const glm::dvec3
                          std::size_t(column)] = float(p.y);
         }
     const float half = float(0.5 * size_m.y);
-    return colour_map(left, rows, columns, -half, half, "turbo");
+    return apply_colour_map(left, rows, columns, -half, half, "turbo");
 }
 
 }  // namespace
 
-std::optional<ReportFigure> walking_strip(Device& device, const Run& run) {
-    const Walk walk = nearest_walk(run);
+std::optional<ReportFigure> draw_walking_strip(Device& device, const Run& run) {
+    const Walk walk = find_nearest_walk(run);
     if (!walk.box) return std::nullopt;
     Config config = run.config;
     config.sensor.grid = "native";
@@ -114,15 +114,16 @@ std::optional<ReportFigure> walking_strip(Device& device, const Run& run) {
     std::vector<std::vector<glm::dvec3>> real, simulated;
     std::size_t n = 0;
     for (const Frame* frame : walk.frames) {
-        const Scan scan = rays_about(run, *frame, *walk.box);
-        const RangeImage measured = real_image(config, scan);
-        SensorChoice sensor = configured_sensor(config, run.sequence, frame->lidar);
+        const Scan scan = make_rays_about_box(run, *frame, *walk.box);
+        const RangeImage measured = make_real_image(config, scan);
+        SensorChoice sensor = make_configured_sensor(config, run.sequence, frame->lidar);
         sensor.rays = scan.rays;
         sensor.follows_sweeps = false;
         sensor.rolling_shutter = run.sequence.rolling_shutter;
         const RenderedScan rendered = renderer.render(sensor, frame->time_s);
-        const BoxPoints points = points_in_box(rendered.image, point_ranges(rendered, config), measured,
-                                               run.sequence, moment_of(*frame), *walk.box);
+        const BoxPoints points =
+            collect_points_in_box(rendered.image, select_point_ranges(rendered, config), measured,
+                                  run.sequence, get_sweep_moment(*frame), *walk.box);
         n += points.real_m.size();
         real.push_back(points.real_m);
         simulated.push_back(points.simulated_m);
@@ -132,9 +133,10 @@ std::optional<ReportFigure> walking_strip(Device& device, const Run& run) {
         fmt::format("{} {} {}, {:.0f} m away: successive frames, including training frames, seen from the "
                     "right, coloured from right to left",
                     walk.box->category, walk.box->id,
-                    object_kind(walk.box->category) == ObjectKind::cyclist ? "rides" : "walks",
+                    parse_object_kind(walk.box->category) == ObjectKind::cyclist ? "rides" : "walks",
                     walk.distance_m),
-        {{"real", drawn(real, walk.box->size_m)}, {"simulated", drawn(simulated, walk.box->size_m)}}};
+        {{"real", draw_panels(real, walk.box->size_m)},
+         {"simulated", draw_panels(simulated, walk.box->size_m)}}};
 }
 
 }  // namespace relidar::cli

@@ -18,6 +18,6 @@ namespace relidar::cli {
 /// the actor with the most points in the log.
 /// @param run run whose log is loaded with all scans
 /// @return no value if no walking actor is visible in eight frames
-std::optional<ReportFigure> walking_strip(Device& device, const Run& run);
+std::optional<ReportFigure> draw_walking_strip(Device& device, const Run& run);
 
 }  // namespace relidar::cli

@@ -17,8 +17,8 @@ namespace {
 
 /// Returns the name of the method to trace rays that `--traversal auto` selects on this
 /// device.
-std::string traversal_of(const DeviceInfo& info) {
-    switch (best_traversal(info)) {
+std::string get_traversal_text(const DeviceInfo& info) {
+    switch (choose_best_traversal(info)) {
         case Traversal::ray_query:
             return "ray_query";
         case Traversal::software:
@@ -45,7 +45,7 @@ void print_json(const std::vector<DeviceInfo>& devices) {
                         {"timestamps", d.timestamps},
                         {"usable", d.why_not_usable.empty()},
                         {"why_not_usable", d.why_not_usable},
-                        {"traversal", traversal_of(d)}});
+                        {"traversal", get_traversal_text(d)}});
     }
     print(json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n");
 }
@@ -55,9 +55,9 @@ void print_table(const std::vector<DeviceInfo>& devices) {
         {"", "name", "type", "API", "memory", "ray query", "software", "float atomics", "traversal"}};
     std::string notes;
     for (const DeviceInfo& d : devices) {
-        rows.push_back({fmt::format("{}", d.index), d.name, d.type, d.api_version, byte_size(d.memory_bytes),
-                        d.ray_query ? "yes" : "no", d.software ? "yes" : "no", d.float_atomics ? "yes" : "no",
-                        traversal_of(d)});
+        rows.push_back({fmt::format("{}", d.index), d.name, d.type, d.api_version,
+                        format_byte_size(d.memory_bytes), d.ray_query ? "yes" : "no",
+                        d.software ? "yes" : "no", d.float_atomics ? "yes" : "no", get_traversal_text(d)});
         notes += fmt::format("\n{}  driver: {}", d.index, d.driver);
         if (!d.why_not_usable.empty()) notes += fmt::format("\n   not usable: missing {}", d.why_not_usable);
         if (!d.why_not_ray_query.empty())

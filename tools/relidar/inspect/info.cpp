@@ -37,9 +37,9 @@ void show_unfinished(const std::filesystem::path& folder) {
     print(fmt::format(
         "{}: {}, at iteration {} of {}; no scene has been saved yet; log {}\n", folder.string(),
         FolderLock::is_held(folder) ? "a run that is being trained" : "a run whose training was interrupted",
-        last_logged_iteration(folder), config.train.iterations, config.dataset.path));
+        read_last_logged_iteration(folder), config.train.iterations, config.dataset.path));
     if (!FolderLock::is_held(folder))
-        print(fmt::format("continue with: relidar train --resume {}\n", shell_word(folder.string())));
+        print(fmt::format("continue with: relidar train --resume {}\n", quote_shell_word(folder.string())));
 }
 
 void show_log(const InfoOptions& options) {
@@ -51,8 +51,8 @@ void show_log(const InfoOptions& options) {
     apply_log_part(config, options.part);
     LogSummary summary =
         summarise(load_dataset(config, false, options.all ? 0 : int(kMostScans)), config.init);
-    const bool is_long =
-        std::ranges::any_of(summary.lidars, [](const LidarSummary& l) { return l.n_frames > kMostScans; });
+    const bool is_long = std::ranges::any_of(
+        summary.lidars, [](const LidarSummary& summary) { return summary.n_frames > kMostScans; });
     // Checks whether scans were really left out, because some log readers ignore the
     // limit and read all scans.
     summary.is_look = !options.all && is_long && summary.n_scans_read < summary.n_frames;
@@ -77,13 +77,13 @@ void add_info(CLI::App& app, Call& call) {
         "  relidar info run --json");
     command->callback([&call, options] {
         call.run = [options] {
-            const bool is_of_run = is_run(options->path) || holds_run(options->path);
+            const bool is_of_run = is_run(options->path) || contains_run(options->path);
             check_sets(options->settings.sets,
                        is_of_run ? std::vector<std::string>{}
                                  : std::vector<std::string>{"dataset.", "sensor.rolling_shutter", "init."},
                        is_of_run ? "info RUN" : "info");
             if (is_run(options->path)) show_run(*options);
-            else if (holds_run(options->path)) show_unfinished(options->path);
+            else if (contains_run(options->path)) show_unfinished(options->path);
             else show_log(*options);
         };
     });

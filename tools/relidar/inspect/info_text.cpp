@@ -15,14 +15,14 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-double path_length_m(const PoseTrack& track) {
+double compute_path_length_m(const PoseTrack& track) {
     double length = 0.0;
     for (std::size_t i = 1; i < track.pose.size(); ++i)
         length += glm::length(track.pose[i].translation - track.pose[i - 1].translation);
     return length;
 }
 
-std::optional<double> returns_share(const Sequence& sequence) {
+std::optional<double> compute_returns_share(const Sequence& sequence) {
     std::size_t n_returns = 0, n_rays = 0;
     for (const Frame& frame : sequence.frames) {
         n_returns += frame.scan.count_returns();
@@ -32,20 +32,20 @@ std::optional<double> returns_share(const Sequence& sequence) {
     return static_cast<double>(n_returns) / static_cast<double>(n_rays);
 }
 
-std::string line(const std::string& name, const std::string& value) {
+std::string format_line(const std::string& name, const std::string& value) {
     return value.empty() ? "" : fmt::format("{:<12}{}\n", name, value);
 }
 
 /// Returns the class of a box, such as "car". If the size of the box was guessed, adds
 /// the class that was used for the guess.
-std::string class_text(const BoxSummary& b) {
-    return b.size_guess.empty() ? b.category : fmt::format("{}, {}?", b.category, b.size_guess);
+std::string format_class(const BoxSummary& box) {
+    return box.size_guess.empty() ? box.category : fmt::format("{}, {}?", box.category, box.size_guess);
 }
 
 /// Returns notes about boxes whose tracks extend beyond their labels, and about boxes
 /// with guessed sizes. Each kind of note has one line. The text is empty if there are no
 /// notes.
-std::string box_notes(const std::vector<BoxSummary>& boxes) {
+std::string format_box_notes(const std::vector<BoxSummary>& boxes) {
     std::vector<std::string> guesses, continued;
     for (const BoxSummary& b : boxes) {
         if (!b.size_guess.empty()) guesses.push_back(b.id);
@@ -64,13 +64,13 @@ std::string box_notes(const std::vector<BoxSummary>& boxes) {
     return text;
 }
 
-std::string box_table(const std::vector<BoxSummary>& boxes, bool of_run) {
+std::string format_box_table(const std::vector<BoxSummary>& boxes, bool of_run) {
     if (boxes.empty()) return "";
     std::vector<std::vector<std::string>> rows{
         {"track", "class", "length", "width", "height", "frames", "path", "speed", "start x,y,z,yaw_deg"}};
     if (of_run) rows[0].insert(rows[0].end(), {"instance", "surfels"});
     for (const BoxSummary& b : boxes) {
-        rows.push_back({b.id, class_text(b), fmt::format("{:.2f} m", b.size_m.x),
+        rows.push_back({b.id, format_class(b), fmt::format("{:.2f} m", b.size_m.x),
                         fmt::format("{:.2f} m", b.size_m.y), fmt::format("{:.2f} m", b.size_m.z),
                         b.n_frames ? fmt::format("{}-{}", b.first_frame, b.last_frame) : "none",
                         fmt::format("{:.1f} m", b.path_m),
@@ -81,35 +81,35 @@ std::string box_table(const std::vector<BoxSummary>& boxes, bool of_run) {
             rows.back().insert(rows.back().end(), {b.instance ? fmt::format("{}", *b.instance) : "-",
                                                    b.instance ? fmt::format("{}", b.n_surfels) : "-"});
     }
-    return "\n" + table(rows) + box_notes(boxes);
+    return "\n" + table(rows) + format_box_notes(boxes);
 }
 
-Json json_of(const BoxSummary& b) {
-    Json json = {{"id", b.id},
-                 {"category", b.category},
-                 {"size_m", {b.size_m.x, b.size_m.y, b.size_m.z}},
-                 {"frames", b.n_frames},
-                 {"first_frame", b.first_frame},
-                 {"last_frame", b.last_frame},
-                 {"path_m", b.path_m},
-                 {"mean_speed_mps", b.mean_speed_mps},
-                 {"moving", b.moves},
-                 {"start_m", {b.start_m.x, b.start_m.y, b.start_m.z}},
-                 {"start_yaw_deg", b.start_yaw_deg},
+Json json_of(const BoxSummary& box) {
+    Json json = {{"id", box.id},
+                 {"category", box.category},
+                 {"size_m", {box.size_m.x, box.size_m.y, box.size_m.z}},
+                 {"frames", box.n_frames},
+                 {"first_frame", box.first_frame},
+                 {"last_frame", box.last_frame},
+                 {"path_m", box.path_m},
+                 {"mean_speed_mps", box.mean_speed_mps},
+                 {"moving", box.moves},
+                 {"start_m", {box.start_m.x, box.start_m.y, box.start_m.z}},
+                 {"start_yaw_deg", box.start_yaw_deg},
                  {"instance", nullptr},
-                 {"surfels", b.n_surfels}};
-    if (b.instance) json["instance"] = *b.instance;
-    if (!b.size_guess.empty()) json["size_guess"] = b.size_guess;
-    if (b.n_unlabelled_frames > 0) json["beside_labels"] = b.n_unlabelled_frames;
+                 {"surfels", box.n_surfels}};
+    if (box.instance) json["instance"] = *box.instance;
+    if (!box.size_guess.empty()) json["size_guess"] = box.size_guess;
+    if (box.n_unlabelled_frames > 0) json["beside_labels"] = box.n_unlabelled_frames;
     return json;
 }
 
-Json json_of(const LidarSummary& l) {
-    return {{"name", l.name},         {"sensor", l.sensor},
-            {"rows", l.n_beams},      {"columns", l.columns},
-            {"top_deg", l.top_deg},   {"bottom_deg", l.bottom_deg},
-            {"period_s", l.period_s}, {"max_range_m", l.max_range_m},
-            {"frames", l.n_frames},   {"second_returns", l.n_second_returns}};
+Json json_of(const LidarSummary& summary) {
+    return {{"name", summary.name},         {"sensor", summary.sensor},
+            {"rows", summary.n_beams},      {"columns", summary.columns},
+            {"top_deg", summary.top_deg},   {"bottom_deg", summary.bottom_deg},
+            {"period_s", summary.period_s}, {"max_range_m", summary.max_range_m},
+            {"frames", summary.n_frames},   {"second_returns", summary.n_second_returns}};
 }
 
 Json json_of(const LogSummary& log) {
@@ -135,7 +135,7 @@ Json json_of(const LogSummary& log) {
     return json;
 }
 
-std::string dumped(const Json& json) {
+std::string dump_json(const Json& json) {
     return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
@@ -152,7 +152,7 @@ BoxSummary summarise(const Sequence& sequence, const BoxTrack& box) {
         summary.last_frame = frame.index;
     }
     const PoseTrack& track = box.world_from_box;
-    summary.path_m = path_length_m(track);
+    summary.path_m = compute_path_length_m(track);
     if (track.pose.empty()) return summary;
     const double seconds = track.time_s.back() - track.time_s.front();
     summary.mean_speed_mps = seconds > 0.0 ? summary.path_m / seconds : 0.0;
@@ -176,12 +176,14 @@ LidarSummary summarise(const Sequence& sequence, int which) {
                    sensor.max_range_m,
                    0,
                    0};
-    const auto lower = [](const Beam& a, const Beam& b) { return a.elevation_rad < b.elevation_rad; };
+    const auto lower = [](const Beam& first, const Beam& second) {
+        return first.elevation_rad < second.elevation_rad;
+    };
     const auto [low, high] = std::minmax_element(sensor.beams.begin(), sensor.beams.end(), lower);
     if (low != sensor.beams.end())
         l.bottom_deg = low->elevation_rad * 180.0 / kPi, l.top_deg = high->elevation_rad * 180.0 / kPi;
     if (lidar.pattern) {  // A sensor that does not spin has no beam table, so its nominal rays are used.
-        const RayTable rays = nominal_rays(lidar, 0.0);
+        const RayTable rays = make_nominal_rays(lidar, 0.0);
         const auto [lowest, highest] = std::ranges::minmax(rays.direction, {}, &glm::vec3::z);
         l.n_beams = std::size_t(rays.rows), l.columns = rays.columns, l.period_s = lidar.period_s();
         l.bottom_deg = std::asin(double(lowest.z)) * 180.0 / kPi,
@@ -197,39 +199,41 @@ LidarSummary summarise(const Sequence& sequence, int which) {
     return l;
 }
 
-std::string text_of(const LidarSummary& l) {
-    const std::string name = l.name.empty() ? "" : fmt::format("{}, {} frames, ", l.name, l.n_frames);
+std::string text_of(const LidarSummary& summary) {
+    const std::string name =
+        summary.name.empty() ? "" : fmt::format("{}, {} frames, ", summary.name, summary.n_frames);
     const std::string second =
-        l.n_second_returns == 0 ? "" : fmt::format(", {} second returns", l.n_second_returns);
-    if (l.n_beams == 0)
-        return fmt::format("{}{}: unknown beams, range up to {:.4g} m{}", name, l.sensor, l.max_range_m,
-                           second);
+        summary.n_second_returns == 0 ? "" : fmt::format(", {} second returns", summary.n_second_returns);
+    if (summary.n_beams == 0)
+        return fmt::format("{}{}: unknown beams, range up to {:.4g} m{}", name, summary.sensor,
+                           summary.max_range_m, second);
     return fmt::format(
         "{}{}: {} rows x {} columns, {:+.2f} to {:+.2f} degrees, {:.3g} s per sweep, range up to "
         "{:.4g} m{}",
-        name, l.sensor, l.n_beams, l.columns, l.top_deg, l.bottom_deg, l.period_s, l.max_range_m, second);
+        name, summary.sensor, summary.n_beams, summary.columns, summary.top_deg, summary.bottom_deg,
+        summary.period_s, summary.max_range_m, second);
 }
 
 std::string text_of(const LogSummary& log, bool of_run) {
-    std::string text =
-        line("log", log.name) + line("source", log.source) + line("conventions", log.conventions);
-    for (const std::string& note : log.notes) text += line("note", note);
+    std::string text = format_line("log", log.name) + format_line("source", log.source) +
+                       format_line("conventions", log.conventions);
+    for (const std::string& note : log.notes) text += format_line("note", note);
     const char* shutter = log.rolling_shutter ? ", rolling shutter" : ", no rolling shutter";
-    for (const LidarSummary& lidar : log.lidars) text += line("sensor", text_of(lidar) + shutter);
-    text += line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.n_frames,
-                                       log.first_frame, log.last_frame, log.seconds, log.path_m));
+    for (const LidarSummary& lidar : log.lidars) text += format_line("sensor", text_of(lidar) + shutter);
+    text += format_line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.n_frames,
+                                              log.first_frame, log.last_frame, log.seconds, log.path_m));
     if (log.returns_share)
-        text += line(
+        text += format_line(
             "returns",
             fmt::format("{:.1f} % of all rays{}", 100.0 * *log.returns_share,
                         log.is_look ? fmt::format(" of {} scans spread over the log; --all reads every scan",
                                                   log.n_scans_read)
                                     : ""));
     const auto n_moving = std::ranges::count_if(log.boxes, &BoxSummary::moves);
-    text += line("boxes", fmt::format("{}: {} moving, {} parked", log.boxes.size(), n_moving,
-                                      std::ssize(log.boxes) - n_moving));
-    text += line("masked", log.masked);
-    return text + box_table(log.boxes, of_run);
+    text += format_line("boxes", fmt::format("{}: {} moving, {} parked", log.boxes.size(), n_moving,
+                                             std::ssize(log.boxes) - n_moving));
+    text += format_line("masked", log.masked);
+    return text + format_box_table(log.boxes, of_run);
 }
 
 }  // namespace
@@ -249,12 +253,12 @@ LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options)
         log.last_frame = sequence.frames.back().index;
         log.seconds = sequence.frames.back().time_s - sequence.frames.front().time_s;
     }
-    log.path_m = path_length_m(sequence.world_from_vehicle);
-    log.returns_share = returns_share(sequence);
+    log.path_m = compute_path_length_m(sequence.world_from_vehicle);
+    log.returns_share = compute_returns_share(sequence);
     log.n_scans_read = std::size_t(
         std::ranges::count_if(sequence.frames, [](const Frame& f) { return f.scan.range_m.size() > 0; }));
     for (const BoxTrack& box : sequence.boxes) log.boxes.push_back(summarise(sequence, box));
-    log.masked = list_boxes(unselected_boxes(sequence, options));
+    log.masked = list_boxes(find_unselected_boxes(sequence, options));
     return log;
 }
 
@@ -264,7 +268,7 @@ RunSummary summarise(const Run& run) {
     // Actors that edits have removed are left out, because the list of edits already
     // names them.
     summary.log.masked =
-        run.edits.empty() ? list_boxes(masked_boxes(run.scene, run.sequence, run.config.init)) : "";
+        run.edits.empty() ? list_boxes(find_masked_boxes(run.scene, run.sequence, run.config.init)) : "";
     summary.preset = run.config.preset;
     summary.iterations = run.config.train.iterations;
     summary.n_surfels = count_surfels(run.scene);
@@ -299,27 +303,29 @@ std::string to_text(const LogSummary& log) { return text_of(log, false); }
 std::string to_text(const RunSummary& run) {
     const std::string other =
         run.primitive == ImageModel{}.primitive ? "" : fmt::format(" {}", kind_of(run.primitive).label);
-    std::string text = line("surfels", fmt::format("{}{}", run.n_surfels, other));
+    std::string text = format_line("surfels", fmt::format("{}{}", run.n_surfels, other));
     if (run.n_blocks > 0)
-        text += line("blocks",
-                     fmt::format("the background consists of {} blocks, each loaded when a scan needs it",
-                                 run.n_blocks));
+        text += format_line(
+            "blocks", fmt::format("the background consists of {} blocks, each loaded when a scan needs it",
+                                  run.n_blocks));
     for (const auto& [name, count] : run.models)
-        text += line("  model", fmt::format("{}: {} surfels", name, count));
-    text += line("instances", fmt::format("{}, of which number 0 is the background", run.n_instances));
+        text += format_line("  model", fmt::format("{}: {} surfels", name, count));
+    text += format_line("instances", fmt::format("{}, of which number 0 is the background", run.n_instances));
     if (run.n_drop_parameters > 0)
-        text += line("ray drop", fmt::format("corrected by a network of {} parameters that reads {} images",
-                                             run.n_drop_parameters, run.drop_image));
-    for (const RunEdit& e : run.edits) text += line("  edit", fmt::format("{} (of run {})", e.edit, e.run));
-    text += line("settings", fmt::format("preset {}, {} iterations", run.preset, run.iterations));
-    text += line("split", fmt::format("{} training frames, {} test frames ({})", run.n_train,
-                                      run.test_frames.size(), fmt::join(run.test_frames, ", ")));
+        text += format_line("ray drop",
+                            fmt::format("corrected by a network of {} parameters that reads {} images",
+                                        run.n_drop_parameters, run.drop_image));
+    for (const RunEdit& e : run.edits)
+        text += format_line("  edit", fmt::format("{} (of run {})", e.edit, e.run));
+    text += format_line("settings", fmt::format("preset {}, {} iterations", run.preset, run.iterations));
+    text += format_line("split", fmt::format("{} training frames, {} test frames ({})", run.n_train,
+                                             run.test_frames.size(), fmt::join(run.test_frames, ", ")));
     std::vector<std::vector<std::string>> rows{{"file", "size"}};
-    for (const auto& [name, size] : run.files) rows.push_back({name, byte_size(size)});
+    for (const auto& [name, size] : run.files) rows.push_back({name, format_byte_size(size)});
     return text + text_of(run.log, true) + "\n" + table(rows);
 }
 
-std::string to_json(const LogSummary& log) { return dumped(json_of(log)); }
+std::string to_json(const LogSummary& log) { return dump_json(json_of(log)); }
 
 std::string to_json(const RunSummary& run) {
     Json json = {{"preset", run.preset},           {"iterations", run.iterations},
@@ -337,7 +343,7 @@ std::string to_json(const RunSummary& run) {
     json["edits"] = Json::array();
     for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     for (const auto& [name, size] : run.files) json["files"][name] = size;
-    return dumped(json);
+    return dump_json(json);
 }
 
 }  // namespace relidar::cli

@@ -29,7 +29,7 @@ struct Extent {
     double left_deg = 0.0, right_deg = 0.0, top_deg = 0.0, bottom_deg = 0.0;
 };
 
-Extent extent_of(const RayTable& rays) {
+Extent compute_extent(const RayTable& rays) {
     Extent e{rays.size(), -180.0, 180.0, -90.0, 90.0};
     for (const glm::vec3& d : rays.direction) {
         const double azimuth = std::atan2(double(d.y), double(d.x)) * 180.0 / kPi,
@@ -42,34 +42,34 @@ Extent extent_of(const RayTable& rays) {
     return e;
 }
 
-double period_of(const SensorModel& sensor, const RayTable& rays) {
-    if (const double period_s = relidar::period_of(sensor.pattern); period_s > 0.0) return period_s;
+double get_period(const SensorModel& sensor, const RayTable& rays) {
+    if (const double period_s = relidar::get_period(sensor.pattern); period_s > 0.0) return period_s;
     const auto [first, last] = std::ranges::minmax(rays.time_offset_s);
     return double(last) - double(first);
 }
 
-std::string divergence_text(const RayTable& rays) {
-    const double least = rays.ray_divergence_rad.empty() ? rays.largest_divergence()
+std::string format_divergence(const RayTable& rays) {
+    const double least = rays.ray_divergence_rad.empty() ? rays.find_largest_divergence()
                                                          : double(std::ranges::min(rays.ray_divergence_rad));
-    return least < rays.largest_divergence()
-               ? fmt::format("{:.3g} to {:.3g} mrad", 1e3 * least, 1e3 * rays.largest_divergence())
+    return least < rays.find_largest_divergence()
+               ? fmt::format("{:.3g} to {:.3g} mrad", 1e3 * least, 1e3 * rays.find_largest_divergence())
                : fmt::format("{:.3g} mrad", 1e3 * least);
 }
 
 void list_sensors() {
     std::vector<std::vector<std::string>> rows{
         {"name", "rays", "azimuth", "elevation", "scan", "range", "divergence", "figures"}};
-    for (const std::string& name : sensor_names()) {
+    for (const std::string& name : list_sensor_names()) {
         const SensorModel sensor = *find_built_in_sensor(name);
         const RayTable rays = make_rays(sensor);
-        const Extent e = extent_of(rays);
+        const Extent e = compute_extent(rays);
         const bool round = e.left_deg - e.right_deg > 350.0;
         rows.push_back(
             {name,
              rays.rows > 1 ? fmt::format("{} x {}", rays.rows, rays.columns) : fmt::format("{}", rays.size()),
              round ? "all round" : fmt::format("{:+.1f} to {:+.1f}", e.left_deg, e.right_deg),
              fmt::format("{:+.2f} to {:+.2f}", e.top_deg, e.bottom_deg),
-             fmt::format("{:.0f} ms", 1e3 * period_of(sensor, rays)),
+             fmt::format("{:.0f} ms", 1e3 * get_period(sensor, rays)),
              fmt::format("{:g} to {:g} m", sensor.limits.min_m, sensor.limits.max_m),
              rays.divergence_rad > 0.0f ? fmt::format("{:.1f} mrad", 1e3 * double(rays.divergence_rad)) : "-",
              sensor.about});
@@ -80,14 +80,14 @@ void list_sensors() {
 void describe_sensor(const SensorsOptions& options) {
     const SensorModel sensor = find_sensor(options.sensor);
     const RayTable rays = make_rays(sensor, options.time_s);
-    const Extent e = extent_of(rays);
+    const Extent e = compute_extent(rays);
     print(fmt::format(
         "{}{}{}\nrays        {} ({} rows of {})\nazimuth     {:+.2f} to {:+.2f} degrees, left positive\n"
         "elevation   {:+.2f} to {:+.2f} degrees\nscan        {:.4g} s\nrange       {:g} to {:g} "
         "m\ndivergence  {}\n",
         sensor.name, sensor.about.empty() ? "" : ": ", sensor.about, e.rays, rays.rows, rays.columns,
-        e.left_deg, e.right_deg, e.top_deg, e.bottom_deg, period_of(sensor, rays), sensor.limits.min_m,
-        sensor.limits.max_m, divergence_text(rays)));
+        e.left_deg, e.right_deg, e.top_deg, e.bottom_deg, get_period(sensor, rays), sensor.limits.min_m,
+        sensor.limits.max_m, format_divergence(rays)));
     if (const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) {
         std::vector<std::vector<std::string>> rows{
             {"beam", "elevation", "azimuth offset", "origin forward", "up", "left"}};
@@ -102,7 +102,7 @@ void describe_sensor(const SensorsOptions& options) {
         print("\n" + table(rows));
     }
     if (!options.out.empty()) {
-        write_png(options.out, ray_picture(rays), {{"relidar", fmt::format("rays of {}", sensor.name)}});
+        write_png(options.out, draw_ray_picture(rays), {{"relidar", fmt::format("rays of {}", sensor.name)}});
         print(fmt::format("\npicture     {}: azimuth by elevation, colour by firing time\n", options.out));
     }
 }
@@ -131,7 +131,7 @@ void add_sensor_list(CLI::App& list, Call& call) {
                      "time of the scan, for a sensor whose rays differ between scans (default: 0)")
         ->type_name("SECONDS");
     command->footer(
-        sensor_file_help() +
+        make_sensor_file_help() +
         "\n\nExamples:\n  relidar list sensors\n  relidar list sensors OS1-128 --out pattern.png\n"
         "  relidar list sensors metadata.json\n"
         "  relidar render run --out scans --sensor OS1-128:2048x10");

@@ -13,14 +13,14 @@
 namespace relidar::cli {
 namespace {
 
-std::vector<int> all_positions(const Run& run) {
+std::vector<int> list_all_positions(const Run& run) {
     std::vector<int> positions(run.sequence.frames.size());
     std::iota(positions.begin(), positions.end(), 0);
     return positions;
 }
 
-std::vector<int> positions_in(const Run& run, const FrameRange& range) {
-    std::vector<int> positions = all_positions(run);
+std::vector<int> list_positions_in(const Run& run, const FrameRange& range) {
+    std::vector<int> positions = list_all_positions(run);
     std::erase_if(positions, [&](int i) {
         const int index = run.sequence.frames[static_cast<std::size_t>(i)].index;
         return index < range.begin || (range.end >= 0 && index >= range.end);
@@ -30,22 +30,22 @@ std::vector<int> positions_in(const Run& run, const FrameRange& range) {
 
 }  // namespace
 
-std::vector<int> choose_frames(const Run& run, const std::optional<std::string>& wanted, bool quiet) {
-    if (!wanted && run.split.test.empty()) {
+std::vector<int> choose_frames(const Run& run, const std::optional<std::string>& frames_text, bool quiet) {
+    if (!frames_text && run.split.test.empty()) {
         if (!quiet)
             note(fmt::format("{} has no held-out frames; all {} frames are rendered instead",
                              run.folder.string(), run.sequence.frames.size()));
-        return all_positions(run);
+        return list_all_positions(run);
     }
-    const std::string which = wanted.value_or("test");
-    const std::string name = known_name(which, {"test", "train", "all"}).value_or("");
-    std::vector<int> positions = name == "all"     ? all_positions(run)
+    const std::string which = frames_text.value_or("test");
+    const std::string name = find_known_name(which, {"test", "train", "all"}).value_or("");
+    std::vector<int> positions = name == "all"     ? list_all_positions(run)
                                  : name == "train" ? run.split.train
                                                    : run.split.test;
     const int last = run.sequence.frames.back().index;
     if (name.empty()) {
         const FrameRange range = parse_frames(which);
-        positions = positions_in(run, range);
+        positions = list_positions_in(run, range);
         if (!positions.empty()) note_frames_beyond(range, last, run.folder.string());
     }
     if (positions.empty()) {

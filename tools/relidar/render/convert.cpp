@@ -38,13 +38,13 @@ void convert_to_packets(const Sequence& sequence, const ConvertOptions& options)
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
     Progress progress(options.quiet);
     const relidar::Progress shown = make_progress(progress);
-    const std::size_t n = save_packets(sequence, out, [&](std::string_view what, double done) {
+    const std::size_t n = save_packets(sequence, out, [&](std::string_view description, double done) {
         stop_if_interrupted();
-        shown(what, done);
+        shown(description, done);
     });
     end_progress_line();
     if (!options.quiet)
-        print(fmt::format("{}: {} packets of {} scans\n", absolute_path(options.out), n,
+        print(fmt::format("{}: {} packets of {} scans\n", make_absolute_path(options.out), n,
                           sequence.frames.size()));
 }
 
@@ -65,13 +65,13 @@ void run_convert(const ConvertOptions& options) {
     const relidar::Progress shown = make_progress(progress);
     const bool has_poses = config.dataset.poses != kNoPoses && sequence.has_poses;
     save_folder(sequence, options.out,
-                {options.overwrite, has_poses, [&](std::string_view what, double done) {
+                {options.overwrite, has_poses, [&](std::string_view description, double done) {
                      stop_if_interrupted();
-                     shown(what, done);
+                     shown(description, done);
                  }});
     end_progress_line();
     if (!options.quiet)
-        print(fmt::format("wrote {}: {} scans of {} LiDAR{}, {} boxes\n", absolute_path(options.out),
+        print(fmt::format("wrote {}: {} scans of {} LiDAR{}, {} boxes\n", make_absolute_path(options.out),
                           sequence.frames.size(), sequence.lidars.size(),
                           sequence.lidars.size() == 1 ? "" : "s", sequence.boxes.size()));
 }

@@ -34,8 +34,8 @@ std::string sizes(const Scene& scene) {
 }
 
 /// Returns the path of the log's first LiDAR in the world frame of the dataset.
-PoseTrack sensor_path(const Sequence& sequence) {
-    return shifted_track(sequence.world_from_sensor(0), sequence.world_offset_m);
+PoseTrack make_sensor_path(const Sequence& sequence) {
+    return shift_track(sequence.world_from_sensor(0), sequence.world_offset_m);
 }
 
 /// Writes one PLY file per frame, such as FOLDER/000010.ply. Each file contains the scene
@@ -52,14 +52,14 @@ void export_frames(const ExportOptions& options) {
         stop_if_interrupted();
         progress.count("writing scenes", done, positions.size());
         const Frame& frame = run.sequence.frames[std::size_t(positions[done])];
-        const Surfels surfels = freeze(scene, place_instances(scene, run.sequence, moment_of(frame)));
+        const Surfels surfels = freeze(scene, place_instances(scene, run.sequence, get_sweep_moment(frame)));
         write_surfel_ply(folder.path() / fmt::format("{:06}.ply", frame.index), surfels,
                          {{"time_s", fmt::format("{}", frame.time_s)},
                           {"add_to_positions_m", fmt::format("{} {} {}", offset.x, offset.y, offset.z)}});
     }
     end_progress_line();
     if (!options.quiet)
-        print(fmt::format("wrote {}: {} file{}\n", absolute_path(options.out), positions.size(),
+        print(fmt::format("wrote {}: {} file{}\n", make_absolute_path(options.out), positions.size(),
                           positions.size() == 1 ? "" : "s"));
 }
 
@@ -73,7 +73,7 @@ void run_export(const ExportOptions& options) {
                 options.out, out.extension().string()));
         return export_frames(options);
     }
-    const std::optional<std::string> format = known_name(out.extension().string(), {".ply", ".csv"});
+    const std::optional<std::string> format = find_known_name(out.extension().string(), {".ply", ".csv"});
     if (!format) {
         const std::string found =
             out.has_extension() ? "the ending " + out.extension().string() : "no ending";
@@ -84,11 +84,11 @@ void run_export(const ExportOptions& options) {
     const Run run = load_run(options.run);
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
     if (*format == ".ply") write_surfel_ply(out, load_all_blocks(run.scene));
-    else write_trajectory(out, sensor_path(run.sequence));
+    else write_trajectory(out, make_sensor_path(run.sequence));
     const std::string written = *format == ".ply"
                                     ? sizes(run.scene)
                                     : fmt::format("{} poses", run.sequence.world_from_vehicle.pose.size());
-    if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), written));
+    if (!options.quiet) print(fmt::format("{}: {}\n", make_absolute_path(options.out), written));
 }
 
 constexpr const char* kExportHelp =

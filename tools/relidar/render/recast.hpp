@@ -23,6 +23,6 @@ std::vector<Scan> attach_recast(Run& run);
 
 /// Returns the pixels that an edit changes. The exact range of such a pixel differs
 /// before and after the edit. The metrics of these pixels are named edited/*.
-Region edited_region(const RangeImage& edited, const RangeImage& before);
+Region find_edited_region(const RangeImage& edited, const RangeImage& before);
 
 }  // namespace relidar::cli

@@ -14,7 +14,7 @@ namespace {
 
 constexpr std::string_view kName = "{name}";
 
-std::string with_name(std::string text, const std::string& name) {
+std::string insert_name(std::string text, const std::string& name) {
     for (std::size_t at = 0; (at = text.find(kName, at)) != std::string::npos; at += name.size())
         text.replace(at, kName.size(), name);
     return text;
@@ -54,11 +54,11 @@ void check_recording_names(const RecordingNames& names, const std::vector<std::s
     check("--topic", names.topic), check("--frame-id", names.frame_id);
 }
 
-void name_in_recordings(ScanFormat& format, const std::string& sensor, const RecordingNames& names) {
-    relidar::name_in_recordings(format, sensor);
+void set_recording_name(ScanFormat& format, const std::string& sensor, const RecordingNames& names) {
+    relidar::set_recording_name(format, sensor);
     const std::string name = sensor.empty() ? format.frame_id : sensor;
-    if (!names.topic.empty()) format.topic = with_name(names.topic, topic_word(name));
-    if (!names.frame_id.empty()) format.frame_id = with_name(names.frame_id, name);
+    if (!names.topic.empty()) format.topic = insert_name(names.topic, make_topic_word(name));
+    if (!names.frame_id.empty()) format.frame_id = insert_name(names.frame_id, name);
 }
 
 }  // namespace relidar::cli

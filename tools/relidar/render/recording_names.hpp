@@ -28,6 +28,6 @@ void add_recording_options(CLI::App& command, RecordingNames& names);
 void check_recording_names(const RecordingNames& names, const std::vector<std::string>& formats, bool is_rig);
 /// Sets the topic and the frame id of one sensor in its output format.
 /// @param sensor name of the sensor in the rig or in the log; may be empty
-void name_in_recordings(ScanFormat& format, const std::string& sensor, const RecordingNames& names);
+void set_recording_name(ScanFormat& format, const std::string& sensor, const RecordingNames& names);
 
 }  // namespace relidar::cli

@@ -89,29 +89,29 @@ Pose parse_offset(const std::string& text) {
 /// Parses a list of file formats such as "npz,ply". Upper and lower case and spaces are
 /// allowed.
 std::vector<std::string> parse_formats(const std::string& list) {
-    const std::vector<std::string> known_formats = scan_formats();
+    const std::vector<std::string> known_formats = list_scan_formats();
     std::vector<std::string> formats;
     for (const std::string& word : split(list, ',')) {
-        const std::string name = without_blanks(word);
-        const std::optional<std::string> format = known_name(name, known_formats);
+        const std::string name = remove_blanks(word);
+        const std::optional<std::string> format = find_known_name(name, known_formats);
         if (!format)
             throw UsageError(fmt::format("--format: \"{}\" is unknown{} (known formats: {})", name,
-                                         did_you_mean(name, known_formats), fmt::join(known_formats, ", ")));
+                                         suggest_name(name, known_formats), fmt::join(known_formats, ", ")));
         formats.push_back(*format);
     }
     return formats;
 }
 
 PointFrame parse_point_frame(const std::string& name) {
-    if (known_name(name, {"sensor"})) return PointFrame::sensor;
-    if (known_name(name, {"world"})) return PointFrame::world;
+    if (find_known_name(name, {"sensor"})) return PointFrame::sensor;
+    if (find_known_name(name, {"world"})) return PointFrame::world;
     throw UsageError(
         fmt::format("--frame: found \"{}\"; expected sensor or world (use --frames to select scans)", name));
 }
 
 /// Removes the boxes of actors that are not rendered, so that recordings contain only the
 /// boxes of visible actors.
-void leave_out_hidden(ScanFormat& format, const Run& run, const std::vector<std::string>& only) {
+void remove_hidden_actors(ScanFormat& format, const Run& run, const std::vector<std::string>& only) {
     if (only.empty()) return;
     const std::vector<bool> shown = select_instances(run.scene, only);
     std::erase_if(format.actors, [&](const BoxTrack& box) {
@@ -123,18 +123,18 @@ void leave_out_hidden(ScanFormat& format, const Run& run, const std::vector<std:
 
 /// Returns the output format of the scans of one sensor.
 /// @param name name of the sensor in a rig; empty if there is only one sensor
-ScanFormat scan_file_format(const RenderOptions& options, const Run& run, const SensorChoice& sensor,
-                            const Pose& offset, const std::string& name) {
-    ScanFormat format = scan_format(run, sensor);
+ScanFormat make_scan_file_format(const RenderOptions& options, const Run& run, const SensorChoice& sensor,
+                                 const Pose& offset, const std::string& name) {
+    ScanFormat format = make_scan_format(run, sensor);
     format.offset = offset;
-    name_in_recordings(format, name.empty() ? run.sequence.lidars[std::size_t(sensor.lidar)].name : name,
+    set_recording_name(format, name.empty() ? run.sequence.lidars[std::size_t(sensor.lidar)].name : name,
                        options.names);
-    if (!options.trajectory.file.empty()) format.trajectory = absolute_path(options.trajectory.file);
+    if (!options.trajectory.file.empty()) format.trajectory = make_absolute_path(options.trajectory.file);
     format.formats = parse_formats(options.formats);
     format.frame = parse_point_frame(options.point_frame);
     format.deskew = options.deskew;
     format.only = options.only;
-    leave_out_hidden(format, run, options.only);
+    remove_hidden_actors(format, run, options.only);
     format.sample = options.sample;
     format.weather = parse_weather(options.weather);
     return format;
@@ -143,11 +143,11 @@ ScanFormat scan_file_format(const RenderOptions& options, const Run& run, const 
 /// Checks that the command would not overwrite files in the output folder.
 /// @throws UsageError if the folder is a run, or if --force is needed to replace scans
 void check_empty(const std::filesystem::path& folder, const RenderOptions& options) {
-    if (holds_run(folder))
+    if (contains_run(folder))
         throw UsageError(fmt::format(
             "--out {}: this is a run folder; choose a different folder for its scans", folder.string()));
     const std::vector<std::filesystem::path> files =
-        options.overwrite ? std::vector<std::filesystem::path>{} : scans_in(folder);
+        options.overwrite ? std::vector<std::filesystem::path>{} : list_scan_files(folder);
     if (!files.empty()) {
         throw UsageError(fmt::format(
             "--out {}: the folder already contains rendered scans ({} files, for example {}); choose "
@@ -188,7 +188,7 @@ struct Sweep {
     double time_s;
 };
 
-std::vector<Sweep> sweeps_of_log(const Run& run, const RenderOptions& options, int lidar) {
+std::vector<Sweep> make_sweeps_of_log(const Run& run, const RenderOptions& options, int lidar) {
     std::vector<Sweep> sweeps;
     for (const int position : choose_frames(run, options.frames, options.quiet)) {
         const Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
@@ -200,40 +200,40 @@ std::vector<Sweep> sweeps_of_log(const Run& run, const RenderOptions& options, i
     return sweeps;
 }
 
-std::vector<Sweep> sweeps_along(const Run& run, const RenderOptions& options, const PoseTrack& track,
-                                int lidar) {
-    const std::vector<double> times_s = scan_times(
+std::vector<Sweep> make_sweeps_along(const Run& run, const RenderOptions& options, const PoseTrack& track,
+                                     int lidar) {
+    const std::vector<double> times_s = list_scan_times(
         options.trajectory, track, 1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar)].period_s());
-    if (!options.quiet) note_beyond_log(run, track, times_s);
+    if (!options.quiet) note_times_beyond_log(run, track, times_s);
     std::vector<Sweep> sweeps;
     for (const double t : times_s) sweeps.push_back({static_cast<int>(sweeps.size()), t});
     return sweeps;
 }
 
 /// Returns the output format of each sensor.
-std::vector<ScanFormat> sensor_formats(const RenderOptions& options, const Run& run,
-                                       const std::vector<TargetSensor>& targets, const Pose& offset) {
+std::vector<ScanFormat> make_sensor_formats(const RenderOptions& options, const Run& run,
+                                            const std::vector<TargetSensor>& targets, const Pose& offset) {
     std::vector<ScanFormat> formats;
     for (const TargetSensor& target : targets) {
         formats.push_back(
-            scan_file_format(options, run, target.sensor, offset * target.mounting, target.folder));
+            make_scan_file_format(options, run, target.sensor, offset * target.mounting, target.folder));
         PacketFormatOptions& packets = formats.back().packets;
         if (target.spinning) packets.sensor = target.spinning;
-        packets.ouster_profile = ouster_profile_of(options.sensor);
+        packets.ouster_profile = read_ouster_profile(options.sensor);
     }
     return formats;
 }
 
 /// Returns the output format of scans that merge all sensors of a rig.
-ScanFormat merged_format(const RenderOptions& options, const Run& run,
-                         const std::vector<TargetSensor>& targets, const Pose& offset) {
+ScanFormat make_merged_format(const RenderOptions& options, const Run& run,
+                              const std::vector<TargetSensor>& targets, const Pose& offset) {
     SensorChoice rig = targets.front().sensor;
     rig.name = std::filesystem::path(options.sensor).stem().string();
     for (const TargetSensor& w : targets) rig.returns = std::max(rig.returns, w.sensor.returns);
     for (const TargetSensor& w : targets)
         rig.limits = {std::min(rig.limits.min_m, w.sensor.limits.min_m),
                       std::max(rig.limits.max_m, w.sensor.limits.max_m)};
-    return scan_file_format(options, run, rig, offset, "");
+    return make_scan_file_format(options, run, rig, offset, "");
 }
 
 /// Output folders of a rendering: one folder per sensor, or one folder for merged scans.
@@ -256,8 +256,8 @@ Output make_output(const RenderOptions& options, const Run& run, const std::vect
         if (folder != options.out) check_empty(folder, options), std::filesystem::create_directories(folder);
         output.folders.emplace_back(folder, format);
     };
-    if (options.merge) sensors = {merged_format(options, run, targets, offset)};
-    else sensors = sensor_formats(options, run, targets, offset);
+    if (options.merge) sensors = {make_merged_format(options, run, targets, offset)};
+    else sensors = make_sensor_formats(options, run, targets, offset);
     if (!options.packets.address.empty())
         output.sender = std::make_unique<PacketSender>(options.packets, sensors);
     const bool is_rig = !options.merge && !targets.front().folder.empty();
@@ -309,7 +309,7 @@ public:
         for (const TargetSensor& w : targets_) {
             stop_if_interrupted();
             scans.push_back(
-                drives() ? renderer_.render(w.sensor, {sweep.time_s, mounted_track(track_, w.mounting)},
+                drives() ? renderer_.render(w.sensor, {sweep.time_s, make_mounted_track(track_, w.mounting)},
                                             options_.sample)
                          : renderer_.render(w.sensor, sweep.time_s, offset_ * w.mounting, options_.sample));
             trace_ms_ += scans.back().trace_ms;
@@ -370,23 +370,23 @@ void run_render(const RenderOptions& typed_options) {
     const Pose offset = parse_offset(options.offset);
     const bool drives = !options.trajectory.file.empty();
     const PoseTrack track =
-        drives ? mounted_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
+        drives ? make_mounted_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
     std::optional<LockedFolder> folder;
     // Only the first MPI process creates this object, because the destructor may remove
     // the folder.
     if (ranks.is_first()) folder.emplace(options.out);
-    check_sets(options.sets, rendering_settings(), "render");
+    check_sets(options.sets, list_rendering_settings(), "render");
     Run run = load_run(options.run);
-    apply_sets(run.config, options.sets);
-    run.config = with_farthest(std::move(run.config), run.sequence);
+    apply_setting_texts(run.config, options.sets);
+    run.config = use_farthest_return(std::move(run.config), run.sequence);
     if (options.channels) set_key(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
     const int lidar = find_lidar(run.sequence, options.lidar);
     const std::vector<Sweep> sweeps =
-        drives ? sweeps_along(run, options, track, lidar) : sweeps_of_log(run, options, lidar);
+        drives ? make_sweeps_along(run, options, track, lidar) : make_sweeps_of_log(run, options, lidar);
     const std::vector<TargetSensor> targets = list_target_sensors(options.sensor, rig, run, lidar);
     const std::vector<bool> shown = select_instances(run.scene, options.only);
-    Device device(device_options(options.device));
+    Device device(make_device_options(options.device));
     ScanRenderer renderer(device, run);
     if (!options.only.empty()) renderer.show_only(shown);
     if (options.boxes) renderer.compute_views();
@@ -402,7 +402,7 @@ void run_render(const RenderOptions& typed_options) {
         if (!options.quiet) note_compensated(run, w.sensor), note_unrefined(run, renderer, w.sensor);
     catch_interrupts();
     Progress progress(options.quiet);
-    SweepRenderer sweep_renderer(renderer, run, options, targets, offset, with_fine_turns(track));
+    SweepRenderer sweep_renderer(renderer, run, options, targets, offset, refine_turns(track));
     const ProcessGroup::Share share = ranks.group().share(sweeps.size());
     for (std::size_t i = share.begin; i < share.end; ++i) {
         sweep_renderer.render(sweeps[i], output);
@@ -508,7 +508,7 @@ void add_render(CLI::App& app, Call& call) {
     command->add_flag("--no-refine", options->no_refine,
                       "use the ray-drop of the surfels, without the run's network");
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(files_help() + channels_help() + sensor_file_help() +
+    command->footer(files_help() + make_channels_help() + make_sensor_file_help() +
                     "\n"
                     "Examples:\n"
                     "  relidar render run --out scans\n"

@@ -30,11 +30,11 @@ packets.csv (Hesai) or packets.json (Ouster), the calibration for its driver.
 )";
 }
 
-std::string channels_help() {
+std::string make_channels_help() {
     std::string text =
         "Channels of --channels, one value per ray in npz and exr, one per point in ply, pcd, mcap and "
         "rosbag:\n";
-    for (const ChannelInfo& channel : optional_channels())
+    for (const ChannelInfo& channel : get_optional_channels())
         text += fmt::format("  {:<17} {}{}\n", channel.name, channel.meaning,
                             channel.unit.empty() ? "" : " [" + channel.unit + "]");
     return text;

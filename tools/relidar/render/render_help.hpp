@@ -9,6 +9,6 @@ namespace relidar::cli {
 /// Returns the description of the output files.
 std::string files_help();
 /// Returns the help text of the option --channels.
-std::string channels_help();
+std::string make_channels_help();
 
 }  // namespace relidar::cli

@@ -46,7 +46,7 @@ constexpr std::chrono::seconds kFarewell{2};
 
 /// Returns whether poses of the sensorsim interface rotate or translate first. Returns no
 /// value if the user did not enable this interface.
-std::optional<serve::PoseOrder> sensorsim_poses(const ServeOptions& options) {
+std::optional<serve::PoseOrder> parse_sensorsim_poses(const ServeOptions& options) {
     const bool offered = options.api == "sensorsim";
     if (!offered && !options.api.empty())
         throw UsageError(fmt::format("--api: found '{}', expected sensorsim", options.api));
@@ -60,7 +60,7 @@ std::optional<serve::PoseOrder> sensorsim_poses(const ServeOptions& options) {
         "--sensorsim-poses: found '{}', expected rotation-first or translation-first", options.pose_order));
 }
 
-serve::ServerOptions server_options(const ServeOptions& options) {
+serve::ServerOptions make_server_options(const ServeOptions& options) {
     if (options.queue < 1 || options.queue > kLongestQueue)
         throw UsageError(
             fmt::format("--queue: found {}; expected a number from 1 to {}", options.queue, kLongestQueue));
@@ -71,10 +71,10 @@ serve::ServerOptions server_options(const ServeOptions& options) {
     serve::ServerOptions server = options.server;
     server.waiting = std::size_t(options.queue);
     server.memory_mib = std::uint64_t(options.memory_mib);
-    server.sensorsim = sensorsim_poses(options);
+    server.sensorsim = parse_sensorsim_poses(options);
     (void)parse_host_port(server.listen, "--listen", 0);
     server.weather = parse_weather(options.weather);
-    server.device = device_options(options.device);
+    server.device = make_device_options(options.device);
     return server;
 }
 
@@ -91,7 +91,7 @@ void limit_malloc_arenas() {
 void run_serve(const ServeOptions& options) {
     limit_malloc_arenas();
     raise_descriptor_limit();
-    const serve::ServerOptions server_settings = server_options(options);
+    const serve::ServerOptions server_settings = make_server_options(options);
     if (!options.quiet) note_weather(server_settings.weather);
     const std::string host = server_settings.listen.substr(0, server_settings.listen.rfind(':'));
     if (!is_loopback(host))
@@ -109,8 +109,8 @@ void run_serve(const ServeOptions& options) {
         // pipe.
         std::fflush(stdout);
     }
-    while (!interrupted()) {
-        if (const std::optional<std::string> loss = server.device_loss()) {
+    while (!is_interrupted()) {
+        if (const std::optional<std::string> loss = server.get_device_loss_message()) {
             server.stop(kFarewell);
             throw DeviceError(*loss);
         }

@@ -6,31 +6,32 @@ namespace {
 
 /// Returns the spinning sensor of a sensor model. Returns no value if the sensor does not
 /// spin.
-std::optional<SpinningSensor> spinning_sensor(const SensorModel& model) {
+std::optional<SpinningSensor> get_spinning_sensor(const SensorModel& model) {
     const auto* spinning = std::get_if<SpinningSensor>(&model.pattern);
     return spinning ? std::optional(*spinning) : std::nullopt;
 }
 
 /// Returns the spinning sensor with this name, or from this file. Returns no value for
 /// the log's sensor, for a regular grid of rays, and for a sensor that does not spin.
-std::optional<SpinningSensor> known_spinning(const std::string& name_or_file, const SensorChoice& choice) {
+std::optional<SpinningSensor> find_spinning_sensor(const std::string& name_or_file,
+                                                   const SensorChoice& choice) {
     if (choice.is_own || choice.grid || choice.pattern) return std::nullopt;
-    return spinning_sensor(find_sensor(name_or_file));
+    return get_spinning_sensor(find_sensor(name_or_file));
 }
 
 }  // namespace
 
 std::vector<TargetSensor> list_target_sensors(const std::string& sensor, const Rig& rig, const Run& run,
                                               int lidar) {
-    if (sensor.empty()) return {{"", configured_sensor(run.config, run.sequence, lidar), {}}};
+    if (sensor.empty()) return {{"", make_configured_sensor(run.config, run.sequence, lidar), {}}};
     if (!rig) {
         const SensorChoice choice = choose_sensor(sensor, run.config, run.sequence, lidar);
-        return {{"", choice, {}, known_spinning(sensor, choice)}};
+        return {{"", choice, {}, find_spinning_sensor(sensor, choice)}};
     }
     std::vector<TargetSensor> targets;
     for (const MountedSensor& mounted : *rig)
-        targets.push_back({mounted.name, sensor_choice(mounted, lidar), mounted.rig_from_sensor,
-                           spinning_sensor(mounted.sensor)});
+        targets.push_back({mounted.name, make_sensor_choice(mounted, lidar), mounted.rig_from_sensor,
+                           get_spinning_sensor(mounted.sensor)});
     return targets;
 }
 

@@ -31,7 +31,7 @@ Steps parse_times(const std::string& text) {
     if (words.size() != 3)
         throw UsageError(fmt::format(
             "--times: found \"{}\"; expected FIRST:LAST:STEP in seconds, for example 2:4:0.05", text));
-    const auto number = [&](std::size_t i) { return parse_list("--times", words[i]).at(0); };
+    const auto number = [&](std::size_t index) { return parse_list("--times", words[index]).at(0); };
     return {number(0), number(1), number(2)};
 }
 
@@ -43,7 +43,8 @@ double nearest_m(const PoseTrack& log, const glm::dvec3& point_m) {
 
 }  // namespace
 
-std::vector<double> scan_times(const TrajectoryChoice& choice, const PoseTrack& track, double log_rate_hz) {
+std::vector<double> list_scan_times(const TrajectoryChoice& choice, const PoseTrack& track,
+                                    double log_rate_hz) {
     const double begin = track.time_s.front(), end = track.time_s.back();
     if (choice.rate_hz && !(*choice.rate_hz > 0.0 && std::isfinite(*choice.rate_hz)))
         throw UsageError(
@@ -69,7 +70,7 @@ std::vector<double> scan_times(const TrajectoryChoice& choice, const PoseTrack& 
     return times;
 }
 
-void note_beyond_log(const Run& run, const PoseTrack& track, const std::vector<double>& times_s) {
+void note_times_beyond_log(const Run& run, const PoseTrack& track, const std::vector<double>& times_s) {
     const Sequence& log = run.sequence;
     double farthest = 0.0;
     for (const double t : times_s)

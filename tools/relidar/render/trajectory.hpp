@@ -31,10 +31,11 @@ struct TrajectoryChoice {
 /// Returns the times of the scans on a trajectory.
 /// @throws UsageError if the rate or the times are invalid, or if a time is outside the
 /// trajectory
-std::vector<double> scan_times(const TrajectoryChoice& choice, const PoseTrack& track, double log_rate_hz);
+std::vector<double> list_scan_times(const TrajectoryChoice& choice, const PoseTrack& track,
+                                    double log_rate_hz);
 
 /// Prints a note if a trajectory is far from the recorded path. Prints another note if it
 /// continues after the end of the log, because actors exist only during the log.
-void note_beyond_log(const Run& run, const PoseTrack& track, const std::vector<double>& times_s);
+void note_times_beyond_log(const Run& run, const PoseTrack& track, const std::vector<double>& times_s);
 
 }  // namespace relidar::cli

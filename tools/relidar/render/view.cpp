@@ -56,13 +56,13 @@ std::filesystem::path save_folder(const ViewOptions& options, const Run& run) {
 }
 
 /// Loads the other runs. The web page shows them under the names that the user typed.
-view::OtherRuns other_runs(const std::vector<std::string>& folders) {
+view::OtherRuns load_other_runs(const std::vector<std::string>& folders) {
     view::OtherRuns runs;
     for (const std::string& folder : folders) runs.emplace(folder, load_run(folder));
     return runs;
 }
 
-view::ServerOptions server_options(const ViewOptions& options) {
+view::ServerOptions make_server_options(const ViewOptions& options) {
     if (options.port < 0 || options.port > kLastPort)
         throw UsageError(
             fmt::format("--port: found {}; expected a number from 0 to {}, where 0 selects a free port",
@@ -70,9 +70,9 @@ view::ServerOptions server_options(const ViewOptions& options) {
     view::ServerOptions server;
     server.address = options.address;
     server.port = options.port;
-    server.assets = view::page_assets();
+    server.assets = view::list_page_assets();
     view::check_address(options.address);
-    if (!is_loopback(options.address)) server.token = view::random_token();
+    if (!is_loopback(options.address)) server.token = view::make_random_token();
     return server;
 }
 
@@ -80,22 +80,22 @@ void run_view(const ViewOptions& options) {
     raise_descriptor_limit();
     // Checks the address of the server before the run is loaded, because loading takes a
     // long time.
-    const view::ServerOptions server_settings = server_options(options);
-    check_sets(options.sets, rendering_settings(), "view");
+    const view::ServerOptions server_settings = make_server_options(options);
+    check_sets(options.sets, list_rendering_settings(), "view");
     Run run = load_run(options.run);
-    apply_sets(run.config, options.sets);
-    run.config = with_farthest(std::move(run.config), run.sequence);
+    apply_setting_texts(run.config, options.sets);
+    run.config = use_farthest_return(std::move(run.config), run.sequence);
     if (options.channels) set_key(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
     std::optional<OutputFolder> made;  // Removes the folder at exit if it is still empty.
     if (!options.save_to.empty()) made.emplace(options.save_to);
     const std::filesystem::path folder = save_folder(options, run);
-    Device device(device_options(options.device));
+    Device device(make_device_options(options.device));
     // Server that sends the results of the session to the browser. The server also calls
     // the session, so it must be destroyed before the session.
     view::Server* out = nullptr;
     view::Session session(
-        std::move(run), other_runs(options.inserts), device, folder,
+        std::move(run), load_other_runs(options.inserts), device, folder,
         {[&](view::TabId tab, std::string text) { out->send_text(tab, std::move(text)); },
          [&](view::TabId tab, std::string frame) { out->send_newest(tab, std::move(frame)); }});
     view::Server server(server_settings,
@@ -110,7 +110,7 @@ void run_view(const ViewOptions& options) {
                                                     : "only clients that know this address have access";
     if (!options.quiet) note(fmt::format("{}; Ctrl-C ends it", who));
     if (options.open) open_in_browser(server.url());
-    while (!interrupted()) session.work(kViewPatience);
+    while (!is_interrupted()) session.work(kViewPatience);
     session.finish();
     server.close(kGoodbye);
 }

@@ -33,7 +33,7 @@ struct RefineOptions {
 /// Loads the checkpoint from which training resumes.
 /// @return no value if training starts from the beginning
 std::optional<Checkpoint> find_start(const RefineOptions& options) {
-    const std::filesystem::path folder = network_checkpoint_folder(options.run);
+    const std::filesystem::path folder = get_network_checkpoint_folder(options.run);
     if (!options.resume) {
         if (!list_checkpoints(folder).empty())
             note(fmt::format(
@@ -51,9 +51,9 @@ std::optional<Checkpoint> find_start(const RefineOptions& options) {
 }
 
 /// Returns the command line that resumes this training.
-std::string resume_command(const RefineOptions& options) {
-    std::string command = "relidar refine --resume " + shell_word(options.run);
-    for (const std::string& word : device_arguments(options.device)) command += " " + word;
+std::string make_resume_command(const RefineOptions& options) {
+    std::string command = "relidar refine --resume " + quote_shell_word(options.run);
+    for (const std::string& word : make_device_arguments(options.device)) command += " " + word;
     return command;
 }
 
@@ -61,13 +61,13 @@ std::string resume_command(const RefineOptions& options) {
 /// an error whose message contains the command that resumes the training.
 void train_network(Device& device, Run& run, const RefineOptions& options, const Checkpoint* start) {
     if (start && !options.quiet) print(fmt::format("resume  from step {}\n", start->iteration));
-    const std::filesystem::path checkpoints = network_checkpoint_folder(run.folder);
+    const std::filesystem::path checkpoints = get_network_checkpoint_folder(run.folder);
     catch_interrupts();
     if (!refine_with_progress(device, run, options.quiet, {.checkpoints = checkpoints, .start = start})) {
         const bool can_go_on = !list_checkpoints(checkpoints).empty();
         throw Error(ExitCode::interrupted,
                     fmt::format("interrupted: the network of {} is unchanged{}", run.folder.string(),
-                                can_go_on ? "; continue with: " + resume_command(options) : ""));
+                                can_go_on ? "; continue with: " + make_resume_command(options) : ""));
     }
     save_run(run);
 }
@@ -83,15 +83,16 @@ Evaluation score(Device& device, Run run, bool refined, bool quiet) {
 
 /// Scores the run without and with the ray-drop network. Prints both scores and writes
 /// the scores with the network to metrics.json.
-void score_both(Device& device, const Run& run, const RefineOptions& options) {
+void score_with_and_without_network(Device& device, const Run& run, const RefineOptions& options) {
     const Evaluation before = score(device, run, false, options.quiet),
                      after = score(device, run, true, options.quiet);
     end_progress_line();
-    write_text(run.folder / "metrics.json", metrics_json(after, run.config,
-                                                         {absolute_path(run.folder.string()),
-                                                          device.info().name, device.peak_bytes(), 0.0}));
+    write_text(run.folder / "metrics.json",
+               make_metrics_json(
+                   after, run.config,
+                   {make_absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), 0.0}));
     if (!options.quiet)
-        print(metric_table(after, &before) + "\nThe column \"baseline\" is without the network.\n");
+        print(format_metric_table(after, &before) + "\nThe column \"baseline\" is without the network.\n");
 }
 
 void run_refine(const RefineOptions& options) {
@@ -100,14 +101,14 @@ void run_refine(const RefineOptions& options) {
     Run run = load_run(options.run);
     const std::optional<Checkpoint> start = find_start(options);
     if (start) restore_refine_settings(*start, run.config);
-    std::vector<std::string> used = rendering_settings();
+    std::vector<std::string> used = list_rendering_settings();
     used.insert(used.end(), {"dataset.", "refine.", "train.seed", "train.checkpoint_minutes"});
     check_sets(options.sets, used, "refine");
-    apply_sets(run.config, options.sets);
-    run.config = with_farthest(std::move(run.config), run.sequence);
+    apply_setting_texts(run.config, options.sets);
+    run.config = use_farthest_return(std::move(run.config), run.sequence);
     run.config.refine.enabled = true;
     check_writable(run.folder);
-    Device device(device_options(options.device));
+    Device device(make_device_options(options.device));
     const Sequence log = load_dataset(run.config, options.quiet);
     attach_scans(run, run.split.train, log);
     if (!options.no_eval) attach_scans(run, run.split.test, log);
@@ -115,7 +116,7 @@ void run_refine(const RefineOptions& options) {
     else remove_network_checkpoints(run.folder);
 
     train_network(device, run, options, start ? &*start : nullptr);
-    if (!options.no_eval && !run.split.test.empty()) score_both(device, run, options);
+    if (!options.no_eval && !run.split.test.empty()) score_with_and_without_network(device, run, options);
     // Removes the checkpoints as the last step. If the process is killed earlier,
     // --resume can still use them.
     remove_network_checkpoints(run.folder);

@@ -79,7 +79,7 @@ Config start_settings(const TrainOptions& options) {
     const fs::path saved = fs::path(options.out) / kConfigFile;
     if (!options.resume || options.from_preset || !is_file(saved)) return resolve(options.settings);
     Config config = load_saved_config(saved);
-    apply_sets(config, options.settings.sets);
+    apply_setting_texts(config, options.settings.sets);
     return config;
 }
 
@@ -90,8 +90,8 @@ Config config_of(const TrainOptions& options) {
         // If the maximum range is 0 (automatic), the resumed training uses the range of
         // the earlier training.
         config.dataset.max_range_m = load_saved_config(saved).dataset.max_range_m;
-    if (!options.dataset.empty()) config.dataset.path = absolute_dataset(options.dataset);
-    if (config.dataset.poses != kNoPoses) config.dataset.poses = absolute_path(config.dataset.poses);
+    if (!options.dataset.empty()) config.dataset.path = make_dataset_absolute(options.dataset);
+    if (config.dataset.poses != kNoPoses) config.dataset.poses = make_absolute_path(config.dataset.poses);
     apply_log_part(config, options.part);
     if (std::string length = options.blocks; !length.empty()) {
         if (length.ends_with('m')) length.pop_back();
@@ -105,12 +105,12 @@ Config config_of(const TrainOptions& options) {
 /// report, and at least the requested number of iterations.
 bool is_finished(const fs::path& folder, const Config& config) {
     return is_file(folder / "scene.json") && is_file(folder / "report.html") &&
-           last_logged_iteration(folder) >= config.train.iterations;
+           read_last_logged_iteration(folder) >= config.train.iterations;
 }
 
 /// Returns true if two configurations have equal values for all settings of a group.
-bool same_group(const Config& a, const Config& b, std::string_view group) {
-    const std::vector<ConfigKey> x = config_keys(a), y = config_keys(b);
+bool are_groups_equal(const Config& first, const Config& second, std::string_view group) {
+    const std::vector<ConfigKey> x = list_config_keys(first), y = list_config_keys(second);
     for (std::size_t i = 0; i < x.size(); ++i)
         if (x[i].key.starts_with(group) && x[i].value != y[i].value) return false;
     return true;
@@ -120,11 +120,11 @@ bool same_group(const Config& a, const Config& b, std::string_view group) {
 /// @throws UsageError if the run was trained with other settings
 void check_unchanged(const fs::path& folder, const Config& config) {
     const Config trained = load_saved_config(folder / kConfigFile);
-    std::string key = differing_setting(trained, config);
+    std::string key = find_differing_setting(trained, config);
     if (key.empty() && trained.dataset.path != config.dataset.path) key = "dataset.path";
     if (key.empty() && trained.dataset.sequence != config.dataset.sequence) key = "dataset.sequence";
     for (const char* group : {"refine.", "render."})
-        if (key.empty() && !same_group(trained, config, group)) key = std::string(group) + "*";
+        if (key.empty() && !are_groups_equal(trained, config, group)) key = std::string(group) + "*";
     if (!key.empty())
         throw UsageError(fmt::format(
             "cannot resume {}: its finished training used another value of the setting {}; expected "
@@ -138,18 +138,19 @@ void check_unchanged(const fs::path& folder, const Config& config) {
 /// ray-drop network, the scores and the report.
 bool has_scene(const fs::path& folder, const Config& config) {
     if (!is_file(folder / "scene.json") || is_file(folder / "report.html") ||
-        last_logged_iteration(folder) < config.train.iterations)
+        read_last_logged_iteration(folder) < config.train.iterations)
         return false;
     const Config trained = load_saved_config(folder / kConfigFile);
     const auto log_of = [](const DatasetConfig& d) { return std::tie(d.path, d.sequence, d.poses); };
-    return log_of(trained.dataset) == log_of(config.dataset) && differing_setting(trained, config).empty();
+    return log_of(trained.dataset) == log_of(config.dataset) &&
+           find_differing_setting(trained, config).empty();
 }
 
 /// Loads the checkpoint from which training resumes.
 /// @return no value if training starts from the beginning
 std::optional<Checkpoint> find_start(const TrainOptions& options) {
     const fs::path folder = options.out;
-    std::optional<Checkpoint> start = load_newest_checkpoint(checkpoint_folder(folder), note);
+    std::optional<Checkpoint> start = load_newest_checkpoint(get_checkpoint_folder(folder), note);
     if (start) return start;
     if (is_file(folder / "report.html"))
         throw UsageError(
@@ -170,9 +171,9 @@ void announce(const Sequence& sequence, const Split& split, const Device& device
 }
 
 /// Returns the command line that resumes this training.
-std::string resume_command(const TrainOptions& options) {
-    std::string command = "relidar train --resume " + shell_word(options.out);
-    for (const std::string& word : device_arguments(options.device)) command += " " + word;
+std::string make_resume_command(const TrainOptions& options) {
+    std::string command = "relidar train --resume " + quote_shell_word(options.out);
+    for (const std::string& word : make_device_arguments(options.device)) command += " " + word;
     return command;
 }
 
@@ -180,9 +181,9 @@ std::string resume_command(const TrainOptions& options) {
 /// checkpoint and the command that resumes the training.
 TrainResult train_with_hint(Device& device, const Run& run, const TrainOptions& options,
                             const Checkpoint* start, StageTimes& stages) {
-    const fs::path checkpoints = checkpoint_folder(run.folder);
+    const fs::path checkpoints = get_checkpoint_folder(run.folder);
     try {
-        return train_logged(
+        return train_with_log(
             device, run.sequence, run.split, run.config, run.folder, options.quiet,
             {.checkpoints = checkpoints, .start = start, .stop = {}, .note = {}, .stages = &stages});
     } catch (const Error& error) {
@@ -191,23 +192,23 @@ TrainResult train_with_hint(Device& device, const Run& run, const TrainOptions& 
         throw Error(error.code(), fmt::format("{}; {}: {}", error.what(),
                                               has_checkpoint ? "the last checkpoint is kept; continue with"
                                                              : "start again with",
-                                              resume_command(options)));
+                                              make_resume_command(options)));
     }
 }
 
 /// Returns the error message for a user who interrupts a step after the scene was saved.
-Error interrupted_while(const char* what, const Run& run, const TrainOptions& options) {
+Error make_interruption_error(const char* description, const Run& run, const TrainOptions& options) {
     return Error(ExitCode::interrupted,
-                 fmt::format("interrupted while {}; the scene is saved in {}; continue with: {}", what,
-                             run.folder.string(), resume_command(options)));
+                 fmt::format("interrupted while {}; the scene is saved in {}; continue with: {}", description,
+                             run.folder.string(), make_resume_command(options)));
 }
 
 /// Runs the steps after the training of the scene and before the training of the ray-drop
 /// network. These steps align the held-out scans and learn the intensity noise.
 void complete_with_hint(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
     if (!complete_scene_with_progress(device, run, options.quiet, stages))
-        throw interrupted_while("held-out scans were aligned and intensity scatter was learned", run,
-                                options);
+        throw make_interruption_error("held-out scans were aligned and intensity scatter was learned", run,
+                                      options);
 }
 
 /// Scores the held-out frames and writes the scores to metrics.json.
@@ -223,12 +224,13 @@ Evaluation score(Device& device, const Run& run, const TrainOptions& options) {
             evaluate_frames(renderer, run.config, run.sequence, run.split.test, stop_on_interrupt(progress));
     } catch (const Error& error) {
         if (error.code() != ExitCode::interrupted) throw;
-        throw interrupted_while("held-out frames were scored", run, options);
+        throw make_interruption_error("held-out frames were scored", run, options);
     }
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-    write_text(run.folder / "metrics.json", metrics_json(evaluation, run.config,
-                                                         {absolute_path(run.folder.string()),
-                                                          device.info().name, device.peak_bytes(), seconds}));
+    write_text(run.folder / "metrics.json",
+               make_metrics_json(evaluation, run.config,
+                                 {make_absolute_path(run.folder.string()), device.info().name,
+                                  device.peak_bytes(), seconds}));
     return evaluation;
 }
 
@@ -246,25 +248,26 @@ void finish(Device& device, const Run& run, const TrainResult& result, const Tra
                 "interrupted after iteration {} of {}; the current scene is saved in {}; continue with: "
                 "{}",
                 result.iterations, run.config.train.iterations, run.folder.string(),
-                resume_command(options)));
+                make_resume_command(options)));
     }
     stages.begin("evaluate");
     const Evaluation evaluation = score(device, run, options);
     stages.begin("report");
     add_evaluation(report, evaluation, run, {"held out", "real"});
-    if (std::optional<ReportFigure> strip = walking_strip(device, run))
+    if (std::optional<ReportFigure> strip = draw_walking_strip(device, run))
         report.figures.push_back(std::move(*strip));
-    report.facts.emplace_back("Stages", stages_text(stages));
+    report.facts.emplace_back("Stages", format_stages(stages));
     write_report(run.folder / "report.html", report);
     stages.end();
     log_stages(run.folder, stages);
     if (options.quiet) return;
     if (!evaluation.frames.empty())
-        print(fmt::format("\n{}all scores: {}\n\n", score_summary(evaluation),
-                          absolute_path((run.folder / "metrics.json").string())));
+        print(fmt::format("\n{}all scores: {}\n\n", format_score_summary(evaluation),
+                          make_absolute_path((run.folder / "metrics.json").string())));
     print(fmt::format("{} surfels in {} of training, {} of device memory\nstages  {}\nreport  {}\n",
-                      count_surfels(run.scene), duration(result.train_s), byte_size(result.peak_device_bytes),
-                      stages_text(stages), absolute_path((run.folder / "report.html").string())));
+                      count_surfels(run.scene), format_duration(result.train_s),
+                      format_byte_size(result.peak_device_bytes), format_stages(stages),
+                      make_absolute_path((run.folder / "report.html").string())));
 }
 
 /// Loads the checkpoint from which the training of the ray-drop network resumes. If the
@@ -272,7 +275,8 @@ void finish(Device& device, const Run& run, const TrainResult& result, const Tra
 /// value.
 std::optional<Checkpoint> find_network_start(const Run& run) {
     try {
-        std::optional<Checkpoint> start = load_newest_checkpoint(network_checkpoint_folder(run.folder), note);
+        std::optional<Checkpoint> start =
+            load_newest_checkpoint(get_network_checkpoint_folder(run.folder), note);
         if (start) check_refine_resumable(*start, run);
         return start;
     } catch (const Error& error) {
@@ -294,10 +298,10 @@ void refine_with_hint(Device& device, Run& run, const TrainOptions& options, Sta
     };
     try {
         if (!refine_with_progress(device, run, options.quiet,
-                                  {.checkpoints = network_checkpoint_folder(run.folder),
+                                  {.checkpoints = get_network_checkpoint_folder(run.folder),
                                    .start = start ? &*start : nullptr,
                                    .stages = &stages}))
-            throw interrupted_while("the ray-drop network was trained", run, options);
+            throw make_interruption_error("the ray-drop network was trained", run, options);
     } catch (const DataError& error) {
         // Removes the checkpoints, because a resumed training would fail with the same
         // error.
@@ -311,7 +315,7 @@ void refine_with_hint(Device& device, Run& run, const TrainOptions& options, Sta
 }
 
 /// Reads the result of an earlier training from the file log.jsonl of the run.
-TrainResult logged_result(const fs::path& folder) {
+TrainResult read_logged_result(const fs::path& folder) {
     TrainResult result;
     result.log = read_log(folder);
     if (result.log.empty()) return result;
@@ -325,9 +329,9 @@ TrainResult logged_result(const fs::path& folder) {
 void finish_scene(const TrainOptions& options, const Config& config, const std::string& command_line) {
     const RunFolder folder(options.out, Existing::keep);
     Run run = load_run(options.out);
-    const bool has_network = !run.drop_network.empty() && same_group(run.config, config, "refine.");
+    const bool has_network = !run.drop_network.empty() && are_groups_equal(run.config, config, "refine.");
     run.config = config;
-    Device device(device_options(options.device));
+    Device device(make_device_options(options.device));
     StageTimes stages;
     stages.begin("read");
     const Sequence log = load_dataset(config, options.quiet);
@@ -343,7 +347,7 @@ void finish_scene(const TrainOptions& options, const Config& config, const std::
     // earlier process was killed before it removed them.
     if (has_network) remove_network_checkpoints(run.folder);
     else if (config.refine.enabled) refine_with_hint(device, run, options, stages);
-    TrainResult result = logged_result(run.folder);
+    TrainResult result = read_logged_result(run.folder);
     result.peak_device_bytes = device.peak_bytes();
     finish(device, run, result, options, command_line, stages);
 }
@@ -352,7 +356,7 @@ void finish_scene(const TrainOptions& options, const Config& config, const std::
 void clear_folder(const fs::path& folder, const Config& config, bool keeps_blocks, bool keeps_checkpoints) {
     remove_run_files(folder);
     remove_network_checkpoints(folder);
-    if (!keeps_checkpoints) remove_checkpoints(checkpoint_folder(folder));
+    if (!keeps_checkpoints) remove_checkpoints(get_checkpoint_folder(folder));
     if (!keeps_blocks) remove_blocks(folder);
     // Saves the settings before the training starts. If the process is killed, the
     // training can be resumed with them.
@@ -367,9 +371,9 @@ void check_ranks(const Ranks& ranks, bool in_blocks) {
             ranks.size()));
 }
 
-void run_train(const TrainOptions& given, const std::string& command_line) {
+void run_train(const TrainOptions& typed_options, const std::string& command_line) {
     const Ranks ranks;
-    TrainOptions options = resolve_options(given);
+    TrainOptions options = resolve_options(typed_options);
     options.quiet = options.quiet || !ranks.is_first();
     options.device = ranks.device(options.device);
     Config config = config_of(options);
@@ -397,11 +401,11 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
                                                     : Existing::refuse);
     if (resume && in_blocks) check_trained_blocks(options.out, config);
     std::optional<Checkpoint> start = resume && !in_blocks ? find_start(options) : std::nullopt;
-    Device device(device_options(options.device));
+    Device device(make_device_options(options.device));
     StageTimes stages;
     stages.begin("read");
     Sequence sequence = load_dataset(config, options.quiet);
-    config = with_farthest(std::move(config), sequence);
+    config = use_farthest_return(std::move(config), sequence);
     const Split split = split_frames(sequence, config.dataset.test_every, config.dataset.test_frames);
     if (!options.quiet) announce(sequence, split, device, start ? &*start : nullptr);
 
@@ -413,7 +417,7 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
     Run run{options.out, config, std::move(sequence), split, {}, {}};
     if (in_blocks) stages.begin("train");
     TrainResult result = in_blocks
-                             ? train_blocks(device, run, {ranks, options.quiet, resume_command(options)})
+                             ? train_blocks(device, run, {ranks, options.quiet, make_resume_command(options)})
                              : train_with_hint(device, run, options, start ? &*start : nullptr, stages);
     if (!ranks.is_first()) return;
     end_progress_line();

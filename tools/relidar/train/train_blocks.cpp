@@ -40,7 +40,7 @@ bool is_free(const std::string& key) {
 /// Compares the settings of a trained block with the current settings.
 /// @throws DataError if the block was trained with other settings
 void check_settings(const fs::path& block, const Config& trained, const Config& config) {
-    const std::vector<ConfigKey> was = config_keys(trained), is = config_keys(config);
+    const std::vector<ConfigKey> was = list_config_keys(trained), is = list_config_keys(config);
     for (std::size_t i = 0; i < is.size(); ++i)
         if (!is_free(is[i].key) && was[i].value != is[i].value)
             throw DataError(fmt::format(
@@ -52,8 +52,8 @@ void check_settings(const fs::path& block, const Config& trained, const Config& 
 /// Compares the frames of a trained block with the current frames.
 /// @throws DataError if the block was trained on other frames
 void check_frames(const Run& trained, const BlockLog& log) {
-    const auto is_same = [](const Frame& a, const Frame& b) {
-        return a.index == b.index && a.lidar == b.lidar;
+    const auto is_same = [](const Frame& first, const Frame& second) {
+        return first.index == second.index && first.lidar == second.lidar;
     };
     const std::vector<Frame>&was = trained.sequence.frames, &is = log.sequence.frames;
     if (trained.split.train != log.split.train ||
@@ -108,10 +108,10 @@ private:
 /// Trains the blocks of a run one after the other.
 class BlockTrainer {
 public:
-    BlockTrainer(Device& device, Run& run, const BlockTraining& how)
+    BlockTrainer(Device& device, Run& run, const BlockTraining& training)
         : device_(device),
           run_(run),
-          how_(how),
+          how_(training),
           blocks_(plan_blocks(run.sequence, run.split, run.config.blocks)) {}
 
     TrainResult train() {
@@ -128,7 +128,7 @@ public:
         // or because another MPI process trains them.
         std::vector<std::size_t> others;
         for (std::size_t k = 0; k < blocks_.size(); ++k) {
-            folders.push_back(blocks_folder(run_.folder) / fmt::format("{:03}", k));
+            folders.push_back(get_blocks_folder(run_.folder) / fmt::format("{:03}", k));
             if (!train(k, folders.back())) others.push_back(k);
         }
         how_.ranks.wait_for_all();
@@ -142,33 +142,33 @@ public:
     }
 
 private:
-    /// Trains block `k` in a folder. Does nothing if the block is already trained, or if
-    /// another MPI process trains it.
+    /// Trains block `index` in a folder. Does nothing if the block is already trained, or
+    /// if another MPI process trains it.
     /// @return true if this call has trained the block
-    bool train(std::size_t k, const fs::path& folder) {
+    bool train(std::size_t index, const fs::path& folder) {
         std::error_code failed;
         // Ignores an error, because the lock of the folder reports the same error below.
         fs::create_directories(folder, failed);
         const std::unique_ptr<FolderLock> lock = FolderLock::try_lock(folder);
         if (!lock) return false;
-        BlockLog log = block_log(run_.sequence, run_.split, blocks_[k], run_.config);
+        BlockLog log = load_block_log(run_.sequence, run_.split, blocks_[index], run_.config);
         if (fs::is_regular_file(folder / "scene.json", failed)) {
             const Run trained = load_run(folder);
             check_frames(trained, log);
             // Removes old checkpoints. They still exist if an earlier process was killed
             // before it removed them.
-            remove_checkpoints(checkpoint_folder(folder));
+            remove_checkpoints(get_checkpoint_folder(folder));
             return false;
         }
-        tell(k, log);
+        tell(index, log);
         const auto start = Clock::now();
         try {
             TrainResult result = train(log, folder);
             end_progress_line();
             total_.add(result);
-            save(k, std::move(log), folder, result);
+            save(index, std::move(log), folder, result);
         } catch (const Error& error) {
-            throw Error(error.code(), kept(fmt::format("{}: {}", name_of(k), error.what())));
+            throw Error(error.code(), kept(fmt::format("{}: {}", get_name(index), error.what())));
         }
         seconds_ += std::chrono::duration<double>(Clock::now() - start).count();
         ++trained_;
@@ -182,11 +182,11 @@ private:
             const double s = std::chrono::duration<double>(Clock::now() - start).count();
             progress.show(
                 fmt::format("actors in front of the joined background, step {}/{}  {:.2f} it/s  eta {}", step,
-                            n_steps, step / s, duration(s / step * (n_steps - step))),
+                            n_steps, step / s, format_duration(s / step * (n_steps - step))),
                 step == n_steps);
         };
         try {
-            if (!relidar::train_actors(device_, run_, {show, interrupted}))
+            if (!relidar::train_actors(device_, run_, {show, is_interrupted}))
                 throw Error(ExitCode::interrupted,
                             "interrupted while actors were trained in front of the joined background");
         } catch (const Error& error) {
@@ -196,38 +196,41 @@ private:
     }
 
     /// Adds to an error message the command that resumes the training.
-    std::string kept(const std::string& what) const {
-        return fmt::format("{}; the trained blocks are kept; continue with: {}", what, how_.resume);
+    std::string kept(const std::string& description) const {
+        return fmt::format("{}; the trained blocks are kept; continue with: {}", description, how_.resume);
     }
 
-    std::string name_of(std::size_t k) const { return fmt::format("block {} of {}", k + 1, blocks_.size()); }
+    std::string get_name(std::size_t index) const {
+        return fmt::format("block {} of {}", index + 1, blocks_.size());
+    }
 
-    void save(std::size_t k, BlockLog log, const fs::path& folder, TrainResult& result) const {
+    void save(std::size_t index, BlockLog log, const fs::path& folder, TrainResult& result) const {
         Run part{folder, log.config, std::move(log.sequence), log.split, {}, {}};
         move_result(part, result);
-        remove_overlap_surfels(part.scene, run_.sequence, blocks_, k);
+        remove_overlap_surfels(part.scene, run_.sequence, blocks_, index);
         save_run(part);
-        remove_checkpoints(checkpoint_folder(folder));
+        remove_checkpoints(get_checkpoint_folder(folder));
     }
 
     TrainResult train(const BlockLog& log, const fs::path& folder) const {
-        const fs::path checkpoints = checkpoint_folder(folder);
+        const fs::path checkpoints = get_checkpoint_folder(folder);
         const std::optional<Checkpoint> start = load_newest_checkpoint(checkpoints, note);
         const TrainSession session{checkpoints, start ? &*start : nullptr, {}, {}};
         TrainResult result =
-            train_logged(device_, log.sequence, log.split, log.config, folder, how_.quiet, session);
+            train_with_log(device_, log.sequence, log.split, log.config, folder, how_.quiet, session);
         if (!result.interrupted) return result;
         throw Error(ExitCode::interrupted, fmt::format("interrupted after iteration {} of {}",
                                                        result.iterations, log.config.train.iterations));
     }
 
-    void tell(std::size_t k, const BlockLog& log) const {
+    void tell(std::size_t index, const BlockLog& log) const {
         if (how_.quiet) return;
-        const double left_s = trained_ > 0 ? seconds_ / double(trained_) * double(blocks_.size() - k) : 0.0;
+        const double left_s =
+            trained_ > 0 ? seconds_ / double(trained_) * double(blocks_.size() - index) : 0.0;
         print(fmt::format("block   {} of {}, metres {:.0f} to {:.0f}: {} training frames, {} held out{}\n",
-                          k + 1, blocks_.size(), blocks_[k].begin_m, blocks_[k].end_m, log.split.train.size(),
-                          log.split.test.size(),
-                          left_s > 0.0 ? fmt::format("; about {} left", duration(left_s)) : ""));
+                          index + 1, blocks_.size(), blocks_[index].begin_m, blocks_[index].end_m,
+                          log.split.train.size(), log.split.test.size(),
+                          left_s > 0.0 ? fmt::format("; about {} left", format_duration(left_s)) : ""));
         std::fflush(stdout);
     }
 
@@ -245,7 +248,7 @@ private:
 void check_trained_blocks(const fs::path& run, const Config& config) {
     std::error_code failed;
     std::vector<fs::path> folders;
-    for (const auto& entry : fs::directory_iterator(blocks_folder(run), failed))
+    for (const auto& entry : fs::directory_iterator(get_blocks_folder(run), failed))
         if (fs::is_regular_file(entry.path() / "scene.json", failed)) folders.push_back(entry.path());
     std::sort(folders.begin(), folders.end());
     for (const fs::path& folder : folders) {
@@ -253,8 +256,8 @@ void check_trained_blocks(const fs::path& run, const Config& config) {
     }
 }
 
-TrainResult train_blocks(Device& device, Run& run, const BlockTraining& how) {
-    return BlockTrainer(device, run, how).train();
+TrainResult train_blocks(Device& device, Run& run, const BlockTraining& training) {
+    return BlockTrainer(device, run, training).train();
 }
 
 }  // namespace relidar::cli

@@ -27,7 +27,7 @@ struct BlockTraining {
 /// and the largest memory peak
 /// @throws Error with exit code 130 after Ctrl-C
 /// @throws DataError if a block was trained with other settings or frames
-TrainResult train_blocks(Device& device, Run& run, const BlockTraining& how);
+TrainResult train_blocks(Device& device, Run& run, const BlockTraining& training);
 
 /// Checks that the trained blocks of a run match the current settings. Otherwise they
 /// could not be joined with blocks that are trained now.

@@ -19,24 +19,24 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::string log_line(const TrainProgress& p) {
-    nlohmann::ordered_json json = {{"iteration", p.iteration},
-                                   {"seconds", p.seconds},
-                                   {"iterations_per_second", p.iterations_per_second},
-                                   {"loss", p.loss}};
-    for (std::size_t k = 0; k < p.terms.size(); ++k) json[kLossTermNames[k]] = p.terms[k];
-    json["surfels"] = p.n_surfels;
-    if (const DensifyReport& d = p.densified; d.added || d.removed())
+std::string format_log_line(const TrainProgress& progress) {
+    nlohmann::ordered_json json = {{"iteration", progress.iteration},
+                                   {"seconds", progress.seconds},
+                                   {"iterations_per_second", progress.iterations_per_second},
+                                   {"loss", progress.loss}};
+    for (std::size_t k = 0; k < progress.terms.size(); ++k) json[kLossTermNames[k]] = progress.terms[k];
+    json["surfels"] = progress.n_surfels;
+    if (const DensifyReport& d = progress.densified; d.added || d.removed())
         json["densified"] = {{"added", d.added},     {"clones_wanted", d.clones}, {"splits_wanted", d.splits},
                              {"invalid", d.invalid}, {"faint", d.faint},          {"large", d.large},
                              {"outside", d.outside}};
-    if (!p.densified.note.empty()) json["note"] = p.densified.note;
+    if (!progress.densified.note.empty()) json["note"] = progress.densified.note;
     return json.dump() + "\n";
 }
 
 std::string log_text(const std::vector<TrainProgress>& lines) {
     std::string text;
-    for (const TrainProgress& p : lines) text += log_line(p);
+    for (const TrainProgress& p : lines) text += format_log_line(p);
     return text;
 }
 
@@ -48,8 +48,8 @@ public:
         write_text(path_, log_text(before));
         file_.open(path_, std::ios::binary | std::ios::app);
     }
-    void add(const TrainProgress& p) {
-        if (lost_ || (file_ << log_line(p)).flush()) return;
+    void add(const TrainProgress& progress) {
+        if (lost_ || (file_ << format_log_line(progress)).flush()) return;
         lost_ = true;
         note(fmt::format(
             "cannot write {}, because the disk is full or the folder was removed; training continues "
@@ -75,7 +75,7 @@ private:
 /// scans moved. After Ctrl-C, the scans keep their previous poses.
 void place_with_progress(Device& device, Run& run, bool quiet) {
     Progress progress(quiet);
-    const HeldOutPlacement placed = place_held_out(device, run, {make_progress(progress), interrupted});
+    const HeldOutPlacement placed = place_held_out(device, run, {make_progress(progress), is_interrupted});
     end_progress_line();
     if (quiet || placed.scans == 0) return;
     print(
@@ -96,26 +96,27 @@ void prepare_log_with_progress(Sequence& sequence, const Split& split, const Con
         print(line + "\n");
         std::fflush(stdout);
     };
-    prepare_log(sequence, split, config, {tell, interrupted, make_progress(progress), stages, group});
+    prepare_log(sequence, split, config, {tell, is_interrupted, make_progress(progress), stages, group});
 }
 
-TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config,
-                         const fs::path& folder, bool quiet, TrainSession session) {
-    give_back_freed_memory();
+TrainResult train_with_log(Device& device, const Sequence& sequence, const Split& split, const Config& config,
+                           const fs::path& folder, bool quiet, TrainSession session) {
+    release_freed_memory();
     LogFile log(folder / "log.jsonl",
-                session.start ? resumed_log(*session.start, config) : std::vector<TrainProgress>{});
+                session.start ? read_resumed_log(*session.start, config) : std::vector<TrainProgress>{});
     Progress progress(quiet);
-    session.progress = [show = make_progress(progress)](std::string_view what, double done) {
-        if (interrupted()) throw Error(ExitCode::interrupted, "interrupted while the training was prepared");
-        show(what, done);
+    session.progress = [show = make_progress(progress)](std::string_view description, double done) {
+        if (is_interrupted())
+            throw Error(ExitCode::interrupted, "interrupted while the training was prepared");
+        show(description, done);
     };
-    session.stop = interrupted;
+    session.stop = is_interrupted;
     session.note = note;
     const TrainResult result = train(
         device, sequence, split, config,
         [&](const TrainProgress& p) {
             if (!p.densified.note.empty()) note(p.densified.note);
-            progress.show(progress_text(p), p.iteration == p.n_iterations);
+            progress.show(format_progress(p), p.iteration == p.n_iterations);
             log.add(p);
             return true;
         },
@@ -130,7 +131,7 @@ namespace {
 /// noise remains unknown.
 void learn_scatter_with_progress(Device& device, Run& run, bool quiet) {
     Progress progress(quiet);
-    run.intensity_scatter = learn_scatter(device, run, {make_progress(progress), interrupted});
+    run.intensity_scatter = learn_scatter(device, run, {make_progress(progress), is_interrupted});
     end_progress_line();
 }
 
@@ -141,7 +142,7 @@ bool complete_scene_with_progress(Device& device, Run& run, bool quiet, StageTim
     place_with_progress(device, run, quiet);
     stages.begin("scatter");
     learn_scatter_with_progress(device, run, quiet);
-    if (interrupted()) return false;
+    if (is_interrupted()) return false;
     stages.begin("save");
     save_run(run);
     return true;
@@ -150,14 +151,14 @@ bool complete_scene_with_progress(Device& device, Run& run, bool quiet, StageTim
 bool refine_with_progress(Device& device, Run& run, bool quiet, RefineSession session) {
     Progress progress(quiet);
     session.progress = make_progress(progress);
-    session.stop = interrupted;
+    session.stop = is_interrupted;
     session.note = note;
     session.step = [&](const RefineProgress& p) {
         const double eta_s = p.seconds / p.step * (p.n_steps - p.step);
         progress.show(
             fmt::format(
                 "ray-drop network, epoch {}/{}  step {}/{}  {:.2f} it/s  eta {}  entropy {}  accuracy {:.4f}",
-                p.epoch, p.n_epochs, p.step, p.n_steps, p.step / p.seconds, duration(eta_s),
+                p.epoch, p.n_epochs, p.step, p.n_steps, p.step / p.seconds, format_duration(eta_s),
                 number(p.entropy), p.accuracy),
             p.step == p.n_steps);
     };
@@ -168,17 +169,19 @@ bool refine_with_progress(Device& device, Run& run, bool quiet, RefineSession se
     return true;
 }
 
-std::string progress_text(const TrainProgress& p) {
+std::string format_progress(const TrainProgress& progress) {
     std::string terms;
-    for (std::size_t k = 0; k < p.terms.size(); ++k) {
-        if (p.terms[k] != 0.0)
-            terms += fmt::format("{}{} {}", terms.empty() ? "" : " ", kLossTermNames[k], number(p.terms[k]));
+    for (std::size_t k = 0; k < progress.terms.size(); ++k) {
+        if (progress.terms[k] != 0.0)
+            terms += fmt::format("{}{} {}", terms.empty() ? "" : " ", kLossTermNames[k],
+                                 number(progress.terms[k]));
     }
-    return fmt::format("iteration {}/{}  {:.2f} it/s  eta {}  loss {} ({})", p.iteration, p.n_iterations,
-                       p.iterations_per_second, duration(p.eta_s), number(p.loss), terms);
+    return fmt::format("iteration {}/{}  {:.2f} it/s  eta {}  loss {} ({})", progress.iteration,
+                       progress.n_iterations, progress.iterations_per_second, format_duration(progress.eta_s),
+                       number(progress.loss), terms);
 }
 
-std::string stages_text(const StageTimes& times) {
+std::string format_stages(const StageTimes& times) {
     std::vector<std::string> words;
     for (const StageTimes::Stage& stage : times.stages())
         if (stage.seconds >= 0.1) words.push_back(fmt::format("{} {:.1f} s", stage.name, stage.seconds));
@@ -218,7 +221,7 @@ std::vector<TrainProgress> read_log(const fs::path& folder) {
     return lines;
 }
 
-int last_logged_iteration(const fs::path& folder) {
+int read_last_logged_iteration(const fs::path& folder) {
     const std::vector<TrainProgress> lines = read_log(folder);
     return lines.empty() ? 0 : lines.back().iteration;
 }

@@ -22,8 +22,8 @@ void prepare_log_with_progress(Sequence& sequence, const Split& split, const Con
 /// After Ctrl-C, training stops after the current iteration. If log.jsonl cannot be
 /// written, a note is printed and training continues.
 /// @param session this function sets its members `stop` and `note`
-TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config,
-                         const std::filesystem::path& folder, bool quiet, TrainSession session = {});
+TrainResult train_with_log(Device& device, const Sequence& sequence, const Split& split, const Config& config,
+                           const std::filesystem::path& folder, bool quiet, TrainSession session = {});
 
 /// Runs the steps after the training of a scene and before the training of its ray-drop
 /// network. The steps align the held-out scans, measure the noise of intensities, and
@@ -41,11 +41,11 @@ bool refine_with_progress(Device& device, Run& run, bool quiet, RefineSession se
 
 /// Returns the text of the progress line, such as "iteration 1200/30000  4.20 it/s  eta
 /// 1:54:00  loss 0.0123 (depth 0.01 intensity 0.002 drop 0.0003)".
-std::string progress_text(const TrainProgress& progress);
+std::string format_progress(const TrainProgress& progress);
 
 /// Returns the time of each training stage as a text, such as "read 3.1 s, register 10.2
 /// s, ...". Leaves out stages of less than 0.1 s.
-std::string stages_text(const StageTimes& times);
+std::string format_stages(const StageTimes& times);
 /// Appends the times of the stages to the file log.jsonl of the run.
 void log_stages(const std::filesystem::path& folder, const StageTimes& times);
 
@@ -56,6 +56,6 @@ std::vector<TrainProgress> read_log(const std::filesystem::path& folder);
 
 /// Returns the number of the last iteration in log.jsonl, or 0 if the file contains no
 /// iteration.
-int last_logged_iteration(const std::filesystem::path& folder);
+int read_last_logged_iteration(const std::filesystem::path& folder);
 
 }  // namespace relidar::cli

@@ -54,7 +54,7 @@ std::vector<SweepFile> list_sweeps(const fs::path& folder) {
         sweeps.push_back({0, time_ns, path});
     }
     std::sort(sweeps.begin(), sweeps.end(),
-              [](const SweepFile& a, const SweepFile& b) { return a.time_ns < b.time_ns; });
+              [](const SweepFile& first, const SweepFile& second) { return first.time_ns < second.time_ns; });
     for (std::size_t i = 0; i < sweeps.size(); ++i) sweeps[i].number = int(i);
     if (sweeps.empty())
         throw DataError(
@@ -62,7 +62,7 @@ std::vector<SweepFile> list_sweeps(const fs::path& folder) {
     return sweeps;
 }
 
-std::vector<SweepFile> in_range(const std::vector<SweepFile>& sweeps, const FrameRange& range) {
+std::vector<SweepFile> select_sweeps_in_range(const std::vector<SweepFile>& sweeps, const FrameRange& range) {
     const int n = int(sweeps.size()), begin = std::min(range.begin, n),
               end = range.end < 0 ? n : std::min(range.end, n);
     if (begin >= end)
@@ -73,7 +73,7 @@ std::vector<SweepFile> in_range(const std::vector<SweepFile>& sweeps, const Fram
 
 /// Reads one rigid transform from each row of a table: quaternion w x y z, and
 /// translation in metres.
-std::vector<Pose> poses_of(const Feather& table) {
+std::vector<Pose> read_poses_of_table(const Feather& table) {
     std::vector<double> q[4], t[3];
     const char* quaternion[] = {"qw", "qx", "qy", "qz"};
     const char* translation[] = {"tx_m", "ty_m", "tz_m"};
@@ -94,7 +94,7 @@ std::vector<Pose> poses_of(const Feather& table) {
 std::vector<Lidar> read_lidars(const fs::path& file) {
     const Feather table(file);
     const std::vector<std::string> names = table.texts("sensor_name");
-    const std::vector<Pose> poses = poses_of(table);
+    const std::vector<Pose> poses = read_poses_of_table(table);
     std::vector<Lidar> lidars;
     for (const char* name : kLidarNames) {
         const auto row = std::find(names.begin(), names.end(), name);
@@ -105,7 +105,7 @@ std::vector<Lidar> read_lidars(const fs::path& file) {
         // Both LiDARs rotate clockwise as seen from above. The lower LiDAR is mounted
         // upside down, so it rotates counterclockwise in the frame of the sensor.
         const bool upright = (mounted.rotation * glm::dvec3(0, 0, 1)).z > 0.0;
-        lidars.push_back({name, vlp32c(upright), mounted});
+        lidars.push_back({name, make_vlp32c(upright), mounted});
     }
     return lidars;
 }
@@ -117,7 +117,7 @@ double seconds(std::int64_t time_ns, std::int64_t origin_ns) { return double(tim
 PoseTrack read_ego_poses(const fs::path& file, const std::vector<SweepFile>& sweeps, std::int64_t origin_ns) {
     const Feather table(file);
     const std::vector<std::int64_t> times_ns = table.integers("timestamp_ns");
-    PoseTrack way{{}, poses_of(table)};
+    PoseTrack way{{}, read_poses_of_table(table)};
     for (std::size_t i = 0; i < times_ns.size(); ++i) {
         if (i > 0 && times_ns[i] <= times_ns[i - 1])
             throw DataError(
@@ -167,7 +167,7 @@ RawSweep read_sweep(const fs::path& file) {
 using SweepPairs = std::vector<std::array<LidarSweep, 2>>;
 
 SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Lidar>& lidars,
-                       const PoseTrack& way, const Progress& progress, BrokenScans& broken) {
+                       const PoseTrack& track, const Progress& progress, BrokenScans& broken) {
     std::optional<std::array<int, 2>> halves;
     for (std::size_t at = 0; at < files.size() && !halves; ++at)
         broken.attempt(at, [&] {
@@ -175,13 +175,13 @@ SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Li
                                  {lidars[0].vehicle_from_sensor, lidars[1].vehicle_from_sensor});
         });
     std::array<PoseTrack, 2> ways;
-    for (std::size_t l = 0; l < 2; ++l) ways[l] = mounted_track(way, lidars[l].vehicle_from_sensor);
+    for (std::size_t l = 0; l < 2; ++l) ways[l] = make_mounted_track(track, lidars[l].vehicle_from_sensor);
     SweepPairs sweeps(files.size());
     for_each_with_progress(files.size(), progress, "reading sweeps", [&](std::size_t at) {
         broken.attempt(at, [&] {
             const RawSweep raw = read_sweep(files[at].path);
             for (std::size_t l = 0; l < 2; ++l)
-                sweeps[at][l] = lidar_sweep(raw, halves->at(l), lidars[l], ways[l], way.time_s[at]);
+                sweeps[at][l] = make_lidar_sweep(raw, halves->at(l), lidars[l], ways[l], track.time_s[at]);
         });
     });
     return sweeps;
@@ -215,11 +215,11 @@ void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const P
         sequence.notes.push_back(fmt::format(
             "{} frames are skipped, because their sweep has no points of one of the LiDARs", missing));
     for_each_with_progress(
-        of_frame.size(), progress, "assigning points to the fired rays", [&](std::size_t i) {
-            Frame& frame = sequence.frames[i];
-            frame.scan =
-                spinning_scan(of_frame[i]->points, sequence.lidar_of(frame).sensor, of_frame[i]->sweep);
-            *of_frame[i] = {};
+        of_frame.size(), progress, "assigning points to the fired rays", [&](std::size_t index) {
+            Frame& frame = sequence.frames[index];
+            frame.scan = make_spinning_scan(of_frame[index]->points, sequence.get_lidar(frame).sensor,
+                                            of_frame[index]->sweep);
+            *of_frame[index] = {};
         });
 }
 
@@ -232,7 +232,7 @@ std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<SweepFi
     const std::vector<std::string> ids = table.texts("track_uuid"), categories = table.texts("category");
     const std::vector<double> length = table.numbers("length_m"), width = table.numbers("width_m"),
                               height = table.numbers("height_m");
-    const std::vector<Pose> vehicle_from_box = poses_of(table);
+    const std::vector<Pose> vehicle_from_box = read_poses_of_table(table);
     std::map<std::int64_t, std::size_t> sweep_at;
     for (std::size_t i = 0; i < sweeps.size(); ++i) sweep_at[sweeps[i].time_ns] = i;
     std::vector<BoxLabel> labels;
@@ -248,8 +248,9 @@ std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<SweepFi
         labels.push_back(
             {ids[i], categories[i], size_m, poses.time_s[at], poses.pose[at] * vehicle_from_box[i]});
     }
-    std::stable_sort(labels.begin(), labels.end(),
-                     [](const BoxLabel& a, const BoxLabel& b) { return a.time_s < b.time_s; });
+    std::stable_sort(labels.begin(), labels.end(), [](const BoxLabel& first, const BoxLabel& second) {
+        return first.time_s < second.time_s;
+    });
     return build_tracks(labels);
 }
 
@@ -259,7 +260,7 @@ Sequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& optio
     check_folder(log_folder, "an Argoverse 2 log (sensors/lidar/, city_SE3_egovehicle.feather)");
     const fs::path folder = fs::canonical(log_folder);
     const std::vector<SweepFile> all = list_sweeps(folder / "sensors" / "lidar"),
-                                 sweeps = in_range(all, options.frames);
+                                 sweeps = select_sweeps_in_range(all, options.frames);
     const PoseTrack vehicle_track =
         read_ego_poses(folder / "city_SE3_egovehicle.feather", sweeps, all[0].time_ns);
     Sequence sequence;
@@ -271,14 +272,14 @@ Sequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& optio
         "motion compensation of the points is removed. Boxes are labelled in all directions.";
     sequence.lidars = read_lidars(folder / "calibration" / "egovehicle_SE3_sensor.feather");
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
-    if (path_exists(folder / "annotations.feather"))
+    if (does_path_exist(folder / "annotations.feather"))
         sequence.boxes = read_boxes(folder / "annotations.feather", sweeps, vehicle_track);
     else sequence.notes.push_back("annotations.feather is missing, so this log has no labels");
     BrokenScans broken(options.skip_broken);
     SweepPairs read = read_sweeps(sweeps, sequence.lidars, vehicle_track, options.progress, broken);
     add_sweeps(sequence, sweeps, vehicle_track, std::move(read), options.progress, broken);
     kitti::use_pose_file(sequence, options.poses_file);
-    recentre(sequence);
+    recentre_sequence(sequence);
     return sequence;
 }
 

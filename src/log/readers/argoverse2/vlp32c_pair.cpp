@@ -35,15 +35,16 @@ constexpr Laser kTable[kLasers] = {
     {15, 10.333, -1.4},  {26, -1.333, 1.4},
 };
 
-double radians(double degrees) { return degrees * kPi / 180.0; }
+double to_radians(double degrees) { return degrees * kPi / 180.0; }
 
 /// Returns the indices of the table rows, sorted by elevation with the highest laser
 /// first.
-std::array<int, kLasers> rows_of_table() {
+std::array<int, kLasers> make_row_order() {
     std::array<int, kLasers> entries;
     std::iota(entries.begin(), entries.end(), 0);
-    std::sort(entries.begin(), entries.end(),
-              [](int a, int b) { return kTable[a].elevation_deg > kTable[b].elevation_deg; });
+    std::sort(entries.begin(), entries.end(), [](int first, int second) {
+        return kTable[first].elevation_deg > kTable[second].elevation_deg;
+    });
     return entries;
 }
 
@@ -56,12 +57,12 @@ struct LaserPlace {
 };
 std::array<LaserPlace, kLasers> make_laser_table() {
     std::array<LaserPlace, kLasers> places;
-    const std::array<int, kLasers> entries = rows_of_table();
+    const std::array<int, kLasers> entries = make_row_order();
     for (int row = 0; row < kLasers; ++row) {
         const int entry = entries[std::size_t(row)];
         const Laser& laser = kTable[entry];
         places[std::size_t(laser.number)] = {std::uint16_t(row), entry / 2 * kPair_ns,
-                                             radians(laser.elevation_deg)};
+                                             to_radians(laser.elevation_deg)};
     }
     return places;
 }
@@ -69,7 +70,7 @@ std::array<LaserPlace, kLasers> make_laser_table() {
 /// Returns the mean absolute difference between the elevations of points and the nominal
 /// elevations of their lasers. Limits each difference to one degree, so that outliers
 /// have little influence.
-double misfit(const RawSweep& sweep, int half, const Pose& vehicle_from_lidar) {
+double compute_misfit(const RawSweep& sweep, int half, const Pose& vehicle_from_lidar) {
     const std::array<LaserPlace, kLasers> places = make_laser_table();
     const Pose lidar_from_vehicle = inverse(vehicle_from_lidar);
     double sum = 0.0, n = 0.0;
@@ -78,7 +79,7 @@ double misfit(const RawSweep& sweep, int half, const Pose& vehicle_from_lidar) {
         const glm::dvec3 p = lidar_from_vehicle * sweep.point_m[i];
         const double elevation = std::atan2(p.z, std::hypot(p.x, p.y));
         sum += std::min(std::abs(elevation - places[std::size_t(sweep.laser[i] % kLasers)].elevation_rad),
-                        radians(1.0));
+                        to_radians(1.0));
         n += 1.0;
     }
     return n > 0.0 ? sum / n : 0.0;
@@ -87,7 +88,7 @@ double misfit(const RawSweep& sweep, int half, const Pose& vehicle_from_lidar) {
 /// Returns for each point the number of the firing cycle that measured the point. Cycle 0
 /// is near the time stamp of the sweep. The clock of the packets is different, so the
 /// function estimates the phase of the cycles from all points.
-std::vector<int> firing_numbers(const std::vector<double>& first_pair_ns) {
+std::vector<int> compute_firing_numbers(const std::vector<double>& first_pair_ns) {
     std::complex<double> sum = 0.0;
     for (const double t : first_pair_ns) sum += std::polar(1.0, 2.0 * kPi * t / kCycle_ns);
     const double phase_ns = std::arg(sum) / (2.0 * kPi) * kCycle_ns;
@@ -98,29 +99,31 @@ std::vector<int> firing_numbers(const std::vector<double>& first_pair_ns) {
 
 }  // namespace
 
-SpinningSensor vlp32c(bool clockwise) {
+SpinningSensor make_vlp32c(bool clockwise) {
     SpinningSensor sensor;
     sensor.name = "VLP-32C";
     sensor.clockwise = clockwise;
     sensor.period_s = 1.0 / kRate_hz;
-    for (const int entry : rows_of_table()) {
+    for (const int entry : make_row_order()) {
         const Laser& laser = kTable[entry];
         const double turned = 2.0 * kPi * kRate_hz * 1e-9 * (entry / 2) * kPair_ns;
         sensor.beams.push_back(
-            {.elevation_rad = radians(laser.elevation_deg),
-             .azimuth_offset_rad = radians(laser.azimuth_deg) + (clockwise ? -turned : turned)});
+            {.elevation_rad = to_radians(laser.elevation_deg),
+             .azimuth_offset_rad = to_radians(laser.azimuth_deg) + (clockwise ? -turned : turned)});
     }
     return sensor;
 }
 
 std::array<int, 2> find_halves(const RawSweep& sweep, const std::array<Pose, 2>& vehicle_from_lidar) {
-    const double straight = misfit(sweep, 0, vehicle_from_lidar[0]) + misfit(sweep, 1, vehicle_from_lidar[1]);
-    const double crossed = misfit(sweep, 1, vehicle_from_lidar[0]) + misfit(sweep, 0, vehicle_from_lidar[1]);
+    const double straight =
+        compute_misfit(sweep, 0, vehicle_from_lidar[0]) + compute_misfit(sweep, 1, vehicle_from_lidar[1]);
+    const double crossed =
+        compute_misfit(sweep, 1, vehicle_from_lidar[0]) + compute_misfit(sweep, 0, vehicle_from_lidar[1]);
     return straight <= crossed ? std::array{0, 1} : std::array{1, 0};
 }
 
-LidarSweep lidar_sweep(const RawSweep& raw, int half, const Lidar& lidar, const PoseTrack& world_from_sensor,
-                       double time_s) {
+LidarSweep make_lidar_sweep(const RawSweep& raw, int half, const Lidar& lidar,
+                            const PoseTrack& world_from_sensor, double time_s) {
     const std::array<LaserPlace, kLasers> places = make_laser_table();
     const Pose lidar_from_vehicle = inverse(lidar.vehicle_from_sensor);
     LidarSweep result;
@@ -137,7 +140,8 @@ LidarSweep lidar_sweep(const RawSweep& raw, int half, const Lidar& lidar, const 
     if (result.points.size() == 0) return result;
     undo_compensation(result.points, world_from_sensor, time_s);
     const double step_rad = (lidar.sensor.clockwise ? -2.0 : 2.0) * kPi * kRate_hz * kCycle_ns * 1e-9;
-    result.sweep = arrange_firings(result.points, firing_numbers(first_pair_ns), lidar.sensor, step_rad);
+    result.sweep =
+        arrange_firings(result.points, compute_firing_numbers(first_pair_ns), lidar.sensor, step_rad);
     return result;
 }
 

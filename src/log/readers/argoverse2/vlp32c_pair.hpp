@@ -25,7 +25,7 @@ struct RawSweep {
 /// Returns a VLP-32C with nominal beam angles. The beams are sorted by elevation, highest
 /// first.
 /// @param clockwise  true if the head rotates clockwise in the sensor frame, seen from +z
-SpinningSensor vlp32c(bool clockwise);
+SpinningSensor make_vlp32c(bool clockwise);
 
 /// Finds which LiDAR has the laser numbers 0 to 31. Returns {0, 1} if it is the first
 /// LiDAR. Returns {1, 0} if it is the second LiDAR. Tests both cases by comparing the
@@ -44,7 +44,7 @@ struct LidarSweep {
 /// firing. Keeps firings without points, for example where the vehicle blocks all beams.
 /// @param world_from_sensor  poses with which the dataset moved the points to the time of
 /// the sweep
-LidarSweep lidar_sweep(const RawSweep& raw, int half, const Lidar& lidar, const PoseTrack& world_from_sensor,
-                       double time_s);
+LidarSweep make_lidar_sweep(const RawSweep& raw, int half, const Lidar& lidar,
+                            const PoseTrack& world_from_sensor, double time_s);
 
 }  // namespace relidar::argoverse2

@@ -33,10 +33,11 @@ public:
         if (places_.is_world_of_poses && frame == places_.poses.world) return Pose{};
         auto known = apart_.find(frame);
         if (known == apart_.end())
-            known = apart_
-                        .emplace(frame, places_.frames.apart(places_.vehicle, frame, places_.poses.clock,
-                                                             places_.poses.zero_ns))
-                        .first;
+            known =
+                apart_
+                    .emplace(frame, places_.frames.find_relative_poses(
+                                        places_.vehicle, frame, places_.poses.clock, places_.poses.zero_ns))
+                    .first;
         if (!known->second || !known->second->covers(t_s)) return std::nullopt;
         if (places_.is_world_of_poses && !places_.poses.path->covers(t_s)) return std::nullopt;
         return places_.world_from_vehicle(t_s) * known->second->at(t_s);
@@ -61,7 +62,7 @@ std::size_t sort_labels(std::vector<BoxLabel>& labels) {
 
 /// Assigns to each object its most frequent category and its median size, because object
 /// trackers change category and size over time.
-void settle(std::vector<BoxLabel>& labels) {
+void unify_labels(std::vector<BoxLabel>& labels) {
     std::map<std::string, std::vector<const BoxLabel*>> things;
     for (const BoxLabel& label : labels) things[label.id].push_back(&label);
     std::map<std::string, std::pair<glm::dvec3, std::string>> settled;
@@ -115,13 +116,13 @@ public:
             result.notes.push_back(fmt::format(
                 "{} boxes are skipped, because the pose of the frame '{}' in the frame '{}' is unknown at "
                 "their times",
-                n_unplaced_, excerpt(*unplaced_.begin()), places_.vehicle));
+                n_unplaced_, make_excerpt(*unplaced_.begin()), places_.vehicle));
         if (const std::size_t n = sort_labels(labels_); n > 0)
             result.notes.push_back(
                 fmt::format("{} boxes are skipped, because another box has the same track id and the same "
                             "time",
                             n));
-        settle(labels_);
+        unify_labels(labels_);
         result.tracks = build_tracks(labels_);
         return result;
     }
@@ -139,7 +140,7 @@ private:
 
 BoxTracks read_tracks(const Bag& bag, const BoxTopic& boxes, const BoxPlaces& places,
                       const std::vector<double>& times_s) {
-    const double step_s = median_step_s(times_s);
+    const double step_s = compute_median_step_s(times_s);
     LabelReader reader(places, times_s.front() - step_s, times_s.back() + step_s);
     for (const BoxEntry& entry : boxes.lists)
         if (reader.is_wanted(reader.seconds(entry.stamp_ns, entry.log_ns)))

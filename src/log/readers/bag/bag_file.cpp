@@ -31,8 +31,8 @@ struct Metadata {
     std::string compression, mode;
 };
 
-std::string unquoted(std::string_view text) {
-    text = trimmed(text);
+std::string remove_quotes(std::string_view text) {
+    text = trim_spaces(text);
     if (text.size() >= 2 && (text.front() == '"' || text.front() == '\'') && text.back() == text.front())
         text = text.substr(1, text.size() - 2);
     return std::string(text);
@@ -42,8 +42,8 @@ Metadata read_metadata(const fs::path& file) {
     Metadata metadata;
     bool in_files = false;
     for (const std::string& line : split_lines(read_text(file))) {
-        const std::string_view text = trimmed(line);
-        const auto value_of = [&](std::string_view key) { return unquoted(text.substr(key.size())); };
+        const std::string_view text = trim_spaces(line);
+        const auto value_of = [&](std::string_view key) { return remove_quotes(text.substr(key.size())); };
         if (text.starts_with("relative_file_paths:")) in_files = true;
         else if (in_files && text.starts_with("- ")) metadata.files.push_back(value_of("- "));
         else in_files = false;
@@ -51,13 +51,13 @@ Metadata read_metadata(const fs::path& file) {
         if (text.starts_with("compression_mode:")) metadata.mode = value_of("compression_mode:");
     }
     std::ranges::transform(metadata.mode, metadata.mode.begin(),
-                           [](unsigned char c) { return char(std::tolower(c)); });
+                           [](unsigned char character) { return char(std::tolower(character)); });
     return metadata;
 }
 
 /// Returns the recording files of a folder without metadata.yaml. Sorts numbers by value,
 /// so NAME_2 comes before NAME_10.
-std::vector<fs::path> parts_by_name(const fs::path& folder) {
+std::vector<fs::path> sort_parts_by_name(const fs::path& folder) {
     std::vector<fs::path> parts;
     for (const fs::path& file : list_folder(folder))
         if (is_part(file)) parts.push_back(file);
@@ -81,20 +81,20 @@ Bag::Bag(const fs::path& path, bool skip_broken) {
     Metadata metadata;
     if (!fs::is_directory(path)) {
         paths_ = {path};
-        if (path_exists(path.parent_path() / kMetadata))
+        if (does_path_exist(path.parent_path() / kMetadata))
             metadata = read_metadata(path.parent_path() / kMetadata);
-    } else if (path_exists(path / kMetadata)) {
+    } else if (does_path_exist(path / kMetadata)) {
         metadata = read_metadata(path / kMetadata);
         for (const std::string& name : metadata.files) {
             // uses only the file name, because the folder may have been renamed
             const fs::path file = path / fs::path(name).filename();
-            if (path_exists(file)) paths_.push_back(file);
+            if (does_path_exist(file)) paths_.push_back(file);
             else
                 note(fmt::format("{}: this file of the recording is listed in {} but missing", file.string(),
                                  kMetadata));
         }
     }
-    if (paths_.empty()) paths_ = parts_by_name(path);
+    if (paths_.empty()) paths_ = sort_parts_by_name(path);
     if (paths_.empty())
         throw DataError(fmt::format(
             "{}: found no file of a recording, expected .mcap, .db3, .bag, .pcap or .pcapng", path.string()));
@@ -123,7 +123,7 @@ void Bag::note(const std::string& text) {
     if (std::ranges::find(notes_, text) == notes_.end()) notes_.push_back(text);
 }
 
-void Bag::each(const Wanted& wanted, const Take& take, const Progress& progress) {
+void Bag::each(const Wanted& filter, const Take& callback, const Progress& progress) {
     for (std::size_t f = 0; f < files_.size(); ++f) {
         double told = -1.0;
         const auto done = [&](double share) {
@@ -137,9 +137,9 @@ void Bag::each(const Wanted& wanted, const Take& take, const Progress& progress)
                     fmt::format("found a message with the recording time {} ns, expected 0 to {} ns",
                                 message.log_ns, kLatest_ns));
             message.place.file = std::uint32_t(f);
-            take(message);
+            callback(message);
         };
-        files_[f]->each(topics_, {wanted, of_file, [&](const std::string& text) { note(text); }, done});
+        files_[f]->each(topics_, {filter, of_file, [&](const std::string& text) { note(text); }, done});
     }
 }
 

@@ -114,8 +114,8 @@ public:
     /// recording. Otherwise returns an empty string. Valid only after each().
     std::string points_in() const;
 
-    /// Reads the messages of all files in order. Calls `take` with each message.
-    void each(const Wanted& wanted, const Take& take, const Progress& progress = {});
+    /// Reads the messages of all files in order. Calls `callback` with each message.
+    void each(const Wanted& filter, const Take& callback, const Progress& progress = {});
     /// Reads the bytes of the message at a position. Several threads can call this
     /// function at the same time.
     SharedBytes read(const Place& place) const;

@@ -16,7 +16,7 @@ namespace {
 constexpr std::size_t kSampleClouds = 6;
 
 /// Returns the smallest time of all points of a cloud, in the time unit of the file.
-double first_time_of(const folder::PointTable& table) {
+double find_first_time_of_cloud(const folder::PointTable& table) {
     double first = INFINITY;
     if (const folder::FieldValues* times = table.find(folder::PointValue::time))
         times->visit([&](const auto& time_at) {
@@ -28,7 +28,7 @@ double first_time_of(const folder::PointTable& table) {
 
 folder::PointTable read_table(const Bag& bag, const CloudTopic& clouds, const Place& place) {
     const SharedBytes message = bag.read(place);
-    return table_of(read_cloud(bag.topics()[clouds.topic], message.bytes), message);
+    return make_point_table(read_cloud(bag.topics()[clouds.topic], message.bytes), message);
 }
 
 }  // namespace
@@ -41,11 +41,11 @@ std::string BagScans::name(std::size_t frame) const {
 
 Points BagScans::points(std::size_t frame) const {
     const FrameCloud& at = clouds_[frame];
-    if (at.entry.parts.empty()) return points_of_cloud(frame, at.entry, at.cloud_s);
+    if (at.entry.parts.empty()) return read_points_of_cloud(frame, at.entry, at.cloud_s);
     Points all;
     for (const TurnPart& part : at.entry.parts) {
         const CloudEntry cloud{part.stamp_ns, part.log_ns, part.n_points, part.place};
-        Points points = points_of_cloud(
+        Points points = read_points_of_cloud(
             frame, cloud, at.cloud_s + 1e-9 * double(cloud.time_ns(clock_) - at.entry.time_ns(clock_)));
         if (points.time_offset_s.empty())
             throw DataError(fmt::format(
@@ -66,7 +66,7 @@ Points BagScans::points(std::size_t frame) const {
     return all;
 }
 
-folder::PointTable BagScans::table_of_cloud(std::size_t frame, const Place& place) const {
+folder::PointTable BagScans::read_table_of_cloud(std::size_t frame, const Place& place) const {
     const LidarTopic& lidar = lidars_[clouds_[frame].lidar];
     if (const auto known = lidar.samples.find(place); known != lidar.samples.end()) return known->second;
     try {
@@ -76,22 +76,22 @@ folder::PointTable BagScans::table_of_cloud(std::size_t frame, const Place& plac
     }
 }
 
-Points BagScans::points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const {
+Points BagScans::read_points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const {
     const FrameCloud& at = clouds_[frame];
     const CloudUnits& units = lidars_[at.lidar].units;
-    folder::PointTable table = table_of_cloud(frame, cloud.place);
+    folder::PointTable table = read_table_of_cloud(frame, cloud.place);
     if (units.zero == TimeZero::none) table.remove(folder::PointValue::time);
     // value of the time field of a point measured at 0 s of the frame
     double zero_s = at.time_s - cloud_s;
     if (units.zero == TimeZero::epoch) zero_s += 1e-9 * double(cloud.stamp_ns);
-    if (units.zero == TimeZero::sensor_clock) zero_s += units.time_unit_s * first_time_of(table);
+    if (units.zero == TimeZero::sensor_clock) zero_s += units.time_unit_s * find_first_time_of_cloud(table);
     const folder::PointUnits point_units{.columns = {},
                                          .intensity_max = units.meaning.scale.max,
                                          .time_unit_s = units.time_unit_s,
                                          .absolute_times = true,
                                          .intensity_field = units.meaning.intensity_field,
                                          .no_return = units.meaning.no_return};
-    Points points = folder::points_of(table, point_units, zero_s, name(frame));
+    Points points = folder::make_points(table, point_units, zero_s, name(frame));
     if (!deskewed_by_) return points;
     const Pose world_from_cloud = deskewed_by_(at.lidar, cloud_s);
     for (std::size_t i = 0; i < points.time_offset_s.size(); ++i) {

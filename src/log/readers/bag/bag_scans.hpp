@@ -68,8 +68,8 @@ private:
     const Clock clock_;
     const LidarPose deskewed_by_;
 
-    folder::PointTable table_of_cloud(std::size_t frame, const Place& place) const;
-    Points points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const;
+    folder::PointTable read_table_of_cloud(std::size_t frame, const Place& place) const;
+    Points read_points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const;
 };
 
 }  // namespace relidar::bag

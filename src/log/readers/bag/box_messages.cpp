@@ -21,8 +21,8 @@ constexpr std::size_t kCovariance = 36, kTwist = 6 + kCovariance;  // number of 
 // maximum number of padding bytes that CDR appends after the last field
 constexpr std::size_t kPadding = 3;
 
-void pass_numbers(MessageReader& reader, std::size_t n) {
-    for (std::size_t i = 0; i < n; ++i) reader.number<double>();
+void pass_numbers(MessageReader& reader, std::size_t count) {
+    for (std::size_t i = 0; i < count; ++i) reader.number<double>();
 }
 
 glm::dvec3 read_vector(MessageReader& reader) {
@@ -43,7 +43,8 @@ void add_box(BoxList& list, const Draft& draft) {
     const glm::dvec3& s = draft.size_m;
     const bool has_size = std::isfinite(s.x + s.y + s.z) && std::min({s.x, s.y, s.z}) > 0.0;
     try {
-        if (has_size) list.boxes.push_back({draft.header, draft.id, draft.category, s, pose_of(draft.pose)});
+        if (has_size)
+            list.boxes.push_back({draft.header, draft.id, draft.category, s, make_pose(draft.pose)});
         else ++list.n_left_out;
     } catch (const DataError&) {
         ++list.n_left_out;
@@ -148,7 +149,7 @@ std::string read_uuid(MessageReader& reader) {
         if (i == 4 || i == 6 || i == 8 || i == 10) text += '-';
         text += fmt::format("{:02x}", static_cast<unsigned char>(bytes[i]));
     }
-    return std::ranges::all_of(bytes, [](char c) { return c == '\0'; }) ? "" : text;
+    return std::ranges::all_of(bytes, [](char character) { return character == '\0'; }) ? "" : text;
 }
 
 /// Reads the shape of an object and sets the size of its box. If the shape is a polygon,

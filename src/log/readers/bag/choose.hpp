@@ -20,10 +20,10 @@ struct CloudChoice {
     std::vector<std::string> notes;
 };
 /// Selects the point cloud topics that are loaded.
-/// @param wanted  names of the topics that the user requested; empty: automatic selection
+/// @param topics  names of the topics that the user requested; empty: automatic selection
 /// @throws DataError if no topic contains clouds
 /// @throws UsageError if a requested topic contains no clouds
-CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vector<std::string>& wanted);
+CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vector<std::string>& topics);
 
 /// The poses that are loaded, and the clock of the log.
 struct PoseChoice {
@@ -39,10 +39,10 @@ struct PoseChoice {
 };
 /// Selects the vehicle poses of the log.
 /// @param main  clouds of the main LiDAR; poses are needed at the times of these clouds
-/// @param wanted  name of a frame or of a pose topic; empty: automatic selection
-/// @throws UsageError if `wanted` is neither a frame nor a pose topic
+/// @param make_pose_topic  name of a frame or of a pose topic; empty: automatic selection
+/// @throws UsageError if `make_pose_topic` is neither a frame nor a pose topic
 PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& main,
-                        const std::string& wanted);
+                        const std::string& make_pose_topic);
 
 /// The selected topic of boxes.
 struct BoxChoice {

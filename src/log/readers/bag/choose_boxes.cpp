@@ -11,14 +11,15 @@ namespace relidar::bag {
 
 BoxChoice choose_boxes(const Bag& bag, const Survey& survey) {
     BoxChoice choice;
-    const auto name_of = [&](const BoxTopic& boxes) { return bag.topics()[boxes.topic].name; };
-    const auto is_worse = [&](const BoxTopic& a, const BoxTopic& b) {
-        return a.n_named != b.n_named ? a.n_named < b.n_named : name_of(a) > name_of(b);
+    const auto get_name = [&](const BoxTopic& boxes) { return bag.topics()[boxes.topic].name; };
+    const auto is_worse = [&](const BoxTopic& first, const BoxTopic& second) {
+        return first.n_named != second.n_named ? first.n_named < second.n_named
+                                               : get_name(first) > get_name(second);
     };
     const auto best = std::ranges::max_element(survey.boxes, is_worse);
     if (best != survey.boxes.end() && best->n_named > 0) choice.topic = &*best;
     for (const BoxTopic& boxes : survey.boxes) {
-        const std::string name = excerpt(name_of(boxes));
+        const std::string name = make_excerpt(get_name(boxes));
         if (&boxes == choice.topic)
             choice.notes.push_back(fmt::format("boxes are read from {}{}", name,
                                                boxes.n_named == boxes.n_boxes
@@ -28,7 +29,7 @@ BoxChoice choose_boxes(const Bag& bag, const Survey& survey) {
         else if (boxes.n_named > 0)
             choice.notes.push_back(fmt::format(
                 "the boxes of {} are ignored: {} boxes have a track id, but {} boxes of {} have one", name,
-                boxes.n_named, choice.topic->n_named, excerpt(name_of(*choice.topic))));
+                boxes.n_named, choice.topic->n_named, make_excerpt(get_name(*choice.topic))));
         else if (boxes.n_boxes > 0)
             choice.notes.push_back(
                 fmt::format("the boxes of {} are ignored, because none of the {} boxes has a track id", name,
@@ -38,7 +39,7 @@ BoxChoice choose_boxes(const Bag& bag, const Survey& survey) {
         if (use_of(topic) == Use::nameless_boxes)
             choice.notes.push_back(
                 fmt::format("the boxes of {} are ignored, because messages of type {} have no track ids",
-                            excerpt(topic.name), excerpt(topic.type)));
+                            make_excerpt(topic.name), make_excerpt(topic.type)));
     return choice;
 }
 

@@ -19,11 +19,11 @@ namespace {
 // Allowed sweep rates of an additional LiDAR, relative to the rate of the main LiDAR.
 constexpr double kLeastRate = 0.5, kMostRate = 2.0;
 
-std::string topics_text(const Bag& bag) {
+std::string format_topics(const Bag& bag) {
     std::vector<std::string> texts;
     for (const Topic& topic : bag.topics())
         if (texts.size() < 20)
-            texts.push_back(fmt::format("{} ({})", excerpt(topic.name), excerpt(topic.type)));
+            texts.push_back(fmt::format("{} ({})", make_excerpt(topic.name), make_excerpt(topic.type)));
     return texts.empty() ? "none" : fmt::format("{}", fmt::join(texts, ", "));
 }
 
@@ -42,7 +42,7 @@ constexpr PacketDriver kDrivers[] = {
 
 /// Returns the part of an error message that explains why messages of possible cloud
 /// topics could not be read.
-std::string broken_text(const Bag& bag, const Survey& survey) {
+std::string format_broken_topics(const Bag& bag, const Survey& survey) {
     std::string text;
     for (const std::string& note : bag.notes()) text += fmt::format(" ({})", note);
     for (const Topic& topic : bag.topics())
@@ -51,21 +51,21 @@ std::string broken_text(const Bag& bag, const Survey& survey) {
                 text += fmt::format(
                     " ({}: relidar cannot decode these packets; play the recording with {}, and record its "
                     "point clouds)",
-                    excerpt(topic.name), known.driver);
+                    make_excerpt(topic.name), known.driver);
     for (std::size_t t = 0; t < survey.facts.size(); ++t) {
         const Topic& topic = bag.topics()[t];
         const auto clouds = std::ranges::find(survey.clouds, t, &CloudTopic::topic);
         const bool is_empty = clouds != survey.clouds.end() && clouds->clouds.empty();
         if (is_empty && !clouds->packets.empty())
-            text += fmt::format(" ({}: {} packets of a {}; {})", excerpt(topic.name), clouds->packets.size(),
-                                clouds->packets.about(), clouds->packets.problems());
+            text += fmt::format(" ({}: {} packets of a {}; {})", make_excerpt(topic.name),
+                                clouds->packets.size(), clouds->packets.about(), clouds->packets.problems());
         else if (is_empty)
-            text += fmt::format(" ({}: {} clouds without points)", excerpt(topic.name), clouds->n_empty);
+            text += fmt::format(" ({}: {} clouds without points)", make_excerpt(topic.name), clouds->n_empty);
         if (survey.facts[t].n_broken > 0)
-            text += fmt::format(" ({}: {})", excerpt(topic.name), survey.facts[t].broken);
+            text += fmt::format(" ({}: {})", make_excerpt(topic.name), survey.facts[t].broken);
         if (topic.type == packets::kOtherDatagrams)
             text += fmt::format(" ({}: {} datagrams that relidar cannot decode as LiDAR packets)",
-                                excerpt(topic.name), survey.facts[t].n);
+                                make_excerpt(topic.name), survey.facts[t].n);
     }
     if (bag.topics().empty()) text += " (the recording has no messages)";
     return text;
@@ -74,13 +74,14 @@ std::string broken_text(const Bag& bag, const Survey& survey) {
 /// Returns a score for a topic. A topic with a higher score more probably contains raw
 /// measurements of a LiDAR. Packets have the highest score. The score of clouds depends
 /// on the presence of times, rings and return numbers, and then on the number of points.
-double rawness(const CloudTopic& clouds) {
+double compute_rawness(const CloudTopic& clouds) {
     if (!clouds.packets.empty()) return 200.0;
     const bool timed = clouds.has_field(folder::PointValue::time);
     const bool ringed = clouds.has_field(folder::PointValue::ring);
     const bool numbered = clouds.has_field(folder::PointValue::return_number) ||
                           clouds.has_field(folder::PointValue::return_type);
-    return 100.0 * timed + 50.0 * ringed + 20.0 * numbered + std::log10(1.0 + double(clouds.usual_points()));
+    return 100.0 * timed + 50.0 * ringed + 20.0 * numbered +
+           std::log10(1.0 + double(clouds.compute_median_points()));
 }
 
 constexpr std::array kOfWorld = {"map", "odom", "world", "earth"},
@@ -113,22 +114,22 @@ void check_frame(const std::string& name, const CloudTopic& clouds, CloudChoice&
 
 /// Returns the number of sweeps per second. It can be smaller than the message rate,
 /// because several messages may form one sweep.
-double rate_of(const Survey& survey, const CloudTopic& clouds) {
+double estimate_rate(const Survey& survey, const CloudTopic& clouds) {
     const TopicFacts& facts = survey.facts[clouds.topic];
     return facts.rate_hz() * double(clouds.clouds.size()) /
            double(std::max<std::size_t>(facts.n - clouds.n_empty, 1));
 }
 
-std::vector<std::size_t> named_clouds(const Bag& bag, const Survey& survey,
-                                      const std::vector<std::string>& wanted) {
+std::vector<std::size_t> find_named_clouds(const Bag& bag, const Survey& survey,
+                                           const std::vector<std::string>& topics) {
     std::vector<std::size_t> lidars;
-    for (const std::string& name : wanted) {
+    for (const std::string& name : topics) {
         const auto found = std::ranges::find_if(
             survey.clouds, [&](const CloudTopic& c) { return bag.topics()[c.topic].name == name; });
         if (found == survey.clouds.end() || found->clouds.empty())
             throw UsageError(fmt::format(
                 "dataset.lidars: found '{}', expected a topic of point clouds; the recording contains {}",
-                excerpt(name), topics_text(bag)));
+                make_excerpt(name), format_topics(bag)));
         lidars.push_back(std::size_t(found - survey.clouds.begin()));
     }
     std::ranges::sort(lidars);
@@ -139,7 +140,7 @@ std::vector<std::size_t> named_clouds(const Bag& bag, const Survey& survey,
 /// Returns the name of the frame that identifies the LiDAR of a topic. Usually returns
 /// the frame of the clouds. If a driver computed the clouds from packets in the same
 /// recording, returns the frame of the packets.
-const std::string& sensor_of(const Survey& survey, const CloudTopic& clouds) {
+const std::string& get_sensor(const Survey& survey, const CloudTopic& clouds) {
     for (const CloudTopic& other : survey.clouds)
         if (!other.turns.empty() &&
             std::ranges::find(other.driver_frames, clouds.frame) != other.driver_frames.end())
@@ -149,7 +150,7 @@ const std::string& sensor_of(const Survey& survey, const CloudTopic& clouds) {
 
 /// Selects one topic for each LiDAR: the topic that most probably contains raw
 /// measurements.
-std::vector<std::size_t> guessed_clouds(const Survey& survey) {
+std::vector<std::size_t> guess_clouds(const Survey& survey) {
     const auto has_clouds = [](const CloudTopic& c) { return !c.clouds.empty(); };
     const bool any_of_sensor = std::ranges::any_of(
         survey.clouds, [&](const CloudTopic& c) { return has_clouds(c) && is_of_sensor(c); });
@@ -157,8 +158,8 @@ std::vector<std::size_t> guessed_clouds(const Survey& survey) {
     for (std::size_t c = 0; c < survey.clouds.size(); ++c) {
         const CloudTopic& clouds = survey.clouds[c];
         if (!has_clouds(clouds) || (any_of_sensor && !is_of_sensor(clouds))) continue;
-        const auto [at, is_new] = best.try_emplace(sensor_of(survey, clouds), c);
-        if (!is_new && rawness(clouds) > rawness(survey.clouds[at->second])) at->second = c;
+        const auto [at, is_new] = best.try_emplace(get_sensor(survey, clouds), c);
+        if (!is_new && compute_rawness(clouds) > compute_rawness(survey.clouds[at->second])) at->second = c;
     }
     std::vector<std::size_t> lidars;
     for (const auto& [frame, c] : best) lidars.push_back(c);
@@ -166,32 +167,32 @@ std::vector<std::size_t> guessed_clouds(const Survey& survey) {
     return lidars;
 }
 
-std::size_t main_of(const Survey& survey, const std::vector<std::size_t>& lidars) {
+std::size_t choose_main_lidar(const Survey& survey, const std::vector<std::size_t>& lidars) {
     const auto most = std::ranges::max_element(lidars, {}, [&](std::size_t c) {
         const CloudTopic& clouds = survey.clouds[c];
-        return std::pair(rawness(clouds) >= 100.0,
-                         double(clouds.usual_points()) * double(clouds.clouds.size()));
+        return std::pair(compute_rawness(clouds) >= 100.0,
+                         double(clouds.compute_median_points()) * double(clouds.clouds.size()));
     });
     return std::size_t(most - lidars.begin());
 }
 
 }  // namespace
 
-CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vector<std::string>& wanted) {
+CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vector<std::string>& topics) {
     CloudChoice choice;
-    choice.lidars = wanted.empty() ? guessed_clouds(survey) : named_clouds(bag, survey, wanted);
+    choice.lidars = topics.empty() ? guess_clouds(survey) : find_named_clouds(bag, survey, topics);
     if (choice.lidars.empty())
         throw DataError(
             fmt::format("{}: the recording has no point clouds{}, expected a topic of "
                         "sensor_msgs/PointCloud2 or livox_ros_driver2/CustomMsg; it contains {}",
-                        bag.files().front().string(), broken_text(bag, survey), topics_text(bag)));
-    choice.main = main_of(survey, choice.lidars);
+                        bag.files().front().string(), format_broken_topics(bag, survey), format_topics(bag)));
+    choice.main = choose_main_lidar(survey, choice.lidars);
     const CloudTopic& main = survey.clouds[choice.lidars[choice.main]];
     std::vector<std::size_t> kept;
     for (const std::size_t c : choice.lidars) {
         const CloudTopic& clouds = survey.clouds[c];
         const std::string& name = bag.topics()[clouds.topic].name;
-        const double rate = rate_of(survey, clouds) / std::max(rate_of(survey, main), 1e-9);
+        const double rate = estimate_rate(survey, clouds) / std::max(estimate_rate(survey, main), 1e-9);
         std::string why;
         if (&clouds != &main && !survey.frames.fixed(main.frame, clouds.frame))
             why = fmt::format("/tf_static has no transform between its frame '{}' and the frame '{}'",
@@ -202,7 +203,7 @@ CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vecto
         if (why.empty()) {
             check_frame(name, clouds, choice);
             kept.push_back(c);
-        } else if (wanted.empty()) {
+        } else if (topics.empty()) {
             choice.notes.push_back(fmt::format(
                 "topic {} is ignored: {}; use dataset.lidars={} to read only this topic", name, why, name));
         } else {

@@ -26,31 +26,33 @@ struct PoseSource {
 /// Returns the name of the vehicle's frame. On the path from the sensor's frame to the
 /// frame `outer`, it is the first frame that moves relative to its parent. If no frame
 /// moves, returns the sensor's frame.
-std::string find_vehicle_frame(const FrameTree& frames, const std::vector<std::string>& way,
+std::string find_vehicle_frame(const FrameTree& frames, const std::vector<std::string>& chain,
                                const std::string& outer) {
-    for (const std::string& frame : way) {
+    for (const std::string& frame : chain) {
         if (frame == outer) break;
         if (frames.moves(frame)) return frame;
     }
-    return way.front();
+    return chain.front();
 }
 
-bool moves_below(const FrameTree& frames, const std::vector<std::string>& way, const std::string& outer) {
-    const auto end = std::ranges::find(way, outer);
-    return std::any_of(way.begin(), end, [&](const std::string& frame) { return frames.moves(frame); });
+bool has_motion_below(const FrameTree& frames, const std::vector<std::string>& chain,
+                      const std::string& outer) {
+    const auto end = std::ranges::find(chain, outer);
+    return std::any_of(chain.begin(), end, [&](const std::string& frame) { return frames.moves(frame); });
 }
 
-PoseSource of_frame(const FrameTree& frames, const std::vector<std::string>& way, const std::string& outer) {
-    PoseSource source{outer, nullptr, find_vehicle_frame(frames, way, outer), {}};
-    source.about =
-        fmt::format("poses are those of the frame '{}' in the frame '{}' from /tf (path {}){}",
-                    source.vehicle, outer, fmt::join(way, " < "),
-                    moves_below(frames, way, outer) ? "" : "; they are constant, so the LiDAR does not move");
+PoseSource make_frame_source(const FrameTree& frames, const std::vector<std::string>& chain,
+                             const std::string& outer) {
+    PoseSource source{outer, nullptr, find_vehicle_frame(frames, chain, outer), {}};
+    source.about = fmt::format(
+        "poses are those of the frame '{}' in the frame '{}' from /tf (path {}){}", source.vehicle, outer,
+        fmt::join(chain, " < "),
+        has_motion_below(frames, chain, outer) ? "" : "; they are constant, so the LiDAR does not move");
     return source;
 }
 
-PoseSource of_topic(const Bag& bag, const FrameTree& frames, const PoseTopic& topic, const std::string& lidar,
-                    std::vector<std::string>& notes) {
+PoseSource make_topic_source(const Bag& bag, const FrameTree& frames, const PoseTopic& topic,
+                             const std::string& lidar, std::vector<std::string>& notes) {
     PoseSource source{topic.parent, &topic, topic.child.empty() ? "base_link" : topic.child, {}};
     const std::string& name = bag.topics()[topic.topic].name;
     if (!frames.fixed(source.vehicle, lidar)) {
@@ -67,45 +69,46 @@ PoseSource of_topic(const Bag& bag, const FrameTree& frames, const PoseTopic& to
 
 /// Returns the pose topic with the most samples. Prefers odometry topics to topics with
 /// single poses.
-const PoseTopic* densest(const Bag& bag, const Survey& survey) {
+const PoseTopic* find_densest_topic(const Bag& bag, const Survey& survey) {
     const auto best = std::ranges::max_element(survey.poses, {}, [&](const PoseTopic& p) {
         return std::pair(bag.topics()[p.topic].type == "nav_msgs/Odometry", p.samples.size());
     });
     return best == survey.poses.end() || best->samples.size() < 2 ? nullptr : &*best;
 }
 
-std::optional<PoseSource> named_source(const Bag& bag, const Survey& survey,
-                                       const std::vector<std::string>& way, const std::string& wanted,
-                                       std::vector<std::string>& notes) {
-    if (wanted.empty()) return std::nullopt;
-    if (std::find(way.begin() + 1, way.end(), wanted) != way.end())
-        return of_frame(survey.frames, way, wanted);
-    std::vector<std::string> known(way.begin() + 1, way.end());
+std::optional<PoseSource> find_named_source(const Bag& bag, const Survey& survey,
+                                            const std::vector<std::string>& chain,
+                                            const std::string& make_pose_topic,
+                                            std::vector<std::string>& notes) {
+    if (make_pose_topic.empty()) return std::nullopt;
+    if (std::find(chain.begin() + 1, chain.end(), make_pose_topic) != chain.end())
+        return make_frame_source(survey.frames, chain, make_pose_topic);
+    std::vector<std::string> known(chain.begin() + 1, chain.end());
     for (const PoseTopic& topic : survey.poses) {
-        if (bag.topics()[topic.topic].name == wanted)
-            return of_topic(bag, survey.frames, topic, way.front(), notes);
+        if (bag.topics()[topic.topic].name == make_pose_topic)
+            return make_topic_source(bag, survey.frames, topic, chain.front(), notes);
         known.push_back(bag.topics()[topic.topic].name);
     }
     throw UsageError(fmt::format(
         "dataset.poses_from: found '{}', expected a parent frame of '{}' or a topic of poses: "
         "{}",
-        excerpt(wanted), way.front(),
+        make_excerpt(make_pose_topic), chain.front(),
         known.empty() ? "the recording has no poses" : fmt::format("{}", fmt::join(known, ", "))));
 }
 
-std::optional<PoseSource> guessed_source(const Bag& bag, const Survey& survey,
-                                         const std::vector<std::string>& way,
-                                         std::vector<std::string>& notes) {
-    const std::string outer = std::ranges::find(way, "map") != way.end() ? "map" : way.back();
-    if (moves_below(survey.frames, way, outer)) return of_frame(survey.frames, way, outer);
-    if (const PoseTopic* topic = densest(bag, survey))
-        return of_topic(bag, survey.frames, *topic, way.front(), notes);
+std::optional<PoseSource> guess_source(const Bag& bag, const Survey& survey,
+                                       const std::vector<std::string>& chain,
+                                       std::vector<std::string>& notes) {
+    const std::string outer = std::ranges::find(chain, "map") != chain.end() ? "map" : chain.back();
+    if (has_motion_below(survey.frames, chain, outer)) return make_frame_source(survey.frames, chain, outer);
+    if (const PoseTopic* topic = find_densest_topic(bag, survey))
+        return make_topic_source(bag, survey.frames, *topic, chain.front(), notes);
     for (const char* world : {"map", "odom", "world", "earth"})
-        if (outer == world && way.size() > 1) return of_frame(survey.frames, way, outer);
+        if (outer == world && chain.size() > 1) return make_frame_source(survey.frames, chain, outer);
     return std::nullopt;
 }
 
-PosePath path_of(const Survey& survey, const PoseSource& source, Clock clock, std::int64_t zero_ns) {
+PosePath make_path(const Survey& survey, const PoseSource& source, Clock clock, std::int64_t zero_ns) {
     if (!source.topic) return survey.frames.path(source.outer, source.vehicle, clock, zero_ns);
     PosePath path;
     path.add(source.topic->samples, clock, zero_ns);
@@ -118,7 +121,7 @@ std::size_t count_covered(const CloudTopic& clouds, const PosePath& path, Clock 
     }));
 }
 
-std::int64_t first_time(const CloudTopic& clouds, Clock clock) {
+std::int64_t get_first_time(const CloudTopic& clouds, Clock clock) {
     std::int64_t first = clouds.clouds.front().time_ns(clock);
     for (const CloudEntry& cloud : clouds.clouds) first = std::min(first, cloud.time_ns(clock));
     return first;
@@ -127,28 +130,28 @@ std::int64_t first_time(const CloudTopic& clouds, Clock clock) {
 }  // namespace
 
 PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& main,
-                        const std::string& wanted) {
+                        const std::string& make_pose_topic) {
     PoseChoice choice;
-    const std::vector<std::string> way = survey.frames.path_to_root(main.frame);
-    std::optional<PoseSource> source = named_source(bag, survey, way, wanted, choice.notes);
-    if (!source) source = guessed_source(bag, survey, way, choice.notes);
+    const std::vector<std::string> way = survey.frames.find_path_to_root(main.frame);
+    std::optional<PoseSource> source = find_named_source(bag, survey, way, make_pose_topic, choice.notes);
+    if (!source) source = guess_source(bag, survey, way, choice.notes);
     const bool has_stamps =
         std::ranges::any_of(main.clouds, [](const CloudEntry& cloud) { return cloud.stamp_ns != 0; });
     if (!has_stamps) {
         choice.clock = Clock::recorder;
         choice.notes.push_back("the clouds have no stamps, so their recording times are used");
     }
-    choice.zero_ns = first_time(main, choice.clock);
+    choice.zero_ns = get_first_time(main, choice.clock);
     choice.vehicle = main.frame;
     if (!source) return choice;
-    choice.path = path_of(survey, *source, choice.clock, choice.zero_ns);
+    choice.path = make_path(survey, *source, choice.clock, choice.zero_ns);
     choice.world = source->outer;
     choice.vehicle = source->vehicle;
     choice.about = source->about;
     const std::size_t n = count_covered(main, *choice.path, choice.clock, choice.zero_ns);
     if (choice.clock == Clock::recorder || 2 * n >= main.clouds.size()) return choice;
-    const std::int64_t zero_ns = first_time(main, Clock::recorder);
-    PosePath recorded = path_of(survey, *source, Clock::recorder, zero_ns);
+    const std::int64_t zero_ns = get_first_time(main, Clock::recorder);
+    PosePath recorded = make_path(survey, *source, Clock::recorder, zero_ns);
     const std::size_t n_recorded = count_covered(main, recorded, Clock::recorder, zero_ns);
     if (n_recorded <= n) return choice;
     choice.notes.push_back(

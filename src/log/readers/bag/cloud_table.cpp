@@ -15,19 +15,20 @@ namespace {
 
 /// Returns the memory layout of a point. It contains the known fields sorted by offset,
 /// and unused fields that fill the gaps.
-std::vector<folder::PointField> layout_of(const Cloud& cloud, const std::vector<Cloud::Field>& known) {
+std::vector<folder::PointField> find_cloud_layout(const Cloud& cloud,
+                                                  const std::vector<Cloud::Field>& fields) {
     std::vector<folder::PointField> layout;
     std::size_t at = 0;
     const auto skip_to = [&](std::size_t offset) {
         if (offset > at) layout.push_back({std::string(folder::kPadding), 'U', 1, offset - at});
         at = offset;
     };
-    for (const Cloud::Field& field : known) {
+    for (const Cloud::Field& field : fields) {
         if (field.offset < at)
             throw DataError(fmt::format(
                 "the field '{}' starts at byte {} of a point and overlaps another field, expected byte {} "
                 "or more",
-                excerpt(field.name), field.offset, at));
+                make_excerpt(field.name), field.offset, at));
         skip_to(field.offset);
         layout.push_back({field.name, field.kind, field.size, field.count});
         at += field.size * field.count;
@@ -38,7 +39,7 @@ std::vector<folder::PointField> layout_of(const Cloud& cloud, const std::vector<
 
 /// Copies all points of a cloud. Removes the padding between rows, and converts the
 /// values to the byte order of this computer.
-std::string packed_points(const Cloud& cloud, const std::vector<Cloud::Field>& known) {
+std::string pack_points(const Cloud& cloud, const std::vector<Cloud::Field>& fields) {
     const std::size_t row = cloud.width * cloud.point_step;
     std::string points;
     points.reserve(cloud.height * row);
@@ -48,7 +49,7 @@ std::string packed_points(const Cloud& cloud, const std::vector<Cloud::Field>& k
     points.resize(cloud.height * row, '\0');
     if (!cloud.is_big_endian) return points;
     for (std::size_t i = 0; i < cloud.size(); ++i)
-        for (const Cloud::Field& field : known)
+        for (const Cloud::Field& field : fields)
             std::reverse(points.begin() + std::ptrdiff_t(i * cloud.point_step + field.offset),
                          points.begin() + std::ptrdiff_t(i * cloud.point_step + field.offset + field.size));
     return points;
@@ -56,7 +57,7 @@ std::string packed_points(const Cloud& cloud, const std::vector<Cloud::Field>& k
 
 }  // namespace
 
-folder::PointTable table_of(const Cloud& cloud, const SharedBytes& message) {
+folder::PointTable make_point_table(const Cloud& cloud, const SharedBytes& message) {
     if (cloud.size() == 0) throw DataError("the cloud has no points, expected at least one");
     std::vector<Cloud::Field> known;
     std::ranges::copy_if(cloud.fields, std::back_inserter(known),
@@ -65,9 +66,9 @@ folder::PointTable table_of(const Cloud& cloud, const SharedBytes& message) {
     const std::size_t n_bytes = cloud.size() * cloud.point_step;
     const bool is_packed = !cloud.is_big_endian && cloud.data.size() >= n_bytes &&
                            (cloud.height <= 1 || cloud.row_step == cloud.width * cloud.point_step);
-    const std::vector<folder::PointField> layout = layout_of(cloud, known);
+    const std::vector<folder::PointField> layout = find_cloud_layout(cloud, known);
     const SharedBytes points =
-        is_packed ? message.with(cloud.data.substr(0, n_bytes)) : share_bytes(packed_points(cloud, known));
+        is_packed ? message.with(cloud.data.substr(0, n_bytes)) : share_bytes(pack_points(cloud, known));
     folder::PointTable table =
         folder::read_packed(points, layout, cloud.size(), folder::Packing::by_point, "points");
     for (const Cloud::Field& field : cloud.fields)

@@ -21,10 +21,10 @@ using protozero::tag_and_type;
 constexpr auto kBytes = pbf_wire_type::length_delimited, kFixed32 = pbf_wire_type::fixed32,
                kVarint = pbf_wire_type::varint;
 
-std::string_view view_of(const protozero::data_view& view) { return {view.data(), view.size()}; }
+std::string_view to_string_view(const protozero::data_view& view) { return {view.data(), view.size()}; }
 
 /// Reads the coordinates x, y, z and w of a protobuf message. Missing coordinates are 0.
-glm::dvec4 vector_of(pbf_reader reader) {
+glm::dvec4 read_vector(pbf_reader reader) {
     glm::dvec4 v(0.0);
     while (reader.next()) {
         // The tag must be read before the value, because reading the value resets the
@@ -36,7 +36,7 @@ glm::dvec4 vector_of(pbf_reader reader) {
     return v;
 }
 
-std::int64_t timestamp_of(pbf_reader reader) {
+std::int64_t read_timestamp(pbf_reader reader) {
     std::int64_t seconds = 0, nanoseconds = 0;
     while (reader.next()) {
         if (reader.tag_and_type() == tag_and_type(1, kVarint)) seconds = reader.get_int64();
@@ -49,7 +49,7 @@ std::int64_t timestamp_of(pbf_reader reader) {
     return seconds * 1000000000 + nanoseconds;
 }
 
-Pose checked_pose(const glm::dvec4& position, const glm::dvec4& rotation) {
+Pose make_checked_pose(const glm::dvec4& position, const glm::dvec4& rotation) {
     const glm::dquat q(rotation.w, rotation.x, rotation.y, rotation.z);
     const glm::dvec3 t(position);
     if (!(std::abs(glm::length(q) - 1.0) <= 1e-2) || !std::isfinite(t.x + t.y + t.z))
@@ -60,7 +60,7 @@ Pose checked_pose(const glm::dvec4& position, const glm::dvec4& rotation) {
     return {glm::normalize(q), t};
 }
 
-Cloud::Field element_field(pbf_reader reader) {
+Cloud::Field read_element_field(pbf_reader reader) {
     struct Type {
         char kind;
         std::size_t size;
@@ -78,7 +78,7 @@ Cloud::Field element_field(pbf_reader reader) {
     }
     if (type < 1 || type > 8)
         throw DataError(
-            fmt::format("the field '{}' has the type {}, expected 1 to 8", excerpt(field.name), type));
+            fmt::format("the field '{}' has the type {}, expected 1 to 8", make_excerpt(field.name), type));
     field.kind = kTypes[type - 1].kind;
     field.size = kTypes[type - 1].size;
     return field;
@@ -93,7 +93,7 @@ void check_identity(pbf_reader reader) {
             continue;
         }
         const bool turns = reader.tag() == 2;
-        const glm::dvec4 v = vector_of(reader.get_message());
+        const glm::dvec4 v = read_vector(reader.get_message());
         if (!(glm::length(glm::dvec3(v)) <= 1e-9))
             throw DataError(
                 fmt::format("the cloud is {} by a pose, expected points in the frame of the message",
@@ -101,13 +101,13 @@ void check_identity(pbf_reader reader) {
     }
 }
 
-Cloud cloud_of(std::string_view bytes) {
+Cloud read_cloud_message(std::string_view bytes) {
     Cloud cloud;
     pbf_reader reader(bytes.data(), bytes.size());
     while (reader.next()) {
         switch (reader.tag_and_type()) {
             case tag_and_type(1, kBytes):
-                cloud.header.stamp_ns = timestamp_of(reader.get_message());
+                cloud.header.stamp_ns = read_timestamp(reader.get_message());
                 break;
             case tag_and_type(2, kBytes):
                 cloud.header.frame = reader.get_string();
@@ -119,10 +119,10 @@ Cloud cloud_of(std::string_view bytes) {
                 cloud.point_step = reader.get_fixed32();
                 break;
             case tag_and_type(5, kBytes):
-                cloud.fields.push_back(element_field(reader.get_message()));
+                cloud.fields.push_back(read_element_field(reader.get_message()));
                 break;
             case tag_and_type(6, kBytes):
-                cloud.data = view_of(reader.get_view());
+                cloud.data = to_string_view(reader.get_view());
                 break;
             default:
                 reader.skip();
@@ -140,7 +140,7 @@ Transform transform_of(pbf_reader reader) {
     while (reader.next()) {
         switch (reader.tag_and_type()) {
             case tag_and_type(1, kBytes):
-                transform.header.stamp_ns = timestamp_of(reader.get_message());
+                transform.header.stamp_ns = read_timestamp(reader.get_message());
                 break;
             case tag_and_type(2, kBytes):
                 transform.header.frame = reader.get_string();
@@ -149,16 +149,16 @@ Transform transform_of(pbf_reader reader) {
                 transform.child = reader.get_string();
                 break;
             case tag_and_type(4, kBytes):
-                translation = vector_of(reader.get_message());
+                translation = read_vector(reader.get_message());
                 break;
             case tag_and_type(5, kBytes):
-                rotation = vector_of(reader.get_message());
+                rotation = read_vector(reader.get_message());
                 break;
             default:
                 reader.skip();
         }
     }
-    transform.parent_from_child = checked_pose(translation, rotation);
+    transform.parent_from_child = make_checked_pose(translation, rotation);
     return transform;
 }
 
@@ -168,20 +168,20 @@ struct Cube {
     glm::dvec3 size_m{0.0};
 };
 
-Cube cube_of(pbf_reader reader) {
+Cube read_cube(pbf_reader reader) {
     Cube cube;
     while (reader.next()) {
         if (reader.tag_and_type() == tag_and_type(1, kBytes)) {
             pbf_reader pose = reader.get_message();
             while (pose.next()) {
                 if (pose.tag_and_type() == tag_and_type(1, kBytes))
-                    cube.position = vector_of(pose.get_message());
+                    cube.position = read_vector(pose.get_message());
                 else if (pose.tag_and_type() == tag_and_type(2, kBytes))
-                    cube.rotation = vector_of(pose.get_message());
+                    cube.rotation = read_vector(pose.get_message());
                 else pose.skip();
             }
         } else if (reader.tag_and_type() == tag_and_type(2, kBytes)) {
-            cube.size_m = vector_of(reader.get_message());
+            cube.size_m = read_vector(reader.get_message());
         } else {
             reader.skip();
         }
@@ -208,7 +208,7 @@ void add_entity(BoxList& list, pbf_reader reader) {
     while (reader.next()) {
         switch (reader.tag_and_type()) {
             case tag_and_type(1, kBytes):
-                box.header.stamp_ns = timestamp_of(reader.get_message());
+                box.header.stamp_ns = read_timestamp(reader.get_message());
                 break;
             case tag_and_type(2, kBytes):
                 box.header.frame = reader.get_string();
@@ -222,7 +222,7 @@ void add_entity(BoxList& list, pbf_reader reader) {
                     box.category = category;
                 break;
             case tag_and_type(8, kBytes):
-                cubes.push_back(cube_of(reader.get_message()));
+                cubes.push_back(read_cube(reader.get_message()));
                 break;
             default:
                 reader.skip();
@@ -236,7 +236,7 @@ void add_entity(BoxList& list, pbf_reader reader) {
     list.n_left_out += !is_box;
     if (!is_box) return;
     box.size_m = size;
-    box.frame_from_box = checked_pose(cubes.front().position, cubes.front().rotation);
+    box.frame_from_box = make_checked_pose(cubes.front().position, cubes.front().rotation);
     list.boxes.push_back(std::move(box));
 }
 
@@ -256,7 +256,7 @@ BoxList read_foxglove_boxes(std::string_view bytes) {
 
 Cloud read_foxglove_cloud(std::string_view bytes) {
     try {
-        return cloud_of(bytes);
+        return read_cloud_message(bytes);
     } catch (const protozero::exception& error) {
         throw DataError(fmt::format("{}, expected foxglove.PointCloud in protobuf", error.what()));
     }

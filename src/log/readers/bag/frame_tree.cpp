@@ -13,9 +13,9 @@ constexpr double kBeside_s = 0.1;
 constexpr std::size_t kDeepest = 64;  // maximum depth of the tree
 
 /// Returns true if the difference between two poses is larger than rounding errors.
-bool differ(const Pose& a, const Pose& b) {
-    return glm::distance(a.translation, b.translation) > 1e-6 ||
-           std::abs(glm::dot(a.rotation, b.rotation)) < 1.0 - 1e-12;
+bool are_poses_different(const Pose& first, const Pose& second) {
+    return glm::distance(first.translation, second.translation) > 1e-6 ||
+           std::abs(glm::dot(first.rotation, second.rotation)) < 1.0 - 1e-12;
 }
 
 }  // namespace
@@ -59,7 +59,8 @@ void FrameTree::add(const Transform& transform, std::int64_t log_ns, bool is_sta
     link.is_static = is_static;
     if (is_static) link.samples.clear();  // keeps only the latest sample of a static transform
     if (!link.samples.empty())
-        link.changes = link.changes || differ(link.samples.front().pose, transform.parent_from_child);
+        link.changes =
+            link.changes || are_poses_different(link.samples.front().pose, transform.parent_from_child);
     link.samples.push_back({transform.header.stamp_ns, log_ns, transform.parent_from_child});
 }
 
@@ -70,7 +71,7 @@ const std::pair<const std::string, FrameTree::Link>* FrameTree::link(const std::
                                       [](const auto& parent) { return parent.second.samples.size(); });
 }
 
-std::vector<std::string> FrameTree::path_to_root(const std::string& frame) const {
+std::vector<std::string> FrameTree::find_path_to_root(const std::string& frame) const {
     std::vector<std::string> way{frame};
     while (way.size() < kDeepest) {
         const auto* up = link(way.back());
@@ -86,7 +87,7 @@ bool FrameTree::moves(const std::string& frame) const {
 }
 
 std::optional<Pose> FrameTree::fixed(const std::string& to, const std::string& from) const {
-    const std::vector<std::string> way_to = path_to_root(to), way_from = path_to_root(from);
+    const std::vector<std::string> way_to = find_path_to_root(to), way_from = find_path_to_root(from);
     const auto common = std::ranges::find_first_of(way_from, way_to);
     if (common == way_from.end()) return std::nullopt;
     // Multiplies the transforms from a frame up to the common ancestor. Returns nothing
@@ -107,7 +108,7 @@ std::optional<Pose> FrameTree::fixed(const std::string& to, const std::string& f
 
 PosePath FrameTree::path(const std::string& outer, const std::string& frame, Clock clock,
                          std::int64_t zero_ns) const {
-    const std::vector<std::string> way = path_to_root(frame);
+    const std::vector<std::string> way = find_path_to_root(frame);
     PosePath path;
     for (std::size_t k = std::size_t(std::ranges::find(way, outer) - way.begin()); k-- > 0;) {
         const Link& up = link(way[k])->second;
@@ -117,15 +118,15 @@ PosePath FrameTree::path(const std::string& outer, const std::string& frame, Clo
     return path;
 }
 
-std::optional<FramesApart> FrameTree::apart(const std::string& to, const std::string& from, Clock clock,
-                                            std::int64_t zero_ns) const {
-    const std::vector<std::string> way_to = path_to_root(to), way_from = path_to_root(from);
+std::optional<FramesApart> FrameTree::find_relative_poses(const std::string& to, const std::string& from,
+                                                          Clock clock, std::int64_t zero_ns) const {
+    const std::vector<std::string> way_to = find_path_to_root(to), way_from = find_path_to_root(from);
     const auto common = std::ranges::find_first_of(way_from, way_to);
     if (common == way_from.end()) return std::nullopt;
     return FramesApart{path(*common, to, clock, zero_ns), path(*common, from, clock, zero_ns)};
 }
 
-std::vector<std::string> FrameTree::disputed() const {
+std::vector<std::string> FrameTree::list_disputed_frames() const {
     std::vector<std::string> names;
     for (const auto& [frame, parents] : parents_)
         if (parents.size() > 1) names.push_back(frame);

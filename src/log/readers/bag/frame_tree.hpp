@@ -65,7 +65,7 @@ public:
     void add(const Transform& transform, std::int64_t log_ns, bool is_static);
     bool empty() const { return parents_.empty(); }
     /// Returns the names of a frame and of all its ancestors, up to the root of the tree.
-    std::vector<std::string> path_to_root(const std::string& frame) const;
+    std::vector<std::string> find_path_to_root(const std::string& frame) const;
     /// Returns true if the pose of a frame in its parent frame changes over time.
     bool moves(const std::string& frame) const;
     /// Returns the constant pose of frame `from` in frame `to`. Returns nothing if a
@@ -76,11 +76,11 @@ public:
                   std::int64_t zero_ns) const;
     /// Returns the poses over time of frame `from` in frame `to`. Returns nothing if no
     /// transforms connect the two frames.
-    std::optional<FramesApart> apart(const std::string& to, const std::string& from, Clock clock,
-                                     std::int64_t zero_ns) const;
+    std::optional<FramesApart> find_relative_poses(const std::string& to, const std::string& from,
+                                                   Clock clock, std::int64_t zero_ns) const;
     /// Returns the frames that have more than one parent in the recording. The tree uses
     /// the parent with the most transforms.
-    std::vector<std::string> disputed() const;
+    std::vector<std::string> list_disputed_frames() const;
 
 private:
     struct Link {

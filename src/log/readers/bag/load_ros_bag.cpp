@@ -66,10 +66,10 @@ public:
         if (!sequence_.has_poses) options.poses_file = kNoPoses;
         LidarPose deskewed_by;
         if (is_deskewed_ && has_poses_)
-            deskewed_by = [&](std::size_t lidar, double t_s) { return lidar_pose(lidar, t_s); };
+            deskewed_by = [&](std::size_t lidar, double t_s) { return compute_lidar_pose(lidar, t_s); };
         folder::read_scans(sequence_, head, BagScans(bag_, lidars_, frames_, poses_.clock, deskewed_by),
                            options);
-        if (has_poses_) note(place_rays(sequence_, [&](double t_s) { return recentred_pose(t_s); }));
+        if (has_poses_) note(place_rays(sequence_, [&](double t_s) { return compute_recentred_pose(t_s); }));
         return std::move(sequence_);
     }
 
@@ -88,10 +88,10 @@ private:
     /// then in the sensor frame at the time of the message's time stamp.
     bool is_deskewed_ = false;
 
-    const CloudTopic& topic_of(std::size_t lidar) const { return survey_.clouds[clouds_.lidars[lidar]]; }
-    const CloudTopic& main() const { return topic_of(clouds_.main); }
+    const CloudTopic& get_topic(std::size_t lidar) const { return survey_.clouds[clouds_.lidars[lidar]]; }
+    const CloudTopic& main() const { return get_topic(clouds_.main); }
     template <class AnyTopic>
-    const std::string& name_of(const AnyTopic& any) const {
+    const std::string& get_name(const AnyTopic& any) const {
         return bag_.topics()[any.topic].name;
     }
     double seconds(const CloudEntry& entry) const {
@@ -111,19 +111,19 @@ private:
                           poses_.about.ends_with(" " + bag_.topics()[t].name);
         if (boxes_.topic) used[boxes_.topic->topic] = true;
         for (const std::string& text : bag_.notes()) note(text);
-        for (const std::string& text : topic_lines(bag_, survey_, used)) note(text);
+        for (const std::string& text : list_topic_lines(bag_, survey_, used)) note(text);
         for (const std::string& text : clouds_.notes) note(text);
         for (const std::string& text : poses_.notes) note(text);
         for (const std::string& text : boxes_.notes) note(text);
         if (has_poses_) note(poses_.about + "; use dataset.poses_from to select another frame or topic");
-        for (const std::string& frame : survey_.frames.disputed())
+        for (const std::string& frame : survey_.frames.list_disputed_frames())
             note(
                 fmt::format("the frame '{}' has several parents in /tf; the parent with the most "
                             "transforms is used",
                             frame));
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
-            if (const std::string text = jumps_text(topic_of(l)); !text.empty())
-                note(name_of(topic_of(l)) + ": " + text);
+            if (const std::string text = describe_jumps(get_topic(l)); !text.empty())
+                note(get_name(get_topic(l)) + ": " + text);
     }
 
     /// Lists the frames of the log. Each cloud of the main LiDAR starts a frame. Each
@@ -144,13 +144,13 @@ private:
                              n_late));
         std::vector<double> times_s;
         for (const FrameCloud& sweep : sweeps) times_s.push_back(sweep.time_s);
-        const double step_s = median_step_s(times_s);
-        note(gaps_text(times_s, step_s));
+        const double step_s = compute_median_step_s(times_s);
+        note(describe_gaps(times_s, step_s));
         std::vector<FrameCloud> all = sweeps;
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
             if (l != clouds_.main) add_nearby_scans(all, sweeps, l, kBeside * step_s);
-        std::ranges::stable_sort(all, [](const FrameCloud& a, const FrameCloud& b) {
-            return a.number != b.number ? a.number < b.number : a.lidar < b.lidar;
+        std::ranges::stable_sort(all, [](const FrameCloud& first, const FrameCloud& second) {
+            return first.number != second.number ? first.number < second.number : first.lidar < second.lidar;
         });
         remove_unselected(all);
         find_units_of(step_s);
@@ -158,7 +158,7 @@ private:
 
     void add_nearby_scans(std::vector<FrameCloud>& all, const std::vector<FrameCloud>& sweeps,
                           std::size_t lidar, double most_s) {
-        const std::vector<CloudEntry>& clouds = topic_of(lidar).clouds;
+        const std::vector<CloudEntry>& clouds = get_topic(lidar).clouds;
         std::vector<double> main_s, other_s;
         for (const FrameCloud& sweep : sweeps) main_s.push_back(sweep.time_s);
         for (const CloudEntry& entry : clouds) other_s.push_back(seconds(entry));
@@ -171,7 +171,7 @@ private:
         }
         if (n_left > 0)
             note(fmt::format("{}: {} clouds are skipped, because {} has no cloud near their times",
-                             name_of(topic_of(lidar)), n_left, name_of(main())));
+                             get_name(get_topic(lidar)), n_left, get_name(main())));
     }
 
     void remove_unselected(const std::vector<FrameCloud>& all) {
@@ -192,25 +192,25 @@ private:
         if (frames_.empty())
             throw UsageError(fmt::format(
                 "frames {}:{} select no cloud of {}; frames are numbered from 0", options_.frames.begin,
-                options_.frames.end < 0 ? "" : std::to_string(options_.frames.end), name_of(main())));
+                options_.frames.end < 0 ? "" : std::to_string(options_.frames.end), get_name(main())));
         if (n_unplaced > 0)
             note(fmt::format("{} clouds are skipped, because there are no poses at their times", n_unplaced));
     }
 
     void find_units_of(double step_s) {
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
-            const CloudTopic& clouds = topic_of(l);
+            const CloudTopic& clouds = get_topic(l);
             const std::size_t n_parts =
                 clouds.clouds.empty() ? 1 : std::max<std::size_t>(clouds.clouds[0].parts.size(), 1);
             lidars_.push_back(sample_topic(bag_, clouds, step_s / double(n_parts)));
             if (!clouds.packets.empty()) lidars_.back().sensor = clouds.packets.sensor();
-            if (!clouds.parts_about.empty()) note(name_of(clouds) + ": " + clouds.parts_about);
+            if (!clouds.parts_about.empty()) note(get_name(clouds) + ": " + clouds.parts_about);
             if (!lidars_.back().units.about.empty())
-                note(name_of(topic_of(l)) + ": " + lidars_.back().units.about);
+                note(get_name(get_topic(l)) + ": " + lidars_.back().units.about);
             for (const std::string& text : lidars_.back().units.meaning.notes)
-                note(name_of(topic_of(l)) + ": " + text);
+                note(get_name(get_topic(l)) + ": " + text);
             if (is_deskewed_ && has_poses_ && lidars_.back().units.zero != TimeZero::none)
-                note(name_of(clouds) +
+                note(get_name(clouds) +
                      ": the points were deskewed to the stamp by relidar; they are converted back to the "
                      "sensor's frame at their own times");
         }
@@ -224,35 +224,36 @@ private:
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
             Lidar lidar;
             lidar.sensor = lidars_[l].sensor;
-            if (lidar.sensor.beams.empty()) lidar.sensor.name = name_of(topic_of(l));
+            if (lidar.sensor.beams.empty()) lidar.sensor.name = get_name(get_topic(l));
             if (lidar.sensor.beams.empty()) lidar.sensor.max_range_m = options_.max_range_m;
-            if (!is_one || !options_.lidars.empty()) lidar.name = name_of(topic_of(l));
-            if (!is_one) lidar.vehicle_from_sensor = *survey_.frames.fixed(poses_.vehicle, topic_of(l).frame);
+            if (!is_one || !options_.lidars.empty()) lidar.name = get_name(get_topic(l));
+            if (!is_one)
+                lidar.vehicle_from_sensor = *survey_.frames.fixed(poses_.vehicle, get_topic(l).frame);
             sequence_.lidars.push_back(std::move(lidar));
         }
     }
 
-    Pose pose_from_bag(double t_s) const {
+    Pose read_pose_from_bag(double t_s) const {
         const Pose world_from_vehicle = poses_.path->at(t_s);
         if (clouds_.lidars.size() > 1) return world_from_vehicle;
         return world_from_vehicle * *survey_.frames.fixed(poses_.vehicle, main().frame);
     }
 
-    Pose lidar_pose(std::size_t lidar, double t_s) const {
-        const Pose pose = pose_from_bag(t_s);
+    Pose compute_lidar_pose(std::size_t lidar, double t_s) const {
+        const Pose pose = read_pose_from_bag(t_s);
         return clouds_.lidars.size() > 1 ? pose * sequence_.lidars[lidar].vehicle_from_sensor : pose;
     }
 
-    std::optional<Pose> recentred_pose(double t_s) const {
+    std::optional<Pose> compute_recentred_pose(double t_s) const {
         if (!poses_.path->covers(t_s)) return std::nullopt;
-        Pose pose = pose_from_bag(t_s);
+        Pose pose = read_pose_from_bag(t_s);
         pose.translation -= sequence_.world_offset_m;
         return pose;
     }
 
     /// Reads the vehicle poses from the user's file. The file lists poses by frame number
     /// or by the time of the recording.
-    std::vector<Pose> pose_at_scans() {
+    std::vector<Pose> list_poses_at_scans() {
         std::vector<folder::HeadFrame> frames;
         for (const FrameCloud& frame : frames_)
             frames.push_back({frame.number, frame.time_s + 1e-9 * double(poses_.zero_ns), 0, {}});
@@ -277,17 +278,17 @@ private:
         const BoxTracks tracks =
             read_tracks(bag_, *boxes_.topic, places, sequence_.world_from_vehicle.time_s);
         sequence_.boxes = tracks.tracks;
-        for (const std::string& text : tracks.notes) note(name_of(*boxes_.topic) + ": " + text);
+        for (const std::string& text : tracks.notes) note(get_name(*boxes_.topic) + ": " + text);
     }
 
     void add_frames() {
         std::vector<Pose> given;
-        if (!options_.poses_file.empty() && options_.poses_file != kNoPoses) given = pose_at_scans();
+        if (!options_.poses_file.empty() && options_.poses_file != kNoPoses) given = list_poses_at_scans();
         sequence_.has_poses = has_poses_ || !given.empty();
         for (std::size_t i = 0; i < frames_.size(); ++i)
             add_frame(sequence_, frames_[i].number, frames_[i].time_s,
                       !given.empty() ? given[i]
-                      : has_poses_   ? pose_from_bag(frames_[i].time_s)
+                      : has_poses_   ? read_pose_from_bag(frames_[i].time_s)
                                      : Pose{},
                       int(frames_[i].lidar));
         if (options_.poses_file == kNoPoses) note(kitti::kNoPosesNote);
@@ -299,9 +300,9 @@ private:
             "ROS frames: x forward, y left, z up, in metres. The time 0 s is {}.{:09} s of the {}. Frames "
             "are numbered by the clouds of {}.",
             poses_.zero_ns / kSecond_ns, std::abs(poses_.zero_ns % kSecond_ns),
-            poses_.clock == Clock::stamps ? "stamps" : "recorder's clock", name_of(main()));
+            poses_.clock == Clock::stamps ? "stamps" : "recorder's clock", get_name(main()));
         add_boxes();
-        recentre(sequence_);
+        recentre_sequence(sequence_);
     }
 };
 

@@ -34,7 +34,7 @@ struct McapRecord {
     std::string_view body;
 };
 
-McapRecord next_record(ByteReader& reader) {
+McapRecord read_next_record(ByteReader& reader) {
     const auto code = reader.number<std::uint8_t>();
     return {code, reader.take(reader.number<std::uint64_t>())};
 }
@@ -45,7 +45,7 @@ struct McapMessage {
     std::string_view bytes;
 };
 
-McapMessage message_of(std::string_view body) {
+McapMessage parse_message(std::string_view body) {
     ByteReader reader(body);
     const auto channel = reader.number<std::uint16_t>();
     reader.number<std::uint32_t>();  // skips the sequence number of the message
@@ -54,12 +54,12 @@ McapMessage message_of(std::string_view body) {
     return {channel, std::int64_t(log_ns), reader.rest()};
 }
 
-SharedBytes records_of_chunk(const SharedBytes& chunk) {
+SharedBytes unpack_records_of_chunk(const SharedBytes& chunk) {
     ByteReader reader(chunk.bytes);
     reader.take(16);  // skips the times of the first and the last message
     const auto n = reader.number<std::uint64_t>();
     const auto sum = reader.number<std::uint32_t>();
-    const std::string_view compression = reader.sized();
+    const std::string_view compression = reader.read_sized_string();
     SharedBytes records =
         unpack_chunk(compression, chunk.with(reader.take(reader.number<std::uint64_t>())), n);
     if (sum != 0 &&
@@ -104,13 +104,13 @@ public:
 
     SharedBytes read(const Place& place) const override {
         if (place.in_chunk == Place::kNoChunk) {
-            const SharedBytes body = body_at(place.at);
-            return body.with(message_of(body.bytes).bytes);
+            const SharedBytes body = read_body(place.at);
+            return body.with(parse_message(body.bytes).bytes);
         }
         const SharedBytes records =
-            chunks_.get(place.at, [&] { return records_of_chunk(body_at(place.at)); });
+            chunks_.get(place.at, [&] { return unpack_records_of_chunk(read_body(place.at)); });
         ByteReader reader(records.bytes.substr(std::size_t(place.in_chunk)));
-        return records.with(message_of(next_record(reader).body).bytes);
+        return records.with(parse_message(read_next_record(reader).body).bytes);
     }
 
     std::string points_in() const override { return points_in_; }
@@ -126,32 +126,32 @@ private:
     std::map<std::uint16_t, Schema> schemas_;
     std::map<std::uint16_t, std::size_t> channels_;  ///< topic of each channel
 
-    SharedBytes body_at(std::uint64_t at) const {
-        const SharedBytes head = file_.part(at, kRecordHead);
-        return file_.part(at + kRecordHead, ByteReader(head.bytes.substr(1)).number<std::uint64_t>());
+    SharedBytes read_body(std::uint64_t offset) const {
+        const SharedBytes head = file_.part(offset, kRecordHead);
+        return file_.part(offset + kRecordHead, ByteReader(head.bytes.substr(1)).number<std::uint64_t>());
     }
 
-    void read_record(std::uint8_t code, std::uint64_t at, std::uint64_t length, TopicTable& topics,
+    void read_record(std::uint8_t code, std::uint64_t offset, std::uint64_t length, TopicTable& topics,
                      const Pass& pass) {
         constexpr std::array kRead = {kMcapSchema, kMcapChannel, kMcapMessage, kMcapChunk, kMcapMetadata};
         if (std::ranges::find(kRead, code) == kRead.end()) return;
-        SharedBytes body = file_.part(at + kRecordHead, length);
-        if (code != kMcapChunk) return take({code, body.bytes}, {at, Place::kNoChunk}, topics, pass);
-        const SharedBytes records = records_of_chunk(body);
+        SharedBytes body = file_.part(offset + kRecordHead, length);
+        if (code != kMcapChunk) return take({code, body.bytes}, {offset, Place::kNoChunk}, topics, pass);
+        const SharedBytes records = unpack_records_of_chunk(body);
         body = {};
         ByteReader reader(records.bytes);
         while (reader.left() > 0) {
             const std::uint64_t in_chunk = reader.at();
-            take(next_record(reader), {at, in_chunk}, topics, pass);
+            take(read_next_record(reader), {offset, in_chunk}, topics, pass);
         }
     }
 
     /// Reads the metadata record that relidar writes to its recordings. Ignores other
     /// metadata.
     void read_metadata(ByteReader reader) {
-        if (reader.sized() != "relidar") return;
-        for (ByteReader pairs(reader.sized()); pairs.left() > 0;) {
-            const std::string_view key = pairs.sized(), value = pairs.sized();
+        if (reader.read_sized_string() != "relidar") return;
+        for (ByteReader pairs(reader.read_sized_string()); pairs.left() > 0;) {
+            const std::string_view key = pairs.read_sized_string(), value = pairs.read_sized_string();
             if (key == "points_in") points_in_ = value;
         }
     }
@@ -160,18 +160,18 @@ private:
         ByteReader reader(record.body);
         if (record.code == kMcapSchema) {
             const auto id = reader.number<std::uint16_t>();
-            const std::string name(reader.sized());
-            schemas_[id] = {name, std::string(reader.sized())};
+            const std::string name(reader.read_sized_string());
+            schemas_[id] = {name, std::string(reader.read_sized_string())};
         } else if (record.code == kMcapChannel) {
             const auto id = reader.number<std::uint16_t>(), schema = reader.number<std::uint16_t>();
-            const std::string name(reader.sized()), encoding(reader.sized());
+            const std::string name(reader.read_sized_string()), encoding(reader.read_sized_string());
             const auto known = schemas_.find(schema);
             channels_[id] =
                 topics.number_of({name, known == schemas_.end() ? "" : known->second.name, encoding});
         } else if (record.code == kMcapMetadata) {
             read_metadata(reader);
         } else if (record.code == kMcapMessage) {
-            const McapMessage message = message_of(record.body);
+            const McapMessage message = parse_message(record.body);
             const auto channel = channels_.find(message.channel);
             if (channel == channels_.end())
                 throw DataError(

@@ -58,24 +58,24 @@ public:
         return text;
     }
     /// Reads the number of entries of a list.
-    /// @param least  minimum size of an entry in bytes
+    /// @param min_bytes  minimum size of an entry in bytes
     /// @throws DataError if the rest of the message is too short for this number of
     /// entries
-    std::size_t length(std::size_t least) {
+    std::size_t length(std::size_t min_bytes) {
         const auto n = number<std::uint32_t>();
-        if (n > (bytes_.size() - at_) / least)
+        if (n > (bytes_.size() - at_) / min_bytes)
             throw DataError(
                 fmt::format("the message has a list of {} entries in {} bytes, expected at "
                             "most {} entries",
-                            n, bytes_.size() - at_, (bytes_.size() - at_) / least));
+                            n, bytes_.size() - at_, (bytes_.size() - at_) / min_bytes));
         return n;
     }
-    std::string_view take(std::size_t n) {
-        if (n > bytes_.size() - at_)
+    std::string_view take(std::size_t count) {
+        if (count > bytes_.size() - at_)
             throw DataError(fmt::format("the message is truncated: it has {} more bytes, expected {}",
-                                        bytes_.size() - at_, n));
-        at_ += n;
-        return bytes_.substr(at_ - n, n);
+                                        bytes_.size() - at_, count));
+        at_ += count;
+        return bytes_.substr(at_ - count, count);
     }
     std::size_t at() const { return at_; }
     std::size_t left() const { return bytes_.size() - at_; }
@@ -85,9 +85,9 @@ private:
     std::size_t at_ = 0, widest_ = 8;
     bool is_ros1_ = false, swapped_ = false;
 
-    void align(std::size_t n) {
-        const std::size_t beyond = at_ % n;
-        if (beyond != 0) take(n - beyond);
+    void align(std::size_t count) {
+        const std::size_t beyond = at_ % count;
+        if (beyond != 0) take(count - beyond);
     }
 };
 

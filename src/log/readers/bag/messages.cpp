@@ -44,7 +44,7 @@ constexpr TypeUse kTypeUses[] = {
     {"autoware_auto_perception_msgs/DetectedObjects", Use::nameless_boxes},
 };
 
-MessageReader reader_of(const Topic& topic, std::string_view bytes) {
+MessageReader make_reader(const Topic& topic, std::string_view bytes) {
     return {bytes, topic.encoding == "ros1"};
 }
 
@@ -63,8 +63,8 @@ Cloud::Field read_field(MessageReader& reader) {
     const auto count = reader.number<std::uint32_t>();
     field.count = std::max<std::size_t>(count, 1);  // some drivers write 0
     if (type < 1 || type > std::size(kTypes))
-        throw DataError(fmt::format("the field '{}' has the type {}, expected 1 to {}", excerpt(field.name),
-                                    type, std::size(kTypes)));
+        throw DataError(fmt::format("the field '{}' has the type {}, expected 1 to {}",
+                                    make_excerpt(field.name), type, std::size(kTypes)));
     field.kind = kTypes[type - 1].kind;
     field.size = kTypes[type - 1].size;
     return field;
@@ -73,10 +73,10 @@ Cloud::Field read_field(MessageReader& reader) {
 void check_layout(const Cloud& cloud) {
     for (const Cloud::Field& field : cloud.fields)
         if (field.offset > cloud.point_step || field.size * field.count > cloud.point_step - field.offset)
-            throw DataError(
-                fmt::format("the field '{}' starts at byte {} and has {} bytes, expected a field inside "
-                            "the point of {} bytes",
-                            excerpt(field.name), field.offset, field.size * field.count, cloud.point_step));
+            throw DataError(fmt::format(
+                "the field '{}' starts at byte {} and has {} bytes, expected a field inside "
+                "the point of {} bytes",
+                make_excerpt(field.name), field.offset, field.size * field.count, cloud.point_step));
     if (cloud.size() == 0) return;
     if (cloud.point_step == 0 || cloud.point_step > kMostPointStep)
         throw DataError(
@@ -118,7 +118,7 @@ Cloud read_livox(MessageReader& reader) {
 Transform read_transform(MessageReader& reader) {
     Transform transform{read_header(reader), std::string(reader.text()), {}};
     if (transform.child.starts_with('/')) transform.child.erase(0, 1);
-    transform.parent_from_child = pose_of(read_pose_numbers(reader));
+    transform.parent_from_child = make_pose(read_pose_numbers(reader));
     return transform;
 }
 
@@ -145,15 +145,15 @@ PoseNumbers read_pose_numbers(MessageReader& reader) {
     return numbers;
 }
 
-Pose pose_of(const PoseNumbers& v) {
-    const glm::dquat q(v[6], v[3], v[4], v[5]);
+Pose make_pose(const PoseNumbers& numbers) {
+    const glm::dquat q(numbers[6], numbers[3], numbers[4], numbers[5]);
     const double length = glm::length(q);
-    if (!(std::abs(length - 1.0) <= kUnitLength) || !std::isfinite(v[0] + v[1] + v[2]))
+    if (!(std::abs(length - 1.0) <= kUnitLength) || !std::isfinite(numbers[0] + numbers[1] + numbers[2]))
         throw DataError(
             fmt::format("found a pose at ({}, {}, {}) with a quaternion of length {}, expected finite "
                         "coordinates in metres and length 1",
-                        v[0], v[1], v[2], length));
-    return {glm::normalize(q), {v[0], v[1], v[2]}};
+                        numbers[0], numbers[1], numbers[2], length));
+    return {glm::normalize(q), {numbers[0], numbers[1], numbers[2]}};
 }
 
 Cloud read_point_cloud(MessageReader& reader) {
@@ -172,10 +172,10 @@ Cloud read_point_cloud(MessageReader& reader) {
 }
 
 Use use_of(const Topic& topic) {
-    if (packets::carries_packets(topic)) return Use::packets;
+    if (packets::has_packets(topic)) return Use::packets;
     const bool is_protobuf = topic.encoding == "protobuf";
     if (!is_protobuf && topic.encoding != "cdr" && topic.encoding != "ros1") return Use::nothing;
-    if (packets::may_be_ouster_metadata(topic)) return Use::metadata;
+    if (packets::can_be_ouster_metadata(topic)) return Use::metadata;
     if (is_protobuf != topic.type.starts_with("foxglove.")) return Use::nothing;
     const auto known =
         std::ranges::find_if(kTypeUses, [&](const TypeUse& t) { return topic.type == t.type; });
@@ -188,13 +188,13 @@ Cloud read_cloud(const Topic& topic, std::string_view bytes) {
         check_layout(cloud);
         return cloud;
     }
-    MessageReader reader = reader_of(topic, bytes);
+    MessageReader reader = make_reader(topic, bytes);
     return topic.type == "sensor_msgs/PointCloud2" ? read_point_cloud(reader) : read_livox(reader);
 }
 
 std::vector<Transform> read_transforms(const Topic& topic, std::string_view bytes) {
     if (topic.encoding == "protobuf") return read_foxglove_transforms(bytes);
-    MessageReader reader = reader_of(topic, bytes);
+    MessageReader reader = make_reader(topic, bytes);
     std::vector<Transform> transforms;
     if (use_of(topic) == Use::transforms) {
         const std::size_t n = reader.length(72);
@@ -203,7 +203,7 @@ std::vector<Transform> read_transforms(const Topic& topic, std::string_view byte
         transforms.push_back(read_transform(reader));
     } else {
         const Header header = read_header(reader);
-        transforms.push_back({header, "", pose_of(read_pose_numbers(reader))});
+        transforms.push_back({header, "", make_pose(read_pose_numbers(reader))});
     }
     return transforms;
 }

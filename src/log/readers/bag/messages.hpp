@@ -76,7 +76,7 @@ using PoseNumbers = std::array<double, 7>;
 PoseNumbers read_pose_numbers(MessageReader& reader);
 /// Converts a position and a quaternion to a pose.
 /// @throws DataError if the quaternion is zero or a number is not finite
-Pose pose_of(const PoseNumbers& numbers);
+Pose make_pose(const PoseNumbers& numbers);
 Cloud read_point_cloud(MessageReader& reader);
 
 /// Reads a point cloud message of any supported type.
@@ -85,7 +85,7 @@ Cloud read_cloud(const Topic& topic, std::string_view bytes);
 /// Returns the points of a cloud as a table with relidar's field names. The values keep
 /// the units of the message.
 /// @param message  message from which the cloud was read
-folder::PointTable table_of(const Cloud& cloud, const SharedBytes& message);
+folder::PointTable make_point_table(const Cloud& cloud, const SharedBytes& message);
 
 /// Reads the transforms of a tf2_msgs/TFMessage or tf/tfMessage. Can also read the pose
 /// of nav_msgs/Odometry, geometry_msgs/PoseStamped and similar messages.

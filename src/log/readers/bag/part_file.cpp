@@ -26,14 +26,15 @@ namespace {
 /// is larger than the maximum, the file is damaged.
 constexpr std::uint64_t kMostUnpacked = 8, kAlwaysUnpacked = std::uint64_t(8) << 20;
 
-void unpack_bz2(std::string_view from, std::span<char> to) {
-    unsigned n = unsigned(to.size());
-    const int code = from.size() > UINT_MAX
+void unpack_bz2(std::string_view source, std::span<char> target) {
+    unsigned n = unsigned(target.size());
+    const int code = source.size() > UINT_MAX
                          ? BZ_PARAM_ERROR
-                         : BZ2_bzBuffToBuffDecompress(to.data(), &n, const_cast<char*>(from.data()),
-                                                      unsigned(from.size()), 0, 0);
-    if (code != BZ_OK || n != to.size())
-        throw DataError(fmt::format("the bz2 data is damaged, expected {} bytes after unpacking", to.size()));
+                         : BZ2_bzBuffToBuffDecompress(target.data(), &n, const_cast<char*>(source.data()),
+                                                      unsigned(source.size()), 0, 0);
+    if (code != BZ_OK || n != target.size())
+        throw DataError(
+            fmt::format("the bz2 data is damaged, expected {} bytes after unpacking", target.size()));
 }
 
 std::string reason() { return std::error_code(errno, std::generic_category()).message(); }
@@ -53,28 +54,28 @@ PartFile::PartFile(const std::filesystem::path& path) : name_(path.string()) {
 
 PartFile::~PartFile() { ::close(handle_); }
 
-SharedBytes PartFile::part(std::uint64_t at, std::uint64_t n) const {
-    if (at > size_ || n > size_ - at)
+SharedBytes PartFile::part(std::uint64_t offset, std::uint64_t count) const {
+    if (offset > size_ || count > size_ - offset)
         throw DataError(
             fmt::format("the file is truncated: it has {} bytes after byte {}, expected {} "
                         "bytes",
-                        size_ - std::min(at, size_), at, n));
-    return make_shared_bytes(std::size_t(n), [&](std::span<char> bytes) {
+                        size_ - std::min(offset, size_), offset, count));
+    return make_shared_bytes(std::size_t(count), [&](std::span<char> bytes) {
         for (std::size_t got = 0; got < bytes.size();) {
-            const ssize_t k = ::pread(handle_, bytes.data() + got, bytes.size() - got, off_t(at + got));
+            const ssize_t k = ::pread(handle_, bytes.data() + got, bytes.size() - got, off_t(offset + got));
             if (k < 0 && errno == EINTR) continue;
             if (k <= 0)
-                throw DataError(fmt::format("cannot read {} bytes from byte {} on: {}", n, at,
+                throw DataError(fmt::format("cannot read {} bytes from byte {} on: {}", count, offset,
                                             k < 0 ? reason() : "the file ends before them"));
             got += std::size_t(k);
         }
     });
 }
 
-SharedBytes ChunkCache::get(std::uint64_t at, const std::function<SharedBytes()>& unpack) const {
+SharedBytes ChunkCache::get(std::uint64_t offset, const std::function<SharedBytes()>& unpack) const {
     const auto kept = [&] {
         return std::find_if(chunks_.begin(), chunks_.end(),
-                            [&](const auto& chunk) { return chunk.first == at; });
+                            [&](const auto& chunk) { return chunk.first == offset; });
     };
     {
         const std::lock_guard guard(lock_);
@@ -82,16 +83,17 @@ SharedBytes ChunkCache::get(std::uint64_t at, const std::function<SharedBytes()>
     }
     const SharedBytes chunk = unpack();
     const std::lock_guard guard(lock_);
-    if (kept() == chunks_.end()) chunks_.emplace_back(at, chunk);
+    if (kept() == chunks_.end()) chunks_.emplace_back(offset, chunk);
     if (chunks_.size() > kKept) chunks_.pop_front();
     return chunk;
 }
 
-SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk, std::uint64_t n) {
+SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk, std::uint64_t count) {
     const std::string_view bytes = chunk.bytes;
     if (compression.empty() || compression == "none") {
-        if (n != bytes.size())
-            throw DataError(fmt::format("found {} bytes of uncompressed data, expected {}", bytes.size(), n));
+        if (count != bytes.size())
+            throw DataError(
+                fmt::format("found {} bytes of uncompressed data, expected {}", bytes.size(), count));
         return chunk;
     }
     const auto unpack = compression == "lz4"    ? unpack_lz4
@@ -99,15 +101,15 @@ SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk,
                         : compression == "bz2"  ? unpack_bz2
                                                 : nullptr;
     if (!unpack)
-        throw DataError(
-            fmt::format("found the compression '{}', expected none, lz4, zstd or bz2", excerpt(compression)));
-    if (n > UINT_MAX || (n > kAlwaysUnpacked && n / kMostUnpacked > bytes.size()))
+        throw DataError(fmt::format("found the compression '{}', expected none, lz4, zstd or bz2",
+                                    make_excerpt(compression)));
+    if (count > UINT_MAX || (count > kAlwaysUnpacked && count / kMostUnpacked > bytes.size()))
         throw DataError(
             fmt::format("found {} bytes that unpack to {} bytes, expected at most {} times as "
                         "many",
-                        bytes.size(), n, kMostUnpacked));
-    return make_shared_bytes(std::size_t(n), [&](std::span<char> to) {
-        if (n > 0 || !bytes.empty()) unpack(bytes, to);
+                        bytes.size(), count, kMostUnpacked));
+    return make_shared_bytes(std::size_t(count), [&](std::span<char> target) {
+        if (count > 0 || !bytes.empty()) unpack(bytes, target);
     });
 }
 

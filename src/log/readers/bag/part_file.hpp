@@ -28,9 +28,9 @@ public:
 
     std::uint64_t size() const { return size_; }
     const std::string& name() const { return name_; }
-    /// Reads `n` bytes, starting at the byte offset `at`.
+    /// Reads `count` bytes, starting at the byte offset `offset`.
     /// @throws DataError if the file is too short
-    SharedBytes part(std::uint64_t at, std::uint64_t n) const;
+    SharedBytes part(std::uint64_t offset, std::uint64_t count) const;
 
 private:
     std::string name_;
@@ -42,7 +42,7 @@ private:
 /// the messages of a chunk are usually read one after another.
 class ChunkCache {
 public:
-    SharedBytes get(std::uint64_t at, const std::function<SharedBytes()>& unpack) const;
+    SharedBytes get(std::uint64_t offset, const std::function<SharedBytes()>& unpack) const;
 
 private:
     static constexpr std::size_t kKept = 2;
@@ -52,9 +52,9 @@ private:
 
 /// Returns the unpacked bytes of a chunk. The compression is "", "none", "lz4", "zstd" or
 /// "bz2". An uncompressed chunk is returned without a copy.
-/// @param n  unpacked size as stated in the file; an impossible size is rejected before
-/// memory is allocated
+/// @param count unpacked size as stated in the file; an impossible size is rejected
+/// before memory is allocated
 /// @throws DataError if the chunk is damaged
-SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk, std::uint64_t n);
+SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk, std::uint64_t count);
 
 }  // namespace relidar::bag

@@ -37,13 +37,13 @@ constexpr unsigned kIpv4 = 0x0800, kIpv6 = 0x86dd, kUdp = 17;
 // identification belongs to another datagram.
 constexpr std::int64_t kTogether_ns = 1000000000;
 
-unsigned big_endian(std::string_view bytes, std::size_t at) {
-    return at + 2 <= bytes.size()
-               ? static_cast<unsigned char>(bytes[at]) * 256u + static_cast<unsigned char>(bytes[at + 1])
-               : 0u;
+unsigned read_big_endian(std::string_view bytes, std::size_t offset) {
+    return offset + 2 <= bytes.size() ? static_cast<unsigned char>(bytes[offset]) * 256u +
+                                            static_cast<unsigned char>(bytes[offset + 1])
+                                      : 0u;
 }
-unsigned byte_at(std::string_view bytes, std::size_t at) {
-    return at < bytes.size() ? static_cast<unsigned char>(bytes[at]) : 0u;
+unsigned get_byte_at(std::string_view bytes, std::size_t offset) {
+    return offset < bytes.size() ? static_cast<unsigned char>(bytes[offset]) : 0u;
 }
 
 /// An IP packet, or one fragment of an IP packet.
@@ -57,14 +57,15 @@ struct IpPacket {
 };
 
 std::optional<IpPacket> read_ipv4(std::string_view packet) {
-    const std::size_t head = 4 * (byte_at(packet, 0) & 15);
+    const std::size_t head = 4 * (get_byte_at(packet, 0) & 15);
     // Remove the padding of the Ethernet frame. A length of 0 is ignored, because network
     // cards that split packets write no length.
-    if (const std::size_t length = big_endian(packet, 2); length >= 20) packet = packet.substr(0, length);
-    if (head < 20 || packet.size() < head || byte_at(packet, 9) != kUdp) return std::nullopt;
-    const unsigned flags = big_endian(packet, 6);
-    return IpPacket{fmt::format("{}.{}.{}.{}", byte_at(packet, 12), byte_at(packet, 13), byte_at(packet, 14),
-                                byte_at(packet, 15)),
+    if (const std::size_t length = read_big_endian(packet, 2); length >= 20)
+        packet = packet.substr(0, length);
+    if (head < 20 || packet.size() < head || get_byte_at(packet, 9) != kUdp) return std::nullopt;
+    const unsigned flags = read_big_endian(packet, 6);
+    return IpPacket{fmt::format("{}.{}.{}.{}", get_byte_at(packet, 12), get_byte_at(packet, 13),
+                                get_byte_at(packet, 14), get_byte_at(packet, 15)),
                     std::string(packet.substr(12, 8)).append(packet.substr(4, 2)),
                     std::size_t(8 * (flags & 0x1fff)), (flags & 0x2000) != 0, packet.substr(head)};
 }
@@ -76,16 +77,17 @@ std::optional<IpPacket> read_ipv6(std::string_view packet) {
     std::array<char, INET6_ADDRSTRLEN> text{};
     inet_ntop(AF_INET6, packet.data() + 8, text.data(), text.size());
     IpPacket result{fmt::format("[{}]", text.data()), std::string(packet.substr(8, 32)), 0, false, {}};
-    unsigned next = byte_at(packet, 6);
-    std::string_view rest = packet.substr(kHead, big_endian(packet, 4));
+    unsigned next = get_byte_at(packet, 6);
+    std::string_view rest = packet.substr(kHead, read_big_endian(packet, 4));
     while (next == kHopByHop || next == kRouting || next == kOptions || next == kFragment) {
-        const std::size_t size = next == kFragment ? kFragmentHead : 8 * (1 + byte_at(rest, 1));
+        const std::size_t size = next == kFragment ? kFragmentHead : 8 * (1 + get_byte_at(rest, 1));
         if (rest.size() < size) return std::nullopt;
         if (next == kFragment) {
-            result.offset = big_endian(rest, 2) & 0xfff8, result.has_more = (big_endian(rest, 2) & 1) != 0;
+            result.offset = read_big_endian(rest, 2) & 0xfff8,
+            result.has_more = (read_big_endian(rest, 2) & 1) != 0;
             result.key.append(rest.substr(4, 4));
         }
-        next = byte_at(rest, 0);
+        next = get_byte_at(rest, 0);
         rest.remove_prefix(size);
     }
     result.payload = rest;
@@ -94,18 +96,19 @@ std::optional<IpPacket> read_ipv6(std::string_view packet) {
 
 /// Returns the UDP packet that a captured frame contains. Returns nothing for other
 /// frames.
-std::optional<IpPacket> ip_packet(std::string_view frame, int link) {
+std::optional<IpPacket> parse_ip_packet(std::string_view frame, int link) {
     std::size_t head = 0;
     unsigned type = 0;
-    if (link == DLT_EN10MB) head = 14, type = big_endian(frame, 12);
-    if (link == DLT_LINUX_SLL) head = 16, type = big_endian(frame, 14);
-    if (link == DLT_LINUX_SLL2) head = 20, type = big_endian(frame, 0);
+    if (link == DLT_EN10MB) head = 14, type = read_big_endian(frame, 12);
+    if (link == DLT_LINUX_SLL) head = 16, type = read_big_endian(frame, 14);
+    if (link == DLT_LINUX_SLL2) head = 20, type = read_big_endian(frame, 0);
     if (link == DLT_NULL || link == DLT_LOOP) head = 4;
     // skips VLAN tags
-    for (; type == 0x8100 || type == 0x88a8 || type == 0x9100; head += 4) type = big_endian(frame, head + 2);
+    for (; type == 0x8100 || type == 0x88a8 || type == 0x9100; head += 4)
+        type = read_big_endian(frame, head + 2);
     if (frame.size() < head + 20) return std::nullopt;
     const std::string_view packet = frame.substr(head);
-    const unsigned version = byte_at(packet, 0) >> 4;
+    const unsigned version = get_byte_at(packet, 0) >> 4;
     if (version == 4 && (type == 0 || type == kIpv4)) return read_ipv4(packet);
     if (version == 6 && (type == 0 || type == kIpv6)) return read_ipv6(packet);
     return std::nullopt;
@@ -125,9 +128,9 @@ class Fragments {
 public:
     /// Adds an IP packet or a fragment.
     /// @return UDP header and payload, if all fragments of the datagram have been added
-    std::optional<Datagram> add(const IpPacket& packet, std::uint64_t at, std::int64_t stamp_ns) {
+    std::optional<Datagram> add(const IpPacket& packet, std::uint64_t offset, std::int64_t stamp_ns) {
         const std::string_view payload = packet.payload;
-        Datagram datagram{packet.from, at, stamp_ns, std::string(payload)};
+        Datagram datagram{packet.from, offset, stamp_ns, std::string(payload)};
         if (packet.offset == 0 && !packet.has_more) return datagram;
         if (packet.offset + payload.size() > kMostDatagram) return std::nullopt;
         std::erase_if(pending_, [&](const auto& keyed) {
@@ -135,7 +138,7 @@ public:
         });
         if (!pending_.contains(packet.key) && pending_.size() >= kMostPending) erase_oldest();
         Pending& pending = pending_[packet.key];
-        if (pending.parts.empty()) pending.datagram = {packet.from, at, stamp_ns, {}};
+        if (pending.parts.empty()) pending.datagram = {packet.from, offset, stamp_ns, {}};
         std::string& bytes = pending.datagram.bytes;
         bytes.resize(std::max(bytes.size(), packet.offset + payload.size()));
         std::copy(payload.begin(), payload.end(), bytes.begin() + std::ptrdiff_t(packet.offset));
@@ -182,7 +185,7 @@ public:
             throw DataError(
                 fmt::format("{}: cannot read the capture ({}), expected packets in the format "
                             "pcap or pcapng",
-                            path.string(), excerpt(why)));
+                            path.string(), make_excerpt(why)));
         link_ = pcap_datalink(pcap_.get());
         const std::vector<int> known = {DLT_EN10MB, DLT_LINUX_SLL, DLT_LINUX_SLL2, DLT_NULL,
                                         DLT_LOOP,   DLT_RAW,       DLT_IPV4};
@@ -203,7 +206,7 @@ public:
         n_cut_ = 0;
         Fragments fragments;
         while (const auto datagram = next(fragments, &pass)) {
-            Stream* stream = stream_of(*datagram, topics);
+            Stream* stream = find_stream(*datagram, topics);
             if (!stream) continue;
             pass.done(bytes_ > 0 ? double(datagram->at) / double(bytes_) : 0.0);
             if (is_pause(*stream, stream->n, datagram->stamp_ns - stream->log_ns)) flush(*stream, pass);
@@ -244,7 +247,7 @@ public:
             append_to(run, *datagram);
             if (is_full(stream->second, n, datagram->stamp_ns - first_ns)) break;
         }
-        return share_bytes(message_of(stream->second, std::move(run)));
+        return share_bytes(make_message(stream->second, std::move(run)));
     }
 
 private:
@@ -296,9 +299,9 @@ private:
     std::uint64_t position() const {
         return std::uint64_t(std::max<off_t>(ftello(pcap_file(pcap_.get())), 0));
     }
-    void seek(std::uint64_t at) const {
-        if (fseeko(pcap_file(pcap_.get()), off_t(at), SEEK_SET) != 0)
-            throw DataError(fmt::format("{}: cannot go to byte {} of the file", path_.string(), at));
+    void seek(std::uint64_t offset) const {
+        if (fseeko(pcap_file(pcap_.get()), off_t(offset), SEEK_SET) != 0)
+            throw DataError(fmt::format("{}: cannot go to byte {} of the file", path_.string(), offset));
     }
 
     /// Reads the next UDP datagram from the file. The result contains the UDP header and
@@ -312,7 +315,7 @@ private:
             const int code = pcap_next_ex(pcap_.get(), &head, &data);
             if (code == PCAP_ERROR && pass)
                 pass->note(fmt::format("{}: {}; the packets after byte {} are missing", path_.string(),
-                                       excerpt(pcap_geterr(pcap_.get())), at));
+                                       make_excerpt(pcap_geterr(pcap_.get())), at));
             if (code != 1) return std::nullopt;
             if (head->caplen < head->len) {
                 ++n_cut_;
@@ -324,23 +327,23 @@ private:
             // libpcap was opened with nanosecond precision, so tv_usec contains
             // nanoseconds
             const std::int64_t stamp_ns = std::int64_t(head->ts.tv_sec) * 1000000000 + head->ts.tv_usec;
-            const std::optional<IpPacket> packet = ip_packet(frame, link_);
+            const std::optional<IpPacket> packet = parse_ip_packet(frame, link_);
             if (!packet) continue;
             auto datagram = fragments.add(*packet, at, stamp_ns);
             if (!datagram || datagram->bytes.size() < 8) continue;
-            const unsigned length = big_endian(datagram->bytes, 4);
+            const unsigned length = read_big_endian(datagram->bytes, 4);
             if (length < 8 || length > datagram->bytes.size()) continue;
             datagram->bytes.resize(length);
-            datagram->source += fmt::format(":{}", big_endian(datagram->bytes, 2));
+            datagram->source += fmt::format(":{}", read_big_endian(datagram->bytes, 2));
             return datagram;
         }
     }
 
-    std::shared_ptr<const packets::OusterFormat> ouster_of(const Datagram& datagram) const {
+    std::shared_ptr<const packets::OusterFormat> find_ouster_format(const Datagram& datagram) const {
         return packets::format_of(ousters_, datagram.source, payload(datagram));
     }
     Key key_of(const Datagram& datagram) const {
-        const auto ouster = ouster_of(datagram);
+        const auto ouster = find_ouster_format(datagram);
         return {datagram.source, packets::find_product(payload(datagram), {{}, ouster}), ouster.get()};
     }
 
@@ -356,8 +359,9 @@ private:
                 const bool is_told = std::ranges::any_of(
                     ousters_, [&](const auto& format) { return format->packet_bytes == bytes; });
                 if (n > 1 && (is_told || packets::is_ouster_size(bytes)))
-                    pass.note(fmt::format("{}: {}", path_.string(),
-                                          packets::ouster_text(ousters_, path_, std::get<0>(key), bytes)));
+                    pass.note(fmt::format(
+                        "{}: {}", path_.string(),
+                        packets::describe_ouster_packet(ousters_, path_, std::get<0>(key), bytes)));
             }
             if (!stream.ouster) continue;
             std::string& first = senders[stream.ouster.get()];
@@ -370,14 +374,14 @@ private:
         }
     }
 
-    Stream* stream_of(const Datagram& datagram, TopicTable& topics) {
+    Stream* find_stream(const Datagram& datagram, TopicTable& topics) {
         Key key = key_of(datagram);
         if (const auto known = streams_.find(key); known != streams_.end()) return &known->second;
         if (streams_.size() >= kMostStreams) return nullptr;
         Stream stream;
         stream.number = streams_.size();
         stream.product = std::get<1>(key);
-        if (stream.product) stream.ouster = ouster_of(datagram);
+        if (stream.product) stream.ouster = find_ouster_format(datagram);
         if (packets::is_livox(payload(datagram))) stream.livox_frame = datagram.source;
         std::string name = datagram.source;
         // adds the serial number if two Ousters send from the same address to the same
@@ -394,28 +398,29 @@ private:
     }
 
     /// Returns true if the current message of a stream is complete.
-    /// @param n  number of datagrams in the message
+    /// @param count  number of datagrams in the message
     /// @param passed_ns  time from the first to the last datagram of the message
-    static bool is_full(const Stream& stream, std::size_t n, std::int64_t passed_ns) {
+    static bool is_full(const Stream& stream, std::size_t count, std::int64_t passed_ns) {
         return stream.livox_frame.empty()
-                   ? n == kRun
-                   : passed_ns >= packets::kLivoxCloud_ns || n == packets::kMostLivoxPackets;
+                   ? count == kRun
+                   : passed_ns >= packets::kLivoxCloud_ns || count == packets::kMostLivoxPackets;
     }
     /// Returns true if a datagram follows a pause of the sensor, so that it begins a new
     /// message. Only clouds of a Livox end at a pause.
-    /// @param n  number of datagrams in the message before it
+    /// @param count  number of datagrams in the message before it
     /// @param passed_ns  time from the first datagram of the message to this datagram
-    static bool is_pause(const Stream& stream, std::size_t n, std::int64_t passed_ns) {
-        return n > 0 && !stream.livox_frame.empty() && passed_ns >= 2 * packets::kLivoxCloud_ns;
+    static bool is_pause(const Stream& stream, std::size_t count, std::int64_t passed_ns) {
+        return count > 0 && !stream.livox_frame.empty() && passed_ns >= 2 * packets::kLivoxCloud_ns;
     }
     /// Converts the datagrams of a message to the message type of the stream's topic.
-    static std::string message_of(const Stream& stream, std::string run) {
-        return stream.livox_frame.empty() ? run : packets::livox_cloud(run, stream.livox_frame);
+    static std::string make_message(const Stream& stream, std::string run) {
+        return stream.livox_frame.empty() ? run : packets::decode_livox_cloud(run, stream.livox_frame);
     }
 
     void flush(Stream& stream, const Pass& pass) const {
         if (stream.at != stream.first_at) stream.late_runs[stream.at] = stream.first_at;
-        pass.take({stream.topic, stream.log_ns, message_of(stream, stream.run), {stream.at, stream.number}});
+        pass.take(
+            {stream.topic, stream.log_ns, make_message(stream, stream.run), {stream.at, stream.number}});
         stream.run.clear();
         stream.n = 0;
     }

@@ -20,13 +20,13 @@ constexpr double kGap = 1.6;
 // jump.
 constexpr double kJump_s = 0.5;
 
-std::string clouds_text(const CloudTopic& clouds) {
+std::string format_clouds(const CloudTopic& clouds) {
     if (!clouds.packets.empty()) {
         std::size_t n_missing = 0;
         for (const packets::PacketTurn& turn : clouds.turns) n_missing += turn.n_missing;
         const std::string problems = clouds.packets.problems();
         return fmt::format(
-            ", frame '{}', {} packets of a {}: {} full turns{}{}{}", excerpt(clouds.frame),
+            ", frame '{}', {} packets of a {}: {} full turns{}{}{}", make_excerpt(clouds.frame),
             clouds.packets.size(), clouds.packets.about(), clouds.turns.size(),
             n_missing == 0
                 ? ""
@@ -35,31 +35,33 @@ std::string clouds_text(const CloudTopic& clouds) {
     }
     std::vector<std::string> names;
     for (const Cloud::Field& field : clouds.fields)
-        names.push_back(fmt::format("{} {}{}", excerpt(field.name), field.kind, 8 * field.size));
-    return fmt::format(", frame '{}', {} points, fields {}", excerpt(clouds.frame), clouds.usual_points(),
-                       fmt::join(names, " "));
+        names.push_back(fmt::format("{} {}{}", make_excerpt(field.name), field.kind, 8 * field.size));
+    return fmt::format(", frame '{}', {} points, fields {}", make_excerpt(clouds.frame),
+                       clouds.compute_median_points(), fmt::join(names, " "));
 }
 
-std::string poses_text(const PoseTopic& poses) {
-    return fmt::format(", frame '{}' in '{}'", poses.child.empty() ? "unknown" : excerpt(poses.child),
-                       excerpt(poses.parent));
+std::string format_poses(const PoseTopic& poses) {
+    return fmt::format(", frame '{}' in '{}'", poses.child.empty() ? "unknown" : make_excerpt(poses.child),
+                       make_excerpt(poses.parent));
 }
 
-std::string boxes_text(const BoxTopic& boxes) {
-    return fmt::format(
-        ", frame '{}', {} boxes, {} with a track id{}", excerpt(boxes.frame), boxes.n_boxes, boxes.n_named,
-        boxes.n_left_out == 0 ? ""
-                              : fmt::format("; {} more boxes have no size or no pose", boxes.n_left_out));
+std::string format_boxes(const BoxTopic& boxes) {
+    return fmt::format(", frame '{}', {} boxes, {} with a track id{}", make_excerpt(boxes.frame),
+                       boxes.n_boxes, boxes.n_named,
+                       boxes.n_left_out == 0
+                           ? ""
+                           : fmt::format("; {} more boxes have no size or no pose", boxes.n_left_out));
 }
 
 }  // namespace
 
-std::vector<std::string> topic_lines(const Bag& bag, const Survey& survey, const std::vector<bool>& used) {
+std::vector<std::string> list_topic_lines(const Bag& bag, const Survey& survey,
+                                          const std::vector<bool>& used) {
     std::vector<std::string> lines;
     for (std::size_t t = 0; t < bag.topics().size() && lines.size() < kMostLines; ++t) {
         const Topic& topic = bag.topics()[t];
         const TopicFacts& facts = survey.facts[t];
-        std::string line = fmt::format("topic {}: {}", excerpt(topic.name), excerpt(topic.type));
+        std::string line = fmt::format("topic {}: {}", make_excerpt(topic.name), make_excerpt(topic.type));
         // The reader groups the packets of a capture into messages, so the message rate
         // is not a property of the recording.
         const bool is_run = topic.type == packets::kDatagrams;
@@ -67,15 +69,15 @@ std::vector<std::string> topic_lines(const Bag& bag, const Survey& survey, const
         if (!is_run && facts.rate_hz() > 0.0) line += fmt::format(", {:.1f} Hz", facts.rate_hz());
         if (const auto clouds = std::ranges::find(survey.clouds, t, &CloudTopic::topic);
             clouds != survey.clouds.end()) {
-            line += clouds_text(*clouds);
+            line += format_clouds(*clouds);
             if (clouds->n_empty > 0) line += fmt::format(", {} clouds without points", clouds->n_empty);
         }
         if (const auto poses = std::ranges::find(survey.poses, t, &PoseTopic::topic);
             poses != survey.poses.end())
-            line += poses_text(*poses);
+            line += format_poses(*poses);
         if (const auto boxes = std::ranges::find(survey.boxes, t, &BoxTopic::topic);
             boxes != survey.boxes.end())
-            line += boxes_text(*boxes);
+            line += format_boxes(*boxes);
         if (facts.n_broken > 0)
             line += fmt::format(", {} messages cannot be read (the first error: {})", facts.n_broken,
                                 facts.broken);
@@ -86,7 +88,7 @@ std::vector<std::string> topic_lines(const Bag& bag, const Survey& survey, const
     return lines;
 }
 
-std::string gaps_text(const std::vector<double>& times_s, double step_s) {
+std::string describe_gaps(const std::vector<double>& times_s, double step_s) {
     std::size_t n = 0;
     double missing = 0.0, longest_s = 0.0, at_s = 0.0;
     for (std::size_t i = 1; i < times_s.size(); ++i) {
@@ -103,7 +105,7 @@ std::string gaps_text(const std::vector<double>& times_s, double step_s) {
                         n, missing, longest_s, at_s);
 }
 
-std::string jumps_text(const CloudTopic& clouds) {
+std::string describe_jumps(const CloudTopic& clouds) {
     std::size_t n_falls = 0, n_jumps = 0;
     double largest_s = 0.0;
     for (std::size_t i = 1; i < clouds.clouds.size(); ++i) {

@@ -13,13 +13,14 @@ namespace relidar::bag {
 /// Returns one line per topic: name, type, number of messages, rate, and whether the
 /// topic is loaded. For clouds, the line also contains the frame and the fields.
 /// @param used  [topics] true if the topic is loaded
-std::vector<std::string> topic_lines(const Bag& bag, const Survey& survey, const std::vector<bool>& used);
+std::vector<std::string> list_topic_lines(const Bag& bag, const Survey& survey,
+                                          const std::vector<bool>& used);
 
 /// Returns a text about missing sweeps. A sweep is missing if a time step is much longer
 /// than usual. Returns an empty string if no sweep is missing.
-std::string gaps_text(const std::vector<double>& times_s, double step_s);
+std::string describe_gaps(const std::vector<double>& times_s, double step_s);
 /// Returns a text about time stamps that decrease, or that jump relative to the recording
 /// times. Returns an empty string if no time stamps do.
-std::string jumps_text(const CloudTopic& clouds);
+std::string describe_jumps(const CloudTopic& clouds);
 
 }  // namespace relidar::bag

@@ -26,11 +26,11 @@ public:
     explicit Ros1Header(std::string_view bytes) {
         ByteReader reader(bytes);
         while (reader.left() > 0) {
-            const std::string_view field = reader.sized();
+            const std::string_view field = reader.read_sized_string();
             const std::size_t equals = field.find('=');
             if (equals == std::string_view::npos)
                 throw DataError(
-                    fmt::format("found the header field '{}', expected name=value", excerpt(field)));
+                    fmt::format("found the header field '{}', expected name=value", make_excerpt(field)));
             values_[field.substr(0, equals)] = field.substr(equals + 1);
         }
     }
@@ -52,9 +52,9 @@ struct Ros1Record {
     std::string_view header, data;
 };
 
-Ros1Record next_ros1_record(ByteReader& reader) {
-    const std::string_view header = reader.sized();
-    return {header, reader.sized()};
+Ros1Record read_next_ros1_record(ByteReader& reader) {
+    const std::string_view header = reader.read_sized_string();
+    return {header, reader.read_sized_string()};
 }
 
 class Ros1File : public BagFile {
@@ -69,7 +69,7 @@ public:
         connections_.clear();
         std::uint64_t at = kRos1Magic.size();
         while (at < file_.size()) {
-            const std::optional<Extent> record = extent_at(at);
+            const std::optional<Extent> record = read_extent(at);
             if (!record) {
                 pass.note(
                     fmt::format("{}: the file is truncated at byte {} of {}; later messages are "
@@ -92,15 +92,16 @@ public:
 
     SharedBytes read(const Place& place) const override {
         if (place.in_chunk == Place::kNoChunk) {
-            const std::optional<Extent> record = extent_at(place.at);
+            const std::optional<Extent> record = read_extent(place.at);
             if (!record)
                 throw DataError(
                     fmt::format("{}: the message at byte {} is truncated", file_.name(), place.at));
             return file_.part(record->data_at, record->data_bytes);
         }
-        const SharedBytes records = chunks_.get(place.at, [&] { return records_of(*extent_at(place.at)); });
+        const SharedBytes records =
+            chunks_.get(place.at, [&] { return read_records_of(*read_extent(place.at)); });
         ByteReader reader(records.bytes.substr(std::size_t(place.in_chunk)));
-        return records.with(next_ros1_record(reader).data);
+        return records.with(read_next_ros1_record(reader).data);
     }
 
 private:
@@ -118,45 +119,45 @@ private:
 
     /// Returns the header of a record and the offset of its data. Returns nothing if the
     /// file ends before the end of the record.
-    std::optional<Extent> extent_at(std::uint64_t at) const {
+    std::optional<Extent> read_extent(std::uint64_t offset) const {
         const auto length_at = [&](std::uint64_t place) -> std::optional<std::uint32_t> {
             if (place > file_.size() || file_.size() - place < 4) return std::nullopt;
             const SharedBytes length = file_.part(place, 4);
             const auto n = ByteReader(length.bytes).number<std::uint32_t>();
             return n > file_.size() - place - 4 ? std::nullopt : std::optional(n);
         };
-        const auto header_bytes = length_at(at);
+        const auto header_bytes = length_at(offset);
         if (!header_bytes) return std::nullopt;
         if (*header_bytes > kLongestHeader)
             throw DataError(
                 fmt::format("{}: the record at byte {} has a header of {} bytes, expected at most {}",
-                            file_.name(), at, *header_bytes, kLongestHeader));
-        const std::uint64_t data = at + 4 + *header_bytes;
+                            file_.name(), offset, *header_bytes, kLongestHeader));
+        const std::uint64_t data = offset + 4 + *header_bytes;
         const auto data_bytes = length_at(data);
         if (!data_bytes) return std::nullopt;
-        return Extent{file_.part(at + 4, *header_bytes), data + 4, *data_bytes};
+        return Extent{file_.part(offset + 4, *header_bytes), data + 4, *data_bytes};
     }
 
-    SharedBytes records_of(const Extent& chunk) const {
+    SharedBytes read_records_of(const Extent& chunk) const {
         const Ros1Header header(chunk.header.bytes);
         return unpack_chunk(header.text("compression"), file_.part(chunk.data_at, chunk.data_bytes),
                             header.number<std::uint32_t>("size"));
     }
 
-    void read_record(std::uint64_t at, const Extent& record, TopicTable& topics, const Pass& pass) {
+    void read_record(std::uint64_t offset, const Extent& record, TopicTable& topics, const Pass& pass) {
         const Ros1Header header(record.header.bytes);
         const auto op = header.number<std::uint8_t>("op");
         if (op == kRos1Chunk) {
-            const SharedBytes records = records_of(record);
+            const SharedBytes records = read_records_of(record);
             ByteReader reader(records.bytes);
             while (reader.left() > 0) {
                 const std::uint64_t in_chunk = reader.at();
-                const Ros1Record part = next_ros1_record(reader);
-                take(Ros1Header(part.header), part.data, {at, in_chunk}, topics, pass);
+                const Ros1Record part = read_next_ros1_record(reader);
+                take(Ros1Header(part.header), part.data, {offset, in_chunk}, topics, pass);
             }
         } else if (op == kRos1Connection || op == kRos1Message) {
-            take(header, file_.part(record.data_at, record.data_bytes).bytes, {at, Place::kNoChunk}, topics,
-                 pass);
+            take(header, file_.part(record.data_at, record.data_bytes).bytes, {offset, Place::kNoChunk},
+                 topics, pass);
         }
     }
 

@@ -28,7 +28,7 @@ struct FinishStatement {
 using Statement = std::unique_ptr<sqlite3_stmt, FinishStatement>;
 
 /// Converts a path to a URI for SQLite and appends the options.
-std::string uri_of(const std::filesystem::path& path, const char* options) {
+std::string make_uri(const std::filesystem::path& path, const char* options) {
     std::string uri = "file:";
     for (const char c : std::filesystem::absolute(path).string()) {
         if (c == '?' || c == '#' || c == '%') uri += fmt::format("%{:02X}", static_cast<unsigned char>(c));
@@ -37,12 +37,12 @@ std::string uri_of(const std::filesystem::path& path, const char* options) {
     return uri + options;
 }
 
-std::string text_at(sqlite3_stmt* row, int column) {
+std::string get_text_column(sqlite3_stmt* row, int column) {
     const auto* text = reinterpret_cast<const char*>(sqlite3_column_text(row, column));
     return text ? std::string(text, std::size_t(sqlite3_column_bytes(row, column))) : std::string();
 }
 
-std::string_view bytes_at(sqlite3_stmt* row, int column) {
+std::string_view get_bytes_column(sqlite3_stmt* row, int column) {
     const auto* bytes = static_cast<const char*>(sqlite3_column_blob(row, column));
     return bytes ? std::string_view(bytes, std::size_t(sqlite3_column_bytes(row, column)))
                  : std::string_view();
@@ -59,7 +59,7 @@ public:
         const bool is_open = std::filesystem::exists(path.string() + "-wal", failed);
         sqlite3* database = nullptr;
         const int code =
-            sqlite3_open_v2(uri_of(path, is_open ? "?mode=ro" : "?mode=ro&immutable=1").c_str(), &database,
+            sqlite3_open_v2(make_uri(path, is_open ? "?mode=ro" : "?mode=ro&immutable=1").c_str(), &database,
                             SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX, nullptr);
         database_.reset(database);
         if (code != SQLITE_OK) fail("opening it");
@@ -74,13 +74,15 @@ public:
     void each(TopicTable& topics, const Pass& pass) override {
         const std::lock_guard guard(lock_);
         std::map<std::int64_t, std::size_t> topic_of;
-        const Statement topic_rows = prepared("SELECT id, name, type, serialization_format FROM topics");
+        const Statement topic_rows =
+            prepare_statement("SELECT id, name, type, serialization_format FROM topics");
         while (step(topic_rows.get()))
-            topic_of[sqlite3_column_int64(topic_rows.get(), 0)] = topics.number_of(
-                {text_at(topic_rows.get(), 1), text_at(topic_rows.get(), 2), text_at(topic_rows.get(), 3)});
-        const std::int64_t last = last_row();
+            topic_of[sqlite3_column_int64(topic_rows.get(), 0)] =
+                topics.number_of({get_text_column(topic_rows.get(), 1), get_text_column(topic_rows.get(), 2),
+                                  get_text_column(topic_rows.get(), 3)});
+        const std::int64_t last = get_last_row();
         const Statement rows =
-            prepared("SELECT rowid, topic_id, timestamp, data FROM messages ORDER BY rowid");
+            prepare_statement("SELECT rowid, topic_id, timestamp, data FROM messages ORDER BY rowid");
         while (step(rows.get(), pass)) {
             const std::int64_t row = sqlite3_column_int64(rows.get(), 0);
             const auto topic = topic_of.find(sqlite3_column_int64(rows.get(), 1));
@@ -94,9 +96,9 @@ public:
             SharedBytes unpacked;
             // reads the bytes of a message only if the caller requested them
             if (pass.wanted(topics.topics()[topic->second])) {
-                message.bytes = bytes_at(rows.get(), 3);
+                message.bytes = get_bytes_column(rows.get(), 3);
                 if (packed_) {
-                    unpacked = unpacked_message(message.bytes, row);
+                    unpacked = unpack_message(message.bytes, row);
                     message.bytes = unpacked.bytes;
                 }
             }
@@ -106,13 +108,13 @@ public:
 
     SharedBytes read(const Place& place) const override {
         const std::lock_guard guard(lock_);
-        if (!one_) one_ = prepared("SELECT data FROM messages WHERE rowid = ?");
+        if (!one_) one_ = prepare_statement("SELECT data FROM messages WHERE rowid = ?");
         sqlite3_reset(one_.get());
         sqlite3_bind_int64(one_.get(), 1, std::int64_t(place.at));
         if (!step(one_.get()))
             throw DataError(fmt::format("{}: the message in row {} no longer exists", name_, place.at));
-        const std::string_view bytes = bytes_at(one_.get(), 0);
-        return packed_ ? unpacked_message(bytes, std::int64_t(place.at)) : share_bytes(std::string(bytes));
+        const std::string_view bytes = get_bytes_column(one_.get(), 0);
+        return packed_ ? unpack_message(bytes, std::int64_t(place.at)) : share_bytes(std::string(bytes));
     }
 
 private:
@@ -123,12 +125,13 @@ private:
     mutable std::mutex lock_;  ///< only one thread may use the database at a time
     mutable Statement one_;
 
-    [[noreturn]] void fail(const char* doing) const {
-        throw DataError(fmt::format("{}: {} failed: {}; expected messages of rosbag2 in SQLite", name_, doing,
-                                    excerpt(database_ ? sqlite3_errmsg(database_.get()) : "no memory")));
+    [[noreturn]] void fail(const char* action) const {
+        throw DataError(fmt::format("{}: {} failed: {}; expected messages of rosbag2 in SQLite", name_,
+                                    action,
+                                    make_excerpt(database_ ? sqlite3_errmsg(database_.get()) : "no memory")));
     }
 
-    Statement prepared(const std::string& text) const {
+    Statement prepare_statement(const std::string& text) const {
         sqlite3_stmt* statement = nullptr;
         if (sqlite3_prepare_v2(database_.get(), text.c_str(), -1, &statement, nullptr) != SQLITE_OK)
             fail("reading its tables");
@@ -153,15 +156,15 @@ private:
         return false;
     }
 
-    std::int64_t last_row() const {
-        const Statement row = prepared("SELECT max(rowid) FROM messages");
+    std::int64_t get_last_row() const {
+        const Statement row = prepare_statement("SELECT max(rowid) FROM messages");
         return step(row.get()) ? sqlite3_column_int64(row.get(), 0) : 0;
     }
 
     /// Checks that a name belongs to a real table and not to a view. A view could run an
     /// endless query.
     void check_table(const char* table) const {
-        const Statement row = prepared(fmt::format(
+        const Statement row = prepare_statement(fmt::format(
             "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = '{}' AND sql NOT LIKE '%generated%' "
             "AND sql NOT LIKE '% as%(%)%' AND sql NOT LIKE 'create virtual%'",
             table));
@@ -170,7 +173,7 @@ private:
                 fmt::format("{}: the table '{}' is missing, expected a database of rosbag2", name_, table));
     }
 
-    SharedBytes unpacked_message(std::string_view bytes, std::int64_t row) const {
+    SharedBytes unpack_message(std::string_view bytes, std::int64_t row) const {
         const unsigned long long n = ZSTD_getFrameContentSize(bytes.data(), bytes.size());
         if (n == ZSTD_CONTENTSIZE_UNKNOWN || n == ZSTD_CONTENTSIZE_ERROR)
             throw DataError(fmt::format(

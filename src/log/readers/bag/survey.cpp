@@ -86,7 +86,7 @@ private:
 
     void add_cloud(const Topic& topic, const Message& message) {
         const Cloud cloud = read_cloud(topic, message.bytes);
-        CloudTopic& clouds = entry_of(survey_.clouds, message.topic);
+        CloudTopic& clouds = find_entry(survey_.clouds, message.topic);
         if (clouds.fields.empty()) clouds.fields = cloud.fields, clouds.frame = cloud.header.frame;
         if (cloud.size() == 0) {
             ++clouds.n_empty;
@@ -94,7 +94,7 @@ private:
         }
         const auto n = std::uint32_t(std::min<std::size_t>(cloud.size(), UINT32_MAX));
         clouds.clouds.push_back({cloud.header.stamp_ns, message.log_ns, n, message.place});
-        if (const std::optional<Arc> arc = arc_of(cloud))
+        if (const std::optional<Arc> arc = compute_arc(cloud))
             clouds.arcs.push_back({cloud.header.stamp_ns, message.log_ns, message.place, n, *arc});
     }
 
@@ -107,15 +107,15 @@ private:
         packets::Calibration calibration{*corrections_};
         if (topic.encoding == packets::kDatagrams) read_nearby_metadata();
         calibration.ouster = packets::format_of(ousters_, topic.name, views.front().bytes);
-        if (packets::carries_ouster_packets(topic)) {
+        if (packets::has_ouster_packets(topic)) {
             if (!has_read_metadata_ && (late_.contains(message.topic) || !calibration.ouster))
                 return void(late_.insert(message.topic));
             if (!calibration.ouster)
-                throw DataError(packets::ouster_text(ousters_, bag_.files().front(), topic.name,
-                                                     views.front().bytes.size()) +
+                throw DataError(packets::describe_ouster_packet(ousters_, bag_.files().front(), topic.name,
+                                                                views.front().bytes.size()) +
                                 broken_metadata_);
         }
-        CloudTopic& clouds = entry_of(survey_.clouds, message.topic);
+        CloudTopic& clouds = find_entry(survey_.clouds, message.topic);
         clouds.frame = header.frame;
         clouds.packets.add(views, message.log_ns, message.place, calibration);
     }
@@ -138,14 +138,14 @@ private:
 
     void add_pose(const Topic& topic, const Message& message) {
         const Transform transform = read_transforms(topic, message.bytes).front();
-        PoseTopic& poses = entry_of(survey_.poses, message.topic);
+        PoseTopic& poses = find_entry(survey_.poses, message.topic);
         if (poses.samples.empty()) poses.parent = transform.header.frame, poses.child = transform.child;
         poses.samples.push_back({transform.header.stamp_ns, message.log_ns, transform.parent_from_child});
     }
 
     void add_boxes(const Topic& topic, const Message& message) {
         const BoxList list = read_boxes(topic, message.bytes);
-        BoxTopic& boxes = entry_of(survey_.boxes, message.topic);
+        BoxTopic& boxes = find_entry(survey_.boxes, message.topic);
         boxes.n_left_out += list.n_left_out;
         if (list.boxes.empty()) return;
         if (boxes.frame.empty()) boxes.frame = list.boxes.front().header.frame;
@@ -156,7 +156,7 @@ private:
     }
 
     template <class Entry>
-    static Entry& entry_of(std::vector<Entry>& entries, std::size_t topic) {
+    static Entry& find_entry(std::vector<Entry>& entries, std::size_t topic) {
         const auto known = std::ranges::find(entries, topic, &Entry::topic);
         if (known != entries.end()) return *known;
         entries.emplace_back().topic = topic;
@@ -170,7 +170,7 @@ private:
 void place_ousters(const Bag& bag, Survey& survey) {
     std::vector<CloudTopic*> ousters;
     for (CloudTopic& clouds : survey.clouds)
-        if (packets::carries_ouster_packets(bag.topics()[clouds.topic]) && !clouds.packets.empty())
+        if (packets::has_ouster_packets(bag.topics()[clouds.topic]) && !clouds.packets.empty())
             ousters.push_back(&clouds);
     for (CloudTopic* clouds : ousters) {
         const std::string& name = bag.topics()[clouds->topic].name;
@@ -180,8 +180,8 @@ void place_ousters(const Bag& bag, Survey& survey) {
         for (const std::string& prefix : prefixes) {
             for (const char* frame : {"os_lidar", "os_sensor"})
                 clouds->driver_frames.push_back(prefix + frame);
-            if (survey.frames.path_to_root(clouds->frame).size() > 1 ||
-                survey.frames.path_to_root(prefix + "os_lidar").size() < 2)
+            if (survey.frames.find_path_to_root(clouds->frame).size() > 1 ||
+                survey.frames.find_path_to_root(prefix + "os_lidar").size() < 2)
                 continue;
             survey.frames.add({{0, prefix + "os_lidar"}, clouds->frame, {glm::dquat(0.0, 0.0, 0.0, 1.0), {}}},
                               0, true);
@@ -214,10 +214,10 @@ void join_parts(CloudTopic& topic) {
 
 bool CloudTopic::has_field(folder::PointValue value) const {
     return std::ranges::any_of(
-        fields, [&](const Cloud::Field& field) { return folder::value_of_field(field.name) == value; });
+        fields, [&](const Cloud::Field& field) { return folder::find_value_of_field(field.name) == value; });
 }
 
-std::size_t CloudTopic::usual_points() const {
+std::size_t CloudTopic::compute_median_points() const {
     if (clouds.empty()) return 0;
     std::vector<std::uint32_t> counts;
     for (const CloudEntry& cloud : clouds) counts.push_back(cloud.n_points);
@@ -235,7 +235,7 @@ Survey survey_bag(Bag& bag, const Progress& progress) {
         surveyor.read_nearby_metadata();
         std::vector<bool> is_late;
         for (std::size_t t = 0; t < bag.topics().size(); ++t) is_late.push_back(surveyor.is_late(t));
-        bag.each([&](const Topic& topic) { return packets::carries_ouster_packets(topic); },
+        bag.each([&](const Topic& topic) { return packets::has_ouster_packets(topic); },
                  [&](const Message& message) {
                      if (message.topic < is_late.size() && is_late[message.topic])
                          surveyor.add_late_packet(message);

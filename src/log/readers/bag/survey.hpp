@@ -60,7 +60,7 @@ struct CloudTopic {
     std::vector<packets::PacketTurn> turns;
 
     bool has_field(folder::PointValue value) const;
-    std::size_t usual_points() const;  ///< Returns the median number of points of a cloud.
+    std::size_t compute_median_points() const;  ///< Returns the median number of points of a cloud.
 };
 
 struct PoseTopic {

@@ -53,11 +53,11 @@ const Cloud::Field* find_real(const Cloud& cloud, const char* name) {
 
 /// Returns the azimuth range that contains points. This is the full circle without the
 /// widest range of empty bins.
-std::optional<Arc> arc_of_bins(const std::array<bool, kBins>& seen) {
+std::optional<Arc> compute_arc_of_bins(const std::array<bool, kBins>& is_covered) {
     std::size_t widest = 0, end = 0, run = 0;
     // scans the circle twice, because a gap may continue after the last bin
     for (std::size_t b = 0; b < 2 * kBins; ++b) {
-        run = seen[b % kBins] ? 0 : run + 1;
+        run = is_covered[b % kBins] ? 0 : run + 1;
         if (run > widest) widest = run, end = b + 1;
     }
     if (widest >= kBins) return std::nullopt;
@@ -65,7 +65,7 @@ std::optional<Arc> arc_of_bins(const std::array<bool, kBins>& seen) {
     return Arc{float(std::remainder(bin * double(end) - kPi + 0.5 * extent, 2.0 * kPi)), float(extent)};
 }
 
-double gap_of_all(const std::vector<TurnPart>& clouds) {
+double compute_gap_of_all(const std::vector<TurnPart>& clouds) {
     std::array<bool, kBins> seen{};
     for (const TurnPart& cloud : clouds)
         for (double a = -0.5; a <= 0.5; a += 0.01) {
@@ -73,7 +73,7 @@ double gap_of_all(const std::vector<TurnPart>& clouds) {
                 std::remainder(double(cloud.arc.middle_rad) + a * double(cloud.arc.extent_rad), 2.0 * kPi);
             seen[std::size_t((azimuth / (2.0 * kPi) + 0.5) * kBins) % kBins] = true;
         }
-    const std::optional<Arc> all = arc_of_bins(seen);
+    const std::optional<Arc> all = compute_arc_of_bins(seen);
     return 2.0 * kPi - double(all ? all->extent_rad : 0.0f);
 }
 
@@ -89,7 +89,7 @@ struct Parts {
     double cut_rad;
 };
 
-std::optional<Parts> parts_of(const std::vector<TurnPart>& clouds) {
+std::optional<Parts> select_parts(const std::vector<TurnPart>& clouds) {
     if (clouds.size() < 4) return std::nullopt;
     std::vector<float> extents;
     std::vector<std::int64_t> steps_ns;
@@ -100,22 +100,22 @@ std::optional<Parts> parts_of(const std::vector<TurnPart>& clouds) {
         steps_ns.push_back(clouds[k].stamp_ns - clouds[k - 1].stamp_ns);
         sum += std::polar(1.0, double(clouds[k].arc.middle_rad) - double(clouds[k - 1].arc.middle_rad));
     }
-    const double extent = median_of(extents), step = std::abs(std::arg(sum));
+    const double extent = compute_median(extents), step = std::abs(std::arg(sum));
     if (extent > kMostOfPart || std::abs(sum) < kTogether * double(clouds.size() - 1)) return std::nullopt;
     if (std::abs(step - std::min(extent, 2.0 * kPi - extent)) > kAbut * step ||
-        gap_of_all(clouds) > kLeastGap_rad)
+        compute_gap_of_all(clouds) > kLeastGap_rad)
         return std::nullopt;
     const double n = std::round(2.0 * kPi / step);
     std::complex<double> phase = 0.0;
     for (const TurnPart& cloud : clouds) phase += std::polar(1.0, n * double(cloud.arc.middle_rad));
     const double first_cut = (std::arg(phase) + kPi) / n, width = 2.0 * kPi / n;
     const double cut = first_cut + width * std::round((kPi - first_cut) / width);
-    return Parts{extent, n < 2.5 || std::arg(sum) < 0.0 ? -step : step, 1e-9 * median_of(steps_ns), cut};
+    return Parts{extent, n < 2.5 || std::arg(sum) < 0.0 ? -step : step, 1e-9 * compute_median(steps_ns), cut};
 }
 
 }  // namespace
 
-std::optional<Arc> arc_of(const Cloud& cloud) {
+std::optional<Arc> compute_arc(const Cloud& cloud) {
     const Cloud::Field *x = find_real(cloud, "x"), *y = find_real(cloud, "y");
     if (!x || !y) return std::nullopt;
     std::array<bool, kBins> seen{};
@@ -126,12 +126,12 @@ std::optional<Arc> arc_of(const Cloud& cloud) {
         if (!std::isfinite(px) || !std::isfinite(py) || (px == 0.0 && py == 0.0)) continue;
         seen[std::size_t((std::atan2(py, px) / (2.0 * kPi) + 0.5) * kBins) % kBins] = true;
     }
-    return arc_of_bins(seen);
+    return compute_arc_of_bins(seen);
 }
 
 JoinedTurns join_turns(std::vector<TurnPart> clouds) {
     std::ranges::stable_sort(clouds, {}, &TurnPart::stamp_ns);
-    const std::optional<Parts> parts = parts_of(clouds);
+    const std::optional<Parts> parts = select_parts(clouds);
     JoinedTurns joined;
     if (!parts) return joined;
     // angle from the start of the revolution to the part, 0 to 2 pi

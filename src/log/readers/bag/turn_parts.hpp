@@ -18,7 +18,7 @@ struct Arc {
 };
 /// Computes the azimuth range of a cloud from about 256 points, with a resolution of 6
 /// degrees. Returns nothing if the cloud has no field x or y.
-std::optional<Arc> arc_of(const Cloud& cloud);
+std::optional<Arc> compute_arc(const Cloud& cloud);
 
 /// A cloud that is a part of a revolution.
 struct TurnPart {

@@ -49,7 +49,7 @@ struct Forward {
 /// transform from the LiDAR to the Applanix frame (x right, y forward, z up). If the file
 /// does not exist, returns an unknown direction.
 Forward read_forward(const fs::path& file) {
-    if (!path_exists(file)) return {};
+    if (!does_path_exist(file)) return {};
     const auto m = parse_numbers(read_text(file));
     if (!m || m->size() != 16)
         throw DataError(
@@ -57,7 +57,7 @@ Forward read_forward(const fs::path& file) {
                         m ? fmt::format("{} numbers", m->size()) : "a word that is not a number"));
     const auto& at = *m;
     const glm::dmat3 rotation(at[0], at[4], at[8], at[1], at[5], at[9], at[2], at[6], at[10]);
-    const Pose applanix_from_lidar = rigid_pose(rotation, {at[3], at[7], at[11]}, file.string());
+    const Pose applanix_from_lidar = make_rigid_pose(rotation, {at[3], at[7], at[11]}, file.string());
     return {inverse(applanix_from_lidar).rotation * glm::dvec3(0, 1, 0), true};
 }
 
@@ -74,28 +74,28 @@ constexpr AngleOrder kAngleOrders[] = {{"R_x(-roll) R_y(-pitch) R_z(-yaw)", -1.0
                                        {"R_z(-yaw) R_y(-pitch) R_x(-roll)", -1.0, false},
                                        {"R_x(roll) R_y(pitch) R_z(yaw)", 1.0, true}};
 
-glm::dquat enu_from_lidar(double roll, double pitch, double yaw, const AngleOrder& order) {
+glm::dquat make_enu_from_lidar(double roll, double pitch, double yaw, const AngleOrder& order) {
     const double sign = order.sign;
-    return order.yaw_first ? glm::conjugate(rotation_of(-sign * yaw, -sign * pitch, -sign * roll))
-                           : rotation_of(sign * yaw, sign * pitch, sign * roll);
+    return order.yaw_first ? glm::conjugate(make_rotation(-sign * yaw, -sign * pitch, -sign * roll))
+                           : make_rotation(sign * yaw, sign * pitch, sign * roll);
 }
 
-PoseTrack track_of(const std::vector<stamped::StampedRow>& rows, const stamped::StampedLog& log,
-                   const AngleOrder& order) {
+PoseTrack make_pose_track(const std::vector<stamped::StampedRow>& rows, const stamped::StampedLog& log,
+                          const AngleOrder& order) {
     PoseTrack track;
     for (const stamped::StampedRow& row : rows) {
         const std::vector<double>& v = row.values;
         const double *place = v.data(), *angle = v.data() + kFirstAngle;
         track.time_s.push_back(log.seconds(row.stamp));
         track.pose.push_back(
-            {enu_from_lidar(angle[0], angle[1], angle[2], order), {place[0], place[1], place[2]}});
+            {make_enu_from_lidar(angle[0], angle[1], angle[2], order), {place[0], place[1], place[2]}});
     }
     return track;
 }
 
 /// Returns how well the driving direction matches the forward direction of the vehicle.
 /// The maximum is 1.
-double forwardness(const stamped::Driving& driving, const Forward& forward) {
+double score_forward_direction(const stamped::Driving& driving, const Forward& forward) {
     return forward.is_known ? glm::dot(driving.mean, forward.direction) : glm::length(driving.mean);
 }
 
@@ -108,9 +108,10 @@ PoseTrack read_boreas_poses(const fs::path& file, const stamped::StampedLog& log
     PoseTrack best;
     stamped::Driving of_best;
     for (const AngleOrder& order : kAngleOrders) {
-        PoseTrack track = track_of(rows, log, order);
+        PoseTrack track = make_pose_track(rows, log, order);
         const stamped::Driving driving = stamped::find_driving(track);
-        const double gain = forwardness(driving, forward) - forwardness(of_best, forward);
+        const double gain =
+            score_forward_direction(driving, forward) - score_forward_direction(of_best, forward);
         const bool is_leveler =
             driving.n_steps >= kFewestSteps && driving.rise_spread < kClearlyLevel * of_best.rise_spread;
         if (taken && gain <= kClearlyForward && !(gain >= -kClearlyForward && is_leveler)) continue;
@@ -121,13 +122,13 @@ PoseTrack read_boreas_poses(const fs::path& file, const stamped::StampedLog& log
             fmt::format("the angles of poses are read as {}, which differs from the documentation of Boreas, "
                         "because only then the vehicle drives forward along the road",
                         taken->name));
-    if (of_best.n_steps > 0) stamped::warn_unless_forward(notes, forwardness(of_best, forward));
+    if (of_best.n_steps > 0) stamped::warn_unless_forward(notes, score_forward_direction(of_best, forward));
     return best;
 }
 
 /// Rotates the sensor frame of all poses, so that the x axis points forward.
-void turn_to_front(PoseTrack& track, double forward_rad) {
-    const Pose lidar_from_turned{rotation_of(forward_rad, 0.0, 0.0), {}};
+void rotate_to_front(PoseTrack& track, double forward_rad) {
+    const Pose lidar_from_turned{make_rotation(forward_rad, 0.0, 0.0), {}};
     for (Pose& pose : track.pose) pose = pose * lidar_from_turned;
 }
 
@@ -148,7 +149,7 @@ Sequence load_boreas(const fs::path& log_folder, const DatasetOptions& options) 
                             kMostGap_s};
     stamped::check_poses(log.poses_file, options);
     Forward forward = read_forward(folder / "calib/T_applanix_lidar.txt");
-    if (path_exists(log.poses_file)) {
+    if (does_path_exist(log.poses_file)) {
         log.world_from_vehicle = read_boreas_poses(log.poses_file, log, forward, sequence.notes);
         const glm::dvec3 driven = stamped::find_driving(log.world_from_vehicle).mean;
         if (!forward.is_known && driven != glm::dvec3(0.0)) forward = {driven, true};
@@ -156,7 +157,7 @@ Sequence load_boreas(const fs::path& log_folder, const DatasetOptions& options) 
     if (!forward.is_known)
         sequence.notes.push_back(
             "the forward direction of the vehicle is unknown; the x axis of the LiDAR is used");
-    turn_to_front(log.world_from_vehicle, forward.azimuth_rad());
+    rotate_to_front(log.world_from_vehicle, forward.azimuth_rad());
     sequence.conventions = fmt::format(
         "LiDAR frame: x forward, y left, z up, in metres (rotated about z by {:.2f} degrees relative to "
         "Boreas). Times are seconds after the first scan. The time of a frame is the middle of its sweep. "

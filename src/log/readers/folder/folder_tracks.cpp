@@ -30,13 +30,13 @@ constexpr double kUnit = 1e-3;            // tolerance of a quaternion's length
 const std::vector<std::string> kPoseNames{"time_s", "x", "y", "z", "qw", "qx", "qy", "qz"};
 
 /// Returns a line without its comment, which begins with '#'.
-std::string_view content(const std::string& line) {
-    return trimmed(std::string_view(line).substr(0, line.find('#')));
+std::string_view strip_comment(const std::string& line) {
+    return trim_spaces(std::string_view(line).substr(0, line.find('#')));
 }
 
-std::vector<std::string_view> pose_words(std::string_view text) {
+std::vector<std::string_view> split_pose_words(std::string_view text) {
     std::vector<std::string_view> words;
-    for (text = trimmed(text); !text.empty(); text = trimmed(text)) {
+    for (text = trim_spaces(text); !text.empty(); text = trim_spaces(text)) {
         const std::size_t end = std::min(text.find_first_of(" \t"), text.size());
         words.push_back(text.substr(0, end));
         text.remove_prefix(end);
@@ -46,25 +46,26 @@ std::vector<std::string_view> pose_words(std::string_view text) {
 
 /// Returns true if a line contains the names of the columns. Either it is a comment that
 /// contains "qw", or its first word is not a number.
-bool names_columns(const std::string& line) {
+bool is_column_header(const std::string& line) {
     const std::vector<std::string_view> words =
-        pose_words(trimmed(line).substr(trimmed(line).starts_with('#') ? 1 : 0));
-    if (content(line).empty()) return std::find(words.begin(), words.end(), "qw") != words.end();
+        split_pose_words(trim_spaces(line).substr(trim_spaces(line).starts_with('#') ? 1 : 0));
+    if (strip_comment(line).empty()) return std::find(words.begin(), words.end(), "qw") != words.end();
     return !words.empty() && !parse_number(words[0]);
 }
 
 /// Parses a line with column names. Returns the column index of each name in kPoseNames.
 /// Also accepts the names of the TUM format for time and position.
-std::vector<int> find_pose_columns(const std::string& line, const std::string& where) {
+std::vector<int> find_pose_columns(const std::string& line, const std::string& location) {
     std::vector<std::string_view> words =
-        pose_words(trimmed(line).substr(trimmed(line).starts_with('#') ? 1 : 0));
+        split_pose_words(trim_spaces(line).substr(trim_spaces(line).starts_with('#') ? 1 : 0));
     for (std::string_view& word : words) {
         if (word == "timestamp" || word == "time") word = "time_s";
         if (word == "tx" || word == "ty" || word == "tz") word.remove_prefix(1);
     }
-    const std::vector<int> at = find_columns(words, kPoseNames, where);
+    const std::vector<int> at = find_columns(words, kPoseNames, location);
     for (std::size_t c = 0; c < at.size(); ++c)
-        if (at[c] < 0) throw DataError(fmt::format("{}: the column '{}' is missing", where, kPoseNames[c]));
+        if (at[c] < 0)
+            throw DataError(fmt::format("{}: the column '{}' is missing", location, kPoseNames[c]));
     return at;
 }
 
@@ -76,15 +77,15 @@ struct PoseRows {
 };
 
 /// Parses the numbers in a line.
-/// @param n  expected number of values; 0 means 7 or 8
-std::vector<double> pose_row(const std::string& line, std::size_t n, const std::string& where) {
-    const auto v = parse_numbers(content(line));
-    if (!v || (n > 0 ? v->size() != n : v->size() != 7 && v->size() != 8))
-        throw DataError(fmt::format("{}: found '{}', expected 8 numbers: time_s x y z qw qx qy qz", where,
-                                    excerpt(line)));
-    if (!std::all_of(v->begin(), v->end(), [](double x) { return std::abs(x) <= kLargestOfTrack; }))
-        throw DataError(fmt::format("{}: found '{}', expected finite numbers of at most {}", where,
-                                    excerpt(line), kLargestOfTrack));
+/// @param count  expected number of values; 0 means 7 or 8
+std::vector<double> parse_pose_row(const std::string& line, std::size_t count, const std::string& location) {
+    const auto v = parse_numbers(strip_comment(line));
+    if (!v || (count > 0 ? v->size() != count : v->size() != 7 && v->size() != 8))
+        throw DataError(fmt::format("{}: found '{}', expected 8 numbers: time_s x y z qw qx qy qz", location,
+                                    make_excerpt(line)));
+    if (!std::all_of(v->begin(), v->end(), [](double value) { return std::abs(value) <= kLargestOfTrack; }))
+        throw DataError(fmt::format("{}: found '{}', expected finite numbers of at most {}", location,
+                                    make_excerpt(line), kLargestOfTrack));
     return *v;
 }
 
@@ -107,17 +108,17 @@ PoseRows read_rows(const std::vector<std::string>& lines, const std::string& fil
     std::vector<int> at;
     for (std::size_t i = 0; i < lines.size(); ++i) {
         const std::string where = fmt::format("{} line {}", file, i + 1);
-        if (rows.rows.empty() && names_columns(lines[i])) {
+        if (rows.rows.empty() && is_column_header(lines[i])) {
             at = find_pose_columns(lines[i], where);
             rows.has_names = true;
             continue;
         }
-        if (content(lines[i]).empty()) continue;
-        std::vector<double> row = pose_row(lines[i],
-                                           !at.empty()         ? at.size()
-                                           : rows.rows.empty() ? 0
-                                                               : rows.rows[0].size(),
-                                           where);
+        if (strip_comment(lines[i]).empty()) continue;
+        std::vector<double> row = parse_pose_row(lines[i],
+                                                 !at.empty()         ? at.size()
+                                                 : rows.rows.empty() ? 0
+                                                                     : rows.rows[0].size(),
+                                                 where);
         if (const std::vector<double> read = row; !at.empty())
             for (std::size_t c = 0; c < row.size(); ++c) row[c] = read[static_cast<std::size_t>(at[c])];
         if (!rows.rows.empty() && !(row[0] > rows.rows.back()[0]))
@@ -147,27 +148,27 @@ PoseTrack track_of(const PoseRows& rows, const RotationOf& rotation_of_row) {
     return track;
 }
 
-PoseTrack inverse_track(PoseTrack track) {
+PoseTrack invert_track(PoseTrack track) {
     for (Pose& pose : track.pose) pose = inverse(pose);
     return track;
 }
 
 /// Adds the inverse poses of each reading to the list, because a file may contain
 /// sensor-from-world poses.
-std::vector<PoseReading> with_inverses(std::vector<PoseReading> readings) {
+std::vector<PoseReading> add_inverses(std::vector<PoseReading> readings) {
     const std::size_t n = readings.size();
     for (std::size_t k = 0; k < n; ++k)
         readings.push_back({readings[k].about + ", from the world to the sensor",
-                            inverse_track(readings[k].world_from_vehicle), true});
+                            invert_track(readings[k].world_from_vehicle), true});
     return readings;
 }
 
 /// Returns all ways in which the rows of a pose file can be read. The documented way is
 /// first.
-std::vector<PoseReading> readings_of(const PoseRows& rows) {
+std::vector<PoseReading> list_readings(const PoseRows& rows) {
     using Row = std::vector<double>;
     const auto angles = [](const Row& row, double unit) {
-        return rotation_of(unit * row[6], unit * row[5], unit * row[4]);
+        return make_rotation(unit * row[6], unit * row[5], unit * row[4]);
     };
     std::vector<PoseReading> readings;
     if (rows.rows[0].size() == 8) {
@@ -184,11 +185,11 @@ std::vector<PoseReading> readings_of(const PoseRows& rows) {
         readings.push_back({"roll, pitch and yaw in degrees",
                             track_of(rows, [&](const Row& r) { return angles(r, kPi / 180.0); })});
     }
-    return with_inverses(std::move(readings));
+    return add_inverses(std::move(readings));
 }
 
-std::vector<Pose> interpolated(const PoseTrack& track, const std::vector<HeadFrame>& frames,
-                               const std::string& file) {
+std::vector<Pose> interpolate_track(const PoseTrack& track, const std::vector<HeadFrame>& frames,
+                                    const std::string& file) {
     std::vector<Pose> poses;
     for (const HeadFrame& frame : frames) {
         if (frame.time_s < track.time_s.front() - kMostBeyond_s ||
@@ -201,7 +202,7 @@ std::vector<Pose> interpolated(const PoseTrack& track, const std::vector<HeadFra
     return poses;
 }
 
-double time_of(const JsonField& label, const std::vector<HeadFrame>& all) {
+double find_label_time(const JsonField& label, const std::vector<HeadFrame>& all) {
     if (label.has("time_s")) return label.at("time_s").number(-kLargestOfTrack, kLargestOfTrack);
     const std::int64_t number = label.at("frame").integer(0, 99999999);
     const auto frame =
@@ -211,7 +212,7 @@ double time_of(const JsonField& label, const std::vector<HeadFrame>& all) {
     return frame->time_s;
 }
 
-Pose pose_of(const JsonField& label) {
+Pose read_label_pose(const JsonField& label) {
     const auto p = label.at("position").numbers<3>();
     const glm::dvec3 position(p[0], p[1], p[2]);
     if (label.has("yaw_deg"))
@@ -229,33 +230,33 @@ BoxLabel read_label(const JsonField& label, const std::vector<HeadFrame>& all) {
     return {label.at("track").text(kLongestName),
             label.at("category").text(kLongestName),
             {size[0], size[1], size[2]},
-            time_of(label, all),
-            pose_of(label)};
+            find_label_time(label, all),
+            read_label_pose(label)};
 }
 
 }  // namespace
 
 std::optional<std::vector<Pose>> read_poses(const fs::path& file, const std::vector<HeadFrame>& frames,
                                             const ReadPairs& read_pairs, std::vector<std::string>& notes) {
-    if (!path_exists(file)) return std::nullopt;
+    if (!does_path_exist(file)) return std::nullopt;
     const std::vector<std::string> lines = split_lines(read_text(file));
     const auto first = std::find_if(lines.begin(), lines.end(),
-                                    [](const std::string& line) { return !content(line).empty(); });
+                                    [](const std::string& line) { return !strip_comment(line).empty(); });
     if (first == lines.end())
         throw DataError(
             fmt::format("{}: the file has no pose, expected lines of 12 or 8 numbers", file.string()));
-    if (const auto numbers = parse_numbers(content(*first)); !numbers || numbers->size() != 12) {
+    if (const auto numbers = parse_numbers(strip_comment(*first)); !numbers || numbers->size() != 12) {
         const PoseRows rows = read_rows(lines, file.string());
         if (rows.rows.empty())
             throw DataError(
                 fmt::format("{}: the file has no pose, expected lines of 12 or 8 numbers", file.string()));
-        const std::vector<PoseReading> readings = readings_of(rows);
+        const std::vector<PoseReading> readings = list_readings(rows);
         // Only relidar writes files with these column names, so no other meaning is
         // tested.
         if (rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos)
-            return interpolated(readings[0].world_from_vehicle, frames, file.string());
+            return interpolate_track(readings[0].world_from_vehicle, frames, file.string());
         const std::size_t k = choose_reading(readings, read_pairs, file.string(), notes);
-        return interpolated(readings[k].world_from_vehicle, frames, file.string());
+        return interpolate_track(readings[k].world_from_vehicle, frames, file.string());
     }
     std::vector<int> numbers;
     for (const HeadFrame& frame : frames) numbers.push_back(frame.number);
@@ -266,7 +267,7 @@ std::optional<std::vector<Pose>> read_poses(const fs::path& file, const std::vec
         track.time_s.push_back(frames[i].time_s);
         track.pose.push_back(poses[i]);
     }
-    const std::vector<PoseReading> readings = with_inverses({{"matrices", std::move(track)}});
+    const std::vector<PoseReading> readings = add_inverses({{"matrices", std::move(track)}});
     if (choose_reading(readings, read_pairs, file.string(), notes) > 0)
         for (Pose& pose : poses) pose = inverse(pose);
     return poses;
@@ -274,7 +275,7 @@ std::optional<std::vector<Pose>> read_poses(const fs::path& file, const std::vec
 
 std::vector<BoxTrack> read_boxes(const fs::path& path, const std::vector<HeadFrame>& frames,
                                  const std::vector<HeadFrame>& all) {
-    if (!path_exists(path)) return {};
+    if (!does_path_exist(path)) return {};
     const std::string file = path.string();
     const nlohmann::json json = parse_json(read_text(file), file);
     const JsonField root(json, file, "");

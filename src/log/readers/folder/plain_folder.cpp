@@ -29,7 +29,7 @@ std::vector<HeadFrame> select_frames(const folder::Head& head, const DatasetOpti
         if (frame.number < options.frames.begin ||
             (options.frames.end >= 0 && frame.number >= options.frames.end))
             continue;
-        const bool there = path_exists(frame.scan);
+        const bool there = does_path_exist(frame.scan);
         if (!there && !options.allow_missing_scans)
             throw DataError(fmt::format("{}: no such file, expected the scan of frame {}",
                                         frame.scan.string(), frame.number));
@@ -59,7 +59,7 @@ folder::ScanPairs read_pairs(const folder::Head& head, const std::vector<HeadFra
         folder::PointUnits units = head.units;
         units.intensity_max = 1.0;  // any scale works, because the intensities are not used here
         std::vector<glm::vec3> points =
-            folder::points_of(table, units, frame.time_s, frame.scan.string()).position_m;
+            folder::make_points(table, units, frame.time_s, frame.scan.string()).position_m;
         for (glm::vec3& p : points) p = glm::vec3(mounting * glm::dvec3(p));
         return points;
     };
@@ -136,8 +136,8 @@ Sequence load_plain_folder(const fs::path& log_folder, const DatasetOptions& opt
     }
     sequence.boxes = folder::read_boxes(folder / folder::kBoxesFile, frames, head.frames);
     if (!options.poses_file.empty()) replace_poses(sequence, head, frames, options.poses_file);
-    if (head.world_offset_m && options.poses_file.empty()) recentre(sequence, *head.world_offset_m);
-    else recentre(sequence);
+    if (head.world_offset_m && options.poses_file.empty()) recentre_sequence(sequence, *head.world_offset_m);
+    else recentre_sequence(sequence);
     folder::read_scans(sequence, head, files, options);
     return sequence;
 }

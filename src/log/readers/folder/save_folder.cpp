@@ -23,10 +23,12 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
-Json json_of(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
-Json json_of(const glm::dquat& q) { return {q.w, q.x, q.y, q.z}; }
+Json json_of(const glm::dvec3& vector) { return {vector.x, vector.y, vector.z}; }
+Json json_of(const glm::dquat& quaternion) {
+    return {quaternion.w, quaternion.x, quaternion.y, quaternion.z};
+}
 
-std::string pattern_name(std::size_t lidar) { return fmt::format("sensor_{}.json", lidar); }
+std::string make_pattern_name(std::size_t lidar) { return fmt::format("sensor_{}.json", lidar); }
 
 /// Returns the JSON object of a LiDAR for sequence.json.
 /// @param number  index of the LiDAR in the log
@@ -36,16 +38,16 @@ Json json_of(const Lidar& lidar, std::size_t number) {
             {"vehicle_from_sensor",
              {{"translation", json_of(mounting.translation)}, {"quaternion", json_of(mounting.rotation)}}},
             {"spins", !lidar.sensor.beams.empty()},
-            {"sensor",
-             lidar.pattern ? Json(pattern_name(number)) : Json::parse(write_sensor_json(sensor_of(lidar)))}};
+            {"sensor", lidar.pattern ? Json(make_pattern_name(number))
+                                     : Json::parse(write_sensor_json(get_sensor(lidar)))}};
 }
 
-std::string scan_name(const Sequence& sequence, const Frame& frame) {
+std::string make_scan_name(const Sequence& sequence, const Frame& frame) {
     if (sequence.lidars.size() == 1) return fmt::format("scans/{:06}.npz", frame.index);
     return fmt::format("scans/{:06}_{}.npz", frame.index, frame.lidar);
 }
 
-std::string head_text(const Sequence& sequence) {
+std::string make_head_text(const Sequence& sequence) {
     Json json = {{"format", folder::kFormat},
                  {"version", folder::kVersion},
                  {"relidar", RELIDAR_VERSION},
@@ -61,27 +63,27 @@ std::string head_text(const Sequence& sequence) {
     for (const Frame& frame : sequence.frames)
         json["frames"].push_back({{"number", frame.index},
                                   {"time_s", frame.time_s},
-                                  {"lidar", sequence.lidar_of(frame).name},
-                                  {"scan", scan_name(sequence, frame)}});
+                                  {"lidar", sequence.get_lidar(frame).name},
+                                  {"scan", make_scan_name(sequence, frame)}});
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
-std::string poses_text(const Sequence& sequence) {
-    const PoseTrack track = shifted_track(sequence.world_from_vehicle, sequence.world_offset_m);
+std::string format_poses(const Sequence& sequence) {
+    const PoseTrack track = shift_track(sequence.world_from_vehicle, sequence.world_offset_m);
     std::string text = "# time_s x y z qw qx qy qz\n";
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         const auto& [q, t] = track.pose[i];
-        text += number_text(track.time_s[i]);
-        for (const double v : {t.x, t.y, t.z, q.w, q.x, q.y, q.z}) text += " " + number_text(v);
+        text += format_number_text(track.time_s[i]);
+        for (const double v : {t.x, t.y, t.z, q.w, q.x, q.y, q.z}) text += " " + format_number_text(v);
         text += "\n";
     }
     return text;
 }
 
-std::string boxes_text(const Sequence& sequence) {
+std::string format_boxes(const Sequence& sequence) {
     Json json = {{"boxes", Json::array()}};
     for (const BoxTrack& box : sequence.boxes) {
-        const PoseTrack track = shifted_track(box.world_from_box, sequence.world_offset_m);
+        const PoseTrack track = shift_track(box.world_from_box, sequence.world_offset_m);
         for (std::size_t k = 0; k < track.pose.size(); ++k)
             json["boxes"].push_back({{"track", box.id},
                                      {"category", box.category},
@@ -94,8 +96,8 @@ std::string boxes_text(const Sequence& sequence) {
 }
 
 void check_target_folder(const fs::path& folder, bool overwrite) {
-    if (!path_exists(folder) || (fs::is_directory(folder) && list_folder(folder).empty())) return;
-    if (!fs::is_directory(folder) || !path_exists(folder / folder::kHeadFile))
+    if (!does_path_exist(folder) || (fs::is_directory(folder) && list_folder(folder).empty())) return;
+    if (!fs::is_directory(folder) || !does_path_exist(folder / folder::kHeadFile))
         throw UsageError(fmt::format("{}: this path exists and is not a plain folder, expected a new name",
                                      folder.string()));
     if (!overwrite)
@@ -112,17 +114,17 @@ void save_folder(const Sequence& sequence, const fs::path& given, const FolderOp
     check_target_folder(wanted, options.overwrite);
     const StagedFolder staged(wanted);
     fs::create_directory(staged.path() / "scans");
-    for_each_with_progress(sequence.frames.size(), options.progress, "writing scans", [&](std::size_t i) {
-        const Frame& frame = sequence.frames[i];
-        folder::write_scan_npz(staged.path() / scan_name(sequence, frame), frame.scan,
+    for_each_with_progress(sequence.frames.size(), options.progress, "writing scans", [&](std::size_t index) {
+        const Frame& frame = sequence.frames[index];
+        folder::write_scan_npz(staged.path() / make_scan_name(sequence, frame), frame.scan,
                                !sequence.rolling_shutter);
     });
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
         if (const Lidar& lidar = sequence.lidars[l]; lidar.pattern)
-            write_text(staged.path() / pattern_name(l), write_sensor_json(sensor_of(lidar)) + "\n");
-    if (options.poses) write_text(staged.path() / folder::kPosesFile, poses_text(sequence));
-    if (!sequence.boxes.empty()) write_text(staged.path() / folder::kBoxesFile, boxes_text(sequence));
-    write_text(staged.path() / folder::kHeadFile, head_text(sequence));
+            write_text(staged.path() / make_pattern_name(l), write_sensor_json(get_sensor(lidar)) + "\n");
+    if (options.poses) write_text(staged.path() / folder::kPosesFile, format_poses(sequence));
+    if (!sequence.boxes.empty()) write_text(staged.path() / folder::kBoxesFile, format_boxes(sequence));
+    write_text(staged.path() / folder::kHeadFile, make_head_text(sequence));
     staged.finish();
 }
 

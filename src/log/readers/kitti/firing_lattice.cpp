@@ -33,7 +33,7 @@ struct Polar {
     std::vector<double> azimuth_rad, inverse_rho;
 };
 
-std::array<Polar, kRings> polar_of(const std::vector<const RawScan*>& scans) {
+std::array<Polar, kRings> to_polar(const std::vector<const RawScan*>& scans) {
     std::array<Polar, kRings> polar;
     for (const RawScan* scan : scans) {
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
@@ -49,7 +49,8 @@ std::array<Polar, kRings> polar_of(const std::vector<const RawScan*>& scans) {
     return polar;
 }
 
-std::complex<double> mean_phase(const Polar& polar, double tick_rad, double left_m, std::size_t stride) {
+std::complex<double> compute_mean_phase(const Polar& polar, double tick_rad, double left_m,
+                                        std::size_t stride) {
     std::complex<double> sum = 0.0;
     std::size_t n = 0;
     for (std::size_t i = 0; i < polar.azimuth_rad.size(); i += stride, ++n) {
@@ -86,14 +87,14 @@ Phase find_azimuth_phase(const Polar& polar, double tick_rad) {
     Phase best;
     const std::size_t stride = std::max<std::size_t>(polar.azimuth_rad.size() / 500, 1);
     for (int mm = -60; mm <= 60; mm += 2) {
-        const std::complex<double> mean = mean_phase(polar, tick_rad, mm * 1e-3, stride);
+        const std::complex<double> mean = compute_mean_phase(polar, tick_rad, mm * 1e-3, stride);
         const double gain = std::abs(mean) - best.concentration;
         // Use a left offset only if it clearly increases the concentration. Otherwise use
         // the offset 0.
         if (mm == -60 || gain > 0.0)
             best = {mm * 1e-3, std::arg(mean) * tick_rad / (2.0 * kPi), std::abs(mean)};
     }
-    const std::complex<double> none = mean_phase(polar, tick_rad, 0.0, stride);
+    const std::complex<double> none = compute_mean_phase(polar, tick_rad, 0.0, stride);
     if (std::abs(none) > best.concentration - 0.02)
         best = {0.0, std::arg(none) * tick_rad / (2.0 * kPi), std::abs(none)};
     if (best.left_m != 0.0) refine(best, polar, tick_rad);
@@ -123,7 +124,7 @@ Phases find_phases(const std::array<Polar, kRings>& polar, double tick_rad) {
 
 /// Estimates the number of firings per revolution from the mean azimuth step between
 /// consecutive points of a beam. Ignores steps longer than 1.5 times the median step.
-int mean_steps(const std::vector<const RawScan*>& scans) {
+int estimate_mean_steps(const std::vector<const RawScan*>& scans) {
     std::vector<double> steps;
     for (const RawScan* scan : scans) {
         for (std::size_t i = 1; i < scan->points.size(); ++i) {
@@ -147,7 +148,7 @@ int mean_steps(const std::vector<const RawScan*>& scans) {
 /// by full ticks
 using Ticks = std::vector<std::vector<int>>;
 
-Ticks ticks_of(const RawScan& scan, const FiringLattice& lattice) {
+Ticks compute_ticks(const RawScan& scan, const FiringLattice& lattice) {
     Ticks ticks(kRings);
     std::vector<BeamGeometry> beams;
     for (std::size_t k = 0; k < kRings; ++k)
@@ -155,15 +156,15 @@ Ticks ticks_of(const RawScan& scan, const FiringLattice& lattice) {
             Beam{.azimuth_offset_rad = lattice.offset_rad[k], .origin_left_m = lattice.left_m[k]});
     for (std::size_t i = 0; i < scan.points.size(); ++i) {
         const std::size_t k = scan.ring[i];
-        ticks[k].push_back(lattice.head.tick(beams[k].head_azimuth(glm::dvec3(scan.points[i]))));
+        ticks[k].push_back(lattice.head.tick(beams[k].compute_head_azimuth(glm::dvec3(scan.points[i]))));
     }
     return ticks;
 }
 
 /// Returns for each scan and each tick (step of the firing grid) whether at least
 /// `at_least` beams have a return. The ticks of each beam are first shifted by `shift`.
-std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std::vector<int>& shift,
-                                     int n_ticks, int at_least) {
+std::vector<std::vector<char>> find_fired_ticks(const std::vector<Ticks>& ticks,
+                                                const std::vector<int>& shift, int n_ticks, int at_least) {
     std::vector<std::vector<char>> pattern;
     for (const Ticks& scan : ticks) {
         std::vector<int> count(static_cast<std::size_t>(n_ticks));
@@ -181,8 +182,8 @@ std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std:
 /// of other beams. Returns 0 unless another shift matches at least 1 % more of the ticks.
 /// If several shifts are equally good, returns the shift that is nearest to 0.
 /// @param pattern  [scans][ticks] true if other beams have returns at the tick
-int best_shift(const std::vector<Ticks>& ticks, std::size_t ring,
-               const std::vector<std::vector<char>>& pattern, int n_ticks, int reach) {
+int find_best_shift(const std::vector<Ticks>& ticks, std::size_t ring,
+                    const std::vector<std::vector<char>>& pattern, int n_ticks, int reach) {
     std::size_t n = 0;
     for (const Ticks& scan : ticks) n += scan[ring].size();
     std::size_t most = 0, at_zero = 0;
@@ -218,22 +219,22 @@ std::vector<int> find_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
         }
     }
     std::vector<int> shift(kRings, 0);
-    auto pattern = fired(reference, shift, n_ticks, 1);
+    auto pattern = find_fired_ticks(reference, shift, n_ticks, 1);
     // The first pass compares each beam with the beam that has most points. The second
     // pass compares each beam with all beams.
     for (int pass = 0; pass < 2; ++pass) {
         parallel_for(kRings, [&](int k) {
             shift[static_cast<std::size_t>(k)] =
-                best_shift(ticks, static_cast<std::size_t>(k), pattern, n_ticks, reach);
+                find_best_shift(ticks, static_cast<std::size_t>(k), pattern, n_ticks, reach);
         });
-        pattern = fired(ticks, shift, n_ticks, kMinLasers);
+        pattern = find_fired_ticks(ticks, shift, n_ticks, kMinLasers);
     }
     return shift;
 }
 
 /// Subtracts the mean azimuth offset from all beams, and adds it to the zero angle of the
 /// head. Then the head faces the mean direction of the beams.
-void centre(FiringLattice& lattice) {
+void centre_lattice(FiringLattice& lattice) {
     const double mean = std::accumulate(lattice.offset_rad.begin(), lattice.offset_rad.end(), 0.0) / kRings;
     for (double& offset : lattice.offset_rad) offset -= mean;
     lattice.head.zero_rad += mean;
@@ -255,12 +256,12 @@ FiringLattice fit_lattice(const std::vector<const RawScan*>& scans) {
     // a mean over the beams. It is 0.98 on KITTI, and near 0 for evenly distributed
     // azimuths.
     constexpr double kFound = 0.8;
-    const std::array<Polar, kRings> polar = polar_of(scans);
+    const std::array<Polar, kRings> polar = to_polar(scans);
     FiringLattice lattice;
     lattice.head.n_ticks = kEncoderTicks;
     Phases phases = find_phases(polar, 2.0 * kPi / kEncoderTicks);
     if (phases.concentration < kFound) {
-        lattice.head.n_ticks = mean_steps(scans);
+        lattice.head.n_ticks = estimate_mean_steps(scans);
         lattice.every_tick = true;
         phases = find_phases(polar, 2.0 * kPi / lattice.head.n_ticks);
     }
@@ -272,23 +273,24 @@ FiringLattice fit_lattice(const std::vector<const RawScan*>& scans) {
     }
     if (!lattice.every_tick) {
         std::vector<Ticks> ticks;
-        for (const RawScan* scan : scans) ticks.push_back(ticks_of(*scan, lattice));
+        for (const RawScan* scan : scans) ticks.push_back(compute_ticks(*scan, lattice));
         const std::vector<int> shift = find_shifts(ticks, lattice.head.n_ticks);
         for (std::size_t k = 0; k < kRings; ++k) lattice.offset_rad[k] += shift[k] * lattice.head.tick_rad();
     }
-    centre(lattice);
+    centre_lattice(lattice);
     return lattice;
 }
 
 std::vector<int> find_firings(const RawScan& scan, const FiringLattice& lattice) {
-    const auto pattern =
-        fired({ticks_of(scan, lattice)}, std::vector<int>(kRings, 0), lattice.head.n_ticks, kMinLasers);
+    const auto pattern = find_fired_ticks({compute_ticks(scan, lattice)}, std::vector<int>(kRings, 0),
+                                          lattice.head.n_ticks, kMinLasers);
     std::vector<int> firings;
     for (int t = 0; t < lattice.head.n_ticks; ++t) {
         if (lattice.every_tick || pattern[0][static_cast<std::size_t>(t)]) firings.push_back(t);
     }
-    std::sort(firings.begin(), firings.end(),
-              [&](int a, int b) { return lattice.head.azimuth_of(a) > lattice.head.azimuth_of(b); });
+    std::sort(firings.begin(), firings.end(), [&](int first, int second) {
+        return lattice.head.compute_azimuth(first) > lattice.head.compute_azimuth(second);
+    });
     return firings;
 }
 

@@ -20,14 +20,16 @@ struct Sample {
     double rho_m, z_m;
 };
 
-double residual(const Cone& cone, const Sample& s) { return s.z_m - cone.z0_m - s.rho_m * cone.tan_el; }
+double compute_residual(const Cone& cone, const Sample& sample) {
+    return sample.z_m - cone.z0_m - sample.rho_m * cone.tan_el;
+}
 
 /// Fits a line z(rho) by least squares. Ignores samples whose distance from the line
 /// `previous` is more than limit_m.
 Cone fit_line(const std::vector<Sample>& samples, const Cone& previous, double limit_m) {
     double n = 0, sr = 0, sz = 0, srr = 0, srz = 0;
     for (const Sample& s : samples) {
-        if (std::abs(residual(previous, s)) > limit_m) continue;
+        if (std::abs(compute_residual(previous, s)) > limit_m) continue;
         n += 1, sr += s.rho_m, sz += s.z_m, srr += s.rho_m * s.rho_m, srz += s.rho_m * s.z_m;
     }
     const double spread = n * srr - sr * sr;
@@ -42,7 +44,7 @@ Cone fit_cone(const std::vector<Sample>& samples) {
     Cone cone = fit_line(samples, {}, INFINITY);
     for (int pass = 0; pass < 4 && cone.n > 0; ++pass) {
         std::vector<double> error;
-        for (const Sample& s : samples) error.push_back(std::abs(residual(cone, s)));
+        for (const Sample& s : samples) error.push_back(std::abs(compute_residual(cone, s)));
         std::nth_element(error.begin(), error.begin() + static_cast<std::ptrdiff_t>(error.size() / 2),
                          error.end());
         // Standard deviation of a normal distribution with this median absolute
@@ -78,7 +80,7 @@ BlockLine fit_block(const Cones& cones, const std::vector<std::size_t>& good) {
 /// Returns the slope of a ring whose ranges are too similar for a fit of slope and
 /// height. Computes the height from the line of the block, then returns the median slope
 /// of the points.
-double slope_at_height(const std::vector<Sample>& samples, const BlockLine& line, double tan_el) {
+double estimate_slope_at_height(const std::vector<Sample>& samples, const BlockLine& line, double tan_el) {
     std::vector<double> slope(samples.size());
     for (int pass = 0; pass < 3; ++pass) {
         for (std::size_t i = 0; i < samples.size(); ++i)
@@ -93,14 +95,14 @@ double slope_at_height(const std::vector<Sample>& samples, const BlockLine& line
 /// Estimates the cones of rings that could not be fitted. Uses the fitted beams in the
 /// same block of 32.
 void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samples,
-               const std::string& where) {
+               const std::string& location) {
     for (std::size_t first : {std::size_t{0}, std::size_t{kRings / 2}}) {
         std::vector<std::size_t> good;
         for (std::size_t k = first; k < first + kRings / 2; ++k) {
             if (cones[k].n > 0) good.push_back(k);
         }
         if (good.size() < 2) {
-            throw DataError(where +
+            throw DataError(location +
                             ": fewer than two of 32 beams have enough returns, expected a log of an HDL-64E");
         }
         const BlockLine line = fit_block(cones, good);
@@ -111,7 +113,8 @@ void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samp
             const double along =
                 (static_cast<double>(k) - static_cast<double>(a)) / static_cast<double>(b - a);
             cones[k].tan_el = cones[a].tan_el + (cones[b].tan_el - cones[a].tan_el) * along;
-            if (samples[k].size() >= 16) cones[k].tan_el = slope_at_height(samples[k], line, cones[k].tan_el);
+            if (samples[k].size() >= 16)
+                cones[k].tan_el = estimate_slope_at_height(samples[k], line, cones[k].tan_el);
             cones[k].z0_m = line.at(cones[k].tan_el);
         }
     }
@@ -119,7 +122,7 @@ void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samp
 
 /// Returns the ring whose cone is nearest to a group of consecutive points. Compares the
 /// median distance of a sample of the points from each cone.
-int nearest_ring(const RawScan& scan, std::size_t begin, std::size_t end, const Cones& cones) {
+int find_nearest_ring(const RawScan& scan, std::size_t begin, std::size_t end, const Cones& cones) {
     const std::size_t step = std::max<std::size_t>((end - begin) / 32, 1);
     int best = 0;
     double least = INFINITY;
@@ -128,7 +131,7 @@ int nearest_ring(const RawScan& scan, std::size_t begin, std::size_t end, const 
         for (std::size_t i = begin; i < end; i += step) {
             const glm::dvec4 p(scan.points[i]);
             error.push_back(
-                std::abs(residual(cones[static_cast<std::size_t>(k)], {std::hypot(p.x, p.y), p.z})));
+                std::abs(compute_residual(cones[static_cast<std::size_t>(k)], {std::hypot(p.x, p.y), p.z})));
         }
         std::nth_element(error.begin(), error.begin() + static_cast<std::ptrdiff_t>(error.size() / 2),
                          error.end());
@@ -155,7 +158,7 @@ RawScan split_rings(std::vector<glm::vec4> points) {
     return scan;
 }
 
-Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& where) {
+Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& location) {
     std::array<std::vector<Sample>, kRings> samples;
     int most = 0;
     for (const RawScan* scan : scans) {
@@ -172,11 +175,11 @@ Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& whe
         throw DataError(
             fmt::format("{}: found {} rings in the order of the file, expected 64 rings of an "
                         "HDL-64E, stored one after another",
-                        where, most));
+                        location, most));
     }
     Cones cones;
     for (std::size_t k = 0; k < kRings; ++k) cones[k] = fit_cone(samples[k]);
-    fill_gaps(cones, samples, where);
+    fill_gaps(cones, samples, location);
     return cones;
 }
 
@@ -186,7 +189,7 @@ void correct_rings(RawScan& scan, const Cones& cones) {
         for (std::size_t begin = 0; begin < n;) {
             std::size_t end = begin + 1;
             while (end < n && scan.ring[end] == scan.ring[begin]) ++end;
-            const auto ring = static_cast<std::uint8_t>(nearest_ring(scan, begin, end, cones));
+            const auto ring = static_cast<std::uint8_t>(find_nearest_ring(scan, begin, end, cones));
             std::fill(scan.ring.begin() + static_cast<std::ptrdiff_t>(begin),
                       scan.ring.begin() + static_cast<std::ptrdiff_t>(end), ring);
             begin = end;
@@ -196,7 +199,8 @@ void correct_rings(RawScan& scan, const Cones& cones) {
         const glm::dvec4 p(scan.points[i]);
         if (p.y != 0.0 || scan.ring[i] == scan.ring[i - 1]) continue;
         const Sample s{std::hypot(p.x, p.y), p.z};
-        if (std::abs(residual(cones[scan.ring[i - 1]], s)) < std::abs(residual(cones[scan.ring[i]], s)))
+        if (std::abs(compute_residual(cones[scan.ring[i - 1]], s)) <
+            std::abs(compute_residual(cones[scan.ring[i]], s)))
             scan.ring[i] = scan.ring[i - 1];
     }
 }

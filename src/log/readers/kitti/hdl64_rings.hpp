@@ -38,9 +38,9 @@ using Cones = std::array<Cone, kRings>;
 RawScan split_rings(std::vector<glm::vec4> points);
 
 /// Fits the cone of each ring to several scans by least squares. Ignores outliers.
-/// @param where  name of the log, for error messages
+/// @param location  name of the log, for error messages
 /// @throws DataError if no scan has 64 rings
-Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& where);
+Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& location);
 
 /// Corrects wrong ring numbers by comparing points with the fitted cones. The order of
 /// the points in the file gives a wrong ring number in two cases. Either a beam has no

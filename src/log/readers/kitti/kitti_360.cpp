@@ -38,7 +38,7 @@ struct Drive {
 std::vector<std::string> list_drives(const fs::path& folder) {
     std::vector<std::string> names;
     for (const fs::path& drive : list_folder(folder))
-        if (path_exists(drive / "velodyne_points")) names.push_back(drive.filename().string());
+        if (does_path_exist(drive / "velodyne_points")) names.push_back(drive.filename().string());
     if (names.empty())
         throw DataError(fmt::format("{}: found no drive, expected folders *_drive_*_sync/velodyne_points",
                                     folder.string()));
@@ -61,7 +61,8 @@ Drive choose_drive(const fs::path& folder, const DatasetOptions& options) {
     throw UsageError(fmt::format(
         "dataset.sequence: found '{}', expected the name or number of a drive in {} ({}), or ks1 to ks4 or "
         "kd1 to kd6 for parts of drive 0000",
-        excerpt(options.sequence), folder.string(), excerpt(fmt::format("{}", fmt::join(drives, ", ")))));
+        make_excerpt(options.sequence), folder.string(),
+        make_excerpt(fmt::format("{}", fmt::join(drives, ", ")))));
 }
 
 /// Returns the poses of the LiDAR in the world frame, by frame number. Some frames have
@@ -124,7 +125,7 @@ void add_posed_frames(Sequence& sequence, const std::vector<int>& frames, const 
 fs::path find_boxes(const fs::path& folder, const std::string& drive) {
     for (const char* set : {"train_full", "train"}) {
         const fs::path file = folder / "data_3d_bboxes" / set / (drive + ".xml");
-        if (path_exists(file)) return file;
+        if (does_path_exist(file)) return file;
     }
     return {};
 }
@@ -135,7 +136,7 @@ void read_world(Sequence& sequence, const fs::path& folder, const Drive& drive,
                 const std::vector<int>& frames, const fs::path& poses_file) {
     const std::vector<double> time_s =
         read_times(folder / "data_3d_raw" / drive.name / "velodyne_points/timestamps.txt", frames);
-    if (poses_file.empty() || path_exists(folder / "data_poses" / drive.name)) {
+    if (poses_file.empty() || does_path_exist(folder / "data_poses" / drive.name)) {
         add_posed_frames(sequence, frames, time_s, read_velo_poses(folder, drive.name));
         const fs::path labels = find_boxes(folder, drive.name);
         if (labels.empty())
@@ -175,7 +176,7 @@ Sequence load_kitti_360(const fs::path& log_folder, const DatasetOptions& option
     sensor.max_range_m = options.max_range_m;
     read_world(sequence, folder, drive, frames, options.poses_file);
     use_pose_file(sequence, options.poses_file);
-    recentre(sequence);
+    recentre_sequence(sequence);
     read_sweeps(sequence, points / "data", 10, options);
     return sequence;
 }

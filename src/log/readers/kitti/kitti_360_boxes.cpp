@@ -35,26 +35,27 @@ constexpr MovableClass kMovable[] = {
     {19, "person", "pedestrian"}, {20, "rider", "rider"},           {34, "bus", "bus"},
 };
 
-/// Reads an integer from a child element. Returns `missing` if the element does not
+/// Reads an integer from a child element. Returns `default_value` if the element does not
 /// exist.
 /// @throws DataError if the text is not an integer
-int integer_of(const pugi::xml_node& object, const char* field, std::optional<int> missing,
-               const std::string& where) {
+int read_integer_field(const pugi::xml_node& object, const char* field, std::optional<int> default_value,
+                       const std::string& location) {
     constexpr double kLargest = 1e8;
     const std::string text = object.child_value(field);
-    if (text.empty() && missing) return *missing;
-    const auto value = parse_number(trimmed(text));
+    if (text.empty() && default_value) return *default_value;
+    const auto value = parse_number(trim_spaces(text));
     if (!value || !(std::abs(*value) < kLargest) || *value != std::floor(*value))
-        throw DataError(fmt::format("{}: {} is '{}', expected a whole number", where, field, excerpt(text)));
+        throw DataError(
+            fmt::format("{}: {} is '{}', expected a whole number", location, field, make_excerpt(text)));
     return static_cast<int>(*value);
 }
 
 /// Returns the class of an object, or null if such objects cannot move. Objects of drive
 /// 0004 have text labels instead of class numbers.
-const MovableClass* class_of(const pugi::xml_node& object, const std::string& where) {
+const MovableClass* find_movable_class(const pugi::xml_node& object, const std::string& location) {
     const bool has_number = !object.child("semanticId").empty();
-    const int id = has_number ? integer_of(object, "semanticId", {}, where) : 0;
-    const std::string_view label = trimmed(object.child_value("label"));
+    const int id = has_number ? read_integer_field(object, "semanticId", {}, location) : 0;
+    const std::string_view label = trim_spaces(object.child_value("label"));
     for (const MovableClass& known : kMovable)
         if (has_number ? id == known.id : label == known.name || label == known.label) return &known;
     return nullptr;
@@ -62,14 +63,14 @@ const MovableClass* class_of(const pugi::xml_node& object, const std::string& wh
 
 /// Reads the 4x4 transform of an object: pose in the world, multiplied by the size of the
 /// box.
-glm::dmat4 transform_of(const pugi::xml_node& object, const std::string& where) {
+glm::dmat4 transform_of(const pugi::xml_node& object, const std::string& location) {
     const pugi::xml_node matrix = object.child("transform");
-    const int rows = integer_of(matrix, "rows", {}, where + ": transform"),
-              cols = integer_of(matrix, "cols", {}, where + ": transform");
+    const int rows = read_integer_field(matrix, "rows", {}, location + ": transform"),
+              cols = read_integer_field(matrix, "cols", {}, location + ": transform");
     const auto numbers = parse_numbers(matrix.child_value("data"));
     if (rows != 4 || cols != 4 || !numbers || numbers->size() != 16)
         throw DataError(fmt::format(
-            "{}: transform has {} x {} entries and {}, expected 4 x 4 entries and 16 numbers", where, rows,
+            "{}: transform has {} x {} entries and {}, expected 4 x 4 entries and 16 numbers", location, rows,
             cols, numbers ? fmt::format("{} numbers", numbers->size()) : "words that are not numbers"));
     constexpr double kLargest = 1e8;
     glm::dmat4 m;
@@ -79,7 +80,7 @@ glm::dmat4 transform_of(const pugi::xml_node& object, const std::string& where) 
             throw DataError(
                 fmt::format("{}: number {} of transform is {}, expected a number of at most "
                             "{:.0e}",
-                            where, i + 1, value, kLargest));
+                            location, i + 1, value, kLargest));
         m[i % 4][i / 4] = value;
     }
     return m;
@@ -88,43 +89,43 @@ glm::dmat4 transform_of(const pugi::xml_node& object, const std::string& where) 
 /// Computes the size and the pose of a box from its transform. If the transform contains
 /// a reflection, flips the width axis, because a pose cannot be reflected. The box stays
 /// the same.
-void place(BoxLabel& label, const glm::dmat4& m, const std::string& where) {
-    glm::dmat3 axes(m);
+void place(BoxLabel& label, const glm::dmat4& matrix, const std::string& location) {
+    glm::dmat3 axes(matrix);
     label.size_m = {glm::length(axes[0]), glm::length(axes[1]), glm::length(axes[2])};
     constexpr double kSmallest_m = 1e-3;
     if (!(std::min({label.size_m.x, label.size_m.y, label.size_m.z}) >= kSmallest_m))
         throw DataError(
             fmt::format("{}: transform gives the size {} x {} x {} m, expected three lengths "
                         "above 0",
-                        where, label.size_m.x, label.size_m.y, label.size_m.z));
+                        location, label.size_m.x, label.size_m.y, label.size_m.z));
     for (int c = 0; c < 3; ++c) axes[c] /= label.size_m[c];
     if (glm::determinant(axes) < 0.0) axes[1] = -axes[1];
-    label.world_from_box = rigid_pose(axes, glm::dvec3(m[3]), where + ": transform");
+    label.world_from_box = make_rigid_pose(axes, glm::dvec3(matrix[3]), location + ": transform");
 }
 
 /// Returns the track id of an object: semanticId * 1000 + instanceId. Objects of drive
 /// 0004 do not have these numbers. For these, uses the class and the number of the moving
 /// or standing object.
-std::string track_of(const pugi::xml_node& object, const MovableClass& known, bool moves,
-                     const std::string& where) {
+std::string track_of(const pugi::xml_node& object, const MovableClass& movable_class, bool moves,
+                     const std::string& location) {
     if (object.child("instanceId").empty())
-        return fmt::format("{}-{}{}", known.name, moves ? "moving-" : "",
-                           integer_of(object, moves ? "dynamicSeq" : "index", {}, where));
-    return std::to_string(known.id * 1000LL + integer_of(object, "instanceId", {}, where));
+        return fmt::format("{}-{}{}", movable_class.name, moves ? "moving-" : "",
+                           read_integer_field(object, moves ? "dynamicSeq" : "index", {}, location));
+    return std::to_string(movable_class.id * 1000LL + read_integer_field(object, "instanceId", {}, location));
 }
 
 /// Labels of one object, by frame number.
 using Labels = std::map<int, BoxLabel>;
 
 void add_object(const pugi::xml_node& object, const std::vector<Frame>& frames,
-                std::map<std::string, Labels>& tracks, const std::string& where) {
-    const MovableClass* known = class_of(object, where);
+                std::map<std::string, Labels>& tracks, const std::string& location) {
+    const MovableClass* known = find_movable_class(object, location);
     if (!known || object.child("transform").empty()) return;
-    const int at = integer_of(object, "timestamp", -1, where);
-    const int first = at < 0 ? integer_of(object, "start_frame", {}, where) : at;
-    const int last = at < 0 ? integer_of(object, "end_frame", {}, where) : at;
-    BoxLabel label{track_of(object, *known, at >= 0, where), known->name, {}, 0.0, {}};
-    place(label, transform_of(object, where), where);
+    const int at = read_integer_field(object, "timestamp", -1, location);
+    const int first = at < 0 ? read_integer_field(object, "start_frame", {}, location) : at;
+    const int last = at < 0 ? read_integer_field(object, "end_frame", {}, location) : at;
+    BoxLabel label{track_of(object, *known, at >= 0, location), known->name, {}, 0.0, {}};
+    place(label, transform_of(object, location), location);
     auto frame = std::lower_bound(frames.begin(), frames.end(), first,
                                   [](const Frame& f, int number) { return f.index < number; });
     for (; frame != frames.end() && frame->index <= last; ++frame) {
@@ -133,7 +134,7 @@ void add_object(const pugi::xml_node& object, const std::vector<Frame>& frames,
             throw DataError(
                 fmt::format("{}: found class {} for track {}, which has class {} in another frame, "
                             "expected one class per track",
-                            where, label.category, label.id, track.begin()->second.category));
+                            location, label.category, label.id, track.begin()->second.category));
         label.time_s = frame->time_s;
         track.emplace(frame->index, label);
     }
@@ -154,7 +155,7 @@ std::vector<BoxTrack> read_360_boxes(const std::filesystem::path& file, const st
             "{}: the element opencv_storage is missing, expected the boxes of KITTI-360", file.string()));
     std::map<std::string, Labels> tracks;
     for (const pugi::xml_node& object : root.children())
-        add_object(object, frames, tracks, fmt::format("{}: {}", file.string(), excerpt(object.name())));
+        add_object(object, frames, tracks, fmt::format("{}: {}", file.string(), make_excerpt(object.name())));
     std::vector<BoxLabel> labels;
     for (const auto& [id, track] : tracks)
         for (const auto& [frame, label] : track) labels.push_back(label);

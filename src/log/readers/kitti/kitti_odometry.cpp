@@ -28,10 +28,10 @@ std::vector<double> read_seconds(const fs::path& file, const std::vector<int>& f
         if (line >= lines.size())
             throw DataError(fmt::format("{}: found {} lines, but frame {} needs line {}", file.string(),
                                         lines.size(), frame, line + 1));
-        const auto seconds = parse_number(trimmed(lines[line]));
+        const auto seconds = parse_number(trim_spaces(lines[line]));
         if (!seconds)
             throw DataError(fmt::format("{} line {}: found '{}', expected a time in seconds", file.string(),
-                                        line + 1, excerpt(lines[line])));
+                                        line + 1, make_excerpt(lines[line])));
         time_s.push_back(*seconds);
     }
     return time_s;
@@ -43,8 +43,8 @@ std::vector<double> read_seconds(const fs::path& file, const std::vector<int>& f
 fs::path find_poses(const fs::path& folder) {
     const fs::path here = folder / "poses.txt", beside = folder.parent_path().parent_path() / "poses" /
                                                          (folder.filename().string() + ".txt");
-    if (path_exists(here)) return here;
-    if (path_exists(beside)) return beside;
+    if (does_path_exist(here)) return here;
+    if (does_path_exist(beside)) return beside;
     throw DataError(
         fmt::format("neither {} nor {} exists, expected the poses of the camera; use dataset.poses=FILE "
                     "for poses of the LiDAR, or dataset.poses=none to estimate the poses from the scans",
@@ -85,7 +85,7 @@ Sequence load_kitti_odometry(const fs::path& log_folder, const DatasetOptions& o
     sequence.lidars[0].sensor.name = "HDL-64E fitted to " + sequence.name;
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], time_s[i], poses[i]);
-    recentre(sequence);
+    recentre_sequence(sequence);
     kitti::read_sweeps(sequence, folder / "velodyne", 6, options);
     return sequence;
 }

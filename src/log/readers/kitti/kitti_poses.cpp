@@ -29,44 +29,47 @@ constexpr double kLongestLog_m = 1e5;
 /// Checks that the positions of all poses are plausible.
 /// @throws DataError if a coordinate is too large, or if a position is too far from the
 /// first position
-void check_extent(const std::vector<Pose>& poses, const std::vector<int>& frames, const std::string& where) {
+void check_extent(const std::vector<Pose>& poses, const std::vector<int>& frames,
+                  const std::string& location) {
     for (std::size_t i = 0; i < poses.size(); ++i) {
         const glm::dvec3 t = poses[i].translation, step = t - poses[0].translation;
         if (std::max({std::abs(t.x), std::abs(t.y), std::abs(t.z)}) > kLargestCoordinate_m)
             throw DataError(
                 fmt::format("{}: the pose of frame {} is at ({}, {}, {}), expected coordinates of at most "
                             "{} m",
-                            where, frames[i], t.x, t.y, t.z, kLargestCoordinate_m));
+                            location, frames[i], t.x, t.y, t.z, kLargestCoordinate_m));
         if (glm::length(step) > kLongestLog_m)
             throw DataError(fmt::format(
                 "{}: the poses of frames {} and {} are {:.6g} m apart, expected at most {} m within a drive",
-                where, frames[0], frames[i], glm::length(step), kLongestLog_m));
+                location, frames[0], frames[i], glm::length(step), kLongestLog_m));
     }
 }
 
-std::vector<double> finite_numbers(const std::string& line, std::size_t n, const std::string& where) {
+std::vector<double> parse_finite_numbers(const std::string& line, std::size_t count,
+                                         const std::string& location) {
     const auto numbers = parse_numbers(line);
     if (!numbers)
-        throw DataError(fmt::format("{}: found a word that is not a number, expected {} numbers", where, n));
-    if (numbers->size() != n)
-        throw DataError(fmt::format("{}: found {} numbers, expected {}", where, numbers->size(), n));
-    for (std::size_t i = 0; i < n; ++i) {
+        throw DataError(
+            fmt::format("{}: found a word that is not a number, expected {} numbers", location, count));
+    if (numbers->size() != count)
+        throw DataError(fmt::format("{}: found {} numbers, expected {}", location, numbers->size(), count));
+    for (std::size_t i = 0; i < count; ++i) {
         if (!std::isfinite((*numbers)[i])) {
             throw DataError(
-                fmt::format("{}: number {} is {}, expected a finite value", where, i + 1, (*numbers)[i]));
+                fmt::format("{}: number {} is {}, expected a finite value", location, i + 1, (*numbers)[i]));
         }
     }
     return *numbers;
 }
 
 /// Parses a 3x4 matrix, row-major.
-Pose parse_matrix(const std::string& line, const std::string& where) {
-    const std::vector<double> m = finite_numbers(line, 12, where);
-    return rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]), {m[3], m[7], m[11]},
-                      where);
+Pose parse_matrix(const std::string& line, const std::string& location) {
+    const std::vector<double> m = parse_finite_numbers(line, 12, location);
+    return make_rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
+                           {m[3], m[7], m[11]}, location);
 }
 
-fs::path oxts_file(const fs::path& drive, int frame) {
+fs::path get_oxts_file(const fs::path& drive, int frame) {
     return drive / "oxts/data" / fmt::format("{:010d}.txt", frame);
 }
 
@@ -74,7 +77,7 @@ fs::path oxts_file(const fs::path& drive, int frame) {
 /// the position of the first frame.
 Pose read_oxts(const fs::path& file, std::optional<double>& scale) {
     const std::vector<std::string> lines = split_lines(read_text(file));
-    const std::vector<double> v = finite_numbers(lines.empty() ? "" : lines[0], 30, file.string());
+    const std::vector<double> v = parse_finite_numbers(lines.empty() ? "" : lines[0], 30, file.string());
     if (std::abs(v[0]) > 89.0 || std::abs(v[1]) > 360.0) {
         throw DataError(fmt::format("{}: found the latitude {} and the longitude {}, expected degrees",
                                     file.string(), v[0], v[1]));
@@ -82,7 +85,7 @@ Pose read_oxts(const fs::path& file, std::optional<double>& scale) {
     constexpr double kEarthRadius_m = 6378137.0;
     const double lat = v[0] * kPi / 180.0, lon = v[1] * kPi / 180.0;
     if (!scale) scale = std::cos(lat);
-    return {rotation_of(v[5], v[4], v[3]),
+    return {make_rotation(v[5], v[4], v[3]),
             {*scale * kEarthRadius_m * lon, *scale * kEarthRadius_m * std::log(std::tan(kPi / 4 + lat / 2)),
              v[2]}};
 }
@@ -90,12 +93,12 @@ Pose read_oxts(const fs::path& file, std::optional<double>& scale) {
 /// Returns the smallest frame number that has an OXTS file. This frame defines the
 /// Mercator scale and the origin, even if it is not loaded. So poses do not depend on the
 /// requested range.
-int first_oxts(const fs::path& drive) {
+int find_first_oxts(const fs::path& drive) {
     const fs::path folder = drive / "oxts/data";
-    if (path_exists(folder)) {
+    if (does_path_exist(folder)) {
         // files are sorted by name, so the first file has the smallest number
         for (const fs::path& file : list_folder(folder)) {
-            const auto number = file_number(file.stem().string());
+            const auto number = parse_file_number(file.stem().string());
             if (file.extension() == ".txt" && number) return *number;
         }
     }
@@ -116,7 +119,7 @@ fs::path find_calibration(const fs::path& drive) {
     for (const fs::path& base : {drive.parent_path(), drive, drive.parent_path().parent_path()}) {
         for (const fs::path& inner : {fs::path(), fs::path("calib"), fs::path("calibration"), fs::path(date),
                                       fs::path(date + "_calib"), fs::path(date + "_calib") / date}) {
-            if (path_exists(base / inner / name)) return base / inner / name;
+            if (does_path_exist(base / inner / name)) return base / inner / name;
         }
     }
     throw DataError(
@@ -132,15 +135,15 @@ Pose read_calibration(const fs::path& file) {
     std::vector<double> r, t;
     for (const std::string& line : split_lines(read_text(file))) {
         const std::string where = file.string();
-        if (line.rfind("R:", 0) == 0) r = finite_numbers(line.substr(2), 9, where + " key R");
-        if (line.rfind("T:", 0) == 0) t = finite_numbers(line.substr(2), 3, where + " key T");
+        if (line.rfind("R:", 0) == 0) r = parse_finite_numbers(line.substr(2), 9, where + " key R");
+        if (line.rfind("T:", 0) == 0) t = parse_finite_numbers(line.substr(2), 3, where + " key T");
     }
     if (r.empty() || t.empty()) {
         throw DataError(fmt::format("{}: the line '{}:' is missing, expected the keys R and T", file.string(),
                                     r.empty() ? "R" : "T"));
     }
-    return rigid_pose(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]), {t[0], t[1], t[2]},
-                      file.string());
+    return make_rigid_pose(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]),
+                           {t[0], t[1], t[2]}, file.string());
 }
 
 Pose read_transform(const fs::path& file, const std::string& key) {
@@ -153,11 +156,11 @@ Pose read_transform(const fs::path& file, const std::string& key) {
 
 std::vector<Pose> read_oxts_poses(const fs::path& drive, const std::vector<int>& frames) {
     std::optional<double> scale;
-    const glm::dvec3 origin = read_oxts(oxts_file(drive, first_oxts(drive)), scale).translation;
+    const glm::dvec3 origin = read_oxts(get_oxts_file(drive, find_first_oxts(drive)), scale).translation;
     const Pose imu_from_sensor = inverse(read_calibration(find_calibration(drive)));
     std::vector<Pose> poses;
     for (const int frame : frames) {
-        Pose world_from_imu = read_oxts(oxts_file(drive, frame), scale);
+        Pose world_from_imu = read_oxts(get_oxts_file(drive, frame), scale);
         world_from_imu.translation -= origin;
         poses.push_back(world_from_imu * imu_from_sensor);
     }
@@ -200,12 +203,12 @@ std::map<int, Pose> read_numbered_poses(const fs::path& file) {
     std::vector<Pose> poses;
     for (std::size_t l = 0; l < lines.size(); ++l) {
         const std::string where = fmt::format("{} line {}", file.string(), l + 1);
-        const std::string_view line = trimmed(lines[l]);
+        const std::string_view line = trim_spaces(lines[l]);
         const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
-        const std::optional<int> frame = file_number(std::string(line.substr(0, end)));
+        const std::optional<int> frame = parse_file_number(std::string(line.substr(0, end)));
         if (!frame || (!frames.empty() && *frame <= frames.back()))
             throw DataError(fmt::format("{}: found the frame '{}'{}, expected increasing frame numbers",
-                                        where, excerpt(line.substr(0, end)),
+                                        where, make_excerpt(line.substr(0, end)),
                                         frames.empty() ? "" : fmt::format(" after {}", frames.back())));
         frames.push_back(*frame);
         poses.push_back(parse_matrix(std::string(line.substr(end)), where));

@@ -38,7 +38,7 @@ std::vector<std::string> collect_notes(const fs::path& drive, const std::vector<
     std::vector<std::string> notes;
     const std::string gaps = note_gaps(drive / "velodyne_points/data", frames, options.allow_missing_scans);
     if (!gaps.empty()) notes.push_back(gaps);
-    if (!path_exists(drive / "tracklet_labels.xml"))
+    if (!does_path_exist(drive / "tracklet_labels.xml"))
         notes.push_back("tracklet_labels.xml is missing, so this drive has no labels");
     if (options.poses_file == kNoPoses) notes.push_back(kNoPosesNote);
     return notes;
@@ -48,7 +48,7 @@ std::vector<std::string> collect_notes(const fs::path& drive, const std::vector<
 
 Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     check_folder(folder, "a KITTI raw drive (velodyne_points/)");
-    if (!path_exists(folder / "velodyne_points")) {
+    if (!does_path_exist(folder / "velodyne_points")) {
         const std::string stranger = describe_stranger(folder, "velodyne_points");
         if (!stranger.empty())
             throw DataError(fmt::format("{} is not a KITTI raw drive: {}", folder.string(), stranger));
@@ -76,7 +76,7 @@ Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     const PoseTrack poses = read_drive_poses(drive, frames, options.poses_file);
     for (std::size_t i = 0; i < frames.size(); ++i)
         add_frame(sequence, frames[i], poses.time_s[i], poses.pose[i]);
-    recentre(sequence);
+    recentre_sequence(sequence);
     sequence.boxes = read_tracklets(drive / "tracklet_labels.xml", frames, sequence.world_from_vehicle);
     read_sweeps(sequence, drive / "velodyne_points/data", 10, options);
     return sequence;

@@ -26,14 +26,14 @@ namespace {
 // then far more accurate than the millimetre resolution of the files.
 constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
 
-std::vector<const RawScan*> spread(const std::vector<RawScan>& scans, std::size_t n) {
+std::vector<const RawScan*> spread(const std::vector<RawScan>& scans, std::size_t count) {
     std::vector<const RawScan*> some;
-    n = std::min(n, scans.size());
-    for (std::size_t i = 0; i < n; ++i) some.push_back(&scans[i * scans.size() / n]);
+    count = std::min(count, scans.size());
+    for (std::size_t i = 0; i < count; ++i) some.push_back(&scans[i * scans.size() / count]);
     return some;
 }
 
-Points points_of(const RawScan& raw) {
+Points make_points(const RawScan& raw) {
     Points points;
     for (const glm::vec4& p : raw.points) points.position_m.emplace_back(p), points.intensity.push_back(p.w);
     points.ring.assign(raw.ring.begin(), raw.ring.end());
@@ -63,29 +63,32 @@ public:
         }
     }
 
-    /// Returns the reason why scan i is incomplete, or an empty string if it is complete.
-    /// A scan without returns is incomplete. A scan is also incomplete if it has far
-    /// fewer points or rings than the neighbouring scans, or if its last ring ends much
-    /// earlier.
-    std::string why_incomplete(std::size_t i, const std::string& file) const {
+    /// Returns the reason why scan `index` is incomplete, or an empty string if it is
+    /// complete. A scan without returns is incomplete. A scan is also incomplete if it
+    /// has far fewer points or rings than the neighbouring scans, or if its last ring
+    /// ends much earlier.
+    std::string explain_incomplete_scan(std::size_t index, const std::string& file) const {
         // one missing ring is accepted, because a single beam may have no returns
         constexpr int kMissingRings = 2;
         // in complete scans, the end of the last ring varies by up to 20 degrees
         constexpr double kEarly_deg = 60.0;
-        if (n_points_[i] == 0) return fmt::format("{}: the scan has no returns", file);
-        if (const std::size_t usual = median_of_neighbours(n_points_, i); 2 * n_points_[i] < usual)
+        if (n_points_[index] == 0) return fmt::format("{}: the scan has no returns", file);
+        if (const std::size_t usual = compute_median_of_neighbours(n_points_, index);
+            2 * n_points_[index] < usual)
             return fmt::format("{}: the scan has {} points, but the neighbouring scans have {}", file,
-                               n_points_[i], usual);
-        if (const int usual = median_of_neighbours(n_rings_, i); n_rings_[i] + kMissingRings <= usual)
+                               n_points_[index], usual);
+        if (const int usual = compute_median_of_neighbours(n_rings_, index);
+            n_rings_[index] + kMissingRings <= usual)
             return fmt::format(
                 "{}: the points of the scan end in ring {}, but those of the neighbouring scans end in "
                 "ring {}",
-                file, n_rings_[i], usual);
-        if (const double usual_deg = median_of_neighbours(end_deg_, i); end_deg_[i] + kEarly_deg <= usual_deg)
+                file, n_rings_[index], usual);
+        if (const double usual_deg = compute_median_of_neighbours(end_deg_, index);
+            end_deg_[index] + kEarly_deg <= usual_deg)
             return fmt::format(
                 "{}: the last ring of the scan ends at azimuth {:.0f} degrees, but that of the "
                 "neighbouring scans ends at {:.0f} degrees",
-                file, end_deg_[i], usual_deg);
+                file, end_deg_[index], usual_deg);
         return "";
     }
 
@@ -94,15 +97,17 @@ private:
     std::vector<int> n_rings_;
     std::vector<double> end_deg_;
 
-    /// Returns the median over up to five scans before and up to five scans after scan i.
+    /// Returns the median over up to five scans before and up to five scans after scan
+    /// `index`.
     template <class T>
-    static T median_of_neighbours(const std::vector<T>& values, std::size_t i) {
+    static T compute_median_of_neighbours(const std::vector<T>& values, std::size_t index) {
         constexpr std::size_t kReach = 5;
-        const std::size_t begin = i < kReach ? 0 : i - kReach, end = std::min(values.size(), i + kReach + 1);
+        const std::size_t begin = index < kReach ? 0 : index - kReach,
+                          end = std::min(values.size(), index + kReach + 1);
         std::vector<T> neighbours;
         for (std::size_t k = begin; k < end; ++k)
-            if (k != i && values[k] > 0) neighbours.push_back(values[k]);
-        if (neighbours.empty()) return values[i];
+            if (k != index && values[k] > 0) neighbours.push_back(values[k]);
+        if (neighbours.empty()) return values[index];
         std::ranges::sort(neighbours);
         return neighbours[neighbours.size() / 2];
     }
@@ -137,21 +142,21 @@ std::string scale_intensities(std::vector<RawScan>& raw, const std::string& fold
 /// Checks the number of rays before memory is allocated for them. Limits the firings per
 /// sweep, and the number of rays per point.
 /// @throws DataError if there are too many rays
-void check_rays(const std::vector<RawScan>& raw, const FiringLattice& lattice, const std::string& where) {
+void check_rays(const std::vector<RawScan>& raw, const FiringLattice& lattice, const std::string& location) {
     constexpr int kMostFirings = 8192;            // an HDL-64E has up to 4170 firings per sweep
     constexpr std::size_t kMostRaysAPoint = 200;  // a complete sweep has about 1.1 rays per point
     if (lattice.head.n_ticks > kMostFirings)
         throw DataError(
             fmt::format("{}: azimuths of neighbouring points differ by 1/{} of a sweep, expected at most "
                         "{} firings per sweep of an HDL-64E",
-                        where, lattice.head.n_ticks, kMostFirings));
+                        location, lattice.head.n_ticks, kMostFirings));
     std::size_t n_points = 0;
     for (const RawScan& scan : raw) n_points += scan.points.size();
     const std::size_t n_rays =
         raw.size() * kRings * std::size_t(lattice.every_tick ? lattice.head.n_ticks : 1);
     if (n_rays > kMostRaysAPoint * n_points)
         throw DataError(fmt::format("{}: found {} points in {} sweeps of {} rays, expected complete sweeps",
-                                    where, n_points, raw.size(), n_rays / raw.size()));
+                                    location, n_points, raw.size(), n_rays / raw.size()));
 }
 
 }  // namespace
@@ -169,7 +174,8 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
     });
     const ScanSizes scan_sizes(raw);
     for (std::size_t at = 0; at < raw.size(); ++at)
-        if (const std::string why = broken.has(at) ? "" : scan_sizes.why_incomplete(at, file_of(at).string());
+        if (const std::string why =
+                broken.has(at) ? "" : scan_sizes.explain_incomplete_scan(at, file_of(at).string());
             !why.empty())
             broken.add(at, why + "; the file is probably truncated or damaged");
     if (broken.size() == raw.size()) broken.tell(sequence, raw.size());
@@ -181,7 +187,7 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
 
     const Cones cones = fit_cones(spread(raw, kFitScans), folder.string());
     parallel_for(static_cast<int>(raw.size()),
-                 [&](int i) { correct_rings(raw[static_cast<std::size_t>(i)], cones); });
+                 [&](int index) { correct_rings(raw[static_cast<std::size_t>(index)], cones); });
     const FiringLattice lattice = fit_lattice(spread(raw, kLatticeScans));
     check_rays(raw, lattice, folder.string());
 
@@ -203,7 +209,8 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     for_each_with_progress(raw.size(), progress, "assigning points to the fired rays", [&](std::size_t at) {
         if (!broken.has(at))
-            sequence.frames[at].scan = spinning_scan(points_of(raw[at]), sensor, {lattice.head, firings[at]});
+            sequence.frames[at].scan =
+                make_spinning_scan(make_points(raw[at]), sensor, {lattice.head, firings[at]});
         raw[at] = {};
     });
     broken.leave_out(sequence);

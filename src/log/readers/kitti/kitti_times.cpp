@@ -22,7 +22,7 @@ namespace {
 
 /// Returns the number of days since 1970-01-01 in the Gregorian calendar. Leap years are
 /// divisible by 4, but not by 100 unless also by 400.
-std::int64_t days_of(int year, int month, int day) {
+std::int64_t count_days(int year, int month, int day) {
     static constexpr std::array<int, 12> kBefore{0, 31, 59, 90, 120, 151, 181, 212, 243, 273, 304, 334};
     const bool leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
     const int y = year - 1;
@@ -34,12 +34,12 @@ std::int64_t days_of(int year, int month, int day) {
 
 /// Converts "YYYY-MM-DD HH:MM:SS.nnnnnnnnn" to nanoseconds since 1970. The result fits
 /// into 64 bits up to the year 2261.
-std::int64_t parse_timestamp(const std::string& line, const std::string& where) {
+std::int64_t parse_timestamp(const std::string& line, const std::string& location) {
     int year = 0, month = 0, day = 0, hour = 0, minute = 0, used = 0;
     const int n =
         std::sscanf(line.c_str(), "%4d-%2d-%2d %2d:%2d:%n", &year, &month, &day, &hour, &minute, &used);
     const auto second = n == 5 && used > 0
-                            ? parse_number(trimmed(line.substr(static_cast<std::size_t>(used))))
+                            ? parse_number(trim_spaces(line.substr(static_cast<std::size_t>(used))))
                             : std::nullopt;
     const bool sane = second && *second >= 0.0 && *second < 61.0 && year >= 1970 && year < 2200 &&
                       month >= 1 && month <= 12 && day >= 1 && day <= 31 && hour >= 0 && hour < 24 &&
@@ -48,8 +48,8 @@ std::int64_t parse_timestamp(const std::string& line, const std::string& where) 
         throw DataError(
             fmt::format("{}: found '{}', expected YYYY-MM-DD HH:MM:SS.nnnnnnnnn between the "
                         "years 1970 and 2199",
-                        where, excerpt(line)));
-    const std::int64_t minutes = (days_of(year, month, day) * 24 + hour) * 60 + minute;
+                        location, make_excerpt(line)));
+    const std::int64_t minutes = (count_days(year, month, day) * 24 + hour) * 60 + minute;
     return minutes * 60'000'000'000ll + std::llround(*second * 1e9);
 }
 
@@ -60,7 +60,7 @@ std::vector<std::optional<std::int64_t>> parse_timestamps(const fs::path& file) 
     std::vector<std::optional<std::int64_t>> time_ns(lines.size());
     bool any = false;
     for (std::size_t l = 0; l < lines.size(); ++l) {
-        if (trimmed(lines[l]).empty()) continue;
+        if (trim_spaces(lines[l]).empty()) continue;
         time_ns[l] = parse_timestamp(lines[l], fmt::format("{} line {}", file.string(), l + 1));
         any = true;
     }
@@ -100,7 +100,7 @@ namespace {
 
 /// Returns the median duration of a sweep. Throws if the median is not a valid period.
 /// @param lasts_s  durations of sweeps in seconds
-double median_period(std::vector<double> lasts_s, const fs::path& file) {
+double compute_median_period(std::vector<double> lasts_s, const fs::path& file) {
     std::nth_element(lasts_s.begin(), lasts_s.begin() + static_cast<std::ptrdiff_t>(lasts_s.size() / 2),
                      lasts_s.end());
     const double period_s = lasts_s[lasts_s.size() / 2];
@@ -126,7 +126,7 @@ double read_period(const fs::path& drive) {
             "{}: no line has a time in this file and in timestamps_start.txt, expected one time per sweep "
             "in both",
             file.string()));
-    return median_period(std::move(lasts_s), file);
+    return compute_median_period(std::move(lasts_s), file);
 }
 
 double read_step(const fs::path& file) {
@@ -139,7 +139,7 @@ double read_step(const fs::path& file) {
     if (lasts_s.empty())
         throw DataError(fmt::format("{}: no two consecutive lines have times, expected one time per sweep",
                                     file.string()));
-    return median_period(std::move(lasts_s), file);
+    return compute_median_period(std::move(lasts_s), file);
 }
 
 }  // namespace relidar::kitti

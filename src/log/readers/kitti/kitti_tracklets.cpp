@@ -23,38 +23,39 @@ constexpr double kLargestOfLabel = 1e6;
 /// Reads a number from a child element.
 /// @throws DataError with track and field if the number is missing or outside the valid
 /// range
-double number_of(const pugi::xml_node& node, const char* field, const std::string& where) {
+double number_of(const pugi::xml_node& node, const char* field, const std::string& location) {
     const std::string text = node.child_value(field);
-    const auto value = parse_number(trimmed(text));
+    const auto value = parse_number(trim_spaces(text));
     if (!value || !(std::abs(*value) <= kLargestOfLabel)) {
-        throw DataError(fmt::format("{}: {} is '{}', expected a finite number of at most {:.0e}", where,
-                                    field, excerpt(text), kLargestOfLabel));
+        throw DataError(fmt::format("{}: {} is '{}', expected a finite number of at most {:.0e}", location,
+                                    field, make_excerpt(text), kLargestOfLabel));
     }
     return *value;
 }
 
 /// Returns the pose of a box in the sensor frame.
-Pose sensor_from_box(const pugi::xml_node& item, double height_m, const std::string& where) {
-    const auto get = [&](const char* field) { return number_of(item, field, where); };
-    const glm::dquat rotation = rotation_of(get("rz"), get("ry"), get("rx"));
+Pose read_sensor_from_box(const pugi::xml_node& item, double height_m, const std::string& location) {
+    const auto get = [&](const char* field) { return number_of(item, field, location); };
+    const glm::dquat rotation = make_rotation(get("rz"), get("ry"), get("rx"));
     return {rotation,
             glm::dvec3(get("tx"), get("ty"), get("tz")) + rotation * glm::dvec3(0, 0, 0.5 * height_m)};
 }
 
 BoxTrack read_track(const pugi::xml_node& item, const std::vector<int>& frames,
-                    const PoseTrack& world_from_sensor, const std::string& where) {
+                    const PoseTrack& world_from_sensor, const std::string& location) {
     BoxTrack track;
     track.category = item.child_value("objectType");
-    track.size_m = {number_of(item, "l", where), number_of(item, "w", where), number_of(item, "h", where)};
+    track.size_m = {number_of(item, "l", location), number_of(item, "w", location),
+                    number_of(item, "h", location)};
     if (!(std::min({track.size_m.x, track.size_m.y, track.size_m.z}) > 0.0)) {
-        throw DataError(fmt::format("{}: the size is l {} w {} h {} m, expected three lengths above 0", where,
-                                    track.size_m.x, track.size_m.y, track.size_m.z));
+        throw DataError(fmt::format("{}: the size is l {} w {} h {} m, expected three lengths above 0",
+                                    location, track.size_m.x, track.size_m.y, track.size_m.z));
     }
-    int frame = static_cast<int>(number_of(item, "first_frame", where));
+    int frame = static_cast<int>(number_of(item, "first_frame", location));
     for (const pugi::xml_node& pose : item.child("poses").children("item")) {
         const auto found = std::lower_bound(frames.begin(), frames.end(), frame);
         const Pose in_sensor =
-            sensor_from_box(pose, track.size_m.z, fmt::format("{} frame {}", where, frame));
+            read_sensor_from_box(pose, track.size_m.z, fmt::format("{} frame {}", location, frame));
         ++frame;
         if (found == frames.end() || *found != frame - 1) continue;
         const std::size_t at = static_cast<std::size_t>(found - frames.begin());
@@ -68,7 +69,7 @@ BoxTrack read_track(const pugi::xml_node& item, const std::vector<int>& frames,
 
 std::vector<BoxTrack> read_tracklets(const std::filesystem::path& file, const std::vector<int>& frames,
                                      const PoseTrack& world_from_sensor) {
-    if (!path_exists(file)) return {};
+    if (!does_path_exist(file)) return {};
     const std::string text = read_text(file);
     pugi::xml_document document;
     const pugi::xml_parse_result parsed = document.load_buffer(text.data(), text.size());

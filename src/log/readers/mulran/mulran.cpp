@@ -41,17 +41,17 @@ constexpr double kPlace_m[3] = {1.7042, -0.021, 1.8047}, kAngles_deg[3] = {0.000
 /// Order in which a file stores the points: column by column or beam by beam.
 enum class MulranOrder { by_column, by_beam };
 
-std::size_t beam_at(std::size_t i, MulranOrder order) {
-    return order == MulranOrder::by_column ? i % kBeams : i / kColumns;
+std::size_t get_beam_at(std::size_t index, MulranOrder order) {
+    return order == MulranOrder::by_column ? index % kBeams : index / kColumns;
 }
-std::size_t column_at(std::size_t i, MulranOrder order) {
-    return order == MulranOrder::by_column ? i / kBeams : i % kColumns;
+std::size_t get_column_at(std::size_t index, MulranOrder order) {
+    return order == MulranOrder::by_column ? index / kBeams : index % kColumns;
 }
 
 /// Returns the standard deviation of the elevations within a beam, averaged over all
 /// beams. The value is small if the assumed order is right. Returns infinity if there are
 /// no points.
-double spread_of_beams(const folder::PointTable& table, MulranOrder order) {
+double measure_beam_spread(const folder::PointTable& table, MulranOrder order) {
     using enum folder::PointValue;
     const folder::FieldValues &xs = *table.find(x), &ys = *table.find(y), &zs = *table.find(z);
     struct Sums {
@@ -62,7 +62,7 @@ double spread_of_beams(const folder::PointTable& table, MulranOrder order) {
         const glm::dvec3 p(xs[i], ys[i], zs[i]);
         if (!(std::hypot(p.x, p.y, p.z) >= kLeastRange_m)) continue;
         const double e = std::atan2(p.z, std::hypot(p.x, p.y));
-        Sums& sums = of_beam[beam_at(i, order)];
+        Sums& sums = of_beam[get_beam_at(i, order)];
         sums.n += 1.0, sums.e += e, sums.ee += e * e;
     }
     double n = 0.0, squares = 0.0;
@@ -71,10 +71,10 @@ double spread_of_beams(const folder::PointTable& table, MulranOrder order) {
     return n > 0.0 ? std::sqrt(std::max(squares, 0.0) / n) : INFINITY;
 }
 
-void check_points(const folder::PointTable& table, const std::string& where) {
+void check_points(const folder::PointTable& table, const std::string& location) {
     if (table.n != kBeams * kColumns)
         throw DataError(fmt::format("{} has {} points, expected {} x {}, with zeros for rays without return",
-                                    where, table.n, kBeams, kColumns));
+                                    location, table.n, kBeams, kColumns));
 }
 
 /// Detects the order in which the files store the points. Uses the first scan that can be
@@ -88,8 +88,8 @@ MulranOrder find_order(const std::vector<fs::path>& files) {
         } catch (const DataError&) {
             continue;  // the error is reported when the scan is read
         }
-        const double by_column = spread_of_beams(table, MulranOrder::by_column),
-                     by_beam = spread_of_beams(table, MulranOrder::by_beam);
+        const double by_column = measure_beam_spread(table, MulranOrder::by_column),
+                     by_beam = measure_beam_spread(table, MulranOrder::by_beam);
         if (!(std::min(by_column, by_beam) <= kMostSpread_rad))
             throw DataError(fmt::format(
                 "{}: the points of a beam differ in elevation by {:.1f} degrees, expected less than "
@@ -102,16 +102,16 @@ MulranOrder find_order(const std::vector<fs::path>& files) {
 
 /// Sets the beam and the time of each point from the index of the point in the file. The
 /// time stamp of the file is the middle of the revolution.
-void add_beams_and_times(folder::PointTable& table, MulranOrder order, const std::string& where) {
-    check_points(table, where);
+void add_beams_and_times(folder::PointTable& table, MulranOrder order, const std::string& location) {
+    check_points(table, location);
     std::vector<std::uint16_t> ring(table.n);
     std::vector<double> time(table.n);
     for (std::size_t i = 0; i < table.n; ++i) {
-        ring[i] = std::uint16_t(beam_at(i, order));
-        time[i] = kTurn_s * (double(column_at(i, order)) / double(kColumns) - 0.5);
+        ring[i] = std::uint16_t(get_beam_at(i, order));
+        time[i] = kTurn_s * (double(get_column_at(i, order)) / double(kColumns) - 0.5);
     }
-    table.add("ring", folder::NumberType::u2, std::move(ring), where);
-    table.add("time", folder::NumberType::f8, std::move(time), where);
+    table.add("ring", folder::NumberType::u2, std::move(ring), location);
+    table.add("time", folder::NumberType::f8, std::move(time), location);
 }
 
 PoseTrack read_mulran_poses(const fs::path& file, const stamped::StampedLog& log,
@@ -120,8 +120,9 @@ PoseTrack read_mulran_poses(const fs::path& file, const stamped::StampedLog& log
     for (const stamped::StampedRow& row : stamped::read_rows(file, 12)) {
         const std::vector<double>& m = row.values;
         track.time_s.push_back(log.seconds(row.stamp));
-        track.pose.push_back(rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
-                                        {m[3], m[7], m[11]}, row.where));
+        track.pose.push_back(
+            make_rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
+                            {m[3], m[7], m[11]}, row.where));
     }
     const glm::dvec3 driven = stamped::find_driving(track).mean;
     if (driven != glm::dvec3(0.0) && driven.x < kForward)
@@ -134,16 +135,16 @@ PoseTrack read_mulran_poses(const fs::path& file, const stamped::StampedLog& log
 
 /// Returns the pose of the LiDAR on the vehicle. The frame of the LiDAR is rotated by 180
 /// degrees, so that the x axis points forward.
-Pose mounting() {
+Pose compute_mounting() {
     const auto rad = [](double degrees) { return degrees * kPi / 180.0; };
-    const Pose base_from_ouster{rotation_of(rad(kAngles_deg[2]), rad(kAngles_deg[1]), rad(kAngles_deg[0])),
+    const Pose base_from_ouster{make_rotation(rad(kAngles_deg[2]), rad(kAngles_deg[1]), rad(kAngles_deg[0])),
                                 {kPlace_m[0], kPlace_m[1], kPlace_m[2]}};
-    return base_from_ouster * Pose{rotation_of(kPi, 0.0, 0.0), {}};
+    return base_from_ouster * Pose{make_rotation(kPi, 0.0, 0.0), {}};
 }
 
-fs::path scans_folder(const fs::path& folder) {
+fs::path find_scans_folder(const fs::path& folder) {
     for (const char* scans : {"Ouster", "sensor_data/Ouster"})
-        if (path_exists(folder / scans)) return folder / scans;
+        if (does_path_exist(folder / scans)) return folder / scans;
     throw DataError(
         fmt::format("{} contains neither Ouster/ nor sensor_data/Ouster/, expected the scans of the LiDAR in "
                     "one of them",
@@ -161,8 +162,8 @@ stamped::PointFormat format_of_points(Sequence& sequence, const std::vector<fs::
     sequence.notes.push_back(
         "the points have no times; they are computed from the position in the file, with the "
         "middle of the sweep at the stamp");
-    format.complete = [order](folder::PointTable& table, const std::string& where) {
-        add_beams_and_times(table, order, where);
+    format.complete = [order](folder::PointTable& table, const std::string& location) {
+        add_beams_and_times(table, order, location);
     };
     return format;
 }
@@ -180,20 +181,20 @@ Sequence load_mulran(const fs::path& log_folder, const DatasetOptions& options) 
         "Frames of vehicle and LiDAR: x forward, y left, z up, in metres (in MulRan's files, the LiDAR's x "
         "axis points backward). Times are seconds after the first scan. The time of a frame is the middle "
         "of its sweep. Points are not motion-compensated. The world frame is that of global_pose.csv.";
-    stamped::StampedLog log{kNanosecond, stamped::list_scans(scans_folder(folder)),
+    stamped::StampedLog log{kNanosecond, stamped::list_scans(find_scans_folder(folder)),
                             {},          folder / "global_pose.csv",
                             kMostGap_s,  0.5 * kTurn_s};
     stamped::check_poses(log.poses_file, options);
     if (options.poses_file.empty())
         log.world_from_vehicle = read_mulran_poses(log.poses_file, log, sequence.notes);
     Lidar& lidar = sequence.lidars[0];
-    lidar.vehicle_from_sensor = mounting();
+    lidar.vehicle_from_sensor = compute_mounting();
     lidar.sensor.name = "OS1-64 fitted to " + sequence.name;
     lidar.sensor.max_range_m = options.max_range_m;
     const std::vector<fs::path> files = stamped::add_frames(sequence, log, options);
     stamped::read_points(sequence, files, format_of_points(sequence, files), options);
     if (options.poses_file.empty()) {
-        const PoseTrack track = shifted_track(log.world_from_vehicle, -sequence.world_offset_m);
+        const PoseTrack track = shift_track(log.world_from_vehicle, -sequence.world_offset_m);
         // Poses exist at all these times, because add_frames() skips scans without a
         // pose.
         const auto pose_at = [&](double t_s) { return std::optional(track.at(t_s)); };

@@ -38,7 +38,7 @@ struct ReadSweep {
 /// moved all points (motion compensation).
 /// @param points  points in the frame of the LiDAR at the time of each point
 /// @param numbers  [points] column of each point
-void leave_out_unmeasured(Points& points, std::vector<int>& numbers) {
+void remove_unmeasured(Points& points, std::vector<int>& numbers) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
         if (double(glm::length(points.position_m[i])) < kNoReturn_m) continue;
@@ -84,7 +84,7 @@ ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const P
         numbers.push_back(int(column));
     }
     undo_compensation(read.points, world_from_sensor, time_s);
-    leave_out_unmeasured(read.points, numbers);
+    remove_unmeasured(read.points, numbers);
     if (read.points.size() == 0)
         throw DataError(
             fmt::format("{} has no points beyond {} m, expected at least one", file.string(), kNoReturn_m));
@@ -94,7 +94,7 @@ ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const P
 
 }  // namespace
 
-Lidar hdl32e(const Pose& ego_from_lidar) {
+Lidar make_hdl32e(const Pose& ego_from_lidar) {
     SpinningSensor sensor;
     sensor.name = "HDL-32E";
     sensor.period_s = kPeriod_s;
@@ -105,16 +105,17 @@ Lidar hdl32e(const Pose& ego_from_lidar) {
     return {"", sensor, ego_from_lidar * theirs_from_ours};
 }
 
-void read_hdl32e_sweeps(Sequence& sequence, const std::vector<fs::path>& files, const PoseTrack& own,
-                        const DatasetOptions& options) {
+void read_hdl32e_sweeps(Sequence& sequence, const std::vector<fs::path>& files,
+                        const PoseTrack& vehicle_track, const DatasetOptions& options) {
     BrokenScans broken(options.skip_broken);
     std::vector<PoseTrack> ways;  // [lidars] poses of each LiDAR over time
-    for (const Lidar& lidar : sequence.lidars) ways.push_back(mounted_track(own, lidar.vehicle_from_sensor));
+    for (const Lidar& lidar : sequence.lidars)
+        ways.push_back(make_mounted_track(vehicle_track, lidar.vehicle_from_sensor));
     std::vector<ReadSweep> sweeps(files.size());
     for_each_with_progress(sweeps.size(), options.progress, "reading sweeps", [&](std::size_t at) {
         const Frame& frame = sequence.frames[at];
         broken.attempt(at, [&] {
-            sweeps[at] = read_sweep(files[at], sequence.lidar_of(frame).sensor,
+            sweeps[at] = read_sweep(files[at], sequence.get_lidar(frame).sensor,
                                     ways[std::size_t(frame.lidar)], frame.time_s);
         });
     });
@@ -127,7 +128,8 @@ void read_hdl32e_sweeps(Sequence& sequence, const std::vector<fs::path>& files, 
         sweeps.size(), options.progress, "assigning points to the fired rays", [&](std::size_t at) {
             if (broken.has(at)) return;
             Frame& frame = sequence.frames[at];
-            frame.scan = spinning_scan(sweeps[at].points, sequence.lidar_of(frame).sensor, sweeps[at].sweep);
+            frame.scan =
+                make_spinning_scan(sweeps[at].points, sequence.get_lidar(frame).sensor, sweeps[at].sweep);
             sweeps[at] = {};
         });
     broken.leave_out(sequence);

@@ -15,14 +15,15 @@ namespace relidar::nuscenes {
 /// forward. In the frame of nuScenes, x points to the right. So the function rotates the
 /// pose by 90 degrees.
 /// @param ego_from_lidar  pose of the LiDAR in the convention of nuScenes
-Lidar hdl32e(const Pose& ego_from_lidar);
+Lidar make_hdl32e(const Pose& ego_from_lidar);
 
 /// Reads the scans of all frames in sequence.frames. Also sets the properties of the
 /// sensors that can be computed from the scans.
 /// @param files  [frames] file with the points of each frame
-/// @param own  vehicle poses of the dataset, with which the motion compensation is undone
+/// @param vehicle_track vehicle poses of the dataset, with which the motion compensation
+/// is undone
 /// @throws DataError with file and point
 void read_hdl32e_sweeps(Sequence& sequence, const std::vector<std::filesystem::path>& files,
-                        const PoseTrack& own, const DatasetOptions& options);
+                        const PoseTrack& vehicle_track, const DatasetOptions& options);
 
 }  // namespace relidar::nuscenes

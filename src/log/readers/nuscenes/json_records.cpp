@@ -22,7 +22,7 @@ class RecordSplitter {
 public:
     explicit RecordSplitter(const std::filesystem::path& file)
         : name_(file.string()), in_(file, std::ios::binary) {
-        if (!path_exists(file)) throw DataError(name_ + ": no such file");
+        if (!does_path_exist(file)) throw DataError(name_ + ": no such file");
         if (!in_) throw DataError(name_ + ": the file cannot be read");
     }
 
@@ -61,7 +61,7 @@ private:
     std::size_t at_ = 0;
     bool opened_ = false, closed_ = false;
 
-    bool get(char& c) {
+    bool get(char& character) {
         if (at_ == block_.size()) {
             block_.resize(kBlock);
             in_.read(block_.data(), std::streamsize(block_.size()));
@@ -69,19 +69,19 @@ private:
             at_ = 0;
             if (block_.empty()) return false;
         }
-        c = block_[at_++];
+        character = block_[at_++];
         return true;
     }
     /// Checks that a character is allowed between two objects.
     /// @return true if the character is the start of an object
-    bool between(char c) {
-        if (c == '{' && opened_ && !closed_) return true;
-        const bool blank = c == ' ' || c == '\n' || c == '\r' || c == '\t';
-        if (c == '[' && !opened_) opened_ = true;
-        else if (c == ']' && opened_ && !closed_) closed_ = true;
-        else if (!blank && !(c == ',' && opened_ && !closed_))
+    bool between(char character) {
+        if (character == '{' && opened_ && !closed_) return true;
+        const bool blank = character == ' ' || character == '\n' || character == '\r' || character == '\t';
+        if (character == '[' && !opened_) opened_ = true;
+        else if (character == ']' && opened_ && !closed_) closed_ = true;
+        else if (!blank && !(character == ',' && opened_ && !closed_))
             throw DataError(fmt::format("{}: found '{}' between objects, expected an array of objects", name_,
-                                        excerpt({&c, 1})));
+                                        make_excerpt({&character, 1})));
         return false;
     }
 };
@@ -99,9 +99,9 @@ T JsonRecord::value(std::string_view key, const char* expected) const {
     return found;
 }
 
-void JsonRecord::numbers(std::string_view key, std::size_t n, double* out) const {
+void JsonRecord::numbers(std::string_view key, std::size_t count, double* out) const {
     const auto list = value<simdjson::dom::array>(key, "numbers");
-    if (list.size() != n) fail(key, n == 3 ? "3 numbers" : "4 numbers");
+    if (list.size() != count) fail(key, count == 3 ? "3 numbers" : "4 numbers");
     for (const simdjson::dom::element element : list)
         // No check for infinity or NaN is needed, because JSON cannot store them.
         if (element.get(*out++) != simdjson::SUCCESS) fail(key, "numbers");

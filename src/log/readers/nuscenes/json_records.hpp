@@ -19,7 +19,8 @@ namespace relidar {
 /// a DataError with file, record and key if a value is missing or has another type.
 class JsonRecord {
 public:
-    JsonRecord(std::string where, simdjson::dom::object object) : where_(std::move(where)), object_(object) {}
+    JsonRecord(std::string location, simdjson::dom::object object)
+        : where_(std::move(location)), object_(object) {}
 
     std::string text(std::string_view key) const;
     /// Returns a number, rounded to an integer. Rounding is needed because some tables
@@ -39,7 +40,7 @@ private:
     [[noreturn]] void fail(std::string_view key, const char* expected) const;
     template <class T>
     T value(std::string_view key, const char* expected) const;
-    void numbers(std::string_view key, std::size_t n, double* out) const;
+    void numbers(std::string_view key, std::size_t count, double* out) const;
 };
 
 /// Calls `read` for every object of a table.

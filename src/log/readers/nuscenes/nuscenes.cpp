@@ -82,7 +82,7 @@ struct SceneName {
 std::vector<SceneName> list_scenes_of(const fs::path& folder) {
     std::vector<SceneName> scenes;
     for (const fs::path& tables : list_folder(folder)) {
-        if (!path_exists(tables / "scene.json")) continue;
+        if (!does_path_exist(tables / "scene.json")) continue;
         for (const std::string& name : list_scenes(tables)) scenes.push_back({name, tables});
     }
     if (scenes.empty())
@@ -95,7 +95,7 @@ std::vector<SceneName> list_scenes_of(const fs::path& folder) {
 /// the first characters of its name if they are unique.
 SceneName choose_scene(const std::vector<SceneName>& scenes, const std::string& scene_name) {
     if (scene_name.empty()) return scenes[0];
-    const std::optional<int> number = file_number(scene_name);
+    const std::optional<int> number = parse_file_number(scene_name);
     const std::string named = number ? fmt::format("scene-{:04}", *number) : scene_name;
     std::string names;
     std::vector<const SceneName*> begin_so;
@@ -103,19 +103,19 @@ SceneName choose_scene(const std::vector<SceneName>& scenes, const std::string& 
         if (scene.name == named) return scene;
         if (scene.name.starts_with(scene_name) || scene.name.starts_with("scene-" + scene_name))
             begin_so.push_back(&scene);
-        if (names.size() < 400) names += (names.empty() ? "" : ", ") + excerpt(scene.name);
+        if (names.size() < 400) names += (names.empty() ? "" : ", ") + make_excerpt(scene.name);
     }
     if (begin_so.size() == 1) return *begin_so[0];
     throw UsageError(fmt::format(
-        "dataset.sequence '{}': {}, expected one of {} scenes: {}", excerpt(scene_name),
+        "dataset.sequence '{}': {}, expected one of {} scenes: {}", make_excerpt(scene_name),
         begin_so.empty() ? "no such scene" : fmt::format("{} scenes begin with this name", begin_so.size()),
         scenes.size(), names));
 }
 
 /// Interpolates the boxes between the labelled keyframes. Returns the boxes at the times
 /// of the frames.
-std::vector<BoxTrack> boxes_at(const std::vector<BoxLabel>& labels, const std::vector<double>& times_s,
-                               double beyond_s) {
+std::vector<BoxTrack> select_boxes_at(const std::vector<BoxLabel>& labels, const std::vector<double>& times_s,
+                                      double beyond_s) {
     std::vector<BoxTrack> boxes;
     for (const BoxTrack& labelled : build_tracks(labels)) {
         BoxTrack box{labelled.id, labelled.category, labelled.size_m, {}};
@@ -149,7 +149,7 @@ public:
           split_(split_of(chosen_.tables)) {
         for (const SweepRecord& sweep : scene_.lidars[0].sweeps)
             main_s_.push_back(scene_.seconds(sweep.time_us));
-        step_s_ = median_step_s(main_s_);
+        step_s_ = compute_median_step_s(main_s_);
     }
 
     Sequence load() {
@@ -163,11 +163,11 @@ public:
         find_frames();
         const PoseTrack vehicle_track = add_frames();
         if (scene_.labels.empty()) note("this scene has no annotations, so it has no labels");
-        sequence_.boxes = boxes_at(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
+        sequence_.boxes = select_boxes_at(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
         kitti::use_pose_file(sequence_, options_.poses_file);
-        recentre(sequence_);
+        recentre_sequence(sequence_);
         std::vector<fs::path> files;
-        for (const NumberedSweep& frame : frames_) files.push_back(file_of(*frame.record));
+        for (const NumberedSweep& frame : frames_) files.push_back(get_file_of_sweep(*frame.record));
         if (format_.is_compensated) read_hdl32e_sweeps(sequence_, files, vehicle_track, options_);
         else read_clouds(files);
         return std::move(sequence_);
@@ -197,7 +197,7 @@ private:
         throw DataError(fmt::format(
             "sample_data.json, key 'filename': found the LiDAR file '{}', expected a name that ends "
             "in {}",
-            excerpt(file), fmt::join(endings, ", ")));
+            make_excerpt(file), fmt::join(endings, ", ")));
     }
 
     void note(std::string text) { sequence_.notes.push_back(std::move(text)); }
@@ -205,9 +205,9 @@ private:
         const std::string name = tables.filename().string();
         return name.ends_with("_data") ? name.substr(0, name.size() - 4) : "";
     }
-    fs::path file_of(const SweepRecord& sweep) const {
+    fs::path get_file_of_sweep(const SweepRecord& sweep) const {
         const fs::path file = folder_ / sweep.file;
-        return split_.empty() || path_exists(file) ? file : folder_ / (split_ + sweep.file);
+        return split_.empty() || does_path_exist(file) ? file : folder_ / (split_ + sweep.file);
     }
 
     /// Selects the LiDARs that the user requested. If the user requested none, selects
@@ -218,7 +218,7 @@ private:
         for (const std::string& name : options_.lidars)
             if (std::ranges::find(channels, name) == channels.end())
                 throw UsageError(fmt::format("dataset.lidars: {1} has no LiDAR '{0}', expected some of {2}",
-                                             excerpt(name), scene_.name, fmt::join(channels, ", ")));
+                                             make_excerpt(name), scene_.name, fmt::join(channels, ", ")));
         sequence_.lidars.clear();
         for (std::size_t l = 0; l < channels.size(); ++l) {
             if (!options_.lidars.empty() &&
@@ -230,7 +230,7 @@ private:
             Lidar lidar;
             lidar.vehicle_from_sensor = mounted;
             lidar.sensor.name = channels[l];
-            if (format_.is_compensated) lidar = hdl32e(mounted);
+            if (format_.is_compensated) lidar = make_hdl32e(mounted);
             if (channels.size() > 1 || !options_.lidars.empty()) lidar.name = channels[l];
             lidar.sensor.max_range_m = options_.max_range_m;
             sequence_.lidars.push_back(std::move(lidar));
@@ -281,7 +281,7 @@ private:
         const std::vector<NumberedSweep> sweeps = number_sweeps();
         const auto is_between = [](const NumberedSweep& sweep) { return !sweep.record->is_keyframe; };
         const auto is_no_file_between = [&](const NumberedSweep& sweep) {
-            return !is_between(sweep) || !path_exists(file_of(*sweep.record));
+            return !is_between(sweep) || !does_path_exist(get_file_of_sweep(*sweep.record));
         };
         const bool keyframes_alone =
             std::ranges::any_of(sweeps, is_between) && std::ranges::all_of(sweeps, is_no_file_between);

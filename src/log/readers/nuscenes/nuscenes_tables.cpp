@@ -39,7 +39,7 @@ std::string find_scene(const fs::path& tables, const std::string& name) {
 }
 
 /// Returns the times of the samples (keyframes) of the scene in microseconds.
-ByToken<std::int64_t> samples_of(const fs::path& tables, const std::string& scene) {
+ByToken<std::int64_t> read_samples(const fs::path& tables, const std::string& scene) {
     ByToken<std::int64_t> samples;
     for_each_record(tables / "sample.json", [&](const JsonRecord& record) {
         if (record.text("scene_token") == scene) samples[record.text("token")] = record.rounded("timestamp");
@@ -54,7 +54,7 @@ struct Mounted {
 };
 
 /// Returns all LiDARs by the token of their calibration.
-ByToken<Mounted> calibrations(const fs::path& tables) {
+ByToken<Mounted> read_calibrations(const fs::path& tables) {
     ByToken<std::string> channels;
     for_each_record(tables / "sensor.json", [&](const JsonRecord& record) {
         const std::string channel = record.text("channel");
@@ -95,7 +95,7 @@ Channels files_of(const fs::path& tables, const ByToken<std::int64_t>& samples,
 
 /// Sorts the files of a channel by time, starting with the first keyframe.
 /// @return an empty list if the channel has no keyframe
-std::vector<SweepRecord> in_order(const fs::path& tables, const ByToken<SweepRecord>& files) {
+std::vector<SweepRecord> sort_sweeps(const fs::path& tables, const ByToken<SweepRecord>& files) {
     const std::string where = (tables / "sample_data.json").string();
     const SweepRecord* first = nullptr;
     for (const auto& [name, file] : files)
@@ -107,7 +107,7 @@ std::vector<SweepRecord> in_order(const fs::path& tables, const ByToken<SweepRec
             throw DataError(fmt::format(
                 "{}, key 'next': found '{}' after {} files, expected the token of the next file of the "
                 "scene or an empty text",
-                where, excerpt(token), sweeps.size()));
+                where, make_excerpt(token), sweeps.size()));
         if (!sweeps.empty() && file->second.time_us <= sweeps.back().time_us)
             throw DataError(fmt::format("{}, key 'timestamp': found {} after {}, expected increasing times",
                                         where, file->second.time_us, sweeps.back().time_us));
@@ -117,11 +117,11 @@ std::vector<SweepRecord> in_order(const fs::path& tables, const ByToken<SweepRec
 }
 
 /// Returns the LiDARs that have at least one keyframe in the scene.
-std::vector<SceneLidar> lidars_of(const fs::path& tables, const ByToken<std::int64_t>& samples) {
-    const ByToken<Mounted> mounted = calibrations(tables);
+std::vector<SceneLidar> read_lidars(const fs::path& tables, const ByToken<std::int64_t>& samples) {
+    const ByToken<Mounted> mounted = read_calibrations(tables);
     std::vector<SceneLidar> lidars;
     for (const auto& [channel, files] : files_of(tables, samples, mounted)) {
-        SceneLidar lidar{channel, {}, in_order(tables, files)};
+        SceneLidar lidar{channel, {}, sort_sweeps(tables, files)};
         if (lidar.sweeps.empty()) continue;
         lidar.ego_from_lidar = mounted.at(lidar.sweeps[0].calibration).ego_from_lidar;
         for (const SweepRecord& sweep : lidar.sweeps)
@@ -129,7 +129,7 @@ std::vector<SceneLidar> lidars_of(const fs::path& tables, const ByToken<std::int
                 throw DataError(
                     fmt::format("{}, key 'calibrated_sensor_token': {} of {} has two mountings in one scene, "
                                 "expected one",
-                                (tables / "sample_data.json").string(), channel, excerpt(sweep.file)));
+                                (tables / "sample_data.json").string(), channel, make_excerpt(sweep.file)));
         lidars.push_back(std::move(lidar));
     }
     if (lidars.empty())
@@ -160,13 +160,15 @@ std::vector<Pose> read_poses(const fs::path& tables, const std::vector<SweepReco
     for (const SweepRecord& sweep : sweeps) {
         if (missing.contains(sweep.ego_pose))
             throw DataError(fmt::format("{}, key 'token': '{}' is missing, which is the pose of {}",
-                                        file.string(), excerpt(sweep.ego_pose), excerpt(sweep.file)));
+                                        file.string(), make_excerpt(sweep.ego_pose),
+                                        make_excerpt(sweep.file)));
         const TimedPose& pose = poses[sweep.ego_pose];
         if (const double apart_s = double(pose.time_us - sweep.time_us) * 1e-6;
             !(std::abs(apart_s) <= kFarthestPose_s))
             throw DataError(fmt::format(
                 "{}, key 'timestamp': the pose '{}' is {} s away from its file {}, expected at most {} s",
-                file.string(), excerpt(sweep.ego_pose), apart_s, excerpt(sweep.file), kFarthestPose_s));
+                file.string(), make_excerpt(sweep.ego_pose), apart_s, make_excerpt(sweep.file),
+                kFarthestPose_s));
         by_time[pose.time_us] = pose.pose;
     }
     const auto seconds = [&](std::int64_t time_us) { return double(time_us - sweeps[0].time_us) * 1e-6; };
@@ -180,12 +182,12 @@ std::vector<Pose> read_poses(const fs::path& tables, const std::vector<SweepReco
 
 /// Reads the text of one key from the records of a table. Returns the texts by the token
 /// of the record.
-/// @param wanted  tokens of the records to read, or null for all records
-ByToken<std::string> column(const fs::path& file, const char* key, const Tokens* wanted) {
+/// @param tokens  tokens of the records to read, or null for all records
+ByToken<std::string> read_column(const fs::path& file, const char* key, const Tokens* tokens) {
     ByToken<std::string> values;
     for_each_record(file, [&](const JsonRecord& record) {
         const std::string token = record.text("token");
-        if (!wanted || wanted->contains(token)) values[token] = record.text(key);
+        if (!tokens || tokens->contains(token)) values[token] = record.text(key);
     });
     return values;
 }
@@ -197,7 +199,7 @@ std::vector<BoxLabel> read_labels(const fs::path& tables, const SceneTables& sce
     std::vector<BoxLabel> labels;
     Tokens instances;
     const fs::path file = tables / "sample_annotation.json";
-    if (!path_exists(file)) return labels;
+    if (!does_path_exist(file)) return labels;
     for_each_record(file, [&](const JsonRecord& record) {
         const auto sample = samples.find(record.text("sample_token"));
         if (sample == samples.end()) return;
@@ -212,18 +214,20 @@ std::vector<BoxLabel> read_labels(const fs::path& tables, const SceneTables& sce
                           record.pose()});
         instances.insert(labels.back().id);
     });
-    const ByToken<std::string> category_of = column(tables / "instance.json", "category_token", &instances);
-    const ByToken<std::string> names = column(tables / "category.json", "name", nullptr);
+    const ByToken<std::string> category_of =
+        read_column(tables / "instance.json", "category_token", &instances);
+    const ByToken<std::string> names = read_column(tables / "category.json", "name", nullptr);
     for (BoxLabel& label : labels) {
         const auto category = category_of.find(label.id);
         const auto name = category == category_of.end() ? names.end() : names.find(category->second);
         if (name == names.end())
             throw DataError(fmt::format("{}: the instance '{}' has no category",
-                                        (tables / "instance.json").string(), excerpt(label.id)));
+                                        (tables / "instance.json").string(), make_excerpt(label.id)));
         label.category = name->second;
     }
-    std::stable_sort(labels.begin(), labels.end(),
-                     [](const BoxLabel& a, const BoxLabel& b) { return a.time_s < b.time_s; });
+    std::stable_sort(labels.begin(), labels.end(), [](const BoxLabel& first, const BoxLabel& second) {
+        return first.time_s < second.time_s;
+    });
     return labels;
 }
 
@@ -239,8 +243,8 @@ std::vector<std::string> list_scenes(const fs::path& tables) {
 SceneTables read_scene(const fs::path& tables, const std::string& name) {
     SceneTables scene;
     scene.name = name;
-    const ByToken<std::int64_t> samples = samples_of(tables, find_scene(tables, name));
-    scene.lidars = lidars_of(tables, samples);
+    const ByToken<std::int64_t> samples = read_samples(tables, find_scene(tables, name));
+    scene.lidars = read_lidars(tables, samples);
     scene.world_from_ego = read_poses(tables, scene.lidars[0].sweeps);
     scene.labels = read_labels(tables, scene, samples);
     return scene;

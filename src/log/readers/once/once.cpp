@@ -75,7 +75,7 @@ OnceFile read_once_file(const fs::path& file, const fs::path& lidar, bool needs_
         const JsonField frame = frames.at(i), id = frame.at("frame_id");
         const std::string name = id.text(20);
         const auto stamp = stamped::parse_stamp(name);
-        if (!stamp) id.fail(fmt::format("'{}'", excerpt(name)), "expected a time in milliseconds");
+        if (!stamp) id.fail(fmt::format("'{}'", make_excerpt(name)), "expected a time in milliseconds");
         if (!content.scans.empty() && *stamp <= content.scans.back().stamp)
             id.fail(fmt::format("found {} after {}", *stamp, content.scans.back().stamp),
                     "expected increasing times");
@@ -85,7 +85,7 @@ OnceFile read_once_file(const fs::path& file, const fs::path& lidar, bool needs_
         count_boxes(frame, content);
     }
     content.n_missing = std::erase_if(
-        content.scans, [](const stamped::StampedScan& scan) { return !path_exists(scan.file); });
+        content.scans, [](const stamped::StampedScan& scan) { return !does_path_exist(scan.file); });
     if (content.scans.empty())
         throw DataError(fmt::format(
             "{} lists {} frames, but none of their scans is in {}, expected files MILLISECONDS.bin", where,
@@ -94,7 +94,8 @@ OnceFile read_once_file(const fs::path& file, const fs::path& lidar, bool needs_
 }
 
 /// Returns the poses of the LiDAR over time, with the axes of ONCE (x left, y back).
-PoseTrack once_track(const std::vector<OncePose>& poses, const stamped::StampedLog& log, bool is_w_first) {
+PoseTrack make_once_track(const std::vector<OncePose>& poses, const stamped::StampedLog& log,
+                          bool is_w_first) {
     PoseTrack track;
     for (const OncePose& pose : poses) {
         const auto& n = pose.numbers;
@@ -108,10 +109,10 @@ PoseTrack once_track(const std::vector<OncePose>& poses, const stamped::StampedL
 
 /// Returns the poses of the LiDAR over time, with the axes of relidar (x forward, y
 /// left).
-PoseTrack world_from_turned(const OnceFile& content, const stamped::StampedLog& log,
+PoseTrack make_turned_track(const OnceFile& content, const stamped::StampedLog& log,
                             std::vector<std::string>& notes) {
-    const PoseTrack w_last = once_track(content.poses, log, false),
-                    w_first = once_track(content.poses, log, true);
+    const PoseTrack w_last = make_once_track(content.poses, log, false),
+                    w_first = make_once_track(content.poses, log, true);
     const double last = -stamped::find_driving(w_last).mean.y, first = -stamped::find_driving(w_first).mean.y;
     const bool is_w_first = first > last;
     const double best = std::max(first, last);
@@ -120,7 +121,7 @@ PoseTrack world_from_turned(const OnceFile& content, const stamped::StampedLog& 
         notes.push_back(
             "the quaternions of poses are read with w first, unlike in the code of ONCE, because "
             "only then the vehicle drives forward");
-    return mounted_track(is_w_first ? w_first : w_last, {rotation_of(-kTurned_rad, 0.0, 0.0), {}});
+    return make_mounted_track(is_w_first ? w_first : w_last, {make_rotation(-kTurned_rad, 0.0, 0.0), {}});
 }
 
 }  // namespace
@@ -147,7 +148,7 @@ Sequence load_once(const fs::path& log_folder, const DatasetOptions& options) {
     if (content.n_missing > 0)
         sequence.notes.push_back(fmt::format("{} frames have no scan and are skipped", content.n_missing));
     stamped::StampedLog log{kMillisecond, content.scans, {}, json, 0.0};
-    if (options.poses_file.empty()) log.world_from_vehicle = world_from_turned(content, log, sequence.notes);
+    if (options.poses_file.empty()) log.world_from_vehicle = make_turned_track(content, log, sequence.notes);
     sequence.lidars[0].sensor.name = fmt::format("{} fitted to {}", kSensor, sequence.name);
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     const std::vector<fs::path> files = stamped::add_frames(sequence, log, options);

@@ -20,7 +20,7 @@ struct Return {
 
 /// Groups the hits in a cone to returns, sorted by range.
 /// @param n_back  output: number of rays of the cone that hit a surface
-std::vector<Return> returns_of(const Scan& cone, std::size_t ray, int& n_back) {
+std::vector<Return> group_returns(const Scan& cone, std::size_t ray, int& n_back) {
     std::vector<std::pair<float, float>> hits;
     for (std::size_t i = ray * kConeRays; i < (ray + 1) * kConeRays; ++i)
         if (cone.range_m[i] > 0.0f) hits.emplace_back(cone.range_m[i], std::max(cone.intensity[i], kDarkest));
@@ -38,7 +38,7 @@ std::vector<Return> returns_of(const Scan& cone, std::size_t ray, int& n_back) {
     return returns;
 }
 
-Return second_of(const std::vector<Return>& returns, std::vector<Return>::const_iterator strongest) {
+Return find_second_return(const std::vector<Return>& returns, std::vector<Return>::const_iterator strongest) {
     Return second;
     if (strongest + 1 != returns.end()) {
         second = returns.back();
@@ -51,7 +51,7 @@ Return second_of(const std::vector<Return>& returns, std::vector<Return>::const_
 
 }  // namespace
 
-RayTable cone_rays(const RayTable& rays) {
+RayTable make_cone_rays(const RayTable& rays) {
     RayTable cone;
     cone.rows = rays.rows;
     cone.columns = rays.columns * kConeRays;
@@ -60,7 +60,7 @@ RayTable cone_rays(const RayTable& rays) {
             side = glm::normalize(
                 glm::cross(d, std::abs(d.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0)));
         for (int k = 0; k < kConeRays; ++k) {
-            const double angle = 0.5 * rays.divergence_of(i) * std::sqrt((k + 0.5) / kConeRays);
+            const double angle = 0.5 * rays.compute_divergence(i) * std::sqrt((k + 0.5) / kConeRays);
             const glm::dvec3 off = std::cos(1.0 + k * kGolden_rad) * side +
                                    std::sin(1.0 + k * kGolden_rad) * glm::cross(d, side);
             cone.direction.emplace_back(std::cos(angle) * d + std::sin(angle) * off);
@@ -78,10 +78,10 @@ Scan receive(const RayTable& rays, const Scan& cone) {
         SecondReturn{std::vector<float>(rays.size()), std::vector<float>(rays.size())});
     for (std::size_t i = 0; i < rays.size(); ++i) {
         int n_back = 0;
-        const std::vector<Return> returns = returns_of(cone, i, n_back);
+        const std::vector<Return> returns = group_returns(cone, i, n_back);
         if (2 * n_back <= kConeRays) continue;
         const auto strongest = std::ranges::max_element(returns, {}, &Return::light);
-        const Return second = second_of(returns, strongest);
+        const Return second = find_second_return(returns, strongest);
         scan.range_m[i] = strongest->range_m;
         scan.intensity[i] = std::min(strongest->light / kConeRays, 1.0f);
         echo.range_m[i] = second.range_m;

@@ -12,7 +12,7 @@ inline constexpr int kConeRays = 53;  ///< number of thin rays that represent th
 /// Replaces each ray by kConeRays thin rays. The thin rays form a spiral that covers the
 /// cone of the ray evenly.
 /// @param rays  rays with a divergence
-RayTable cone_rays(const RayTable& rays);
+RayTable make_cone_rays(const RayTable& rays);
 
 /// Computes two returns per ray from the hits in the cone of the ray. Consecutive hits
 /// with a range difference below 0.5 m form one return. The range of this return is the
@@ -22,7 +22,7 @@ RayTable cone_rays(const RayTable& rays);
 /// strongest one if the strongest return is the last. It must have at least a tenth of
 /// the light of the strongest return. A ray is dropped if at most half of its cone has
 /// hits.
-/// @param cone  scan with the hits of the rays from cone_rays(rays)
+/// @param cone  scan with the hits of the rays from make_cone_rays(rays)
 Scan receive(const RayTable& rays, const Scan& cone);
 
 }  // namespace relidar::street

@@ -20,38 +20,39 @@ struct Meeting {
     glm::dvec3 normal{0.0};
 };
 
-Meeting meet_box(const glm::dvec3& half, const glm::dvec3& o, const glm::dvec3& d) {
+Meeting intersect_box(const glm::dvec3& half, const glm::dvec3& o, const glm::dvec3& direction) {
     double enter = -std::numeric_limits<double>::infinity(), leave = -enter;
     int axis = 0;
     for (int a = 0; a < 3; ++a) {
-        if (d[a] == 0.0) {
+        if (direction[a] == 0.0) {
             if (std::abs(o[a]) > half[a]) return {};
             continue;
         }
-        const double side = std::copysign(half[a], d[a]);
-        const double near = (-side - o[a]) / d[a], far = (side - o[a]) / d[a];
+        const double side = std::copysign(half[a], direction[a]);
+        const double near = (-side - o[a]) / direction[a], far = (side - o[a]) / direction[a];
         if (near > enter) enter = near, axis = a;
         leave = std::min(leave, far);
     }
     if (!(enter > 0.0) || enter > leave) return {};
     Meeting meeting{enter, glm::dvec3(0.0)};
-    meeting.normal[axis] = -std::copysign(1.0, d[axis]);
+    meeting.normal[axis] = -std::copysign(1.0, direction[axis]);
     return meeting;
 }
 
-Meeting meet_cylinder(double radius, double half_height, const glm::dvec3& o, const glm::dvec3& d) {
-    const double a = d.x * d.x + d.y * d.y, b = o.x * d.x + o.y * d.y,
-                 c = o.x * o.x + o.y * o.y - radius * radius;
+Meeting intersect_cylinder(double radius, double half_height, const glm::dvec3& o,
+                           const glm::dvec3& direction) {
+    const double a = direction.x * direction.x + direction.y * direction.y,
+                 b = o.x * direction.x + o.y * direction.y, c = o.x * o.x + o.y * o.y - radius * radius;
     Meeting best;
     const double root = b * b - a * c;
     if (a > 0.0 && root >= 0.0) {
         const double t = (-b - std::sqrt(root)) / a;
-        const glm::dvec3 p = o + t * d;
+        const glm::dvec3 p = o + t * direction;
         if (t > 0.0 && std::abs(p.z) <= half_height) best = {t, glm::dvec3(p.x, p.y, 0.0) / radius};
     }
-    if (d.z != 0.0) {
-        const double cap = -std::copysign(half_height, d.z), t = (cap - o.z) / d.z;
-        const glm::dvec3 p = o + t * d;
+    if (direction.z != 0.0) {
+        const double cap = -std::copysign(half_height, direction.z), t = (cap - o.z) / direction.z;
+        const glm::dvec3 p = o + t * direction;
         if (t > 0.0 && t < best.t && p.x * p.x + p.y * p.y <= radius * radius)
             best = {t, {0.0, 0.0, std::copysign(1.0, cap)}};
     }
@@ -59,33 +60,33 @@ Meeting meet_cylinder(double radius, double half_height, const glm::dvec3& o, co
 }
 
 /// Intersects a ray with a capsule. The axis of the capsule points down from the origin.
-Meeting meet_capsule(double radius, double length, const glm::dvec3& o, const glm::dvec3& d) {
+Meeting intersect_capsule(double radius, double length, const glm::dvec3& o, const glm::dvec3& direction) {
     Meeting best;
     const auto offer = [&](double t, double axis_z) {
-        if (t > 0.0 && t < best.t) best = {t, (o + t * d - glm::dvec3(0.0, 0.0, axis_z)) / radius};
+        if (t > 0.0 && t < best.t) best = {t, (o + t * direction - glm::dvec3(0.0, 0.0, axis_z)) / radius};
     };
-    const double a = d.x * d.x + d.y * d.y, b = o.x * d.x + o.y * d.y,
-                 c = o.x * o.x + o.y * o.y - radius * radius;
+    const double a = direction.x * direction.x + direction.y * direction.y,
+                 b = o.x * direction.x + o.y * direction.y, c = o.x * o.x + o.y * o.y - radius * radius;
     if (const double root = b * b - a * c; a > 0.0 && root >= 0.0) {
-        const double t = (-b - std::sqrt(root)) / a, z = o.z + t * d.z;
+        const double t = (-b - std::sqrt(root)) / a, z = o.z + t * direction.z;
         if (z <= 0.0 && z >= -length) offer(t, z);
     }
     for (const double end : {0.0, -length}) {
         const glm::dvec3 to = o - glm::dvec3(0.0, 0.0, end);
-        const double half = glm::dot(to, d), rest = half * half - glm::dot(to, to) + radius * radius;
+        const double half = glm::dot(to, direction), rest = half * half - glm::dot(to, to) + radius * radius;
         if (rest >= 0.0) offer(-half - std::sqrt(rest), end);
     }
     return best;
 }
 
 /// Rotates a vector about the z axis. The rotation angle has cosine c and sine s.
-glm::dvec3 turned(const glm::dvec3& v, double c, double s) {
-    return {c * v.x - s * v.y, s * v.x + c * v.y, v.z};
+glm::dvec3 rotate_vector(const glm::dvec3& vector, double c, double s) {
+    return {c * vector.x - s * vector.y, s * vector.x + c * vector.y, vector.z};
 }
 
 /// Returns true if a point of a wall is inside a window. Windows are dark glass of 1.2 x
 /// 1.5 m with a spacing of 3 m. Only walls that face the y direction have windows.
-bool in_window(const Shape& wall, const glm::dvec3& local, const glm::dvec3& normal) {
+bool is_in_window(const Shape& wall, const glm::dvec3& local, const glm::dvec3& normal) {
     if (std::abs(normal.y) < 0.5) return false;
     const double u = local.x + wall.half.x, v = local.z + wall.half.z;
     return u - 3.0 * std::floor(u / 3.0) < 1.2 && v > 1.0 && v - 3.0 * std::floor(v / 3.0) > 1.5;
@@ -93,24 +94,24 @@ bool in_window(const Shape& wall, const glm::dvec3& local, const glm::dvec3& nor
 
 /// Returns the reflectance of the ground at a point. The ground consists of a road with a
 /// dashed centre line, and pavements on both sides.
-double ground_reflectance(const glm::dvec3& p) {
-    const double middle = std::abs(p.y - 1.7);
-    const bool dash = middle < 0.08 && p.x - 6.0 * std::floor(p.x / 6.0) < 3.0;
+double compute_ground_reflectance(const glm::dvec3& point) {
+    const double middle = std::abs(point.y - 1.7);
+    const bool dash = middle < 0.08 && point.x - 6.0 * std::floor(point.x / 6.0) < 3.0;
     return dash ? 0.8 : middle < 4.2 ? 0.18 : 0.32;
 }
 
 /// Returns a sphere that contains a shape. It is the sphere through the corners of the
 /// shape's box.
-Sphere sphere_around(const Shape& shape) { return {shape.centre, glm::length(shape.half)}; }
+Sphere compute_bounding_sphere(const Shape& shape) { return {shape.centre, glm::length(shape.half)}; }
 
 /// Returns a sphere that contains several shapes. The centre of the sphere is the centre
 /// of the box around all shape centres.
-Sphere sphere_around(std::span<const Shape> shapes) {
+Sphere compute_bounding_sphere(std::span<const Shape> shapes) {
     glm::dvec3 low = shapes.front().centre, high = low;
     for (const Shape& shape : shapes) low = glm::min(low, shape.centre), high = glm::max(high, shape.centre);
     Sphere around{0.5 * (low + high)};
     for (const Shape& shape : shapes) {
-        const Sphere s = sphere_around(shape);
+        const Sphere s = compute_bounding_sphere(shape);
         around.radius_m = std::max(around.radius_m, glm::distance(around.centre, s.centre) + s.radius_m);
     }
     return around;
@@ -126,7 +127,7 @@ public:
     /// Returns true if no shape inside a sphere can be the first hit, so that these
     /// shapes can be skipped. Either the ray misses the sphere, or a nearer hit is
     /// already known.
-    bool passes_by(const Sphere& sphere, const glm::dvec3& origin, const glm::dvec3& direction) const {
+    bool misses_sphere(const Sphere& sphere, const glm::dvec3& origin, const glm::dvec3& direction) const {
         const glm::dvec3 to = sphere.centre - origin;
         const double along = glm::dot(to, direction), radius2 = sphere.radius_m * sphere.radius_m;
         if (glm::dot(to, to) - along * along > radius2) return true;
@@ -138,22 +139,23 @@ public:
         const double t = -ray_.origin_m.z / ray_.direction.z;
         if (!(t > 0.0) || t > nearest_m_) return;
         nearest_m_ = t;
-        hit_ = Hit{t, -ray_.direction.z, ground_reflectance(ray_.origin_m + t * ray_.direction)};
+        hit_ = Hit{t, -ray_.direction.z, compute_ground_reflectance(ray_.origin_m + t * ray_.direction)};
     }
 
     /// Intersects the ray with a solid shape. Stores the hit if it is nearer than all
     /// hits before.
     /// @param origin,direction  ray in the frame of the shape's centre
     void solid(const Solid& solid, const glm::dvec3& origin, const glm::dvec3& direction) {
-        if (passes_by(solid.around, origin, direction)) return;
+        if (misses_sphere(solid.around, origin, direction)) return;
         const Shape& shape = solid.shape;
         const double c = solid.cos_yaw, s = -solid.sin_yaw;
-        const glm::dvec3 o = turned(origin - shape.centre, c, s), d = turned(direction, c, s);
-        const Meeting m = shape.kind == Shape::Kind::box ? meet_box(shape.half, o, d)
-                                                         : meet_cylinder(shape.half.x, shape.half.z, o, d);
+        const glm::dvec3 o = rotate_vector(origin - shape.centre, c, s), d = rotate_vector(direction, c, s);
+        const Meeting m = shape.kind == Shape::Kind::box
+                              ? intersect_box(shape.half, o, d)
+                              : intersect_cylinder(shape.half.x, shape.half.z, o, d);
         if (!(m.t <= nearest_m_)) return;
         nearest_m_ = m.t;
-        const bool glass = shape.material == Material::wall && in_window(shape, o + m.t * d, m.normal);
+        const bool glass = shape.material == Material::wall && is_in_window(shape, o + m.t * d, m.normal);
         hit_ = Hit{m.t, std::abs(glm::dot(m.normal, d)), glass ? 0.06 : shape.reflectance};
     }
 
@@ -163,11 +165,11 @@ public:
     /// @param origin,direction  ray in the frame of the person's box
     void limb(const Limb& limb, double pitch_rad, const glm::dvec3& origin, const glm::dvec3& direction) {
         const double c = std::cos(pitch_rad), s = std::sin(pitch_rad);
-        const auto hanging = [&](const glm::dvec3& v) {
-            return glm::dvec3(c * v.x + s * v.z, v.y, c * v.z - s * v.x);
+        const auto hanging = [&](const glm::dvec3& vector) {
+            return glm::dvec3(c * vector.x + s * vector.z, vector.y, c * vector.z - s * vector.x);
         };
         const glm::dvec3 d = hanging(direction);
-        const Meeting m = meet_capsule(limb.radius_m, limb.length_m, hanging(origin - limb.joint_m), d);
+        const Meeting m = intersect_capsule(limb.radius_m, limb.length_m, hanging(origin - limb.joint_m), d);
         if (!(m.t <= nearest_m_)) return;
         nearest_m_ = m.t;
         hit_ = Hit{m.t, std::abs(glm::dot(m.normal, d)), limb.reflectance};
@@ -187,7 +189,7 @@ Pose MovingCar::world_from_box(double t_s) const {
     return {glm::angleAxis(yaw_rad, glm::dvec3(0, 0, 1)), start_m + speed_mps * t_s * ahead};
 }
 
-double MovingCar::walked_m(double t_s) const {
+double MovingCar::compute_walked_m(double t_s) const {
     if (track.pose.empty()) return speed_mps * t_s;
     const glm::dvec3 ahead(std::cos(yaw_rad), std::sin(yaw_rad), 0.0);
     double walked = glm::dot(track.pose.front().translation - start_m, ahead);
@@ -200,26 +202,27 @@ double MovingCar::walked_m(double t_s) const {
     return walked;
 }
 
-std::vector<StreetCaster::Solid> StreetCaster::solids_of(const std::vector<Shape>& shapes) {
+std::vector<StreetCaster::Solid> StreetCaster::make_solids(const std::vector<Shape>& shapes) {
     std::vector<Solid> solids;
     for (const Shape& shape : shapes)
-        solids.push_back({shape, sphere_around(shape), std::cos(shape.yaw_rad), std::sin(shape.yaw_rad)});
+        solids.push_back(
+            {shape, compute_bounding_sphere(shape), std::cos(shape.yaw_rad), std::sin(shape.yaw_rad)});
     return solids;
 }
 
-StreetCaster::StreetCaster(Street street) : solids_(solids_of(street.shapes)) {
+StreetCaster::StreetCaster(Street street) : solids_(make_solids(street.shapes)) {
     // maximum size of a cluster, such as a car, a bush or a part of a fence
     constexpr double kWide_m = 4.0;
     const std::span<const Shape> shapes = street.shapes;
     for (std::size_t begin = 0, end = 1; begin < shapes.size(); begin = end, ++end) {
         while (end < shapes.size() &&
-               sphere_around(shapes.subspan(begin, end + 1 - begin)).radius_m < kWide_m)
+               compute_bounding_sphere(shapes.subspan(begin, end + 1 - begin)).radius_m < kWide_m)
             ++end;
-        clusters_.push_back({sphere_around(shapes.subspan(begin, end - begin)), end});
+        clusters_.push_back({compute_bounding_sphere(shapes.subspan(begin, end - begin)), end});
     }
     for (MovingCar& car : street.cars) {
         Car& new_car = cars_.emplace_back(Car{std::move(car), {}});
-        new_car.solids = solids_of(new_car.moving.shapes);
+        new_car.solids = make_solids(new_car.moving.shapes);
         for (const Solid& s : new_car.solids)
             new_car.reach_m = std::max(new_car.reach_m, glm::length(s.around.centre) + s.around.radius_m);
         for (const Limb& l : new_car.moving.limbs)
@@ -245,20 +248,20 @@ std::optional<Hit> StreetCaster::cast(const WorldRay& ray, double t_s, double ma
     walk.ground();
     std::size_t solid = 0;
     for (const Cluster& cluster : clusters_) {
-        if (!walk.passes_by(cluster.around, ray.origin_m, ray.direction))
+        if (!walk.misses_sphere(cluster.around, ray.origin_m, ray.direction))
             for (; solid < cluster.end; ++solid) walk.solid(solids_[solid], ray.origin_m, ray.direction);
         solid = cluster.end;
     }
     place_cars(t_s, places);
     for (std::size_t i = 0; i < cars_.size(); ++i) {
         const Car& car = cars_[i];
-        if (walk.passes_by({places.centre_m[i], car.reach_m}, ray.origin_m, ray.direction)) continue;
+        if (walk.misses_sphere({places.centre_m[i], car.reach_m}, ray.origin_m, ray.direction)) continue;
         const Pose& box_from_world = places.box_from_world[i];
         const glm::dvec3 origin = box_from_world * ray.origin_m,
                          direction = box_from_world.rotation * ray.direction;
         for (const Solid& s : car.solids) walk.solid(s, origin, direction);
         if (car.moving.limbs.empty()) continue;
-        const double stride_rad = 2.0 * kPi * car.moving.walked_m(t_s) / car.moving.stride_m;
+        const double stride_rad = 2.0 * kPi * car.moving.compute_walked_m(t_s) / car.moving.stride_m;
         for (const Limb& l : car.moving.limbs)
             walk.limb(l, l.swing_rad * std::sin(stride_rad + l.phase_rad), origin, direction);
     }

@@ -57,7 +57,7 @@ struct MovingCar {
     /// 0 at time 0. With a track, it starts at the forward distance from `start_m` to the
     /// first pose. Therefore the feet of two persons on the same path touch the ground at
     /// the same places, even at different speeds.
-    double walked_m(double t_s) const;
+    double compute_walked_m(double t_s) const;
 };
 
 struct Street {
@@ -71,10 +71,10 @@ Street make_street(const SyntheticOptions& options);
 
 /// Returns the pose of the sensor in the street frame. The sensor swings gently across
 /// the lane, faces along its path, and has a small pitch. Time 0 is the time of frame 0.
-Pose sensor_pose(const SyntheticOptions& options, double t_s);
+Pose compute_sensor_pose(const SyntheticOptions& options, double t_s);
 
 /// Returns the time of a frame in seconds. Frames are 0.1 s apart.
-inline double frame_time_s(int frame) { return 0.1 * frame; }
+inline double compute_frame_time_s(int frame) { return 0.1 * frame; }
 
 struct Sphere {
     glm::dvec3 centre{0.0};
@@ -134,7 +134,7 @@ private:
     std::vector<Cluster> clusters_;
     std::vector<Car> cars_;
 
-    static std::vector<Solid> solids_of(const std::vector<Shape>& shapes);
+    static std::vector<Solid> make_solids(const std::vector<Shape>& shapes);
     void place_cars(double t_s, CarPlaces& places) const;
 };
 

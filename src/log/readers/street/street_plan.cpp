@@ -28,16 +28,18 @@ constexpr double kBoxCentre_m = 0.5 * (kBoxBottom_m + kBoxTop_m);
 // Start and end of the yard along the street. The yard is left of the pavement.
 constexpr double kYardBegin_m = 6.0, kYardEnd_m = 32.0;
 
-double middle_time_s(const SyntheticOptions& options) { return frame_time_s(options.n_frames / 2); }
+double compute_middle_time_s(const SyntheticOptions& options) {
+    return compute_frame_time_s(options.n_frames / 2);
+}
 
-double driven_length_m(const SyntheticOptions& options) {
-    return options.speed_mps * frame_time_s(options.n_frames - 1);
+double compute_driven_length_m(const SyntheticOptions& options) {
+    return options.speed_mps * compute_frame_time_s(options.n_frames - 1);
 }
 
 /// Returns half the length of the street. In a short log, the sensor can see both ends of
 /// the street. In a long log, the street is longer than the sensor's path.
-double half_length_m(const SyntheticOptions& options) {
-    const double way = driven_length_m(options);
+double compute_half_length_m(const SyntheticOptions& options) {
+    const double way = compute_driven_length_m(options);
     return way > kLongWay_m ? 0.5 * way + kHalfLength_m : kHalfLength_m;
 }
 
@@ -95,7 +97,7 @@ void add_poles_and_trees(Street& street, Random& random, const Side& at) {
 
 /// Returns the shapes of a car relative to the centre of the car's box. The body is 0.20
 /// to 0.90 m above the ground, and the cabin 0.90 to 1.45 m.
-std::vector<Shape> car_shapes(double paint) {
+std::vector<Shape> make_car_shapes(double paint) {
     const Shape body{Shape::Kind::box,
                      {0.0, 0.0, 0.55 - kBoxCentre_m},
                      {0.5 * kCarLength_m, 0.5 * kCarWidth_m, 0.35},
@@ -113,8 +115,8 @@ std::vector<Shape> car_shapes(double paint) {
 
 /// Returns the shapes of a car with transparent windows. The cabin consists of pillars,
 /// seats and a roof.
-std::vector<Shape> glazed_car_shapes(double paint) {
-    const Shape body = car_shapes(paint)[0];
+std::vector<Shape> make_glazed_car_shapes(double paint) {
+    const Shape body = make_car_shapes(paint)[0];
     const Shape roof{Shape::Kind::box,
                      {-0.2, 0.0, 1.42 - kBoxCentre_m},
                      {0.95, 0.5 * kCarWidth_m - 0.12, 0.03},
@@ -146,13 +148,13 @@ void add_parked_car(Street& street, double x, double y, double yaw, const std::v
 }
 
 /// Adds parked cars on the road, next to the kerb.
-void add_parked_cars(Street& street, Random& random, const Side& at, bool glazed) {
-    for (double x = -at.half_m + random.uniform(2.0, 10.0); x < at.half_m - 5.0;
+void add_parked_cars(Street& street, Random& random, const Side& side, bool glazed) {
+    for (double x = -side.half_m + random.uniform(2.0, 10.0); x < side.half_m - 5.0;
          x += random.uniform(6.0, 20.0)) {
         const double yaw = random.uniform(-0.04, 0.04),
-                     y = at.kerb_m - 1.1 * at.left + random.uniform(-0.15, 0.15);
+                     y = side.kerb_m - 1.1 * side.left + random.uniform(-0.15, 0.15);
         const double paint = random.uniform(0.15, 0.8);
-        add_parked_car(street, x, y, yaw, glazed ? glazed_car_shapes(paint) : car_shapes(paint));
+        add_parked_car(street, x, y, yaw, glazed ? make_glazed_car_shapes(paint) : make_car_shapes(paint));
     }
 }
 
@@ -165,7 +167,7 @@ void add_yard(Street& street, Random& random) {
             {Shape::Kind::box, {x, fence_y, 0.9}, {0.15, 0.05, 0.9}, 0.0, Material::wall, 0.4});
     for (double x = kYardBegin_m + 1.5; x < kYardEnd_m; x += random.uniform(2.6, 4.0))
         add_parked_car(street, x, fence_y + random.uniform(3.0, 4.0), 0.5 * kPi + random.uniform(-0.05, 0.05),
-                       glazed_car_shapes(random.uniform(0.15, 0.8)));
+                       make_glazed_car_shapes(random.uniform(0.15, 0.8)));
     street.shapes.push_back({Shape::Kind::box,
                              {0.5 * (kYardBegin_m + kYardEnd_m), fence_y + 12.0, 3.0},
                              {0.5 * (kYardEnd_m - kYardBegin_m), 1.0, 3.0},
@@ -174,15 +176,15 @@ void add_yard(Street& street, Random& random) {
                              0.5});
 }
 
-MovingCar moving_car(const SyntheticOptions& options, double x_at_middle_m, double y_m, double yaw_rad,
-                     double speed_mps, double paint) {
+MovingCar make_moving_car(const SyntheticOptions& options, double x_at_middle_m, double y_m, double yaw_rad,
+                          double speed_mps, double paint) {
     MovingCar car;
     car.yaw_rad = yaw_rad;
     car.speed_mps = speed_mps;
     car.size_m = {kCarLength_m + 0.1, kCarWidth_m + 0.1, kBoxTop_m - kBoxBottom_m};
-    const double x = x_at_middle_m - std::cos(yaw_rad) * speed_mps * middle_time_s(options);
+    const double x = x_at_middle_m - std::cos(yaw_rad) * speed_mps * compute_middle_time_s(options);
     car.start_m = {x, y_m, kBoxCentre_m};
-    car.shapes = car_shapes(paint);
+    car.shapes = make_car_shapes(paint);
     return car;
 }
 
@@ -190,12 +192,13 @@ MovingCar moving_car(const SyntheticOptions& options, double x_at_middle_m, doub
 /// On a long street, adds one oncoming car per 120 m of the sensor's path.
 void add_oncoming(Street& street, Random& random, const SyntheticOptions& options) {
     constexpr double kSpeed_mps = 9.0, kLane_m = 3.2;
-    street.cars.push_back(moving_car(options, 14.0, kLane_m, kPi, kSpeed_mps, 0.35));
-    if (driven_length_m(options) <= kLongWay_m) return;
-    for (double met_m = kBetweenCars_m; met_m < 0.5 * driven_length_m(options); met_m += kBetweenCars_m)
+    street.cars.push_back(make_moving_car(options, 14.0, kLane_m, kPi, kSpeed_mps, 0.35));
+    if (compute_driven_length_m(options) <= kLongWay_m) return;
+    for (double met_m = kBetweenCars_m; met_m < 0.5 * compute_driven_length_m(options);
+         met_m += kBetweenCars_m)
         for (const double x : {met_m, -met_m})
-            street.cars.push_back(moving_car(options, x * (1.0 + kSpeed_mps / options.speed_mps), kLane_m,
-                                             kPi, kSpeed_mps, random.uniform(0.15, 0.8)));
+            street.cars.push_back(make_moving_car(options, x * (1.0 + kSpeed_mps / options.speed_mps),
+                                                  kLane_m, kPi, kSpeed_mps, random.uniform(0.15, 0.8)));
 }
 
 /// Adds a bush that consists of leaves and twigs. Most rays pass between the leaves.
@@ -210,16 +213,16 @@ void add_bush(Street& street, Random& random, const glm::dvec2& at_m) {
 
 /// Returns a pedestrian with a width of 0.25 to 0.35 m and a height of 1.75 m. The box
 /// begins 0.05 m above the ground, so it contains the feet but no ground.
-MovingCar walker(const SyntheticOptions& options, const glm::dvec2& at_middle_m, double yaw_rad,
-                 double speed_mps) {
+MovingCar make_walker(const SyntheticOptions& options, const glm::dvec2& at_middle_m, double yaw_rad,
+                      double speed_mps) {
     constexpr double kTall_m = 1.75, kBottom_m = 0.05, kHalf_m = 0.5 * (kTall_m - kBottom_m);
     MovingCar walker;
     walker.category = "Pedestrian";
     walker.yaw_rad = yaw_rad;
     walker.speed_mps = speed_mps;
     walker.size_m = {0.6, 0.6, 2.0 * kHalf_m};
-    const glm::dvec2 start =
-        at_middle_m - speed_mps * middle_time_s(options) * glm::dvec2(std::cos(yaw_rad), std::sin(yaw_rad));
+    const glm::dvec2 start = at_middle_m - speed_mps * compute_middle_time_s(options) *
+                                               glm::dvec2(std::cos(yaw_rad), std::sin(yaw_rad));
     walker.start_m = {start, kBottom_m + kHalf_m};
     const Shape legs{
         Shape::Kind::cylinder, {0.0, 0.0, 0.4 - kHalf_m}, {0.125, 0.125, 0.4}, 0.0, Material::leaves, 0.35};
@@ -233,7 +236,7 @@ MovingCar walker(const SyntheticOptions& options, const glm::dvec2& at_middle_m,
 /// Replaces the static legs of a pedestrian by swinging legs and arms. A foot on the
 /// ground moves backward relative to the body, as fast as the body moves forward. So the
 /// foot does not slide.
-void give_gait(MovingCar& walker) {
+void add_walking_gait(MovingCar& walker) {
     constexpr double kLeg_m = 0.72, kLegRadius_m = 0.075, kHip_m = 0.09, kArm_m = 0.5, kArmRadius_m = 0.045,
                      kShoulder_m = 0.23;
     constexpr double kSwing_rad = 0.45, kShoulderBelowTop_m = 0.35;
@@ -253,8 +256,8 @@ void give_gait(MovingCar& walker) {
     walker.size_m.x = 2.0 * (kLeg_m * std::sin(kSwing_rad) + kLegRadius_m) + 0.04;
 }
 
-MovingCar cyclist(const SyntheticOptions& options, const glm::dvec2& at_middle_m, double speed_mps) {
-    MovingCar rider = walker(options, at_middle_m, 0.0, speed_mps);
+MovingCar make_cyclist(const SyntheticOptions& options, const glm::dvec2& at_middle_m, double speed_mps) {
+    MovingCar rider = make_walker(options, at_middle_m, 0.0, speed_mps);
     rider.category = "Cyclist";
     rider.size_m.x = 1.8;
     for (Shape& shape : rider.shapes) shape.centre.x -= 0.2;
@@ -267,15 +270,15 @@ MovingCar cyclist(const SyntheticOptions& options, const glm::dvec2& at_middle_m
 void add_people(Street& street, Random& random, const SyntheticOptions& options) {
     const std::size_t first = street.cars.size();
     street.cars.push_back(
-        walker(options, {random.uniform(4.0, 16.0), kRightKerb_m - 1.6}, 0.0, random.uniform(1.0, 1.6)));
+        make_walker(options, {random.uniform(4.0, 16.0), kRightKerb_m - 1.6}, 0.0, random.uniform(1.0, 1.6)));
     street.cars.push_back(
-        walker(options, {random.uniform(4.0, 16.0), kLeftKerb_m + 1.7}, kPi, random.uniform(1.0, 1.6)));
+        make_walker(options, {random.uniform(4.0, 16.0), kLeftKerb_m + 1.7}, kPi, random.uniform(1.0, 1.6)));
     street.cars.push_back(
-        walker(options, {random.uniform(24.0, 30.0), 4.5}, -0.5 * kPi, random.uniform(1.0, 1.6)));
+        make_walker(options, {random.uniform(24.0, 30.0), 4.5}, -0.5 * kPi, random.uniform(1.0, 1.6)));
     if (options.gait)
-        for (std::size_t i = first; i < street.cars.size(); ++i) give_gait(street.cars[i]);
+        for (std::size_t i = first; i < street.cars.size(); ++i) add_walking_gait(street.cars[i]);
     street.cars.push_back(
-        cyclist(options, {random.uniform(6.0, 9.0), kRightKerb_m + 2.7}, random.uniform(4.0, 6.0)));
+        make_cyclist(options, {random.uniform(6.0, 9.0), kRightKerb_m + 2.7}, random.uniform(4.0, 6.0)));
 }
 
 }  // namespace
@@ -283,7 +286,7 @@ void add_people(Street& street, Random& random, const SyntheticOptions& options)
 Street make_street(const SyntheticOptions& options) {
     Street street;
     Random random(options.seed);
-    const Side left{1.0, kLeftKerb_m, half_length_m(options)}, right{-1.0, kRightKerb_m, left.half_m};
+    const Side left{1.0, kLeftKerb_m, compute_half_length_m(options)}, right{-1.0, kRightKerb_m, left.half_m};
     add_facades(street, random, left, options.people);
     add_facades(street, random, right, false);
     add_poles_and_trees(street, random, left);
@@ -293,9 +296,10 @@ Street make_street(const SyntheticOptions& options) {
     if (options.moving_cars) {
         // Initial distance of the car ahead. It is large enough that the sensor never
         // overtakes the car.
-        const double ahead_m =
-            driven_length_m(options) > kLongWay_m ? 12.0 + 0.05 * 0.5 * driven_length_m(options) : 12.0;
-        street.cars.push_back(moving_car(options, ahead_m, 0.1, 0.0, 1.05 * options.speed_mps, 0.6));
+        const double ahead_m = compute_driven_length_m(options) > kLongWay_m
+                                   ? 12.0 + 0.05 * 0.5 * compute_driven_length_m(options)
+                                   : 12.0;
+        street.cars.push_back(make_moving_car(options, ahead_m, 0.1, 0.0, 1.05 * options.speed_mps, 0.6));
         add_oncoming(street, random, options);
     }
     if (options.people) {
@@ -306,12 +310,12 @@ Street make_street(const SyntheticOptions& options) {
     return street;
 }
 
-Pose sensor_pose(const SyntheticOptions& options, double t_s) {
+Pose compute_sensor_pose(const SyntheticOptions& options, double t_s) {
     constexpr double kSwing_m = 0.5, kWave = 2.0 * kPi / 90.0, kHeight_m = 1.8;
-    const double x = options.speed_mps * (t_s - middle_time_s(options));
+    const double x = options.speed_mps * (t_s - compute_middle_time_s(options));
     const double yaw = std::atan(kSwing_m * kWave * std::cos(kWave * x)) + 0.01 * std::sin(0.31 * x);
     const double pitch = 0.004 * std::sin(0.43 * x), roll = 0.004 * std::sin(0.23 * x + 1.0);
-    return {rotation_of(yaw, pitch, roll), {x, kSwing_m * std::sin(kWave * x), kHeight_m}};
+    return {make_rotation(yaw, pitch, roll), {x, kSwing_m * std::sin(kWave * x), kHeight_m}};
 }
 
 }  // namespace relidar::street

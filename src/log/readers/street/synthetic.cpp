@@ -60,12 +60,12 @@ SpinningSensor make_sensor(const SyntheticOptions& options) {
     return sensor;
 }
 
-double drop_probability(const Hit& hit) {
+double compute_drop_probability(const Hit& hit) {
     const double echo = hit.reflectance * hit.cosine * std::min(1.0, std::pow(25.0 / hit.range_m, 2));
     return 1.0 / (1.0 + std::pow(echo / 0.01, 3));
 }
 
-double echo_intensity(const Hit& hit) {
+double compute_echo_intensity(const Hit& hit) {
     return glm::clamp(hit.reflectance * (0.3 + 0.7 * hit.cosine) * (1.0 - hit.range_m / 160.0), 0.0, 1.0);
 }
 
@@ -95,7 +95,7 @@ void cast_rays(const street::Street& whole, const glm::dvec3& offset_m, const Po
     // Car poses for each column, because the rays of a column usually have the same time.
     std::vector<street::CarPlaces> places(columns);
     for (std::size_t ray = 0; ray < rays.size(); ++ray) {
-        WorldRay in_street = world_ray(track, time_s, rays, ray, true);
+        WorldRay in_street = make_world_ray(track, time_s, rays, ray, true);
         in_street.origin_m += offset_m;
         const double t_s = time_s + static_cast<double>(rays.time_offset_s[ray]);
         if (const std::optional<Hit> hit = street.cast(in_street, t_s, kMaxRange_m, places[ray % columns]))
@@ -103,47 +103,48 @@ void cast_rays(const street::Street& whole, const glm::dvec3& offset_m, const Po
     }
 }
 
-Scan empty_scan(const RayTable& rays) {
+Scan make_empty_scan(const RayTable& rays) {
     return {rays, ScanArray<float>(rays.size(), 0.0f), ScanArray<float>(rays.size(), 0.0f)};
 }
 
 /// Returns the origin of the log in the street frame. It is the position of the sensor in
 /// the middle frame.
-glm::dvec3 origin_of(const SyntheticOptions& options) {
-    return street::sensor_pose(options, street::frame_time_s(options.n_frames / 2)).translation;
+glm::dvec3 compute_origin(const SyntheticOptions& options) {
+    return street::compute_sensor_pose(options, street::compute_frame_time_s(options.n_frames / 2))
+        .translation;
 }
 
 /// Casts a scan without noise. Drops a ray if its drop probability is above 0.5.
 Scan cast_exactly(const street::Street& street, const glm::dvec3& offset_m, const RayTable& rays,
                   const PoseTrack& track, double time_s) {
-    Scan scan = empty_scan(rays);
+    Scan scan = make_empty_scan(rays);
     cast_rays(street, offset_m, track, time_s, rays, [&](std::size_t ray, const Hit& hit) {
-        if (drop_probability(hit) > 0.5) return;
+        if (compute_drop_probability(hit) > 0.5) return;
         scan.range_m[ray] = static_cast<float>(hit.range_m);
-        scan.intensity[ray] = static_cast<float>(echo_intensity(hit));
+        scan.intensity[ray] = static_cast<float>(compute_echo_intensity(hit));
     });
     return scan;
 }
 
 Scan cast_beams(const street::Street& street, const glm::dvec3& offset_m, const RayTable& rays,
                 const PoseTrack& track, double time_s) {
-    if (!(rays.largest_divergence() > 0.0))
+    if (!(rays.find_largest_divergence() > 0.0))
         throw UsageError(
             "synthetic street: several returns need beams with a divergence, because an ideal ray "
             "has only one return");
-    return street::receive(rays, cast_exactly(street, offset_m, street::cone_rays(rays), track, time_s));
+    return street::receive(rays, cast_exactly(street, offset_m, street::make_cone_rays(rays), track, time_s));
 }
 
 /// Returns the random seed of a frame. The first of several LiDARs has the same seeds as
 /// a single LiDAR with the same options.
 std::uint64_t seed_of(const SyntheticOptions& options, const Frame& frame) {
-    const std::uint64_t seed = hash64(options.seed, static_cast<std::uint64_t>(frame.index));
-    return frame.lidar == 0 ? seed : hash64(seed, static_cast<std::uint64_t>(frame.lidar));
+    const std::uint64_t seed = combine_hashes(options.seed, static_cast<std::uint64_t>(frame.index));
+    return frame.lidar == 0 ? seed : combine_hashes(seed, static_cast<std::uint64_t>(frame.lidar));
 }
 
 void add_noise(Scan& scan, std::uint64_t seed, double noise_m) {
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-        Random random(hash64(seed, i));
+        Random random(combine_hashes(seed, i));
         const auto spread = [&](float& range_m) {
             if (range_m > 0.0f)
                 range_m = static_cast<float>(std::max(double(range_m) + noise_m * random.normal(), 0.01));
@@ -161,24 +162,24 @@ Scan measure_beams(const SyntheticOptions& options, const street::Street& street
     return scan;
 }
 
-Scan measure(const SyntheticOptions& options, const street::Street& street, const Sequence& sequence,
-             const RayTable& rays, const Frame& frame) {
-    Scan scan = empty_scan(rays);
+Scan measure_scan(const SyntheticOptions& options, const street::Street& street, const Sequence& sequence,
+                  const RayTable& rays, const Frame& frame) {
+    Scan scan = make_empty_scan(rays);
     const std::uint64_t seed = seed_of(options, frame);
     const PoseTrack track = sequence.world_from_sensor(frame.lidar);
     cast_rays(street, sequence.world_offset_m, track, frame.time_s, rays,
               [&](std::size_t ray, const Hit& hit) {
-                  Random random(hash64(seed, ray));
-                  if (random.uniform() < drop_probability(hit)) return;
+                  Random random(combine_hashes(seed, ray));
+                  if (random.uniform() < compute_drop_probability(hit)) return;
                   const double range = hit.range_m + options.range_noise_m * random.normal();
                   scan.range_m[ray] = static_cast<float>(std::max(range, 0.01));
-                  scan.intensity[ray] =
-                      static_cast<float>(glm::clamp(echo_intensity(hit) + 0.01 * random.normal(), 0.0, 1.0));
+                  scan.intensity[ray] = static_cast<float>(
+                      glm::clamp(compute_echo_intensity(hit) + 0.01 * random.normal(), 0.0, 1.0));
               });
     return scan;
 }
 
-std::vector<BoxTrack> boxes_of(const street::Street& street, const std::vector<double>& times_s) {
+std::vector<BoxTrack> make_boxes(const street::Street& street, const std::vector<double>& times_s) {
     std::vector<BoxLabel> labels;
     for (const double time_s : times_s)
         for (std::size_t c = 0; c < street.cars.size(); ++c) {
@@ -191,7 +192,7 @@ std::vector<BoxTrack> boxes_of(const street::Street& street, const std::vector<d
 
 /// Returns the sensors of the rig file. If the options name no rig file, returns the
 /// default sensor.
-std::vector<MountedSensor> sensors_of(const SyntheticOptions& options) {
+std::vector<MountedSensor> make_sensors(const SyntheticOptions& options) {
     if (options.rig.empty()) {
         const SpinningSensor own = make_sensor(options);
         return {{"", {own.name, "", own.range_limits(), own}, {}, 1}};
@@ -204,10 +205,10 @@ std::vector<MountedSensor> sensors_of(const SyntheticOptions& options) {
     return std::move(*rig);
 }
 
-Lidar lidar_of(const MountedSensor& mounted) {
+Lidar get_lidar(const MountedSensor& mounted) {
     Lidar lidar{mounted.name, {}, mounted.rig_from_sensor};
     set_sensor(lidar, mounted.sensor);
-    const RangeLimits limits = overlap(mounted.sensor.limits, {0.0, kMaxRange_m});
+    const RangeLimits limits = intersect_limits(mounted.sensor.limits, {0.0, kMaxRange_m});
     lidar.sensor.min_range_m = limits.min_m;
     lidar.sensor.max_range_m = limits.max_m;
     return lidar;
@@ -217,7 +218,7 @@ Lidar lidar_of(const MountedSensor& mounted) {
 
 Sequence make_synthetic_frames(const SyntheticOptions& options, int begin, int end) {
     check(options);
-    const std::vector<MountedSensor> rig = sensors_of(options);
+    const std::vector<MountedSensor> rig = make_sensors(options);
     std::vector<RayTable> rays;  // of the first scan
     double n_rays = 0.0;
     for (const MountedSensor& mounted : rig)
@@ -235,20 +236,20 @@ Sequence make_synthetic_frames(const SyntheticOptions& options, int begin, int e
         "Sensor frame: x forward, y left, z up, in metres. Times are seconds after frame 0. At the time of "
         "a frame, the head faces forward. Poses are exact, and each ray is cast at its firing time.";
     sequence.lidars.clear();
-    for (const MountedSensor& mounted : rig) sequence.lidars.push_back(lidar_of(mounted));
+    for (const MountedSensor& mounted : rig) sequence.lidars.push_back(get_lidar(mounted));
     for (int frame = begin; frame < end; ++frame)
         for (std::size_t l = 0; l < rig.size(); ++l)
-            add_frame(sequence, frame, street::frame_time_s(frame),
-                      street::sensor_pose(options, street::frame_time_s(frame)), int(l));
-    sequence.boxes = boxes_of(street, sequence.world_from_vehicle.time_s);
-    recentre(sequence, origin_of(options));
-    parallel_for(static_cast<int>(sequence.frames.size()), [&](int i) {
-        Frame& frame = sequence.frames[static_cast<std::size_t>(i)];
+            add_frame(sequence, frame, street::compute_frame_time_s(frame),
+                      street::compute_sensor_pose(options, street::compute_frame_time_s(frame)), int(l));
+    sequence.boxes = make_boxes(street, sequence.world_from_vehicle.time_s);
+    recentre_sequence(sequence, compute_origin(options));
+    parallel_for(static_cast<int>(sequence.frames.size()), [&](int index) {
+        Frame& frame = sequence.frames[static_cast<std::size_t>(index)];
         const std::size_t l = std::size_t(frame.lidar);
         const bool changes = describe_pattern(rig[l].sensor.pattern).has_rays_by_time;
         const RayTable table = changes ? make_rays(rig[l].sensor, frame.time_s) : rays[l];
         frame.scan = rig[l].returns == 2 ? measure_beams(options, street, sequence, table, frame)
-                                         : measure(options, street, sequence, table, frame);
+                                         : measure_scan(options, street, sequence, table, frame);
     });
     return sequence;
 }
@@ -282,21 +283,22 @@ void replace_cars(street::Street& street, const std::vector<StreetCar>& cars, co
 Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays,
                            const PoseTrack& world_from_sensor, double time_s) {
     check(options);
-    return cast_exactly(street::make_street(options), origin_of(options), rays, world_from_sensor, time_s);
+    return cast_exactly(street::make_street(options), compute_origin(options), rays, world_from_sensor,
+                        time_s);
 }
 
 Scan cast_synthetic_beams(const SyntheticOptions& options, const RayTable& rays,
                           const PoseTrack& world_from_sensor, double time_s) {
     check(options);
-    return cast_beams(street::make_street(options), origin_of(options), rays, world_from_sensor, time_s);
+    return cast_beams(street::make_street(options), compute_origin(options), rays, world_from_sensor, time_s);
 }
 
 Scan cast_synthetic_street(const SyntheticOptions& options, const std::vector<StreetCar>& cars,
                            const RayTable& rays, const PoseTrack& world_from_sensor, double time_s) {
     check(options);
     street::Street street = street::make_street(options);
-    replace_cars(street, cars, origin_of(options), time_s);
-    return cast_exactly(street, origin_of(options), rays, world_from_sensor, time_s);
+    replace_cars(street, cars, compute_origin(options), time_s);
+    return cast_exactly(street, compute_origin(options), rays, world_from_sensor, time_s);
 }
 
 }  // namespace relidar

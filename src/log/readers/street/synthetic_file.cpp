@@ -53,7 +53,7 @@ void use_poses_file(Sequence& sequence, const fs::path& poses_file) {
     PoseTrack track{sequence.world_from_vehicle.time_s, std::vector<Pose>(frames.size())};
     if (poses_file != kNoPoses) {
         track.pose = kitti::read_pose_file(poses_file, frames);
-        track = shifted_track(std::move(track), -sequence.world_offset_m);
+        track = shift_track(std::move(track), -sequence.world_offset_m);
     }
     set_vehicle_poses(sequence, std::move(track));
     sequence.conventions += poses_file == kNoPoses
@@ -70,14 +70,14 @@ SyntheticOptions read_options(const fs::path& path) {
         table = toml::parse(text, file);
     } catch (const toml::parse_error& error) {
         throw DataError(fmt::format("{} line {}: malformed TOML: {}", file, error.source().begin.line,
-                                    excerpt(error.description())));
+                                    make_excerpt(error.description())));
     }
     for (const auto& [key, value] : table) {
         const std::string name(key.str());
         if (std::find(kKeys.begin(), kKeys.end(), name) != kKeys.end()) continue;
         throw DataError(fmt::format("{} line {}: unknown key '{}'{} (known: {})", file,
-                                    value.source().begin.line, excerpt(name), did_you_mean(name, kKeys, "'"),
-                                    fmt::join(kKeys, ", ")));
+                                    value.source().begin.line, make_excerpt(name),
+                                    suggest_name(name, kKeys, "'"), fmt::join(kKeys, ", ")));
     }
     SyntheticOptions options;
     std::int64_t seed = static_cast<std::int64_t>(options.seed);
@@ -133,7 +133,7 @@ void save_synthetic(const SyntheticOptions& options, const fs::path& folder) {
         "seed = {}\nn_frames = {}\nrows = {}\ncolumns = {}\nrange_noise_m = {}\nspeed_mps = {}\nmoving_cars "
         "= {}\npeople = {}\ngait = {}\n",
         static_cast<std::int64_t>(options.seed), options.n_frames, options.rows, options.columns,
-        number_text(options.range_noise_m), number_text(options.speed_mps), options.moving_cars,
+        format_number_text(options.range_noise_m), format_number_text(options.speed_mps), options.moving_cars,
         options.people, options.gait);
     if (!options.rig.empty()) out << "rig = " << toml::value(fs::absolute(options.rig).string()) << "\n";
     if (!out.flush()) throw DataError(fmt::format("cannot write {}", file.string()));

@@ -77,7 +77,7 @@ Segment choose_segment(const fs::path& path, const DatasetOptions& options) {
     throw UsageError(
         fmt::format("dataset.sequence: found '{}', expected the beginning of the name of one of the {} "
                     "segments in {}, or ws1 to ws4, or wd1 to wd4",
-                    excerpt(options.sequence), files.size(), path.string()));
+                    make_excerpt(options.sequence), files.size(), path.string()));
 }
 
 /// Returns the range [begin, end) of records that contain the requested frames.
@@ -97,12 +97,12 @@ std::string record_name(const TfRecords& records, int record) {
 
 /// Returns the vehicle pose at the time of a pixel. The pixel stores roll, pitch, yaw, x,
 /// y, z.
-Pose pixel_pose(const Image& poses, std::size_t pixel, const std::string& where) {
+Pose read_pixel_pose(const Image& poses, std::size_t pixel, const std::string& location) {
     const float* v = poses.pixel(pixel);
-    if (!std::all_of(v, v + 6, [](float x) { return std::abs(x) <= 1e8f; }))
-        throw DataError(fmt::format("{}: the pose of pixel {} is ({}), expected finite numbers", where, pixel,
-                                    fmt::join(v, v + 6, ", ")));
-    return {rotation_of(double(v[2]), double(v[1]), double(v[0])), {v[3], v[4], v[5]}};
+    if (!std::all_of(v, v + 6, [](float value) { return std::abs(value) <= 1e8f; }))
+        throw DataError(fmt::format("{}: the pose of pixel {} is ({}), expected finite numbers", location,
+                                    pixel, fmt::join(v, v + 6, ", ")));
+    return {make_rotation(double(v[2]), double(v[1]), double(v[0])), {v[3], v[4], v[5]}};
 }
 
 // Number of channels of each image type. A range image has range, intensity, elongation
@@ -112,28 +112,28 @@ constexpr int kImageChannels = 4, kPoseChannels = 6;
 /// Reads the image with the vehicle pose of each pixel and checks the image size. Returns
 /// nothing if the LiDAR has no such image.
 std::optional<Image> read_pixel_poses(const LaserImages& laser, const Image& image,
-                                      const std::string& where) {
+                                      const std::string& location) {
     if (laser.pixel_pose.empty()) return std::nullopt;
-    Image poses = inflate_image(laser.pixel_pose, kPoseChannels, where + ", pixel poses");
+    Image poses = inflate_image(laser.pixel_pose, kPoseChannels, location + ", pixel poses");
     if (poses.rows != image.rows || poses.columns != image.columns)
         throw DataError(fmt::format(
-            "{}: found {} x {} pixel poses for an image of {} x {} pixels, expected the same size", where,
+            "{}: found {} x {} pixel poses for an image of {} x {} pixels, expected the same size", location,
             poses.rows, poses.columns, image.rows, image.columns));
     return poses;
 }
 
-const LaserImages& images_of(const FrameRecord& frame, int laser, const std::string& where) {
+const LaserImages& find_laser_images(const FrameRecord& frame, int laser, const std::string& location) {
     for (const LaserImages& images : frame.images)
         if (images.laser == laser && !images.first.empty()) return images;
-    throw DataError(fmt::format("{}: the range image of {} is missing, but the first frame has one", where,
+    throw DataError(fmt::format("{}: the range image of {} is missing, but the first frame has one", location,
                                 kLaserNames[laser]));
 }
 
 /// Returns the vehicle pose at the time when the head of TOP faces forward. Uses the pose
 /// of the pixel with a return that is nearest to the middle column.
-Pose forward_pose(const FrameRecord& frame, const std::string& where) {
+Pose find_forward_pose(const FrameRecord& frame, const std::string& location) {
     if (frame.images.empty() || frame.images.front().laser != kTop) return frame.world_from_vehicle;
-    const std::string in_top = where + ": TOP";
+    const std::string in_top = location + ": TOP";
     const Image image = inflate_image(frame.images.front().first, kImageChannels, in_top);
     const std::optional<Image> poses = read_pixel_poses(frame.images.front(), image, in_top);
     std::optional<std::size_t> nearest;
@@ -142,7 +142,7 @@ Pose forward_pose(const FrameRecord& frame, const std::string& where) {
         const int from_middle = std::abs(int(at % std::size_t(image.columns)) - image.columns / 2);
         if (image.pixel(at)[0] > 0.0f && from_middle < away) nearest = at, away = from_middle;
     }
-    return nearest ? pixel_pose(*poses, *nearest, in_top) : frame.world_from_vehicle;
+    return nearest ? read_pixel_pose(*poses, *nearest, in_top) : frame.world_from_vehicle;
 }
 
 /// Data of a frame that is read before any scan, because placing a ray needs the poses of
@@ -158,10 +158,10 @@ FrameHead read_head(const TfRecords& records, int record) {
     FrameRecord frame = parse_frame(data, where);
     for (BoxLabel& label : frame.labels)
         label.world_from_box = frame.world_from_vehicle * label.world_from_box;
-    return {frame.timestamp_us, forward_pose(frame, where), std::move(frame.labels)};
+    return {frame.timestamp_us, find_forward_pose(frame, where), std::move(frame.labels)};
 }
 
-double median_period(const std::vector<FrameHead>& heads, const std::string& where) {
+double compute_median_period(const std::vector<FrameHead>& heads, const std::string& location) {
     std::vector<double> steps_s;
     for (std::size_t i = 1; i < heads.size(); ++i)
         steps_s.push_back(1e-6 * double(heads[i].timestamp_us - heads[i - 1].timestamp_us));
@@ -169,30 +169,31 @@ double median_period(const std::vector<FrameHead>& heads, const std::string& whe
     std::nth_element(steps_s.begin(), steps_s.begin() + std::ptrdiff_t(steps_s.size() / 2), steps_s.end());
     const double period_s = steps_s[steps_s.size() / 2];
     if (!(period_s > 0.01 && period_s < 1.0))
-        throw DataError(fmt::format(
-            "{}: timestamp_micros increase by {:.6g} s per record, expected 0.01 to 1 s", where, period_s));
+        throw DataError(
+            fmt::format("{}: timestamp_micros increase by {:.6g} s per record, expected 0.01 to 1 s",
+                        location, period_s));
     return period_s;
 }
 
 Lidar make_lidar(const FrameRecord& frame, const LaserImages& images, double period_s,
-                 const std::string& where) {
+                 const std::string& location) {
     if (images.laser < 1 || images.laser >= int(std::size(kLaserNames)))
-        throw DataError(fmt::format("{}: found laser {}, expected 1 to {}", where, images.laser,
+        throw DataError(fmt::format("{}: found laser {}, expected 1 to {}", location, images.laser,
                                     std::size(kLaserNames) - 1));
     const auto calibration = std::find_if(frame.lasers.begin(), frame.lasers.end(),
                                           [&](const auto& c) { return c.laser == images.laser; });
     if (calibration == frame.lasers.end())
         throw DataError(
-            fmt::format("{}: laser_calibrations has no entry for {}, although its range image exists", where,
-                        kLaserNames[images.laser]));
-    const Image image =
-        inflate_image(images.first, kImageChannels, fmt::format("{}: {}", where, kLaserNames[images.laser]));
+            fmt::format("{}: laser_calibrations has no entry for {}, although its range image exists",
+                        location, kLaserNames[images.laser]));
+    const Image image = inflate_image(images.first, kImageChannels,
+                                      fmt::format("{}: {}", location, kLaserNames[images.laser]));
     Lidar lidar{kLaserNames[images.laser], {}, {}};
     lidar.sensor.name = fmt::format("Waymo {}", lidar.name);
     lidar.sensor.columns = image.columns;
     lidar.sensor.period_s = period_s;
     lidar.sensor.first_azimuth_rad = kPi - kPi / image.columns;
-    for (const double elevation : row_elevations(*calibration, image.rows, where))
+    for (const double elevation : compute_row_elevations(*calibration, image.rows, location))
         lidar.sensor.beams.push_back({elevation});
     const glm::dvec3 ahead = calibration->vehicle_from_laser.rotation * glm::dvec3(1, 0, 0);
     const Pose turned{glm::angleAxis(-std::atan2(ahead.y, ahead.x), glm::dvec3(0, 0, 1)), {}};
@@ -207,9 +208,9 @@ public:
     /// Creates a reader for one frame of a LiDAR.
     /// @param clamps  if true, intensities above 1 become 1; if false, intensities are
     /// scaled with tanh
-    RangeImageReader(const Sequence& sequence, const Frame& frame, RayTable model, std::string where,
+    RangeImageReader(const Sequence& sequence, const Frame& frame, RayTable model, std::string location,
                      bool clamps)
-        : lidar_(sequence.lidar_of(frame)), where_(std::move(where)), clamps_(clamps) {
+        : lidar_(sequence.get_lidar(frame)), where_(std::move(location)), clamps_(clamps) {
         scan.rays = std::move(model);
         scan.range_m.assign(scan.rays.size(), 0.0f);
         scan.intensity.assign(scan.rays.size(), 0.0f);
@@ -225,16 +226,16 @@ public:
     Scan scan;
 
     void read(const LaserImages& images, const Pose& world_from_vehicle) {
-        const Image image = inflated(images.first);
+        const Image image = inflate_image_of_pixels(images.first);
         const std::optional<Image> poses = read_pixel_poses(images, image, where_);
         read_returns(image, scan.range_m, scan.intensity);
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
             if (!poses) place(ray, world_from_vehicle);
-            else if (scan.range_m[ray] > 0.0f) place(ray, pixel_pose(*poses, ray, where_));
+            else if (scan.range_m[ray] > 0.0f) place(ray, read_pixel_pose(*poses, ray, where_));
         if (images.second.empty()) return;
         SecondReturn& second = scan.second_returns.emplace_back(
             SecondReturn{to_vector(scan.range_m), to_vector(scan.intensity)});
-        read_returns(inflated(images.second), second.range_m, second.intensity);
+        read_returns(inflate_image_of_pixels(images.second), second.range_m, second.intensity);
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
             if (scan.range_m[ray] == 0.0f) second.range_m[ray] = second.intensity[ray] = 0.0f;
     }
@@ -247,7 +248,7 @@ private:
     /// column
     std::vector<Pose> sensor_from_world_;
 
-    Image inflated(std::string_view packed) const {
+    Image inflate_image_of_pixels(std::string_view packed) const {
         Image image = inflate_image(packed, kImageChannels, where_);
         if (image.rows == scan.rays.rows && image.columns == scan.rays.columns) return image;
         throw DataError(
@@ -256,7 +257,7 @@ private:
     }
 
     /// Converts the stored intensity of a return to the range 0 to 1.
-    float intensity_of(float brightness) const {
+    float to_intensity(float brightness) const {
         return clamps_ ? std::clamp(brightness, 0.0f, 1.0f) : std::tanh(std::max(brightness, 0.0f));
     }
 
@@ -269,7 +270,7 @@ private:
                     "{}: pixel {} has range {} m and intensity {}, expected finite values and at most {} m",
                     where_, ray, range, brightness, kFarthest_m));
             range_m[ray] = std::max(range, 0.0f);
-            intensity[ray] = range > 0.0f ? intensity_of(brightness) : 0.0f;
+            intensity[ray] = range > 0.0f ? to_intensity(brightness) : 0.0f;
         }
     }
 
@@ -287,7 +288,7 @@ private:
 /// not read scans.
 void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<FrameHead>& heads, int begin,
                 bool top_alone) {
-    const double period_s = median_period(heads, records.file().string());
+    const double period_s = compute_median_period(heads, records.file().string());
     const std::string first = records.read(std::size_t(begin)), where = record_name(records, begin);
     const FrameRecord frame = parse_frame(first, where);
     sequence.lidars.clear();
@@ -340,7 +341,7 @@ void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptio
                     RangeImageReader reader(sequence, frame, models[lidar],
                                             fmt::format("{}: {}", where, name),
                                             options.waymo.clamp_intensity);
-                    reader.read(images_of(parsed, laser, where), parsed.world_from_vehicle);
+                    reader.read(find_laser_images(parsed, laser, where), parsed.world_from_vehicle);
                     frame.scan = std::move(reader.scan);
                 });
             }
@@ -357,7 +358,7 @@ Sequence load_waymo(const fs::path& path, const DatasetOptions& options) {
     std::vector<FrameHead> heads(std::size_t(end - begin));
     for_each_with_progress(
         heads.size(), options.progress, "reading poses",
-        [&, first = begin](std::size_t i) { heads[i] = read_head(records, first + int(i)); });
+        [&, first = begin](std::size_t index) { heads[index] = read_head(records, first + int(index)); });
     Sequence sequence;
     sequence.name = segment.file.stem().string();
     sequence.source = path.string();
@@ -373,7 +374,7 @@ Sequence load_waymo(const fs::path& path, const DatasetOptions& options) {
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
     read_scans(sequence, records, options);
     kitti::use_pose_file(sequence, options.poses_file);
-    recentre(sequence);
+    recentre_sequence(sequence);
     return sequence;
 }
 

@@ -24,13 +24,13 @@ using protozero::pbf_wire_type;
 constexpr std::uint32_t number(std::uint32_t field) {
     return protozero::tag_and_type(field, pbf_wire_type::varint);
 }
-constexpr std::uint32_t message(std::uint32_t field) {
+constexpr std::uint32_t make_message_tag(std::uint32_t field) {
     return protozero::tag_and_type(field, pbf_wire_type::length_delimited);
 }
-constexpr std::uint32_t real(std::uint32_t field) {
+constexpr std::uint32_t make_real_tag(std::uint32_t field) {
     return protozero::tag_and_type(field, pbf_wire_type::fixed64);
 }
-constexpr std::uint32_t real_single(std::uint32_t field) {
+constexpr std::uint32_t make_single_real_tag(std::uint32_t field) {
     return protozero::tag_and_type(field, pbf_wire_type::fixed32);
 }
 
@@ -38,15 +38,15 @@ constexpr std::uint32_t real_single(std::uint32_t field) {
 constexpr std::size_t kMostInflated = std::size_t(32) << 20;
 constexpr double kLargestOfFrame = 1e8;  // maximum value of all numbers in a frame (metres or radians)
 
-std::string_view view_of(pbf_reader& from) {
+std::string_view to_string_view(pbf_reader& from) {
     const protozero::data_view view = from.get_view();
     return {view.data(), view.size()};
 }
 
-double checked(double value, const char* field, const std::string& where) {
+double checked(double value, const char* field, const std::string& location) {
     if (!(std::abs(value) <= kLargestOfFrame))
-        throw DataError(fmt::format("{}: {} is {}, expected a finite number of at most {:.0e}", where, field,
-                                    value, kLargestOfFrame));
+        throw DataError(fmt::format("{}: {} is {}, expected a finite number of at most {:.0e}", location,
+                                    field, value, kLargestOfFrame));
     return value;
 }
 
@@ -55,14 +55,14 @@ void append_packed(pbf_reader& from, std::vector<double>& to) {
 }
 
 /// Parses a Transform message, which is a 4x4 matrix of doubles, row-major.
-Pose parse_transform(pbf_reader from, const std::string& where) {
+Pose parse_transform(pbf_reader from, const std::string& location) {
     std::vector<double> m;
     while (from.next()) {
         switch (from.tag_and_type()) {
-            case real(1):
+            case make_real_tag(1):
                 m.push_back(from.get_double());
                 break;
-            case message(1):
+            case make_message_tag(1):
                 append_packed(from, m);
                 break;
             default:
@@ -71,32 +71,34 @@ Pose parse_transform(pbf_reader from, const std::string& where) {
     }
     if (m.size() != 16)
         throw DataError(
-            fmt::format("{}: found a transform of {} numbers, expected 16 numbers", where, m.size()));
-    for (const double value : m) checked(value, "a number of the transform", where);
-    return rigid_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]}, {m[3], m[7], m[11]}, where);
+            fmt::format("{}: found a transform of {} numbers, expected 16 numbers", location, m.size()));
+    for (const double value : m) checked(value, "a number of the transform", location);
+    return make_rigid_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]}, {m[3], m[7], m[11]},
+                           location);
 }
 
-Calibration parse_calibration(pbf_reader from, const std::string& where) {
+Calibration parse_calibration(pbf_reader from, const std::string& location) {
     Calibration calibration;
     while (from.next()) {
         switch (from.tag_and_type()) {
             case number(1):
                 calibration.laser = from.get_enum();
                 break;
-            case real(2):
+            case make_real_tag(2):
                 calibration.inclination_rad.push_back(from.get_double());
                 break;
-            case message(2):
+            case make_message_tag(2):
                 append_packed(from, calibration.inclination_rad);
                 break;
-            case real(3):
+            case make_real_tag(3):
                 calibration.min_inclination_rad = from.get_double();
                 break;
-            case real(4):
+            case make_real_tag(4):
                 calibration.max_inclination_rad = from.get_double();
                 break;
-            case message(5):
-                calibration.vehicle_from_laser = parse_transform(from.get_message(), where + ", extrinsic");
+            case make_message_tag(5):
+                calibration.vehicle_from_laser =
+                    parse_transform(from.get_message(), location + ", extrinsic");
                 break;
             default:
                 from.skip();
@@ -105,10 +107,10 @@ Calibration parse_calibration(pbf_reader from, const std::string& where) {
     return calibration;
 }
 
-void parse_context(pbf_reader from, FrameRecord& frame, const std::string& where) {
+void parse_context(pbf_reader from, FrameRecord& frame, const std::string& location) {
     while (from.next()) {
-        if (from.tag_and_type() == message(3))
-            frame.lasers.push_back(parse_calibration(from.get_message(), where + ": laser_calibrations"));
+        if (from.tag_and_type() == make_message_tag(3))
+            frame.lasers.push_back(parse_calibration(from.get_message(), location + ": laser_calibrations"));
         else from.skip();
     }
 }
@@ -118,11 +120,11 @@ void parse_context(pbf_reader from, FrameRecord& frame, const std::string& where
 void parse_range_image(pbf_reader from, std::string_view& image, std::string_view& pixel_pose) {
     while (from.next()) {
         switch (from.tag_and_type()) {
-            case message(2):
-                image = view_of(from);
+            case make_message_tag(2):
+                image = to_string_view(from);
                 break;
-            case message(4):
-                pixel_pose = view_of(from);
+            case make_message_tag(4):
+                pixel_pose = to_string_view(from);
                 break;
             default:
                 from.skip();
@@ -138,10 +140,10 @@ LaserImages parse_laser(pbf_reader from) {
             case number(1):
                 laser.laser = from.get_enum();
                 break;
-            case message(2):
+            case make_message_tag(2):
                 parse_range_image(from.get_message(), laser.first, laser.pixel_pose);
                 break;
-            case message(3):
+            case make_message_tag(3):
                 parse_range_image(from.get_message(), laser.second, none);
                 break;
             default:
@@ -153,12 +155,12 @@ LaserImages parse_laser(pbf_reader from) {
 
 /// Parses a Box message. The fields are centre, width, length, height and heading, in
 /// this order.
-void parse_box(pbf_reader from, BoxLabel& label, const std::string& where) {
+void parse_box(pbf_reader from, BoxLabel& label, const std::string& location) {
     double v[8] = {};
     while (from.next()) {
         if (from.tag() >= 1 && from.tag() <= 7 && from.wire_type() == pbf_wire_type::fixed64) {
             const std::uint32_t field = from.tag();
-            v[field] = checked(from.get_double(), "a number of the box", where);
+            v[field] = checked(from.get_double(), "a number of the box", location);
         } else {
             from.skip();
         }
@@ -169,7 +171,7 @@ void parse_box(pbf_reader from, BoxLabel& label, const std::string& where) {
 
 /// Returns the category of an object that can move. Returns null for signs, because signs
 /// belong to the background.
-const char* category_of(int type) {
+const char* get_category(int type) {
     constexpr int kVehicle = 1, kPedestrian = 2, kCyclist = 4;
     return type == kVehicle      ? "vehicle"
            : type == kPedestrian ? "pedestrian"
@@ -177,32 +179,32 @@ const char* category_of(int type) {
                                  : nullptr;
 }
 
-void parse_label(pbf_reader from, FrameRecord& frame, const std::string& where) {
+void parse_label(pbf_reader from, FrameRecord& frame, const std::string& location) {
     BoxLabel label;
     int type = 0;
     while (from.next()) {
         switch (from.tag_and_type()) {
-            case message(1):
-                parse_box(from.get_message(), label, where);
+            case make_message_tag(1):
+                parse_box(from.get_message(), label, location);
                 break;
             case number(3):
                 type = from.get_enum();
                 break;
-            case message(4):
+            case make_message_tag(4):
                 label.id = from.get_string();
                 break;
             default:
                 from.skip();
         }
     }
-    const char* category = category_of(type);
+    const char* category = get_category(type);
     if (!category) return;
     label.category = category;
     if (label.id.empty() || !(std::min({label.size_m.x, label.size_m.y, label.size_m.z}) > 0.0))
         throw DataError(fmt::format(
             "{}: found a {} with id '{}' and size {} x {} x {} m, expected an id and three lengths "
             "above 0",
-            where, category, excerpt(label.id), label.size_m.x, label.size_m.y, label.size_m.z));
+            location, category, make_excerpt(label.id), label.size_m.x, label.size_m.y, label.size_m.z));
     frame.labels.push_back(std::move(label));
 }
 
@@ -210,18 +212,18 @@ void parse_label(pbf_reader from, FrameRecord& frame, const std::string& where) 
 void parse_matrix(pbf_reader from, std::vector<float>& values, std::vector<std::int32_t>& dims) {
     while (from.next()) {
         switch (from.tag_and_type()) {
-            case real_single(1):
+            case make_single_real_tag(1):
                 values.push_back(from.get_float());
                 break;
-            case message(1): {
+            case make_message_tag(1): {
                 const auto packed = from.get_packed_float();
                 values.insert(values.end(), packed.begin(), packed.end());
                 break;
             }
-            case message(2):
+            case make_message_tag(2):
                 for (pbf_reader shape = from.get_message(); shape.next();) {
                     if (shape.tag_and_type() == number(1)) dims.push_back(shape.get_int32());
-                    else if (shape.tag_and_type() == message(1)) {
+                    else if (shape.tag_and_type() == make_message_tag(1)) {
                         for (const std::int32_t dim : shape.get_packed_int32()) dims.push_back(dim);
                     } else shape.skip();
                 }
@@ -232,7 +234,7 @@ void parse_matrix(pbf_reader from, std::vector<float>& values, std::vector<std::
     }
 }
 
-std::string inflate(std::string_view packed, const std::string& where) {
+std::string inflate(std::string_view packed, const std::string& location) {
     z_stream stream{};
     if (inflateInit(&stream) != Z_OK) throw std::bad_alloc();
     stream.next_in = reinterpret_cast<Bytef*>(const_cast<char*>(packed.data()));
@@ -250,45 +252,45 @@ std::string inflate(std::string_view packed, const std::string& where) {
     inflateEnd(&stream);
     if (bytes.size() > kMostInflated)
         throw DataError(fmt::format("{}: a zlib stream unpacks to more than {} bytes, expected a range image",
-                                    where, kMostInflated));
+                                    location, kMostInflated));
     if (status != Z_STREAM_END)
-        throw DataError(fmt::format("{}: a zlib stream of {} bytes is damaged", where, bytes.size()));
+        throw DataError(fmt::format("{}: a zlib stream of {} bytes is damaged", location, bytes.size()));
     return bytes;
 }
 
 /// Calls parse(). Converts exceptions of the protobuf library protozero to DataError.
 template <class Parse>
-auto parse_with_context(const std::string& where, const Parse& parse) {
+auto parse_with_context(const std::string& location, const Parse& parse) {
     try {
         return parse();
     } catch (const protozero::exception& failure) {
-        throw DataError(fmt::format("{}: malformed protobuf: {}", where, failure.what()));
+        throw DataError(fmt::format("{}: malformed protobuf: {}", location, failure.what()));
     }
 }
 
 }  // namespace
 
-FrameRecord parse_frame(std::string_view record, const std::string& where) {
+FrameRecord parse_frame(std::string_view record, const std::string& location) {
     FrameRecord frame;
     bool has_pose = false;
-    parse_with_context(where, [&] {
+    parse_with_context(location, [&] {
         for (pbf_reader from(record.data(), record.size()); from.next();) {
             switch (from.tag_and_type()) {
-                case message(1):
-                    parse_context(from.get_message(), frame, where);
+                case make_message_tag(1):
+                    parse_context(from.get_message(), frame, location);
                     break;
                 case number(2):
                     frame.timestamp_us = from.get_int64();
                     break;
-                case message(3):
-                    frame.world_from_vehicle = parse_transform(from.get_message(), where + ": pose"),
+                case make_message_tag(3):
+                    frame.world_from_vehicle = parse_transform(from.get_message(), location + ": pose"),
                     has_pose = true;
                     break;
-                case message(5):
+                case make_message_tag(5):
                     frame.images.push_back(parse_laser(from.get_message()));
                     break;
-                case message(6):
-                    parse_label(from.get_message(), frame, where + ": laser_labels");
+                case make_message_tag(6):
+                    parse_label(from.get_message(), frame, location + ": laser_labels");
                     break;
                 default:
                     from.skip();
@@ -296,19 +298,19 @@ FrameRecord parse_frame(std::string_view record, const std::string& where) {
         }
     });
     if (!has_pose)
-        throw DataError(fmt::format("{}: the pose is missing, expected a Frame of Waymo Open", where));
-    const auto by_laser = [](const auto& a, const auto& b) { return a.laser < b.laser; };
+        throw DataError(fmt::format("{}: the pose is missing, expected a Frame of Waymo Open", location));
+    const auto by_laser = [](const auto& first, const auto& second) { return first.laser < second.laser; };
     std::stable_sort(frame.lasers.begin(), frame.lasers.end(), by_laser);
     std::stable_sort(frame.images.begin(), frame.images.end(), by_laser);
     return frame;
 }
 
-Image inflate_image(std::string_view packed, int channels, const std::string& where) {
+Image inflate_image(std::string_view packed, int channels, const std::string& location) {
     constexpr int kMostRows = 1024, kMostColumns = 8192;
     Image image;
     std::vector<std::int32_t> dims;
-    const std::string bytes = inflate(packed, where);
-    parse_with_context(where,
+    const std::string bytes = inflate(packed, location);
+    parse_with_context(location,
                        [&] { parse_matrix(pbf_reader(bytes.data(), bytes.size()), image.values, dims); });
     const bool fits =
         dims.size() == 3 && dims[0] >= 1 && dims[0] <= kMostRows && dims[1] >= 1 && dims[1] <= kMostColumns &&
@@ -316,7 +318,7 @@ Image inflate_image(std::string_view packed, int channels, const std::string& wh
         image.values.size() == std::size_t(dims[0]) * std::size_t(dims[1]) * std::size_t(channels);
     if (!fits)
         throw DataError(fmt::format(
-            "{}: found {} values in {} dimensions{}, expected rows x columns x {} values", where,
+            "{}: found {} values in {} dimensions{}, expected rows x columns x {} values", location,
             image.values.size(), dims.size(),
             dims.size() == 3 ? fmt::format(" {} x {} x {}", dims[0], dims[1], dims[2]) : "", channels));
     image.rows = dims[0];
@@ -325,7 +327,8 @@ Image inflate_image(std::string_view packed, int channels, const std::string& wh
     return image;
 }
 
-std::vector<double> row_elevations(const Calibration& calibration, int rows, const std::string& where) {
+std::vector<double> compute_row_elevations(const Calibration& calibration, int rows,
+                                           const std::string& location) {
     std::vector<double> elevations = calibration.inclination_rad;
     const double low = calibration.min_inclination_rad, high = calibration.max_inclination_rad;
     if (elevations.empty())
@@ -333,12 +336,12 @@ std::vector<double> row_elevations(const Calibration& calibration, int rows, con
     if (elevations.size() != std::size_t(rows))
         throw DataError(
             fmt::format("{}: found {} beam_inclinations for laser {} with {} rows, expected one per row",
-                        where, elevations.size(), calibration.laser, rows));
+                        location, elevations.size(), calibration.laser, rows));
     for (const double elevation : elevations)
         if (!(std::abs(elevation) <= kPi / 2))
             throw DataError(fmt::format(
-                "{}: a beam inclination is {} for laser {}, expected radians between -pi/2 and pi/2", where,
-                elevation, calibration.laser));
+                "{}: a beam inclination is {} for laser {}, expected radians between -pi/2 and pi/2",
+                location, elevation, calibration.laser));
     std::reverse(elevations.begin(), elevations.end());
     return elevations;
 }

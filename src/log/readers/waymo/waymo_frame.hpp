@@ -46,25 +46,26 @@ struct FrameRecord {
     std::vector<BoxLabel> labels;
 };
 /// Parses one record of a .tfrecord file.
-/// @param where  name of the file and record number, for error messages
+/// @param location  name of the file and record number, for error messages
 /// @throws DataError with the field
-FrameRecord parse_frame(std::string_view record, const std::string& where);
+FrameRecord parse_frame(std::string_view record, const std::string& location);
 
 /// A decompressed image. Its dimensions are [rows, columns, channels].
 struct Image {
     int rows = 0, columns = 0, channels = 0;
     std::vector<float> values;
 
-    const float* pixel(std::size_t at) const { return &values[at * std::size_t(channels)]; }
+    const float* pixel(std::size_t index) const { return &values[index * std::size_t(channels)]; }
 };
 /// Decompresses a range image or a pose image.
 /// @param packed  image as a zlib stream
 /// @throws DataError if the stream is damaged, or if the image has another number of
 /// channels
-Image inflate_image(std::string_view packed, int channels, const std::string& where);
+Image inflate_image(std::string_view packed, int channels, const std::string& location);
 
 /// Returns the elevation of each row of a range image, from the highest to the lowest
 /// row.
-std::vector<double> row_elevations(const Calibration& calibration, int rows, const std::string& where);
+std::vector<double> compute_row_elevations(const Calibration& calibration, int rows,
+                                           const std::string& location);
 
 }  // namespace relidar::waymo

@@ -10,7 +10,7 @@ namespace {
 
 constexpr int kNesting = 3;  // maximum nesting of lists: rows, columns, vectors
 
-nlohmann::ordered_json vectors_json(const ScanArray<glm::vec3>& vectors) {
+nlohmann::ordered_json make_vectors_json(const ScanArray<glm::vec3>& vectors) {
     auto json = nlohmann::ordered_json::array();
     for (const glm::vec3& v : vectors) json.push_back(v.x), json.push_back(v.y), json.push_back(v.z);
     return json;
@@ -31,13 +31,13 @@ std::size_t count_rows(const JsonField& field) {
 struct RayFunctions {
     using Pattern = RayTable;
 
-    static SensorModel parse(const JsonField& field, const std::string& of) {
+    static SensorModel parse(const JsonField& field, const std::string& text) {
         field.check_members({"directions", "origin", "time", "ring", "rows", "divergence", "divergence_mrad",
                              "divergence_rad", "name", "min_range_m", "max_range_m"});
         const auto list = [&](const char* key) {
-            return field.has(key) ? field.at(key).nested_numbers(kNesting) : std::vector<double>{};
+            return field.has(key) ? field.at(key).read_nested_numbers(kNesting) : std::vector<double>{};
         };
-        sensor_files::RayColumns c{.direction = field.at("directions").nested_numbers(kNesting),
+        sensor_files::RayColumns c{.direction = field.at("directions").read_nested_numbers(kNesting),
                                    .origin = list("origin"),
                                    .time_s = list("time"),
                                    .channel = list("ring"),
@@ -47,16 +47,17 @@ struct RayFunctions {
         c.columns = static_cast<int>(std::min(c.direction.size() / 3 / rows, kMaxRays));
         std::optional<double> of_all_mrad;
         if (field.has("divergence_mrad")) of_all_mrad = field.at("divergence_mrad").number();
-        c.divergence_rad = sensor_files::divergence_of(list("divergence"), of_all_mrad, field.where());
+        c.divergence_rad = sensor_files::compute_divergence(list("divergence"), of_all_mrad, field.where());
         if (field.has("divergence_rad")) c.divergence_rad = {field.at("divergence_rad").number()};
         c.limits = {field.has("min_range_m") ? field.at("min_range_m").number() : c.limits.min_m,
                     field.has("max_range_m") ? field.at("max_range_m").number() : c.limits.max_m};
-        return sensor_files::ray_sensor(c, field.has("name") ? field.at("name").text() : of, field.where());
+        return sensor_files::make_ray_sensor(c, field.has("name") ? field.at("name").text() : text,
+                                             field.where());
     }
     static nlohmann::ordered_json write(const RayTable& rays) {
         nlohmann::ordered_json json = {{"rows", rays.rows},
-                                       {"directions", vectors_json(rays.direction)},
-                                       {"origin", vectors_json(rays.origin)},
+                                       {"directions", make_vectors_json(rays.direction)},
+                                       {"origin", make_vectors_json(rays.origin)},
                                        {"time", rays.time_offset_s},
                                        {"ring", rays.channel}};
         if (rays.ray_divergence_rad.empty()) json["divergence_rad"] = rays.divergence_rad;
@@ -69,8 +70,8 @@ struct RayFunctions {
 
 }  // namespace
 
-PatternKind rays_kind() {
-    return pattern_kind<RayFunctions>("rays", "directions, origin, time, ring, as lists");
+PatternKind make_rays_kind() {
+    return make_pattern_kind<RayFunctions>("rays", "directions, origin, time, ring, as lists");
 }
 
 }  // namespace relidar

@@ -9,20 +9,22 @@
 
 namespace relidar {
 
-RayTable make_rays(const Rosette& r, double time_s) {
-    pattern_detail::check_count(r.name, r.n_rays);
+RayTable make_rays(const Rosette& rosette, double time_s) {
+    pattern_detail::check_count(rosette.name, rosette.n_rays);
     pattern_detail::check_finite(
-        r.name, r.deflection_rad + r.first_hz + r.second_hz + r.divergence_rad + time_s, r.period_s);
+        rosette.name,
+        rosette.deflection_rad + rosette.first_hz + rosette.second_hz + rosette.divergence_rad + time_s,
+        rosette.period_s);
     RayTable rays;
     rays.rows = 1;
-    rays.columns = r.n_rays;
-    rays.divergence_rad = static_cast<float>(r.divergence_rad);
-    for (int i = 0; i < r.n_rays; ++i) {
-        const double offset_s = ((i + 0.5) / r.n_rays - 0.5) * r.period_s;
-        const double first = 2.0 * kPi * std::fmod(r.first_hz * (time_s + offset_s), 1.0);
-        const double second = 2.0 * kPi * std::fmod(r.second_hz * (time_s + offset_s), 1.0);
-        const double left = r.deflection_rad * (std::cos(first) + std::cos(second));
-        const double up = r.deflection_rad * (std::sin(first) + std::sin(second));
+    rays.columns = rosette.n_rays;
+    rays.divergence_rad = static_cast<float>(rosette.divergence_rad);
+    for (int i = 0; i < rosette.n_rays; ++i) {
+        const double offset_s = ((i + 0.5) / rosette.n_rays - 0.5) * rosette.period_s;
+        const double first = 2.0 * kPi * std::fmod(rosette.first_hz * (time_s + offset_s), 1.0);
+        const double second = 2.0 * kPi * std::fmod(rosette.second_hz * (time_s + offset_s), 1.0);
+        const double left = rosette.deflection_rad * (std::cos(first) + std::cos(second));
+        const double up = rosette.deflection_rad * (std::sin(first) + std::sin(second));
         const double bent = std::hypot(left, up), share = bent > 0.0 ? std::sin(bent) / bent : 1.0;
         pattern_detail::add_ray(rays, {std::cos(bent), left * share, up * share}, offset_s, 0);
     }
@@ -34,9 +36,9 @@ namespace {
 struct RosetteFunctions {
     using Pattern = Rosette;
 
-    static SensorModel parse(const JsonField& field, const std::string& of) {
+    static SensorModel parse(const JsonField& field, const std::string& text) {
         pattern_detail::check_members(field, {"rays", "first_hz", "second_hz"}, {"deflection"});
-        const auto [name, limits, period_s, divergence_rad] = pattern_detail::read_common(field, of);
+        const auto [name, limits, period_s, divergence_rad] = pattern_detail::read_common(field, text);
         return {name, "", limits,
                 Rosette{.name = name,
                         .deflection_rad = pattern_detail::read_angle(field, "deflection", 45.0),
@@ -46,21 +48,24 @@ struct RosetteFunctions {
                         .period_s = period_s,
                         .divergence_rad = divergence_rad}};
     }
-    static nlohmann::ordered_json write(const Rosette& r) {
-        return {{"rays", r.n_rays},       {"deflection_rad", r.deflection_rad},
-                {"first_hz", r.first_hz}, {"second_hz", r.second_hz},
-                {"period_s", r.period_s}, {"divergence_rad", r.divergence_rad}};
+    static nlohmann::ordered_json write(const Rosette& rosette) {
+        return {{"rays", rosette.n_rays},       {"deflection_rad", rosette.deflection_rad},
+                {"first_hz", rosette.first_hz}, {"second_hz", rosette.second_hz},
+                {"period_s", rosette.period_s}, {"divergence_rad", rosette.divergence_rad}};
     }
-    static RayTable make_rays(const Rosette& r, double time_s) { return relidar::make_rays(r, time_s); }
-    static PatternSummary describe(const Rosette& r) {
-        return {.n_rays = std::size_t(r.n_rays), .period_s = r.period_s, .has_rays_by_time = true};
+    static RayTable make_rays(const Rosette& rosette, double time_s) {
+        return relidar::make_rays(rosette, time_s);
+    }
+    static PatternSummary describe(const Rosette& rosette) {
+        return {
+            .n_rays = std::size_t(rosette.n_rays), .period_s = rosette.period_s, .has_rays_by_time = true};
     }
 };
 
 }  // namespace
 
-PatternKind rosette_kind() {
-    return pattern_kind<RosetteFunctions>("rosette", "rays, deflection_deg, first_hz, second_hz");
+PatternKind make_rosette_kind() {
+    return make_pattern_kind<RosetteFunctions>("rosette", "rays, deflection_deg, first_hz, second_hz");
 }
 
 }  // namespace relidar

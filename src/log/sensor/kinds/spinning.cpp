@@ -22,17 +22,18 @@ Beam read_beam(const JsonField& field) {
     field.check_members({"elevation_deg", "elevation_rad", "azimuth_offset_deg", "azimuth_offset_rad",
                          "origin_offset_m", "origin_up_m", "origin_left_m", "intensity_gain",
                          "intensity_offset", "range_offset_m"});
-    const auto number = [&](const char* key, double missing, double most) {
-        return pattern_detail::number_or(field, key, missing, -most, most);
+    const auto number = [&](const char* key, double default_value, double most) {
+        return pattern_detail::read_number_or(field, key, default_value, -most, most);
     };
-    return {.elevation_rad = pattern_detail::read_angle(field, "elevation", 90.0),
-            .azimuth_offset_rad = pattern_detail::angle_or(field, "azimuth_offset", 0.0, kLargestTurn_deg),
-            .origin_offset_m = number("origin_offset_m", 0.0, kFarthestBeam_m),
-            .origin_up_m = number("origin_up_m", 0.0, kFarthestBeam_m),
-            .origin_left_m = number("origin_left_m", 0.0, kFarthestBeam_m),
-            .intensity_gain = number("intensity_gain", 1.0, kLargestResponse),
-            .intensity_offset = number("intensity_offset", 0.0, kLargestResponse),
-            .range_offset_m = number("range_offset_m", 0.0, kLargestResponse)};
+    return {
+        .elevation_rad = pattern_detail::read_angle(field, "elevation", 90.0),
+        .azimuth_offset_rad = pattern_detail::read_angle_or(field, "azimuth_offset", 0.0, kLargestTurn_deg),
+        .origin_offset_m = number("origin_offset_m", 0.0, kFarthestBeam_m),
+        .origin_up_m = number("origin_up_m", 0.0, kFarthestBeam_m),
+        .origin_left_m = number("origin_left_m", 0.0, kFarthestBeam_m),
+        .intensity_gain = number("intensity_gain", 1.0, kLargestResponse),
+        .intensity_offset = number("intensity_offset", 0.0, kLargestResponse),
+        .range_offset_m = number("range_offset_m", 0.0, kLargestResponse)};
 }
 
 void read_beams(const JsonField& field, SpinningSensor& sensor) {
@@ -50,10 +51,10 @@ void read_beams(const JsonField& field, SpinningSensor& sensor) {
 }
 
 /// Returns the JSON object of a beam. Members with their default value are left out.
-nlohmann::ordered_json beam_json(const Beam& beam) {
+nlohmann::ordered_json make_beam_json(const Beam& beam) {
     nlohmann::ordered_json json = {{"elevation_rad", beam.elevation_rad}};
-    const auto add = [&](const char* key, double value, double usual) {
-        if (value != usual) json[key] = value;
+    const auto add = [&](const char* key, double value, double default_value) {
+        if (value != default_value) json[key] = value;
     };
     add("azimuth_offset_rad", beam.azimuth_offset_rad, 0.0);
     add("origin_offset_m", beam.origin_offset_m, 0.0);
@@ -70,10 +71,10 @@ struct SpinningFunctions {
 
     /// Reads a spinning sensor. The JSON object has no beams if only the scans of the
     /// LiDAR are known, but not its beam table.
-    static SensorModel parse(const JsonField& field, const std::string& of) {
+    static SensorModel parse(const JsonField& field, const std::string& text) {
         pattern_detail::check_members(field, {"beams", "columns", "clockwise"}, {"first_azimuth"});
         SpinningSensor sensor;
-        const auto common = pattern_detail::read_common(field, of, 0.0);
+        const auto common = pattern_detail::read_common(field, text, 0.0);
         sensor.name = common.name;
         sensor.period_s = common.period_s;
         sensor.min_range_m = common.limits.min_m;
@@ -82,31 +83,32 @@ struct SpinningFunctions {
         if (field.has("clockwise")) sensor.clockwise = field.at("clockwise").boolean();
         if (field.has("beams")) read_beams(field, sensor);
         const double middle = sensor.columns > 0 ? (180.0 - 180.0 / sensor.columns) * kPi / 180.0 : 0.0;
-        sensor.first_azimuth_rad = pattern_detail::angle_or(field, "first_azimuth", middle, kLargestTurn_deg);
+        sensor.first_azimuth_rad =
+            pattern_detail::read_angle_or(field, "first_azimuth", middle, kLargestTurn_deg);
         return {sensor.name, "", common.limits, std::move(sensor)};
     }
-    static nlohmann::ordered_json write(const SpinningSensor& s) {
-        nlohmann::ordered_json json = {{"period_s", s.period_s},
-                                       {"divergence_rad", s.divergence_rad},
-                                       {"clockwise", s.clockwise},
-                                       {"first_azimuth_rad", s.first_azimuth_rad}};
-        if (s.beams.empty()) return json;
-        json["columns"] = s.columns;
+    static nlohmann::ordered_json write(const SpinningSensor& sensor) {
+        nlohmann::ordered_json json = {{"period_s", sensor.period_s},
+                                       {"divergence_rad", sensor.divergence_rad},
+                                       {"clockwise", sensor.clockwise},
+                                       {"first_azimuth_rad", sensor.first_azimuth_rad}};
+        if (sensor.beams.empty()) return json;
+        json["columns"] = sensor.columns;
         json["beams"] = nlohmann::ordered_json::array();
-        for (const Beam& beam : s.beams) json["beams"].push_back(beam_json(beam));
+        for (const Beam& beam : sensor.beams) json["beams"].push_back(make_beam_json(beam));
         return json;
     }
-    static RayTable make_rays(const SpinningSensor& s, double) { return relidar::make_rays(s); }
-    static PatternSummary describe(const SpinningSensor& s) {
-        return {.n_rays = s.beams.size() * std::size_t(s.columns), .period_s = s.period_s};
+    static RayTable make_rays(const SpinningSensor& sensor, double) { return relidar::make_rays(sensor); }
+    static PatternSummary describe(const SpinningSensor& sensor) {
+        return {.n_rays = sensor.beams.size() * std::size_t(sensor.columns), .period_s = sensor.period_s};
     }
 };
 
 }  // namespace
 
-PatternKind spinning_kind() {
-    return pattern_kind<SpinningFunctions>("spinning",
-                                           "columns, beams: [{elevation_deg, azimuth_offset_deg, ...}]");
+PatternKind make_spinning_kind() {
+    return make_pattern_kind<SpinningFunctions>("spinning",
+                                                "columns, beams: [{elevation_deg, azimuth_offset_deg, ...}]");
 }
 
 }  // namespace relidar

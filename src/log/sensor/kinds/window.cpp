@@ -11,22 +11,26 @@
 
 namespace relidar {
 
-RayTable make_rays(const ScanningWindow& w) {
-    pattern_detail::check_count(w.name, double(w.rows) * double(w.columns));
+RayTable make_rays(const ScanningWindow& window) {
+    pattern_detail::check_count(window.name, double(window.rows) * double(window.columns));
     pattern_detail::check_finite(
-        w.name, w.left_rad + w.right_rad + w.top_rad + w.bottom_rad + w.divergence_rad, w.period_s);
-    if (w.rows > 65535)
-        throw UsageError(fmt::format("sensor '{}' has {} rows, expected at most 65535", w.name, w.rows));
+        window.name,
+        window.left_rad + window.right_rad + window.top_rad + window.bottom_rad + window.divergence_rad,
+        window.period_s);
+    if (window.rows > 65535)
+        throw UsageError(
+            fmt::format("sensor '{}' has {} rows, expected at most 65535", window.name, window.rows));
     RayTable rays;
-    rays.rows = w.rows;
-    rays.columns = w.columns;
-    rays.divergence_rad = static_cast<float>(w.divergence_rad);
-    for (int row = 0; row < w.rows; ++row) {
-        const double elevation = pattern_detail::between(w.top_rad, w.bottom_rad, row, w.rows),
+    rays.rows = window.rows;
+    rays.columns = window.columns;
+    rays.divergence_rad = static_cast<float>(window.divergence_rad);
+    for (int row = 0; row < window.rows; ++row) {
+        const double elevation = pattern_detail::between(window.top_rad, window.bottom_rad, row, window.rows),
                      c = std::cos(elevation);
-        for (int column = 0; column < w.columns; ++column) {
-            const double azimuth = pattern_detail::between(w.left_rad, w.right_rad, column, w.columns);
-            const double time_s = ((column + 0.5) / w.columns - 0.5) * w.period_s;
+        for (int column = 0; column < window.columns; ++column) {
+            const double azimuth =
+                pattern_detail::between(window.left_rad, window.right_rad, column, window.columns);
+            const double time_s = ((column + 0.5) / window.columns - 0.5) * window.period_s;
             pattern_detail::add_ray(rays, {c * std::cos(azimuth), c * std::sin(azimuth), std::sin(elevation)},
                                     time_s, row);
         }
@@ -39,9 +43,9 @@ namespace {
 struct WindowFunctions {
     using Pattern = ScanningWindow;
 
-    static SensorModel parse(const JsonField& field, const std::string& of) {
+    static SensorModel parse(const JsonField& field, const std::string& text) {
         pattern_detail::check_members(field, {"rows", "columns"}, {"left", "right", "top", "bottom"});
-        const auto [name, limits, period_s, divergence_rad] = pattern_detail::read_common(field, of);
+        const auto [name, limits, period_s, divergence_rad] = pattern_detail::read_common(field, text);
         const ScanningWindow window{.name = name,
                                     .rows = static_cast<int>(field.at("rows").integer(1, 65535)),
                                     .columns = static_cast<int>(field.at("columns").integer(1, 1'000'000)),
@@ -56,24 +60,25 @@ struct WindowFunctions {
                        fmt::format("expected at most {} rays", kMaxRays));
         return {name, "", limits, window};
     }
-    static nlohmann::ordered_json write(const ScanningWindow& w) {
-        return {{"rows", w.rows},         {"columns", w.columns},
-                {"left_rad", w.left_rad}, {"right_rad", w.right_rad},
-                {"top_rad", w.top_rad},   {"bottom_rad", w.bottom_rad},
-                {"period_s", w.period_s}, {"divergence_rad", w.divergence_rad}};
+    static nlohmann::ordered_json write(const ScanningWindow& window) {
+        return {{"rows", window.rows},         {"columns", window.columns},
+                {"left_rad", window.left_rad}, {"right_rad", window.right_rad},
+                {"top_rad", window.top_rad},   {"bottom_rad", window.bottom_rad},
+                {"period_s", window.period_s}, {"divergence_rad", window.divergence_rad}};
     }
-    static RayTable make_rays(const ScanningWindow& w, double) { return relidar::make_rays(w); }
-    static PatternSummary describe(const ScanningWindow& w) {
-        return {.n_rays = std::size_t(w.rows) * std::size_t(w.columns),
-                .period_s = w.period_s,
-                .sweep = AzimuthSweep{w.left_rad, w.right_rad, w.columns}};
+    static RayTable make_rays(const ScanningWindow& window, double) { return relidar::make_rays(window); }
+    static PatternSummary describe(const ScanningWindow& window) {
+        return {.n_rays = std::size_t(window.rows) * std::size_t(window.columns),
+                .period_s = window.period_s,
+                .sweep = AzimuthSweep{window.left_rad, window.right_rad, window.columns}};
     }
 };
 
 }  // namespace
 
-PatternKind window_kind() {
-    return pattern_kind<WindowFunctions>("window", "rows, columns, left_deg, right_deg, top_deg, bottom_deg");
+PatternKind make_window_kind() {
+    return make_pattern_kind<WindowFunctions>("window",
+                                              "rows, columns, left_deg, right_deg, top_deg, bottom_deg");
 }
 
 }  // namespace relidar

@@ -43,7 +43,7 @@ std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2
                                 double sweep_s, SweepColumns& points) {
     const int half = lidar ^ int(options.lower_half_up);
     std::vector<Argoverse2Ray> rays;
-    const Pose vehicle_at_sweep = Argoverse2Log::vehicle_at(sweep_s);
+    const Pose vehicle_at_sweep = Argoverse2Log::compute_vehicle_pose(sweep_s);
     for (int n = 0; n < options.firings; ++n) {
         for (int k = 0; k < 32; ++k) {
             const std::int64_t offset_ns = 2654000 + 611 * lidar + n * kCycle_ns + kPair[k] * kPair_ns;
@@ -57,13 +57,13 @@ std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2
             const double azimuth = head + kAzimuth_deg[k] * kPi / 180.0;
             ray.direction = {std::cos(ray.elevation_rad) * std::cos(azimuth),
                              std::cos(ray.elevation_rad) * std::sin(azimuth), std::sin(ray.elevation_rad)};
-            const Pose city_from_lidar = Argoverse2Log::vehicle_at(sweep_s + ray.time_s) * mounted;
+            const Pose city_from_lidar = Argoverse2Log::compute_vehicle_pose(sweep_s + ray.time_s) * mounted;
             ray.origin_m = city_from_lidar.translation;
             ray.point_m =
-                kCity_m + yard_hit(ray.origin_m - kCity_m, city_from_lidar.rotation * ray.direction);
+                kCity_m + intersect_yard(ray.origin_m - kCity_m, city_from_lidar.rotation * ray.direction);
             const bool hidden = lidar == 1 && n >= 700 && n < 741;  // the vehicle blocks all beams
-            ray.returned = !hidden && hash64(std::uint64_t(n * 32 + k),
-                                             std::uint64_t(1000.0 * sweep_s) + std::uint64_t(lidar)) %
+            ray.returned = !hidden && combine_hashes(std::uint64_t(n * 32 + k),
+                                                     std::uint64_t(1000.0 * sweep_s) + std::uint64_t(lidar)) %
                                               10 !=
                                           0;
             rays.push_back(ray);
@@ -78,18 +78,18 @@ std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2
     return rays;
 }
 
-std::string sweep_bytes(const SweepColumns& points, const Argoverse2Options& options) {
+std::string make_sweep_bytes(const SweepColumns& points, const Argoverse2Options& options) {
     const auto coordinate = [&](const char* name, const std::vector<float>& values) {
-        return options.half_precision ? half_column(name, values) : number_column(name, values);
+        return options.half_precision ? make_halves(name, values) : make_numbers(name, values);
     };
-    return feather_bytes(
+    return make_feather_bytes(
         {coordinate("x", points.x), coordinate("y", points.y), coordinate("z", points.z),
-         number_column("intensity", points.intensity), number_column("laser_number", points.laser),
-         number_column("offset_ns", points.offset_ns)},
+         make_numbers("intensity", points.intensity), make_numbers("laser_number", points.laser),
+         make_numbers("offset_ns", points.offset_ns)},
         options.codec);
 }
 
-std::string annotation_bytes(int sweeps, FeatherCodec codec) {
+std::string make_annotation_bytes(int sweeps, FeatherCodec codec) {
     std::vector<std::int64_t> time_ns, n_points;
     std::vector<double> length, width, height;
     std::vector<Pose> poses;
@@ -98,22 +98,23 @@ std::string annotation_bytes(int sweeps, FeatherCodec codec) {
         time_ns.push_back(Argoverse2Log::sweep_ns(i));
         n_points.push_back(7);
         length.push_back(4.5), width.push_back(1.9), height.push_back(1.6);
-        poses.push_back(inverse(Argoverse2Log::vehicle_at(time_s)) * Argoverse2Log::box_at(time_s));
+        poses.push_back(inverse(Argoverse2Log::compute_vehicle_pose(time_s)) *
+                        Argoverse2Log::compute_box_pose(time_s));
     }
     const std::vector<std::string> id(std::size_t(sweeps), "1046f12a"),
         category(std::size_t(sweeps), "REGULAR_VEHICLE");
     std::vector<FeatherColumn> columns{
-        number_column("timestamp_ns", time_ns),  text_column("track_uuid", id),
-        text_column("category", category, true), number_column("length_m", length),
-        number_column("width_m", width),         number_column("height_m", height)};
-    columns = with_poses(std::move(columns), poses);
-    columns.push_back(number_column("num_interior_pts", n_points));
-    return feather_bytes(columns, codec);
+        make_numbers("timestamp_ns", time_ns),  make_texts("track_uuid", id),
+        make_texts("category", category, true), make_numbers("length_m", length),
+        make_numbers("width_m", width),         make_numbers("height_m", height)};
+    columns = set_poses(std::move(columns), poses);
+    columns.push_back(make_numbers("num_interior_pts", n_points));
+    return make_feather_bytes(columns, codec);
 }
 
 }  // namespace
 
-std::vector<FeatherColumn> pose_columns(const std::vector<Pose>& poses) {
+std::vector<FeatherColumn> make_pose_columns(const std::vector<Pose>& poses) {
     std::array<std::vector<double>, 7> values;
     for (const Pose& p : poses) {
         const double row[7] = {p.rotation.w,    p.rotation.x,    p.rotation.y,   p.rotation.z,
@@ -122,21 +123,21 @@ std::vector<FeatherColumn> pose_columns(const std::vector<Pose>& poses) {
     }
     const char* names[7] = {"qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"};
     std::vector<FeatherColumn> columns;
-    for (std::size_t i = 0; i < 7; ++i) columns.push_back(number_column(names[i], values[i]));
+    for (std::size_t i = 0; i < 7; ++i) columns.push_back(make_numbers(names[i], values[i]));
     return columns;
 }
 
-std::vector<FeatherColumn> with_poses(std::vector<FeatherColumn> columns, const std::vector<Pose>& poses) {
-    for (FeatherColumn& column : pose_columns(poses)) columns.push_back(std::move(column));
+std::vector<FeatherColumn> set_poses(std::vector<FeatherColumn> columns, const std::vector<Pose>& poses) {
+    for (FeatherColumn& column : make_pose_columns(poses)) columns.push_back(std::move(column));
     return columns;
 }
 
-Pose Argoverse2Log::vehicle_at(double time_s) {
+Pose Argoverse2Log::compute_vehicle_pose(double time_s) {
     return {glm::angleAxis(0.6 + 0.35 * time_s, glm::dvec3(0, 0, 1)),
             kCity_m + time_s * glm::dvec3(9.0, 6.0, 0.1)};
 }
 
-Pose Argoverse2Log::box_at(double time_s) {
+Pose Argoverse2Log::compute_box_pose(double time_s) {
     return {glm::angleAxis(0.2, glm::dvec3(0, 0, 1)), kCity_m + glm::dvec3(12.0 + 5.0 * time_s, 3.0, 0.5)};
 }
 
@@ -151,19 +152,19 @@ Argoverse2Log::Argoverse2Log(const std::string& name, const Argoverse2Options& o
                                {1.37536, 0.00165, 1.52427}}};
     const Pose camera{glm::dquat(0.5, -0.5, 0.5, -0.5), {1.6, 0.0, 1.4}};
     const std::vector<FeatherColumn> sensors =
-        with_poses({text_column("sensor_name", {"ring_front_center", "up_lidar", "down_lidar"})},
-                   {camera, vehicle_from_lidar[0], vehicle_from_lidar[1]});
-    write_text(file("calibration/egovehicle_SE3_sensor.feather"), feather_bytes(sensors, options.codec));
+        set_poses({make_texts("sensor_name", {"ring_front_center", "up_lidar", "down_lidar"})},
+                  {camera, vehicle_from_lidar[0], vehicle_from_lidar[1]});
+    write_text(file("calibration/egovehicle_SE3_sensor.feather"), make_feather_bytes(sensors, options.codec));
     // The dataset also has poses between the sweeps.
     std::vector<std::int64_t> time_ns;
     std::vector<Pose> poses;
     for (int i = 0; i < 4 * options.sweeps; ++i) {
         time_ns.push_back(sweep_ns(0) + i * (sweep_ns(1) - sweep_ns(0)) / 4);
-        poses.push_back(vehicle_at(1e-9 * double(time_ns.back() - kFirstSweep_ns)));
+        poses.push_back(compute_vehicle_pose(1e-9 * double(time_ns.back() - kFirstSweep_ns)));
     }
-    const std::vector<FeatherColumn> way = with_poses({number_column("timestamp_ns", time_ns)}, poses);
-    write_text(file("city_SE3_egovehicle.feather"), feather_bytes(way, options.codec));
-    write_text(file("annotations.feather"), annotation_bytes(options.sweeps, options.codec));
+    const std::vector<FeatherColumn> way = set_poses({make_numbers("timestamp_ns", time_ns)}, poses);
+    write_text(file("city_SE3_egovehicle.feather"), make_feather_bytes(way, options.codec));
+    write_text(file("annotations.feather"), make_annotation_bytes(options.sweeps, options.codec));
     for (int i = 0; i < options.sweeps; ++i) {
         SweepColumns points;
         const double sweep_s = 1e-9 * double(sweep_ns(i) - kFirstSweep_ns);
@@ -171,7 +172,7 @@ Argoverse2Log::Argoverse2Log(const std::string& name, const Argoverse2Options& o
         for (int lidar = 0; lidar < 2; ++lidar)
             rays.back()[std::size_t(lidar)] =
                 fire(vehicle_from_lidar[std::size_t(lidar)], lidar, options, sweep_s, points);
-        write_text(sweep(i), sweep_bytes(points, options));
+        write_text(sweep(i), make_sweep_bytes(points, options));
     }
 }
 

@@ -15,9 +15,9 @@
 namespace relidar::test {
 
 /// Returns quaternion and translation columns of a pose table.
-std::vector<FeatherColumn> pose_columns(const std::vector<Pose>& poses);
+std::vector<FeatherColumn> make_pose_columns(const std::vector<Pose>& poses);
 /// Appends the columns of poses to the given columns.
-std::vector<FeatherColumn> with_poses(std::vector<FeatherColumn> columns, const std::vector<Pose>& poses);
+std::vector<FeatherColumn> set_poses(std::vector<FeatherColumn> columns, const std::vector<Pose>& poses);
 
 struct Argoverse2Options {
     /// If true, coordinates have half precision as in the dataset. If false, they have
@@ -57,10 +57,10 @@ struct Argoverse2Log {
     std::filesystem::path file(const std::string& relative) const { return folder / relative; }
     /// Returns the pose of the vehicle in the city frame.
     /// @param time_s relative to the first sweep
-    static Pose vehicle_at(double time_s);
+    static Pose compute_vehicle_pose(double time_s);
     /// Returns the pose of the only labelled box. Its centre moves along the vehicle's x
     /// axis of time 0.
-    static Pose box_at(double time_s);
+    static Pose compute_box_pose(double time_s);
 };
 
 }  // namespace relidar::test

@@ -32,7 +32,7 @@ const Pose kMounted[2] = {
     {glm::normalize(glm::dquat(1.0, -0.0000762, 0.0000566, 0.0)), {1.3626, 0.0006, 1.6406}},
     {glm::normalize(glm::dquat(0.000639, 0.9944968, -0.1047668, 0.0000928)), {1.37536, 0.00165, 1.52427}}};
 
-fs::path shared_folder() {
+fs::path get_shared_folder() {
     const char* shared = std::getenv("RELIDAR_SHARED");
     return shared ? fs::path(shared) : fs::path(RELIDAR_SOURCE_DIR).parent_path() / "shared";
 }
@@ -68,7 +68,8 @@ struct RealSweep {
 std::vector<RealSweep> read_real(const fs::path& scratch) {
     std::vector<RealSweep> sweeps;
     for (const std::int64_t time_ns : kTimes_ns) {
-        const fs::path source = shared_folder() / "data/argoverse2" / fmt::format("7fab2350_{}.npz", time_ns),
+        const fs::path source =
+                           get_shared_folder() / "data/argoverse2" / fmt::format("7fab2350_{}.npz", time_ns),
                        bytes = scratch / "sweep.npz";
         if (!fs::exists(source)) return {};
         fs::create_directories(scratch);
@@ -99,13 +100,13 @@ std::vector<RealSweep> read_real(const fs::path& scratch) {
     return sweeps;
 }
 
-std::string sweep_bytes(const RealSweep& sweep) {
+std::string make_sweep_bytes(const RealSweep& sweep) {
     std::vector<float> coordinate[3];
     for (std::size_t i = 0; i < sweep.xyz.size(); ++i) coordinate[i % 3].push_back(sweep.xyz[i]);
-    return test::feather_bytes(
-        {test::half_column("x", coordinate[0]), test::half_column("y", coordinate[1]),
-         test::half_column("z", coordinate[2]), test::number_column("intensity", sweep.intensity),
-         test::number_column("laser_number", sweep.laser), test::number_column("offset_ns", sweep.offset_ns)},
+    return test::make_feather_bytes(
+        {test::make_halves("x", coordinate[0]), test::make_halves("y", coordinate[1]),
+         test::make_halves("z", coordinate[2]), test::make_numbers("intensity", sweep.intensity),
+         test::make_numbers("laser_number", sweep.laser), test::make_numbers("offset_ns", sweep.offset_ns)},
         test::FeatherCodec::lz4);
 }
 
@@ -116,7 +117,7 @@ void write_log(const fs::path& folder, const std::vector<RealSweep>& sweeps) {
     std::vector<Pose> boxes;
     for (std::size_t s = 0; s < 2; ++s) {
         test::write_text(folder / "sensors/lidar" / fmt::format("{}.feather", kTimes_ns[s]),
-                         sweep_bytes(sweeps[s]));
+                         make_sweep_bytes(sweeps[s]));
         for (std::size_t i = 0; i < sweeps[s].track.size(); ++i) {
             const double* b = &sweeps[s].boxes[10 * i];
             time_ns.push_back(kTimes_ns[s]);
@@ -126,24 +127,25 @@ void write_log(const fs::path& folder, const std::vector<RealSweep>& sweeps) {
         }
     }
     const auto write = [&](const char* file, const std::vector<test::FeatherColumn>& columns) {
-        test::write_text(folder / file, test::feather_bytes(columns, test::FeatherCodec::lz4));
+        test::write_text(folder / file, test::make_feather_bytes(columns, test::FeatherCodec::lz4));
     };
     write("annotations.feather",
-          test::with_poses(
-              {test::number_column("timestamp_ns", time_ns), test::text_column("track_uuid", track),
-               test::text_column("category", category), test::number_column("length_m", size[0]),
-               test::number_column("width_m", size[1]), test::number_column("height_m", size[2])},
-              boxes));
+          test::set_poses({test::make_numbers("timestamp_ns", time_ns), test::make_texts("track_uuid", track),
+                           test::make_texts("category", category), test::make_numbers("length_m", size[0]),
+                           test::make_numbers("width_m", size[1]), test::make_numbers("height_m", size[2])},
+                          boxes));
     write("city_SE3_egovehicle.feather",
-          test::with_poses(
-              {test::number_column("timestamp_ns", std::vector<std::int64_t>{kTimes_ns[0], kTimes_ns[1]})},
+          test::set_poses(
+              {test::make_numbers("timestamp_ns", std::vector<std::int64_t>{kTimes_ns[0], kTimes_ns[1]})},
               {sweeps[0].city_from_vehicle, sweeps[1].city_from_vehicle}));
     write("calibration/egovehicle_SE3_sensor.feather",
-          test::with_poses({test::text_column("sensor_name", {"up_lidar", "down_lidar"})},
-                           {kMounted[0], kMounted[1]}));
+          test::set_poses({test::make_texts("sensor_name", {"up_lidar", "down_lidar"})},
+                          {kMounted[0], kMounted[1]}));
 }
 
-double elevation_deg(const glm::dvec3& p) { return std::atan2(p.z, std::hypot(p.x, p.y)) * 180.0 / kPi; }
+double elevation_deg(const glm::dvec3& point) {
+    return std::atan2(point.z, std::hypot(point.x, point.y)) * 180.0 / kPi;
+}
 
 class Argoverse2Real : public testing::Test {
 protected:
@@ -155,9 +157,10 @@ protected:
         DatasetOptions options;
         options.max_range_m = 300.0;
         log_ = load_sequence(folder_.string(), options);
-        beams_ = std::get<SpinningSensor>(
-                     find_sensor((shared_folder() / "data/sensors/VLP-32C_Argoverse2.csv").string()).pattern)
-                     .beams;
+        beams_ =
+            std::get<SpinningSensor>(
+                find_sensor((get_shared_folder() / "data/sensors/VLP-32C_Argoverse2.csv").string()).pattern)
+                .beams;
     }
     static void TearDownTestSuite() {
         std::error_code failed;
@@ -165,17 +168,18 @@ protected:
     }
     void SetUp() override {
         if (real_.empty())
-            GTEST_SKIP() << shared_folder() / "data/argoverse2"
+            GTEST_SKIP() << get_shared_folder() / "data/argoverse2"
                          << " or python3 with numpy is not there";
     }
 
     /// Returns a stored point in the LiDAR's frame at the time when the point was
     /// measured. Assumes that the vehicle moves uniformly between sweeps.
-    static glm::dvec3 measured(std::size_t s, std::size_t i, int lidar) {
-        const double at =
-            double(kTimes_ns[s] + real_[s].offset_ns[i] - kTimes_ns[0]) / double(kTimes_ns[1] - kTimes_ns[0]);
+    static glm::dvec3 measured(std::size_t s, std::size_t index, int lidar) {
+        const double at = double(kTimes_ns[s] + real_[s].offset_ns[index] - kTimes_ns[0]) /
+                          double(kTimes_ns[1] - kTimes_ns[0]);
         const Pose vehicle = interpolate(real_[0].city_from_vehicle, real_[1].city_from_vehicle, at);
-        const glm::dvec3 stored(real_[s].xyz[3 * i], real_[s].xyz[3 * i + 1], real_[s].xyz[3 * i + 2]);
+        const glm::dvec3 stored(real_[s].xyz[3 * index], real_[s].xyz[3 * index + 1],
+                                real_[s].xyz[3 * index + 2]);
         return inverse(vehicle * kMounted[lidar]) * (real_[s].city_from_vehicle * stored);
     }
 
@@ -199,7 +203,7 @@ TEST_F(Argoverse2Real, ElevationsAreThoseOfTheTable) {
         }
         double worst = 0.0;
         for (std::size_t k = 0; k < 32; ++k) worst = std::max(worst, std::abs(sum[k] / n[k]));
-        EXPECT_LT(worst, 0.1) << log_.lidar_of(frame).name;
+        EXPECT_LT(worst, 0.1) << log_.get_lidar(frame).name;
         EXPECT_LT(double(off), 5e-3 * double(returns));
         RecordProperty(fmt::format("worst_beam_deg_{}_{}", frame.index, frame.lidar),
                        fmt::format("{:.4f}", worst));
@@ -211,7 +215,7 @@ TEST_F(Argoverse2Real, ElevationsAreThoseOfTheTable) {
 TEST_F(Argoverse2Real, SwappedHalvesAreClearlyWorse) {
     double error[2] = {0.0, 0.0};  // correct order, swapped order
     std::map<int, double> elevation;
-    const std::string table = test::read_text(shared_folder() / "data/sensors/VLP-32C_Argoverse2.csv");
+    const std::string table = test::read_text(get_shared_folder() / "data/sensors/VLP-32C_Argoverse2.csv");
     for (std::size_t at = table.find('\n') + 1; at < table.size(); at = table.find('\n', at) + 1) {
         int channel = 0;
         double degrees = 0.0;
@@ -243,7 +247,7 @@ TEST_F(Argoverse2Real, BoxesHoldPoints) {
         const PoseTrack track = log_.world_from_sensor(frame.lidar);
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
-            const WorldRay ray = world_ray(track, frame.time_s, frame.scan.rays, i, true);
+            const WorldRay ray = make_world_ray(track, frame.time_s, frame.scan.rays, i, true);
             read.push_back(ray.origin_m + double(frame.scan.range_m[i]) * ray.direction);
         }
     }
@@ -252,7 +256,7 @@ TEST_F(Argoverse2Real, BoxesHoldPoints) {
     for (const BoxTrack& box : log_.boxes) {
         const auto count = [&](const std::vector<glm::dvec3>& cloud, const glm::dvec3& shift) {
             return std::count_if(cloud.begin(), cloud.end(),
-                                 [&](const glm::dvec3& p) { return box.holds(p - shift, 0.0, 0.0); });
+                                 [&](const glm::dvec3& point) { return box.holds(point - shift, 0.0, 0.0); });
         };
         const auto published = count(points, log_.world_offset_m), found = count(read, glm::dvec3(0.0));
         EXPECT_NEAR(double(found), double(published), 2.0)

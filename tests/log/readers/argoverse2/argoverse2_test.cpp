@@ -22,7 +22,7 @@ using test::Argoverse2Log;
 using test::Argoverse2Options;
 using test::Argoverse2Ray;
 
-DatasetOptions far_options() {
+DatasetOptions make_far_options() {
     DatasetOptions options;
     options.max_range_m = 200.0;
     return options;
@@ -66,7 +66,7 @@ constexpr double kNearest_m = 4.7;
 TEST(Argoverse2, EveryRayIsWhereItWasFired) {
     const Argoverse2Log log("rays");
     EXPECT_EQ(recognise_dataset(log.folder), "argoverse2");
-    const Sequence sequence = load_sequence(log.folder.string(), far_options());
+    const Sequence sequence = load_sequence(log.folder.string(), make_far_options());
     ASSERT_EQ(sequence.frames.size(), 6u);
     ASSERT_EQ(sequence.lidars.size(), 2u);
     EXPECT_EQ(sequence.lidars[0].name, "up_lidar");
@@ -75,7 +75,7 @@ TEST(Argoverse2, EveryRayIsWhereItWasFired) {
     EXPECT_TRUE(sequence.rolling_shutter);
     for (const Frame& frame : sequence.frames) {
         const std::vector<Argoverse2Ray>& rays = log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
-        const Lidar& lidar = sequence.lidar_of(frame);
+        const Lidar& lidar = sequence.get_lidar(frame);
         ASSERT_EQ(frame.scan.rays.columns, Argoverse2Options().firings);
         EXPECT_EQ(frame.scan.count_returns(),
                   std::size_t(std::count_if(rays.begin(), rays.end(), [](auto& r) { return r.returned; })));
@@ -89,7 +89,7 @@ TEST(Argoverse2, EveryRayIsWhereItWasFired) {
             // A ray without a return has the time of its firing sequence. This time
             // differs by up to 35 us from the exact firing time.
             ASSERT_NEAR(frame.scan.rays.time_offset_s[i], ray.time_s, range_m > 0.0f ? 1e-8 : 2.9e-5);
-            const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
+            const WorldRay placed = make_world_ray(track, frame.time_s, frame.scan.rays, i, true);
             ASSERT_EQ(range_m > 0.0f, ray.returned) << i;
             ASSERT_LT(glm::distance(placed.origin_m + sequence.world_offset_m, ray.origin_m),
                       range_m > 0.0f ? off_m : 2e-3);
@@ -111,13 +111,13 @@ TEST(Argoverse2, EveryRayIsWhereItWasFired) {
 /// objects must still be placed at the times of their rays.
 TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
     const Argoverse2Log log("facing");
-    const Sequence sequence = load_sequence(log.folder.string(), far_options());
+    const Sequence sequence = load_sequence(log.folder.string(), make_far_options());
     for (const Frame& frame : sequence.frames) {
         ASSERT_TRUE(frame.start.has_value());
         std::size_t late = 0;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const glm::dvec3 point_m(frame.scan.rays.origin[i] + 10.0f * frame.scan.rays.direction[i]);
-            const double facing_s = facing_time(sequence, point_m, moment_of(frame));
+            const double facing_s = compute_facing_time(sequence, point_m, get_sweep_moment(frame));
             late += std::abs(facing_s - frame.time_s - double(frame.scan.rays.time_offset_s[i])) > 3e-3;
         }
         // Only few rays may be late. Beams deviate by up to 4.2 degrees from the sensor's
@@ -135,10 +135,10 @@ TEST(Argoverse2, TimesPosesAndBoxes) {
         EXPECT_NEAR(sequence.world_from_vehicle.time_s[i], time_s, 1e-9);
         const Pose& pose = sequence.world_from_vehicle.pose[i];
         EXPECT_LT(glm::distance(pose.translation + sequence.world_offset_m,
-                                Argoverse2Log::vehicle_at(time_s).translation),
+                                Argoverse2Log::compute_vehicle_pose(time_s).translation),
                   1e-8);
-        EXPECT_NEAR(std::abs(glm::dot(pose.rotation, Argoverse2Log::vehicle_at(time_s).rotation)), 1.0,
-                    1e-12);
+        EXPECT_NEAR(std::abs(glm::dot(pose.rotation, Argoverse2Log::compute_vehicle_pose(time_s).rotation)),
+                    1.0, 1e-12);
     }
     ASSERT_EQ(sequence.boxes.size(), 1u);
     const BoxTrack& box = sequence.boxes[0];
@@ -147,7 +147,7 @@ TEST(Argoverse2, TimesPosesAndBoxes) {
     EXPECT_EQ(box.size_m, glm::dvec3(4.5, 1.9, 1.6));
     ASSERT_EQ(box.world_from_box.pose.size(), 3u);
     for (std::size_t i = 0; i < 3; ++i) {
-        const Pose truth = Argoverse2Log::box_at(box.world_from_box.time_s[i]);
+        const Pose truth = Argoverse2Log::compute_box_pose(box.world_from_box.time_s[i]);
         EXPECT_LT(glm::distance(box.world_from_box.pose[i].translation + sequence.world_offset_m,
                                 truth.translation),
                   1e-8);
@@ -158,22 +158,22 @@ TEST(Argoverse2, TimesPosesAndBoxes) {
 /// Half precision rounds a coordinate by up to 2^-11 of its value.
 TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
     const Argoverse2Log log("half", {.half_precision = true, .sweeps = 2, .codec = test::FeatherCodec::zstd});
-    const Sequence sequence = load_sequence(log.folder.string(), far_options());
+    const Sequence sequence = load_sequence(log.folder.string(), make_far_options());
     double worst = 0.0;
     for (const Frame& frame : sequence.frames) {
         const TrueRays truth(log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)],
-                             sequence.lidar_of(frame).sensor);
+                             sequence.get_lidar(frame).sensor);
         const PoseTrack track = sequence.world_from_sensor(frame.lidar);
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
             const Argoverse2Ray& ray =
                 truth.at(frame.scan.rays.channel[i], double(frame.scan.rays.time_offset_s[i]));
             ASSERT_TRUE(ray.returned);
-            const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
+            const WorldRay placed = make_world_ray(track, frame.time_s, frame.scan.rays, i, true);
             const glm::dvec3 point_m =
                 placed.origin_m + double(frame.scan.range_m[i]) * placed.direction + sequence.world_offset_m;
-            const glm::dvec3 seen = inverse(Argoverse2Log::vehicle_at(frame.time_s)) * ray.point_m;
-            const glm::dvec3 rounded = inverse(Argoverse2Log::vehicle_at(frame.time_s)) * point_m;
+            const glm::dvec3 seen = inverse(Argoverse2Log::compute_vehicle_pose(frame.time_s)) * ray.point_m;
+            const glm::dvec3 rounded = inverse(Argoverse2Log::compute_vehicle_pose(frame.time_s)) * point_m;
             for (int axis = 0; axis < 3; ++axis)
                 ASSERT_LE(std::abs(seen[axis] - rounded[axis]), std::abs(seen[axis]) / 2048.0 + 1e-4);
             worst = std::max(worst, glm::distance(point_m, ray.point_m));
@@ -185,7 +185,7 @@ TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
 TEST(Argoverse2, PointsTellWhichHalfIsUp) {
     const Argoverse2Log log("halves",
                             {.lower_half_up = true, .sweeps = 2, .codec = test::FeatherCodec::none});
-    const Sequence sequence = load_sequence(log.folder.string(), far_options());
+    const Sequence sequence = load_sequence(log.folder.string(), make_far_options());
     for (const Frame& frame : sequence.frames) {
         const std::vector<Argoverse2Ray>& rays = log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
         EXPECT_EQ(frame.scan.count_returns(),
@@ -193,7 +193,7 @@ TEST(Argoverse2, PointsTellWhichHalfIsUp) {
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const glm::vec3& d = frame.scan.rays.direction[i];
             const double beam =
-                sequence.lidar_of(frame).sensor.beams[frame.scan.rays.channel[i]].elevation_rad;
+                sequence.get_lidar(frame).sensor.beams[frame.scan.rays.channel[i]].elevation_rad;
             ASSERT_NEAR(std::atan2(d.z, std::hypot(d.x, d.y)), beam, kBeyond_m / kNearest_m);
         }
     }
@@ -227,12 +227,12 @@ TEST(Argoverse2, ASweepMayLackALidar) {
     const Argoverse2Log log("lacking");
     test::write_text(
         log.sweep(1),
-        test::feather_bytes({test::number_column("x", std::vector<float>{8.0f}),
-                             test::number_column("y", std::vector<float>{1.0f}),
-                             test::number_column("z", std::vector<float>{2.0f}),
-                             test::number_column("intensity", std::vector<std::uint8_t>{1}),
-                             test::number_column("laser_number", std::vector<std::uint8_t>{40}),
-                             test::number_column("offset_ns", std::vector<std::int32_t>{5000000})}));
+        test::make_feather_bytes({test::make_numbers("x", std::vector<float>{8.0f}),
+                                  test::make_numbers("y", std::vector<float>{1.0f}),
+                                  test::make_numbers("z", std::vector<float>{2.0f}),
+                                  test::make_numbers("intensity", std::vector<std::uint8_t>{1}),
+                                  test::make_numbers("laser_number", std::vector<std::uint8_t>{40}),
+                                  test::make_numbers("offset_ns", std::vector<std::int32_t>{5000000})}));
     const Sequence sequence = load_sequence(log.folder.string(), {});
     ASSERT_EQ(sequence.frames.size(), 5u);
     EXPECT_EQ(sequence.frames[2].lidar, 1);
@@ -260,52 +260,52 @@ TEST(Argoverse2, SaysWhichFileIsWrong) {
     const Argoverse2Log log("errors", {.sweeps = 2, .codec = test::FeatherCodec::none});
     const auto refuse = [&](const fs::path& file, const std::vector<test::FeatherColumn>& columns,
                             const std::string& part) {
-        expect_refused(log, file, test::feather_bytes(columns), part);
+        expect_refused(log, file, test::make_feather_bytes(columns), part);
     };
     const fs::path sensors = log.file("calibration/egovehicle_SE3_sensor.feather"),
                    way = log.file("city_SE3_egovehicle.feather"), boxes = log.file("annotations.feather"),
                    sweep = log.sweep(1);
     const std::vector<Pose> two(2);
-    refuse(sensors, test::with_poses({test::text_column("sensor_name", {"up_lidar", "ring"})}, two),
+    refuse(sensors, test::set_poses({test::make_texts("sensor_name", {"up_lidar", "ring"})}, two),
            "column 'sensor_name': the sensor down_lidar is missing");
     std::vector<Pose> bad = two;
     bad[1].rotation = glm::dquat(0.5, 0, 0, 0);
-    refuse(sensors, test::with_poses({test::text_column("sensor_name", {"up_lidar", "down_lidar"})}, bad),
+    refuse(sensors, test::set_poses({test::make_texts("sensor_name", {"up_lidar", "down_lidar"})}, bad),
            "columns 'qw' to 'qz': row 1 has length 0.5, expected 1");
-    const auto times = [](std::vector<std::int64_t> t) { return test::number_column("timestamp_ns", t); };
+    const auto times = [](std::vector<std::int64_t> t) { return test::make_numbers("timestamp_ns", t); };
     const std::int64_t first = Argoverse2Log::sweep_ns(0), second = Argoverse2Log::sweep_ns(1);
-    refuse(way, test::with_poses({times({first, first})}, two),
+    refuse(way, test::set_poses({times({first, first})}, two),
            "column 'timestamp_ns': row 1 is 315966265259836000 after 315966265259836000");
-    refuse(way, test::with_poses({times({first, first + 1})}, two), "no pose at 315966265360088000");
+    refuse(way, test::set_poses({times({first, first + 1})}, two), "no pose at 315966265360088000");
     bad = two;
     bad[0].translation.y = NAN;
-    refuse(way, test::with_poses({times({first, second})}, bad),
+    refuse(way, test::set_poses({times({first, second})}, bad),
            "column 'ty_m': row 0 is nan, expected a finite number");
     const auto label = [&](double length_m) {
         const std::vector<double> one{1.0};
-        return test::with_poses(
-            {times({first}), test::text_column("track_uuid", {"a"}), test::text_column("category", {"DOG"}),
-             test::number_column("length_m", std::vector<double>{length_m}),
-             test::number_column("width_m", one), test::number_column("height_m", one)},
+        return test::set_poses(
+            {times({first}), test::make_texts("track_uuid", {"a"}), test::make_texts("category", {"DOG"}),
+             test::make_numbers("length_m", std::vector<double>{length_m}),
+             test::make_numbers("width_m", one), test::make_numbers("height_m", one)},
             {Pose{}});
     };
     refuse(boxes, label(-1.0), "columns 'length_m' to 'height_m': row 0 is -1 x 1 x 1, expected all above 0");
-    const auto point = [](float x, std::uint8_t laser, std::int32_t offset_ns) {
+    const auto point = [](float value, std::uint8_t laser, std::int32_t offset_ns) {
         return std::vector<test::FeatherColumn>{
-            test::number_column("x", std::vector<float>{x}),
-            test::number_column("y", std::vector<float>{1.0f}),
-            test::number_column("z", std::vector<float>{1.0f}),
-            test::number_column("intensity", std::vector<std::uint8_t>{1}),
-            test::number_column("laser_number", std::vector<std::uint8_t>{laser}),
-            test::number_column("offset_ns", std::vector<std::int32_t>{offset_ns})};
+            test::make_numbers("x", std::vector<float>{value}),
+            test::make_numbers("y", std::vector<float>{1.0f}),
+            test::make_numbers("z", std::vector<float>{1.0f}),
+            test::make_numbers("intensity", std::vector<std::uint8_t>{1}),
+            test::make_numbers("laser_number", std::vector<std::uint8_t>{laser}),
+            test::make_numbers("offset_ns", std::vector<std::int32_t>{offset_ns})};
     };
     refuse(sweep, point(2e4f, 1, 0),
            "point 0 is (20000, 1, 1), expected coordinates in metres of at most 10000");
     refuse(sweep, point(NAN, 1, 0), "column 'x': row 0 is nan");
     refuse(sweep, point(1.0f, 64, 0), "column 'laser_number': row 0 is 64, expected 0 to 63");
     refuse(sweep, point(1.0f, 1, 300000000), "column 'offset_ns': row 0 is 300000000");
-    refuse(sweep, {test::number_column("x", std::vector<float>())}, "no points, expected a sweep");
-    refuse(sweep, {test::number_column("x", std::vector<float>{1.0f})},
+    refuse(sweep, {test::make_numbers("x", std::vector<float>())}, "no points, expected a sweep");
+    refuse(sweep, {test::make_numbers("x", std::vector<float>{1.0f})},
            "column 'y': the file has no such column");
     const std::string original = test::read_text(sweep);
     expect_refused(log, sweep, original.substr(0, original.size() / 2), "truncated");

@@ -33,7 +33,7 @@ void expect_boreas_truth(const BoreasFolder& data, const Sequence& sequence) {
             const auto column = std::size_t(std::lround((offset_s / 0.1 + 0.5) * data.drive.columns));
             const StampedRay& ray = truth.at(column * data.drive.beams.size() + frame.scan.rays.channel[i]);
             ASSERT_TRUE(ray.returned) << frame.index << " " << i;
-            const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
+            const WorldRay placed = make_world_ray(track, frame.time_s, frame.scan.rays, i, true);
             // Poses are interpolated linearly between scans. At 8 m/s and 0.3 rad/s the
             // error is 9 mm at half a scan before the first pose.
             ASSERT_LT(glm::distance(placed.origin_m + sequence.world_offset_m, ray.origin_m), 0.01);
@@ -65,7 +65,8 @@ TEST(Boreas, EveryReturnIsWhereItWasMeasured) {
     expect_boreas_truth(data, sequence);
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {  // x points forward
         const glm::dvec3 ahead = sequence.world_from_vehicle.pose[i].rotation * glm::dvec3(1, 0, 0);
-        const glm::dvec3 truth = data.drive.vehicle_at(0.1 * double(i)).rotation * glm::dvec3(1, 0, 0);
+        const glm::dvec3 truth =
+            data.drive.compute_vehicle_pose(0.1 * double(i)).rotation * glm::dvec3(1, 0, 0);
         EXPECT_LT(glm::distance(ahead, truth), 1e-6);
     }
 }

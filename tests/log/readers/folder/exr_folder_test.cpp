@@ -30,7 +30,7 @@ using Channels = std::map<std::string, std::vector<float>>;
 
 constexpr const char* kHead = R"({"format": "relidar log", "version": 1, "rate_hz": 10})";
 
-fs::path fresh_exr_folder(const std::string& name) {
+fs::path make_fresh_exr_folder(const std::string& name) {
     const fs::path folder = fs::path(testing::TempDir()) / "relidar_exr_folder" / name;
     fs::remove_all(folder);
     fs::create_directories(folder / "scans");
@@ -38,15 +38,15 @@ fs::path fresh_exr_folder(const std::string& name) {
 }
 
 /// Makes a folder for one frame without its image. The test adds the image.
-fs::path one_frame(const std::string& name, const std::string& head = kHead) {
-    const fs::path folder = fresh_exr_folder(name);
+fs::path write_one_frame(const std::string& name, const std::string& head = kHead) {
+    const fs::path folder = make_fresh_exr_folder(name);
     test::write_text(folder / "sequence.json", head);
     test::write_text(folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
     return folder;
 }
 
 /// Returns the image channels of a scan, with the same names as in a rendering.
-Channels channels_of(const Scan& scan) {
+Channels list_channels(const Scan& scan) {
     Channels channels{{"range", to_vector(scan.range_m)},
                       {"intensity", to_vector(scan.intensity)},
                       {"time", to_vector(scan.rays.time_offset_s)},
@@ -66,7 +66,7 @@ struct StreetOfImages {
     fs::path folder;
 
     StreetOfImages(const std::string& name, const std::function<bool(const std::string&)>& keep)
-        : folder(fresh_exr_folder(name)) {
+        : folder(make_fresh_exr_folder(name)) {
         for (Frame& frame : truth.frames) {
             Scan& scan = frame.scan;
             scan.second_returns.assign(
@@ -83,7 +83,7 @@ struct StreetOfImages {
             head.replace(at, 4, ".exr");
         test::write_text(folder / "sequence.json", head);
         for (const Frame& frame : truth.frames) {
-            Channels channels = channels_of(frame.scan);
+            Channels channels = list_channels(frame.scan);
             channels["range_2"] = frame.scan.second_returns[0].range_m;
             channels["intensity_2"] = frame.scan.second_returns[0].intensity;
             std::erase_if(channels, [&](const auto& channel) { return !keep(channel.first); });
@@ -138,7 +138,7 @@ TEST(ExrFolder, RowsFromBelow) {
         "sensor": {"beams": [{"elevation_deg": 5}, {"elevation_deg": 0}, {"elevation_deg": -5}], "columns": 4, "period_s": 0.1}}]})";
     const auto ranges = [&](const std::string& ring) {
         std::string text = head;
-        const fs::path folder = one_frame("below", text.replace(text.find("\"RING\""), 6, ring));
+        const fs::path folder = write_one_frame("below", text.replace(text.find("\"RING\""), 6, ring));
         write_exr(folder / "scans/0.exr", 3, 4, {{"range", {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12}}});
         const Scan scan = load_sequence(folder.string(), {}).frames[0].scan;
         EXPECT_NEAR(scan.rays.direction[0].z, std::sin(5.0 * kPi / 180.0), 1e-6)
@@ -150,7 +150,7 @@ TEST(ExrFolder, RowsFromBelow) {
 }
 
 TEST(ExrFolder, TheSensorThatAFileNames) {
-    const fs::path folder = one_frame("named");
+    const fs::path folder = write_one_frame("named");
     const SensorModel sensor = find_sensor("VLP-16:180x10");
     const RayTable rays = make_rays(sensor);
     const std::vector<float> range(rays.size(), 12.0f);
@@ -167,8 +167,8 @@ TEST(ExrFolder, TheSensorThatAFileNames) {
 /// integers, a different compression, and a window that does not start at 0.
 TEST(ExrFolder, ImagesOfOtherPrograms) {
     constexpr int rows = 40, columns = 30, n = rows * columns;
-    const fs::path folder =
-        one_frame("others", R"({"format": "relidar log", "version": 1, "rate_hz": 10, "intensity_max": 1000,
+    const fs::path folder = write_one_frame(
+        "others", R"({"format": "relidar log", "version": 1, "rate_hz": 10, "intensity_max": 1000,
         "lidars": [{"sensor": "rays.json", "spins": false}]})");
     std::string directions;
     for (int i = 0; i < n; ++i)
@@ -207,7 +207,7 @@ TEST(ExrFolder, ImagesOfOtherPrograms) {
 /// message.
 class ExrDamage : public testing::Test {
 protected:
-    const fs::path folder = one_frame("damage");
+    const fs::path folder = write_one_frame("damage");
     const fs::path file = folder / "scans/a.exr";
     const int rows = 20, columns = 12;
 
@@ -244,27 +244,27 @@ protected:
         const std::string said = complaint();
         EXPECT_NE(said.find(part), std::string::npos) << "said: " << said << "\nexpected: " << part;
     }
-    std::string good_bytes() const {
+    std::string read_good_bytes() const {
         write_exr(file, rows, columns, good());
         EXPECT_EQ(complaint(), "nothing");
         return test::read_text(file);
     }
     /// Returns the file after changing a number in an attribute. The attribute is found
     /// by name and type.
-    /// @param at offset in the value; -4 changes the size of the attribute
-    std::string patched(const std::string& bytes, const std::string& name, const std::string& type, int at,
-                        std::int32_t value) const {
+    /// @param offset offset in the value; -4 changes the size of the attribute
+    std::string patch_bytes(const std::string& bytes, const std::string& name, const std::string& type,
+                            int offset, std::int32_t value) const {
         std::string changed = bytes;
         const std::size_t begin = bytes.find(name + '\0' + type + '\0');
         EXPECT_NE(begin, std::string::npos);
-        std::memcpy(changed.data() + std::ptrdiff_t(begin + name.size() + type.size() + 2 + 4) + at, &value,
-                    sizeof value);
+        std::memcpy(changed.data() + std::ptrdiff_t(begin + name.size() + type.size() + 2 + 4) + offset,
+                    &value, sizeof value);
         return changed;
     }
 };
 
 TEST_F(ExrDamage, CutAnywhere) {
-    const std::string bytes = good_bytes();
+    const std::string bytes = read_good_bytes();
     for (std::size_t n = 0; n < bytes.size(); n += n < 700 ? 1 : 37) {
         test::write_text(file, bytes.substr(0, n));
         ASSERT_NE(complaint(), "nothing") << n << " bytes of " << bytes.size();
@@ -277,9 +277,9 @@ TEST_F(ExrDamage, CutAnywhere) {
 }
 
 TEST_F(ExrDamage, OfHeaders) {
-    const std::string bytes = good_bytes();
+    const std::string bytes = read_good_bytes();
     const auto window = [&](int at, std::int32_t value) {
-        return patched(bytes, "dataWindow", "box2i", at, value);
+        return patch_bytes(bytes, "dataWindow", "box2i", at, value);
     };
     expect_bytes(window(8, 1 << 28), "pixels, expected at most 16777216");
     expect_bytes(window(8, 400'000), "20 x 400001 pixels with 5 channels");
@@ -287,14 +287,15 @@ TEST_F(ExrDamage, OfHeaders) {
     expect_bytes(window(8, -5), "20 x -4 pixels");
     expect_bytes(window(-4, 2147483647), "the header is truncated");
     expect_bytes(window(-4, -1), "attribute 'dataWindow' has an invalid size of -1 bytes");
-    expect_bytes(patched(bytes, "pixelAspectRatio", "float", -4, 8),
+    expect_bytes(patch_bytes(bytes, "pixelAspectRatio", "float", -4, 8),
                  "attribute 'pixelAspectRatio' of type 'float' has 8 bytes, expected 4");
     // The size is larger than the channel list, so that OpenEXR would read beyond the
     // list.
     std::int32_t list_bytes = 0;
     const std::string list = std::string("channels") + '\0' + "chlist" + '\0';
     std::memcpy(&list_bytes, bytes.data() + bytes.find(list) + list.size(), sizeof list_bytes);
-    expect_bytes(patched(bytes, "channels", "chlist", -4, list_bytes + 9), "the list of channels is shorter");
+    expect_bytes(patch_bytes(bytes, "channels", "chlist", -4, list_bytes + 9),
+                 "the list of channels is shorter");
     std::string other = bytes;
     other[5] = 0x02;
     expect_bytes(other, "the file stores tiles");

@@ -18,8 +18,8 @@ namespace {
 
 namespace fs = std::filesystem;
 using test::expect_street;
-using test::fresh;
 using test::kStamped;
+using test::make_fresh_folder_path;
 using test::PointLog;
 
 TEST(OtherPrograms, CsvWithAHeader) {
@@ -65,7 +65,7 @@ TEST(OtherPrograms, NpyWithNamedFields) {
     expect_street({"npy_fields", "npy", npy, kStamped}, 1e-6);
 }
 TEST(OtherPrograms, NamesTheToolForOtherFormats) {
-    const fs::path folder = fresh("other_formats");
+    const fs::path folder = make_fresh_folder_path("other_formats");
     fs::create_directories(folder / "scans");
     const auto complaint = [](const fs::path& path) -> std::string {
         try {
@@ -105,7 +105,7 @@ TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
     };
     const auto expect = [&](const std::string& note, const Pose& of_vehicle) {
         const Sequence sequence = load_sequence(log.folder.string(), {});
-        const PoseTrack world = shifted_track(sequence.world_from_vehicle, sequence.world_offset_m);
+        const PoseTrack world = shift_track(sequence.world_from_vehicle, sequence.world_offset_m);
         for (std::size_t i = 0; i < world.pose.size(); ++i) {
             const Pose off = inverse(truth.pose[i] * of_vehicle) * world.pose[i];
             EXPECT_LT(glm::length(off.translation), 1e-6) << note;
@@ -168,7 +168,7 @@ TEST(OtherPrograms, FindsRingsInTheOrderOfTheFile) {
     // The beams of an HDL-64E start far from the sensor's centre, so their elevations
     // overlap.
     const test::KittiDrive drive("file_order");
-    const fs::path folder = fresh("file_order");
+    const fs::path folder = make_fresh_folder_path("file_order");
     fs::create_directories(folder / "scans");
     for (int frame = 0; frame < 3; ++frame)
         fs::copy_file(drive.scan(frame), folder / "scans" / fmt::format("{}.bin", frame));

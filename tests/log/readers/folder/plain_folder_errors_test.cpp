@@ -32,8 +32,8 @@ protected:
                 points.push_back({glm::vec3(20.0 * std::cos(a), 20.0 * std::sin(a), 20.0 * std::tan(e)), 0.2f,
                                   std::uint16_t(b), 0.0});
             }
-        put("scans/a.pcd", test::pcd_binary(points));
-        put("scans/b.pcd", test::pcd_compressed(points));
+        put("scans/a.pcd", test::make_pcd_binary(points));
+        put("scans/b.pcd", test::make_pcd_compressed(points));
         put("sequence.json", head);
         put("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n");
         put("boxes.json",
@@ -65,7 +65,7 @@ protected:
         const std::string said = complaint(name, text, options);
         EXPECT_NE(said.find(part), std::string::npos) << "said: " << said << "\nexpected: " << part;
     }
-    static DatasetOptions without_poses() {
+    static DatasetOptions make_options_without_poses() {
         DatasetOptions options;
         options.poses_file = kNoPoses;
         return options;
@@ -74,7 +74,7 @@ protected:
     std::string with(const std::string& members) const {
         return head.substr(0, head.size() - 1) + ", " + members + "}";
     }
-    std::string replaced(std::string text, const std::string& from, const std::string& to) const {
+    std::string replace_text(std::string text, const std::string& from, const std::string& to) const {
         EXPECT_NE(text.find(from), std::string::npos) << from;
         return text.replace(text.find(from), from.size(), to);
     }
@@ -88,7 +88,7 @@ protected:
 
 TEST_F(FolderDamage, IsNoneToBeginWith) {
     for (test::FilePoint& p : points) p.time_s = 0.1;
-    put("scans/b.pcd", test::pcd_compressed(points));
+    put("scans/b.pcd", test::make_pcd_compressed(points));
     EXPECT_EQ(complaint("notes.txt", ""), "nothing");
 }
 
@@ -98,16 +98,16 @@ TEST_F(FolderDamage, OfTheHead) {
     expect("sequence.json", head.substr(0, 40), "sequence.json: not valid JSON");
     expect("sequence.json", "[]", "expected an object");
     expect("sequence.json", "{}", "format is missing");
-    expect("sequence.json", replaced(head, "relidar log", "relidar"),
+    expect("sequence.json", replace_text(head, "relidar log", "relidar"),
            "format: found another format, expected \"relidar log\"");
-    expect("sequence.json", replaced(head, "1,", "2,"), "version: found 2");
+    expect("sequence.json", replace_text(head, "1,", "2,"), "version: found 2");
     expect("sequence.json", with("\"intensity_maks\": 1"),
            "found the unknown member 'intensity_maks', expected only format, version");
     expect("sequence.json", with("\"frames\": []"), "found both \"frames\" and \"rate_hz\"");
-    expect("sequence.json", replaced(head, "\"rate_hz\": 10, ", ""),
+    expect("sequence.json", replace_text(head, "\"rate_hz\": 10, ", ""),
            "found neither \"frames\" nor "
            "\"rate_hz\"");
-    expect("sequence.json", replaced(head, "10", "0"), "rate_hz: found 0");
+    expect("sequence.json", replace_text(head, "10", "0"), "rate_hz: found 0");
     expect("sequence.json", with("\"time_unit\": \"sec\""),
            "time_unit: found \"sec\", expected one of: s, ms, us, ns");
     expect("sequence.json", with("\"lidars\": []"), "lidars: found no LiDAR");
@@ -140,7 +140,7 @@ TEST_F(FolderDamage, OfTheHead) {
 
 TEST_F(FolderDamage, OfListedFrames) {
     const auto frames = [&](const std::string& list) {
-        return replaced(head, "\"rate_hz\": 10", "\"frames\": [" + list + "]");
+        return replace_text(head, "\"rate_hz\": 10", "\"frames\": [" + list + "]");
     };
     const std::string a = R"({"number": 0, "time_s": 0, "scan": "scans/a.pcd"})";
     expect("sequence.json", frames(""), "frames: found no frame");
@@ -177,43 +177,45 @@ TEST_F(FolderDamage, OfPosesAndBoxes) {
     expect("poses.txt", "time_s x y z qw qx qy\n", "poses.txt line 1: found no column 'qz'");
     const std::string good = test::read_text(folder / "boxes.json");
     expect("boxes.json", good.substr(0, 30), "boxes.json: not valid JSON");
-    expect("boxes.json", replaced(good, "\"yaw_deg\": 0", "\"yaw\": 0"),
+    expect("boxes.json", replace_text(good, "\"yaw_deg\": 0", "\"yaw\": 0"),
            "boxes[0]: found the unknown member 'yaw', expected only track, category, time_s, frame, size, "
            "position, yaw_deg, quaternion");
-    expect("boxes.json", replaced(good, "[4, 2, 1]", "[4, 2, 0]"), "box 'a': found the box size 4 x 2 x 0 m");
-    expect("boxes.json", replaced(good, "\"time_s\": 0", "\"frame\": 9"),
+    expect("boxes.json", replace_text(good, "[4, 2, 1]", "[4, 2, 0]"),
+           "box 'a': found the box size 4 x 2 x 0 m");
+    expect("boxes.json", replace_text(good, "\"time_s\": 0", "\"frame\": 9"),
            "frame: found 9, expected the number of a frame");
 }
 
 TEST_F(FolderDamage, OfPointFiles) {
-    const std::string good = test::pcd_binary(points);
+    const std::string good = test::make_pcd_binary(points);
     expect("scans/a.pcd", "", "a.pcd: the line DATA is missing");
     expect("scans/a.pcd", good.substr(0, good.size() - 1), "a.pcd: the file is truncated");
-    expect("scans/a.pcd", replaced(good, "POINTS 1440", "POINTS 999999999"),
+    expect("scans/a.pcd", replace_text(good, "POINTS 1440", "POINTS 999999999"),
            "a.pcd: found 999999999 points, expected 1 to");
-    expect("scans/a.pcd", replaced(good, "POINTS 1440", "POINTS 0"), "a.pcd: found 0 points");
-    expect("scans/a.pcd", replaced(good, "POINTS 1440", "POINTS -3"), "POINTS '-3', expected a whole number");
-    expect("scans/a.pcd", replaced(good, "SIZE 4 4 4", "SIZE 4 4"), "7 FIELDS, 6 SIZE");
-    expect("scans/a.pcd", replaced(good, "SIZE 4 4 4", "SIZE 3 4 4"), "the field 'x' has the type F3");
-    expect("scans/a.pcd", replaced(good, "COUNT 1", "COUNT 0"), "COUNT of the field 'x' is 0");
-    expect("scans/a.pcd", replaced(good, "FIELDS x y z", "FIELDS x y y"), "field 'y' occurs twice");
-    expect("scans/a.pcd", replaced(good, "FIELDS x y z", "FIELDS x y w"), "the field z is missing");
-    expect("scans/a.pcd", replaced(good, "DATA binary", "DATA packed"), "DATA 'packed'");
-    const std::string packed = test::pcd_compressed(points);
+    expect("scans/a.pcd", replace_text(good, "POINTS 1440", "POINTS 0"), "a.pcd: found 0 points");
+    expect("scans/a.pcd", replace_text(good, "POINTS 1440", "POINTS -3"),
+           "POINTS '-3', expected a whole number");
+    expect("scans/a.pcd", replace_text(good, "SIZE 4 4 4", "SIZE 4 4"), "7 FIELDS, 6 SIZE");
+    expect("scans/a.pcd", replace_text(good, "SIZE 4 4 4", "SIZE 3 4 4"), "the field 'x' has the type F3");
+    expect("scans/a.pcd", replace_text(good, "COUNT 1", "COUNT 0"), "COUNT of the field 'x' is 0");
+    expect("scans/a.pcd", replace_text(good, "FIELDS x y z", "FIELDS x y y"), "field 'y' occurs twice");
+    expect("scans/a.pcd", replace_text(good, "FIELDS x y z", "FIELDS x y w"), "the field z is missing");
+    expect("scans/a.pcd", replace_text(good, "DATA binary", "DATA packed"), "DATA 'packed'");
+    const std::string packed = test::make_pcd_compressed(points);
     expect("scans/b.pcd", packed.substr(0, packed.size() - 5), "bytes of compressed data");
     std::string other = packed;
     for (std::size_t at = other.size() - 40; at < other.size(); ++at) other[at] = char(0xFF);
     expect("scans/b.pcd", other, "the compressed data is damaged");
-    const std::string text = test::pcd_text(points);
+    const std::string text = test::make_pcd_text(points);
     expect("scans/a.pcd", text.substr(0, text.size() / 2), "a.pcd: point 7");
-    const std::string ply = test::ply_binary(points);
+    const std::string ply = test::make_ply_binary(points);
     fs::remove(folder / "scans/a.pcd");
     expect("scans/a.ply", ply.substr(0, ply.size() - 1), "a.ply: the file is truncated");
-    expect("scans/a.ply", replaced(ply, "binary_little_endian", "binary_big_endian"),
+    expect("scans/a.ply", replace_text(ply, "binary_little_endian", "binary_big_endian"),
            "format 'binary_big_endian'");
-    expect("scans/a.ply", replaced(ply, "element vertex", "element camera"),
+    expect("scans/a.ply", replace_text(ply, "element vertex", "element camera"),
            "expected 'element vertex N' as the first element");
-    expect("scans/a.ply", replaced(ply, "property ushort", "property list ushort"),
+    expect("scans/a.ply", replace_text(ply, "property ushort", "property list ushort"),
            "property 'ushort' has the type 'list'");
     expect("scans/a.bin", std::string(15, 'x'), "a.bin: found 15 bytes, expected a multiple of 16");
     expect("scans/a.bin", "", "a.bin: found 0 points");
@@ -229,18 +231,18 @@ TEST_F(FolderDamage, OfPointFiles) {
 TEST_F(FolderDamage, OfDeskewedPoints) {
     for (const char* frame :
          {"points_in world: the dataset's own", "points_in sensor at time_s: x forward, y left, z up"}) {
-        const std::string pcd = fmt::format("# {}\n", frame) + test::pcd_binary(points);
+        const std::string pcd = fmt::format("# {}\n", frame) + test::make_pcd_binary(points);
         const std::string ply =
-            replaced(test::ply_binary(points), "ply\n", fmt::format("ply\ncomment {}\n", frame));
+            replace_text(test::make_ply_binary(points), "ply\n", fmt::format("ply\ncomment {}\n", frame));
         expect("scans/a.pcd", pcd, "a.pcd: the rays are motion-compensated or in the world");
         fs::rename(folder / "scans/a.pcd", folder / "a.pcd");
         expect("scans/a.ply", ply, "a.ply: the rays are motion-compensated or in the world");
         fs::rename(folder / "a.pcd", folder / "scans/a.pcd");
         put("sequence.json", with(R"("motion_compensated": true)"));
-        EXPECT_EQ(complaint("scans/a.pcd", pcd, without_poses()), "nothing");
+        EXPECT_EQ(complaint("scans/a.pcd", pcd, make_options_without_poses()), "nothing");
         put("sequence.json", head);
     }
-    expect("scans/a.pcd", "# points_in sensor at each ray's firing time\n" + test::pcd_binary(points),
+    expect("scans/a.pcd", "# points_in sensor at each ray's firing time\n" + test::make_pcd_binary(points),
            "nothing");
 }
 
@@ -248,20 +250,20 @@ TEST_F(FolderDamage, OfValues) {
     const auto changed = [&](auto change) {
         test::FilePoints some = points;
         change(some[7]);
-        return test::pcd_binary(some);
+        return test::make_pcd_binary(some);
     };
     expect("scans/a.pcd", changed([](auto& p) { p.point_m.y = 1e7f; }), "a.pcd: point 7 is (");
     expect("scans/a.pcd", changed([](auto& p) { p.time_s = NAN; }), "a.pcd: point 7: the time nan");
     expect("scans/a.pcd", changed([](auto& p) { p.time_s = 1e9; }),
            "\"time_unit\" and \"point_times\" in sequence.json");
     expect("scans/a.pcd", changed([](auto& p) { p.ring = 65535; }), "a.pcd: point 7: the ring is 65535");
-    expect("sequence.json", replaced(head, "\"intensity_max\": 255, ", ""),
+    expect("sequence.json", replace_text(head, "\"intensity_max\": 255, ", ""),
            "the intensity is 51, expected 0 to 1, or \"intensity_max\"");
     expect("sequence.json",
            with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}], \"columns\": 8}}]"),
            "expected the number of one of 1 beams");
     for (test::FilePoint& p : points) p.ring = 0, p.point_m = {5.0f, 0.0f, 0.0f};
-    expect("scans/a.pcd", test::pcd_binary(points), "use \"spins\": false in sequence.json");
+    expect("scans/a.pcd", test::make_pcd_binary(points), "use \"spins\": false in sequence.json");
 }
 
 }  // namespace

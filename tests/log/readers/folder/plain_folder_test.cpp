@@ -27,13 +27,13 @@ namespace {
 
 namespace fs = std::filesystem;
 using test::expect_street;
-using test::fresh;
 using test::kStamped;
+using test::make_fresh_folder_path;
 using test::PointLog;
 
 /// Makes a street with two LiDARs, second returns, moving cars and a world offset.
-Sequence rich_street() {
-    Sequence street = test::two_lidar_street({.n_frames = 5, .rows = 16, .columns = 256});
+Sequence make_rich_street() {
+    Sequence street = test::make_two_lidar_street({.n_frames = 5, .rows = 16, .columns = 256});
     for (Frame& frame : street.frames) {
         Scan& scan = frame.scan;
         scan.second_returns.assign(
@@ -120,9 +120,9 @@ void expect_same_scans(const Sequence& sequence, const Sequence& truth) {
 }
 
 TEST(SaveFolder, IsReadAsTheSameLog) {
-    const Sequence street = rich_street();
+    const Sequence street = make_rich_street();
     ASSERT_FALSE(street.boxes.empty());
-    const fs::path folder = fresh("saved");
+    const fs::path folder = make_fresh_folder_path("saved");
     save_folder(street, folder);
     EXPECT_EQ(recognise_dataset(folder), "folder");
     const Sequence sequence = load_sequence(folder.string(), {});
@@ -133,7 +133,7 @@ TEST(SaveFolder, IsReadAsTheSameLog) {
 TEST(SaveFolder, KeepsADrive) {
     const test::KittiDrive drive("to_folder");
     const Sequence truth = load_sequence(drive.folder.string(), {});
-    const fs::path folder = fresh("drive");
+    const fs::path folder = make_fresh_folder_path("drive");
     save_folder(truth, folder);
     const Sequence sequence = load_sequence(folder.string(), {});
     expect_same_log(sequence, truth);
@@ -144,12 +144,12 @@ TEST(SaveFolder, KeepsRaysOfASensorThatDoesNotSpin) {
     Sequence street = make_synthetic_street({.n_frames = 3, .rows = 8, .columns = 64});
     street.lidars[0].sensor = {
         .name = "flash", .beams = {}, .columns = 0, .period_s = 0.0, .max_range_m = 60.0};
-    const fs::path folder = fresh("flash");
+    const fs::path folder = make_fresh_folder_path("flash");
     save_folder(street, folder);
     const Sequence sequence = load_sequence(folder.string(), {});
     EXPECT_EQ(sequence.lidars[0].sensor.period_s, 0.0);
     EXPECT_EQ(sequence.lidars[0].sensor.max_range_m, 60.0);
-    for (Frame& frame : street.frames) drop_outside(frame.scan, {0.0, 60.0});
+    for (Frame& frame : street.frames) drop_outside_limits(frame.scan, {0.0, 60.0});
     expect_same_scans(sequence, street);
 }
 
@@ -157,19 +157,19 @@ TEST(SaveFolder, KeepsARigOfSensorsThatDoNotSpin) {
     SyntheticOptions options{.n_frames = 2};
     options.rig = test::write_rig(fs::path(testing::TempDir()) / "relidar_folder_rig");
     Sequence street = make_synthetic_street(options);
-    RayTable table = nominal_rays(street.lidars[test::kRosette], 0.4);
+    RayTable table = make_nominal_rays(street.lidars[test::kRosette], 0.4);
     for (std::size_t i = 0; i < table.size(); ++i) table.ray_divergence_rad.push_back(1e-3f * float(i % 7));
     for (Frame& frame : street.frames)
         if (frame.lidar == test::kRosette) frame.scan.rays.ray_divergence_rad = table.ray_divergence_rad;
     street.lidars[test::kRosette].pattern = table;
-    const fs::path folder = fresh("rig");
+    const fs::path folder = make_fresh_folder_path("rig");
     save_folder(street, folder);
     const Sequence sequence = load_sequence(folder.string(), {});
     ASSERT_EQ(sequence.lidars.size(), 4u);
     EXPECT_FALSE(sequence.lidars[test::kSpinning].pattern);
     for (const int l : {test::kWindow, test::kRosette, test::kTwoReturns}) {
-        const RayTable a = nominal_rays(sequence.lidars[std::size_t(l)], 0.7),
-                       b = nominal_rays(street.lidars[std::size_t(l)], 0.7);
+        const RayTable a = make_nominal_rays(sequence.lidars[std::size_t(l)], 0.7),
+                       b = make_nominal_rays(street.lidars[std::size_t(l)], 0.7);
         ASSERT_EQ(a.size(), b.size());
         for (std::size_t i = 0; i < a.size(); ++i)
             ASSERT_LT(glm::distance(a.direction[i], b.direction[i]), 2e-7f);
@@ -185,7 +185,7 @@ TEST(SaveFolder, KeepsARigOfSensorsThatDoNotSpin) {
 TEST(SaveFolder, SaysThatScansAreMotionCompensated) {
     Sequence street = make_synthetic_street({.n_frames = 3, .rows = 8, .columns = 64});
     street.rolling_shutter = false;
-    const fs::path folder = fresh("compensated_log");
+    const fs::path folder = make_fresh_folder_path("compensated_log");
     save_folder(street, folder);
     const std::vector<NamedArray> arrays = read_npz((folder / "scans/000001.npz").string());
     EXPECT_EQ(find_array(arrays, "deskewed")->as_float(), std::vector<float>{1.0f});
@@ -194,8 +194,8 @@ TEST(SaveFolder, SaysThatScansAreMotionCompensated) {
     EXPECT_FALSE(sequence.rolling_shutter);
     EXPECT_FALSE(sequence.frames[1].start);
     for (std::size_t i = 0; i < 8 * 64; ++i) {
-        const auto seen = world_return(sequence, sequence.frames[1], i),
-                   truth = world_return(street, street.frames[1], i);
+        const auto seen = compute_world_return(sequence, sequence.frames[1], i),
+                   truth = compute_world_return(street, street.frames[1], i);
         ASSERT_LT(glm::distance(seen.point_m, truth.point_m), 1e-6) << i;
     }
     const std::regex statement("\"motion_compensated\": true");
@@ -206,8 +206,8 @@ TEST(SaveFolder, SaysThatScansAreMotionCompensated) {
 }
 
 TEST(SaveFolder, ReadsARangeOfItsFrames) {
-    const Sequence street = rich_street();
-    const fs::path folder = fresh("range");
+    const Sequence street = make_rich_street();
+    const fs::path folder = make_fresh_folder_path("range");
     save_folder(street, folder);
     DatasetOptions options;
     options.frames = {1, 3};
@@ -219,15 +219,15 @@ TEST(SaveFolder, ReadsARangeOfItsFrames) {
 }
 
 /// Returns the names in a folder, including hidden files.
-std::vector<std::string> names_in(const fs::path& folder) {
+std::vector<std::string> list_names_in(const fs::path& folder) {
     std::vector<std::string> names;
     for (const auto& entry : fs::directory_iterator(folder)) names.push_back(entry.path().filename());
     return names;
 }
 
 TEST(SaveFolder, ReadsAFewScansForALook) {
-    const Sequence street = rich_street();  // five frames of each LiDAR
-    const fs::path folder = fresh("looked_at");
+    const Sequence street = make_rich_street();  // five frames of each LiDAR
+    const fs::path folder = make_fresh_folder_path("looked_at");
     save_folder(street, folder);
     DatasetOptions options;
     options.max_scans = 2;
@@ -244,15 +244,15 @@ TEST(SaveFolder, ReadsAFewScansForALook) {
 }
 
 TEST(SaveFolder, LeavesNothingUnfinished) {
-    const Sequence street = rich_street();
-    const fs::path folder = fresh("place") / "saved";
+    const Sequence street = make_rich_street();
+    const fs::path folder = make_fresh_folder_path("place") / "saved";
     fs::create_directory(folder.parent_path());
     FolderOptions options;
     options.progress = [](std::string_view, double done) {
         if (done > 0.5) throw Error(ExitCode::interrupted, "interrupted");
     };
     EXPECT_THROW(save_folder(street, folder, options), Error);
-    EXPECT_TRUE(names_in(folder.parent_path()).empty());
+    EXPECT_TRUE(list_names_in(folder.parent_path()).empty());
     save_folder(street, folder);
     EXPECT_THROW(save_folder(street, folder), UsageError);
     options.overwrite = true;
@@ -264,20 +264,22 @@ TEST(SaveFolder, LeavesNothingUnfinished) {
     shorter.world_from_vehicle.time_s.resize(1), shorter.world_from_vehicle.pose.resize(1);
     save_folder(shorter, folder, {.overwrite = true});
     EXPECT_EQ(load_sequence(folder.string(), {}).frames.size(), 2u);
-    EXPECT_EQ(names_in(folder.parent_path()), std::vector<std::string>{"saved"});
+    EXPECT_EQ(list_names_in(folder.parent_path()), std::vector<std::string>{"saved"});
     test::write_text(folder.parent_path() / "other/thing.txt", "x");
     EXPECT_THROW(save_folder(street, folder.parent_path() / "other", {.overwrite = true}), UsageError);
     EXPECT_TRUE(fs::exists(folder.parent_path() / "other/thing.txt"));
 }
 
-TEST(PlainFolder, PcdAsText) { expect_street({"pcd_text", "pcd", test::pcd_text, kStamped}, 1e-6); }
-TEST(PlainFolder, PcdPacked) { expect_street({"pcd_binary", "pcd", test::pcd_binary, kStamped}, 1e-6); }
-TEST(PlainFolder, PcdCompressed) { expect_street({"pcd_lzf", "pcd", test::pcd_compressed, kStamped}, 1e-6); }
+TEST(PlainFolder, PcdAsText) { expect_street({"pcd_text", "pcd", test::make_pcd_text, kStamped}, 1e-6); }
+TEST(PlainFolder, PcdPacked) { expect_street({"pcd_binary", "pcd", test::make_pcd_binary, kStamped}, 1e-6); }
+TEST(PlainFolder, PcdCompressed) {
+    expect_street({"pcd_lzf", "pcd", test::make_pcd_compressed, kStamped}, 1e-6);
+}
 TEST(PlainFolder, PlyAsText) {
-    expect_street({"ply_text", "ply", test::ply_text, R"(, "point_times": "absolute")"}, 1e-6);
+    expect_street({"ply_text", "ply", test::make_ply_text, R"(, "point_times": "absolute")"}, 1e-6);
 }
 TEST(PlainFolder, PlyPacked) {
-    expect_street({"ply_binary", "ply", test::ply_binary, R"(, "point_times": "absolute")"}, 1e-6);
+    expect_street({"ply_binary", "ply", test::make_ply_binary, R"(, "point_times": "absolute")"}, 1e-6);
 }
 TEST(PlainFolder, NpyOfColumns) {
     expect_street(
@@ -385,7 +387,7 @@ TEST(PlainFolder, InterpolatesPosesThatHaveTimes) {
     for (const std::string& poses : logs) {
         test::write_text(log.folder / "poses.txt", poses);
         const Sequence sequence = load_sequence(log.folder.string(), {});
-        const PoseTrack world = shifted_track(sequence.world_from_vehicle, sequence.world_offset_m);
+        const PoseTrack world = shift_track(sequence.world_from_vehicle, sequence.world_offset_m);
         EXPECT_LT(glm::distance(world.pose[1].translation, glm::dvec3(1.5, 0, 0)), 1e-12);  // 0.1 s
         EXPECT_LT(glm::distance(world.pose[2].translation, glm::dvec3(2, 1.5, 0)), 1e-12);  // 0.2 s
         EXPECT_NEAR(world.pose[2].rotation.z, std::sin(kPi / 16), 1e-12) << "an eighth of a turn half way";
@@ -412,7 +414,7 @@ TEST(PlainFolder, BoxesByFrameAndYaw) {
 }
 
 TEST(PlainFolder, ReadsRenderedScans) {
-    const fs::path folder = fresh("rendered");
+    const fs::path folder = make_fresh_folder_path("rendered");
     fs::create_directories(folder / "scans");
     const std::vector<float> range = {5.0f, 7.0f}, median = {5.5f, 7.5f}, drop = {0.2f, 0.9f},
                              intensity = {0.25f, 0.5f};

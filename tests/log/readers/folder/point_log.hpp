@@ -21,7 +21,7 @@ namespace relidar::test {
 
 namespace fs = std::filesystem;
 
-inline fs::path fresh(const std::string& name) {
+inline fs::path make_fresh_folder_path(const std::string& name) {
     const fs::path folder = fs::path(testing::TempDir()) / "relidar_folder" / name;
     fs::remove_all(folder);
     fs::create_directories(folder.parent_path());
@@ -37,7 +37,7 @@ struct PointLog {
 
     PointLog(const std::string& name, const std::string& ending,
              const std::function<std::string(const FilePoints&)>& written, const std::string& members)
-        : folder(fresh(name)) {
+        : folder(make_fresh_folder_path(name)) {
         fs::create_directories(folder / "scans");
         std::string poses;
         for (const Frame& frame : street.frames) {
@@ -70,7 +70,7 @@ struct Difference {
 };
 
 /// Compares two logs ray by ray. The image must have the rows and columns of the street.
-inline Difference difference(const Sequence& sequence, const Sequence& street) {
+inline Difference measure_difference(const Sequence& sequence, const Sequence& street) {
     Difference worst;
     for (std::size_t f = 0; f < street.frames.size(); ++f) {
         const Scan &a = sequence.frames[f].scan, &b = street.frames[f].scan;
@@ -83,9 +83,9 @@ inline Difference difference(const Sequence& sequence, const Sequence& street) {
                 std::max(worst.time_s, double(std::abs(a.rays.time_offset_s[i] - b.rays.time_offset_s[i])));
             if (a.range_m[i] == 0.0f || b.range_m[i] == 0.0f) continue;
             worst.intensity = std::max(worst.intensity, double(std::abs(a.intensity[i] - b.intensity[i])));
-            worst.point_m =
-                std::max(worst.point_m, glm::distance(world_return(sequence, sequence.frames[f], i).point_m,
-                                                      world_return(street, street.frames[f], i).point_m));
+            worst.point_m = std::max(
+                worst.point_m, glm::distance(compute_world_return(sequence, sequence.frames[f], i).point_m,
+                                             compute_world_return(street, street.frames[f], i).point_m));
         }
     }
     return worst;
@@ -94,7 +94,7 @@ inline Difference difference(const Sequence& sequence, const Sequence& street) {
 inline void expect_street(const PointLog& log, double time_s) {
     const Sequence sequence = load_sequence(log.folder.string(), {});
     ASSERT_EQ(sequence.lidars[0].sensor.columns, log.street.lidars[0].sensor.columns);
-    const Difference worst = difference(sequence, log.street);
+    const Difference worst = measure_difference(sequence, log.street);
     EXPECT_LT(worst.point_m, 1e-4);
     EXPECT_LT(worst.time_s, time_s);
     EXPECT_LT(worst.intensity, 0.51 / 255.0);

@@ -37,8 +37,8 @@ struct Kitti360Folder {
 
     /// Returns the exact pose in the dataset's world.
     /// @param frame frame number. A fractional number is a time between two sweeps.
-    static glm::dmat4 world_from_imu(double frame);
-    static glm::dmat4 world_from_velo(double frame);
+    static glm::dmat4 compute_world_from_imu(double frame);
+    static glm::dmat4 compute_world_from_velo(double frame);
 
     /// Writes poses.txt with the given frames.
     void write_poses(const std::vector<int>& frames) const;
@@ -46,16 +46,16 @@ struct Kitti360Folder {
 
 /// Returns the matrix of a labelled box. As in KITTI-360, it contains the rotation and
 /// the size.
-glm::dmat4 box_matrix(const glm::dvec3& centre_m, double yaw_rad, const glm::dvec3& size_m);
+glm::dmat4 make_box_matrix(const glm::dvec3& centre_m, double yaw_rad, const glm::dvec3& size_m);
 
 /// Returns an XML child of opencv_storage with the fields of an object, its transform,
 /// and the unit cube to which the transform applies.
-std::string object_xml(int number, const std::string& fields, const glm::dmat4& transform);
+std::string make_object_xml(int number, const std::string& fields, const glm::dmat4& transform);
 /// Returns the fields of an object in train_full, for drives other than 0004.
 /// @param timestamp frame of the label. -1 means that the object does not move from
 /// start_frame to end_frame.
-std::string object_fields(const std::string& label, int semantic, int instance, int timestamp,
-                          int start_frame, int end_frame);
-std::string boxes_xml(const std::string& objects);
+std::string make_object_fields(const std::string& label, int semantic, int instance, int timestamp,
+                               int start_frame, int end_frame);
+std::string make_boxes_xml(const std::string& objects);
 
 }  // namespace relidar::test

@@ -30,8 +30,8 @@ Sequence read(const Kitti360Folder& kitti, const DatasetOptions& options = {}) {
 std::size_t points_in(const Sequence& log, const Frame& frame, const BoxTrack& box) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < frame.scan.rays.size(); ++i)
-        n +=
-            frame.scan.range_m[i] > 0.0f && box.holds(world_return(log, frame, i).point_m, frame.time_s, 0.0);
+        n += frame.scan.range_m[i] > 0.0f &&
+             box.holds(compute_world_return(log, frame, i).point_m, frame.time_s, 0.0);
     return n;
 }
 
@@ -53,10 +53,10 @@ TEST(Kitti360, PointsStandInTheWorldWhereTheyWere) {
             if (frame.scan.range_m[i] == 0.0f) continue;
             const glm::dvec3 point(frame.scan.point(i));
             const double late = double(frame.scan.rays.time_offset_s[i]) / Kitti360Folder::kPeriod_s;
-            const glm::dvec3 truth(Kitti360Folder::world_from_velo(frame.index + late) *
+            const glm::dvec3 truth(Kitti360Folder::compute_world_from_velo(frame.index + late) *
                                    glm::dvec4(point, 1.0));
-            farthest = std::max(
-                farthest, glm::distance(truth, world_return(log, frame, i).point_m + log.world_offset_m));
+            farthest = std::max(farthest, glm::distance(truth, compute_world_return(log, frame, i).point_m +
+                                                                   log.world_offset_m));
             const double head = std::atan2(point.y, point.x) -
                                 log.lidars[0].sensor.beams[frame.scan.rays.channel[i]].azimuth_offset_rad;
             latest = std::max(latest, std::abs(std::remainder(late + head / (2 * kPi), 1.0)));
@@ -79,8 +79,8 @@ TEST(Kitti360, BoxesHoldWhatWasLabelled) {
     ASSERT_EQ(driving.world_from_box.pose.size(), 3u);
     ASSERT_EQ(standing.world_from_box.pose.size(), 2u) << "of the frames in its window";
     for (int i = 0; i < 3; ++i) {
-        const glm::dmat4 truth = Kitti360Folder::world_from_velo(Kitti360Folder::kFirst + i) *
-                                 test::box_matrix({9.5, 0, 0}, 0.3, {1, 1, 1});
+        const glm::dmat4 truth = Kitti360Folder::compute_world_from_velo(Kitti360Folder::kFirst + i) *
+                                 test::make_box_matrix({9.5, 0, 0}, 0.3, {1, 1, 1});
         const Pose& actual = driving.world_from_box.pose[std::size_t(i)];
         EXPECT_EQ(driving.world_from_box.time_s[std::size_t(i)], log.frames[std::size_t(i)].time_s);
         EXPECT_LT(glm::distance(actual.translation + log.world_offset_m, glm::dvec3(truth[3])), 1e-6);
@@ -158,7 +158,7 @@ TEST(Kitti360, FramesWithoutAPose) {
     ASSERT_EQ(log.frames.size(), 3u);
     EXPECT_THAT(log.notes, Contains("poses of these frames are interpolated, because data_poses does not "
                                     "contain them: 2351"));
-    const glm::dvec3 there(Kitti360Folder::world_from_velo(2351)[3]);
+    const glm::dvec3 there(Kitti360Folder::compute_world_from_velo(2351)[3]);
     EXPECT_LT(glm::distance(log.world_from_vehicle.pose[1].translation + log.world_offset_m, there), 1e-3);
     kitti.write_poses({2345, 2351});  // six frames apart; half a second is five frames
     log = read(kitti);
@@ -206,7 +206,7 @@ TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
 TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
     const Kitti360Folder kitti("k360_0004");
     const glm::dmat4 place =
-        Kitti360Folder::world_from_velo(2351) * test::box_matrix({9.5, 0, 0}, 0.0, {1, 2, 3});
+        Kitti360Folder::compute_world_from_velo(2351) * test::make_box_matrix({9.5, 0, 0}, 0.0, {1, 2, 3});
     const auto fields = [](const std::string& label, int index, int timestamp) {
         return fmt::format(
             "<index>{}</index><label>{}</label><timestamp>{}</timestamp><dynamic>{}</dynamic><dynamicSeq>4</"
@@ -216,10 +216,10 @@ TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
     };
     fs::remove(kitti.boxes());
     write_text(kitti.folder / "data_3d_bboxes/train" / kitti.boxes().filename(),
-               test::boxes_xml(test::object_xml(1, fields("pedestrian", 11, 2350), place) +
-                               test::object_xml(2, fields("pedestrian", 12, 2351), place) +
-                               test::object_xml(3, fields("car", 13, -1), place) +
-                               test::object_xml(4, fields("trafficSign", 14, -1), place)));
+               test::make_boxes_xml(test::make_object_xml(1, fields("pedestrian", 11, 2350), place) +
+                                    test::make_object_xml(2, fields("pedestrian", 12, 2351), place) +
+                                    test::make_object_xml(3, fields("car", 13, -1), place) +
+                                    test::make_object_xml(4, fields("trafficSign", 14, -1), place)));
     const Sequence log = read(kitti);
     ASSERT_EQ(log.boxes.size(), 2u);
     EXPECT_EQ(log.boxes[0].id, "car-13");
@@ -298,8 +298,9 @@ TEST(Kitti360, SaysWhichBoxIsWrong) {
     write_text(kitti.boxes(), "<html/>");
     expect_error(kitti, kitti.boxes(), "<html/>", ".xml: the element opencv_storage is missing");
     const glm::dmat4 sheared{{2, 0, 0, 0}, {1, 1, 0, 0}, {0, 0, 1, 0}, {0, 0, 0, 1}};
-    const auto one = [](const glm::dmat4& m) {
-        return test::boxes_xml(test::object_xml(0, test::object_fields("bus", 34, 1, 2351, 0, 0), m));
+    const auto one = [](const glm::dmat4& matrix) {
+        return test::make_boxes_xml(
+            test::make_object_xml(0, test::make_object_fields("bus", 34, 1, 2351, 0, 0), matrix));
     };
     expect_error(kitti, kitti.boxes(), one(sheared), "object0: transform: the 3x3 block is not a rotation");
     expect_error(kitti, kitti.boxes(), one(glm::dmat4(0.0)), "object0: transform gives the size 0 x 0 x 0 m");

@@ -38,11 +38,11 @@ std::vector<Beam> make_beams() {
     return beams;
 }
 
-double head_azimuth(Heads heads, int firing, int frame) {
+double compute_head_azimuth(Heads heads, int firing, int frame) {
     const double even = firing * 4000.0 / KittiDrive::kFirings;
     if (heads == Heads::even) return (2000.0 - even) * kTick;
     if (heads == Heads::jittered) {
-        Random random(hash64(static_cast<std::uint64_t>(firing), static_cast<std::uint64_t>(frame)));
+        Random random(combine_hashes(static_cast<std::uint64_t>(firing), static_cast<std::uint64_t>(frame)));
         return (2000.0 - even - random.uniform(0.0, 2.5)) * kTick;
     }
     const double wobble = 1.4 * std::sin(6.0 * kPi * firing / KittiDrive::kFirings) + 1.9 * frame;
@@ -60,12 +60,14 @@ Sweep make_sweep(const std::vector<Beam>& beams, Heads heads, int frame) {
     for (std::size_t k = 0; k < beams.size(); ++k) {
         std::vector<std::pair<double, glm::vec4>> ring;
         for (int n = 0; n < KittiDrive::kFirings; ++n) {
-            const BeamRay ray = beam_ray(beams[k], head_azimuth(heads, n, frame));
+            const BeamRay ray = compute_beam_ray(beams[k], compute_head_azimuth(heads, n, frame));
             const double azimuth = std::atan2(ray.direction.y, ray.direction.x);
             const double reach = 9.0 + 4.0 * std::sin(3.0 * azimuth) +
                                  2.0 * std::cos(7.0 * azimuth + 0.3 * static_cast<double>(k));
             const bool drop =
-                hash64(k * 1000 + static_cast<std::uint64_t>(n), static_cast<std::uint64_t>(frame)) % 10 == 0;
+                combine_hashes(k * 1000 + static_cast<std::uint64_t>(n), static_cast<std::uint64_t>(frame)) %
+                    10 ==
+                0;
             if (drop) {
                 sweep.dropped.push_back(ray.direction);
                 continue;
@@ -77,7 +79,8 @@ Sweep make_sweep(const std::vector<Beam>& beams, Heads heads, int frame) {
             const double full = std::atan2(p.y, p.x);
             ring.emplace_back(full < 0.0 ? full + 2.0 * kPi : full, glm::vec4(glm::vec3(p), 0.25f));
         }
-        std::sort(ring.begin(), ring.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+        std::sort(ring.begin(), ring.end(),
+                  [](const auto& first, const auto& second) { return first.first < second.first; });
         for (const auto& [azimuth, point] : ring)
             sweep.bytes.append(reinterpret_cast<const char*>(&point), sizeof(point));
         sweep.n_points += ring.size();
@@ -85,7 +88,7 @@ Sweep make_sweep(const std::vector<Beam>& beams, Heads heads, int frame) {
     return sweep;
 }
 
-const Sweep& sweep_of(Heads heads, int frame) {
+const Sweep& make_sweep_of(Heads heads, int frame) {
     static std::map<std::pair<Heads, int>, Sweep> made;
     const auto [at, is_new] = made.try_emplace({heads, frame});
     if (is_new) at->second = make_sweep(make_beams(), heads, frame);
@@ -98,11 +101,11 @@ std::string timestamp(double second) {
                          : fmt::format("2012-01-01 00:00:{:012.9f}\n", second - 60.0);
 }
 
-std::string tracklets() {
-    const auto pose = [](double x) {
+std::string make_tracklets() {
+    const auto pose = [](double value) {
         return fmt::format(
             "<item><tx>{}</tx><ty>2</ty><tz>-1.5</tz><rx>0</rx><ry>0</ry><rz>0.5</rz><state>2</state></item>",
-            x);
+            value);
     };
     return "<?xml "
            "version=\"1.0\"?><boost_serialization><tracklets><count>1</count><item_version>1</"
@@ -132,11 +135,11 @@ fs::path KittiDrive::scan(int frame) const {
 KittiDrive::KittiDrive(const std::string& name, Heads heads)
     : folder(fs::path(testing::TempDir()) / ("relidar_" + name) / "2011_12_31/2011_12_31_drive_0001_sync") {
     beams = make_beams();
-    dropped = sweep_of(heads, 0).dropped;
-    n_points = sweep_of(heads, 0).n_points;
+    dropped = make_sweep_of(heads, 0).dropped;
+    n_points = make_sweep_of(heads, 0).n_points;
     std::array<std::string, 3> times;
     for (int frame = 0; frame < 3; ++frame) {
-        write_text(scan(frame), sweep_of(heads, frame).bytes);
+        write_text(scan(frame), make_sweep_of(heads, frame).bytes);
         const double second = 59.85 + 0.1 * frame;
         times[0] += timestamp(second);
         times[1] += timestamp(second - 0.05);
@@ -150,7 +153,7 @@ KittiDrive::KittiDrive(const std::string& name, Heads heads)
     write_text(file("velodyne_points/timestamps.txt"), times[0]);
     write_text(file("velodyne_points/timestamps_start.txt"), times[1]);
     write_text(file("velodyne_points/timestamps_end.txt"), times[2]);
-    write_text(file("tracklet_labels.xml"), tracklets());
+    write_text(file("tracklet_labels.xml"), make_tracklets());
     write_text(calibration(), "calib_time: 01-Jan-2012 00:00:00\nR: 1 0 0 0 1 0 0 0 1\nT: -0.8 0.3 -0.8\n");
 }
 

@@ -150,7 +150,7 @@ TEST(KittiErrors, BrokenScans) {
 }
 
 /// Returns 64 rings of points at even azimuths, stored ring by ring as in KITTI.
-std::string even_scan(double step_rad, int n_a_ring) {
+std::string make_even_scan(double step_rad, int n_a_ring) {
     std::string bytes;
     for (int ring = 0; ring < 64; ++ring) {
         for (int i = 0; i < n_a_ring; ++i) {
@@ -169,7 +169,7 @@ std::string even_scan(double step_rad, int n_a_ring) {
 
 TEST(KittiErrors, AzimuthStepsOfNoSensor) {
     const KittiDrive drive("steps");
-    for (int frame = 0; frame < 3; ++frame) write_text(drive.scan(frame), even_scan(2e-5, 1000));
+    for (int frame = 0; frame < 3; ++frame) write_text(drive.scan(frame), make_even_scan(2e-5, 1000));
     expect_data_error(drive, {"velodyne_points/data: azimuths of neighbouring points differ by 1/",
                               "at most 8192 firings"});
 }

@@ -162,7 +162,7 @@ TEST(KittiRaw, PosesFileFrameRangeAndMissingScans) {
 }
 
 /// Empties the given lines of a file.
-void blank_lines(const std::filesystem::path& path, const std::vector<std::size_t>& numbers) {
+void erase_lines(const std::filesystem::path& path, const std::vector<std::size_t>& numbers) {
     const std::string original = test::read_text(path);
     std::string text, line;
     std::istringstream lines(original);
@@ -177,7 +177,7 @@ TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
     const KittiDrive drive("drive0009");
     std::filesystem::remove(drive.scan(1));
     for (const char* name : {"timestamps.txt", "timestamps_start.txt", "timestamps_end.txt"})
-        blank_lines(drive.file(std::string("velodyne_points/") + name), {1});
+        erase_lines(drive.file(std::string("velodyne_points/") + name), {1});
     const Sequence log = load_sequence(drive.folder.string(), {});
     ASSERT_EQ(log.frames.size(), 2u);
     EXPECT_EQ(log.frames[1].index, 2);
@@ -198,7 +198,7 @@ TEST(KittiRaw, TimesAreCountedFromTheFirstLineThatHasOne) {
     const KittiDrive drive("headless");
     std::filesystem::remove(drive.scan(0));
     for (const char* name : {"timestamps.txt", "timestamps_start.txt", "timestamps_end.txt"})
-        blank_lines(drive.file(std::string("velodyne_points/") + name), {0});
+        erase_lines(drive.file(std::string("velodyne_points/") + name), {0});
     const Sequence log = load_sequence(drive.folder.string(), {});
     EXPECT_NEAR(log.frames[0].time_s, 0.0, 1e-9);
     EXPECT_NEAR(log.frames[1].time_s, 0.1, 1e-9);
@@ -312,7 +312,8 @@ TEST(KittiRaw, RealDrive) {
 }
 
 /// Returns the points of a scan file up to a range, in the stored single precision.
-std::vector<glm::vec3> file_points(const fs::path& file, float max_range_m, std::vector<float>& intensity) {
+std::vector<glm::vec3> read_file_points(const fs::path& file, float max_range_m,
+                                        std::vector<float>& intensity) {
     std::vector<glm::vec4> records(fs::file_size(file) / sizeof(glm::vec4));
     const auto n_bytes = std::streamsize(records.size() * sizeof(glm::vec4));
     std::ifstream(file, std::ios::binary).read(reinterpret_cast<char*>(records.data()), n_bytes);
@@ -326,10 +327,10 @@ std::vector<glm::vec3> file_points(const fs::path& file, float max_range_m, std:
 std::size_t count_missing(const std::vector<glm::vec3>& points, std::vector<glm::vec3> others) {
     constexpr float kSame_m = 1e-3f;
     std::ranges::sort(others, {}, &glm::vec3::x);
-    return std::size_t(std::ranges::count_if(points, [&](const glm::vec3& p) {
-        for (auto o = std::ranges::lower_bound(others, p.x - kSame_m, {}, &glm::vec3::x);
-             o != others.end() && o->x <= p.x + kSame_m; ++o)
-            if (glm::distance(*o, p) <= kSame_m) return false;
+    return std::size_t(std::ranges::count_if(points, [&](const glm::vec3& point) {
+        for (auto o = std::ranges::lower_bound(others, point.x - kSame_m, {}, &glm::vec3::x);
+             o != others.end() && o->x <= point.x + kSame_m; ++o)
+            if (glm::distance(*o, point) <= kSame_m) return false;
         return true;
     }));
 }
@@ -345,11 +346,11 @@ TEST(KittiRaw, RealScansKeepTheirPointsOnTheNativeGrid) {
         const fs::path file =
             fs::path(folder) / "velodyne_points/data" / (fmt::format("{:010}.bin", frame.index));
         std::vector<float> intensity;
-        const std::vector<glm::vec3> points = file_points(file, 79.9f, intensity);
+        const std::vector<glm::vec3> points = read_file_points(file, 79.9f, intensity);
         std::vector<glm::vec3> kept;
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (frame.scan.range_m[i] > 0.0f) kept.push_back(frame.scan.point(i));
-        const GridImage grid = project_points(kitti360_grid(), points, intensity);
+        const GridImage grid = project_points(make_kitti360_grid(), points, intensity);
         all += points.size();
         lost_native += count_missing(points, std::move(kept));
         lost_grid +=
@@ -372,9 +373,9 @@ TEST(KittiRaw, RealScansHaveOneAzimuthAFiring) {
     options.frames = {40, 44};
     const Sequence log = load_sequence(folder, options);
     for (const Frame& frame : log.frames) {
-        const SpinningSensor& sensor = log.lidar_of(frame).sensor;
+        const SpinningSensor& sensor = log.get_lidar(frame).sensor;
         const RayTable nominal = make_rays(sensor),
-                       turned = shifted_azimuths(nominal, sensor, frame.azimuth_shift_rad);
+                       turned = shift_azimuths(nominal, sensor, frame.azimuth_shift_rad);
         std::vector<float> evenly, followed;
         for (std::size_t i = 0; i < nominal.size(); ++i) {
             evenly.push_back(glm::length(nominal.direction[i] - frame.scan.rays.direction[i]));

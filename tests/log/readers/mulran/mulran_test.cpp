@@ -33,7 +33,7 @@ void expect_mulran_truth(const MulranFolder& data, const Sequence& sequence) {
                 std::size_t(std::lround((double(frame.scan.rays.time_offset_s[i]) / 0.1 + 0.5) * 1024.0));
             const StampedRay& ray = truth.at(column * 64 + frame.scan.rays.channel[i]);
             ASSERT_TRUE(ray.returned) << frame.index << " " << i;
-            const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
+            const WorldRay placed = make_world_ray(track, frame.time_s, frame.scan.rays, i, true);
             // Tolerance: poses are interpolated linearly over 10 ms, and corrections of
             // rays have single precision.
             ASSERT_LT(glm::distance(placed.origin_m + sequence.world_offset_m, ray.origin_m), 0.002);
@@ -106,7 +106,7 @@ TEST(Mulran, PosesOfSomethingElseAreTold) {
     const MulranFolder data("backward");
     std::string lines;
     for (int k = -10; k < 40; ++k) {  // sensor that looks to the left
-        const Pose pose = data.drive.vehicle_at(0.01 * k);
+        const Pose pose = data.drive.compute_vehicle_pose(0.01 * k);
         const glm::dvec3 x = pose.rotation * glm::dvec3(0, 1, 0), y = -(pose.rotation * glm::dvec3(1, 0, 0)),
                          &t = pose.translation;
         lines += fmt::format("{},{},{},0,{},{},{},0,{},0,0,1,{}\n", MulranFolder::stamp(0) + k * 10000000ll,

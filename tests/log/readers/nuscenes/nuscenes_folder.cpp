@@ -23,14 +23,14 @@ Pose mounted() {
             {0.943713, 0.0, 1.84023}};
 }
 
-std::string pose_keys(const Pose& pose) {
+std::string format_pose_keys(const Pose& pose) {
     const glm::dquat& q = pose.rotation;
     const glm::dvec3& t = pose.translation;
     return fmt::format("\"translation\": [{}, {}, {}], \"rotation\": [{}, {}, {}, {}]", t.x, t.y, t.z, q.w,
                        q.x, q.y, q.z);
 }
 
-std::string table_of(const std::vector<std::string>& records) {
+std::string make_json_table(const std::vector<std::string>& records) {
     return fmt::format("[\n{{{}}}\n]", fmt::join(records, "},\n{"));
 }
 
@@ -43,10 +43,10 @@ std::string sample_of(const char* token, const char* scene, int sweep) {
 
 /// Computes the rays of the turn that ends at the time of a sweep. Returns the bytes of
 /// the sweep's file.
-std::string turn_of(int sweep, int columns, std::vector<NuscenesRay>& rays) {
+std::string make_turn(int sweep, int columns, std::vector<NuscenesRay>& rays) {
     std::string bytes;
     const double end_s = sweep * NuscenesFolder::kSweep_s;
-    const Pose map_from_raw = NuscenesFolder::vehicle_at(end_s) * mounted();
+    const Pose map_from_raw = NuscenesFolder::compute_vehicle_pose(end_s) * mounted();
     for (int column = 0; column < columns; ++column) {
         for (int ring = 0; ring < 32; ++ring) {
             NuscenesRay ray;
@@ -56,12 +56,12 @@ std::string turn_of(int sweep, int columns, std::vector<NuscenesRay>& rays) {
             const glm::dvec3 d(std::cos(elevation) * std::cos(azimuth),
                                std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
             const glm::dvec3 raw(-d.y, d.x, d.z);
-            const Pose fired = NuscenesFolder::vehicle_at(ray.time_s) * mounted();
+            const Pose fired = NuscenesFolder::compute_vehicle_pose(ray.time_s) * mounted();
             ray.direction = d;
             ray.origin_m = fired.translation;
-            ray.point_m = kMap_m + yard_hit(ray.origin_m - kMap_m, fired.rotation * raw);
-            ray.returned =
-                hash64(std::uint64_t(column * 32 + ring), std::uint64_t(sweep)) % 8 != 0 && column % 60 != 7;
+            ray.point_m = kMap_m + intersect_yard(ray.origin_m - kMap_m, fired.rotation * raw);
+            ray.returned = combine_hashes(std::uint64_t(column * 32 + ring), std::uint64_t(sweep)) % 8 != 0 &&
+                           column % 60 != 7;
             // compensated like all other points
             const glm::dvec3 nothing = fired * glm::dvec3(0.0, 1e-3, 0.0);
             const glm::dvec3 p = inverse(map_from_raw) * (ray.returned ? ray.point_m : nothing);
@@ -75,7 +75,7 @@ std::string turn_of(int sweep, int columns, std::vector<NuscenesRay>& rays) {
 
 }  // namespace
 
-Pose NuscenesFolder::vehicle_at(double time_s) {
+Pose NuscenesFolder::compute_vehicle_pose(double time_s) {
     return {glm::angleAxis(0.6 - 0.35 * time_s, glm::dvec3(0, 0, 1)),
             kMap_m + time_s * glm::dvec3(24.0, 9.0, 0.0)};
 }
@@ -93,7 +93,7 @@ fs::path NuscenesFolder::sweep(int number) const {
 NuscenesFolder::NuscenesFolder(const std::string& name, int n_columns)
     : folder(fs::path(testing::TempDir()) / ("relidar_nuscenes_" + name)), columns(n_columns), rays(kSweeps) {
     const auto write = [&](const char* of, const std::vector<std::string>& records) {
-        write_text(table(of), table_of(records));
+        write_text(table(of), make_json_table(records));
     };
     write("scene", {"\"token\": \"s0\", \"name\": \"scene-0061\", \"first_sample_token\": \"k9\", "
                     "\"description\": \"[a] \\\"{quoted}\\\"\"",
@@ -101,8 +101,9 @@ NuscenesFolder::NuscenesFolder(const std::string& name, int n_columns)
     write("sample", {sample_of("k1", "s1", 10), sample_of("k0", "s1", 0), sample_of("k9", "s0", 0)});
     write("sensor",
           {"\"token\": \"c\", \"channel\": \"CAM_FRONT\"", "\"token\": \"l\", \"channel\": \"LIDAR_TOP\""});
-    write("calibrated_sensor", {"\"token\": \"mount\", \"sensor_token\": \"l\", " + pose_keys(mounted()),
-                                "\"token\": \"camera\", \"sensor_token\": \"c\", " + pose_keys(Pose{})});
+    write("calibrated_sensor",
+          {"\"token\": \"mount\", \"sensor_token\": \"l\", " + format_pose_keys(mounted()),
+           "\"token\": \"camera\", \"sensor_token\": \"c\", " + format_pose_keys(Pose{})});
     std::vector<std::string> files, poses;
     const auto add_file = [&](const std::string& token, const std::string& sample,
                               const std::string& calibration, int at, bool key, const std::string& next,
@@ -119,8 +120,8 @@ NuscenesFolder::NuscenesFolder(const std::string& name, int n_columns)
                  fs::relative(sweep(i), folder).string());
         add_file(fmt::format("cam{}", i), i < 6 ? "k0" : "k1", "camera", i, i % 10 == 0, "", "none.jpg");
         poses.push_back(fmt::format("\"token\": \"e{}\", \"timestamp\": {}, {}", i, time_us(i),
-                                    pose_keys(vehicle_at(i * kSweep_s))));
-        write_text(sweep(i), turn_of(i, columns, rays[std::size_t(i)]));
+                                    format_pose_keys(compute_vehicle_pose(i * kSweep_s))));
+        write_text(sweep(i), make_turn(i, columns, rays[std::size_t(i)]));
     }
     add_file("other", "k9", "mount", 0, true, "", fs::relative(sweep(0), folder).string());
     write("sample_data", files);
@@ -130,10 +131,10 @@ NuscenesFolder::NuscenesFolder(const std::string& name, int n_columns)
         labels.push_back(
             fmt::format("\"token\": \"a{}\", \"sample_token\": \"k{}\", \"instance_token\": \"car\", "
                         "\"size\": [1.9, 4.5, 1.6], {}",
-                        i, i / 10, pose_keys(box_at(i * kSweep_s))));
+                        i, i / 10, format_pose_keys(box_at(i * kSweep_s))));
     labels.push_back(
         "\"token\": \"a9\", \"sample_token\": \"k9\", \"instance_token\": \"dog\", \"size\": [1, 1, 1], " +
-        pose_keys(Pose{}));
+        format_pose_keys(Pose{}));
     write("sample_annotation", labels);
     write("instance", {"\"token\": \"dog\", \"category_token\": \"animal\"",
                        "\"token\": \"car\", \"category_token\": \"vehicle\""});

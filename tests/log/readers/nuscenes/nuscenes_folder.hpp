@@ -42,7 +42,7 @@ struct NuscenesFolder {
     std::filesystem::path sweep(int number) const;
     /// Returns the pose of the vehicle in the map frame. Times are relative to the
     /// scene's first sweep.
-    static Pose vehicle_at(double time_s);
+    static Pose compute_vehicle_pose(double time_s);
     static Pose box_at(double time_s);
 };
 

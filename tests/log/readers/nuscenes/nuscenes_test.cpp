@@ -30,8 +30,8 @@ Sequence load(const NuscenesFolder& data, const std::string& scene = "scene-0103
 /// along chords, at 0.944 m from the axle with 0.0175 rad per sweep. At s sweeps after
 /// the start of a chord, the distance to the arc is r angle^2 |s (s - 1)| / 2. The first
 /// turn, s = -1 to 0, extrapolates the next chord backwards.
-double off_arc_m(int frame, double s) {
-    const double arc_m = 0.944 * 0.0175 * 0.0175, along = frame == 0 ? s - 1.0 : s;
+double measure_distance_to_arc_m(int frame, double fraction) {
+    const double arc_m = 0.944 * 0.0175 * 0.0175, along = frame == 0 ? fraction - 1.0 : fraction;
     return arc_m * std::abs(along * (along - 1.0)) / 2.0 + 1e-6;
 }
 
@@ -60,8 +60,8 @@ TEST(Nuscenes, EveryRayIsWhereItWasFired) {
             const bool returned = frame.scan.range_m[i] > 0.0f;
             ASSERT_NEAR(fired_s, ray.time_s, 1e-7);
             ASSERT_EQ(returned, ray.returned) << i;
-            const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
-            const double off_m = off_arc_m(frame.index, turned);
+            const WorldRay placed = make_world_ray(track, frame.time_s, frame.scan.rays, i, true);
+            const double off_m = measure_distance_to_arc_m(frame.index, turned);
             ASSERT_LT(glm::distance(placed.origin_m + actual.world_offset_m, ray.origin_m), off_m);
             ASSERT_LT(glm::distance(glm::dvec3(frame.scan.rays.direction[i]), ray.direction),
                       returned ? off_m / 4.0 + 1e-6 : 4e-4)
@@ -97,7 +97,7 @@ TEST(Nuscenes, TimesPosesAndBoxesBetweenKeyframes) {
     const Sequence actual = load(data);
     for (std::size_t i = 0; i < actual.frames.size(); ++i) {
         EXPECT_NEAR(actual.frames[i].time_s, double(i) * NuscenesFolder::kSweep_s, 1e-9);
-        const Pose truth = NuscenesFolder::vehicle_at(actual.frames[i].time_s),
+        const Pose truth = NuscenesFolder::compute_vehicle_pose(actual.frames[i].time_s),
                    &pose = actual.world_from_vehicle.pose[i];
         EXPECT_LT(glm::distance(pose.translation + actual.world_offset_m, truth.translation), 1e-8);
         EXPECT_NEAR(std::abs(glm::dot(pose.rotation, truth.rotation)), 1.0, 1e-12);
@@ -141,7 +141,7 @@ TEST(Nuscenes, ScenesFramesAndPoses) {
     const Sequence unposed = load(data, "103", options);
     EXPECT_EQ(unposed.world_from_vehicle.pose[4].translation, glm::dvec3(0.0));
     const glm::dvec3 seen =
-        inverse(NuscenesFolder::vehicle_at(0.2)) * NuscenesFolder::box_at(0.2).translation;
+        inverse(NuscenesFolder::compute_vehicle_pose(0.2)) * NuscenesFolder::box_at(0.2).translation;
     EXPECT_LT(glm::distance(unposed.boxes[0].world_from_box.pose[4].translation, seen), 1e-8)
         << "as the vehicle saw it";
     test::write_text(data.table("sample_annotation"), "[]");
@@ -176,7 +176,7 @@ TEST(Nuscenes, KeyframesAlone) {
             const std::size_t column = std::size_t(std::lround(turned * data.columns)),
                               ring = 31u - frame.scan.rays.channel[i];
             const NuscenesRay& ray = data.rays[std::size_t(frame.index)][column * 32 + ring];
-            const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
+            const WorldRay placed = make_world_ray(track, frame.time_s, frame.scan.rays, i, true);
             // The chord between poses is half a second long, and the LiDAR turns about
             // the axle.
             const double s = (frame.index == 0 ? 0.0 : 1.0) + 0.1 * (turned - 1.0),

@@ -22,18 +22,18 @@ namespace {
 constexpr std::int64_t kFirst_us = 1695473372703000, kPoseStep_us = 10000, kPoseOffset_us = 3000;
 const glm::dvec3 kWorld_m(689012.5, 5337123.25, 0.0);
 
-std::int64_t stamp_us(int sweep, double later_s) {
+std::int64_t compute_stamp_us(int sweep, double later_s) {
     return kFirst_us + sweep * 100000 + std::llround(later_s * 1e6);
 }
 
-std::string truck_pose(const Pose& pose) {
+std::string format_truck_pose(const Pose& pose) {
     const glm::dquat& q = pose.rotation;
     const glm::dvec3& t = pose.translation;
     return fmt::format("\"translation\": [{}, {}, {}], \"rotation\": [{}, {}, {}, {}]", t.x, t.y, t.z, q.w,
                        q.x, q.y, q.z);
 }
 
-glm::dquat turned(double degrees, const glm::dvec3& axis) {
+glm::dquat make_rotation_about(double degrees, const glm::dvec3& axis) {
     return glm::angleAxis(degrees * kPi / 180.0, axis);
 }
 
@@ -43,12 +43,14 @@ void write_truck_table(const fs::path& file, const std::vector<std::string>& rec
 
 }  // namespace
 
-Pose TruckScenesFolder::vehicle_at(double time_s) {
-    return {turned(30.0 - 20.0 * time_s, {0, 0, 1}), kWorld_m + time_s * glm::dvec3(14.0, 6.0, 0.0)};
+Pose TruckScenesFolder::compute_vehicle_pose(double time_s) {
+    return {make_rotation_about(30.0 - 20.0 * time_s, {0, 0, 1}),
+            kWorld_m + time_s * glm::dvec3(14.0, 6.0, 0.0)};
 }
 
 Pose TruckScenesFolder::box_at(double time_s) {
-    return {turned(10.0 + 25.0 * time_s, {0, 0, 1}), kWorld_m + glm::dvec3(12.0 + 5.0 * time_s, 3.0, 1.0)};
+    return {make_rotation_about(10.0 + 25.0 * time_s, {0, 0, 1}),
+            kWorld_m + glm::dvec3(12.0 + 5.0 * time_s, 3.0, 1.0)};
 }
 
 fs::path TruckScenesFolder::sweep(const std::string& channel, int number) const {
@@ -65,17 +67,18 @@ void TruckScenesFolder::write_clouds(Lidar& lidar, double later_s) const {
         for (int column = 0; column < kColumns; ++column)
             for (std::size_t beam = 0; beam < n_beams; ++beam) {
                 TruckRay ray;
-                const std::int64_t time_us = stamp_us(s, later_s) + column * 250;
+                const std::int64_t time_us = compute_stamp_us(s, later_s) + column * 250;
                 ray.time_s = double(time_us - kFirst_us) * 1e-6;
                 const double e = lidar.elevations_deg[beam] * kPi / 180.0,
                              a = 2.5 - 2.0 * kPi * column / kColumns;
                 const glm::dvec3 d(std::cos(e) * std::cos(a), std::cos(e) * std::sin(a), std::sin(e));
-                const Pose fired = vehicle_at(ray.time_s) * lidar.mounted;
+                const Pose fired = compute_vehicle_pose(ray.time_s) * lidar.mounted;
                 ray.origin_m = fired.translation;
-                ray.point_m = kWorld_m + yard_hit(ray.origin_m - kWorld_m, fired.rotation * d);
+                ray.point_m = kWorld_m + intersect_yard(ray.origin_m - kWorld_m, fired.rotation * d);
                 const double range_m = glm::distance(ray.origin_m, ray.point_m);
-                ray.returned = range_m < 200.0 &&
-                               hash64(std::uint64_t(column) * n_beams + beam, std::uint64_t(s)) % 8 != 0;
+                ray.returned =
+                    range_m < 200.0 &&
+                    combine_hashes(std::uint64_t(column) * n_beams + beam, std::uint64_t(s)) % 8 != 0;
                 lidar.rays.back().push_back(ray);
                 if (!ray.returned) continue;
                 const glm::dvec3 p = range_m * d;
@@ -105,18 +108,18 @@ void TruckScenesFolder::write_tables() const {
     // The time of a sample differs slightly from the times of its files.
     for (int k = 0; k < kSweeps; k += 5)
         samples.push_back(fmt::format("\"token\": \"k{}\", \"scene_token\": \"s0\", \"timestamp\": {}", k,
-                                      stamp_us(k, 0.0) + (k == 0 ? 900 : -900)));
+                                      compute_stamp_us(k, 0.0) + (k == 0 ? 900 : -900)));
     std::vector<std::string> files, poses;
     for (const Lidar& lidar : lidars) {
         const bool is_top = &lidar != &lidars[0];
         sensors.push_back(
             fmt::format("\"token\": \"{0}\", \"channel\": \"{0}\", \"modality\": \"lidar\"", lidar.channel));
         mounts.push_back(fmt::format("\"token\": \"on_{0}\", \"sensor_token\": \"{0}\", {1}", lidar.channel,
-                                     truck_pose(lidar.mounted)));
+                                     format_truck_pose(lidar.mounted)));
         for (int s = 0; s < kSweeps; ++s) {
             if (is_top && s == kMissing) continue;
             const int after = is_top && s + 1 == kMissing ? s + 2 : s + 1;
-            const std::int64_t time_us = stamp_us(s, is_top ? kLater_s : 0.0);
+            const std::int64_t time_us = compute_stamp_us(s, is_top ? kLater_s : 0.0);
             const auto pose =
                 std::llround(double(time_us - kFirst_us - kPoseOffset_us) / double(kPoseStep_us));
             files.push_back(fmt::format(
@@ -130,9 +133,9 @@ void TruckScenesFolder::write_tables() const {
     }
     for (std::int64_t e = -5; e <= 115; ++e) {
         const std::int64_t after_us = kPoseOffset_us + e * kPoseStep_us;
-        const Pose pose = vehicle_at(double(after_us) * 1e-6);
+        const Pose pose = compute_vehicle_pose(double(after_us) * 1e-6);
         poses.push_back(fmt::format("\"token\": \"e{}\", \"timestamp\": {}, {}", e, kFirst_us + after_us,
-                                    truck_pose(pose)));
+                                    format_truck_pose(pose)));
     }
     std::vector<std::string> labels;
     for (int k = 0; k < kSweeps; k += 5) {
@@ -140,7 +143,7 @@ void TruckScenesFolder::write_tables() const {
         labels.push_back(
             fmt::format("\"token\": \"a{0}\", \"sample_token\": \"k{0}\", \"instance_token\": \"van\", "
                         "\"size\": [2.1, 5.5, 2.4], {1}",
-                        k, truck_pose(box_at(time_s))));
+                        k, format_truck_pose(box_at(time_s))));
     }
     write_truck_table(table("sample"), samples);
     write_truck_table(table("sensor"), sensors);
@@ -154,12 +157,14 @@ void TruckScenesFolder::write_tables() const {
 
 TruckScenesFolder::TruckScenesFolder(const std::string& name)
     : folder(fs::path(testing::TempDir()) / ("relidar_truckscenes_" + name)) {
-    Lidar left{"LIDAR_LEFT", {turned(85.0, {0, 0, 1}), {1.2, 1.5, 3.1}}, {}, {}};
+    Lidar left{"LIDAR_LEFT", {make_rotation_about(85.0, {0, 0, 1}), {1.2, 1.5, 3.1}}, {}, {}};
     for (const double e :
          {15.0, 11.0, 8.0, 5.0, 3.0, 2.0, 1.0, 0.0, -1.0, -2.0, -3.0, -4.0, -6.0, -9.0, -14.0, -19.0, -25.0})
         left.elevations_deg.push_back(e);
-    Lidar top{
-        "LIDAR_TOP_FRONT", {turned(-12.0, {0, 0, 1}) * turned(40.0, {0, 1, 0}), {2.4, 0.3, 3.4}}, {}, {}};
+    Lidar top{"LIDAR_TOP_FRONT",
+              {make_rotation_about(-12.0, {0, 0, 1}) * make_rotation_about(40.0, {0, 1, 0}), {2.4, 0.3, 3.4}},
+              {},
+              {}};
     for (int b = 0; b < 24; ++b) top.elevations_deg.push_back(43.0 - b * 86.0 / 23.0);
     lidars = {left, top};
     write_clouds(lidars[0], 0.0);

@@ -48,7 +48,7 @@ struct TruckScenesFolder {
     std::filesystem::path sweep(const std::string& channel, int number) const;
     /// Returns the pose of the vehicle in the world frame. Times are relative to the
     /// first sweep of LIDAR_LEFT.
-    static Pose vehicle_at(double time_s);
+    static Pose compute_vehicle_pose(double time_s);
     static Pose box_at(double time_s);
 
 private:

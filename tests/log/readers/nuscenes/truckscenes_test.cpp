@@ -48,7 +48,7 @@ void expect_truth(const Sequence& actual, const Frame& frame, const TruckScenesF
         const TruckRay& ray = truth[column * n_beams + frame.scan.rays.channel[i]];
         ASSERT_TRUE(ray.returned) << i;
         ASSERT_NEAR(fired_s, ray.time_s, 1e-7);
-        const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
+        const WorldRay placed = make_world_ray(track, frame.time_s, frame.scan.rays, i, true);
         // Tolerance: the interpolated LiDAR moves along chords, less than 2.5 m from the
         // axle, at 20 degrees per second.
         const TrackPosition place = track.place(fired_s);
@@ -97,7 +97,7 @@ TEST(TruckScenes, PosesGoByTheirOwnTimesAndBoxesBySamples) {
     const Sequence actual = load(data);
     ASSERT_EQ(actual.world_from_vehicle.time_s.size(), std::size_t(TruckScenesFolder::kSweeps));
     for (std::size_t i = 0; i < actual.world_from_vehicle.time_s.size(); ++i) {
-        const Pose truth = TruckScenesFolder::vehicle_at(actual.world_from_vehicle.time_s[i]),
+        const Pose truth = TruckScenesFolder::compute_vehicle_pose(actual.world_from_vehicle.time_s[i]),
                    &pose = actual.world_from_vehicle.pose[i];
         EXPECT_LT(glm::distance(pose.translation + actual.world_offset_m, truth.translation), 1e-6);
         EXPECT_NEAR(std::abs(glm::dot(pose.rotation, truth.rotation)), 1.0, 1e-9);
@@ -105,7 +105,7 @@ TEST(TruckScenes, PosesGoByTheirOwnTimesAndBoxesBySamples) {
     ASSERT_EQ(actual.boxes.size(), 1u);
     const BoxTrack& box = actual.boxes[0];
     EXPECT_EQ(box.category, "vehicle.other");
-    EXPECT_EQ(object_kind(box.category), ObjectKind::vehicle);
+    EXPECT_EQ(parse_object_kind(box.category), ObjectKind::vehicle);
     EXPECT_EQ(box.size_m, glm::dvec3(5.5, 2.1, 2.4));
     ASSERT_EQ(box.world_from_box.pose.size(), std::size_t(TruckScenesFolder::kSweeps))
         << "the first and last label are near their sweeps";
@@ -171,7 +171,7 @@ TEST(TruckScenes, SaysWhatIsWrong) {
     EXPECT_EQ(load(data, options).frames.size(), std::size_t(2 * TruckScenesFolder::kSweeps - 2));
 }
 
-std::string replaced(std::string text, const std::string& from, const std::string& to) {
+std::string replace_text(std::string text, const std::string& from, const std::string& to) {
     for (std::size_t at = 0; (at = text.find(from, at)) != std::string::npos; at += to.size())
         text.replace(at, from.size(), to);
     return text;
@@ -201,13 +201,13 @@ std::map<std::string, std::vector<float>> make_lyft(const TruckScenesFolder& dat
     std::string files = test::read_text(data.table("sample_data"));
     for (const char* folder : {"samples", "sweeps"})
         for (const char* channel : {"LIDAR_LEFT", "LIDAR_TOP_FRONT"})
-            files = replaced(files, fmt::format("{}/{}/", folder, channel), "lidar/");
-    files =
-        replaced(replaced(files, ".pcd\"", ".bin\""), "000, \"is_key_frame\"", "000.25, \"is_key_frame\"");
+            files = replace_text(files, fmt::format("{}/{}/", folder, channel), "lidar/");
+    files = replace_text(replace_text(files, ".pcd\"", ".bin\""), "000, \"is_key_frame\"",
+                         "000.25, \"is_key_frame\"");
     test::write_text(data.table("sample_data"), files);
     const std::string sensors = test::read_text(data.table("sensor"));
     test::write_text(data.table("sensor"),
-                     replaced(sensors, "\"channel\": \"LIDAR_TOP_FRONT\"", "\"channel\": \"LIDAR_TOP\""));
+                     replace_text(sensors, "\"channel\": \"LIDAR_TOP_FRONT\"", "\"channel\": \"LIDAR_TOP\""));
     fs::rename(data.folder / "v1.2-trainval", data.folder / "train_data");
     for (const char* folder : {"samples", "sweeps"}) fs::remove_all(data.folder / folder);
     return ranges;
@@ -248,7 +248,7 @@ TEST(Lyft, ReturnsOfBothLidars) {
         ASSERT_EQ(read.size(), written.size());
         for (std::size_t i = 0; i < read.size(); ++i) ASSERT_NEAR(read[i], written[i], 1e-4f);
     }
-    const Pose truth = TruckScenesFolder::vehicle_at(0.507);
+    const Pose truth = TruckScenesFolder::compute_vehicle_pose(0.507);
     EXPECT_LT(glm::distance(actual.world_from_vehicle.at(0.5).translation + actual.world_offset_m,
                             truth.translation),
               1e-5);

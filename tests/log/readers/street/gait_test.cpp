@@ -17,9 +17,11 @@
 namespace relidar {
 namespace {
 
-double distance_to_segment(const glm::dvec3& p, const glm::dvec3& a, const glm::dvec3& b) {
-    const double along = glm::clamp(glm::dot(p - a, b - a) / glm::dot(b - a, b - a), 0.0, 1.0);
-    return glm::distance(p, a + along * (b - a));
+double compute_distance_to_segment(const glm::dvec3& point, const glm::dvec3& first,
+                                   const glm::dvec3& second) {
+    const double along = glm::clamp(
+        glm::dot(point - first, second - first) / glm::dot(second - first, second - first), 0.0, 1.0);
+    return glm::distance(point, first + along * (second - first));
 }
 
 /// Compares ray hits on a limb with a search in small steps along rays from all sides.
@@ -50,7 +52,7 @@ TEST(Gait, LimbsAreMetWhereTheySwing) {
         const WorldRay ray{origin, glm::normalize(aim - origin)};
         double t = 0.0, gap = 1.0;
         for (int step = 0; step < 400 && gap > 1e-9 && t < 8.0; ++step, t += gap)
-            gap = distance_to_segment(origin + t * ray.direction, joint, end) - limb.radius_m;
+            gap = compute_distance_to_segment(origin + t * ray.direction, joint, end) - limb.radius_m;
         if (gap > 1e-9 && gap < 1e-3) continue;  // nearly touches the limb
         const std::optional<street::Hit> hit = caster.cast(ray, t_s, 20.0);
         const bool on_limb = hit && std::abs(glm::distance(origin + hit->range_m * ray.direction, box)) < 2.0;

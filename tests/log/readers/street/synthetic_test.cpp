@@ -21,7 +21,7 @@ namespace fs = std::filesystem;
 
 SyntheticOptions small() { return {.n_frames = 5, .rows = 16, .columns = 256}; }
 
-RayTable one_ray(const glm::vec3& direction) {
+RayTable make_one_ray(const glm::vec3& direction) {
     RayTable rays;
     rays.rows = rays.columns = 1;
     rays.origin = {{0, 0, 0}};
@@ -38,15 +38,15 @@ TEST(Synthetic, GroundLiesAtHeightOverSineOfTheElevation) {
     const PoseTrack level{{0.2}, {Pose{}}};
     for (const double elevation : {-0.8, -0.5, -0.4}) {
         const glm::vec3 d(0.0f, std::cos(elevation), std::sin(elevation));
-        const Scan scan = cast_synthetic_street(options, one_ray(d), level, 0.2);
+        const Scan scan = cast_synthetic_street(options, make_one_ray(d), level, 0.2);
         EXPECT_NEAR(scan.range_m[0], 1.8 / std::sin(-elevation), 1e-5);
         EXPECT_GT(scan.intensity[0], 0.05f);
     }
-    EXPECT_EQ(cast_synthetic_street(options, one_ray({0, 0, 1}), level, 0.2).range_m[0], 0.0f);
+    EXPECT_EQ(cast_synthetic_street(options, make_one_ray({0, 0, 1}), level, 0.2).range_m[0], 0.0f);
 }
 
 /// Returns the cars of the street before any edits.
-std::vector<StreetCar> own_cars(const SyntheticOptions& options) {
+std::vector<StreetCar> make_street_cars(const SyntheticOptions& options) {
     std::vector<StreetCar> cars;
     for (const BoxTrack& box : make_synthetic_street(options).boxes) cars.push_back({cars.size(), box});
     return cars;
@@ -57,8 +57,8 @@ TEST(Synthetic, StreetCastAgainWithItsOwnCarsIsTheSame) {
     const Sequence street = make_synthetic_street(options);
     const RayTable rays = make_rays(street.lidars[0].sensor);
     const Scan plain = cast_synthetic_street(options, rays, street.world_from_vehicle, 0.3),
-               again =
-                   cast_synthetic_street(options, own_cars(options), rays, street.world_from_vehicle, 0.3);
+               again = cast_synthetic_street(options, make_street_cars(options), rays,
+                                             street.world_from_vehicle, 0.3);
     std::size_t on_cars = 0;
     const Scan without = cast_synthetic_street(options, {}, rays, street.world_from_vehicle, 0.3);
     for (std::size_t i = 0; i < rays.size(); ++i) {
@@ -72,18 +72,18 @@ TEST(Synthetic, EditedCarsAreMetWhereTheirTracksPutThem) {
     const SyntheticOptions options = small();
     PoseTrack still{{0.2}, {Pose{{1, 0, 0, 0}, {0, 0, -1.2}}}};  // 0.6 m above the ground
     const double rear = 12.0 - 0.5 * 4.3;
-    std::vector<StreetCar> cars{own_cars(options)[0]};
+    std::vector<StreetCar> cars{make_street_cars(options)[0]};
     for (Pose& pose : cars[0].track.world_from_box.pose) pose.translation.x -= 4.0;
-    EXPECT_NEAR(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 0.2).range_m[0], rear - 4.0,
-                1e-4);
+    EXPECT_NEAR(cast_synthetic_street(options, cars, make_one_ray({1, 0, 0}), still, 0.2).range_m[0],
+                rear - 4.0, 1e-4);
     for (double& time_s : cars[0].track.world_from_box.time_s) time_s += 1.0;
-    EXPECT_EQ(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 0.2).range_m[0],
-              cast_synthetic_street(options, {}, one_ray({1, 0, 0}), still, 0.2).range_m[0])
+    EXPECT_EQ(cast_synthetic_street(options, cars, make_one_ray({1, 0, 0}), still, 0.2).range_m[0],
+              cast_synthetic_street(options, {}, make_one_ray({1, 0, 0}), still, 0.2).range_m[0])
         << "later: not there yet";
-    EXPECT_NEAR(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 1.2).range_m[0], rear - 4.0,
-                1e-4);
+    EXPECT_NEAR(cast_synthetic_street(options, cars, make_one_ray({1, 0, 0}), still, 1.2).range_m[0],
+                rear - 4.0, 1e-4);
     cars[0].shapes_of = 2;
-    EXPECT_THROW(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 0.2), DataError);
+    EXPECT_THROW(cast_synthetic_street(options, cars, make_one_ray({1, 0, 0}), still, 0.2), DataError);
 }
 
 TEST(Synthetic, MovingCarIsMetWhereItsSpeedPutsIt) {
@@ -94,10 +94,10 @@ TEST(Synthetic, MovingCarIsMetWhereItsSpeedPutsIt) {
     PoseTrack still{{0.2}, {Pose{{1, 0, 0, 0}, {0, 0, -1.2}}}};
     const double rear = 12.0 - 0.5 * 4.3;
     const double t = 0.05;
-    EXPECT_NEAR(cast_synthetic_street(options, one_ray({1, 0, 0}), still, 0.2).range_m[0], rear, 1e-5);
-    EXPECT_NEAR(cast_synthetic_street(options, one_ray({1, 0, 0}), still, 0.2 + t).range_m[0], rear + 8.4 * t,
-                1e-5);
-    RayTable late = one_ray({1, 0, 0});
+    EXPECT_NEAR(cast_synthetic_street(options, make_one_ray({1, 0, 0}), still, 0.2).range_m[0], rear, 1e-5);
+    EXPECT_NEAR(cast_synthetic_street(options, make_one_ray({1, 0, 0}), still, 0.2 + t).range_m[0],
+                rear + 8.4 * t, 1e-5);
+    RayTable late = make_one_ray({1, 0, 0});
     late.time_offset_s[0] = static_cast<float>(t);
     EXPECT_NEAR(cast_synthetic_street(options, late, still, 0.2).range_m[0], rear + 8.4 * t, 1e-5);
 }
@@ -221,22 +221,22 @@ TEST(Synthetic, SizesAreBoundedByTheirProductToo) {
 }
 
 /// Returns the options of a street that a rig of several LiDARs records.
-SyntheticOptions rig_street() {
+SyntheticOptions make_rig_street() {
     SyntheticOptions options{.n_frames = 4, .range_noise_m = 0.0};
     options.rig = test::write_rig(fs::path(testing::TempDir()) / "relidar_synthetic_rig");
     return options;
 }
 
 TEST(SyntheticRig, EachLidarSeesTheStreetFromWhereItIsMounted) {
-    const SyntheticOptions options = rig_street();
+    const SyntheticOptions options = make_rig_street();
     const Sequence log = make_synthetic_street(options);
     ASSERT_EQ(log.lidars.size(), 4u);
     ASSERT_EQ(log.frames.size(), 16u);
     EXPECT_EQ(log.world_from_vehicle.pose.size(), 4u) << "a pose for each sweep";
     for (const Frame& frame : log.frames) {
-        const Lidar& lidar = log.lidar_of(frame);
+        const Lidar& lidar = log.get_lidar(frame);
         const PoseTrack track = log.world_from_sensor(frame.lidar);
-        EXPECT_EQ(frame.scan.rays.direction, nominal_rays(lidar, frame.time_s).direction) << lidar.name;
+        EXPECT_EQ(frame.scan.rays.direction, make_nominal_rays(lidar, frame.time_s).direction) << lidar.name;
         const Scan truth = frame.lidar == test::kTwoReturns
                                ? cast_synthetic_beams(options, frame.scan.rays, track, frame.time_s)
                                : cast_synthetic_street(options, frame.scan.rays, track, frame.time_s);
@@ -255,7 +255,7 @@ TEST(SyntheticRig, EachLidarSeesTheStreetFromWhereItIsMounted) {
 }
 
 TEST(SyntheticRig, SecondReturnsLieOnSurfacesThatExactRaysOfTheBeamMeet) {
-    const SyntheticOptions options = rig_street();
+    const SyntheticOptions options = make_rig_street();
     const Sequence log = make_synthetic_street(options);
     const Frame& frame = log.frames[test::kTwoReturns];
     ASSERT_EQ(frame.scan.second_returns.size(), 1u);
@@ -267,7 +267,7 @@ TEST(SyntheticRig, SecondReturnsLieOnSurfacesThatExactRaysOfTheBeamMeet) {
         ++n;
         EXPECT_GE(std::abs(second_m - frame.scan.range_m[i]), 0.4f)
             << "means of returns whose nearest parts are 0.5 m apart";
-        RayTable fan = one_ray(frame.scan.rays.direction[i]);  // 20 x 20 directions of the cone
+        RayTable fan = make_one_ray(frame.scan.rays.direction[i]);  // 20 x 20 directions of the cone
         fan.time_offset_s.clear(), fan.origin.clear(), fan.channel.clear(), fan.direction.clear();
         const glm::vec3 d = frame.scan.rays.direction[i],
                         side = glm::normalize(glm::cross(d, glm::vec3(0, 0, 1)));
@@ -292,7 +292,7 @@ TEST(SyntheticRig, SecondReturnsLieOnSurfacesThatExactRaysOfTheBeamMeet) {
 
 TEST(SyntheticRig, IsSavedByItsFileAndLidarsAreChosenByName) {
     const fs::path folder = fs::path(testing::TempDir()) / "relidar_synthetic_rig_log";
-    const SyntheticOptions options = rig_street();
+    const SyntheticOptions options = make_rig_street();
     save_synthetic(options, folder);
     EXPECT_EQ(read_synthetic(folder).rig, options.rig);
     const Sequence all = load_sequence(folder.string(), {});
@@ -315,7 +315,7 @@ TEST(SyntheticRig, IsSavedByItsFileAndLidarsAreChosenByName) {
 }
 
 TEST(Synthetic, BeamsOfTwoReturnsNeedADivergence) {
-    EXPECT_THROW(cast_synthetic_beams(small(), one_ray({1, 0, 0}), {{0.2}, {Pose{}}}, 0.2), UsageError);
+    EXPECT_THROW(cast_synthetic_beams(small(), make_one_ray({1, 0, 0}), {{0.2}, {Pose{}}}, 0.2), UsageError);
 }
 
 TEST(Synthetic, BeamsOfOneTableAreCastWithTheirOwnCones) {
@@ -376,7 +376,7 @@ TEST(Synthetic, BoxesHoldTheReturnsOfTheMovingCars) {
             const bool changed = scan.range_m[i] > 0.0f && scan.range_m[i] != bare.range_m[i];
             on_cars += changed;
             if (scan.range_m[i] == 0.0f) continue;
-            ASSERT_EQ(changed, in_moving_box(log.boxes, world, t, 0.0)) << f << " " << i;
+            ASSERT_EQ(changed, is_in_moving_box(log.boxes, world, t, 0.0)) << f << " " << i;
         }
     }
     EXPECT_GT(on_cars, 50u);
@@ -464,7 +464,7 @@ TEST_P(SyntheticPeople, AreMetInTheirBoxes) {
         const Frame& frame = street.frames[2];
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
             if (frame.scan.range_m[ray] > 0.0f) {
-                const WorldReturn w = world_return(street, frame, ray);
+                const WorldReturn w = compute_world_return(street, frame, ray);
                 inside += street.boxes[person].holds(w.point_m, w.time_s, 0.01);
             }
         EXPECT_GT(inside, 10u) << categories[person];

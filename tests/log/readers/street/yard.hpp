@@ -12,7 +12,7 @@ namespace relidar::test {
 
 /// Returns the first point where a ray hits the ground (z = -0.35) or a wall, in metres.
 /// The ray must start in the yard.
-inline glm::dvec3 yard_hit(const glm::dvec3& origin_m, const glm::dvec3& direction) {
+inline glm::dvec3 intersect_yard(const glm::dvec3& origin_m, const glm::dvec3& direction) {
     double t = std::numeric_limits<double>::infinity();
     const auto plane = [&](double from, double along, double at) {
         if (along != 0.0 && (at - from) / along > 0.0) t = std::min(t, (at - from) / along);

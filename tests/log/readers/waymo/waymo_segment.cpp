@@ -21,18 +21,20 @@ namespace {
 
 constexpr double kPi64 = 3.14159265358979323846;
 
-glm::dmat4 turned(const glm::dmat4& m, double angle, const glm::dvec3& axis) {
-    return glm::rotate(m, angle, axis);
+glm::dmat4 rotate_matrix(const glm::dmat4& matrix, double angle, const glm::dvec3& axis) {
+    return glm::rotate(matrix, angle, axis);
 }
 
 /// Returns Rz Ry Rx with a translation.
-glm::dmat4 euler(double roll, double pitch, double yaw, const glm::dvec3& at) {
-    return turned(turned(turned(glm::translate(glm::dmat4(1.0), at), yaw, {0, 0, 1}), pitch, {0, 1, 0}), roll,
-                  {1, 0, 0});
+glm::dmat4 make_euler_matrix(double roll, double pitch, double yaw, const glm::dvec3& translation) {
+    return rotate_matrix(
+        rotate_matrix(rotate_matrix(glm::translate(glm::dmat4(1.0), translation), yaw, {0, 0, 1}), pitch,
+                      {0, 1, 0}),
+        roll, {1, 0, 0});
 }
 
 /// Returns roll, pitch, yaw, x, y and z of the vehicle at a time.
-std::vector<double> vehicle_state(double time_us) {
+std::vector<double> make_vehicle_state(double time_us) {
     const double t = 1e-6 * (time_us - WaymoSegment::kStart_us);
     return {0.01 * std::sin(3 * t),    0.02 * std::cos(2 * t), 2.0 + 0.3 * t + 0.4 * t * t,
             1200 + 12 * t + 2 * t * t, -3400 + 3 * t,          20 + 0.1 * t};
@@ -45,7 +47,8 @@ constexpr double kFarthest_m = 35.0;
 /// Returns the range at which a ray crosses a box around the origin. If the ray starts
 /// inside, the range is where it leaves the box, otherwise where it enters the box.
 /// Returns 0 if the ray misses the box.
-double box_range(const glm::dvec3& origin, const glm::dvec3& direction, const glm::dvec3& half, bool inside) {
+double compute_box_range(const glm::dvec3& origin, const glm::dvec3& direction, const glm::dvec3& half,
+                         bool inside) {
     double enters = -1e9, leaves = 1e9;
     for (int a = 0; a < 3; ++a) {
         const double p = (-half[a] - origin[a]) / direction[a], q = (half[a] - origin[a]) / direction[a];
@@ -59,11 +62,11 @@ double box_range(const glm::dvec3& origin, const glm::dvec3& direction, const gl
 /// Returns the range of the first surface along a ray in the world frame. Returns 0 if
 /// the surface is too far away.
 double cast(const glm::dvec3& origin, const glm::dvec3& direction) {
-    double range = box_range(origin - kRoomMiddle, direction, kRoomHalf, true);
-    const glm::dmat4 to_parked = glm::inverse(WaymoSegment::world_from_parked());
+    double range = compute_box_range(origin - kRoomMiddle, direction, kRoomHalf, true);
+    const glm::dmat4 to_parked = glm::inverse(WaymoSegment::get_world_from_parked());
     const double parked =
-        box_range(glm::dvec3(to_parked * glm::dvec4(origin, 1)),
-                  glm::dvec3(to_parked * glm::dvec4(direction, 0)), 0.5 * kParkedSize, false);
+        compute_box_range(glm::dvec3(to_parked * glm::dvec4(origin, 1)),
+                          glm::dvec3(to_parked * glm::dvec4(direction, 0)), 0.5 * kParkedSize, false);
     if (parked > 0.0) range = std::min(range, parked);
     return range < kFarthest_m ? range : 0.0;
 }
@@ -74,28 +77,28 @@ struct Rig {
     std::vector<double> elevations;  ///< elevations of the rows, highest first
 };
 
-glm::dmat4 side_extrinsic() { return euler(0.02, 0.01, 1.5, {3.2, 1.0, 0.7}); }
+glm::dmat4 make_side_extrinsic() { return make_euler_matrix(0.02, 0.01, 1.5, {3.2, 1.0, 0.7}); }
 constexpr double kSideLow = -kPi64 / 2, kSideHigh = kPi64 / 6;
 
-Rig top_rig() {
-    std::vector<double> rows = WaymoSegment::top_inclinations();
+Rig make_top_rig() {
+    std::vector<double> rows = WaymoSegment::list_top_inclinations();
     return {1,
             WaymoSegment::kTopRows,
             WaymoSegment::kTopColumns,
-            WaymoSegment::top_extrinsic(),
+            WaymoSegment::get_top_extrinsic(),
             {rows.rbegin(), rows.rend()}};
 }
 
-Rig side_rig() {
+Rig make_side_rig() {
     std::vector<double> rows;
     for (int r = 0; r < WaymoSegment::kSideRows; ++r)
         rows.push_back(kSideHigh - (r + 0.5) / WaymoSegment::kSideRows * (kSideHigh - kSideLow));
-    return {3, WaymoSegment::kSideRows, WaymoSegment::kSideColumns, side_extrinsic(), rows};
+    return {3, WaymoSegment::kSideRows, WaymoSegment::kSideColumns, make_side_extrinsic(), rows};
 }
 
 /// Returns the direction of a pixel in the LiDAR's frame, computed in the same way as the
 /// dataset's tool.
-glm::dvec3 pixel_direction(const Rig& rig, int row, int column) {
+glm::dvec3 compute_pixel_direction(const Rig& rig, int row, int column) {
     const double yaw = std::atan2(rig.extrinsic[0][1], rig.extrinsic[0][0]);
     const double azimuth = kPi64 * (2.0 * (rig.columns - column - 0.5) / rig.columns - 1.0) - yaw,
                  up = rig.elevations[std::size_t(row)];
@@ -105,9 +108,9 @@ glm::dvec3 pixel_direction(const Rig& rig, int row, int column) {
 WaymoPixel make_pixel(const Rig& rig, int row, int column, int frame, double time_us) {
     const glm::dmat4 world_from_laser = WaymoSegment::world_from_vehicle(time_us) * rig.extrinsic;
     const glm::dvec3 origin(world_from_laser[3]),
-        direction(world_from_laser * glm::dvec4(pixel_direction(rig, row, column), 0));
+        direction(world_from_laser * glm::dvec4(compute_pixel_direction(rig, row, column), 0));
     const std::uint64_t luck =
-        hash64(std::uint64_t(row * 10000 + column), std::uint64_t(frame * 10 + rig.laser));
+        combine_hashes(std::uint64_t(row * 10000 + column), std::uint64_t(frame * 10 + rig.laser));
     WaymoPixel pixel{{}, time_us};
     const double range = luck % 10 == 0 ? 0.0 : cast(origin, direction);
     pixel.range_m = float(range);
@@ -140,15 +143,15 @@ std::string image_of(const std::vector<WaymoPixel>& pixels, const Rig& rig, bool
                                                   : std::vector{-1.0f, -1.0f, -1.0f, -1.0f};
         values.insert(values.end(), four.begin(), four.end());
     }
-    return waymo_matrix(values, {rig.rows, rig.columns, 4});
+    return make_waymo_matrix(values, {rig.rows, rig.columns, 4});
 }
 
-std::string poses_of(const std::vector<WaymoPixel>& pixels, const Rig& rig) {
+std::string make_pixel_poses(const std::vector<WaymoPixel>& pixels, const Rig& rig) {
     std::vector<float> values;
     for (const WaymoPixel& pixel : pixels)
-        for (const double x : vehicle_state(pixel.time_us))
+        for (const double x : make_vehicle_state(pixel.time_us))
             values.push_back(pixel.range_m > 0 ? float(x) : 0.0f);
-    return waymo_matrix(values, {rig.rows, rig.columns, 6});
+    return make_waymo_matrix(values, {rig.rows, rig.columns, 6});
 }
 
 template <class T>
@@ -160,7 +163,7 @@ std::string bytes_of(T value) {
 
 }  // namespace
 
-std::string WaymoFrame::encoded() const {
+std::string WaymoFrame::encode_frame_message() const {
     std::string text;
     protozero::pbf_writer frame(text);
     frame.add_message(1, context);
@@ -172,26 +175,26 @@ std::string WaymoFrame::encoded() const {
     return text;
 }
 
-std::string waymo_transform(const glm::dmat4& a_from_b) {
+std::string make_waymo_transform(const glm::dmat4& a_from_b) {
     std::string text;
     protozero::pbf_writer transform(text);
     for (int i = 0; i < 16; ++i) transform.add_double(1, a_from_b[i % 4][i / 4]);  // proto2: not packed
     return text;
 }
 
-std::string waymo_calibration(int laser, const std::vector<double>& inclinations, double low, double high,
-                              const glm::dmat4& extrinsic) {
+std::string make_waymo_calibration(int laser, const std::vector<double>& inclinations, double low,
+                                   double high, const glm::dmat4& extrinsic) {
     std::string text;
     protozero::pbf_writer calibration(text);
     calibration.add_enum(1, laser);
     for (const double inclination : inclinations) calibration.add_double(2, inclination);
     calibration.add_double(3, low);
     calibration.add_double(4, high);
-    calibration.add_message(5, waymo_transform(extrinsic));
+    calibration.add_message(5, make_waymo_transform(extrinsic));
     return text;
 }
 
-std::string waymo_context(const std::vector<std::string>& calibrations) {
+std::string make_waymo_context(const std::vector<std::string>& calibrations) {
     std::string text;
     protozero::pbf_writer context(text);
     context.add_string(1, "1083056_0001");
@@ -199,7 +202,7 @@ std::string waymo_context(const std::vector<std::string>& calibrations) {
     return text;
 }
 
-std::string deflated(const std::string& bytes) {
+std::string deflate_bytes(const std::string& bytes) {
     uLongf size = compressBound(uLong(bytes.size()));
     std::string packed(size, '\0');
     if (compress(reinterpret_cast<Bytef*>(packed.data()), &size, reinterpret_cast<const Bytef*>(bytes.data()),
@@ -209,7 +212,7 @@ std::string deflated(const std::string& bytes) {
     return packed;
 }
 
-std::string waymo_unpacked_matrix(const std::vector<float>& values, const std::vector<int>& dims) {
+std::string make_waymo_unpacked_matrix(const std::vector<float>& values, const std::vector<int>& dims) {
     std::string text, shape;
     protozero::pbf_writer dimensions(shape);
     for (const int dim : dims) dimensions.add_int32(1, dim);
@@ -219,12 +222,12 @@ std::string waymo_unpacked_matrix(const std::vector<float>& values, const std::v
     return text;
 }
 
-std::string waymo_matrix(const std::vector<float>& values, const std::vector<int>& dims) {
-    return deflated(waymo_unpacked_matrix(values, dims));
+std::string make_waymo_matrix(const std::vector<float>& values, const std::vector<int>& dims) {
+    return deflate_bytes(make_waymo_unpacked_matrix(values, dims));
 }
 
-std::string waymo_laser(int laser, const std::string& first, const std::string& second,
-                        const std::string& poses) {
+std::string make_waymo_laser(int laser, const std::string& first, const std::string& second,
+                             const std::string& poses) {
     const auto range_image = [](const std::string& image, const std::string& pixel_poses) {
         std::string text;
         protozero::pbf_writer writer(text);
@@ -240,8 +243,8 @@ std::string waymo_laser(int laser, const std::string& first, const std::string& 
     return text;
 }
 
-std::string waymo_label(const std::string& id, int type, const glm::dvec3& centre,
-                        const glm::dvec3& length_width_height, double heading) {
+std::string make_waymo_label(const std::string& id, int type, const glm::dvec3& centre,
+                             const glm::dvec3& length_width_height, double heading) {
     std::string text, box;
     protozero::pbf_writer fields(box);
     const double values[] = {
@@ -256,7 +259,7 @@ std::string waymo_label(const std::string& id, int type, const glm::dvec3& centr
     return text;
 }
 
-std::uint32_t plain_crc32c(const std::string& bytes) {
+std::uint32_t compute_plain_crc32c(const std::string& bytes) {
     std::uint32_t crc = 0xFFFFFFFFu;
     for (const char c : bytes) {
         crc ^= static_cast<unsigned char>(c);
@@ -265,18 +268,20 @@ std::uint32_t plain_crc32c(const std::string& bytes) {
     return ~crc;
 }
 
-std::string tfrecord(const std::string& data) {
+std::string make_tfrecord(const std::string& data) {
     const auto masked = [](const std::string& bytes) {
-        const std::uint32_t crc = plain_crc32c(bytes);
+        const std::uint32_t crc = compute_plain_crc32c(bytes);
         return bytes_of(std::uint32_t(((crc >> 15) | (crc << 17)) + 0xa282ead8u));
     };
     const std::string length = bytes_of(std::uint64_t(data.size()));
     return length + masked(length) + data + masked(data);
 }
 
-glm::dmat4 WaymoSegment::top_extrinsic() { return euler(0.005, -0.008, 2.58, {1.43, 0.02, 2.18}); }
+glm::dmat4 WaymoSegment::get_top_extrinsic() {
+    return make_euler_matrix(0.005, -0.008, 2.58, {1.43, 0.02, 2.18});
+}
 
-std::vector<double> WaymoSegment::top_inclinations() {
+std::vector<double> WaymoSegment::list_top_inclinations() {
     std::vector<double> rows;
     // rows are denser at the top
     for (int r = 0; r < kTopRows; ++r) rows.push_back(-0.31 + 0.35 * std::sqrt((r + 0.5) / kTopRows));
@@ -284,37 +289,38 @@ std::vector<double> WaymoSegment::top_inclinations() {
 }
 
 glm::dmat4 WaymoSegment::world_from_vehicle(double time_us) {
-    const std::vector<double> s = vehicle_state(time_us);
-    return euler(s[0], s[1], s[2], {s[3], s[4], s[5]});
+    const std::vector<double> s = make_vehicle_state(time_us);
+    return make_euler_matrix(s[0], s[1], s[2], {s[3], s[4], s[5]});
 }
 
 double WaymoSegment::label_time_us(int frame) { return kStart_us + kPeriod_us * (frame + 0.5) + 7000; }
 
-glm::dmat4 WaymoSegment::world_from_parked() { return euler(0, 0, 0.7, {1206, -3389, 20.8}); }
+glm::dmat4 WaymoSegment::get_world_from_parked() { return make_euler_matrix(0, 0, 0.7, {1206, -3389, 20.8}); }
 
 WaymoSegment::WaymoSegment(const std::string& name)
     : folder(fs::path(testing::TempDir()) / ("relidar_" + name)),
       file(folder / "segment-1083056_0001_with_camera_labels.tfrecord") {
-    const Rig top_of = top_rig(), side_of = side_rig();
+    const Rig top_of = make_top_rig(), side_of = make_side_rig();
     for (int i = 0; i < kFrames; ++i) {
         top.push_back(make_image(top_of, i));
         side.push_back(make_image(side_of, i));
         const glm::dmat4 world_from_frame = world_from_vehicle(label_time_us(i)),
                          frame_from_world = glm::inverse(world_from_frame);
-        const glm::dmat4 parked = frame_from_world * world_from_parked();
+        const glm::dmat4 parked = frame_from_world * get_world_from_parked();
         WaymoFrame& frame = frames.emplace_back();
         frame.timestamp_us = kStart_us + i * kPeriod_us;
-        frame.context =
-            waymo_context({waymo_calibration(3, {}, kSideLow, kSideHigh, side_of.extrinsic),
-                           waymo_calibration(1, top_inclinations(), -0.31, 0.04, top_of.extrinsic)});
-        frame.pose = waymo_transform(world_from_frame);
-        frame.lasers = {waymo_laser(3, image_of(side.back(), side_of, false), "", ""),
-                        waymo_laser(1, image_of(top.back(), top_of, false),
-                                    image_of(top.back(), top_of, true), poses_of(top.back(), top_of))};
-        frame.labels = {waymo_label("parked", 1, glm::dvec3(parked[3]), kParkedSize,
-                                    std::atan2(parked[0][1], parked[0][0])),
-                        waymo_label("walker", 2, {10.0 + i, 2.0, 1.0}, {0.8, 0.7, 1.8}, 0.5),
-                        waymo_label("sign", 3, {12, 5, 2}, {0.1, 0.8, 0.8}, 0.0)};
+        frame.context = make_waymo_context(
+            {make_waymo_calibration(3, {}, kSideLow, kSideHigh, side_of.extrinsic),
+             make_waymo_calibration(1, list_top_inclinations(), -0.31, 0.04, top_of.extrinsic)});
+        frame.pose = make_waymo_transform(world_from_frame);
+        frame.lasers = {
+            make_waymo_laser(3, image_of(side.back(), side_of, false), "", ""),
+            make_waymo_laser(1, image_of(top.back(), top_of, false), image_of(top.back(), top_of, true),
+                             make_pixel_poses(top.back(), top_of))};
+        frame.labels = {make_waymo_label("parked", 1, glm::dvec3(parked[3]), kParkedSize,
+                                         std::atan2(parked[0][1], parked[0][0])),
+                        make_waymo_label("walker", 2, {10.0 + i, 2.0, 1.0}, {0.8, 0.7, 1.8}, 0.5),
+                        make_waymo_label("sign", 3, {12, 5, 2}, {0.1, 0.8, 0.8}, 0.0)};
     }
     write();
 }
@@ -326,7 +332,7 @@ WaymoSegment::~WaymoSegment() {
 
 void WaymoSegment::write() const {
     std::string records;
-    for (const WaymoFrame& frame : frames) records += tfrecord(frame.encoded());
+    for (const WaymoFrame& frame : frames) records += make_tfrecord(frame.encode_frame_message());
     write_text(file, records);
 }
 

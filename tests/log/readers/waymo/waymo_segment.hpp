@@ -20,29 +20,29 @@ struct WaymoFrame {
     std::string context, pose;
     std::vector<std::string> lasers, labels;
 
-    std::string encoded() const;
+    std::string encode_frame_message() const;
 };
 
 /// Encodes messages of the public dataset.proto and label.proto.
-std::string waymo_transform(const glm::dmat4& a_from_b);
-std::string waymo_calibration(int laser, const std::vector<double>& inclinations, double low, double high,
-                              const glm::dmat4& extrinsic);
-std::string waymo_context(const std::vector<std::string>& calibrations);
+std::string make_waymo_transform(const glm::dmat4& a_from_b);
+std::string make_waymo_calibration(int laser, const std::vector<double>& inclinations, double low,
+                                   double high, const glm::dmat4& extrinsic);
+std::string make_waymo_context(const std::vector<std::string>& calibrations);
 /// Encodes a MatrixFloat, uncompressed or as a zlib stream.
-std::string waymo_unpacked_matrix(const std::vector<float>& values, const std::vector<int>& dims);
-std::string waymo_matrix(const std::vector<float>& values, const std::vector<int>& dims);
-std::string deflated(const std::string& bytes);
+std::string make_waymo_unpacked_matrix(const std::vector<float>& values, const std::vector<int>& dims);
+std::string make_waymo_matrix(const std::vector<float>& values, const std::vector<int>& dims);
+std::string deflate_bytes(const std::string& bytes);
 /// @param second second returns. Empty if the laser has no second returns.
 /// @param poses poses of the pixels. Empty if the laser has no pixel poses.
-std::string waymo_laser(int laser, const std::string& first, const std::string& second,
-                        const std::string& poses);
-std::string waymo_label(const std::string& id, int type, const glm::dvec3& centre,
-                        const glm::dvec3& length_width_height, double heading);
+std::string make_waymo_laser(int laser, const std::string& first, const std::string& second,
+                             const std::string& poses);
+std::string make_waymo_label(const std::string& id, int type, const glm::dvec3& centre,
+                             const glm::dvec3& length_width_height, double heading);
 
 /// Returns a TFRecord: the length, the data, and the masked CRC-32C of both.
-std::string tfrecord(const std::string& data);
+std::string make_tfrecord(const std::string& data);
 /// Computes CRC-32C bit by bit.
-std::uint32_t plain_crc32c(const std::string& bytes);
+std::uint32_t compute_plain_crc32c(const std::string& bytes);
 
 /// Exact content of a pixel.
 struct WaymoPixel {
@@ -70,12 +70,12 @@ struct WaymoSegment {
 
     void write() const;  ///< writes the current frames
 
-    static glm::dmat4 top_extrinsic();
-    static std::vector<double> top_inclinations();  ///< ascending
+    static glm::dmat4 get_top_extrinsic();
+    static std::vector<double> list_top_inclinations();  ///< ascending
     static glm::dmat4 world_from_vehicle(double time_us);
     /// Returns the time of Frame.pose, which is not exactly the middle of the sweep.
     static double label_time_us(int frame);
-    static glm::dmat4 world_from_parked();  ///< the vehicle "parked", 4.6 x 2 x 1.6 m
+    static glm::dmat4 get_world_from_parked();  ///< the vehicle "parked", 4.6 x 2 x 1.6 m
 };
 
 }  // namespace relidar::test

@@ -38,7 +38,7 @@ TEST(Waymo, IntensitiesAreCutOrSquashed) {
         if (pixel.range_m == 0.0f) continue;
         above_1 += pixel.intensity > 1.0f;
         const auto frame =
-            std::ranges::find_if(cut.frames, [&](const Frame& f) { return cut.lidar_of(f).name == "TOP"; });
+            std::ranges::find_if(cut.frames, [&](const Frame& f) { return cut.get_lidar(f).name == "TOP"; });
         const auto at = std::size_t(frame - cut.frames.begin());
         EXPECT_EQ(cut.frames[at].scan.intensity[i], std::min(pixel.intensity, 1.0f)) << i;
         EXPECT_NEAR(squashed.frames[at].scan.intensity[i], std::tanh(pixel.intensity), 1e-6f) << i;
@@ -68,7 +68,7 @@ void expect_pixels(const Sequence& log, const Frame& frame, const std::vector<Wa
         ASSERT_EQ(frame.scan.rays.channel[i], i / std::size_t(frame.scan.rays.columns));
         if (truth[i].range_m == 0.0f) continue;
         ++n;
-        const WorldReturn actual = world_return(log, frame, i);
+        const WorldReturn actual = compute_world_return(log, frame, i);
         ASSERT_LT(glm::distance(actual.point_m + log.world_offset_m, truth[i].point_m), 1e-3) << i;
         if (frame.scan.second_returns.empty()) continue;
         ASSERT_EQ(frame.scan.second_returns[0].range_m[i], truth[i].second_m) << i;
@@ -106,7 +106,7 @@ TEST(Waymo, RaysAreTheSensorsOwn) {
     EXPECT_NEAR(lidar.sensor.period_s, 0.1, 1e-9);
     for (int row = 0; row < WaymoSegment::kTopRows; ++row)
         EXPECT_EQ(lidar.sensor.beams[std::size_t(row)].elevation_rad,
-                  WaymoSegment::top_inclinations()[std::size_t(WaymoSegment::kTopRows - 1 - row)]);
+                  WaymoSegment::list_top_inclinations()[std::size_t(WaymoSegment::kTopRows - 1 - row)]);
     const RayTable model = make_rays(lidar.sensor);
     const Frame& frame = log.frames[2];
     const glm::dvec3 forward(
@@ -123,7 +123,7 @@ TEST(Waymo, RaysAreTheSensorsOwn) {
             << "the vehicle turns 1 mrad in 2 ms";
         if (truth.range_m > 0.0f) continue;
         ++n_dropped;
-        const WorldRay ray = world_ray(log.world_from_sensor(0), frame.time_s, frame.scan.rays, i, true);
+        const WorldRay ray = make_world_ray(log.world_from_sensor(0), frame.time_s, frame.scan.rays, i, true);
         const glm::dvec3 there = ray.origin_m + log.world_offset_m + 10.0 * ray.direction;
         EXPECT_LT(glm::distance(there, truth.point_m), 0.06)
             << "the way between its pixel's time and its column's";
@@ -146,7 +146,7 @@ TEST(Waymo, LabelsAreBoxesOfTheWorld) {
         const glm::dmat4 vehicle = WaymoSegment::world_from_vehicle(WaymoSegment::label_time_us(int(i)));
         const glm::dvec3 truth(vehicle * glm::dvec4(10.0 + double(i), 2, 1, 1));
         EXPECT_LT(glm::distance(walker.world_from_box.pose[i].translation + log.world_offset_m, truth), 1e-6);
-        const glm::dvec3 centre(WaymoSegment::world_from_parked()[3]);
+        const glm::dvec3 centre(WaymoSegment::get_world_from_parked()[3]);
         EXPECT_LT(glm::distance(parked.world_from_box.pose[i].translation + log.world_offset_m, centre),
                   1e-6);
     }
@@ -155,7 +155,7 @@ TEST(Waymo, LabelsAreBoxesOfTheWorld) {
         std::size_t inside = 0;
         for (std::size_t ray = 0; ray < frame.scan.rays.size(); ++ray)
             inside += frame.scan.range_m[ray] > 0.0f &&
-                      parked.holds(world_return(log, frame, ray).point_m, frame.time_s, 0.1);
+                      parked.holds(compute_world_return(log, frame, ray).point_m, frame.time_s, 0.1);
         EXPECT_GT(inside, 10u) << frame.index;
     }
 }
@@ -193,13 +193,13 @@ TEST(Waymo, SegmentsFramesAndPoses) {
     const glm::dmat4 from_world = glm::inverse(
         WaymoSegment::world_from_vehicle(WaymoSegment::kStart_us + 1.5 * WaymoSegment::kPeriod_us));
     EXPECT_LT(glm::distance(none.boxes[0].world_from_box.pose[1].translation,
-                            glm::dvec3(from_world * WaymoSegment::world_from_parked()[3])),
+                            glm::dvec3(from_world * WaymoSegment::get_world_from_parked()[3])),
               0.1);
 }
 
 TEST(Waymo, Crc32cOfTheStandard) {
-    EXPECT_EQ(test::plain_crc32c("123456789"), 0xE3069283u);  // the check value of CRC-32C
-    EXPECT_EQ(masked_crc32c("123456789"),
+    EXPECT_EQ(test::compute_plain_crc32c("123456789"), 0xE3069283u);  // the check value of CRC-32C
+    EXPECT_EQ(compute_masked_crc32c("123456789"),
               std::uint32_t(((0xE3069283u >> 15) | (0xE3069283u << 17)) + 0xa282ead8u));
 }
 
@@ -207,14 +207,14 @@ TEST(Waymo, OthersDecodeWhatTheWriterWrites) {
     if (std::system("command -v protoc > /dev/null") != 0) GTEST_SKIP() << "no protoc";
     const WaymoSegment segment("waymo_protoc");
     const fs::path frame = segment.folder / "frame.bin", text = segment.folder / "frame.txt";
-    test::write_text(frame, segment.frames[1].encoded());
+    test::write_text(frame, segment.frames[1].encode_frame_message());
     ASSERT_EQ(
         std::system(("protoc --decode_raw < '" + frame.string() + "' > '" + text.string() + "'").c_str()), 0);
     EXPECT_THAT(test::read_text(text), HasSubstr("\n2: 1557240134600000\n"));
 }
 
 /// Returns the error message for a file with these bytes.
-std::string refusal(const WaymoSegment& segment, const std::string& bytes) {
+std::string get_refusal(const WaymoSegment& segment, const std::string& bytes) {
     test::write_text(segment.file, bytes);
     try {
         read(segment);
@@ -228,28 +228,29 @@ std::string refusal(const WaymoSegment& segment, const std::string& bytes) {
 TEST(Waymo, DamagedFilesAreRefused) {
     const WaymoSegment segment("waymo_damage");
     const std::string original = test::read_text(segment.file),
-                      second = test::tfrecord(segment.frames[1].encoded());
-    const std::size_t first_size = test::tfrecord(segment.frames[0].encoded()).size();
+                      second = test::make_tfrecord(segment.frames[1].encode_frame_message());
+    const std::size_t first_size = test::make_tfrecord(segment.frames[0].encode_frame_message()).size();
     const auto flipped = [&](std::size_t at) {
         std::string bytes = original;
         bytes[at] = char(bytes[at] ^ 0x10);
         return bytes;
     };
-    EXPECT_THAT(refusal(segment, ""), HasSubstr(".tfrecord is empty"));
-    EXPECT_THAT(refusal(segment, original.substr(0, first_size + 5)),
+    EXPECT_THAT(get_refusal(segment, ""), HasSubstr(".tfrecord is empty"));
+    EXPECT_THAT(get_refusal(segment, original.substr(0, first_size + 5)),
                 HasSubstr("record 1 is truncated: its header has 5 bytes"));
-    EXPECT_THAT(refusal(segment, original.substr(0, original.size() - 1)),
+    EXPECT_THAT(get_refusal(segment, original.substr(0, original.size() - 1)),
                 HasSubstr("record 2 is truncated: its length is "));
-    EXPECT_THAT(refusal(segment, flipped(first_size + 100)),
+    EXPECT_THAT(get_refusal(segment, flipped(first_size + 100)),
                 HasSubstr("record 1: the checksum (CRC) of its data"));
-    EXPECT_THAT(refusal(segment, flipped(first_size)),
+    EXPECT_THAT(get_refusal(segment, flipped(first_size)),
                 HasSubstr("record 1: the checksum (CRC) of its length"));
     const std::string absurd("\xff\xff\xff\xff\xff\xff\xff\x7f", 8);
-    const std::string header = absurd + test::tfrecord(absurd).substr(20, 4);  // the CRC of these 8 bytes
-    EXPECT_THAT(refusal(segment, header + original),
+    const std::string header =
+        absurd + test::make_tfrecord(absurd).substr(20, 4);  // the CRC of these 8 bytes
+    EXPECT_THAT(get_refusal(segment, header + original),
                 HasSubstr("record 0 is truncated: its length is 9223372036854775807 bytes"));
-    EXPECT_THAT(refusal(segment, test::tfrecord("not a message")), HasSubstr("record 0: "));
-    EXPECT_THAT(refusal(segment, test::tfrecord("")), HasSubstr("record 0: the pose is missing"));
+    EXPECT_THAT(get_refusal(segment, test::make_tfrecord("not a message")), HasSubstr("record 0: "));
+    EXPECT_THAT(get_refusal(segment, test::make_tfrecord("")), HasSubstr("record 0: the pose is missing"));
 }
 
 TEST(Waymo, DamagedFramesAreRefused) {
@@ -260,25 +261,26 @@ TEST(Waymo, DamagedFramesAreRefused) {
         damage(segment.frames[1]);
         segment.write();
         const std::string bytes = test::read_text(segment.file);
-        EXPECT_THAT(refusal(segment, bytes), testing::AllOf(HasSubstr(part), HasSubstr(".tfrecord: ")));
+        EXPECT_THAT(get_refusal(segment, bytes), testing::AllOf(HasSubstr(part), HasSubstr(".tfrecord: ")));
     };
     const int h = WaymoSegment::kTopRows, w = WaymoSegment::kTopColumns;
     const auto with_top = [](test::WaymoFrame& frame, const std::string& image,
                              const std::string& poses = "") {
-        frame.lasers[1] = test::waymo_laser(1, image, "", poses);
+        frame.lasers[1] = test::make_waymo_laser(1, image, "", poses);
     };
     const auto image = [](int rows, int columns, int channels, float value) {
-        return test::waymo_matrix(std::vector<float>(std::size_t(rows * columns * channels), value),
-                                  {rows, columns, channels});
+        return test::make_waymo_matrix(std::vector<float>(std::size_t(rows * columns * channels), value),
+                                       {rows, columns, channels});
     };
-    expect("record 1: TOP: a zlib stream unpacks to more than 33554432 bytes",
-           [&](auto& frame) { with_top(frame, test::deflated(std::string(std::size_t(100) << 20, '\0'))); });
+    expect("record 1: TOP: a zlib stream unpacks to more than 33554432 bytes", [&](auto& frame) {
+        with_top(frame, test::deflate_bytes(std::string(std::size_t(100) << 20, '\0')));
+    });
     expect("record 1: TOP: a zlib stream",
            [&](auto& frame) { with_top(frame, image(h, w, 4, 5.0f).substr(0, 40)); });
     expect("record 1: TOP: malformed protobuf",
-           [&](auto& frame) { with_top(frame, test::deflated("\x0a\x7f")); });
+           [&](auto& frame) { with_top(frame, test::deflate_bytes("\x0a\x7f")); });
     expect("record 1: TOP: found 4 values in 3 dimensions 1000000 x 1000000 x 4", [&](auto& frame) {
-        with_top(frame, test::waymo_matrix({1, 2, 3, 4}, {1000000, 1000000, 4}));
+        with_top(frame, test::make_waymo_matrix({1, 2, 3, 4}, {1000000, 1000000, 4}));
     });
     expect(
         "record 1: TOP: found 32000 values in 3 dimensions 16 x 400 x 5, expected rows x columns "
@@ -298,33 +300,33 @@ TEST(Waymo, DamagedFramesAreRefused) {
     expect("record 1: pose: found a transform of 0 numbers, expected 16",
            [](auto& frame) { frame.pose = std::string("\x10\x01", 2); });
     expect("record 1: pose: the 3x3 block is not a rotation",
-           [](auto& frame) { frame.pose = test::waymo_transform(glm::dmat4(2.0)); });
+           [](auto& frame) { frame.pose = test::make_waymo_transform(glm::dmat4(2.0)); });
     expect("record 1: pose: a number of the transform is nan",
-           [](auto& frame) { frame.pose = test::waymo_transform(glm::dmat4(NAN)); });
+           [](auto& frame) { frame.pose = test::make_waymo_transform(glm::dmat4(NAN)); });
     expect("timestamp_micros increase by", [](auto& frame) { frame.timestamp_us += 5000000; });
     expect("laser_labels: found a vehicle with id 'v' and size 0 x 1 x 1 m", [](auto& frame) {
-        frame.labels = {test::waymo_label("v", 1, {}, {0, 1, 1}, 0)};
+        frame.labels = {test::make_waymo_label("v", 1, {}, {0, 1, 1}, 0)};
     });
     expect("laser_labels: a number of the box is inf", [](auto& frame) {
-        frame.labels = {test::waymo_label("v", 1, {}, {INFINITY, 1, 1}, 0)};
+        frame.labels = {test::make_waymo_label("v", 1, {}, {INFINITY, 1, 1}, 0)};
     });
 }
 
 TEST(Waymo, DamagedCalibrationsAreRefused) {
     WaymoSegment segment("waymo_calibration");
     const auto expect = [&](const std::string& part, const std::vector<std::string>& calibrations) {
-        segment.frames[0].context = test::waymo_context(calibrations);
+        segment.frames[0].context = test::make_waymo_context(calibrations);
         segment.write();
-        EXPECT_THAT(refusal(segment, test::read_text(segment.file)), HasSubstr(part));
+        EXPECT_THAT(get_refusal(segment, test::read_text(segment.file)), HasSubstr(part));
     };
-    const std::string side = test::waymo_calibration(3, {}, -1.5, 0.5, glm::dmat4(1.0));
+    const std::string side = test::make_waymo_calibration(3, {}, -1.5, 0.5, glm::dmat4(1.0));
     expect("record 0: laser_calibrations has no entry for TOP", {side});
     expect("record 0: found 2 beam_inclinations for laser 1 with 16 rows",
-           {side, test::waymo_calibration(1, {0.0, 0.1}, 0, 0, glm::dmat4(1.0))});
+           {side, test::make_waymo_calibration(1, {0.0, 0.1}, 0, 0, glm::dmat4(1.0))});
     expect("record 0: a beam inclination is nan for laser 1",
-           {side, test::waymo_calibration(1, {}, NAN, 0, glm::dmat4(1.0))});
+           {side, test::make_waymo_calibration(1, {}, NAN, 0, glm::dmat4(1.0))});
     expect("record 0: laser_calibrations, extrinsic: the 3x3 block is not a rotation",
-           {side, test::waymo_calibration(1, {}, 0, 0.1, glm::dmat4(0.5))});
+           {side, test::make_waymo_calibration(1, {}, 0, 0.1, glm::dmat4(0.5))});
 }
 
 }  // namespace

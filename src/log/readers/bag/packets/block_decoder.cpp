@@ -132,7 +132,7 @@ public:
                 const std::size_t slot = b / n_joined * layout_.firings + f;
                 Firing& firing = packet.firings[slot];
                 firing.azimuth_deg = azimuth_deg;
-                firing.part = part_of(bytes, b / n_joined, n_returns);
+                firing.part = find_part(bytes, b / n_joined, n_returns);
                 const int* rings = &ring_of_[std::size_t(firing.part)][bank * layout_.block_lasers];
                 read_echoes(reader, unit_m, b % n_returns, rings, &packet.echoes[slot * beams_.size()]);
             }
@@ -195,7 +195,7 @@ private:
 
     /// Returns the index of the firing sequence that a firing belongs to.
     /// @param number  number of the firing in the packet
-    int part_of(std::string_view bytes, std::size_t number, std::size_t n_returns) const {
+    int find_part(std::string_view bytes, std::size_t number, std::size_t n_returns) const {
         if (layout_.part_rule == PartRule::none) return 0;
         bag::ByteReader reader(bytes.substr(layout_.part_at));
         if (layout_.part_rule == PartRule::azimuth_state)

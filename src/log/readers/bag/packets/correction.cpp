@@ -24,8 +24,9 @@ constexpr std::size_t kMostCorrections = 64;
 constexpr double kMostCorrectedLasers = 1024.0;
 
 bool is_word(std::string_view cell, std::string_view word) {
-    return std::ranges::equal(
-        cell, word, [](char a, char b) { return std::tolower(static_cast<unsigned char>(a)) == b; });
+    return std::ranges::equal(cell, word, [](char first, char second) {
+        return std::tolower(static_cast<unsigned char>(first)) == second;
+    });
 }
 
 /// Returns true if a file looks like an angle correction of a sensor.
@@ -36,7 +37,7 @@ bool is_correction(const fs::path& file) {
         return false;
     const std::vector<std::string> lines = split_lines(read_file(file));
     if (lines.empty()) return false;
-    const std::vector<std::string_view> header = csv_cells(lines.front());
+    const std::vector<std::string_view> header = split_csv_cells(lines.front());
     return header.size() >= 3 && is_word(header[1], "elevation") && is_word(header[2], "azimuth");
 }
 
@@ -59,10 +60,10 @@ void add_corrections(const fs::path& folder, std::vector<Correction>& correction
 
 }  // namespace
 
-Correction read_correction(const std::string& text, const std::string& where) {
+Correction read_correction(const std::string& text, const std::string& location) {
     std::map<std::size_t, LaserAngles> angles;
     for (const std::string& line : split_lines(text)) {
-        const std::vector<std::string_view> cells = csv_cells(line);
+        const std::vector<std::string_view> cells = split_csv_cells(line);
         const auto laser = parse_number(cells[0]);
         if (!laser || cells.size() < 3) continue;  // skips the header and the checksum line
         const auto elevation = parse_number(cells[1]), azimuth = parse_number(cells[2]);
@@ -71,24 +72,24 @@ Correction read_correction(const std::string& text, const std::string& where) {
             throw DataError(
                 fmt::format("{}: found the line '{}', expected the number of a laser, its elevation and "
                             "its azimuth",
-                            where, excerpt(line)));
+                            location, make_excerpt(line)));
         angles[std::size_t(*laser)] = {*elevation, *azimuth};
     }
-    Correction correction{where, false, {}};
+    Correction correction{location, false, {}};
     for (const auto& [laser, laser_angles] : angles) {
         correction.lasers.push_back(laser_angles);
         if (laser != correction.lasers.size())
             throw DataError(
                 fmt::format("{}: the angles of laser {} are missing, expected the angles of "
                             "all lasers up to {}",
-                            where, correction.lasers.size(), angles.rbegin()->first));
+                            location, correction.lasers.size(), angles.rbegin()->first));
     }
     return correction;
 }
 
 std::vector<Correction> find_corrections(const fs::path& recording) {
     const fs::path folder = recording.has_parent_path() ? recording.parent_path() : fs::path(".");
-    const bool is_ros2_folder = path_exists(folder / "metadata.yaml");
+    const bool is_ros2_folder = does_path_exist(folder / "metadata.yaml");
     std::vector<fs::path> named{fs::path(recording).replace_extension(".csv")};
     if (is_ros2_folder) named.push_back(fs::path(fs::absolute(folder)).concat(".csv"));
     for (const fs::path& file : named) {

@@ -21,9 +21,9 @@ struct Correction {
 };
 
 /// Reads an angle correction file from its text.
-/// @param where  name of the file, for error messages
+/// @param location  name of the file, for error messages
 /// @throws DataError if a line is invalid, or if a laser is missing
-Correction read_correction(const std::string& text, const std::string& where);
+Correction read_correction(const std::string& text, const std::string& location);
 
 /// Finds and reads the angle correction files of a recording. If a .csv file has the name
 /// of the recording, returns only this file. Otherwise, reads all .csv files in the

@@ -122,7 +122,7 @@ struct Product {
 const Product* find_product(std::string_view bytes, const Calibration& calibration);
 /// Returns an error message about a packet that relidar cannot decode, for example
 /// "packets of a VLS-128, expected those of ...".
-std::string unknown_text(const Product* product, std::string_view bytes);
+std::string describe_unknown_packet(const Product* product, std::string_view bytes);
 
 /// Creates a decoder for a product: the first function for Velodyne and Hesai, the second
 /// for Ouster.

@@ -27,12 +27,12 @@ constexpr std::size_t kLivoxHeader = 36, kDurationAt = 3, kCountAt = 5, kKindAt 
 constexpr std::int64_t kLargestDrift_ns = 50'000'000;
 
 template <class T>
-T number_at(std::string_view bytes, std::size_t at) {
-    return bag::ByteReader(bytes.substr(at)).number<T>();
+T number_at(std::string_view bytes, std::size_t offset) {
+    return bag::ByteReader(bytes.substr(offset)).number<T>();
 }
 
 /// Returns the size of a point in bytes, or 0 if the kind of points is unknown.
-std::size_t point_bytes(int kind) {
+std::size_t get_point_bytes(int kind) {
     constexpr std::size_t kBytes[] = {0, 14, 8, 10};
     return kind >= 1 && kind <= 3 ? kBytes[kind] : 0;
 }
@@ -56,7 +56,7 @@ glm::vec3 read_position(bag::ByteReader& reader, int kind) {
 
 /// Returns the second time minus the first time, clamped to the range of -1 hour to 1
 /// hour.
-std::int64_t time_between(std::int64_t first_ns, std::int64_t second_ns) {
+std::int64_t compute_time_between(std::int64_t first_ns, std::int64_t second_ns) {
     constexpr std::int64_t kHour_ns = 3'600'000'000'000;
     const auto passed_ns = std::int64_t(std::uint64_t(second_ns) - std::uint64_t(first_ns));
     return std::clamp(passed_ns, -kHour_ns, kHour_ns);
@@ -90,24 +90,24 @@ std::uint32_t append_points(std::string& points, std::string_view packet, std::i
 
 bool is_livox(std::string_view bytes) {
     if (bytes.size() <= kLivoxHeader || bytes[0] != 0) return false;
-    const std::size_t size = point_bytes(std::uint8_t(bytes[kKindAt]));
+    const std::size_t size = get_point_bytes(std::uint8_t(bytes[kKindAt]));
     return size > 0 && bytes.size() == kLivoxHeader + size * number_at<std::uint16_t>(bytes, kCountAt);
 }
 
-std::string livox_cloud(std::string_view packets, std::string_view frame) {
+std::string decode_livox_cloud(std::string_view packets, std::string_view frame) {
     std::string points;
     std::uint32_t n_points = 0;
     std::int64_t first_stamp_ns = 0, first_clock_ns = 0;
     bool is_first = true;
     for (bag::ByteReader reader(packets); reader.left() > 0; is_first = false) {
         const auto stamp_ns = reader.number<std::int64_t>();
-        const std::string_view packet = reader.sized();
+        const std::string_view packet = reader.read_sized_string();
         if (!is_livox(packet)) continue;
         const auto clock_ns = number_at<std::int64_t>(packet, kLivoxTimeAt);
         if (is_first) first_stamp_ns = stamp_ns, first_clock_ns = clock_ns;
         // If the sensor's clock has jumped, use the time stamps of the capture instead.
-        const std::int64_t passed_ns = time_between(first_stamp_ns, stamp_ns);
-        const std::int64_t passed_clock_ns = time_between(first_clock_ns, clock_ns);
+        const std::int64_t passed_ns = compute_time_between(first_stamp_ns, stamp_ns);
+        const std::int64_t passed_clock_ns = compute_time_between(first_clock_ns, clock_ns);
         const bool has_jumped = std::abs(passed_clock_ns - passed_ns) > kLargestDrift_ns;
         n_points += append_points(points, packet, has_jumped ? passed_ns : passed_clock_ns);
     }

@@ -10,7 +10,7 @@
 
 namespace relidar::packets {
 
-/// Encoding and message type of the clouds that livox_cloud() returns.
+/// Encoding and message type of the clouds that decode_livox_cloud() returns.
 inline constexpr const char *kLivoxEncoding = "ros1", *kLivoxType = "livox_ros_driver2/CustomMsg";
 /// A cloud is complete when its packets span this time. The time is slightly below 0.1 s,
 /// so that clouds start about every 0.1 s.
@@ -27,6 +27,6 @@ bool is_livox(std::string_view bytes);
 /// @param packets  for each packet: time stamp (64 bits), length (32 bits) and bytes
 /// @param frame  name of the frame of the cloud
 /// @throws DataError if the list of packets is damaged
-std::string livox_cloud(std::string_view packets, std::string_view frame);
+std::string decode_livox_cloud(std::string_view packets, std::string_view frame);
 
 }  // namespace relidar::packets

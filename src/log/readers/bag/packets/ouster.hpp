@@ -57,9 +57,10 @@ using OusterFormats = std::vector<std::shared_ptr<const OusterFormat>>;
 /// values, so the metadata may still be invalid.
 bool is_ouster_metadata(std::string_view text);
 /// Parses the metadata of an Ouster sensor.
-/// @param where  name of the file or topic, for error messages
+/// @param location  name of the file or topic, for error messages
 /// @throws DataError if the metadata is invalid
-std::shared_ptr<const OusterFormat> read_ouster_metadata(const std::string& text, const std::string& where);
+std::shared_ptr<const OusterFormat> read_ouster_metadata(const std::string& text,
+                                                         const std::string& location);
 /// Reads the metadata files in the folder of a recording. If the recording is X.pcap and
 /// X.json exists, reads X.json and all other files X*.json. Otherwise, reads all metadata
 /// files that do not belong to another recording.
@@ -80,7 +81,7 @@ bool is_ouster_size(std::size_t bytes);
 /// decoded. The message tells the user what to do.
 /// @param formats  metadata that was read
 /// @param recording  recording in whose folder the user can put more metadata
-std::string ouster_text(const OusterFormats& formats, const std::filesystem::path& recording,
-                        std::string_view topic, std::size_t bytes);
+std::string describe_ouster_packet(const OusterFormats& formats, const std::filesystem::path& recording,
+                                   std::string_view topic, std::size_t bytes);
 
 }  // namespace relidar::packets

@@ -79,7 +79,7 @@ public:
             const bool was_measured =
                 profile.is_legacy ? reader.number<std::uint32_t>() == 0xFFFFFFFF : column.was_measured;
             if (!was_measured) continue;
-            packet.firings.push_back({slot, 0.0, azimuth_of(column, packet.firings, slot)});
+            packet.firings.push_back({slot, 0.0, compute_azimuth(column, packet.firings, slot)});
             times_ns.push_back(column.time_ns);
             packet.echoes.resize(packet.echoes.size() + rings);
             read_pixels(pixels, &packet.echoes[packet.echoes.size() - rings]);
@@ -106,7 +106,7 @@ private:
         return column;
     }
 
-    double azimuth_of(const Column& column, const std::vector<Firing>& before, int slot) const {
+    double compute_azimuth(const Column& column, const std::vector<Firing>& before, int slot) const {
         const int columns = format_->sensor.columns;
         if (column.number >= columns)
             throw DataError(

@@ -49,37 +49,38 @@ std::size_t bytes_of(const OusterProfile& profile, int pixels, int columns) {
 
 /// Returns the JSON object that contains a key: either the root or one of its nested
 /// objects.
-JsonField part_with(const Json& json, const std::string& where, const std::string& key) {
-    const JsonField root(json, where, "");
+JsonField find_part_with_key(const Json& json, const std::string& location, const std::string& key) {
+    const JsonField root(json, location, "");
     for (const char* part : {"data_format", "lidar_data_format", "config_params", "sensor_info"})
         if (!root.has(key) && root.has(part) && root.at(part).has(key)) return root.at(part);
     return root;
 }
-int parse_integer(const Json& json, const std::string& where, const std::string& key, int missing, int most) {
-    const JsonField part = part_with(json, where, key);
-    return part.has(key) ? int(part.at(key).integer(0, most)) : missing;
+int parse_integer(const Json& json, const std::string& location, const std::string& key, int default_value,
+                  int max_value) {
+    const JsonField part = find_part_with_key(json, location, key);
+    return part.has(key) ? int(part.at(key).integer(0, max_value)) : default_value;
 }
-std::string short_text(const Json& json, const std::string& where, const std::string& key,
-                       const std::string& missing) {
-    const JsonField part = part_with(json, where, key);
-    return part.has(key) && part.at(key).is_text() ? part.at(key).text(80) : missing;
+std::string read_short_text(const Json& json, const std::string& location, const std::string& key,
+                            const std::string& default_value) {
+    const JsonField part = find_part_with_key(json, location, key);
+    return part.has(key) && part.at(key).is_text() ? part.at(key).text(80) : default_value;
 }
 
-const OusterProfile& profile_of(const Json& json, const std::string& where) {
-    const std::string name = short_text(json, where, "udp_profile_lidar", "LEGACY");
+const OusterProfile& find_profile(const Json& json, const std::string& location) {
+    const std::string name = read_short_text(json, location, "udp_profile_lidar", "LEGACY");
     const auto* known =
         std::ranges::find_if(kProfiles, [&](const OusterProfile& row) { return name == row.name; });
     if (known != std::end(kProfiles)) return *known;
     std::string names;
     for (const OusterProfile& row : kProfiles) names += (names.empty() ? "" : ", ") + std::string(row.name);
     throw DataError(
-        fmt::format("{}: the packet profile is {}, expected one of {}", where, excerpt(name), names));
+        fmt::format("{}: the packet profile is {}, expected one of {}", location, make_excerpt(name), names));
 }
 
 /// Returns the ring of each row of pixels in a packet. The rows have the same order as
 /// the beams in the metadata.
-std::vector<std::size_t> rings_of(const Json& json, const std::string& where) {
-    const JsonField root(json, where, "");
+std::vector<std::size_t> read_rings(const Json& json, const std::string& location) {
+    const JsonField root(json, location, "");
     const std::vector<double> altitude_deg =
         (root.has("beam_altitude_angles") ? root : root.at("beam_intrinsics"))
             .at("beam_altitude_angles")
@@ -93,8 +94,8 @@ std::vector<std::size_t> rings_of(const Json& json, const std::string& where) {
 
 /// Returns for each column whether the sensor fires there. The azimuth window may wrap
 /// around from the last column to column 0.
-std::vector<bool> columns_in_window(const Json& json, const std::string& where, int columns) {
-    const JsonField part = part_with(json, where, "column_window");
+std::vector<bool> list_columns_in_window(const Json& json, const std::string& location, int columns) {
+    const JsonField part = find_part_with_key(json, location, "column_window");
     if (!part.has("column_window")) return std::vector<bool>(std::size_t(columns), true);
     const JsonField window = part.at("column_window");
     if (window.size() != 2)
@@ -131,14 +132,14 @@ void check_sizes(OusterFormat& format, const Json& json) {
 
 /// Returns the port in the topic name of a network capture, for example 7502 for
 /// "192.168.1.201:7502". Returns 0 for a topic of a bag.
-int port_of(std::string_view topic) {
+int parse_port(std::string_view topic) {
     const std::size_t colon = topic.rfind(':');
     const auto port = colon == std::string_view::npos || topic.starts_with('/')
                           ? std::nullopt
                           : parse_number(topic.substr(colon + 1));
     return port && *port >= 0.0 && *port <= 65535.0 ? int(*port) : 0;
 }
-std::string_view name_space(std::string_view topic) {
+std::string_view get_name_space(std::string_view topic) {
     return topic.starts_with('/') ? topic.substr(0, topic.rfind('/')) : std::string_view();
 }
 
@@ -167,7 +168,7 @@ bool is_metadata_file(const fs::path& file) {
 
 /// Returns the files in a folder, sorted by name. Returns an empty list if the folder
 /// cannot be read.
-std::vector<fs::path> files_of(const fs::path& folder) {
+std::vector<fs::path> list_files_of_folder(const fs::path& folder) {
     std::vector<fs::path> files;
     std::error_code failed;
     for (fs::directory_iterator at(folder, failed), end; !failed && at != end; at.increment(failed))
@@ -190,33 +191,35 @@ bool is_ouster_metadata(std::string_view text) {
         [&](const char* key) { return text.find(key) != std::string_view::npos; });
 }
 
-std::shared_ptr<const OusterFormat> read_ouster_metadata(const std::string& text, const std::string& where) {
-    const Json json = parse_json(text, where);
+std::shared_ptr<const OusterFormat> read_ouster_metadata(const std::string& text,
+                                                         const std::string& location) {
+    const Json json = parse_json(text, location);
     auto format = std::make_shared<OusterFormat>();
     format->text = text;
-    format->where = where;
-    format->product = short_text(json, where, "prod_line", "Ouster");
-    const SensorModel model = sensor_of_json(text, format->product, where);
+    format->where = location;
+    format->product = read_short_text(json, location, "prod_line", "Ouster");
+    const SensorModel model = parse_sensor_json_text(text, format->product, location);
     const auto* spinning = std::get_if<SpinningSensor>(&model.pattern);
     if (!spinning)
         throw DataError(
-            fmt::format("{}: the sensor does not spin, expected the metadata of an Ouster", where));
+            fmt::format("{}: the sensor does not spin, expected the metadata of an Ouster", location));
     format->sensor = *spinning;
-    format->profile = &profile_of(json, where);
-    format->columns_per_packet = parse_integer(json, where, "columns_per_packet", kUsualColumns, 65536);
+    format->profile = &find_profile(json, location);
+    format->columns_per_packet = parse_integer(json, location, "columns_per_packet", kUsualColumns, 65536);
     check_sizes(*format, json);
-    format->port = parse_integer(json, where, "udp_port_lidar", 0, 65535);
-    const double serial = parse_number(short_text(json, where, "prod_sn", "")).value_or(0.0);
+    format->port = parse_integer(json, location, "udp_port_lidar", 0, 65535);
+    const double serial = parse_number(read_short_text(json, location, "prod_sn", "")).value_or(0.0);
     format->serial = serial > 0.0 && serial < kMostSerial ? std::uint64_t(serial) : 0;
-    format->fires = columns_in_window(json, where, spinning->columns);
-    format->ring_of = rings_of(json, where);
+    format->fires = list_columns_in_window(json, location, spinning->columns);
+    format->ring_of = read_rings(json, location);
     return format;
 }
 
 OusterFormats find_ouster_metadata(const fs::path& recording, std::vector<std::string>& broken) {
     const std::string own = recording.stem().string();
     const bool has_own = is_metadata_file(fs::path(recording).replace_extension(".json"));
-    const std::vector<fs::path> files = files_of(recording.has_parent_path() ? recording.parent_path() : ".");
+    const std::vector<fs::path> files =
+        list_files_of_folder(recording.has_parent_path() ? recording.parent_path() : ".");
     std::set<std::string> recorded;
     for (const fs::path& file : files)
         if (is_recording(file)) recorded.insert(file.stem().string());
@@ -238,7 +241,7 @@ OusterFormats find_ouster_metadata(const fs::path& recording, std::vector<std::s
 std::shared_ptr<const OusterFormat> format_of(const OusterFormats& formats, std::string_view topic,
                                               std::string_view packet) {
     OusterFormats left;
-    const int port = port_of(topic);
+    const int port = parse_port(topic);
     // A packet with the layout LEGACY has no serial number. If there is only one
     // metadata, use it even if the port differs, because the port may have been changed
     // after the metadata was saved.
@@ -258,7 +261,7 @@ std::shared_ptr<const OusterFormat> format_of(const OusterFormats& formats, std:
             std::erase_if(left, [&](const auto& format) { return !is_its(format); });
     };
     narrow([&](const auto& format) {
-        return !name_space(topic).empty() && name_space(format->where) == name_space(topic);
+        return !get_name_space(topic).empty() && get_name_space(format->where) == get_name_space(topic);
     });
     narrow([&](const auto& format) { return format->port > 0 && format->port == port; });
     narrow([&](const auto& format) { return has_serial(packet, *format); });
@@ -272,11 +275,11 @@ bool is_ouster_size(std::size_t bytes) {
     return false;
 }
 
-std::string ouster_text(const OusterFormats& formats, const fs::path& recording, std::string_view topic,
-                        std::size_t bytes) {
-    const int port = port_of(topic);
+std::string describe_ouster_packet(const OusterFormats& formats, const fs::path& recording,
+                                   std::string_view topic, std::size_t bytes) {
+    const int port = parse_port(topic);
     const std::string from =
-        port > 0 ? fmt::format(" on port {}", port) : fmt::format(" of {}", excerpt(topic));
+        port > 0 ? fmt::format(" on port {}", port) : fmt::format(" of {}", make_excerpt(topic));
     if (formats.empty())
         return fmt::format(
             "found packets of {} bytes{}, probably from an Ouster; expected the metadata of the sensor "

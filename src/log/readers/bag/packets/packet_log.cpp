@@ -44,7 +44,7 @@ struct Place {
 
 // Returns true if the sensor fires at a column. The column may be outside one revolution;
 // it is wrapped.
-bool fires_at(const std::vector<bool>& fires, std::int64_t column) {
+bool is_firing_at(const std::vector<bool>& fires, std::int64_t column) {
     const auto n = std::int64_t(fires.size());
     return fires[std::size_t((column % n + n) % n)];
 }
@@ -102,7 +102,7 @@ void add_unmeasured(std::vector<bool>& has_fired, const std::vector<bool>& fires
 /// Creates the scan of a sensor that fires at fixed azimuths.
 /// @param has_fired  [columns per revolution] true if the sensor fired at the column
 /// @param n_columns  minimum number of columns of the scan
-Scan scan_of_columns(FiredPoints& fired, const std::vector<bool>& has_fired, SpinningSensor sensor,
+Scan make_fired_scan(FiredPoints& fired, const std::vector<bool>& has_fired, SpinningSensor sensor,
                      std::size_t n_columns) {
     Sweep sweep{{int(has_fired.size()), kPi}, {}};
     std::vector<std::uint32_t> place(has_fired.size());
@@ -112,7 +112,7 @@ Scan scan_of_columns(FiredPoints& fired, const std::vector<bool>& has_fired, Spi
     }
     for (const int column : fired.numbers) fired.points.firing.push_back(place[std::size_t(column)]);
     sensor.columns = int(std::max(n_columns, sweep.firings.size()));
-    return spinning_scan(fired.points, sensor, sweep);
+    return make_spinning_scan(fired.points, sensor, sweep);
 }
 
 }  // namespace
@@ -137,7 +137,7 @@ void PacketLog::check_product(const PacketView& packet, const Calibration& calib
             fmt::format("found a packet of {} bytes of {}, expected a packet of a {} like the "
                         "previous ones",
                         packet.bytes.size(), product ? product->name : "no known product", product_->name));
-    if (!product || !product->make) throw DataError(unknown_text(product, packet.bytes));
+    if (!product || !product->make) throw DataError(describe_unknown_packet(product, packet.bytes));
     decoder_ = product->make(product->name, calibration);
     product_ = product;
     calibration_ = calibration;
@@ -156,7 +156,7 @@ void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
     const bool is_at_end = packet.firings.back().after_us < -packet.firings.front().after_us;
     // Returns the azimuth step from firing f to the next firing.
     const auto step_deg = [&](std::size_t f) {
-        return degrees_on(packet.firings[f].azimuth_deg, packet.firings[f + 1].azimuth_deg);
+        return compute_degrees_on(packet.firings[f].azimuth_deg, packet.firings[f + 1].azimuth_deg);
     };
     const bool may_skip = decoder_->timing().fires.empty();
     double skipped_deg = 0.0;
@@ -223,7 +223,7 @@ void PacketLog::finish() {
 
 /// Returns the number of packets from the previous packet to this packet. It is 1 if no
 /// packet was lost. Valid only for a sensor that fires at fixed azimuths.
-std::size_t PacketLog::steps_to(std::size_t packet) const {
+std::size_t PacketLog::count_steps_to(std::size_t packet) const {
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
     const double n =
         ((entry.azimuth_deg - before.azimuth_deg) / step_deg() - entry.first_slot + before.first_slot) /
@@ -234,7 +234,7 @@ std::size_t PacketLog::steps_to(std::size_t packet) const {
 /// Returns the number of firings in the packets that were lost before this packet. The
 /// sector that the sensor skips has no firings. Valid only for a sensor that fires at any
 /// azimuth.
-double PacketLog::slots_to(std::size_t packet) const {
+double PacketLog::count_lost_slots(std::size_t packet) const {
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
     const double cycle_us = decoder_->timing().cycle_us,
                  slots = 1e-3 * double(entry.clock_ns - before.clock_ns) / cycle_us,
@@ -247,8 +247,8 @@ double PacketLog::slots_to(std::size_t packet) const {
 std::size_t PacketLog::count_missing_before(std::size_t packet) const {
     const std::vector<bool>& fires = decoder_->timing().fires;
     if (fires.empty())
-        return std::size_t(std::clamp(std::round(slots_to(packet) / double(n_slots_)), 0.0, 1e9));
-    const std::size_t n = steps_to(packet) - 1;
+        return std::size_t(std::clamp(std::round(count_lost_slots(packet) / double(n_slots_)), 0.0, 1e9));
+    const std::size_t n = count_steps_to(packet) - 1;
     if (n * std::size_t(n_slots_) > 2 * fires.size()) return n;
     const Entry& before = packets_[packet - 1];
     std::int64_t column = std::llround((before.azimuth_deg - kBehind_deg) / step_deg()) - before.first_slot;
@@ -256,7 +256,7 @@ std::size_t PacketLog::count_missing_before(std::size_t packet) const {
     for (std::size_t k = 0; k < n; ++k) {
         column += n_slots_;
         bool any = false;
-        for (int slot = 0; slot < n_slots_; ++slot) any = any || fires_at(fires, column + slot);
+        for (int slot = 0; slot < n_slots_; ++slot) any = any || is_firing_at(fires, column + slot);
         missing += any;
     }
     return missing;
@@ -264,7 +264,7 @@ std::size_t PacketLog::count_missing_before(std::size_t packet) const {
 
 /// Returns the first and the last head angle that the packets cover. Includes adjacent
 /// azimuths at which the sensor does not fire.
-std::pair<double, double> PacketLog::reach_deg() const {
+std::pair<double, double> PacketLog::find_azimuth_reach_deg() const {
     const Entry &first = packets_.front(), &last = packets_.back();
     const std::vector<bool>& fires = decoder_->timing().fires;
     if (fires.empty()) {
@@ -281,13 +281,13 @@ std::pair<double, double> PacketLog::reach_deg() const {
     std::int64_t begin = std::llround((first.azimuth_deg - kBehind_deg) / step_deg());
     std::int64_t end =
         std::llround((last.azimuth_deg + double(last.turned_deg) - kBehind_deg) / step_deg()) + 1;
-    for (std::size_t k = 0; k < fires.size() && !fires_at(fires, begin - 1); ++k) --begin;
-    for (std::size_t k = 0; k < fires.size() && !fires_at(fires, end); ++k) ++end;
+    for (std::size_t k = 0; k < fires.size() && !is_firing_at(fires, begin - 1); ++k) --begin;
+    for (std::size_t k = 0; k < fires.size() && !is_firing_at(fires, end); ++k) ++end;
     return {kBehind_deg + step_deg() * double(begin), kBehind_deg + step_deg() * double(end)};
 }
 
 void PacketLog::find_turns() {
-    const auto [first_deg, end] = reach_deg();
+    const auto [first_deg, end] = find_azimuth_reach_deg();
     double begin = kBehind_deg + 360.0 * std::ceil((first_deg - kBehind_deg) / 360.0);
     if (begin - first_deg > 360.0 * kCutOff) ++left_out_.n_cut_off;
     for (std::size_t p = 0; p < packets_.size() && begin + 360.0 <= end; begin += 360.0) {
@@ -321,8 +321,8 @@ void PacketLog::find_turns() {
 
 std::string PacketLog::problems() const {
     std::vector<std::string> texts;
-    const auto add = [&](std::size_t n, const char* text) {
-        if (n > 0) texts.push_back(fmt::format("{} {}", n, text));
+    const auto add = [&](std::size_t count, const char* text) {
+        if (count > 0) texts.push_back(fmt::format("{} {}", count, text));
     };
     add(faults_.n_repeated, "packets were received twice");
     add(faults_.n_late, "packets were received late and are sorted by the clock of the sensor");
@@ -379,7 +379,7 @@ bool PacketLog::is_even(const PacketTurn& turn) const {
 
 /// Returns the first message that contains packets of a revolution. Checks all packets,
 /// because they may be in another order than the messages.
-std::uint32_t PacketLog::first_message(const PacketTurn& turn) const {
+std::uint32_t PacketLog::find_first_message(const PacketTurn& turn) const {
     std::uint32_t first = packets_[turn.first].message;
     for (std::size_t i = turn.first; i <= turn.last; ++i) first = std::min(first, packets_[i].message);
     return first;
@@ -388,11 +388,11 @@ std::uint32_t PacketLog::first_message(const PacketTurn& turn) const {
 std::vector<PacketLog::Source> PacketLog::messages(const PacketTurn& turn) const {
     std::uint32_t last = 0;
     for (std::size_t i = turn.first; i <= turn.last; ++i) last = std::max(last, packets_[i].message);
-    return {messages_.begin() + first_message(turn), messages_.begin() + last + 1};
+    return {messages_.begin() + find_first_message(turn), messages_.begin() + last + 1};
 }
 
 /// Returns the average azimuth step between two firings of a revolution.
-double PacketLog::slot_deg(const PacketTurn& turn) const {
+double PacketLog::compute_slot_deg(const PacketTurn& turn) const {
     std::size_t n = turn.n_missing * std::size_t(n_slots_);
     for (std::size_t i = turn.first; i < turn.last; ++i) n += std::size_t(packets_[i].n_slots);
     const double first_deg = packets_[turn.first].azimuth_deg, last_deg = packets_[turn.last].azimuth_deg;
@@ -406,14 +406,14 @@ SpinningSensor PacketLog::sensor() const {
     if (!timing.fires.empty()) return decoder_->sensor(int(timing.fires.size()), 1.0 / period_s);
     // The number of columns is the maximum number of firings in any revolution.
     double most = 1e6 * period_s / timing.cycle_us;
-    for (const PacketTurn& turn : turns_) most = std::max(most, 360.0 / slot_deg(turn));
+    for (const PacketTurn& turn : turns_) most = std::max(most, 360.0 / compute_slot_deg(turn));
     most /= double(timing.parts);
     return decoder_->sensor(std::min(int(std::ceil(most)) + 1, kMostFirings), 1.0 / period_s);
 }
 
 /// Returns the maximum intensity of all returns. The value 255 corresponds to intensity
 /// 1.
-double PacketLog::brightest() const {
+double PacketLog::find_max_intensity() const {
     std::size_t most = n_bright_.size();
     while (most > 0 && n_bright_[most - 1] == 0) --most;
     return most > 0 ? double(most - 1) : 0.0;
@@ -422,7 +422,7 @@ double PacketLog::brightest() const {
 /// Returns the intensity that is scaled to 1. The rule is the same as for the intensities
 /// of point clouds.
 double PacketLog::intensity_max() const {
-    if (brightest() <= 255.0) return 1.0;
+    if (find_max_intensity() <= 255.0) return 1.0;
     std::uint64_t n = 0, left = 0;
     for (const std::uint32_t count : n_bright_) n += count;
     left = std::uint64_t(0.995 * double(n - 1));
@@ -432,9 +432,9 @@ double PacketLog::intensity_max() const {
 }
 
 std::string PacketLog::about() const {
-    if (brightest() <= 255.0) return decoder_->about();
+    if (find_max_intensity() <= 255.0) return decoder_->about();
     return fmt::format("{}, reflectivities up to {:.4g} are divided by {:.4g}, their 99.5th percentile",
-                       decoder_->about(), brightest(), 255.0 * intensity_max());
+                       decoder_->about(), find_max_intensity(), 255.0 * intensity_max());
 }
 
 /// Decodes a packet for the second time, when the scan of its revolution is read.
@@ -452,7 +452,7 @@ Packet PacketLog::reread_packet(std::size_t message, const Entry& entry,
 
 /// Converts an azimuth to a column of a revolution. If the azimuth is outside the
 /// revolution, the returned column is outside the valid range.
-int PacketLog::column_in(const PacketTurn& turn, double azimuth_deg) const {
+int PacketLog::compute_column(const PacketTurn& turn, double azimuth_deg) const {
     const double n = double(decoder_->timing().fires.size());
     return int(std::clamp(std::round((azimuth_deg - turn.begin_deg) / step_deg()), -n, 2.0 * n));
 }
@@ -460,8 +460,8 @@ int PacketLog::column_in(const PacketTurn& turn, double azimuth_deg) const {
 /// Marks the columns of the packets that were lost immediately before `packet`.
 void PacketLog::mark_missing(const PacketTurn& turn, std::size_t packet, std::vector<bool>& is_lost) const {
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
-    const int begin = column_in(turn, before.azimuth_deg) - before.first_slot + n_slots_;
-    const int end = std::min(column_in(turn, entry.azimuth_deg) - entry.first_slot, int(is_lost.size()));
+    const int begin = compute_column(turn, before.azimuth_deg) - before.first_slot + n_slots_;
+    const int end = std::min(compute_column(turn, entry.azimuth_deg) - entry.first_slot, int(is_lost.size()));
     for (int c = std::max(begin, 0); c < end; ++c)
         is_lost[std::size_t(c)] = decoder_->timing().fires[std::size_t(c)];
 }
@@ -469,12 +469,12 @@ void PacketLog::mark_missing(const PacketTurn& turn, std::size_t packet, std::ve
 Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<PacketView>>& packets,
                      const SpinningSensor& sensor, std::int64_t zero_ns) const {
     FiredPoints fired;
-    const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
+    const std::vector<BeamGeometry> beams = make_beam_geometries(sensor.beams);
     const Timing& timing = decoder_->timing();
     const double mean_deg_us = 360e-6 / sensor.period_s, brightness = intensity_max();
     const int n_columns = int(timing.fires.size());
     std::vector<bool> has_fired(timing.fires.size(), false), is_lost = has_fired;
-    const std::uint32_t first_of_turn = first_message(turn);
+    const std::uint32_t first_of_turn = find_first_message(turn);
     // firings of the revolution before this packet, including firings in lost packets
     std::size_t before = 0;
     int previous_number = -1;
@@ -494,13 +494,13 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
         for (std::size_t f = begin; f < end; ++f) {
             const Firing& firing = packet.firings[f];
             azimuth += f > begin ? step : 0.0;
-            if (f + 1 < end) step = degrees_on(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
+            if (f + 1 < end) step = compute_degrees_on(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
             // time from the first firing sequence of this column to this firing
             const double late_us = timing.cycle_us * double(firing.part);
             const double start_deg = azimuth - late_us * mean_deg_us;
             const int slot = int(before) + firing.slot - entry.first_slot;
-            const int number =
-                n_columns > 0 ? column_in(turn, azimuth) : (slot - firing.part + timing.parts) / timing.parts;
+            const int number = n_columns > 0 ? compute_column(turn, azimuth)
+                                             : (slot - firing.part + timing.parts) / timing.parts;
             // all firing sequences of a column belong to the same revolution
             if (number != previous_number)
                 is_inside = n_columns > 0 ? number >= 0 && number < n_columns
@@ -515,16 +515,16 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
                        timing.offset_us);
         }
     }
-    if (fired.points.size() == 0) return unordered_scan(fired.points);
+    if (fired.points.size() == 0) return make_unordered_scan(fired.points);
     if (n_columns > 0) {
         add_unmeasured(has_fired, timing.fires, is_lost);
-        return scan_of_columns(fired, has_fired, sensor, std::size_t(std::ranges::count(timing.fires, true)));
+        return make_fired_scan(fired, has_fired, sensor, std::size_t(std::ranges::count(timing.fires, true)));
     }
     SpinningSensor seen = sensor;
     seen.columns = int(std::ceil(double(sensor.columns) * (1.0 - skipped_.width_deg / 360.0)));
     const Sweep sweep = arrange_firings(fired.points, fired.numbers, seen,
-                                        -slot_deg(turn) * double(timing.parts) * kPi / 180.0);
-    return spinning_scan(fired.points, seen, sweep);
+                                        -compute_slot_deg(turn) * double(timing.parts) * kPi / 180.0);
+    return make_spinning_scan(fired.points, seen, sweep);
 }
 
 }  // namespace relidar::packets

@@ -100,18 +100,18 @@ private:
     void unwrap_clock(Entry& entry) const;
     void count_bright(const Packet& packet);
     double step_deg() const;
-    std::pair<double, double> reach_deg() const;
+    std::pair<double, double> find_azimuth_reach_deg() const;
     void mark_missing(const PacketTurn& turn, std::size_t packet, std::vector<bool>& is_lost) const;
-    int column_in(const PacketTurn& turn, double azimuth_deg) const;
+    int compute_column(const PacketTurn& turn, double azimuth_deg) const;
     void find_turns();
-    std::size_t steps_to(std::size_t packet) const;
-    double slots_to(std::size_t packet) const;
+    std::size_t count_steps_to(std::size_t packet) const;
+    double count_lost_slots(std::size_t packet) const;
     std::size_t count_missing_before(std::size_t packet) const;
     bool is_even(const PacketTurn& turn) const;
     void find_times(PacketTurn& turn) const;
-    double slot_deg(const PacketTurn& turn) const;
-    std::uint32_t first_message(const PacketTurn& turn) const;
-    double brightest() const;
+    double compute_slot_deg(const PacketTurn& turn) const;
+    std::uint32_t find_first_message(const PacketTurn& turn) const;
+    double find_max_intensity() const;
     double intensity_max() const;
     Packet reread_packet(std::size_t message, const Entry& entry,
                          const std::vector<std::vector<PacketView>>& packets) const;

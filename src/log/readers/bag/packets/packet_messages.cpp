@@ -60,17 +60,17 @@ std::string_view read_bytes(MessageReader& reader, const MessageType& type) {
 
 }  // namespace
 
-bool carries_packets(const bag::Topic& topic) {
+bool has_packets(const bag::Topic& topic) {
     return find_type(topic.type) != nullptr &&
-           !(carries_ouster_packets(topic) && topic.name.ends_with(kImuTopic));
+           !(has_ouster_packets(topic) && topic.name.ends_with(kImuTopic));
 }
 
-bool carries_ouster_packets(const bag::Topic& topic) {
+bool has_ouster_packets(const bag::Topic& topic) {
     const MessageType* type = find_type(topic.type);
     return type && type->form == Form::alone;
 }
 
-bool may_be_ouster_metadata(const bag::Topic& topic) {
+bool can_be_ouster_metadata(const bag::Topic& topic) {
     return topic.type == "std_msgs/String" && topic.name.ends_with(kMetadataTopic);
 }
 
@@ -93,7 +93,7 @@ std::vector<PacketView> read_packets(const bag::Topic& topic, std::string_view b
         header = {0, topic.name};
         for (bag::ByteReader reader(bytes); reader.left() > 0;) {
             const auto stamp_ns = reader.number<std::int64_t>();
-            packets.push_back({stamp_ns, reader.sized()});
+            packets.push_back({stamp_ns, reader.read_sized_string()});
         }
         return packets;
     }

@@ -20,13 +20,13 @@ inline constexpr const char *kDatagrams = "LiDAR packets", *kOtherDatagrams = "o
 
 /// Returns true if the messages of a topic contain LiDAR packets. The type of the topic
 /// does not always name the product, so the packets must be checked for it.
-bool carries_packets(const bag::Topic& topic);
+bool has_packets(const bag::Topic& topic);
 /// Returns true for a topic of Ouster's drivers. Its messages contain one packet and no
 /// other data.
-bool carries_ouster_packets(const bag::Topic& topic);
+bool has_ouster_packets(const bag::Topic& topic);
 /// Returns true if a topic may contain the metadata of an Ouster. Such a topic contains
 /// text and is in the namespace of a sensor with packets.
-bool may_be_ouster_metadata(const bag::Topic& topic);
+bool can_be_ouster_metadata(const bag::Topic& topic);
 /// Returns the text of a std_msgs/String message.
 /// @throws DataError if the message is too short
 std::string read_text_message(const bag::Topic& topic, std::string_view bytes);

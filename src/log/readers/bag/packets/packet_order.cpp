@@ -17,8 +17,8 @@ constexpr std::int64_t kPause_ns = 200000000;
 constexpr std::size_t kBins = 720;
 constexpr double kLeastSector_deg = 10.0;
 
-bool is_repeat(const PacketEntry& a, const PacketEntry& b) {
-    return a.hash == b.hash && a.first_slot == b.first_slot;
+bool is_repeat(const PacketEntry& first, const PacketEntry& second) {
+    return first.hash == second.hash && first.first_slot == second.first_slot;
 }
 
 /// Unwraps the azimuth of a packet, starting from the previous packet. The azimuths alone
@@ -26,12 +26,12 @@ bool is_repeat(const PacketEntry& a, const PacketEntry& b) {
 /// the time between the packets and the rotation rate.
 void follow(PacketEntry& entry, const PacketEntry& before, double passed_us, double deg_us) {
     const double azimuth =
-        before.azimuth_deg + degrees_on(std::fmod(before.azimuth_deg, 360.0), entry.azimuth_deg);
+        before.azimuth_deg + compute_degrees_on(std::fmod(before.azimuth_deg, 360.0), entry.azimuth_deg);
     const double expected = before.azimuth_deg + deg_us * passed_us;
     entry.azimuth_deg = azimuth + 360.0 * std::max(0.0, std::round((expected - azimuth) / 360.0));
 }
 
-double mean_rate(const std::vector<PacketEntry>& packets) {
+double compute_mean_rate(const std::vector<PacketEntry>& packets) {
     double turned_deg = 0.0, passed_us = 0.0;
     for (std::size_t p = 1; p < packets.size(); ++p) {
         const PacketEntry &before = packets[p - 1], &entry = packets[p];
@@ -47,7 +47,7 @@ double mean_rate(const std::vector<PacketEntry>& packets) {
 
 }  // namespace
 
-double degrees_on(double from_deg, double to_deg) {
+double compute_degrees_on(double from_deg, double to_deg) {
     const double step = std::remainder(to_deg - from_deg, 360.0);
     return step < -kBackward_deg ? step + 360.0 : step;
 }
@@ -57,7 +57,7 @@ PacketFaults sort_packets(std::vector<PacketEntry>& packets) {
     std::size_t n = 0;  // packets[0, n) are already sorted
     for (std::size_t p = 0; p < packets.size(); ++p) {
         PacketEntry entry = packets[p];
-        const auto is_later = [&](std::size_t k) { return packets[k].clock_ns > entry.clock_ns; };
+        const auto is_later = [&](std::size_t index) { return packets[index].clock_ns > entry.clock_ns; };
         std::size_t at = n;  // where the packet belongs
         while (at > 0 && is_later(at - 1) && packets[at - 1].clock_ns - entry.clock_ns <= kLatest_ns) --at;
         if (at > 0 && is_later(at - 1)) at = n;
@@ -105,7 +105,7 @@ double unwrap_azimuths(std::vector<PacketEntry>& packets, const Timing& timing) 
                                  skipped_us(packets[p]) - skipped_us(packets[p - 1]);
         follow(packets[p], packets[p - 1], passed_us, deg_us);
     }
-    if (const double mean = mean_rate(packets); mean > 0.0) deg_us = mean;
+    if (const double mean = compute_mean_rate(packets); mean > 0.0) deg_us = mean;
     for (std::size_t p = 0; p < packets.size() && deg_us > 0.0; ++p) {
         PacketEntry& entry = packets[p];
         if (entry.skipped_deg == 0.0f) continue;

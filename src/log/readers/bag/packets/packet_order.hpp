@@ -34,7 +34,7 @@ struct PacketEntry {
 /// Returns the rotation from one azimuth to another in the direction of rotation, less
 /// than one revolution. A small decrease is returned as a negative angle, because it is
 /// noise of the encoder.
-double degrees_on(double from_deg, double to_deg);
+double compute_degrees_on(double from_deg, double to_deg);
 
 /// Number of packets that were received twice or late.
 struct PacketFaults {

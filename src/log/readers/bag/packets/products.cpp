@@ -16,8 +16,8 @@ using std::string_view;
 
 constexpr std::size_t kVelodyneBytes = 1206, kProductAt = 1205, kLasersAt = 6, kBlocksAt = 7;
 
-bool has_byte(string_view packet, std::size_t at, int value) {
-    return at < packet.size() && static_cast<unsigned char>(packet[at]) == value;
+bool has_byte(string_view packet, std::size_t offset, int value) {
+    return offset < packet.size() && static_cast<unsigned char>(packet[offset]) == value;
 }
 bool is_velodyne(string_view packet) {
     return packet.size() == kVelodyneBytes && packet.starts_with("\xff\xee");
@@ -100,7 +100,7 @@ const Product* find_product(string_view bytes, const Calibration& calibration) {
     return product == std::end(kProducts) ? nullptr : product;
 }
 
-std::string unknown_text(const Product* product, string_view bytes) {
+std::string describe_unknown_packet(const Product* product, string_view bytes) {
     std::string known;
     for (const Product& row : kProducts)
         if (row.make) known += (known.empty() ? "" : ", ") + std::string(row.name);

@@ -30,7 +30,7 @@ using packets::Correction;
 constexpr double kStill_hz = 1e-9;
 constexpr double kDegree = kPi / 180.0;
 
-std::string packet_of_hex(std::string_view text) {
+std::string make_packet_of_hex(std::string_view text) {
     std::string bytes;
     for (std::size_t k = 0; k + 1 < text.size(); k += 2)
         bytes += char(std::stoi(std::string(text.substr(k, 2)), nullptr, 16));
@@ -50,7 +50,7 @@ Recorded read_recorded(const std::string& name) {
         std::string kind, hex;
         glm::dvec3 point_m;
         words >> kind;
-        if (kind == "packet" && words >> hex) recorded.packets.push_back(packet_of_hex(hex));
+        if (kind == "packet" && words >> hex) recorded.packets.push_back(make_packet_of_hex(hex));
         if (kind == "point" && words >> point_m.x >> point_m.y >> point_m.z)
             recorded.points_m.push_back(point_m);
     }
@@ -78,7 +78,8 @@ std::vector<glm::dvec3> decode_points(const packets::Decoder& decoder,
                     if (echo.range_m > 0.0f)
                         points_m.push_back(
                             double(echo.range_m) *
-                            beam_ray(beams[ring], -packet.firings[f].azimuth_deg * kDegree).direction);
+                            compute_beam_ray(beams[ring], -packet.firings[f].azimuth_deg * kDegree)
+                                .direction);
     }
     return points_m;
 }
@@ -231,7 +232,7 @@ TEST(BlockPackets, AngleFilesNextToABag) {
 
 /// Returns a packet of an OT128 with a return per laser, written byte by byte from the
 /// manual. The range value of a laser is its number, counted from 0.
-std::string ot128_packet(int mode, int azimuth_state) {
+std::string make_ot128_packet(int mode, int azimuth_state) {
     std::string bytes("\xee\xff\x01\x04\0\0\x80\x02\0\x04\x01\x07", 12);
     for (int block = 0; block < 2; ++block) {
         bytes += char(0x28), bytes += char(0x23 + block);  // 90.00 degrees, then 92.56 degrees
@@ -246,7 +247,7 @@ std::string ot128_packet(int mode, int azimuth_state) {
 }
 
 TEST(BlockPackets, Ot128) {
-    const std::string standard = ot128_packet(1, 0), fine = ot128_packet(0, 0x10);
+    const std::string standard = make_ot128_packet(1, 0), fine = make_ot128_packet(0, 0x10);
     const auto all = make_decoder(standard, "OT128"), states = make_decoder(fine, "OT128 in high resolution");
     ASSERT_TRUE(all && states);
     const packets::Packet packet = all->decode(standard);
@@ -299,7 +300,7 @@ TEST(BlockPackets, TheTwoBrightestOfThreeReturns) {
 
 /// Returns a packet of an RS-LiDAR-16, written byte by byte from the manual. The azimuth
 /// is 90 degrees in the first block and increases by 0.4 degrees per block.
-std::string rs16_packet() {
+std::string make_rs16_packet() {
     std::string bytes("\x55\xaa\x05\x0a\x5a\xa5\x50\xa0", 8);
     bytes.resize(26);
     bytes.append("\x01\x02\x00\x07\x01", 5);  // 258 ms and 7 us; model 1
@@ -314,7 +315,7 @@ std::string rs16_packet() {
 }
 
 TEST(BlockPackets, RsLidar16) {
-    const std::string bytes = rs16_packet();
+    const std::string bytes = make_rs16_packet();
     const auto decoder = make_decoder(bytes, "RS-LiDAR-16");
     ASSERT_TRUE(decoder);
     const packets::Packet packet = decoder->decode(bytes);

@@ -15,7 +15,7 @@
 namespace relidar {
 namespace {
 
-std::string of_hex(std::string_view text) {
+std::string parse_hex(std::string_view text) {
     std::string bytes;
     for (std::size_t k = 0; k < text.size(); ++k)
         if (text[k] != ' ') bytes += char(std::stoi(std::string(text.substr(k++, 2)), nullptr, 16));
@@ -64,9 +64,9 @@ const Written kAllWritten[] = {
 
 std::string bytes_of(const Written& written) {
     const bool has_head = *written.head != '\0';
-    return of_hex(written.head) + (has_head ? of_hex(kZeros) : "") + of_hex("40420F0000000000") +
-           of_hex(written.first) + of_hex("80BA8C0100000000") + of_hex(written.second) +
-           of_hex(written.foot) + (has_head ? of_hex(kZeros) : "");
+    return parse_hex(written.head) + (has_head ? parse_hex(kZeros) : "") + parse_hex("40420F0000000000") +
+           parse_hex(written.first) + parse_hex("80BA8C0100000000") + parse_hex(written.second) +
+           parse_hex(written.foot) + (has_head ? parse_hex(kZeros) : "");
 }
 
 TEST(OusterBytes, ByHandAreWhatTheManualSays) {

@@ -23,7 +23,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-fs::path shared_data() {
+fs::path get_shared_data() {
     const char* shared = std::getenv("RELIDAR_SHARED");
     return (shared ? fs::path(shared) : fs::path(RELIDAR_SOURCE_DIR).parent_path() / "shared") /
            "data/ouster";
@@ -104,11 +104,11 @@ fs::path write_folder(const OusterScans& scans, const std::string& name, bool wi
 struct Found {
     std::size_t right = 0, all = 0;
 };
-Found compare(const OusterScans& scans, std::size_t f, const Scan& found, const SpinningSensor& sensor,
+Found compare(const OusterScans& scans, std::size_t f, const Scan& actual_scan, const SpinningSensor& sensor,
               std::size_t first) {
     Found counts;
     for (std::size_t row = 0; row < scans.rows; ++row) {
-        const int shift = column_shift(sensor.beams[row], sensor.columns);
+        const int shift = compute_column_shift(sensor.beams[row], sensor.columns);
         for (std::size_t column = 0; column < scans.columns; ++column) {
             const double range_m = scans.range(f, row, column);
             if (range_m == 0.0) continue;
@@ -119,9 +119,10 @@ Found compare(const OusterScans& scans, std::size_t f, const Scan& found, const 
             const std::size_t at =
                 row * scans.columns +
                 (firing + scans.columns - std::size_t(shift + sensor.columns)) % scans.columns;
-            const double off_m = glm::distance(glm::dvec3(found.point(at)), scans.point(f, row, column));
-            counts.right += found.rays.channel[at] == row &&
-                            std::abs(double(found.range_m[at]) - (range_m - scans.n_m)) < 1e-3 &&
+            const double off_m =
+                glm::distance(glm::dvec3(actual_scan.point(at)), scans.point(f, row, column));
+            counts.right += actual_scan.rays.channel[at] == row &&
+                            std::abs(double(actual_scan.range_m[at]) - (range_m - scans.n_m)) < 1e-3 &&
                             off_m < 1e-3;
         }
     }
@@ -130,7 +131,7 @@ Found compare(const OusterScans& scans, std::size_t f, const Scan& found, const 
 
 TEST(OusterFolder, EveryReturnFindsItsBeamAndColumn) {
     for (const char* name : {"OS-1-128_v2.3.0_1024x10_lb_n3", "OS-2-128-U1_v2.3.0_1024x10"}) {
-        const fs::path file = shared_data() / (std::string(name) + ".npz");
+        const fs::path file = get_shared_data() / (std::string(name) + ".npz");
         if (!fs::exists(file)) GTEST_SKIP() << file << " is not there; RELIDAR_SHARED names another folder";
         const OusterScans scans(file);
         DatasetOptions options;
@@ -152,7 +153,7 @@ TEST(OusterFolder, EveryReturnFindsItsBeamAndColumn) {
 }
 
 TEST(OusterFolder, BeamsAreFoundInThePoints) {
-    const fs::path file = shared_data() / "OS-1-128_v2.3.0_1024x10_lb_n3.npz";
+    const fs::path file = get_shared_data() / "OS-1-128_v2.3.0_1024x10_lb_n3.npz";
     if (!fs::exists(file)) GTEST_SKIP() << file << " is not there; RELIDAR_SHARED names another folder";
     const OusterScans scans(file);
     DatasetOptions options;

@@ -11,8 +11,8 @@
 namespace relidar::test {
 namespace {
 
-void add_pixel(std::string& bytes, const OusterImages& images, std::size_t i) {
-    const std::uint32_t mm = images.range_mm[i], bright = images.reflectivity[i];
+void add_pixel(std::string& bytes, const OusterImages& images, std::size_t index) {
+    const std::uint32_t mm = images.range_mm[index], bright = images.reflectivity[index];
     if (images.profile == kLegacy) {
         append(bytes, mm | 0xA00000u);  // bits above the range are flags
         append(bytes, std::uint16_t(bright)), append(bytes, std::uint16_t(500)),
@@ -25,18 +25,18 @@ void add_pixel(std::string& bytes, const OusterImages& images, std::size_t i) {
     } else if (images.profile == kDual) {
         const bool has_second = !images.range_2_mm.empty();
         append(bytes, mm | bright << 24);
-        append(bytes, has_second ? images.range_2_mm[i] | images.reflectivity_2[i] << 24 : 0u);
+        append(bytes, has_second ? images.range_2_mm[index] | images.reflectivity_2[index] << 24 : 0u);
         append(bytes, std::uint32_t(0x01F401F4)), append(bytes, std::uint32_t(77));
     } else {
         append(bytes, std::uint32_t(mm / 8 | 0x8000u | bright << 16 | 0x77000000u));
         if (images.is_dual())
-            append(bytes, images.range_2_mm.empty()
-                              ? 0u
-                              : images.range_2_mm[i] / 8 | images.reflectivity_2[i] << 16 | 0x55000000u);
+            append(bytes, images.range_2_mm.empty() ? 0u
+                                                    : images.range_2_mm[index] / 8 |
+                                                          images.reflectivity_2[index] << 16 | 0x55000000u);
     }
 }
 
-std::string column_bytes(const OusterImages& images, std::size_t frame, std::size_t column) {
+std::string make_column_bytes(const OusterImages& images, std::size_t frame, std::size_t column) {
     std::string bytes;
     const bool is_valid = (images.is_valid.empty() || images.is_valid[frame * images.columns + column]) &&
                           images.is_in_window(column);
@@ -51,11 +51,11 @@ std::string column_bytes(const OusterImages& images, std::size_t frame, std::siz
     return bytes;
 }
 
-std::string big_endian(std::uint16_t value) { return {char(value >> 8), char(value & 0xff)}; }
+std::string read_big_endian(std::uint16_t value) { return {char(value >> 8), char(value & 0xff)}; }
 
 }  // namespace
 
-std::vector<OusterPacket> ouster_packets(const OusterImages& images) {
+std::vector<OusterPacket> make_packets(const OusterImages& images) {
     std::vector<OusterPacket> packets;
     for (std::size_t frame = 0; frame < images.frames; ++frame)
         for (std::size_t begin = 0; begin < images.columns; begin += images.per_packet) {
@@ -70,7 +70,7 @@ std::vector<OusterPacket> ouster_packets(const OusterImages& images) {
                 bytes.append(28, '\x21');
             }
             for (std::size_t column = begin; column < end; ++column) {
-                bytes += column_bytes(images, frame, column);
+                bytes += make_column_bytes(images, frame, column);
                 any = any || images.is_in_window(column);
             }
             if (images.profile != kLegacy) bytes.append(32, '\x42');
@@ -79,7 +79,7 @@ std::vector<OusterPacket> ouster_packets(const OusterImages& images) {
     return packets;
 }
 
-std::string ouster_metadata(const OusterImages& images, int port, bool is_nested) {
+std::string make_metadata(const OusterImages& images, int port, bool is_nested) {
     const std::size_t last = images.last == 0 ? images.columns - 1 : images.last;
     const std::string beams = fmt::format(
         R"("beam_altitude_angles": [{}], "beam_azimuth_angles": [{}], "lidar_origin_to_beam_origin_mm": {})",
@@ -98,7 +98,7 @@ std::string ouster_metadata(const OusterImages& images, int port, bool is_nested
         layout, images.columns, port, images.product);
 }
 
-std::vector<Datagram> received(const std::vector<OusterPacket>& packets, int port, std::int64_t ahead_ns) {
+std::vector<Datagram> receive(const std::vector<OusterPacket>& packets, int port, std::int64_t ahead_ns) {
     constexpr std::int64_t kLate_ns = 200000;
     std::vector<Datagram> datagrams;
     for (std::size_t k = 0; k < packets.size(); ++k)
@@ -119,13 +119,13 @@ void write_pcap(const std::filesystem::path& file, const std::vector<Datagram>& 
         append(bytes, std::uint32_t(frame)), append(bytes, std::uint32_t(frame));
         bytes.append(12, '\0').append("\x08\x00", 2);
         bytes.append("\x45\x00", 2)
-            .append(big_endian(std::uint16_t(20 + udp)))
+            .append(read_big_endian(std::uint16_t(20 + udp)))
             .append(4, '\0')
             .append("\x40\x11\x00\x00", 4);
         bytes.append("\xC0\xA8\x01\xC9\xFF\xFF\xFF\xFF", 8);  // from 192.168.1.201
-        bytes.append(big_endian(7502))
-            .append(big_endian(std::uint16_t(datagram.port)))
-            .append(big_endian(std::uint16_t(udp)));
+        bytes.append(read_big_endian(7502))
+            .append(read_big_endian(std::uint16_t(datagram.port)))
+            .append(read_big_endian(std::uint16_t(udp)));
         bytes.append(2, '\0').append(datagram.bytes);
     }
     std::ofstream(file, std::ios::binary) << bytes;

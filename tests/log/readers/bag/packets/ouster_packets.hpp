@@ -39,7 +39,7 @@ struct OusterImages {
     bool is_low_rate() const { return profile == kLowRate || profile == kLowRateDual || profile == kFusa; }
     /// Returns the range as packets store it. The low data rate profiles use steps of 8
     /// mm.
-    std::uint32_t written_mm(std::uint32_t mm) const { return is_low_rate() ? mm / 8 * 8 : mm; }
+    std::uint32_t round_mm(std::uint32_t mm) const { return is_low_rate() ? mm / 8 * 8 : mm; }
 };
 
 /// A packet and the measurement time of its last column.
@@ -48,11 +48,11 @@ struct OusterPacket {
     std::string bytes;
 };
 /// Returns the packets that contain a column of the azimuth window, in order.
-std::vector<OusterPacket> ouster_packets(const OusterImages& images);
+std::vector<OusterPacket> make_packets(const OusterImages& images);
 
 /// Returns the metadata as JSON.
 /// @param is_nested if true, the JSON is nested (newer tools), otherwise flat
-std::string ouster_metadata(const OusterImages& images, int port, bool is_nested = false);
+std::string make_metadata(const OusterImages& images, int port, bool is_nested = false);
 
 /// A UDP datagram of a capture.
 struct Datagram {
@@ -63,8 +63,8 @@ struct Datagram {
 /// Returns the datagrams with their time of arrival. A packet arrives 0.2 ms after its
 /// last column. Every third packet arrives up to 0.4 ms later.
 /// @param ahead_ns clock of the recorder minus clock of the sensor
-std::vector<Datagram> received(const std::vector<OusterPacket>& packets, int port = 7502,
-                               std::int64_t ahead_ns = 1700000000000000000);
+std::vector<Datagram> receive(const std::vector<OusterPacket>& packets, int port = 7502,
+                              std::int64_t ahead_ns = 1700000000000000000);
 /// Writes Ethernet frames with time stamps in nanoseconds.
 void write_pcap(const std::filesystem::path& file, const std::vector<Datagram>& datagrams);
 

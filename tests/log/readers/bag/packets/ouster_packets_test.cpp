@@ -35,7 +35,7 @@ using testing::HasSubstr;
 constexpr const char* kProfileNames[] = {test::kLegacy,  test::kSingle,      test::kDual,
                                          test::kLowRate, test::kLowRateDual, test::kFusa};
 
-fs::path fresh_folder(const std::string& name) {
+fs::path make_fresh_folder(const std::string& name) {
     fs::path folder = fs::path(testing::TempDir()) / "relidar_ouster_packets" / name;
     fs::remove_all(folder);
     fs::create_directories(folder);
@@ -58,8 +58,8 @@ void add_second_returns(OusterImages& images) {
 }
 
 /// Returns real scans, or std::nullopt if the files are not available.
-std::optional<OusterImages> real_images(const std::string& name, const std::string& product,
-                                        const std::string& profile) {
+std::optional<OusterImages> load_real_images(const std::string& name, const std::string& product,
+                                             const std::string& profile) {
     const char* shared = std::getenv("RELIDAR_SHARED");
     const fs::path file =
         (shared ? fs::path(shared) : fs::path(RELIDAR_SOURCE_DIR).parent_path() / "shared") / "data/ouster" /
@@ -85,7 +85,7 @@ std::optional<OusterImages> real_images(const std::string& name, const std::stri
 }
 
 /// Makes range images of a few beams in a room. Some pixels have no return.
-OusterImages small_images(const std::string& profile) {
+OusterImages make_small_images(const std::string& profile) {
     OusterImages images;
     images.profile = profile, images.frames = 4, images.rows = 16, images.columns = 128, images.n_mm = 15.8;
     for (std::size_t row = 0; row < images.rows; ++row)  // not ordered by altitude
@@ -106,7 +106,7 @@ OusterImages small_images(const std::string& profile) {
 }
 
 /// Returns the columns x y z intensity ring time return for each return, as float64.
-std::string points_of(const OusterImages& images, std::size_t frame) {
+std::string make_points(const OusterImages& images, std::size_t frame) {
     std::vector<std::size_t> ring(images.rows);
     for (std::size_t row = 0; row < images.rows; ++row)
         ring[row] = std::size_t(std::ranges::count_if(
@@ -133,9 +133,9 @@ std::string points_of(const OusterImages& images, std::size_t frame) {
             const bool has_second = !images.range_2_mm.empty() && images.range_2_mm[i] > 0;
             const bool is_second_first = has_second && images.reflectivity_2[i] > images.reflectivity[i];
             if (images.range_mm[i] > 0)
-                add(images.written_mm(images.range_mm[i]), images.reflectivity[i], is_second_first);
+                add(images.round_mm(images.range_mm[i]), images.reflectivity[i], is_second_first);
             if (has_second)
-                add(images.written_mm(images.range_2_mm[i]), images.reflectivity_2[i], !is_second_first);
+                add(images.round_mm(images.range_2_mm[i]), images.reflectivity_2[i], !is_second_first);
         }
     const std::size_t n = values.size() / 7;
     std::string head = fmt::format("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 7), }}", n);
@@ -148,7 +148,7 @@ std::string points_of(const OusterImages& images, std::size_t frame) {
 }
 
 Sequence read_folder(const OusterImages& images, const RangeLimits& limits) {
-    const fs::path folder = fresh_folder("folder");
+    const fs::path folder = make_fresh_folder("folder");
     std::string beams, frames, poses;
     std::vector<std::size_t> order(images.rows);
     for (std::size_t row = 0; row < images.rows; ++row) order[row] = row;
@@ -163,7 +163,7 @@ Sequence read_folder(const OusterImages& images, const RangeLimits& limits) {
     for (std::size_t f = 0; f < images.frames; ++f) {
         const double time_s = 1e-9 * double(images.time_ns[f * images.columns + images.columns / 2] -
                                             images.time_ns[images.columns / 2]);
-        write_bytes(folder / fmt::format("scans/{}.npy", f), points_of(images, f));
+        write_bytes(folder / fmt::format("scans/{}.npy", f), make_points(images, f));
         frames += fmt::format(R"({}{{"number": {}, "time_s": {:.9f}, "scan": "scans/{}.npy"}})",
                               f ? ", " : "", f, time_s, f);
         poses += "1 0 0 0 0 1 0 0 0 0 1 0\n";
@@ -184,13 +184,13 @@ Sequence read_folder(const OusterImages& images, const RangeLimits& limits) {
 /// Writes a capture and its metadata to a new folder.
 fs::path write_capture(const OusterImages& images, const std::vector<test::Datagram>& datagrams,
                        const std::string& name = "drive") {
-    const fs::path folder = fresh_folder("capture_" + name);
+    const fs::path folder = make_fresh_folder("capture_" + name);
     test::write_pcap(folder / (name + ".pcap"), datagrams);
-    write_bytes(folder / (name + ".json"), test::ouster_metadata(images, 7502));
+    write_bytes(folder / (name + ".json"), test::make_metadata(images, 7502));
     return folder / (name + ".pcap");
 }
 fs::path write_capture(const OusterImages& images) {
-    return write_capture(images, test::received(test::ouster_packets(images)));
+    return write_capture(images, test::receive(test::make_packets(images)));
 }
 
 /// Log from load_sequence(), or its error message. Tests are skipped if relidar was built
@@ -220,7 +220,7 @@ struct Loaded {
 
 /// Returns the column and the ring of a ray. The column is the encoder position when the
 /// ray was fired.
-std::pair<std::size_t, int> cell_of(const Scan& scan, std::size_t ray, const SpinningSensor& sensor) {
+std::pair<std::size_t, int> find_cell(const Scan& scan, std::size_t ray, const SpinningSensor& sensor) {
     const std::size_t ring = scan.rays.channel[ray];
     const glm::vec3 d = scan.rays.direction[ray];
     const double head = std::atan2(double(d.y), double(d.x)) - sensor.beams[ring].azimuth_offset_rad;
@@ -228,10 +228,10 @@ std::pair<std::size_t, int> cell_of(const Scan& scan, std::size_t ray, const Spi
     return {ring, (column % sensor.columns + sensor.columns) % sensor.columns};
 }
 
-std::map<std::pair<std::size_t, int>, std::size_t> rays_by_cell(const Scan& scan,
-                                                                const SpinningSensor& sensor) {
+std::map<std::pair<std::size_t, int>, std::size_t> group_rays_by_cell(const Scan& scan,
+                                                                      const SpinningSensor& sensor) {
     std::map<std::pair<std::size_t, int>, std::size_t> cells;
-    for (std::size_t ray = 0; ray < scan.rays.size(); ++ray) cells[cell_of(scan, ray, sensor)] = ray;
+    for (std::size_t ray = 0; ray < scan.rays.size(); ++ray) cells[find_cell(scan, ray, sensor)] = ray;
     return cells;
 }
 
@@ -241,7 +241,7 @@ void expect_same_scan(const Scan& actual, const Scan& expected, const SpinningSe
     ASSERT_EQ(actual.rays.columns, expected.rays.columns);
     EXPECT_EQ(actual.count_returns(), expected.count_returns());
     ASSERT_EQ(actual.second_returns.size(), expected.second_returns.size());
-    const auto cells = rays_by_cell(actual, sensor), others = rays_by_cell(expected, sensor);
+    const auto cells = group_rays_by_cell(actual, sensor), others = group_rays_by_cell(expected, sensor);
     ASSERT_EQ(cells.size(), actual.rays.size());
     ASSERT_EQ(others.size(), cells.size());
     std::size_t n_wrong = 0;
@@ -283,7 +283,7 @@ TEST(OusterPackets, RealScansAreThoseOfTheFolder) {
                                                          {"OS-2-128-U1_v2.3.0_1024x10.npz", "OS-2-128"}};
     for (const auto& [name, product] : kReal)
         for (const char* profile : kProfileNames) {
-            const std::optional<OusterImages> images = real_images(name, product, profile);
+            const std::optional<OusterImages> images = load_real_images(name, product, profile);
             if (!images) GTEST_SKIP() << name << " is not there; RELIDAR_SHARED names another folder";
             const Loaded loaded(write_capture(*images));
             if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
@@ -297,7 +297,7 @@ TEST(OusterPackets, RealScansAreThoseOfTheFolder) {
 
 TEST(OusterPackets, SmallScansAreThoseOfTheFolder) {
     for (const char* profile : kProfileNames) {
-        const OusterImages images = small_images(profile);
+        const OusterImages images = make_small_images(profile);
         const Loaded loaded(write_capture(images));
         if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
         ASSERT_EQ(loaded.error, "");
@@ -307,9 +307,9 @@ TEST(OusterPackets, SmallScansAreThoseOfTheFolder) {
 }
 
 TEST(OusterPackets, NestedMetadataSaysTheSame) {
-    const OusterImages images = small_images(test::kSingle);
+    const OusterImages images = make_small_images(test::kSingle);
     const fs::path capture = write_capture(images);
-    write_bytes(fs::path(capture).replace_extension(".json"), test::ouster_metadata(images, 7502, true));
+    write_bytes(fs::path(capture).replace_extension(".json"), test::make_metadata(images, 7502, true));
     const Loaded loaded(capture);
     if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
     ASSERT_EQ(loaded.error, "");
@@ -317,7 +317,7 @@ TEST(OusterPackets, NestedMetadataSaysTheSame) {
 }
 
 TEST(OusterPackets, ReflectivitiesOf16BitsCountAsThoseOfClouds) {
-    OusterImages images = small_images(test::kLegacy);
+    OusterImages images = make_small_images(test::kLegacy);
     for (std::uint32_t& bright : images.reflectivity) bright *= 8;  // up to 2040
     const Loaded loaded(write_capture(images));
     if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
@@ -337,7 +337,7 @@ struct Columns {
         : rays(std::size_t(log.lidars[0].sensor.columns)), returns(rays.size()) {
         const Scan& scan = log.frames[frame].scan;
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray) {
-            const auto column = std::size_t(cell_of(scan, ray, log.lidars[0].sensor).second);
+            const auto column = std::size_t(find_cell(scan, ray, log.lidars[0].sensor).second);
             ++rays[column], returns[column] += scan.range_m[ray] > 0.0f;
         }
     }
@@ -345,7 +345,7 @@ struct Columns {
 
 TEST(OusterPackets, ColumnsThatWereNotMeasuredWereNotFired) {
     for (const char* profile : {test::kLegacy, test::kSingle}) {
-        OusterImages images = small_images(profile);
+        OusterImages images = make_small_images(profile);
         images.is_valid.assign(images.frames * images.columns, true);
         for (const std::size_t column : {0, 20, 21, 127}) images.is_valid[images.columns + column] = false;
         const Loaded loaded(write_capture(images));
@@ -360,7 +360,7 @@ TEST(OusterPackets, ColumnsThatWereNotMeasuredWereNotFired) {
 }
 
 TEST(OusterPackets, ASectorThatWasNotMeasuredHasNoReturn) {
-    OusterImages images = small_images(test::kSingle);
+    OusterImages images = make_small_images(test::kSingle);
     for (std::size_t k = 0; k < images.frames * images.columns; ++k)
         images.is_valid.push_back(k % 128 < 40 || k % 128 >= 70);
     const Loaded loaded(write_capture(images));
@@ -374,16 +374,16 @@ TEST(OusterPackets, ASectorThatWasNotMeasuredHasNoReturn) {
 }
 
 TEST(OusterPackets, TheOnlyMetadataMayNameAnotherPort) {
-    const OusterImages images = small_images(test::kLegacy);
-    const Loaded loaded(write_capture(images, test::received(test::ouster_packets(images), 7512)));
+    const OusterImages images = make_small_images(test::kLegacy);
+    const Loaded loaded(write_capture(images, test::receive(test::make_packets(images), 7512)));
     if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
     ASSERT_EQ(loaded.error, "");
     expect_same_log(images, loaded.log);
 }
 
 TEST(OusterPackets, RepeatedAndLatePacketsAreSorted) {
-    const OusterImages images = small_images(test::kSingle);
-    auto datagrams = test::received(test::ouster_packets(images));
+    const OusterImages images = make_small_images(test::kSingle);
+    auto datagrams = test::receive(test::make_packets(images));
     std::swap(datagrams[12].bytes, datagrams[13].bytes);
     datagrams.insert(datagrams.begin() + 20, datagrams[17]);
     const Loaded loaded(write_capture(images, datagrams));
@@ -394,8 +394,8 @@ TEST(OusterPackets, RepeatedAndLatePacketsAreSorted) {
 }
 
 TEST(OusterPackets, RaysOfMissingPacketsAreDropped) {
-    const OusterImages images = small_images(test::kSingle);
-    auto datagrams = test::received(test::ouster_packets(images));
+    const OusterImages images = make_small_images(test::kSingle);
+    auto datagrams = test::receive(test::make_packets(images));
     datagrams[10].bytes.resize(500);          // columns 32 to 47 of frame 1
     datagrams.erase(datagrams.begin() + 13);  // columns 80 to 95
     const Loaded loaded(write_capture(images, datagrams));
@@ -411,8 +411,8 @@ TEST(OusterPackets, RaysOfMissingPacketsAreDropped) {
 }
 
 TEST(OusterPackets, ATurnWithoutMostOfItsPacketsIsLeftOut) {
-    const OusterImages images = small_images(test::kDual);
-    auto datagrams = test::received(test::ouster_packets(images));
+    const OusterImages images = make_small_images(test::kDual);
+    auto datagrams = test::receive(test::make_packets(images));
     datagrams.erase(datagrams.begin() + 9, datagrams.begin() + 15);  // packets of frame 1
     const Loaded loaded(write_capture(images, datagrams));
     if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
@@ -426,7 +426,7 @@ TEST(OusterPackets, AWindowOfColumnsIsTheWholeTurn) {
     for (const auto& [first, last] :
          {std::pair(32, 95), std::pair(5, 40), std::pair(0, 63), std::pair(100, 127)}) {
         SCOPED_TRACE(fmt::format("{} to {}", first, last));
-        OusterImages images = small_images(test::kLowRate);
+        OusterImages images = make_small_images(test::kLowRate);
         images.first = std::size_t(first), images.last = std::size_t(last);
         const Loaded loaded(write_capture(images));
         if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
@@ -443,10 +443,10 @@ TEST(OusterPackets, AWindowOfColumnsIsTheWholeTurn) {
 }
 
 TEST(OusterPackets, AClockSinceBootAndOneOfPtpAreTheSame) {
-    OusterImages images = small_images(test::kSingle);
+    OusterImages images = make_small_images(test::kSingle);
     const Loaded boot(write_capture(images));
     for (std::uint64_t& ns : images.time_ns) ns += 1700000000000000000;
-    const Loaded ptp(write_capture(images, test::received(test::ouster_packets(images), 7502, 0)));
+    const Loaded ptp(write_capture(images, test::receive(test::make_packets(images), 7502, 0)));
     if (boot.is_left_out()) GTEST_SKIP() << boot.error;
     ASSERT_EQ(ptp.log.frames.size(), 4u) << ptp.error;
     for (std::size_t f = 0; f < 4; ++f) {
@@ -457,20 +457,20 @@ TEST(OusterPackets, AClockSinceBootAndOneOfPtpAreTheSame) {
 }
 
 TEST(OusterPackets, TwoSensorsHaveTheirOwnMetadata) {
-    const OusterImages one = small_images(test::kSingle);
-    OusterImages other = small_images(test::kSingle);
+    const OusterImages one = make_small_images(test::kSingle);
+    OusterImages other = make_small_images(test::kSingle);
     other.product = "OS-0-16", other.n_mm = 27.0;
     for (std::uint32_t& mm : other.range_mm) mm += mm > 0 ? 1000 : 0;
-    auto datagrams = test::received(test::ouster_packets(one));
-    std::ranges::copy(test::received(test::ouster_packets(other), 7504), std::back_inserter(datagrams));
+    auto datagrams = test::receive(test::make_packets(one));
+    std::ranges::copy(test::receive(test::make_packets(other), 7504), std::back_inserter(datagrams));
     // packets of the IMU
     for (int k = 0; k < 40; ++k)
         datagrams.push_back({datagrams[0].stamp_ns + k * 10000000, std::string(48, '\1'), 7503});
     std::ranges::stable_sort(datagrams, {}, &test::Datagram::stamp_ns);
-    const fs::path folder = fresh_folder("two");
+    const fs::path folder = make_fresh_folder("two");
     test::write_pcap(folder / "drive.pcap", datagrams);
-    write_bytes(folder / "front.json", test::ouster_metadata(one, 7502));
-    write_bytes(folder / "rear.json", test::ouster_metadata(other, 7504));
+    write_bytes(folder / "front.json", test::make_metadata(one, 7502));
+    write_bytes(folder / "rear.json", test::make_metadata(other, 7504));
     write_bytes(folder / "notes.json", R"({"weather": "fair"})");
     for (const auto& [port, images] : {std::pair(7502, &one), std::pair(7504, &std::as_const(other))}) {
         DatasetOptions options;
@@ -482,7 +482,7 @@ TEST(OusterPackets, TwoSensorsHaveTheirOwnMetadata) {
         EXPECT_THAT(loaded.notes(), testing::Not(HasSubstr("expected")));
     }
     // Both metadata files name the same port.
-    write_bytes(folder / "rear.json", test::ouster_metadata(other, 7502));
+    write_bytes(folder / "rear.json", test::make_metadata(other, 7502));
     const Loaded ambiguous(folder / "drive.pcap");
     EXPECT_THAT(ambiguous.error,
                 HasSubstr("packets of 3328 bytes on port 7502, expected exactly one metadata file"));
@@ -497,7 +497,7 @@ TEST(OusterPackets, TwoSensorsHaveTheirOwnMetadata) {
 }
 
 TEST(OusterPackets, WhatIsWrongIsSaidInOneLine) {
-    const OusterImages images = small_images(test::kSingle);
+    const OusterImages images = make_small_images(test::kSingle);
     const auto error_with = [&](const std::string& metadata) {
         const fs::path capture = write_capture(images);
         write_bytes(fs::path(capture).replace_extension(".json"), metadata);
@@ -511,7 +511,7 @@ TEST(OusterPackets, WhatIsWrongIsSaidInOneLine) {
     if (alone.is_left_out()) GTEST_SKIP() << alone.error;
     EXPECT_THAT(alone.error, HasSubstr("packets of 3328 bytes on port 7502, probably from an Ouster; "
                                        "expected the metadata of the sensor in the file drive.json"));
-    const std::string metadata = test::ouster_metadata(images, 7502);
+    const std::string metadata = test::make_metadata(images, 7502);
     const auto changed = [&](const std::string& from, const std::string& to) {
         std::string text = metadata;
         return text.replace(text.find(from), from.size(), to);
@@ -532,7 +532,7 @@ TEST(OusterPackets, WhatIsWrongIsSaidInOneLine) {
                 HasSubstr("expected a divisor of the"));
     EXPECT_THAT(error_with(changed("\"lidar_mode\": \"128x10\"", "\"lidar_mode\": \"64x10\"")),
                 HasSubstr("columns_per_frame is 128"));
-    auto datagrams = test::received(test::ouster_packets(images));
+    auto datagrams = test::receive(test::make_packets(images));
     for (test::Datagram& datagram : datagrams) datagram.bytes[0] = 2;
     EXPECT_THAT(Loaded(write_capture(images, datagrams)).error,
                 HasSubstr("a packet of type 2, expected 1 (LiDAR data of an Ouster)"));
