@@ -193,9 +193,9 @@ void draw_scales_and_opacities(bool refine, LegacyRandom& random, Surfels& surfe
 /// (degree 0) or 1/256 (other degrees). Rounds half to even like numpy does.
 void draw_sh(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index,
              LegacyRandom& random, Surfels& surfels) {
-    const auto put_dc = [&](std::size_t index, int channel, double value) {
+    const auto put_dc = [&](std::size_t surfel, int channel, double value) {
         const double steps = std::clamp(std::nearbyint((value - 0.5) / kShC0 * 4096), -32000.0, 32000.0);
-        surfels.sh[index * kShFloats + std::size_t(channel) * kShCoefficients] = float(steps / 4096);
+        surfels.sh[surfel * kShFloats + std::size_t(channel) * kShCoefficients] = float(steps / 4096);
     };
     const std::size_t n = index.size();
     for (std::size_t i = 0; i < n; ++i)

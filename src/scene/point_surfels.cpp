@@ -292,7 +292,7 @@ std::vector<Sample> thin_samples(const std::vector<Sample>& samples, std::size_t
                                   std::uint64_t(std::int64_t(p.y * 1e4f + p.z * 1e7f)));
         };
         std::sort(first.begin(), first.end(),
-                  [&](std::uint32_t first, std::uint32_t second) { return order(first) < order(second); });
+                  [&](std::uint32_t left, std::uint32_t right) { return order(left) < order(right); });
         first.resize(max_count);
     }
     std::vector<Sample> thin;

@@ -158,8 +158,8 @@ std::vector<std::uint32_t> compute_kd_order(const std::vector<glm::vec3>& points
         std::nth_element(order.begin() + static_cast<std::ptrdiff_t>(first),
                          order.begin() + static_cast<std::ptrdiff_t>(middle),
                          order.begin() + static_cast<std::ptrdiff_t>(last),
-                         [&](std::uint32_t first, std::uint32_t second) {
-                             return points[first][axis] < points[second][axis];
+                         [&](std::uint32_t left, std::uint32_t right) {
+                             return points[left][axis] < points[right][axis];
                          });
         ranges.push_back({first, middle});
         ranges.push_back({middle, last});

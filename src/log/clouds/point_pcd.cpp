@@ -37,7 +37,7 @@ std::vector<std::string> split_words(std::string_view line) {
     return words;
 }
 
-std::vector<double> parse_numbers(const std::vector<std::string>& words, const std::string& location) {
+std::vector<double> parse_number_words(const std::vector<std::string>& words, const std::string& location) {
     std::vector<double> numbers;
     for (std::size_t i = 1; i < words.size(); ++i) {
         const auto number = parse_number(words[i]);
@@ -63,11 +63,11 @@ PcdHeader parse_pcd_header(std::string_view bytes, const std::string& location) 
         header.length = end + 1;
         if (words.empty() || words[0].front() == '#') continue;
         if (words[0] == "FIELDS") header.names.assign(words.begin() + 1, words.end());
-        else if (words[0] == "SIZE") header.sizes = parse_numbers(words, location);
-        else if (words[0] == "COUNT") header.counts = parse_numbers(words, location);
-        else if (words[0] == "WIDTH") header.width = parse_numbers(words, location)[0];
-        else if (words[0] == "HEIGHT") header.height = parse_numbers(words, location)[0];
-        else if (words[0] == "POINTS") header.points = parse_numbers(words, location)[0];
+        else if (words[0] == "SIZE") header.sizes = parse_number_words(words, location);
+        else if (words[0] == "COUNT") header.counts = parse_number_words(words, location);
+        else if (words[0] == "WIDTH") header.width = parse_number_words(words, location)[0];
+        else if (words[0] == "HEIGHT") header.height = parse_number_words(words, location)[0];
+        else if (words[0] == "POINTS") header.points = parse_number_words(words, location)[0];
         else if (words[0] == "TYPE")
             for (std::size_t i = 1; i < words.size(); ++i) header.types += words[i].front();
         else if (words[0] == "DATA") header.data = words.size() == 2 ? words[1] : "?";

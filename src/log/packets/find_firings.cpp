@@ -152,8 +152,8 @@ std::vector<FiredColumn> find_firings(const Scan& scan, double time_s, const Spi
     sort_by_rotation(columns, sensor.period_s);
     // A log may store a firing twice to complete its image, so remove the duplicates.
     const auto repeated =
-        std::ranges::unique(columns, [&](const FiredColumn& first, const FiredColumn& second) {
-            return 1e6 * std::abs(first.time_s - second.time_s) < kSameFiring_us;
+        std::ranges::unique(columns, [&](const FiredColumn& before, const FiredColumn& after) {
+            return 1e6 * std::abs(before.time_s - after.time_s) < kSameFiring_us;
         });
     columns.erase(repeated.begin(), repeated.end());
     for (FiredColumn& column : columns) column.time_s += time_s;

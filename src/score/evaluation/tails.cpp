@@ -83,8 +83,8 @@ Tail sum_tails(const RangeImage& image, const std::vector<float>& points_m, cons
             boxes.clear();
             for (std::size_t k = 0; k < swept.size(); ++k)
                 if (is_in_swept_box(swept[k], point_m)) boxes.push_back(k);
-            if (boxes.empty() || std::ranges::any_of(swept, [&](const Swept& swept) {
-                    return swept.box->present(t_s) && swept.box->holds(point_m, t_s, kNowMargin_m);
+            if (boxes.empty() || std::ranges::any_of(swept, [&](const Swept& actor) {
+                    return actor.box->present(t_s) && actor.box->holds(point_m, t_s, kNowMargin_m);
                 }))
                 continue;
             ++part.n_tail;

@@ -32,7 +32,7 @@ std::vector<SeenActor> find_actors(const RenderedScan& scan, const ScanFormat& f
 
 /// Returns the pose of the sensor at time `time_s` of the log, in the world frame of the
 /// dataset.
-Pose sensor_pose(const RenderedScan& scan, double time_s);
+Pose find_sensor_pose(const RenderedScan& scan, double time_s);
 
 /// Returns the velocity of an object, computed by central differences of its poses.
 /// @param world_from_thing returns the pose of the object at a given time

@@ -120,7 +120,7 @@ void check_weather(const Weather& weather) {
 double compute_extinction(const Weather& weather) {
     double alpha = 0.0;
     for (const WeatherEffect* effect : kWeatherEffects)
-        if (effect->extinction && effect->is_in(weather)) alpha += effect->compute_extinction(weather);
+        if (effect->extinction && effect->is_in(weather)) alpha += effect->extinction(weather);
     return alpha;
 }
 
