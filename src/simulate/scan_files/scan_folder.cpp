@@ -148,9 +148,10 @@ void ScanFolder::summarise() const {
 
 std::string scan_files::entry_json(int frame, const RenderedScan& scan, std::size_t n_points,
                                    const std::vector<std::string>& files) {
-    Json sides = Json::array();
+    Json sides = Json::array(), completed = Json::array();
     for (const UnseenSide& unseen : scan.unseen_sides)
-        sides.push_back({{"track", unseen.track}, {"side", name_of(unseen.side)}, {"rays", unseen.n_rays}});
+        (unseen.is_completed ? completed : sides)
+            .push_back({{"track", unseen.track}, {"side", name_of(unseen.side)}, {"rays", unseen.n_rays}});
     const Json entry = {{"frame_number", frame},
                         {"time_s", scan.time_s},
                         {"world_from_sensor", matrix_json(scan.world_from_sensor)},
@@ -159,6 +160,7 @@ std::string scan_files::entry_json(int frame, const RenderedScan& scan, std::siz
                         {"dropped", scan.image.range_m.size() - n_points},
                         {"unseen", scan.unseen_share ? Json(*scan.unseen_share) : Json()},
                         {"unseen_sides", sides},
+                        {"completed_sides", completed},
                         {"files", files}};
     return entry.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
