@@ -81,7 +81,8 @@ public:
     bool is_completed = false;
     /// Returns the fraction of each side that is observed or completed.
     SideShares known() const;
-    /// Returns the side of a point on a completed patch. Returns no value for any different point.
+    /// Returns the side of a point on a completed patch. Returns no value if the point is
+    /// on a different patch.
     std::optional<BoxSide> completed_side(const glm::dvec3& point_m) const;
     /// Compares observed patches with their observed mirror patches.
     /// @param points_m points of the surface, box frame

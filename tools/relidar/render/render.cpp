@@ -457,8 +457,7 @@ constexpr const char* kFilesHelp =
     R"(Files are named DIR/frame_000123.npz and so on, by the dataset's frame number; with --trajectory
 they are counted from 0. DIR/scans.json holds run, sensor, offset, poses, times and settings, and
 `unseen`: the share of rays that cross mainly space that the log has not seen. `unseen_sides`: sides
-of actors that the log has not seen and that rays pass through. `completed_sides`: the same, for
-sides from which rays return because they are completed by the mirror image of the other side.
+of actors that the log has not seen and rays pass through; `completed_sides`: filled by mirroring.
 npz: range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions,
 origin [rows,columns,3]; pose [4,4], sensor to the dataset's world at time_s. Metres, seconds.
 ply, pcd, bin: points of rays with drop_prob < 0.5, on the dominant surface. With --set
