@@ -6,6 +6,10 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <map>
+#include <utility>
+
+#include "base/median.hpp"
 
 namespace relidar {
 namespace {
@@ -14,13 +18,9 @@ constexpr double kBoxPatch_m = 0.3;
 // Fraction of the height of a vertical side that counts as hidden. The ground hides this
 // lowest part, so it is ignored.
 constexpr double kHiddenHeight = 0.2;
-/// Minimum cosine between a ray and the normal of a side of a box. At smaller cosines, a
-/// return does not observe the side, because such returns form separate streaks. The
-/// limit for the top is lower, because a LiDAR on a car hits the roofs of other cars only
-/// at grazing angles.
-constexpr double kGrazingSide = 0.2, kGrazingTop = 0.02;
-// Maximum number of pairs of surface patches along an axis of a box. A box with a length
-// of 120 m has this number of pairs.
+// Minimum number of pairs of patches that show whether an actor is symmetric.
+constexpr std::size_t kFewestPairs = 3;
+// Maximum number of pairs of patches along an axis. A box of 120 m reaches it.
 constexpr double kMostPairs = 200.0;
 
 /// Returns the number of patches along a length. The number is even, so that the symmetry
@@ -39,6 +39,8 @@ const char* name_of(BoxSide side) {
     constexpr const char* kNames[] = {"front", "rear", "left", "right", "top"};
     return kNames[static_cast<int>(side)];
 }
+
+double least_cosine(BoxSide side) { return side == BoxSide::top ? 0.02 : 0.2; }
 
 BoxSurface::BoxSurface(const glm::dvec3& size_m) : half_m_(0.5 * size_m) {
     for (std::size_t s = 0; s < kBoxSides; ++s) {
@@ -81,8 +83,7 @@ void BoxSurface::add(const glm::dvec3& point_m, const glm::dvec3& direction) {
     Patch patch{};
     if (!find(point_m, patch)) return;
     const SideFrame& frame = kSideFrames[std::size_t(patch.side)];
-    if (!(-frame.sign * direction[frame.normal] >= (patch.side == BoxSide::top ? kGrazingTop : kGrazingSide)))
-        return;
+    if (!(-frame.sign * direction[frame.normal] >= least_cosine(patch.side))) return;
     seen_[std::size_t(patch.side)][std::size_t(patch.row * n_[std::size_t(patch.side)][0] + patch.column)] =
         1;
 }
@@ -134,6 +135,54 @@ double BoxSurface::mirrored(BoxSide side) const {
 
 double BoxSurface::seen() const { return share(false); }
 double BoxSurface::mirrored() const { return share(true); }
+
+SideShares BoxSurface::known() const {
+    SideShares shares{};
+    for (std::size_t s = 0; s < kBoxSides; ++s)
+        shares[s] = float(seen(BoxSide(s)) + (is_completed ? mirrored(BoxSide(s)) : 0.0));
+    return shares;
+}
+
+std::optional<BoxSide> BoxSurface::completed_side(const glm::dvec3& point_m) const {
+    Patch patch{};
+    const bool is_on_patch = is_completed && find(point_m, patch) && !at(patch) && at(mirror(patch));
+    return is_on_patch ? std::optional(patch.side) : std::nullopt;
+}
+
+double BoxSurface::asymmetry_m(const std::vector<glm::vec3>& points_m) const {
+    struct Mean {
+        double sum_m = 0.0;
+        int n = 0;
+    };
+    std::map<std::array<int, 3>, Mean> outward;
+    for (const glm::vec3& point_m : points_m) {
+        Patch patch{};
+        if (!find(glm::dvec3(point_m), patch) || !at(patch)) continue;
+        Mean& mean = outward[{int(patch.side), patch.column, patch.row}];
+        mean.sum_m += std::abs(double(point_m[kSideFrames[std::size_t(patch.side)].normal])), ++mean.n;
+    }
+    std::vector<double> differences_m;
+    for (const auto& [key, here] : outward) {
+        const Patch other = mirror({BoxSide(key[0]), key[1], key[2]});
+        const auto there = outward.find({int(other.side), other.column, other.row});
+        if (there != outward.end() && key < there->first)
+            differences_m.push_back(std::abs(here.sum_m / here.n - there->second.sum_m / there->second.n));
+    }
+    return differences_m.size() < kFewestPairs ? 0.0 : median_of(std::move(differences_m));
+}
+
+std::string BoxSurface::patches(BoxSide side) const {
+    std::string text;
+    for (const char is_seen : seen_[std::size_t(side)]) text += is_seen ? '1' : '0';
+    return text;
+}
+
+bool BoxSurface::set_patches(BoxSide side, const std::string& text) {
+    std::vector<char>& patches = seen_[std::size_t(side)];
+    if (text.size() != patches.size() || text.find_first_not_of("01") != std::string::npos) return false;
+    std::ranges::transform(text, patches.begin(), [](char c) { return char(c == '1'); });
+    return true;
+}
 
 std::string list_unseen_sides(const SideShares& shares) {
     std::string names;

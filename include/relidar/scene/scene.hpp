@@ -139,7 +139,7 @@ struct Model {
     /// Walked distance after which the motion repeats, metres: a gait cycle (two steps of
     /// a person), or the recorded distance if no cycle was found. 0 = rigid model.
     float stride_m = 0.0f;
-    std::optional<SideShares> seen_sides = {};  ///< observed fraction of each side; empty: unknown
+    std::optional<BoxSurface> surface = {};  ///< observed parts of the box; empty: unknown
 };
 
 /// Placement of a model in the world. Instance 0 is the background at the origin.

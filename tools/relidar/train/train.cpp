@@ -15,9 +15,9 @@
 #include <relidar/run/stage_options.hpp>
 #include "command.hpp"
 #include "console.hpp"
+#include "evaluate/actor_strips.hpp"
 #include "evaluate/evaluation.hpp"
 #include "evaluate/run_report.hpp"
-#include "evaluate/walking_strip.hpp"
 #include "interrupt.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
@@ -252,6 +252,8 @@ void finish(Device& device, const Run& run, const TrainResult& result, const Tra
     const Evaluation evaluation = score(device, run, options);
     stages.begin("report");
     add_evaluation(report, evaluation, run, {"held out", "real"});
+    for (ReportFigure& strip : worst_actor_strips(device, run, evaluation))
+        report.figures.push_back(std::move(strip));
     if (std::optional<ReportFigure> strip = walking_strip(device, run))
         report.figures.push_back(std::move(*strip));
     report.facts.emplace_back("Stages", stages_text(stages));
