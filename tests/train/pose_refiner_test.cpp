@@ -226,7 +226,7 @@ std::pair<PoseError, PoseError> errors_of_training(Device& device, const Config&
 }
 
 TEST_F(Poses, OfTheSensorComeNearerByGradients) {
-    Config config = refining("sensor", 80);
+    Config config = refining("sensor", 50);
     config.train.pose_register = false;
     config.train.pose_rate_m = 1e-2;
     const auto [before, after] = errors_of_training(device(), config, "gradients alone");
