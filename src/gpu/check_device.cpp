@@ -154,9 +154,9 @@ double sum_error(Device& device, bool swaps) {
 double sum_error_of(Device& device, std::uint32_t n_threads, double& seconds) {
     const Kernel<shared::CheckAtomicsParams> kernel(device, "gpu/check_atomics", KernelVariant("@_swap"));
     Stream stream(device);
-    const double piece_s = std::exchange(impl_of(device).launch_limit.piece_s, 0.0);
+    const double piece_s = std::exchange(device.impl().launch_limit.piece_s, 0.0);
     const double error = error_of_sums(stream, kernel, n_threads, 1024, false, &seconds);
-    impl_of(device).launch_limit.piece_s = piece_s;
+    device.impl().launch_limit.piece_s = piece_s;
     return error;
 }
 
@@ -164,8 +164,8 @@ std::vector<int> subgroup_sizes(const Device& device) {
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &sizes};
-    vkGetPhysicalDeviceProperties2(impl_of(device).physical, &properties);
-    if (!impl_of(device).optional.subgroup_size) return {device.info().subgroup_size};
+    vkGetPhysicalDeviceProperties2(device.impl().physical, &properties);
+    if (!device.impl().optional.subgroup_size) return {device.info().subgroup_size};
     std::vector<int> result;
     for (std::uint32_t lanes = 4; lanes <= 64; lanes *= 2)
         if (lanes >= sizes.minSubgroupSize && lanes <= sizes.maxSubgroupSize)

@@ -7,6 +7,7 @@
 #include <chrono>
 
 #include <relidar/base/error.hpp>
+#include <relidar/gpu/out_of_memory.hpp>
 #include <relidar/gpu/stream.hpp>
 
 #include "gpu/kernel.hpp"
@@ -62,7 +63,7 @@ std::optional<double> copy_bytes_per_s(Device& device) {
             return 2.0 * static_cast<double>(n_bytes) / seconds_of_copy(device, n_bytes / sizeof(glm::vec4));
             // The device has too little memory for this size, so the loop tries a smaller
             // size.
-        } catch (const DeviceError&) {}
+        } catch (const OutOfDeviceMemory&) {}
     }
     return std::nullopt;
 }

@@ -179,7 +179,7 @@ const char* name_of(ConstantId id) {
 KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<Constant>& constants,
                        Subgroups subgroups)
     : impl_(std::make_unique<Impl>()) {
-    Device::Impl& device = impl_of(owner);
+    Device::Impl& device = owner.impl();
     impl_->device = &device;
     impl_->module = std::string(name);
     impl_->name = std::string(name.substr(0, name.find('@')));
@@ -227,7 +227,7 @@ void KernelBase::compile_only() {
 KernelBase::~KernelBase() = default;
 
 bool reconverges(const Device& device) {
-    const gpu::OptionalFeatures& optional = impl_of(device).optional;
+    const gpu::OptionalFeatures& optional = device.impl().optional;
     return optional.maximal_reconvergence || optional.subgroup_uniform_control_flow;
 }
 
@@ -237,12 +237,12 @@ std::string missing_for_networks(const Device& device) {
     VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES,
                                                 &sizes};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
-    vkGetPhysicalDeviceProperties2(impl_of(device).physical, &properties);
-    return gpu::missing_for_networks(subgroup, sizes, impl_of(device).optional);
+    vkGetPhysicalDeviceProperties2(device.impl().physical, &properties);
+    return gpu::missing_for_networks(subgroup, sizes, device.impl().optional);
 }
 
 KernelVariant accumulating_variant(const Device& device, const KernelVariant& variant) {
-    if (impl_of(device).wrong_sums)
+    if (device.impl().wrong_sums)
         throw DeviceError(
             fmt::format("cannot add gradients on {}: the device gives wrong sums of floats; `relidar check` "
                         "shows details",

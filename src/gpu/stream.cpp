@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <exception>
 #include <utility>
 
 #include <fmt/format.h>
@@ -14,7 +15,7 @@
 namespace relidar {
 
 Stream::Impl::Impl(Device& d, bool with_timing)
-    : owner(&d), device(&impl_of(d)), timing(with_timing && d.info().timestamps) {
+    : owner(&d), device(&d.impl()), timing(with_timing && d.info().timestamps) {
     if (device->compile_only) return;
     VkSemaphoreTypeCreateInfo type{VK_STRUCTURE_TYPE_SEMAPHORE_TYPE_CREATE_INFO};
     type.semaphoreType = VK_SEMAPHORE_TYPE_TIMELINE;
@@ -198,7 +199,7 @@ void Stream::Impl::write(const Buffer& buffer, const void* bytes, std::size_t n_
     if (device->compile_only || n_bytes == 0) return;
     const Stored from = store(bytes, n_bytes);
     record("write",
-           [from = from.buffer, to = impl_of(buffer).handle, region = VkBufferCopy{from.offset, 0, n_bytes}](
+           [from = from.buffer, to = buffer.impl().handle, region = VkBufferCopy{from.offset, 0, n_bytes}](
                VkCommandBuffer c) { vkCmdCopyBuffer(c, from, to, 1, &region); });
 }
 
@@ -337,30 +338,29 @@ void Stream::Impl::collect_times(Slot& slot) {
 
 Stream::Stream(Device& device, bool timing) : impl_(std::make_unique<Impl>(device, timing)) {}
 Stream::~Stream() = default;
-Stream::Impl& impl_of(const Stream& stream) { return *stream.impl_; }
 Device& Stream::device() const { return *impl_->owner; }
 void Stream::wait(std::uint64_t ticket) { impl_->wait(ticket); }
 
 void Stream::fill(const Buffer& buffer, std::uint32_t pattern) {
     if (impl_->device->compile_only) return;
-    impl_->record("fill", [to = impl_of(buffer).handle, pattern](VkCommandBuffer c) {
+    impl_->record("fill", [to = buffer.impl().handle, pattern](VkCommandBuffer c) {
         vkCmdFillBuffer(c, to, 0, VK_WHOLE_SIZE, pattern);
     });
 }
 
 void Stream::copy(const Buffer& from, const Buffer& to, std::size_t n_bytes) {
     if (impl_->device->compile_only) return;
-    impl_->record("copy", [from = impl_of(from).handle, to = impl_of(to).handle, n_bytes](VkCommandBuffer c) {
+    impl_->record("copy", [from = from.impl().handle, to = to.impl().handle, n_bytes](VkCommandBuffer c) {
         const VkBufferCopy region{0, 0, n_bytes};
         vkCmdCopyBuffer(c, from, to, 1, &region);
     });
 }
 
-Concurrent::Concurrent(Stream& stream) : stream_(stream) { ++impl_of(stream).n_concurrent; }
-Concurrent::~Concurrent() { impl_of(stream_).end_concurrent(); }
+Concurrent::Concurrent(Stream& stream) : stream_(stream) { ++stream.impl().n_concurrent; }
+Concurrent::~Concurrent() { stream_.impl().end_concurrent(); }
 
 StreamLanes::StreamLanes(Stream& stream, std::size_t n) : stream_(stream) {
-    Stream::Impl& s = impl_of(stream);
+    Stream::Impl& s = stream.impl();
     if (n == 0 || !s.lanes.empty() || s.n_concurrent > 0)
         throw Error(ExitCode::bug,
                     "cannot record in strands: expected at least one strand, no other strands and no open "
@@ -370,13 +370,14 @@ StreamLanes::StreamLanes(Stream& stream, std::size_t n) : stream_(stream) {
 }
 
 StreamLanes::~StreamLanes() {
-    Stream::Impl& s = impl_of(stream_);
-    s.record_lanes();
+    Stream::Impl& s = stream_.impl();
+    // An exception discards the commands, because it may have destroyed their arrays.
+    if (std::uncaught_exceptions() == 0) s.record_lanes();
     s.lanes.clear();
 }
 
 void StreamLanes::choose(std::size_t lane) {
-    Stream::Impl& s = impl_of(stream_);
+    Stream::Impl& s = stream_.impl();
     if (lane >= s.lanes.size() || s.n_concurrent > 0)
         throw Error(
             ExitCode::bug,

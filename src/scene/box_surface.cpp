@@ -49,18 +49,20 @@ BoxSurface::BoxSurface(const glm::dvec3& size_m) : half_m_(0.5 * size_m) {
     }
 }
 
-/// Finds the patch that a line from the centre of the box through a point hits. Returns
-/// false if the line hits no patch, or only a patch that the ground hides.
-bool BoxSurface::find(const glm::dvec3& point_m, Patch& patch) const {
+/// Returns the patch that a line from the centre of the box through a point hits. Returns
+/// no value if the line hits no patch, or only a patch that the ground hides.
+std::optional<BoxSurface::Patch> BoxSurface::find(const glm::dvec3& point_m) const {
     const glm::dvec3 share = point_m / half_m_, size = glm::abs(share);
     const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;
-    if (!(size[axis] > 0.0) || !std::isfinite(size[axis]) || (axis == 2 && share.z < 0.0)) return false;
+    if (!(size[axis] > 0.0) || !std::isfinite(size[axis]) || (axis == 2 && share.z < 0.0))
+        return std::nullopt;
     const int side = axis == 2 ? int(BoxSide::top) : 2 * axis + (share[axis] < 0.0 ? 1 : 0);
     const SideFrame& frame = kSideFrames[side];
     const glm::dvec3 on_surface = point_m / size[axis];
-    patch = {BoxSide(side), patch_at(on_surface[frame.first], half_m_[frame.first], n_[std::size_t(side)][0]),
-             patch_at(on_surface[frame.second], half_m_[frame.second], n_[std::size_t(side)][1])};
-    return counts(patch);
+    const Patch patch{BoxSide(side),
+                      patch_at(on_surface[frame.first], half_m_[frame.first], n_[std::size_t(side)][0]),
+                      patch_at(on_surface[frame.second], half_m_[frame.second], n_[std::size_t(side)][1])};
+    return counts(patch) ? std::optional(patch) : std::nullopt;
 }
 
 bool BoxSurface::counts(const Patch& patch) const {
@@ -80,22 +82,22 @@ bool BoxSurface::at(const Patch& patch) const {
 }
 
 void BoxSurface::add(const glm::dvec3& point_m, const glm::dvec3& direction) {
-    Patch patch{};
-    if (!find(point_m, patch)) return;
-    const SideFrame& frame = kSideFrames[std::size_t(patch.side)];
-    if (!(-frame.sign * direction[frame.normal] >= least_cosine(patch.side))) return;
-    seen_[std::size_t(patch.side)][std::size_t(patch.row * n_[std::size_t(patch.side)][0] + patch.column)] =
-        1;
+    const std::optional<Patch> patch = find(point_m);
+    if (!patch) return;
+    const auto side = std::size_t(patch->side);
+    const SideFrame& frame = kSideFrames[side];
+    if (!(-frame.sign * direction[frame.normal] >= least_cosine(patch->side))) return;
+    seen_[side][std::size_t(patch->row * n_[side][0] + patch->column)] = 1;
 }
 
 bool BoxSurface::is_seen(const glm::dvec3& point_m) const {
-    Patch patch{};
-    return find(point_m, patch) && at(patch);
+    const std::optional<Patch> patch = find(point_m);
+    return patch && at(*patch);
 }
 
 bool BoxSurface::is_mirrored(const glm::dvec3& point_m) const {
-    Patch patch{};
-    return find(point_m, patch) && !at(patch) && at(mirror(patch));
+    const std::optional<Patch> patch = find(point_m);
+    return patch && !at(*patch) && at(mirror(*patch));
 }
 
 std::array<double, 2> BoxSurface::areas(BoxSide side, bool mirrored) const {

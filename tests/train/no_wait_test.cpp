@@ -39,7 +39,7 @@ TEST_F(NoWait, NorAllocationInAnIteration) {
         const Scene initial = initialise_scene(street, split.train, config.init);
         ASSERT_GT(initial.instances.size(), 1u) << "actors are to be refined too";
         TrainLoop loop(device(), street, split, initial, config);
-        const Device::Impl& d = impl_of(device());
+        const Device::Impl& d = device().impl();
         const auto iterate = [&](int from, int to) {
             for (int step = from; step <= to; ++step) loop.iterate(step, step % 7 == 0 && step < 75);
         };

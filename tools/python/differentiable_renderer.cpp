@@ -21,7 +21,7 @@ namespace {
 /// A differentiable renderer, and the sizes that determine the shapes of its numpy
 /// arrays.
 struct HeldRenderer {
-    OnDevice<DifferentiableRenderer> renderer;
+    OnDevice<DifferentiableRenderer> differentiable;
     std::vector<InstancePose> placed;  ///< [instances] pose of each instance.
     std::size_t n_rays = 0;            ///< Number of rays of the last forward pass.
 };
@@ -41,7 +41,7 @@ std::unique_ptr<HeldRenderer> make_renderer(const Scene& scene, const std::optio
         made = std::make_unique<DifferentiableRenderer>(device->device, scene, image, options, gradients);
     }
     auto held = std::make_unique<HeldRenderer>();
-    held->renderer = OnDevice<DifferentiableRenderer>(device, std::move(made));
+    held->differentiable = OnDevice<DifferentiableRenderer>(device, std::move(made));
     held->placed.resize(scene.instances.size());
     return held;
 }
@@ -69,10 +69,10 @@ void place(HeldRenderer& held, const py::object& poses, const py::object& view_o
         check_count(present->size(), "present");
         for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = (*present)[i];
     }
-    const glm::vec3 view =
-        view_origin.is_none() ? held.renderer->view_origin_m() : point_of(view_origin, "view_origin");
-    const DeviceUse use(held.renderer.device());
-    held.renderer->place(placed, view);
+    const glm::vec3 view = view_origin.is_none() ? held.differentiable->renderer().view_origin_m()
+                                                 : point_of(view_origin, "view_origin");
+    const DeviceUse use(held.differentiable.device());
+    held.differentiable->renderer().place(placed, view);
     held.placed = std::move(placed);
 }
 
@@ -85,8 +85,8 @@ py::dict forward(HeldRenderer& held, const py::object& origins, const py::object
                         rays.direction.size(), rays.origin.size()));
     Rendering r;
     {
-        const DeviceUse use(held.renderer.device());
-        r = held.renderer->forward(rays);
+        const DeviceUse use(held.differentiable.device());
+        r = held.differentiable->renderer().forward(rays);
     }
     held.n_rays = rays.size();
     const Shape shape{static_cast<py::ssize_t>(rays.size())};
@@ -131,8 +131,8 @@ py::dict backward(HeldRenderer& held, const py::dict& d_rendered) {
     const RenderedGradients d = gradients_from(d_rendered, held.n_rays);
     HostGradients gradients;
     {
-        const DeviceUse use(held.renderer.device());
-        gradients = held.renderer->backward(d);
+        const DeviceUse use(held.differentiable.device());
+        gradients = held.differentiable->backward(d);
     }
     const auto rows = [](std::size_t n) { return static_cast<py::ssize_t>(n); };
     const std::size_t n = gradients.surfels.size();
@@ -148,15 +148,15 @@ py::dict backward(HeldRenderer& held, const py::dict& d_rendered) {
 
 void upload(HeldRenderer& held, const py::dict& arrays) {
     const Surfels surfels = surfels_of(arrays);
-    const DeviceUse use(held.renderer.device());
-    held.renderer->upload(surfels);
+    const DeviceUse use(held.differentiable.device());
+    held.differentiable->renderer().upload(surfels);
 }
 
 py::dict download(HeldRenderer& held) {
     Scene scene;
     {
-        const DeviceUse use(held.renderer.device());
-        scene = held.renderer->download();
+        const DeviceUse use(held.differentiable.device());
+        scene = held.differentiable->renderer().download();
     }
     return to_dict(std::move(scene.surfels));
 }

@@ -106,8 +106,8 @@ private:
     std::array<std::array<int, 2>, kBoxSides> n_{};  ///< number of patches of a side along its two axes
     std::array<std::vector<char>, kBoxSides> seen_;
 
-    /// Computes the patch of a point. Returns false if the point belongs to no patch.
-    bool find(const glm::dvec3& point_m, Patch& patch) const;
+    /// Returns the patch of a point. Returns no value if the point belongs to no patch.
+    std::optional<Patch> find(const glm::dvec3& point_m) const;
     Patch mirror(Patch patch) const;  ///< returns the mirror patch
     /// Returns true if the patch is above the ignored part near the ground.
     bool counts(const Patch& patch) const;

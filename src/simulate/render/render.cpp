@@ -329,7 +329,7 @@ void ScanRenderer::side_by_side(int n) {
 }
 
 int ScanRenderer::default_side_by_side(const Device& device) {
-    return impl_of(device).forced.side_by_side.value_or(device.info().type == "CPU" ? 1 : kSideBySide);
+    return device.impl().forced.side_by_side.value_or(device.info().type == "CPU" ? 1 : kSideBySide);
 }
 
 int ScanRenderer::side_by_side() const {

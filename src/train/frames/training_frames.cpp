@@ -73,7 +73,7 @@ void count(FrameData& data, const std::vector<DeviceTarget>& targets) {
 
 template <class T>
 void write(Stream& stream, const Array<T>& to, const std::vector<T>& values) {
-    impl_of(stream).write(to.buffer(), values.data(), values.size() * sizeof(T));
+    stream.impl().write(to.buffer(), values.data(), values.size() * sizeof(T));
 }
 
 }  // namespace

@@ -205,7 +205,7 @@ Error interrupted_while(const char* what, const Run& run, const TrainOptions& op
 /// Runs the steps after the training of the scene and before the training of the ray-drop
 /// network. These steps align the held-out scans and learn the intensity noise.
 void complete_with_hint(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
-    if (!complete_scene_with_progress(device, run, options.quiet, stages))
+    if (complete_scene_with_progress(device, run, options.quiet, stages) == TrainingEnd::stopped)
         throw interrupted_while("held-out scans were aligned and intensity scatter was learned", run,
                                 options);
 }
@@ -295,10 +295,10 @@ void refine_with_hint(Device& device, Run& run, const TrainOptions& options, Sta
         note(error.what());
     };
     try {
-        if (!refine_with_progress(device, run, options.quiet,
-                                  {.checkpoints = network_checkpoint_folder(run.folder),
-                                   .start = start ? &*start : nullptr,
-                                   .stages = &stages}))
+        const RefineSession session{.checkpoints = network_checkpoint_folder(run.folder),
+                                    .start = start ? &*start : nullptr,
+                                    .stages = &stages};
+        if (refine_with_progress(device, run, options.quiet, session) == TrainingEnd::stopped)
             throw interrupted_while("the ray-drop network was trained", run, options);
     } catch (const DataError& error) {
         // Removes the checkpoints, because a resumed training would fail with the same
