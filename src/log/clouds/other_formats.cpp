@@ -17,8 +17,7 @@ struct OtherFormat {
     const char* tool;
 };
 constexpr OtherFormat kOtherFormats[] = {
-    {".las", "a LAS file", "'pdal translate IN.las OUT.ply' writes points of one scan"},
-    {".laz", "a LAZ file", "'pdal translate IN.laz OUT.ply' writes points of one scan"},
+    {".laz", "a LAZ file", "'pdal translate IN.laz OUT.las' or 'laszip' unpacks it"},
     {".e57", "an E57 file", "'pdal translate IN.e57 OUT.ply' writes points of one scan"},
     {".pts", "a PTS file", "CloudCompare saves it as PLY"},
     {".ptx", "a PTX file", "CloudCompare saves it as PLY"},

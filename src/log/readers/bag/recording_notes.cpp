@@ -28,8 +28,9 @@ std::string clouds_text(const CloudTopic& clouds) {
         return fmt::format(
             ", frame '{}', {} packets of a {}: {} whole turns{}{}{}", excerpt(clouds.frame),
             clouds.packets.size(), clouds.packets.about(), clouds.turns.size(),
-            n_missing == 0 ? ""
-                           : fmt::format("; {} packets are missing, whose rays count as dropped", n_missing),
+            n_missing == 0
+                ? ""
+                : fmt::format("; {} packets are missing: their rays are unknown and left out", n_missing),
             problems.empty() ? "" : "; ", problems);
     }
     std::vector<std::string> names;

@@ -242,7 +242,7 @@ std::optional<std::vector<Pose>> read_poses(const fs::path& file, const std::vec
                                     [](const std::string& line) { return !content(line).empty(); });
     if (first == lines.end())
         throw DataError(fmt::format("{}: no pose, expected 12 or 8 numbers a line", file.string()));
-    if (const auto numbers = parse_numbers(content(*first)); !numbers || numbers->size() != 12) {
+    if (pose_words(content(*first)).size() != 12) {
         const PoseRows rows = read_rows(lines, file.string());
         if (rows.rows.empty())
             throw DataError(fmt::format("{}: no pose, expected 12 or 8 numbers a line", file.string()));

@@ -53,7 +53,8 @@ TEST(Boreas, EveryReturnIsWhereItWasMeasured) {
     EXPECT_EQ(sequence.name, "boreas-2020-11-26-13-58");
     EXPECT_THAT(sequence.conventions, testing::HasSubstr("rotated about z by -42.60 degrees"));
     EXPECT_THAT(sequence.notes, testing::ElementsAre("this log has no labels",
-                                                     "128 beams x 360 columns are fitted to its points"));
+                                                     "128 beams x 360 columns are fitted to its points",
+                                                     testing::HasSubstr("no intensities (all are 0.2")));
     ASSERT_EQ(sequence.frames.size(), std::size_t(BoreasFolder::kScans));
     const SpinningSensor& sensor = sequence.lidars[0].sensor;
     EXPECT_NEAR(sensor.period_s, 0.1, 1e-5);
