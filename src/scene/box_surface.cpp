@@ -146,9 +146,9 @@ SideShares BoxSurface::known() const {
 }
 
 std::optional<BoxSide> BoxSurface::completed_side(const glm::dvec3& point_m) const {
-    Patch patch{};
-    const bool is_on_patch = is_completed && find(point_m, patch) && !at(patch) && at(mirror(patch));
-    return is_on_patch ? std::optional(patch.side) : std::nullopt;
+    const std::optional<Patch> patch = is_completed ? find(point_m) : std::nullopt;
+    if (!patch || at(*patch) || !at(mirror(*patch))) return std::nullopt;
+    return patch->side;
 }
 
 double BoxSurface::asymmetry_m(const std::vector<glm::vec3>& points_m) const {
@@ -158,10 +158,10 @@ double BoxSurface::asymmetry_m(const std::vector<glm::vec3>& points_m) const {
     };
     std::map<std::array<int, 3>, Mean> outward;
     for (const glm::vec3& point_m : points_m) {
-        Patch patch{};
-        if (!find(glm::dvec3(point_m), patch) || !at(patch)) continue;
-        Mean& mean = outward[{int(patch.side), patch.column, patch.row}];
-        mean.sum_m += std::abs(double(point_m[kSideFrames[std::size_t(patch.side)].normal])), ++mean.n;
+        const std::optional<Patch> patch = find(glm::dvec3(point_m));
+        if (!patch || !at(*patch)) continue;
+        Mean& mean = outward[{int(patch->side), patch->column, patch->row}];
+        mean.sum_m += std::abs(double(point_m[kSideFrames[std::size_t(patch->side)].normal])), ++mean.n;
     }
     std::vector<double> differences_m;
     for (const auto& [key, here] : outward) {

@@ -7,6 +7,8 @@
 
 #include <relidar/log/sequence.hpp>
 
+#include "base/median.hpp"
+
 namespace relidar {
 namespace {
 
@@ -33,12 +35,6 @@ void visit_rays(const SpinningSensor& sensor, const Visit& visit) {
         for (std::size_t column = 0; column < columns; ++column)
             visit(row * columns + column, (column + std::size_t(shift)) % columns);
     }
-}
-
-float median_of(std::vector<float>& values) {
-    const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
-    std::nth_element(values.begin(), middle, values.end());
-    return *middle;
 }
 
 /// Fills in the shifts of unknown firings (NAN) by interpolation between the neighbouring

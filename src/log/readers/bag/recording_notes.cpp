@@ -30,7 +30,7 @@ std::string clouds_text(const CloudTopic& clouds) {
             clouds.packets.size(), clouds.packets.about(), clouds.turns.size(),
             n_missing == 0
                 ? ""
-                : fmt::format("; {} packets are missing, and their rays are read as dropped rays", n_missing),
+                : fmt::format("; {} packets are missing, and their rays are left out", n_missing),
             problems.empty() ? "" : "; ", problems);
     }
     std::vector<std::string> names;
