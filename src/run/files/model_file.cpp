@@ -65,8 +65,8 @@ glm::vec3 read_half_size(const JsonField& model) {
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
-/// Reads the stride length of a model that deforms. Returns 0 if the model does not
-/// deform.
+/// Reads the walked distance after which the motion of a model repeats. Returns 0 for a
+/// rigid model.
 float read_stride(const JsonField& model) {
     return model.has("stride_m") ? static_cast<float>(model.at("stride_m").number(1e-3, 1e6)) : 0.0f;
 }
