@@ -4,12 +4,14 @@
 // buffer of this size.
 #include "gpu/buffer.hpp"
 
+#include <algorithm>
 #include <cstring>
 #include <exception>
 
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+#include <relidar/gpu/out_of_memory.hpp>
 
 #include "gpu/transfers.hpp"
 
@@ -19,32 +21,42 @@ namespace {
 
 double to_mib(std::uint64_t bytes) { return double(bytes) / 1048576.0; }
 
+/// Throws an error that names the size of a buffer and the free memory.
+/// @param cause reason of the failure, for example the result of the driver
 [[noreturn]] void fail_allocation(const Device::Impl& device, std::size_t size,
-                                  const std::string& description, VkResult result) {
-    const gpu::MemoryBudget budget = gpu::query_memory_budget(device.physical);
-    gpu::fail(result,
-              fmt::format("cannot allocate {:.1f} MiB for {} on {}: the driver returned {}; relidar uses "
-                          "{:.1f} MiB, and {:.1f} MiB of the budget of {:.1f} MiB are free; use fewer "
-                          "frames or a device with more memory",
-                          to_mib(size), description, device.info.name, gpu::get_result_name(result),
-                          to_mib(device.allocated), to_mib(budget.n_free()), to_mib(budget.n_bytes)));
+                                  const std::string& description, const std::string& cause,
+                                  const gpu::MemoryBudget& budget) {
+    throw OutOfDeviceMemory(
+        fmt::format("cannot allocate {:.1f} MiB for {} on {}: {}; relidar uses {:.1f} MiB, and {:.1f} MiB of "
+                    "the budget of {:.1f} MiB are free; use fewer frames or a device with more memory",
+                    to_mib(size), description, device.info.name, cause, to_mib(device.allocated),
+                    to_mib(budget.n_free()), to_mib(budget.n_bytes)));
 }
 
 void check_size(const Device::Impl& device, std::size_t size, const std::string& description) {
     const auto& [limit, name] = device.largest_buffer;
     if (size <= limit) return;
-    throw DeviceError(
+    throw OutOfDeviceMemory(
         fmt::format("cannot allocate {:.1f} MiB for {} on {}: the array is larger than {} = {:.1f} MiB, the "
                     "limit of the driver",
                     to_mib(size), description, device.info.name, name, to_mib(limit)));
 }
 
+/// Checks the limit of the user, and the memory budget of the driver. Reading the budget
+/// takes longer than a small allocation, so the function reads it only for large arrays.
 void check_budget(const Device::Impl& device, std::size_t size, const std::string& description) {
-    if (device.memory_limit_bytes == 0 || device.allocated + size <= device.memory_limit_bytes) return;
-    throw DeviceError(
-        fmt::format("cannot allocate {:.1f} MiB for {}: {:.1f} MiB are in use, and the memory limit is "
-                    "{:.1f} MiB (RELIDAR_MEMORY_LIMIT_MIB)",
-                    to_mib(size), description, to_mib(device.allocated), to_mib(device.memory_limit_bytes)));
+    constexpr std::size_t kLarge = gpu::MemoryPools::kBlockBytes / 2;
+    if (device.memory_limit_bytes != 0 && device.allocated + size > device.memory_limit_bytes)
+        throw OutOfDeviceMemory(fmt::format(
+            "cannot allocate {:.1f} MiB for {}: {:.1f} MiB are in use, and the memory limit is "
+            "{:.1f} MiB (RELIDAR_MEMORY_LIMIT_MIB)",
+            to_mib(size), description, to_mib(device.allocated), to_mib(device.memory_limit_bytes)));
+    if (size < kLarge) return;
+    gpu::MemoryBudget budget = gpu::query_memory_budget(device.physical);
+    // Without VK_EXT_memory_budget, the driver does not report the used memory.
+    budget.n_used = std::max(budget.n_used, device.allocated.load());
+    if (budget.n_bytes > 0 && size > budget.n_free())
+        fail_allocation(device, size, description, "the array does not fit", budget);
 }
 
 }  // namespace
@@ -67,34 +79,82 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::MemoryUse used, c
     if (owner.traversal == Traversal::ray_query)
         info.usage |= VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_BUILD_INPUT_READ_ONLY_BIT_KHR |
                       VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_STORAGE_BIT_KHR;
-    const VkResult created = vkCreateBuffer(owner.device, &info, nullptr, &handle);
-    if (created != VK_SUCCESS) fail_allocation(owner, size, description, created);
-    gpu::name_object(owner.device, VK_OBJECT_TYPE_BUFFER, handle, description);
-    VkMemoryRequirements needs;
-    vkGetBufferMemoryRequirements(owner.device, handle, &needs);
-    const VkResult result = owner.memory->take(needs, use, memory);
-    if (result != VK_SUCCESS) {
-        vkDestroyBuffer(owner.device, handle, nullptr);
-        fail_allocation(owner, size, description, result);
+    const std::uint64_t largest = owner.largest_allocation.n_bytes;
+    if (owner.binds_sparse && use == gpu::MemoryUse::device && size > largest)
+        info.flags = VK_BUFFER_CREATE_SPARSE_BINDING_BIT;
+    VkResult result = vkCreateBuffer(owner.device, &info, nullptr, &handle);
+    if (result == VK_SUCCESS) {
+        gpu::name_object(owner.device, VK_OBJECT_TYPE_BUFFER, handle, description);
+        VkMemoryRequirements needs;
+        vkGetBufferMemoryRequirements(owner.device, handle, &needs);
+        // A piece of a sparse buffer has at least the size of one memory page.
+        const std::uint64_t piece_bytes =
+            std::max(largest / needs.alignment * needs.alignment, needs.alignment);
+        result = info.flags ? allocate_pieces(needs, piece_bytes) : allocate(needs);
     }
-    vkBindBufferMemory(owner.device, handle, memory.block->memory, memory.offset);
+    if (result != VK_SUCCESS) {
+        for (const gpu::MemoryPiece& piece : memory) owner.memory->release(piece);
+        vkDestroyBuffer(owner.device, handle, nullptr);
+        const std::string cause = fmt::format("the driver returned {}", gpu::get_result_name(result));
+        if (result == VK_ERROR_DEVICE_LOST)
+            gpu::fail(result, fmt::format("cannot allocate {}: {}", description, cause));
+        fail_allocation(owner, size, description, cause, gpu::query_memory_budget(owner.physical));
+    }
     VkBufferDeviceAddressInfo address_info{VK_STRUCTURE_TYPE_BUFFER_DEVICE_ADDRESS_INFO};
     address_info.buffer = handle;
     address = vkGetBufferDeviceAddress(owner.device, &address_info);
     ++owner.n_buffers;
     if (use != gpu::MemoryUse::device) {
-        mapped = memory.block->mapped + memory.offset;
+        mapped = memory.front().block->mapped + memory.front().offset;
         return;
     }
-    owner.allocated += memory.n_bytes;
+    for (const gpu::MemoryPiece& piece : memory) owner.allocated += piece.n_bytes;
     if (owner.allocated > owner.peak) owner.peak = owner.allocated.load();
+}
+
+VkResult Buffer::Impl::allocate(const VkMemoryRequirements& needs) {
+    const VkResult result = device->memory->take(needs, use, memory.emplace_back());
+    if (result != VK_SUCCESS) {
+        memory.clear();
+        return result;
+    }
+    return vkBindBufferMemory(device->device, handle, memory.front().block->memory, memory.front().offset);
+}
+
+VkResult Buffer::Impl::allocate_pieces(const VkMemoryRequirements& needs, std::uint64_t piece_bytes) {
+    for (std::uint64_t offset = 0; offset < needs.size; offset += piece_bytes) {
+        VkMemoryRequirements piece_needs = needs;
+        piece_needs.size = std::min(piece_bytes, needs.size - offset);
+        gpu::MemoryPiece piece;
+        const VkResult result = device->memory->take(piece_needs, use, piece);
+        if (result != VK_SUCCESS) return result;
+        memory.push_back(piece);
+    }
+    return device->bind_pieces(handle, memory);
+}
+
+VkResult Device::Impl::bind_pieces(VkBuffer buffer, const std::vector<gpu::MemoryPiece>& pieces) {
+    std::vector<VkSparseMemoryBind> binds;
+    VkDeviceSize offset = 0;
+    for (const gpu::MemoryPiece& piece : pieces) {
+        binds.push_back({offset, piece.n_bytes, piece.block->memory, piece.offset, 0});
+        offset += piece.n_bytes;
+    }
+    const VkSparseBufferMemoryBindInfo of_buffer{buffer, static_cast<std::uint32_t>(binds.size()),
+                                                 binds.data()};
+    VkBindSparseInfo bind{VK_STRUCTURE_TYPE_BIND_SPARSE_INFO};
+    bind.bufferBindCount = 1;
+    bind.pBufferBinds = &of_buffer;
+    const std::lock_guard lock(queue_mutex);
+    const VkResult result = vkQueueBindSparse(queue, 1, &bind, VK_NULL_HANDLE);
+    return result == VK_SUCCESS ? vkQueueWaitIdle(queue) : result;
 }
 
 Buffer::Impl::~Impl() {
     if (!handle) return;
     // Usually the code that frees a buffer has waited for the commands that use it. An
-    // exception skips this wait. Therefore waits here for the commands that are
-    // submitted, and keeps the buffer if there are commands that are recorded only.
+    // exception skips this wait. Therefore waits here for the submitted commands. Keeps
+    // the buffer if a stream has recorded commands, because it may submit them later.
     if (std::uncaught_exceptions() > 0) {
         const std::lock_guard lock(device->orphans_mutex);
         if (device->n_recording > 0) {
@@ -108,8 +168,10 @@ Buffer::Impl::~Impl() {
 
 void Device::Impl::free_buffer(const Orphan& buffer) noexcept {
     vkDestroyBuffer(device, buffer.handle, nullptr);
-    memory->release(buffer.memory);
-    if (buffer.use == gpu::MemoryUse::device) allocated -= buffer.memory.n_bytes;
+    for (const gpu::MemoryPiece& piece : buffer.memory) {
+        memory->release(piece);
+        if (buffer.use == gpu::MemoryUse::device) allocated -= piece.n_bytes;
+    }
 }
 
 void Device::Impl::free_orphans() {
@@ -121,10 +183,9 @@ void Device::Impl::free_orphans() {
 }
 
 Buffer::Buffer(Device& device, std::size_t n_bytes, const std::string& description)
-    : impl_(std::make_unique<Impl>(get_impl(device), n_bytes, gpu::MemoryUse::device, description)) {}
+    : impl_(std::make_unique<Impl>(device.impl(), n_bytes, gpu::MemoryUse::device, description)) {}
 Buffer::Buffer() = default;
 Buffer::~Buffer() = default;
-Buffer::Impl& get_impl(const Buffer& buffer) { return *buffer.impl_; }
 Buffer::Buffer(Buffer&&) noexcept = default;
 Buffer& Buffer::operator=(Buffer&&) noexcept = default;
 std::uint64_t Buffer::address() const { return impl_ ? impl_->address : 0; }

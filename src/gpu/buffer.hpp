@@ -11,7 +11,9 @@ namespace relidar {
 struct Buffer::Impl {
     Device::Impl* device = nullptr;
     VkBuffer handle = VK_NULL_HANDLE;
-    gpu::MemoryPiece memory;
+    /// Memory of the buffer. A buffer that is larger than the driver's largest allocation
+    /// has several pieces.
+    std::vector<gpu::MemoryPiece> memory;
     gpu::MemoryUse use;
     std::uint64_t address = 0;
     std::size_t n_bytes = 0;
@@ -19,12 +21,18 @@ struct Buffer::Impl {
     std::byte* mapped = nullptr;
 
     /// Allocates a buffer.
-    /// @throws DeviceError if memory is exhausted or the device does not allow such a
-    /// large buffer
+    /// @throws OutOfDeviceMemory if memory is exhausted or the device does not allow such
+    /// a large buffer
     Impl(Device::Impl& device, std::size_t n_bytes, gpu::MemoryUse use, const std::string& what);
     ~Impl();
     Impl(const Impl&) = delete;
     Impl& operator=(const Impl&) = delete;
+
+private:
+    /// Allocates the memory of the buffer, in one piece or in pieces of at most
+    /// `piece_bytes`.
+    VkResult allocate(const VkMemoryRequirements& needs);
+    VkResult allocate_pieces(const VkMemoryRequirements& needs, std::uint64_t piece_bytes);
 };
 
 }  // namespace relidar

@@ -156,9 +156,9 @@ double compute_sum_error(Device& device, bool swaps) {
 double measure_sum_error_of_kernel(Device& device, std::uint32_t n_threads, double& seconds) {
     const Kernel<shared::CheckAtomicsParams> kernel(device, "gpu/check_atomics", KernelVariant("@_swap"));
     Stream stream(device);
-    const double piece_s = std::exchange(get_impl(device).launch_limit.piece_s, 0.0);
+    const double piece_s = std::exchange(device.impl().launch_limit.piece_s, 0.0);
     const double error = measure_sum_error(stream, kernel, n_threads, 1024, false, &seconds);
-    get_impl(device).launch_limit.piece_s = piece_s;
+    device.impl().launch_limit.piece_s = piece_s;
     return error;
 }
 
@@ -166,8 +166,8 @@ std::vector<int> list_subgroup_sizes(const Device& device) {
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &sizes};
-    vkGetPhysicalDeviceProperties2(get_impl(device).physical, &properties);
-    if (!get_impl(device).optional.subgroup_size) return {device.info().subgroup_size};
+    vkGetPhysicalDeviceProperties2(device.impl().physical, &properties);
+    if (!device.impl().optional.subgroup_size) return {device.info().subgroup_size};
     std::vector<int> result;
     for (std::uint32_t lanes = 4; lanes <= 64; lanes *= 2)
         if (lanes >= sizes.minSubgroupSize && lanes <= sizes.maxSubgroupSize)

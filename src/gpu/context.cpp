@@ -11,6 +11,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+#include <relidar/gpu/out_of_memory.hpp>
 
 #include "gpu/memory.hpp"
 #include "gpu/pipeline_cache.hpp"
@@ -28,6 +29,8 @@ void check(VkResult result, const char* call) {
 
 void fail(VkResult result, const std::string& message) {
     if (result == VK_ERROR_DEVICE_LOST) throw DeviceLost(message);
+    if (result == VK_ERROR_OUT_OF_DEVICE_MEMORY || result == VK_ERROR_OUT_OF_HOST_MEMORY)
+        throw OutOfDeviceMemory(message);
     throw DeviceError(message);
 }
 
@@ -249,7 +252,6 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
 }
 
 Device::~Device() = default;
-Device::Impl& get_impl(const Device& device) { return *device.impl_; }
 const DeviceInfo& Device::info() const { return impl_->info; }
 Traversal Device::traversal() const { return impl_->traversal; }
 std::uint64_t Device::allocated_bytes() const { return impl_->allocated; }
@@ -313,6 +315,10 @@ void Device::Impl::find_compute_queues() {
     std::vector<VkQueueFamilyProperties> families(n);
     vkGetPhysicalDeviceQueueFamilyProperties(physical, &n, families.data());
     while (queue_family < n && !(families[queue_family].queueFlags & VK_QUEUE_COMPUTE_BIT)) ++queue_family;
+    VkPhysicalDeviceFeatures features;
+    vkGetPhysicalDeviceFeatures(physical, &features);
+    binds_sparse = features.sparseBinding && queue_family < n &&
+                   (families[queue_family].queueFlags & VK_QUEUE_SPARSE_BINDING_BIT) != 0;
     const std::uint32_t bits = queue_family < n ? families[queue_family].timestampValidBits : 0;
     if (bits > 0 && bits < 64) timestamp_mask = (std::uint64_t(1) << bits) - 1;
 }
@@ -333,6 +339,7 @@ void Device::Impl::make_device() {
     v12.timelineSemaphore = VK_TRUE;
     v12.hostQueryReset = VK_TRUE;
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
+    features.features.sparseBinding = binds_sparse;
 
     optional = gpu::query_optional_features(physical);
     v13.subgroupSizeControl = optional.subgroup_size;
@@ -383,11 +390,16 @@ void Device::Impl::read_limits() {
     // Limits the duration of dispatches only on GPUs, because no watchdog resets a CPU.
     if (info.type != "CPU") launch_limit.piece_s = 0.25;
     workgroup_size = std::max(32u, static_cast<std::uint32_t>(info.subgroup_size));
+    largest_allocation = {allocations.maxMemoryAllocationSize, "maxMemoryAllocationSize"};
     largest_buffer = {sizes.maxBufferSize, "maxBufferSize"};
     if (info.memory_bytes && info.memory_bytes < largest_buffer.n_bytes)
         largest_buffer = {info.memory_bytes, "its memory"};
-    if (allocations.maxMemoryAllocationSize < largest_buffer.n_bytes)
-        largest_buffer = {allocations.maxMemoryAllocationSize, "maxMemoryAllocationSize"};
+    // The limit that lavapipe reports for sparse buffers is 2 GiB, but larger ones work.
+    const std::uint64_t sparse_bytes = properties.properties.limits.sparseAddressSpaceSize;
+    if (binds_sparse && sparse_bytes < largest_buffer.n_bytes && !info.driver.starts_with("llvmpipe"))
+        largest_buffer = {sparse_bytes, "sparseAddressSpaceSize"};
+    if (!binds_sparse && largest_allocation.n_bytes < largest_buffer.n_bytes)
+        largest_buffer = largest_allocation;
     if (traversal == Traversal::ray_query)
         scratch_alignment = std::max(1u, accel_properties.minAccelerationStructureScratchOffsetAlignment);
 }

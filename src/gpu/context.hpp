@@ -147,12 +147,16 @@ struct Device::Impl {
     std::uint64_t timestamp_mask = ~std::uint64_t(0);  ///< valid bits of the queue's time stamps
     std::uint32_t workgroup_size = 32;
     std::uint32_t scratch_alignment = 256;
-    /// Maximum size of one array in bytes, and the name of the Vulkan limit that sets
-    /// this maximum.
-    struct {
+    /// True if a buffer may consist of several allocations (Vulkan's sparse binding).
+    bool binds_sparse = false;
+    /// Size in bytes, and the name of the Vulkan limit that sets this size.
+    struct Limit {
         std::uint64_t n_bytes;
         const char* name;
-    } largest_buffer{};
+    };
+    /// Maximum size of an array, and maximum size of an allocation. A larger array
+    /// consists of several allocations if `binds_sparse` is true.
+    Limit largest_buffer{}, largest_allocation{};
     std::unique_ptr<gpu::MemoryPools> memory;
     std::unique_ptr<gpu::Transfers> transfers;
     std::unique_ptr<gpu::PipelineCache> pipeline_cache;
@@ -189,7 +193,7 @@ struct Device::Impl {
     /// later, because the recorded commands may use them.
     struct Orphan {
         VkBuffer handle;
-        gpu::MemoryPiece memory;
+        std::vector<gpu::MemoryPiece> memory;
         gpu::MemoryUse use;
     };
     std::vector<Orphan> orphans;
@@ -214,6 +218,9 @@ struct Device::Impl {
     /// Waits until the device has finished all submitted work. Ignores errors, because
     /// destructors call this function and a lost device does no more work.
     void wait_idle() noexcept;
+    /// Uses several pieces of memory as the memory of one sparse buffer, in the order of
+    /// the list. Waits until the queue has done this.
+    VkResult bind_pieces(VkBuffer buffer, const std::vector<gpu::MemoryPiece>& pieces);
     void free_buffer(const Orphan& buffer) noexcept;
     /// Frees the buffers that exceptions have destroyed, unless a stream still has
     /// recorded commands.

@@ -7,6 +7,7 @@
 #include <chrono>
 
 #include <relidar/base/error.hpp>
+#include <relidar/gpu/out_of_memory.hpp>
 #include <relidar/gpu/stream.hpp>
 
 #include "gpu/kernel.hpp"
@@ -64,7 +65,7 @@ std::optional<double> copy_bytes_per_s(Device& device) {
                    measure_copy_seconds(device, n_bytes / sizeof(glm::vec4));
             // The device has too little memory for this size, so the loop tries a smaller
             // size.
-        } catch (const DeviceError&) {}
+        } catch (const OutOfDeviceMemory&) {}
     }
     return std::nullopt;
 }

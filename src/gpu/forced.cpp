@@ -8,15 +8,15 @@
 
 namespace relidar {
 
-std::size_t count_validation_messages(const Device& device) { return get_impl(device).instance->n_messages; }
+std::size_t count_validation_messages(const Device& device) { return device.impl().instance->n_messages; }
 
 Forced::Forced(Device& device, const ForcedWays& ways)
-    : device_(device), before_(std::exchange(get_impl(device).forced, ways)) {}
-Forced::~Forced() { get_impl(device_).forced = before_; }
+    : device_(device), before_(std::exchange(device.impl().forced, ways)) {}
+Forced::~Forced() { device_.impl().forced = before_; }
 
 bool prefers_coalesced_access(const Device& device) {
-    return get_impl(device).forced.coalesces.value_or(device.info().type != "CPU");
+    return device.impl().forced.coalesces.value_or(device.info().type != "CPU");
 }
-bool must_test_every_surfel(const Device& device) { return get_impl(device).forced.brute_force; }
+bool must_test_every_surfel(const Device& device) { return device.impl().forced.brute_force; }
 
 }  // namespace relidar

@@ -180,7 +180,7 @@ const char* get_name(ConstantId id) {
 KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<Constant>& constants,
                        Subgroups subgroups)
     : impl_(std::make_unique<Impl>()) {
-    Device::Impl& device = get_impl(owner);
+    Device::Impl& device = owner.impl();
     impl_->device = &device;
     impl_->module = std::string(name);
     impl_->name = std::string(name.substr(0, name.find('@')));
@@ -228,7 +228,7 @@ void KernelBase::compile_only() {
 KernelBase::~KernelBase() = default;
 
 bool does_reconverge(const Device& device) {
-    const gpu::OptionalFeatures& optional = get_impl(device).optional;
+    const gpu::OptionalFeatures& optional = device.impl().optional;
     return optional.maximal_reconvergence || optional.subgroup_uniform_control_flow;
 }
 
@@ -238,12 +238,12 @@ std::string list_missing_for_networks(const Device& device) {
     VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES,
                                                 &sizes};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
-    vkGetPhysicalDeviceProperties2(get_impl(device).physical, &properties);
-    return gpu::list_missing_for_networks(subgroup, sizes, get_impl(device).optional);
+    vkGetPhysicalDeviceProperties2(device.impl().physical, &properties);
+    return gpu::list_missing_for_networks(subgroup, sizes, device.impl().optional);
 }
 
 KernelVariant choose_accumulating_variant(const Device& device, const KernelVariant& variant) {
-    if (get_impl(device).wrong_sums)
+    if (device.impl().wrong_sums)
         throw DeviceError(
             fmt::format("cannot add gradients on {}: the device gives wrong sums of floats; `relidar check` "
                         "shows details",

@@ -120,22 +120,23 @@ std::vector<std::uint32_t> MemoryPools::types(const VkMemoryRequirements& needs,
     return suitable_types;
 }
 
-bool MemoryPools::allocate_of_type(const VkMemoryRequirements& needs, std::uint32_t type,
-                                   MemoryPiece& piece) {
+/// Returns a free piece of a block of this memory type, if a block has enough space.
+std::optional<MemoryPiece> MemoryPools::allocate_of_type(const VkMemoryRequirements& needs,
+                                                         std::uint32_t type) {
     for (const std::unique_ptr<MemoryBlock>& block : blocks_[type])
-        if (const auto offset = block->free.take(needs.size, std::max(needs.alignment, kAlignment))) {
-            piece = {block.get(), *offset, needs.size};
-            return true;
-        }
-    return false;
+        if (const auto offset = block->free.take(needs.size, std::max(needs.alignment, kAlignment)))
+            return MemoryPiece{block.get(), *offset, needs.size};
+    return std::nullopt;
 }
 
 VkResult MemoryPools::take(const VkMemoryRequirements& needs, MemoryUse use, MemoryPiece& piece) {
     const std::lock_guard lock(mutex_);
     VkResult result = VK_ERROR_FEATURE_NOT_PRESENT;  // Result if no memory type is suitable.
     for (const std::uint32_t type : types(needs, use)) {
-        result = allocate_of_type(needs, type, piece) ? VK_SUCCESS : grow(needs, type, piece);
+        std::optional<MemoryPiece> free_piece = allocate_of_type(needs, type);
+        result = free_piece ? VK_SUCCESS : grow(needs, type, free_piece);
         if (result != VK_SUCCESS) continue;
+        piece = *free_piece;
         if (use != MemoryUse::device) result = map(*piece.block);
         if (result == VK_SUCCESS) break;
         piece.block->free.release(piece.offset, piece.n_bytes);
@@ -143,13 +144,14 @@ VkResult MemoryPools::take(const VkMemoryRequirements& needs, MemoryUse use, Mem
     return result;
 }
 
-VkResult MemoryPools::grow(const VkMemoryRequirements& needs, std::uint32_t type, MemoryPiece& piece) {
+VkResult MemoryPools::grow(const VkMemoryRequirements& needs, std::uint32_t type,
+                           std::optional<MemoryPiece>& piece) {
     const std::uint64_t shared = shared_bytes(type);
     VkResult result = VK_SUCCESS;
     // If the first attempt fails, the second attempt allocates only the required size.
     for (const std::uint64_t n_bytes : {needs.size > shared / 2 ? needs.size : shared, needs.size}) {
         result = add_block(type, n_bytes);
-        if (result == VK_SUCCESS && allocate_of_type(needs, type, piece)) return VK_SUCCESS;
+        if (result == VK_SUCCESS && (piece = allocate_of_type(needs, type))) return VK_SUCCESS;
         release_empty(type, 0);
     }
     return result;

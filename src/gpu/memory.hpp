@@ -104,8 +104,8 @@ private:
 
     std::vector<std::uint32_t> types(const VkMemoryRequirements& needs, MemoryUse use) const;
     std::uint64_t shared_bytes(std::uint32_t type) const;
-    bool allocate_of_type(const VkMemoryRequirements& needs, std::uint32_t type, MemoryPiece& piece);
-    VkResult grow(const VkMemoryRequirements& needs, std::uint32_t type, MemoryPiece& piece);
+    std::optional<MemoryPiece> allocate_of_type(const VkMemoryRequirements& needs, std::uint32_t type);
+    VkResult grow(const VkMemoryRequirements& needs, std::uint32_t type, std::optional<MemoryPiece>& piece);
     VkResult map(MemoryBlock& block);
     VkResult add_block(std::uint32_t type, std::uint64_t n_bytes);
     void release_empty(std::uint32_t type, std::size_t n_kept);

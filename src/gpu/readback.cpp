@@ -19,8 +19,8 @@ struct Readback::Impl {
 
     Impl(Device& device, std::size_t n_bytes, const std::string& name)
         : what(name),
-          host(std::make_shared<Buffer::Impl>(get_impl(device), n_bytes ? n_bytes : 1,
-                                              gpu::MemoryUse::readback, name)) {}
+          host(std::make_shared<Buffer::Impl>(device.impl(), n_bytes ? n_bytes : 1, gpu::MemoryUse::readback,
+                                              name)) {}
 };
 
 Readback::Readback(Device& device, std::size_t n_bytes, const std::string& description)
@@ -38,8 +38,8 @@ void Readback::record(Stream& stream, const Buffer& source, std::size_t n_bytes,
                 "cannot read back {}: requested bytes {} to {} of a buffer of {} bytes, expected a range "
                 "inside the buffer of at most {} bytes",
                 r.what, offset_bytes, offset_bytes + n_bytes, source.size_bytes(), r.host->n_bytes));
-    get_impl(stream).read_back(get_impl(source), r.host, {offset_bytes, 0, n_bytes});
-    r.ticket = get_impl(stream).last_ticket + 1;
+    stream.impl().read_back(source.impl(), r.host, {offset_bytes, 0, n_bytes});
+    r.ticket = stream.impl().last_ticket + 1;
     r.pending = true;
 }
 
@@ -47,7 +47,7 @@ bool Readback::pending() const { return impl_->pending; }
 
 const void* Readback::wait(Stream& stream) {
     Impl& r = *impl_;
-    if (r.ticket == 0 || r.ticket > get_impl(stream).last_ticket)
+    if (r.ticket == 0 || r.ticket > stream.impl().last_ticket)
         throw Error(
             ExitCode::bug,
             fmt::format("cannot wait for {}: its copy was not submitted; call record() and submit() first",

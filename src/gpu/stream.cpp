@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <exception>
 #include <utility>
 
 #include <fmt/format.h>
@@ -14,7 +15,7 @@
 namespace relidar {
 
 Stream::Impl::Impl(Device& d, bool with_timing)
-    : owner(&d), device(&get_impl(d)), timing(with_timing && d.info().timestamps) {
+    : owner(&d), device(&d.impl()), timing(with_timing && d.info().timestamps) {
     if (device->compile_only) return;
     VkSemaphoreTypeCreateInfo type{VK_STRUCTURE_TYPE_SEMAPHORE_TYPE_CREATE_INFO};
     type.semaphoreType = VK_SEMAPHORE_TYPE_TIMELINE;
@@ -198,7 +199,7 @@ void Stream::Impl::write(const Buffer& buffer, const void* bytes, std::size_t n_
     if (device->compile_only || n_bytes == 0) return;
     const Stored from = store(bytes, n_bytes);
     record("write",
-           [from = from.buffer, to = get_impl(buffer).handle, region = VkBufferCopy{from.offset, 0, n_bytes}](
+           [from = from.buffer, to = buffer.impl().handle, region = VkBufferCopy{from.offset, 0, n_bytes}](
                VkCommandBuffer commands) { vkCmdCopyBuffer(commands, from, to, 1, &region); });
 }
 
@@ -337,31 +338,30 @@ void Stream::Impl::collect_times(Slot& slot) {
 
 Stream::Stream(Device& device, bool timing) : impl_(std::make_unique<Impl>(device, timing)) {}
 Stream::~Stream() = default;
-Stream::Impl& get_impl(const Stream& stream) { return *stream.impl_; }
 Device& Stream::device() const { return *impl_->owner; }
 void Stream::wait(std::uint64_t ticket) { impl_->wait(ticket); }
 
 void Stream::fill(const Buffer& buffer, std::uint32_t pattern) {
     if (impl_->device->compile_only) return;
-    impl_->record("fill", [to = get_impl(buffer).handle, pattern](VkCommandBuffer commands) {
+    impl_->record("fill", [to = buffer.impl().handle, pattern](VkCommandBuffer commands) {
         vkCmdFillBuffer(commands, to, 0, VK_WHOLE_SIZE, pattern);
     });
 }
 
 void Stream::copy(const Buffer& source, const Buffer& target, std::size_t n_bytes) {
     if (impl_->device->compile_only) return;
-    impl_->record("copy", [source = get_impl(source).handle, target = get_impl(target).handle,
+    impl_->record("copy", [source = source.impl().handle, target = target.impl().handle,
                            n_bytes](VkCommandBuffer commands) {
         const VkBufferCopy region{0, 0, n_bytes};
         vkCmdCopyBuffer(commands, source, target, 1, &region);
     });
 }
 
-Concurrent::Concurrent(Stream& stream) : stream_(stream) { ++get_impl(stream).n_concurrent; }
-Concurrent::~Concurrent() { get_impl(stream_).end_concurrent(); }
+Concurrent::Concurrent(Stream& stream) : stream_(stream) { ++stream.impl().n_concurrent; }
+Concurrent::~Concurrent() { stream_.impl().end_concurrent(); }
 
 StreamLanes::StreamLanes(Stream& stream, std::size_t count) : stream_(stream) {
-    Stream::Impl& s = get_impl(stream);
+    Stream::Impl& s = stream.impl();
     if (count == 0 || !s.lanes.empty() || s.n_concurrent > 0)
         throw Error(ExitCode::bug,
                     "cannot record in strands: expected at least one strand, no other strands and no open "
@@ -371,13 +371,14 @@ StreamLanes::StreamLanes(Stream& stream, std::size_t count) : stream_(stream) {
 }
 
 StreamLanes::~StreamLanes() {
-    Stream::Impl& s = get_impl(stream_);
-    s.record_lanes();
+    Stream::Impl& s = stream_.impl();
+    // An exception discards the commands, because it may have destroyed their arrays.
+    if (std::uncaught_exceptions() == 0) s.record_lanes();
     s.lanes.clear();
 }
 
 void StreamLanes::choose(std::size_t lane) {
-    Stream::Impl& s = get_impl(stream_);
+    Stream::Impl& s = stream_.impl();
     if (lane >= s.lanes.size() || s.n_concurrent > 0)
         throw Error(
             ExitCode::bug,

@@ -192,7 +192,7 @@ private:
 template <class Params>
 void run(Stream& stream, const Kernel<Params>& kernel, std::size_t n_threads, const Params& params) {
     if (n_threads)
-        get_impl(stream).launch(kernel, static_cast<std::uint32_t>(n_threads), &params, sizeof(Params));
+        stream.impl().launch(kernel, static_cast<std::uint32_t>(n_threads), &params, sizeof(Params));
 }
 
 }  // namespace relidar

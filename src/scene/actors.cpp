@@ -20,8 +20,8 @@
 #include "base/progress_blocks.hpp"
 #include "base/random.hpp"
 #include "scene/changing_actors.hpp"
-#include "scene/gait.hpp"
 #include "scene/point_surfels.hpp"
+#include "scene/walked_distance.hpp"
 
 namespace relidar {
 
@@ -158,14 +158,11 @@ std::vector<Sample> prepare_actor_samples(std::vector<Sample> samples, const Box
     return samples;
 }
 
-/// For each side of a box, returns the share of its area that samples have hit from
-/// outside.
-SideShares compute_visible_sides(const BoxTrack& box, const std::vector<Sample>& samples) {
+/// Marks the parts of a box that samples have hit from outside.
+BoxSurface compute_visible_surface(const BoxTrack& box, const std::vector<Sample>& samples) {
     BoxSurface surface(box.size_m);
     for (const Sample& s : samples) surface.add(glm::dvec3(s.position), glm::dvec3(s.view));
-    SideShares shares{};
-    for (std::size_t side = 0; side < kBoxSides; ++side) shares[side] = float(surface.seen(BoxSide(side)));
-    return shares;
+    return surface;
 }
 
 struct ActorStart {
@@ -179,40 +176,32 @@ struct ActorStart {
 void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& samples,
                const ActorStart& start) {
     const auto& [options, incidence, notes, progress] = start;
-    const std::optional<StrideRange> range =
-        has_bending_shape(box, options) ? get_stride_range(find_kind(box)) : std::nullopt;
-    const StrideEstimate found = range ? find_stride(samples, *range) : StrideEstimate{};
     std::vector<Sample> rigid = prepare_actor_samples(samples, box, options);
     if (rigid.size() < std::size_t(options.actor_min_points)) return;
-    const auto most = std::size_t(options.actor_points);
     ChangingSurfels changing;
-    if (range && found.stride_m <= 0.0) changing = make_changing_surfels(samples, options, incidence, most);
-    const bool changes = changing.period_m > 0.0;
-    if (notes && range)
-        notes->push_back(
-            fmt::format("{} ({}) {}", box.id, box.category,
-                        found.stride_m > 0.0
-                            ? fmt::format("walks with strides of {:.2f} m", found.stride_m)
-                            : (changes ? "changes its shape from frame to frame, but no gait was detected: "
-                                       : "is rigid: ") +
-                                  found.why_none));
-    const Surfels surfels = found.stride_m > 0.0 ? make_walking_surfels(samples, found.stride_m, options,
-                                                                        incidence, most, progress)
-                            : changes            ? std::move(changing.surfels)
-                                                 : make_surfels_from_points(rigid, options, incidence);
+    if (has_bending_shape(box, options)) {
+        changing =
+            make_changing_surfels(samples, options, incidence, std::size_t(options.actor_points), progress);
+        const bool is_rigid = !changing.why_rigid.empty();
+        if (notes)
+            notes->push_back(fmt::format("{} ({}) {}{}", box.id, box.category,
+                                         is_rigid ? "is rigid: " : "changes from frame to frame",
+                                         changing.why_rigid));
+    }
+    const Surfels surfels = changing.period_m > 0.0 ? std::move(changing.surfels)
+                                                    : make_surfels_from_points(rigid, options, incidence);
     scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
     scene.models.push_back({box.id, static_cast<std::uint32_t>(scene.surfels.size()),
                             static_cast<std::uint32_t>(surfels.size()),
                             glm::vec3(0.5 * box.size_m + kPointMargin_m),
-                            static_cast<float>(changes ? changing.period_m : found.stride_m),
-                            compute_visible_sides(box, samples)});
+                            static_cast<float>(changing.period_m), compute_visible_surface(box, samples)});
     scene.surfels.append(surfels);
 }
 
-/// Returns the distance in metres that an actor had already walked at the start of a new
-/// track, so that its steps match its position on this track. Finds the nearest pose on
-/// the recorded track of the actor. Adds the distance by which the new pose is ahead of
-/// this recorded pose.
+/// Returns the distance in metres that an actor had walked when a new track starts. Finds
+/// the nearest pose on the recorded track of the actor. Adds the distance by which the
+/// new pose is ahead of this recorded pose. If a caller moves the actor to another track,
+/// its steps then still match its position.
 double compute_start_distance_m(const BoxTrack& box, const PoseTrack& track) {
     const Pose& at = track.pose.front();
     const auto place_m = [&](const Pose& pose) { return glm::distance(pose.translation, at.translation); };

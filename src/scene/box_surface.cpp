@@ -6,6 +6,10 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <map>
+#include <utility>
+
+#include "base/median.hpp"
 
 namespace relidar {
 namespace {
@@ -14,13 +18,9 @@ constexpr double kBoxPatch_m = 0.3;
 // Fraction of the height of a vertical side that counts as hidden. The ground hides this
 // lowest part, so it is ignored.
 constexpr double kHiddenHeight = 0.2;
-/// Minimum cosine between a ray and the normal of a side of a box. At smaller cosines, a
-/// return does not observe the side, because such returns form separate streaks. The
-/// limit for the top is lower, because a LiDAR on a car hits the roofs of other cars only
-/// at grazing angles.
-constexpr double kGrazingSide = 0.2, kGrazingTop = 0.02;
-// Maximum number of pairs of surface patches along an axis of a box. A box with a length
-// of 120 m has this number of pairs.
+// Minimum number of pairs of patches that show whether an actor is symmetric.
+constexpr std::size_t kFewestPairs = 3;
+// Maximum number of pairs of patches along an axis. A box of 120 m reaches it.
 constexpr double kMostPairs = 200.0;
 
 /// Returns the number of patches along a length. The number is even, so that the symmetry
@@ -40,6 +40,8 @@ const char* get_name(BoxSide side) {
     return kNames[static_cast<int>(side)];
 }
 
+double least_cosine(BoxSide side) { return side == BoxSide::top ? 0.02 : 0.2; }
+
 BoxSurface::BoxSurface(const glm::dvec3& size_m) : half_m_(0.5 * size_m) {
     for (std::size_t s = 0; s < kBoxSides; ++s) {
         n_[s] = {count_patches(size_m[kSideFrames[s].first]), count_patches(size_m[kSideFrames[s].second])};
@@ -47,19 +49,20 @@ BoxSurface::BoxSurface(const glm::dvec3& size_m) : half_m_(0.5 * size_m) {
     }
 }
 
-/// Finds the patch that a line from the centre of the box through a point hits. Returns
-/// false if the line hits no patch, or only a patch that the ground hides.
-bool BoxSurface::find(const glm::dvec3& point_m, Patch& patch) const {
+/// Returns the patch that a line from the centre of the box through a point hits. Returns
+/// no value if the line hits no patch, or only a patch that the ground hides.
+std::optional<BoxSurface::Patch> BoxSurface::find(const glm::dvec3& point_m) const {
     const glm::dvec3 share = point_m / half_m_, size = glm::abs(share);
     const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;
-    if (!(size[axis] > 0.0) || !std::isfinite(size[axis]) || (axis == 2 && share.z < 0.0)) return false;
+    if (!(size[axis] > 0.0) || !std::isfinite(size[axis]) || (axis == 2 && share.z < 0.0))
+        return std::nullopt;
     const int side = axis == 2 ? int(BoxSide::top) : 2 * axis + (share[axis] < 0.0 ? 1 : 0);
     const SideFrame& frame = kSideFrames[side];
     const glm::dvec3 on_surface = point_m / size[axis];
-    patch = {BoxSide(side),
-             find_patch(on_surface[frame.first], half_m_[frame.first], n_[std::size_t(side)][0]),
-             find_patch(on_surface[frame.second], half_m_[frame.second], n_[std::size_t(side)][1])};
-    return counts(patch);
+    const Patch patch{BoxSide(side),
+                      find_patch(on_surface[frame.first], half_m_[frame.first], n_[std::size_t(side)][0]),
+                      find_patch(on_surface[frame.second], half_m_[frame.second], n_[std::size_t(side)][1])};
+    return counts(patch) ? std::optional(patch) : std::nullopt;
 }
 
 bool BoxSurface::counts(const Patch& patch) const {
@@ -79,23 +82,22 @@ bool BoxSurface::at(const Patch& patch) const {
 }
 
 void BoxSurface::add(const glm::dvec3& point_m, const glm::dvec3& direction) {
-    Patch patch{};
-    if (!find(point_m, patch)) return;
-    const SideFrame& frame = kSideFrames[std::size_t(patch.side)];
-    if (!(-frame.sign * direction[frame.normal] >= (patch.side == BoxSide::top ? kGrazingTop : kGrazingSide)))
-        return;
-    seen_[std::size_t(patch.side)][std::size_t(patch.row * n_[std::size_t(patch.side)][0] + patch.column)] =
-        1;
+    const std::optional<Patch> patch = find(point_m);
+    if (!patch) return;
+    const auto side = std::size_t(patch->side);
+    const SideFrame& frame = kSideFrames[side];
+    if (!(-frame.sign * direction[frame.normal] >= least_cosine(patch->side))) return;
+    seen_[side][std::size_t(patch->row * n_[side][0] + patch->column)] = 1;
 }
 
 bool BoxSurface::is_seen(const glm::dvec3& point_m) const {
-    Patch patch{};
-    return find(point_m, patch) && at(patch);
+    const std::optional<Patch> patch = find(point_m);
+    return patch && at(*patch);
 }
 
 bool BoxSurface::is_mirrored(const glm::dvec3& point_m) const {
-    Patch patch{};
-    return find(point_m, patch) && !at(patch) && at(mirror(patch));
+    const std::optional<Patch> patch = find(point_m);
+    return patch && !at(*patch) && at(mirror(*patch));
 }
 
 std::array<double, 2> BoxSurface::areas(BoxSide side, bool mirrored) const {
@@ -135,6 +137,54 @@ double BoxSurface::mirrored(BoxSide side) const {
 
 double BoxSurface::seen() const { return share(false); }
 double BoxSurface::mirrored() const { return share(true); }
+
+SideShares BoxSurface::known() const {
+    SideShares shares{};
+    for (std::size_t s = 0; s < kBoxSides; ++s)
+        shares[s] = float(seen(BoxSide(s)) + (is_completed ? mirrored(BoxSide(s)) : 0.0));
+    return shares;
+}
+
+std::optional<BoxSide> BoxSurface::completed_side(const glm::dvec3& point_m) const {
+    const std::optional<Patch> patch = is_completed ? find(point_m) : std::nullopt;
+    if (!patch || at(*patch) || !at(mirror(*patch))) return std::nullopt;
+    return patch->side;
+}
+
+double BoxSurface::asymmetry_m(const std::vector<glm::vec3>& points_m) const {
+    struct Mean {
+        double sum_m = 0.0;
+        int n = 0;
+    };
+    std::map<std::array<int, 3>, Mean> outward;
+    for (const glm::vec3& point_m : points_m) {
+        const std::optional<Patch> patch = find(glm::dvec3(point_m));
+        if (!patch || !at(*patch)) continue;
+        Mean& mean = outward[{int(patch->side), patch->column, patch->row}];
+        mean.sum_m += std::abs(double(point_m[kSideFrames[std::size_t(patch->side)].normal])), ++mean.n;
+    }
+    std::vector<double> differences_m;
+    for (const auto& [key, here] : outward) {
+        const Patch other = mirror({BoxSide(key[0]), key[1], key[2]});
+        const auto there = outward.find({int(other.side), other.column, other.row});
+        if (there != outward.end() && key < there->first)
+            differences_m.push_back(std::abs(here.sum_m / here.n - there->second.sum_m / there->second.n));
+    }
+    return differences_m.size() < kFewestPairs ? 0.0 : compute_median(std::move(differences_m));
+}
+
+std::string BoxSurface::patches(BoxSide side) const {
+    std::string text;
+    for (const char is_seen : seen_[std::size_t(side)]) text += is_seen ? '1' : '0';
+    return text;
+}
+
+bool BoxSurface::set_patches(BoxSide side, const std::string& text) {
+    std::vector<char>& patches = seen_[std::size_t(side)];
+    if (text.size() != patches.size() || text.find_first_not_of("01") != std::string::npos) return false;
+    std::ranges::transform(text, patches.begin(), [](char character) { return char(character == '1'); });
+    return true;
+}
 
 std::string list_unseen_sides(const SideShares& shares) {
     std::string names;

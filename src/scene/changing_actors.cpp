@@ -1,14 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
 // Makes surfels from the points of each frame. The surfels are visible only around the
-// time of their frame. This models every change of shape: steps, pedals, doors, trailers.
-// Between two frames, the surfels of both frames are blended.
+// time of their frame, and move with the points of the neighbouring frames. This models
+// every change of shape: steps, pedals, doors, trailers. Between two frames, the surfels
+// of both frames are blended.
 #include "scene/changing_actors.hpp"
 
 #include <algorithm>
 #include <cmath>
-#include <map>
+#include <limits>
 #include <memory>
+#include <numeric>
+#include <utility>
 
+#include <fmt/format.h>
+
+#include "base/median.hpp"
 #include "base/parallel.hpp"
 #include "scene/sample_index.hpp"
 
@@ -17,13 +23,13 @@ namespace {
 
 // Maximum distance between points of the same surface.
 constexpr double kNearPlace_m = 0.07;
-// If at least this fraction of the frames has a point at a position, the position counts
-// as static.
+// Minimum fraction of the frames that have a point at a position. Above it, the position
+// counts as static.
 constexpr double kResting = 0.75;
 // Maximum number of frames that are searched for points at a position.
 constexpr std::size_t kCompared = 64;
-// Minimum number of surfels per frame. Without this minimum, the actors of long logs
-// would have too few surfels in each frame.
+// Minimum number of surfels that each frame is allowed. Without it, the actors of long
+// logs would have too few surfels per frame.
 constexpr std::size_t kInFrame = 200;
 // Minimum number of frames with points for an actor whose surfels change from frame to
 // frame.
@@ -31,9 +37,9 @@ constexpr std::size_t kFewestChanging = 3;
 // Minimum distance that the actor must walk in the log. Minimum spacing of two frames in
 // walked distance, because frames of a standing actor would have a spacing of zero.
 constexpr double kFewestWalked_m = 0.5, kSmallestSpacing_m = 0.02;
-// Gap between the last and the first frame of a repeated motion, as a number of frame
-// spacings. Because of this gap, surfels of the last frame and of the first frame are
-// never visible together.
+// Gap between the last and the first frame when the motion repeats, as a number of frame
+// spacings. The gap keeps surfels of the last and the first frame from being visible
+// together.
 constexpr double kFramesBetween = 3.0;
 
 /// Samples of one frame.
@@ -64,51 +70,128 @@ Frames group_samples_by_frame(const std::vector<Sample>& samples) {
     return frames;
 }
 
-/// Makes one surfel for each sample, all with the same visibility.
-Surfels make_surfels_at(const std::vector<Sample>& samples, const Gait& gait,
+/// Finds the shift in metres per frame that moves the points around a sample onto the
+/// points of the two frames before and the two frames after it.
+/// @param index index of the sample's frame
+glm::vec3 shift_per_frame(const Frames& frames, std::size_t index, const std::vector<Sample>& samples,
+                          const Sample& sample) {
+    constexpr float kFarthest_m = 0.3f, kHighest_m = 0.08f, kStep_m = 0.04f;
+    constexpr double kPatch_m = 0.12, kFar_m = 0.15;
+    constexpr std::size_t kOfPatch = 6;
+    const FrameSamples& here = *frames[index];
+    const std::vector<std::uint32_t> patch = here.index.within(sample.position, kPatch_m, kOfPatch);
+    glm::vec3 best(0.0f);
+    double least = std::numeric_limits<double>::infinity();
+    for (float x = -kFarthest_m; x < kFarthest_m + 0.5f * kStep_m; x += kStep_m)
+        for (float z = -kHighest_m; z < kHighest_m + 0.5f * kStep_m; z += kStep_m) {
+            const glm::vec3 shift(x, 0.0f, z);
+            // Adds a small cost that grows with the shift. If several shifts fit equally
+            // well, the smallest is chosen.
+            double sum = 1e-3 * double(glm::length(shift));
+            for (std::size_t f = index - std::min<std::size_t>(index, 2);
+                 f < std::min(index + 3, frames.size()); ++f) {
+                const auto n_frames = float((frames[f]->walked_m - here.walked_m) / here.spacing_m);
+                if (f == index || std::abs(n_frames) > 3.0f) continue;
+                for (const std::uint32_t i : patch)
+                    sum += frames[f]->index.distance_m(samples[i].position + n_frames * shift, kFar_m);
+            }
+            if (sum < least) least = sum, best = shift;
+        }
+    return best;
+}
+
+/// Replaces each shift by the median of the shifts at the nearest samples, axis by axis.
+std::vector<glm::vec3> median_shifts(const std::vector<Sample>& samples,
+                                     const std::vector<glm::vec3>& shifts) {
+    constexpr double kAround_m = 0.15;
+    constexpr std::size_t kMost = 9;
+    std::vector<std::uint32_t> all(samples.size());
+    std::iota(all.begin(), all.end(), 0u);
+    const SampleIndex index(samples, all);
+    std::vector<glm::vec3> medians(shifts);
+    for (std::size_t i = 0; i < samples.size(); ++i)
+        for (int axis = 0; axis < 3; ++axis) {
+            std::vector<float> values;
+            for (const std::uint32_t j : index.within(samples[i].position, kAround_m, kMost))
+                values.push_back(shifts[j][axis]);
+            if (!values.empty()) medians[i][axis] = compute_median(std::move(values));
+        }
+    return medians;
+}
+
+/// Makes one surfel for each sample, with the visibility and the motion of that sample.
+Surfels make_surfels_at(const std::vector<Sample>& samples, const std::vector<Gait>& gait,
                         const InitialiseOptions& options, double incidence) {
-    Surfels surfels = make_surfels_from_points(samples, options, incidence);
+    std::vector<std::uint32_t> order;
+    Surfels surfels = make_surfels_from_points(samples, options, incidence, {}, &order);
     surfels.add_gait();
-    std::ranges::fill(surfels.gait, gait);
+    for (std::size_t i = 0; i < order.size(); ++i) surfels.gait[i] = gait[order[i]];
     return surfels;
 }
 
-}  // namespace
-
-ChangingSurfels make_changing_surfels(const std::vector<Sample>& samples, const InitialiseOptions& options,
-                                      double incidence, std::size_t max_count) {
-    const Frames frames = group_samples_by_frame(samples);
-    if (frames.size() < kFewestChanging) return {};
-    const double recorded_m = frames.back()->walked_m - frames.front()->walked_m;
-    if (recorded_m < kFewestWalked_m) return {};
-    ChangingSurfels actor;
-    actor.period_m = recorded_m * (1.0 + kFramesBetween / double(frames.size() - 1));
+/// Returns true for each sample at a position where most frames have a point.
+std::vector<char> find_resting(const std::vector<Sample>& samples, const Frames& frames) {
     std::vector<char> rests(samples.size());
+    const std::size_t step = frames.size() / kCompared + 1;
     for_each_block(samples.size(), [&](std::size_t index) {
-        const std::size_t step = frames.size() / kCompared + 1;
         std::size_t n_seen = 0, n_frames = 0;
         for (std::size_t k = 0; k < frames.size(); k += step, ++n_frames)
             n_seen += frames[k]->has_point_at(samples[index].position);
         rests[index] = double(n_seen) >= kResting * double(n_frames);
     });
+    return rests;
+}
+
+/// Makes the surfels of one frame. Their opacity falls like a Gaussian with the distance
+/// from the frame. The spacing of the frames is its standard deviation.
+Surfels surfels_of_frame(const Frames& frames, std::size_t index, const std::vector<Sample>& samples,
+                         const std::vector<Sample>& changing, double period_m,
+                         const InitialiseOptions& options, double incidence) {
+    const FrameSamples& frame = *frames[index];
+    std::vector<glm::vec3> shifts(changing.size());
+    for_each_block(changing.size(),
+                   [&](std::size_t i) { shifts[i] = shift_per_frame(frames, index, samples, changing[i]); });
+    std::vector<Gait> gait;
+    for (const glm::vec3& shift : median_shifts(changing, shifts))
+        gait.push_back({float(frame.walked_m / period_m), float(period_m / (2.0 * kPi * frame.spacing_m)),
+                        float(period_m / (2.0 * kPi * frame.spacing_m)) * shift});
+    return make_surfels_at(changing, gait, options, incidence);
+}
+
+}  // namespace
+
+ChangingSurfels make_changing_surfels(const std::vector<Sample>& samples, const InitialiseOptions& options,
+                                      double incidence, std::size_t max_count, const Progress& progress) {
+    const Frames frames = group_samples_by_frame(samples);
+    if (frames.size() < kFewestChanging)
+        return {
+            {},
+            0.0,
+            fmt::format("it has points in {} frames, expected at least {}", frames.size(), kFewestChanging)};
+    const double recorded_m = frames.back()->walked_m - frames.front()->walked_m;
+    if (recorded_m < kFewestWalked_m)
+        return {
+            {}, 0.0, fmt::format("it walked {:.1f} m, expected at least {} m", recorded_m, kFewestWalked_m)};
+    ChangingSurfels actor;
+    actor.period_m = recorded_m * (1.0 + kFramesBetween / double(frames.size() - 1));
+    const std::vector<char> rests = find_resting(samples, frames);
     std::vector<Sample> resting;
     for (std::size_t i = 0; i < samples.size(); ++i)
         if (rests[i]) resting.push_back(samples[i]);
-    if (!resting.empty())
-        actor.surfels = make_surfels_at(thin_samples(resting, max_count / 2), {}, options, incidence);
+    if (!resting.empty()) {
+        resting = thin_samples(resting, max_count / 2);
+        actor.surfels = make_surfels_at(resting, std::vector<Gait>(resting.size()), options, incidence);
+    }
     const std::size_t most_in_frame = std::max((max_count - actor.surfels.size()) / frames.size(), kInFrame);
-    for (const std::unique_ptr<FrameSamples>& frame : frames) {
+    for (std::size_t k = 0; k < frames.size(); ++k) {
+        if (progress) progress("steps of actors", double(k) / double(frames.size()));
         std::vector<Sample> changing;
-        for (const std::uint32_t i : frame->index.cloud.of)
+        for (const std::uint32_t i : frames[k]->index.cloud.of)
             if (!rests[i]) changing.push_back(samples[i]);
         if (changing.empty()) continue;
-        // A surfel is most visible in the phase of its frame. Its opacity falls with the
-        // walked distance to this frame, as a Gaussian with the frame spacing as standard
-        // deviation.
-        const Gait gait{float(frame->walked_m / actor.period_m),
-                        float(actor.period_m / (2.0 * kPi * frame->spacing_m)), glm::vec3(0.0f)};
+        changing = thin_samples(changing, most_in_frame);
         actor.surfels.append(
-            make_surfels_at(thin_samples(changing, most_in_frame), gait, options, incidence));
+            surfels_of_frame(frames, k, samples, changing, actor.period_m, options, incidence));
     }
     actor.surfels = actor.surfels.reorder(compute_kd_order(actor.surfels.mean));
     return actor;

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes surfels of people and cyclists whose shape changes from frame to frame. This is
-// used when no stride was found (docs/method.md M14). Private to scene.
+// Makes surfels of people and cyclists whose shape changes from frame to frame
+// (docs/method.md M14). Private to scene.
 #pragma once
 
+#include <string>
 #include <vector>
 
 #include <relidar/scene/scene.hpp>
@@ -14,16 +15,19 @@ namespace relidar {
 /// Surfels of an actor whose shape changes.
 struct ChangingSurfels {
     Surfels surfels;
-    double period_m = 0.0;  ///< Walked distance after which the motion repeats.
+    double period_m = 0.0;       ///< Walked distance after which the motion repeats.
+    std::string why_rigid = {};  ///< Reason why there are no such surfels; empty if there are some.
 };
-/// Makes surfels that are visible only around the time of their frame. If most frames
-/// have a point at a position, the surfel there is always visible.
+/// Makes surfels that are visible only around the time of their frame. They move as the
+/// points of the neighbouring frames do. If most frames have a point at a position, the
+/// surfel there is always visible and at rest.
 /// @param samples  points in the frame of the box, each with the distance that the actor
 /// had walked
 /// @param max_count  maximum number of surfels, but at least 200 per frame are allowed
+/// @param progress called during the work; if it throws an exception, the function stops
 /// @return surfels and their period. The result is empty, with period 0, if there are
 /// fewer than three frames. It is also empty if the actor walks less than half a metre.
 ChangingSurfels make_changing_surfels(const std::vector<Sample>& samples, const InitialiseOptions& options,
-                                      double incidence, std::size_t max_count);
+                                      double incidence, std::size_t max_count, const Progress& progress = {});
 
 }  // namespace relidar

@@ -188,7 +188,7 @@ struct DeviceScene::Impl {
             origins.push_back(i < 0 ? world
                                     : glm::vec3(inverse(poses[static_cast<std::size_t>(i)].world_from_model) *
                                                 glm::dvec3(world)));
-        return get_impl(stream).values(origins);
+        return stream.impl().values(origins);
     }
 
     /// Returns the gait phase of each model. Uses the first instance of the model.
@@ -203,7 +203,7 @@ struct DeviceScene::Impl {
             all.push_back(layout.models[m].stride_m > 0.0f ? static_cast<float>(turns - std::floor(turns))
                                                            : -1.0f);
         }
-        return get_impl(stream).values(all);
+        return stream.impl().values(all);
     }
 };
 
@@ -228,7 +228,7 @@ void DeviceScene::set_poses(const std::vector<InstancePose>& placed) {
 
 void DeviceScene::place(Stream& stream, const std::vector<InstancePose>& placed) {
     const std::vector<shared::InstanceEntry> entries = impl_->make_instance_table(placed);
-    get_impl(stream).write(impl_->instances.buffer(), entries.data(), entries.size() * sizeof(entries[0]));
+    stream.impl().write(impl_->instances.buffer(), entries.data(), entries.size() * sizeof(entries[0]));
 }
 
 void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m) {

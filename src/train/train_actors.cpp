@@ -229,8 +229,8 @@ Config make_settings(const Config& config, std::size_t n_frames) {
 
 }  // namespace
 
-bool train_actors(Device& device, Run& run, const ActorSession& session) {
-    if (run.config.blocks.actor_epochs == 0 || run.scene.instances.size() < 2) return true;
+TrainingEnd train_actors(Device& device, Run& run, const ActorSession& session) {
+    if (run.config.blocks.actor_epochs == 0 || run.scene.instances.size() < 2) return TrainingEnd::finished;
     const std::vector<PoseTrack> tracks = list_sensor_tracks(run.sequence);
     const std::vector<Stretch> stretches = divide_into_stretches(run, tracks);
     const std::uint32_t n_before = run.scene.models.front().count;
@@ -250,7 +250,7 @@ bool train_actors(Device& device, Run& run, const ActorSession& session) {
             if (session.step)
                 session.step(static_cast<int>(done) + step,
                              run.config.blocks.actor_epochs * static_cast<int>(n_frames));
-            if (session.stop && session.stop()) return false;
+            if (session.stop && session.stop()) return TrainingEnd::stopped;
         }
         loop.finish();
         done += std::size_t(config.train.iterations);
@@ -259,7 +259,7 @@ bool train_actors(Device& device, Run& run, const ActorSession& session) {
         surfels.append(trained.surfels.slice(trained.surfels.size() - n_actors, n_actors));
         run.scene.surfels = std::move(surfels);
     }
-    return true;
+    return TrainingEnd::finished;
 }
 
 }  // namespace relidar

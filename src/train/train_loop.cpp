@@ -13,6 +13,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+#include <relidar/gpu/out_of_memory.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
 
@@ -187,8 +188,9 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       frames_(device, sequence, split.train, choose_frame_use(sequence, split, initial, config)),
       batches_(device, config, frames_.all()),
       refiner_(device, sequence, initial, config.train, frames_),
-      renderer_(device, initial, config.image, make_renderer_options(config, frames_, n_fixed),
-                {make_backward_options(config), refiner_.wanted(), have_all_gradients(config)}),
+      differentiable_(device, initial, config.image, make_renderer_options(config, frames_, n_fixed),
+                      {make_backward_options(config), refiner_.wanted(), have_all_gradients(config)}),
+      renderer_(differentiable_.renderer()),
       stream_(renderer_.stream()),
       losses_(make_losses(device, config.loss, find_max_rays(frames_.all()))),
       adam_(device, n_surfels(), {.only_touched = config.train.only_touched, .n_fixed = n_fixed},
@@ -211,10 +213,10 @@ TrainLoop::~TrainLoop() {
     try {
         // Waits for the device, because it may still use the arrays when training ends
         // with an exception.
-        stream_.wait(submitted_);
-    } catch (const DeviceError&) {
-        // The device is lost. This error was already reported, and the device no longer
-        // uses the arrays, so they can be freed.
+        stream_.finish();
+    } catch (const Error&) {
+        // Ignores the error. It was already reported, and a lost device no longer uses
+        // the arrays.
     }
 }
 
@@ -236,8 +238,8 @@ void TrainLoop::record_batch(const RayBatch& rays, const TargetBatch& targets, c
     renderer_.record_forward(rays);  // renders the batch (equations 2-4)
     // Computes the losses (equations 10-11).
     for (const std::unique_ptr<Loss>& loss : losses_)
-        loss->compare(stream_, renderer_.batch(), targets, terms);
-    renderer_.record_backward();  // computes the gradients (equation 9)
+        loss->compare(stream_, differentiable_.batch(), targets, terms);
+    differentiable_.record_backward();  // computes the gradients (equation 9)
 }
 
 void TrainLoop::run_iteration(int step, bool ends_line) {
@@ -251,7 +253,7 @@ void TrainLoop::run_iteration(int step, bool ends_line) {
     const SampledBatch batch = batches_.sample(stream_, frame, sampler_.random());
     const TermRow terms = reports_.row();
     record_batch(batch.rays, batch.targets, terms);
-    Gradients& gradients = renderer_.gradients();
+    Gradients& gradients = differentiable_.gradients();
     refiner_.record(stream_, frame_index, frame, batch, gradients, step);
     for (const std::unique_ptr<Loss>& loss : losses_)
         loss->regularise(stream_, scene,
@@ -280,11 +282,11 @@ void TrainLoop::run_iteration(int step, bool ends_line) {
 }
 
 void TrainLoop::change_surfels(const std::function<DensifyReport(double others_bytes)>& change) {
-    renderer_.change_surfels([&](double others_bytes) { densified_.add(change(others_bytes)); });
+    differentiable_.change_surfels([&](double others_bytes) { densified_.add(change(others_bytes)); });
 }
 
 void TrainLoop::close_report(int step, bool ends_line) {
-    const BackwardPass& backward = renderer_.backward_pass();
+    const BackwardPass& backward = differentiable_.backward_pass();
     const DeviceCounts counts{&renderer_.forward_pass().pass_cap_count(),
                               config_.train.deterministic ? backward.most_hits() : nullptr,
                               backward.hit_capacity(), &renderer_.forward_pass().overfull_count(),
@@ -312,11 +314,11 @@ void TrainLoop::check_room(const IterationReports::Report& report) {
             "training failed in iterations {} to {} with train.deterministic=true: one iteration has "
             "{} hits, expected at most {}; use fewer rays per iteration (train.rays_per_iteration)",
             report.first_step, report.last_step, report.most_hits, report.hit_capacity));
-    if (report.most_hits <= renderer_.backward_pass().hit_capacity() / 2) return;
+    if (report.most_hits <= differentiable_.backward_pass().hit_capacity() / 2) return;
     // finishes the report of the iterations that used the current capacity
     close_report(last_step_, false);
     // Reserves space for twice this number of hits, before the capacity is exceeded.
-    renderer_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));
+    differentiable_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));
 }
 
 void TrainLoop::keep_more_hits(const IterationReports::Report& report) {
@@ -327,7 +329,11 @@ void TrainLoop::keep_more_hits(const IterationReports::Report& report) {
     if (n_hits == report.kept_hits) return;
     // finishes the report of the iterations that used the current number of stored hits
     close_report(last_step_, false);
-    no_room_to_keep_more_ = !renderer_.keep_hits(n_hits);
+    try {
+        renderer_.keep_hits(n_hits);
+    } catch (const OutOfDeviceMemory&) {
+        no_room_to_keep_more_ = true;
+    }
 }
 
 void TrainLoop::settle() {
@@ -360,10 +366,7 @@ void TrainLoop::restore(const Checkpoint& checkpoint) {
             fmt::format("cannot resume from iteration {}: the stored frame order and loss sums do not fit {} "
                         "frames and {} loss terms",
                         checkpoint.iteration, frames_.all().size(), kLossTerms));
-    if (!refiner_.restore())
-        throw DataError(
-            fmt::format("cannot resume from iteration {}: the stored pose corrections do not fit this log",
-                        checkpoint.iteration));
+    refiner_.restore();
 }
 
 DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequence) {

@@ -109,8 +109,9 @@ private:
     TrainingFrames frames_;
     BatchSampler batches_;
     PoseRefiner refiner_;
-    DifferentiableRenderer renderer_;
-    Stream& stream_;  ///< the stream of the renderer
+    DifferentiableRenderer differentiable_;
+    Renderer& renderer_;  ///< the renderer of differentiable_
+    Stream& stream_;      ///< the stream of the renderer
     std::vector<std::unique_ptr<Loss>> losses_;
     Adam adam_;
     Densifier densifier_;

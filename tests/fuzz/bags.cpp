@@ -445,6 +445,31 @@ std::vector<std::string> make_block_seeds(const fs::path&) {
     return seeds;
 }
 
+/// Returns a capture of eight packets of a VLP-16, which is also valid without gzip.
+std::vector<std::string> pcap_seeds(const fs::path&) {
+    constexpr std::size_t kPacket = 1206, kHeads = 14 + 20 + 8;  // Ethernet, IPv4 and UDP
+    std::string capture("\xd4\xc3\xb2\xa1\2\0\4\0\0\0\0\0\0\0\0\0\xff\xff\0\0\1\0\0\0", 24);
+    for (int k = 0; k < 8; ++k) {
+        append(capture, std::uint32_t(0)), append(capture, std::uint32_t(50000 * k));
+        append(capture, std::uint32_t(kHeads + kPacket)), append(capture, std::uint32_t(kHeads + kPacket));
+        capture.append(12, '\1').append("\x08\0\x45\0\x04\xd2\0\0\0\0\x40\x11\0\0", 14);
+        capture.append("\xc0\xa8\1\xc9\xff\xff\xff\xff\x09\x40\x09\x40\x04\xbe\0\0", 16);
+        for (int block = 0; block < 12; ++block) {
+            capture += "\xff\xee";
+            append(capture, std::uint16_t(4500 * k + 370 * block));
+            capture.append(96, '\x10');
+        }
+        append(capture, std::uint32_t(50000 * k));
+        capture += "\x37\x22";
+    }
+    return {capture};
+}
+
+void read_pcap(std::string_view input, const fs::path& folder) {
+    put(folder / "input.pcap.gz", input);
+    load_sequence("pcap:" + (folder / "input.pcap.gz").string(), {});
+}
+
 void read_blocks(std::string_view input, const fs::path&) {
     constexpr std::size_t kMostPackets = 64;
     bag::ByteReader reader(input);
@@ -466,9 +491,13 @@ void read_blocks(std::string_view input, const fs::path&) {
 }  // namespace
 
 std::vector<Harness> list_bag_harnesses() {
-    return {{"mcap", make_mcap_seeds, read_mcap},        {"ros1", make_ros1_seeds, read_ros1},
-            {"db3", make_db3_seeds, read_db3},           {"message", make_message_seeds, read_message},
-            {"ouster", make_ouster_seeds, read_ousters}, {"blocks", make_block_seeds, read_blocks, false}};
+    return {{"pcap", pcap_seeds, read_pcap, false},
+            {"mcap", make_mcap_seeds, read_mcap},
+            {"ros1", make_ros1_seeds, read_ros1},
+            {"db3", make_db3_seeds, read_db3},
+            {"message", make_message_seeds, read_message},
+            {"ouster", make_ouster_seeds, read_ousters},
+            {"blocks", make_block_seeds, read_blocks, false}};
 }
 
 }  // namespace relidar::fuzz

@@ -6,6 +6,7 @@
 #include "harness.hpp"
 
 #include <cmath>
+#include <iterator>
 
 #include <fmt/format.h>
 
@@ -23,7 +24,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr const char* kEndings[] = {"pcd", "ply", "bin", "npy", "csv"};
+constexpr const char* kEndings[] = {"pcd", "ply", "bin", "npy", "csv", "las"};
 constexpr std::string_view kParting = "\n=====\n";
 
 /// Returns 16 beams x 40 columns on a cylinder.
@@ -54,12 +55,13 @@ std::vector<std::string> make_point_seeds(const fs::path&) {
     fields.resize(166, ' ');
     add(3, std::string("\x93NUMPY\x01\x00\xA6\x00", 10) + fields + std::string(2 * 28, '\1'));
     add(4, "//X;Y;Z;scalar_intensity\n1;2;3;4\n5;6;7;8\n");
+    add(5, test::las(make_cylinder()));
     return seeds;
 }
 
 void read_points(std::string_view input, const fs::path& folder) {
     if (input.empty()) return;
-    const char* ending = kEndings[static_cast<unsigned char>(input[0]) % 5];
+    const char* ending = kEndings[static_cast<unsigned char>(input[0]) % std::size(kEndings)];
     const fs::path file = folder / fmt::format("scan.{}", ending);
     put(file, input.substr(1));
     std::vector<std::string> columns = {"x", "y", "z", "intensity", "ring"};

@@ -140,7 +140,7 @@ TEST_F(Gpu, ImpossibleRequestsSayWhatWasAsked) {
 
 TEST_F(Gpu, ExtensionsOfRayQueryAreEnabledForRayQueryAlone) {
     const auto has_ray_tracing = [](const Device& d) {
-        const auto& enabled = get_impl(d).extensions;
+        const auto& enabled = d.impl().extensions;
         return std::any_of(enabled.begin(), enabled.end(), [](const char* name) {
             const std::string text = name;
             return text.find("acceleration_structure") != std::string::npos ||

@@ -5,10 +5,13 @@
 #include <algorithm>
 #include <map>
 #include <random>
+#include <utility>
 
 #include <relidar/base/error.hpp>
+#include <relidar/gpu/out_of_memory.hpp>
 
 #include "../support/device.hpp"
+#include "gpu/buffer.hpp"
 #include "gpu/context.hpp"
 #include "gpu/memory.hpp"
 
@@ -58,7 +61,7 @@ TEST(FreeRanges, NeverOverlapAndMergeAgain) {
 
 class GpuMemory : public test::DeviceTest {
 protected:
-    std::size_t n_blocks() { return get_impl(device()).memory->n_blocks(); }
+    std::size_t n_blocks() { return device().impl().memory->n_blocks(); }
 };
 
 TEST_F(GpuMemory, MoreArraysThanAllocations) {
@@ -93,7 +96,7 @@ TEST_F(GpuMemory, EmptyBlocksAreGivenBack) {
 }
 
 TEST_F(GpuMemory, WhatNoArrayCanHaveIsRefusedByName) {
-    const auto& [limit, name] = get_impl(device()).largest_buffer;
+    const auto& [limit, name] = device().impl().largest_buffer;
     for (const std::uint64_t n_bytes : {limit + 1, std::uint64_t(1) << 46}) {
         try {
             const Buffer buffer(device(), n_bytes, "a test of the impossible");
@@ -104,6 +107,63 @@ TEST_F(GpuMemory, WhatNoArrayCanHaveIsRefusedByName) {
             EXPECT_NE(text.find(std::string(name) + " = "), std::string::npos) << text;
         }
     }
+}
+
+PFN_vkGetPhysicalDeviceMemoryProperties2 real_memory_properties = nullptr;
+/// Reports a budget of 100 MiB for each heap. 40 MiB of it are used.
+VKAPI_ATTR void VKAPI_CALL small_budget(VkPhysicalDevice physical,
+                                        VkPhysicalDeviceMemoryProperties2* memory) {
+    real_memory_properties(physical, memory);
+    auto* budgets = static_cast<VkPhysicalDeviceMemoryBudgetPropertiesEXT*>(memory->pNext);
+    for (std::uint32_t i = 0; i < memory->memoryProperties.memoryHeapCount; ++i)
+        if (budgets) budgets->heapBudget[i] = 100 << 20, budgets->heapUsage[i] = 40 << 20;
+        else memory->memoryProperties.memoryHeaps[i].size = 60 << 20;
+}
+
+/// An array that exceeds the memory budget must not reach the driver, because the driver
+/// may end the process or move the memory of other programs. The error must name the size
+/// and the free memory.
+TEST_F(GpuMemory, ArrayThatExceedsTheBudgetIsRefused) {
+    if (device().allocated_bytes() > (8 << 20)) GTEST_SKIP() << "another test uses much memory";
+    real_memory_properties = std::exchange(vkGetPhysicalDeviceMemoryProperties2, small_budget);
+    std::string text;
+    try {
+        const Buffer buffer(device(), 61 << 20, "a large test array");
+    } catch (const OutOfDeviceMemory& error) {
+        text = error.what();
+        EXPECT_EQ(error.code(), ExitCode::device);
+    }
+    EXPECT_NO_THROW(Buffer(device(), 40 << 20, "a smaller test array"));
+    vkGetPhysicalDeviceMemoryProperties2 = real_memory_properties;
+    EXPECT_NE(text.find("61.0 MiB for a large test array"), std::string::npos) << text;
+    EXPECT_NE(text.find("60.0 MiB of the budget of"), std::string::npos) << text;
+}
+
+/// An array that is larger than the largest allocation must consist of several
+/// allocations. All its bytes must be usable, also at the borders of the allocations.
+TEST_F(GpuMemory, ArrayOfSeveralAllocations) {
+    Device::Impl& impl = device().impl();
+    if (!impl.binds_sparse) GTEST_SKIP() << "no sparse binding";
+    constexpr std::uint64_t kPiece = 1 << 18;
+    const std::uint64_t largest = std::exchange(impl.largest_allocation.n_bytes, kPiece);
+    const std::uint64_t held = device().allocated_bytes();
+    {
+        constexpr std::uint32_t n = 5 * kPiece / 4 + 77;
+        std::vector<std::uint32_t> values(n);
+        for (std::uint32_t i = 0; i < n; ++i) values[i] = 2654435761u * i;
+        const Array<std::uint32_t> from(device(), std::span<const std::uint32_t>(values), "several pieces"),
+            to(device(), n, "several pieces");
+        EXPECT_EQ(from.buffer().impl().memory.size(), 6u);
+        EXPECT_GE(device().allocated_bytes() - held, 2ull * 4 * n);
+        Stream stream(device());
+        stream.fill(to, 7u);
+        stream.copy(from.buffer(), to.buffer(), 4 * (n - 1));
+        stream.finish();
+        values.back() = 7u;
+        EXPECT_EQ(to.download(), values);
+    }
+    impl.largest_allocation.n_bytes = largest;
+    EXPECT_EQ(device().allocated_bytes(), held);
 }
 
 }  // namespace

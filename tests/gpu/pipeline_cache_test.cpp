@@ -68,14 +68,14 @@ protected:
     static Opened open() {
         Device opened(from_environment());
         const PrefixSum prefix_sum(opened);
-        return {get_impl(opened).pipeline_cache->path(), get_impl(opened).pipeline_cache->read_bytes()};
+        return {opened.impl().pipeline_cache->path(), opened.impl().pipeline_cache->read_bytes()};
     }
     /// Returns true if the driver stores pipelines, which means that its cache is longer
     /// than the Vulkan header.
     static bool is_cached_by_driver() {
         Device opened(from_environment());
         std::size_t n_bytes = 0;
-        const Device::Impl& impl = get_impl(opened);
+        const Device::Impl& impl = opened.impl();
         vkGetPipelineCacheData(impl.device, impl.pipeline_cache->handle(), &n_bytes, nullptr);
         return n_bytes >= sizeof(VkPipelineCacheHeaderVersionOne);
     }
@@ -153,7 +153,7 @@ TEST_F(PipelineCacheFile, TheEnvironmentSaysWhere) {
 /// later. Kernels with any difference must have separate pipelines.
 TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
     Device opened(from_environment());
-    const auto n_made = [&] { return get_impl(opened).pipelines.by_key.size(); };
+    const auto n_made = [&] { return opened.impl().pipelines.by_key.size(); };
     const std::vector<Constant> of_64{{ConstantId::WORKGROUP_SIZE, 64}},
         of_32{{ConstantId::WORKGROUP_SIZE, 32}};
     const auto pipeline_of = [&](const std::vector<Constant>& constants,
@@ -182,7 +182,7 @@ TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
 /// on a GPU. A kernel may be destroyed before its pipeline is ready, or may never run.
 TEST_F(PipelinesOfADevice, AreBegunWithTheirKernels) {
     Device opened(from_environment());
-    get_impl(opened).compiles_ahead = true;
+    opened.impl().compiles_ahead = true;
     const auto begin = [&](std::uint32_t size) {
         return std::make_unique<Kernel<shared::ListTouchedParams>>(
             opened, KernelName<shared::ListTouchedParams>("scene/list_touched"),
@@ -190,10 +190,10 @@ TEST_F(PipelinesOfADevice, AreBegunWithTheirKernels) {
     };
     const auto used = begin(32), alike = begin(32), unused = begin(64);
     begin(128);
-    EXPECT_EQ(get_impl(opened).pipelines.by_key.size(), 3u);
+    EXPECT_EQ(opened.impl().pipelines.by_key.size(), 3u);
     EXPECT_NE(used->impl().pipeline(), VK_NULL_HANDLE);
     EXPECT_EQ(used->impl().pipeline(), alike->impl().pipeline());
-    for (const auto& [key, made] : get_impl(opened).pipelines.by_key)
+    for (const auto& [key, made] : opened.impl().pipelines.by_key)
         EXPECT_EQ(made.get().result, VK_SUCCESS) << key;
 }
 

@@ -42,7 +42,7 @@ TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
     for (std::uint32_t s = 0; s < kSubmissions; ++s) {
         Words values(kWords);
         std::iota(values.begin(), values.end(), 1000u * s);
-        get_impl(stream).write(words.buffer(), values.data(), 4 * kWords);
+        stream.impl().write(words.buffer(), values.data(), 4 * kWords);
         sums.emplace_back(device(), kLaunches, "sums");
         for (std::uint32_t i = 0; i < kLaunches; ++i)
             prefix_sum.run(stream, {words.address(), i, 1}, prefix.address(), 1, sums.back().address(i));
@@ -207,7 +207,7 @@ TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
         copy(stream, 0, 1);
         copy(stream, 1, 2);
         lanes.choose(1);
-        get_impl(stream).write(arrays[3].buffer(), Words(50, 7u).data(), 200);
+        stream.impl().write(arrays[3].buffer(), Words(50, 7u).data(), 200);
     }
     copy(stream, 5, 0);
     stream.finish();
@@ -280,7 +280,7 @@ protected:
         from.reset(), copy.reset();
         StreamTest::TearDown();
     }
-    gpu::LaunchLimit& limit() { return get_impl(device()).launch_limit; }
+    gpu::LaunchLimit& limit() { return device().impl().launch_limit; }
     Array<glm::vec4, shared::CopyTarget> target() {
         return {device(), std::vector<glm::vec4>(kValues, glm::vec4(-1.0f)), "target"};
     }
@@ -301,7 +301,7 @@ TEST_F(CutLaunches, DoTheSameWork) {
             StreamLanes lanes(stream, 1);
             launch(stream, to);
         } else launch(stream, to);
-        EXPECT_EQ(get_impl(stream).slots[get_impl(stream).current].n_buffers, in_strand ? 1u : 10u);
+        EXPECT_EQ(stream.impl().slots[stream.impl().current].n_buffers, in_strand ? 1u : 10u);
         stream.finish();
         EXPECT_EQ(to.download(), values);
     }

@@ -48,6 +48,28 @@ TEST(ChangingSurfels, ADoorIsOpenOnlyWhenItWasOpen) {
         << "a single frame does not show a change";
 }
 
+/// A limb moves 10 cm forward in each frame, as far as the actor walks. Half way between
+/// two frames, the surfels of both frames must meet at the exact position of the limb.
+TEST(ChangingSurfels, ALimbMovesBetweenFrames) {
+    std::vector<Sample> samples;
+    for (int frame = 0; frame < 20; ++frame)
+        for (float y = -0.2f; y < 0.21f; y += 0.04f)
+            for (float z = -0.2f; z < 0.21f; z += 0.04f)
+                samples.push_back(
+                    {{0.1f * float(frame), y, z}, 0.5f, {-1.0f, 0.0f, 0.0f}, 0.1f * float(frame), frame});
+    const ChangingSurfels actor = make_changing_surfels(samples, {}, 0.0, 8000);
+    int n_visible = 0;
+    for (std::size_t i = 0; i < actor.surfels.size(); ++i) {
+        const Gait& gait = actor.surfels.gait[i];
+        const double turns = 0.45 / actor.period_m - double(gait.phase), k = gait.sharpness;
+        if (std::exp(k * k * (std::cos(2.0 * kPi * turns) - 1.0)) < 0.8) continue;
+        ++n_visible;
+        EXPECT_NEAR(actor.surfels.mean[i].x + gait.swing.x * std::sin(2.0 * kPi * turns), 0.45, 0.012) << i;
+        EXPECT_EQ(gait.swing.z, 0.0f);
+    }
+    EXPECT_GT(n_visible, 20);
+}
+
 /// An actor that stops in all frames must be rigid, because its walked distance is
 /// constant and cannot drive the motion of its limbs.
 TEST(ChangingSurfels, AnActorThatStandsIsRigid) {

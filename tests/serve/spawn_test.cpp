@@ -236,6 +236,20 @@ TEST_F(Spawn, WhatMakesNoSenseIsRefusedByNameAndChangesNothing) {
     EXPECT_THAT(values<std::int32_t>(scan_of(request).points().instance()), testing::Contains(2));
 }
 
+/// The class of a spawned asset is that of its file, a vehicle (1).
+TEST_F(Spawn, AnAssetHasItsClass) {
+    channels = "class";
+    start();
+    spawned({{"van", "asset van-1"}});
+    v1::RenderLidarRequest request = make_standing_request();
+    place(request, "van", beside(4.0, 0.0));
+    *request.mutable_sensor()->mutable_spec() = make_rays_ahead(3);
+    const v1::LidarScan scan = scan_of(request);
+    ASSERT_EQ(scan.points().channels_size(), 1);
+    EXPECT_EQ(scan.points().channels(0).name(), "class");
+    EXPECT_EQ(values<std::int32_t>(scan.points().channels(0).values()), std::vector<std::int32_t>(3, 1));
+}
+
 TEST_F(Spawn, ActorsWithTooFewSurfelsForTheirRaysAreNamed) {
     start();
     spawned({{"van", "asset van-1"}});

@@ -42,13 +42,6 @@ Surfels to_surfels(const std::vector<reference::Surfel>& surfels) {
     return result;
 }
 
-std::vector<reference::FloatRecord> to_records(const Surfels& surfels) {
-    std::vector<reference::FloatRecord> records;
-    for (const reference::Surfel& s : to_reference(surfels))
-        records.push_back(reference::make_float_record(s));
-    return records;
-}
-
 std::vector<reference::Ray> to_reference(const WorldRays& rays) {
     std::vector<reference::Ray> result;
     for (std::size_t i = 0; i < rays.size(); ++i)

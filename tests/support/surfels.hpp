@@ -17,9 +17,6 @@ namespace relidar::test {
 std::vector<reference::Surfel> to_reference(const Surfels& surfels);
 /// Rounds reference surfels to the arrays of the library.
 Surfels to_surfels(const std::vector<reference::Surfel>& surfels);
-/// Returns the intersection records (section 2) in the model's frame, computed in double
-/// and then rounded to float.
-std::vector<reference::FloatRecord> to_records(const Surfels& surfels);
 /// Returns the same rays in double.
 std::vector<reference::Ray> to_reference(const WorldRays& rays);
 /// Returns the rays of a table unchanged, with the sensor frame as the world frame.

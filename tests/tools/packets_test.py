@@ -5,6 +5,7 @@ have no return.
 
    packets_test.py RELIDAR WORK [pcap]       77: numpy is missing
 """
+import gzip
 import json
 import os
 import pathlib
@@ -72,12 +73,14 @@ def returns_of(folder, head, dual):
     return np.concatenate(rows), scan, zero_s
 
 
-def check(name, product, folder, head, truth, dual, forward_deg):
-    """@param forward_deg azimuth of the driver's x axis"""
+def check(name, product, folder, head, truth, dual, forward_deg, n_lost=0):
+    """@param forward_deg azimuth of the driver's x axis
+    @param n_lost number of firings of the turn whose packets were lost"""
     found, scan, zero_s = returns_of(folder, head, dual)
     cycle_s = product.cycle_us * 1e-6
     columns = lidars.TURN_S / cycle_s
-    expect(scan["range"].shape[0] == product.lasers and columns <= scan["range"].shape[1] <= columns + 4, f"{name}: an image of {scan['range'].shape}")
+    received = columns - n_lost
+    expect(scan["range"].shape[0] == product.lasers and received - 1 <= scan["range"].shape[1] <= received + 4, f"{name}: an image of {scan['range'].shape}")
     expect(abs((zero_s / lidars.TURN_S * 360 - forward_deg + 180) % 360 - 180) < 0.02, f"{name}: it faces forward at {zero_s} s")
     ring = np.argsort(np.argsort(-product.elevation, kind="stable"), kind="stable")
     laser = np.argsort(ring)[found[:, 9].astype(int)]
@@ -114,10 +117,15 @@ def check(name, product, folder, head, truth, dual, forward_deg):
 def test_bags():
     for product in lidars.PRODUCTS:
         blocks = {"Pandar40P": 10, "Pandar64": 6, "XT32": 8, "VLP-16": 24}.get(product.name, 12)
-        for dual, lost in ((False, ()), (True, ()), (False, (100, 101))):
-            n = int((2.3 + dual * 0) * lidars.TURN_S / (product.cycle_us * 1e-6 * blocks / (1 + dual)))
-            lost = [n // 2, n // 2 + 1] if lost else ()
-            name = f"{product.name}, {1 + dual} returns{', two packets lost' if lost else ''}"
+        forward = 90 if product.hesai else 0
+        for dual, losses in ((False, 0), (True, 0), (False, "in the middle"), (False, "at the end")):
+            packet_s = product.cycle_us * 1e-6 * blocks / (1 + dual)
+            n = int(2.3 * lidars.TURN_S / packet_s)
+            # the first full turn begins and ends when the head faces backward
+            end_s = ((forward + 180) % 360 / 360 + 1) * lidars.TURN_S
+            last = int(end_s / packet_s) - (20 if losses == "in the middle" else 1)
+            lost = [last - 1, last] if losses else ()
+            name = f"{product.name}, {1 + dual} returns{f', two packets lost {losses}' if losses else ''}"
             packets, truth = lidars.packets(product, n, dual, lost)
             type_name = "pandar_msgs/PandarScan" if product.hesai else "velodyne_msgs/VelodyneScan"
             if lost:
@@ -128,7 +136,7 @@ def test_bags():
             notes = "\n".join(head["notes"])
             expect(("2 packets are missing" in notes) == bool(lost), f"{name}: {notes}")
             expect(product.name in notes, f"{name}: {notes}")
-            check(name, product, folder, head, truth, dual, 90 if product.hesai else 0)
+            check(name, product, folder, head, truth, dual, forward, len(lost) * blocks)
 
 
 def test_alternating():
@@ -417,6 +425,12 @@ def test_network():
     captures.write(six, [(ns, f) for ns, data in spaced for f in captures.frames6(data, 700)])
     near_scans("IPv6", plain, converted(six))
     expect("[fe80::1]:2368" in run("info", six), "address of an IPv6 capture")
+    packed = WORK / "network_packed.pcap.gz"
+    packed.write_bytes(gzip.compress((WORK / "network_plain.pcap").read_bytes(), 1))
+    near_scans("gzip", plain, converted(packed))
+    cut = WORK / "network_cut.pcap.gz"
+    cut.write_bytes(packed.read_bytes()[:-5000])
+    expect("network_cut.pcap.gz: the gzip file is damaged or truncated" in run("info", cut), "a truncated gzip file")
     # The packets of two identical sensors must not be combined into a single sensor.
     mixed = sorted(spaced + [(T0 + ns + 130_000, d) for ns, d in lidars.packets(product, 900, zero_us=3_599_950_130)[0]])
     text = run("info", capture("two sensors", mixed), code=3)

@@ -39,7 +39,7 @@ TEST_F(NoWait, NorAllocationInAnIteration) {
         const Scene initial = initialise_scene(street, split.train, config.init);
         ASSERT_GT(initial.instances.size(), 1u) << "actors are to be refined too";
         TrainLoop loop(device(), street, split, initial, config);
-        const Device::Impl& d = get_impl(device());
+        const Device::Impl& d = device().impl();
         const auto run_iteration = [&](int from, int to) {
             for (int step = from; step <= to; ++step) loop.run_iteration(step, step % 7 == 0 && step < 75);
         };

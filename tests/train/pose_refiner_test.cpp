@@ -229,7 +229,7 @@ std::pair<PoseError, PoseError> measure_errors_of_training(Device& device, const
 }
 
 TEST_F(Poses, OfTheSensorComeNearerByGradients) {
-    Config config = make_refining_config("sensor", 80);
+    Config config = make_refining_config("sensor", 50);
     config.train.pose_register = false;
     config.train.pose_rate_m = 1e-2;
     const auto [before, after] = measure_errors_of_training(device(), config, "gradients alone");

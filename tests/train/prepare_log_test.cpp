@@ -59,11 +59,10 @@ private:
     }
 };
 
-/// Returns a log that is long enough for two sections. Its poses drift, its moving
-/// objects have no labels, and its beams have offsets.
-Sequence street(int n_frames = 400) {
-    Sequence street =
-        make_synthetic_street({.n_frames = n_frames, .rows = 32, .columns = 128, .range_noise_m = 0.01});
+/// Returns a log whose poses drift, whose moving objects have no labels, and whose beams
+/// have offsets.
+Sequence street(const SyntheticOptions& options) {
+    Sequence street = make_synthetic_street(options);
     street.boxes.clear();
     PoseTrack track = street.world_from_vehicle;
     for (std::size_t k = 0; k < track.pose.size(); ++k)
@@ -108,7 +107,9 @@ void expect_same(const Sequence& first, const Sequence& second) {
 }
 
 TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
-    const Sequence given = street();
+    // The log is long enough for two sections.
+    const Sequence given =
+        street({.n_frames = 400, .rows = 16, .columns = 128, .range_noise_m = 0.01, .people = true});
     const Split split = split_frames(given, 10);
     Config config;
     config.train.refine_poses = "sensor";
@@ -141,7 +142,7 @@ TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
 }
 
 TEST(PrepareLog, WarnsOfPosesThatDoNotFitTheScans) {
-    const Sequence good = street(40);
+    const Sequence good = street({.n_frames = 40, .rows = 32, .columns = 128, .range_noise_m = 0.01});
     Config config;
     config.train.allow_lost_scans = true;
     config.train.refine_poses = "sensor";

@@ -98,12 +98,11 @@ TEST_F(TrainActors, CloseUpBeforeTheJoinedBackgroundWhichStays) {
     const double before = measure_error_on_cars();
     const Scene was = run.scene;
     int last = 0, expected = 0;
-    EXPECT_TRUE(train_actors(device(), run,
-                             {[&](int step, int n_steps) {
-                                  EXPECT_EQ(step, ++last);
-                                  expected = n_steps;
-                              },
-                              {}}));
+    const auto count = [&](int step, int n_steps) {
+        EXPECT_EQ(step, ++last);
+        expected = n_steps;
+    };
+    EXPECT_EQ(train_actors(device(), run, {count, {}}), TrainingEnd::finished);
     EXPECT_EQ(last, expected);
     EXPECT_EQ(last, 20 * int(run.split.train.size())) << "a car is seen in every frame";
     const double after = measure_error_on_cars();
@@ -121,7 +120,7 @@ TEST_F(TrainActors, LeaveABackgroundInMemoryAsItIs) {
     const Scene was = run.scene;
     const std::size_t n = was.models[0].count;
     ASSERT_GT(n, 1000u);
-    EXPECT_TRUE(train_actors(device(), run));
+    EXPECT_EQ(train_actors(device(), run), TrainingEnd::finished);
     const auto same = [&](auto Surfels::*field) {
         const auto &a = was.surfels.*field, &b = run.scene.surfels.*field;
         ASSERT_EQ(a.size(), b.size());
@@ -146,18 +145,18 @@ TEST_F(TrainActors, WhatNoRayNearThemMeetsMakesNoDifference) {
     // excludes the learning rate of means, because it depends on the extent of all blocks
     for (relidar::Run* each : {&run, &other})
         each->config.train.mean_rate = each->config.train.mean_rate_final = 0.0;
-    EXPECT_TRUE(train_actors(device(), run));
-    EXPECT_TRUE(train_actors(device(), other));
+    EXPECT_EQ(train_actors(device(), run), TrainingEnd::finished);
+    EXPECT_EQ(train_actors(device(), other), TrainingEnd::finished);
     EXPECT_EQ(run.scene.surfels.opacity_logit, other.scene.surfels.opacity_logit);
     EXPECT_EQ(run.scene.surfels.sh, other.scene.surfels.sh);
 }
 
 TEST_F(TrainActors, StopWhenAskedAndDoNothingWhenTurnedOff) {
     const Scene was = run.scene;
-    EXPECT_FALSE(train_actors(device(), run, {{}, [] { return true; }}));
+    EXPECT_EQ(train_actors(device(), run, {{}, [] { return true; }}), TrainingEnd::stopped);
     EXPECT_EQ(run.scene.surfels.mean, was.surfels.mean) << "half a training is none";
     run.config.blocks.actor_epochs = 0;
-    EXPECT_TRUE(train_actors(device(), run));
+    EXPECT_EQ(train_actors(device(), run), TrainingEnd::finished);
     EXPECT_EQ(run.scene.surfels.mean, was.surfels.mean);
 }
 

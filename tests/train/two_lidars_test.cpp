@@ -43,7 +43,7 @@ TEST_F(TwoLidars, TrainTogetherAndRenderEach) {
         config.train.iterations = iterations;
         return train(device(), street, split, config, [](const TrainProgress&) { return true; });
     };
-    const TrainResult result = trained(120), untrained = trained(0);
+    const TrainResult result = trained(60), untrained = trained(0);
     EXPECT_LT(result.log.back().loss, 0.7 * result.log.front().loss);
     EXPECT_EQ(result.scene.sensor_drop.channels, 24);
     ASSERT_TRUE(result.poses);

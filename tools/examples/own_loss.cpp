@@ -43,7 +43,8 @@ int main(int argc, char** argv) try {
     const Split split = split_frames(log, 10);
     const Scene scene = initialise_scene(log, split.train, {});
     Device device;
-    DifferentiableRenderer renderer(device, scene, ImageModel{});
+    DifferentiableRenderer differentiable(device, scene, ImageModel{});
+    Renderer& renderer = differentiable.renderer();
     Adam adam(device, static_cast<std::uint32_t>(scene.surfels.size()), {});
     RenderedGradients d;
     double first = 0.0, last = 0.0;
@@ -62,9 +63,9 @@ int main(int argc, char** argv) try {
         renderer.place(place_instances(scene, log, get_sweep_moment(frame)),
                        glm::vec3(trajectory.at(frame.time_s).translation));
         last = compare(renderer.forward(rays), frame.scan, d);
-        renderer.backward(d);
-        adam.step(renderer.stream(), renderer.scene().parameters(), renderer.gradients().surfels,
-                  &renderer.gradients().touched, {}, step, 3);
+        differentiable.backward(d);
+        adam.step(renderer.stream(), renderer.scene().parameters(), differentiable.gradients().surfels,
+                  &differentiable.gradients().touched, {}, step, 3);
         if (step == 1) first = last;
     }
     std::printf("loss %.4f -> %.4f\n", first, last);

@@ -21,7 +21,7 @@ namespace {
 /// A differentiable renderer, and the sizes that determine the shapes of its numpy
 /// arrays.
 struct HeldRenderer {
-    OnDevice<DifferentiableRenderer> renderer;
+    OnDevice<DifferentiableRenderer> differentiable;
     std::vector<InstancePose> placed;  ///< [instances] pose of each instance.
     std::size_t n_rays = 0;            ///< Number of rays of the last forward pass.
 };
@@ -41,7 +41,7 @@ std::unique_ptr<HeldRenderer> make_renderer(const Scene& scene, const std::optio
         made = std::make_unique<DifferentiableRenderer>(device->device, scene, image, options, gradients);
     }
     auto held = std::make_unique<HeldRenderer>();
-    held->renderer = OnDevice<DifferentiableRenderer>(device, std::move(made));
+    held->differentiable = OnDevice<DifferentiableRenderer>(device, std::move(made));
     held->placed.resize(scene.instances.size());
     return held;
 }
@@ -69,10 +69,10 @@ void place(HeldRenderer& renderer, const py::object& poses, const py::object& vi
         check_count(present->size(), "present");
         for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = (*present)[i];
     }
-    const glm::vec3 view = view_origin.is_none() ? renderer.renderer->view_origin_m()
+    const glm::vec3 view = view_origin.is_none() ? renderer.differentiable->renderer().view_origin_m()
                                                  : convert_to_point(view_origin, "view_origin");
-    const DeviceUse use(renderer.renderer.device());
-    renderer.renderer->place(placed, view);
+    const DeviceUse use(renderer.differentiable.device());
+    renderer.differentiable->renderer().place(placed, view);
     renderer.placed = std::move(placed);
 }
 
@@ -85,8 +85,8 @@ py::dict forward(HeldRenderer& renderer, const py::object& origins, const py::ob
                         rays.direction.size(), rays.origin.size()));
     Rendering r;
     {
-        const DeviceUse use(renderer.renderer.device());
-        r = renderer.renderer->forward(rays);
+        const DeviceUse use(renderer.differentiable.device());
+        r = renderer.differentiable->renderer().forward(rays);
     }
     renderer.n_rays = rays.size();
     const Shape shape{static_cast<py::ssize_t>(rays.size())};
@@ -131,8 +131,8 @@ py::dict backward(HeldRenderer& renderer, const py::dict& d_rendered) {
     const RenderedGradients d = read_gradients(d_rendered, renderer.n_rays);
     HostGradients gradients;
     {
-        const DeviceUse use(renderer.renderer.device());
-        gradients = renderer.renderer->backward(d);
+        const DeviceUse use(renderer.differentiable.device());
+        gradients = renderer.differentiable->backward(d);
     }
     const auto rows = [](std::size_t count) { return static_cast<py::ssize_t>(count); };
     const std::size_t n = gradients.surfels.size();
@@ -148,15 +148,15 @@ py::dict backward(HeldRenderer& renderer, const py::dict& d_rendered) {
 
 void upload(HeldRenderer& renderer, const py::dict& arrays) {
     const Surfels surfels = read_surfels(arrays);
-    const DeviceUse use(renderer.renderer.device());
-    renderer.renderer->upload(surfels);
+    const DeviceUse use(renderer.differentiable.device());
+    renderer.differentiable->renderer().upload(surfels);
 }
 
 py::dict download(HeldRenderer& renderer) {
     Scene scene;
     {
-        const DeviceUse use(renderer.renderer.device());
-        scene = renderer.renderer->download();
+        const DeviceUse use(renderer.differentiable.device());
+        scene = renderer.differentiable->renderer().download();
     }
     return to_dict(std::move(scene.surfels));
 }

@@ -165,7 +165,8 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
     StageTimes stages;
     complete_scene_with_progress(device, run, options.quiet, stages);
     stop_if_interrupted();
-    if (config.refine.enabled && refine_with_progress(device, run, options.quiet)) save_run(run);
+    if (config.refine.enabled && refine_with_progress(device, run, options.quiet) == TrainingEnd::finished)
+        save_run(run);
     stop_if_interrupted();
     finish(device, run, street, make_report(run, result, device, command_line), out, options.quiet);
 }

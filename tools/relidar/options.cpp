@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
+#include <optional>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -21,12 +22,14 @@ namespace {
 
 namespace fs = std::filesystem;
 
+/// Returns the number in a text. Returns no value if the text is not a number.
 template <class T>
-bool parse(const std::string& text, T& value) {
+std::optional<T> parse(const std::string& text) {
+    T value{};
     const char* begin = text.data() + (!text.empty() && text.front() == '+' ? 1 : 0);
     const char* end = text.data() + text.size();
     const auto [stop, error] = std::from_chars(begin, end, value);
-    return begin != end && error == std::errc() && stop == end;
+    return begin != end && error == std::errc() && stop == end ? std::optional(value) : std::nullopt;
 }
 
 }  // namespace
@@ -174,20 +177,19 @@ void apply_log_part(Config& config, const LogPart& part) {
 }
 
 FrameRange parse_frames(const std::string& text) {
-    FrameRange range;
     const std::size_t colon = text.find(':');
     const std::string begin = text.substr(0, colon),
                       end = colon == std::string::npos ? "" : text.substr(colon + 1);
-    const bool good = colon != std::string::npos && (begin.empty() || parse(begin, range.begin)) &&
-                      (end.empty() || parse(end, range.end));
-    if (!good || range.begin < 0 || (!end.empty() && range.end < 0)) {
+    const int first = begin.empty() ? 0 : parse<int>(begin).value_or(-1),
+              last = end.empty() ? -1 : parse<int>(end).value_or(-1);
+    if (colon == std::string::npos || first < 0 || (!end.empty() && last < 0)) {
         throw UsageError(fmt::format(
             "--frames: found \"{}\"; expected FIRST:END without frame END, for example 0:50", text));
     }
-    if (range.end != -1 && range.begin >= range.end)
+    if (last != -1 && first >= last)
         throw UsageError(
             fmt::format("--frames: found the empty range \"{}\"; expected FIRST:END with FIRST < END", text));
-    return range;
+    return {first, last};
 }
 
 void note_frames_beyond(const FrameRange& range, int last, const std::string& location) {
@@ -200,11 +202,11 @@ std::vector<double> parse_list(const std::string& option, const std::string& tex
     std::vector<double> numbers;
     for (const std::string& typed : split(text, ',')) {
         const std::string word = remove_blanks(typed);
-        double value = 0.0;
-        if (!parse(word, value) || !std::isfinite(value))
+        const std::optional<double> value = parse<double>(word);
+        if (!value || !std::isfinite(*value))
             throw UsageError(fmt::format("{}: found \"{}\" in \"{}\", expected numbers separated by commas",
                                          option, word, text));
-        numbers.push_back(value);
+        numbers.push_back(*value);
     }
     return numbers;
 }

@@ -6,6 +6,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+#include <relidar/gpu/out_of_memory.hpp>
 
 #include "refusal.hpp"
 
@@ -141,10 +142,7 @@ std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene,
         undo();
         throw Refusal(grpc::StatusCode::FAILED_PRECONDITION,
                       fmt::format("cannot spawn {} actors: {}", actors.size(), error.what()));
-    } catch (const DeviceLost&) {
-        undo();
-        throw;
-    } catch (const DeviceError& error) {
+    } catch (const OutOfDeviceMemory& error) {
         undo();
         throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED,
                       fmt::format("cannot spawn {} actors: {}", actors.size(), error.what()));

@@ -129,7 +129,15 @@ void add_places(Run& run, const std::vector<SpawnedActors::Place>& places, const
         if (!source.is_asset) model = find_model_of_actor(run.scene, source.name);
         else if (const auto model_entry = models.find(source.name); model_entry != models.end())
             model = model_entry->second;
-        else model = models[source.name] = add_asset(run.scene, assets.find(source.name)->folder);
+        else {
+            const AssetCatalogue::Entry& asset = *assets.find(source.name);
+            model = models[source.name] = add_asset(run.scene, asset.folder);
+            // The channel "class" reads the kind of the asset from this box.
+            run.sequence.boxes.push_back({.id = run.scene.models[model].name,
+                                          .category = get_name(asset.facts.kind),
+                                          .size_m = asset.facts.size_m,
+                                          .world_from_box = {}});
+        }
         run.scene.instances.push_back({model, make_track_of_slot(place.position)});
     }
 }

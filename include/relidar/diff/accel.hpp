@@ -95,10 +95,10 @@ public:
     int refits_since_build() const;  ///< Number of refits recorded since the last build.
 
     struct Impl;
+    /// Returns the internal implementation. Only the library uses this function.
+    const Impl& impl() const { return *impl_; }
 
 private:
-    /// Returns the internal implementation. Only the library uses this function.
-    friend const Impl& get_impl(const Accel& accel);
     std::unique_ptr<Impl> impl_;
 };
 

@@ -3,10 +3,11 @@
 // computes gradients of the parameters from gradients of the rendered rays. Training
 // steps use it in one of two ways:
 //
-//   on the device  place(), record_forward(), losses write batch().upstream,
-//                  record_backward(), Adam::step with gradients(). No call blocks.
-//   on the host    place(), forward(rays), backward(d_rendered). Inputs and outputs are
-//                  host arrays, for custom losses in any language.
+//   on the device  renderer().place(), renderer().record_forward(), losses write
+//                  batch().upstream, record_backward(), Adam::step with gradients(). No
+//                  call blocks.
+//   on the host    renderer().place(), renderer().forward(rays), backward(d_rendered).
+//                  Inputs and outputs are host arrays, for custom losses in any language.
 #pragma once
 
 #include <functional>
@@ -55,9 +56,9 @@ struct HostGradients {
     std::vector<float> rays;
 };
 
-/// Renderer that also computes gradients. The gradients belong to the batch that was
-/// rendered last.
-class DifferentiableRenderer : public Renderer {
+/// Computes gradients with a renderer. The gradients belong to the batch that the
+/// renderer rendered last.
+class DifferentiableRenderer {
 public:
     /// Creates the renderer and its gradient arrays.
     /// @throws UsageError if an option in gradients.sums is out of range
@@ -66,11 +67,15 @@ public:
                            const RendererOptions& options = {}, const GradientOptions& gradients = {});
     ~DifferentiableRenderer();
 
-    /// Computes the gradients of a loss over the rays that the last forward() rendered.
-    /// Waits for the GPU. Poses, view and parameters must not have changed since
-    /// forward().
+    /// Returns the renderer of the scene.
+    Renderer& renderer();
+    const Renderer& renderer() const;
+
+    /// Computes the gradients of a loss over the rays that Renderer::forward() rendered
+    /// last. Waits for the GPU. Poses, view and parameters must not have changed since
+    /// then.
     /// @param d_rendered dL/d(rendered), arrays with one entry per ray, or empty arrays
-    /// @throws UsageError if forward() was not called before
+    /// @throws UsageError if nothing was rendered before
     /// @throws DataError if an array has the wrong number of entries
     HostGradients backward(const RenderedGradients& d_rendered);
 
@@ -87,7 +92,7 @@ public:
     /// Calls `change`, which adds or removes surfels. Before the call, this function
     /// releases memory whose size depends on the number of surfels. After the call, it
     /// allocates this memory again. Waits until the stream is idle. The caller must call
-    /// place() next.
+    /// Renderer::place() next.
     /// @param change receives the number of bytes per surfel that will be allocated again
     void change_surfels(const std::function<void(double others_bytes)>& change);
 

@@ -87,7 +87,8 @@ struct RendererOptions {
     /// rays, the renderer waits for the GPU once and allocates more memory.
     std::uint32_t n_rays = 0;
     /// Number of hits per ray that are kept for a backward pass, 16 bytes each. With 0,
-    /// the backward pass traces every ray again.
+    /// the backward pass traces every ray again. The renderer keeps fewer hits if device
+    /// memory is exhausted.
     std::uint32_t keep_hits = 0;
     /// Stream to use. The stream must outlive the renderer. Several renderers may share a
     /// stream. Null = the renderer creates a private stream.
@@ -151,9 +152,9 @@ public:
     std::uint32_t kept_hits() const;
     /// Sets the number of hits per ray that are kept for the backward pass. The number
     /// applies from the next record_forward(). Waits until the stream is idle.
-    /// @return false if the device does not have enough memory. The number is then
-    /// unchanged.
-    bool keep_hits(std::uint32_t per_ray);
+    /// @throws OutOfDeviceMemory if the device does not have enough memory. The number is
+    /// then unchanged.
+    void keep_hits(std::uint32_t per_ray);
 
     /// Sets the degree of the spherical harmonics (SH). The degree cannot exceed the
     /// degree of the image model. The caller must call place() next.
@@ -166,6 +167,9 @@ public:
     /// Waits for the GPU and returns the scene with its current parameters.
     Scene download();
 
+    /// Waits until the device no longer uses the arrays of the renderer. Ignores errors,
+    /// so that destructors can call this function.
+    void wait_for_device() noexcept;
     /// Returns the renderer's stream. The GPU executes all commands of the stream in the
     /// order in which they are recorded.
     Stream& stream();
@@ -175,7 +179,6 @@ public:
     const ForwardPass& forward_pass() const;
     const glm::vec3& view_origin_m() const;  ///< View origin of the last place() or move().
 
-protected:
     /// Releases the acceleration structure. Must be called before surfels are added or
     /// removed. make_accel() creates a new acceleration structure afterwards.
     void release_accel();

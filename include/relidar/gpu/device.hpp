@@ -130,10 +130,10 @@ public:
     const std::vector<PipelineStatistics>& pipelines() const;
 
     struct Impl;
+    /// Returns the internal implementation. Only the library uses this function.
+    Impl& impl() const { return *impl_; }
 
 private:
-    /// Returns the internal implementation. Only the library uses this function.
-    friend Impl& get_impl(const Device& device);
     std::unique_ptr<Impl> impl_;
 };
 

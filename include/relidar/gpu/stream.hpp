@@ -21,8 +21,8 @@ public:
     Buffer();
     /// Allocates n_bytes of device memory.
     /// @param what name of the buffer in messages
-    /// @throws DeviceError if device memory is exhausted. The message names the buffer
-    /// and its size.
+    /// @throws OutOfDeviceMemory if device memory is exhausted. The message names the
+    /// buffer, its size and the free memory.
     Buffer(Device& device, std::size_t n_bytes, const std::string& what);
     ~Buffer();
     Buffer(Buffer&&) noexcept;
@@ -40,10 +40,10 @@ public:
     void copy_from(const Buffer& source, std::size_t n_bytes);
 
     struct Impl;
+    /// Returns the internal implementation. Only the library uses this function.
+    Impl& impl() const { return *impl_; }
 
 private:
-    /// Returns the internal implementation. Only the library uses this function.
-    friend Impl& get_impl(const Buffer& buffer);
     template <class, class>
     friend class Array;
     std::unique_ptr<Impl> impl_;
@@ -90,7 +90,8 @@ public:
     /// Enlarges the array to at least `count` values. Existing values are kept, and new
     /// values are undefined. The array never shrinks. The address of the array changes,
     /// so no submitted GPU work may use the array.
-    /// @throws DeviceError if device memory is exhausted. The array is then unchanged.
+    /// @throws OutOfDeviceMemory if device memory is exhausted. The array is then
+    /// unchanged.
     void reserve(Device& device, std::size_t count, const std::string& description) {
         if (count <= n_) return;
         Array larger(device, count, description);
@@ -159,10 +160,10 @@ public:
     Device& device() const;
 
     struct Impl;
+    /// Returns the internal implementation. Only the library uses this function.
+    Impl& impl() const { return *impl_; }
 
 private:
-    /// Returns the internal implementation. Only the library uses this function.
-    friend Impl& get_impl(const Stream& stream);
     std::unique_ptr<Impl> impl_;
 };
 

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Functions that edit a dynamic scene. They return an edited copy of the scene and its
 // tracks. A track gives the pose of an instance over time (Eq. 4-5). Edits change only
-// tracks and instances. They never change the parameters of a surfel.
+// tracks and instances, with one exception: if a vehicle gets another track, its
+// unobserved sides are completed by mirrored surfels (complete_by_symmetry()).
 #pragma once
 
 #include <filesystem>

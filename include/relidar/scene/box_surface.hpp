@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -36,6 +37,11 @@ inline constexpr float kUnseenSide = 0.1f;
 /// Returns the names of the unseen sides, for example "rear, left". Returns an empty text
 /// if the log observed all sides.
 std::string list_unseen_sides(const SideShares& shares);
+/// Returns the minimum cosine between a ray and the normal of a side. A ray at a smaller
+/// cosine does not observe the side, because such returns form separate streaks. The
+/// limit of the top is lower, because a LiDAR on a car hits the roofs of other cars only
+/// at grazing angles.
+double least_cosine(BoxSide side);
 
 /// Surface of a box, divided into patches of about 0.3 m. The class stores which patches
 /// were observed by rays. A point belongs to the patch onto which it projects from the
@@ -70,6 +76,27 @@ public:
     /// images on the other half of the box were observed.
     double mirrored(BoxSide side) const;
 
+    /// If true, the model has mirrored surfels on the patches that were not observed but
+    /// whose mirror patches were observed. These patches are called completed.
+    bool is_completed = false;
+    /// Returns the fraction of each side that is observed or completed.
+    SideShares known() const;
+    /// Returns the side of a point on a completed patch. Returns no value if the point is
+    /// on a different patch.
+    std::optional<BoxSide> completed_side(const glm::dvec3& point_m) const;
+    /// Compares observed patches with their observed mirror patches.
+    /// @param points_m points of the surface, box frame
+    /// @return median difference between the mean distances of their points from the
+    /// plane through the box centre, metres. 0 if fewer than three pairs were observed.
+    double asymmetry_m(const std::vector<glm::vec3>& points_m) const;
+
+    const glm::dvec3& half_size_m() const { return half_m_; }
+    /// Returns the patches of a side as a text, row by row: 1 was observed, 0 was not.
+    std::string patches(BoxSide side) const;
+    /// Sets the patches of a side.
+    /// @return false if the text has a wrong length or wrong characters
+    bool set_patches(BoxSide side, const std::string& text);
+
 private:
     struct Patch {
         BoxSide side;
@@ -79,8 +106,8 @@ private:
     std::array<std::array<int, 2>, kBoxSides> n_{};  ///< number of patches of a side along its two axes
     std::array<std::vector<char>, kBoxSides> seen_;
 
-    /// Computes the patch of a point. Returns false if the point belongs to no patch.
-    bool find(const glm::dvec3& point_m, Patch& patch) const;
+    /// Returns the patch of a point. Returns no value if the point belongs to no patch.
+    std::optional<Patch> find(const glm::dvec3& point_m) const;
     Patch mirror(Patch patch) const;  ///< returns the mirror patch
     /// Returns true if the patch is above the ignored part near the ground.
     bool counts(const Patch& patch) const;

@@ -136,10 +136,10 @@ struct Model {
     /// Half size of the box that contains the model's surfels, metres. The origin is its
     /// centre. 0 = the model has no box.
     glm::vec3 half_size_m{0.0f};
-    /// Walked distance after which the motion repeats, metres: a gait cycle (two steps of
-    /// a person), or the recorded distance if no cycle was found. 0 = rigid model.
+    /// Walked distance after which the motion repeats, metres: slightly longer than the
+    /// recorded distance. 0 = rigid model.
     float stride_m = 0.0f;
-    std::optional<SideShares> seen_sides = {};  ///< observed fraction of each side; empty: unknown
+    std::optional<BoxSurface> surface = {};  ///< observed parts of the box; empty: unknown
 };
 
 /// Placement of a model in the world. Instance 0 is the background at the origin.
@@ -357,8 +357,8 @@ Surfels initialise_background(const Sequence& sequence, const std::vector<int>& 
 /// actor's box (Eq. 4-5). Actors are moving boxes of the selected classes, or the
 /// selected tracks. A point in two boxes belongs to both models. Uses only points of
 /// training frames.
-/// @param notes output: for each possible walker (InitialiseOptions::deform), its stride
-/// or the reason why no stride was found
+/// @param notes output: for each actor of InitialiseOptions::deform, whether its shape
+/// changes, or the reason why it is rigid
 /// @throws DataError if no training frame has a usable point
 Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions,
                        const InitialiseOptions& options, const Progress& progress = {},

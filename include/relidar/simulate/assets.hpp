@@ -84,9 +84,6 @@ struct Asset {
 /// @throws UsageError if no instance has this track
 Asset make_asset(const Run& run, const std::string& track, const ActorObservations& sightings);
 
-/// Returns a copy of the surfels, mirrored at the x-z plane: y becomes -y.
-Surfels mirror_left_right(Surfels surfels);
-
 /// Writes an asset to a folder. This folder then contains the run of the asset and
 /// asset.json.
 /// @throws DataError if the folder cannot be written

@@ -26,12 +26,15 @@ namespace relidar {
 struct Run;
 struct MountedSensor;
 
-/// Counts the rays of a scan that enter an actor's box through a side that the log has
-/// not observed.
+/// Side of an actor that the log has not observed, and the number of rays of a scan that
+/// meet it.
 struct UnseenSide {
     std::string track;
     BoxSide side;
     std::size_t n_rays = 0;
+    /// True if the rays hit mirrored surfels (complete_by_symmetry()). False if the model
+    /// has no surfels there, so that the rays pass through.
+    bool is_completed = false;
 };
 
 /// Counts the rays of a scan that hit an actor. A ray counts if surfaces absorb at least
@@ -95,9 +98,9 @@ struct RenderedScan {
     Pose get_firing_pose(std::size_t ray) const;
 };
 
-/// Finds unobserved sides of actors: sides for which the model has no data and that at
-/// least five rays of the scan meet. Rays pass through such a side as if it were open.
-/// Uses the poses of the actors in the log.
+/// Finds unobserved sides of actors that at least five rays of the scan meet. Either the
+/// model has no data, and rays pass through the side as if it were open. Or the side was
+/// completed, and rays hit its mirrored surfels. Uses the poses of the actors in the log.
 std::vector<UnseenSide> find_unseen_sides(const RenderedScan& scan, const Scene& scene,
                                           const Sequence& sequence);
 

@@ -235,6 +235,9 @@ struct ScatterSession {
 std::vector<IntensityScatter> learn_scatter(Device& device, const Run& run,
                                             const ScatterSession& session = {});
 
+/// Reason why a training ended: it did all its steps, or a callback stopped it.
+enum class TrainingEnd { finished, stopped };
+
 /// Callbacks of train_actors(), which trains the actors of a scene with blocks.
 struct ActorSession {
     /// Function that is called after each training step.
@@ -251,9 +254,9 @@ struct ActorSession {
 /// own sweeps. Here the actors are trained in front of the joined background of all
 /// blocks, which stays unchanged. Only rays near an actor's box are traced, against the
 /// background surfels along these rays. The number of surfels stays constant.
-/// @return true if training finished, false if it was stopped
+/// The run is unchanged if the training was stopped.
 /// @throws DataError if a block cannot be read or a loss is not finite
-bool train_actors(Device& device, Run& run, const ActorSession& session = {});
+TrainingEnd train_actors(Device& device, Run& run, const ActorSession& session = {});
 
 /// Moves the scene and the coverage from a training result into a run. Also moves the
 /// poses if training has corrected them.

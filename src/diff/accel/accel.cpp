@@ -119,7 +119,6 @@ AccelAddresses Accel::addresses() const {
 
 Proxy Accel::proxy() const { return impl_->proxy; }
 std::uint64_t Accel::updates() const { return impl_->n_updates; }
-const Accel::Impl& get_impl(const Accel& accel) { return *accel.impl_; }
 int Accel::refits_since_build() const { return impl_->refits; }
 std::uint64_t Accel::memory_bytes() const {
     return impl_->hardware ? impl_->hardware->memory_bytes() : impl_->software->memory_bytes();

@@ -27,11 +27,11 @@ struct Structure {
 
     Structure(Device& owner, VkAccelerationStructureTypeKHR type, VkDeviceSize size,
               const std::string& description)
-        : device(&get_impl(owner)) {
+        : device(&owner.impl()) {
         storage = std::make_unique<Buffer>(owner, size, description);
         if (device->compile_only) return;
         VkAccelerationStructureCreateInfoKHR info{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_CREATE_INFO_KHR};
-        info.buffer = get_impl(*storage).handle;
+        info.buffer = storage->impl().handle;
         info.size = size;
         info.type = type;
         gpu::check(vkCreateAccelerationStructureKHR(device->device, &info, nullptr, &handle),
@@ -175,7 +175,7 @@ void HardwareAccel::Impl::describe_model(const Model& model) {
         input.geometry.geometryType = VK_GEOMETRY_TYPE_AABBS_KHR;
         input.geometry.geometry.aabbs = {VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_AABBS_DATA_KHR,
                                          nullptr,
-                                         {get_impl(geometry.buffer()).address + 24ull * model.first},
+                                         {geometry.buffer().impl().address + 24ull * model.first},
                                          24};
     } else {
         input.geometry.geometryType = VK_GEOMETRY_TYPE_TRIANGLES_KHR;
@@ -183,12 +183,11 @@ void HardwareAccel::Impl::describe_model(const Model& model) {
         t = {};
         t.sType = VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_TRIANGLES_DATA_KHR;
         t.vertexFormat = VK_FORMAT_R32G32B32_SFLOAT;
-        t.vertexData.deviceAddress =
-            get_impl(geometry.buffer()).address + 12ull * mesh.n_corners * model.first;
+        t.vertexData.deviceAddress = geometry.buffer().impl().address + 12ull * mesh.n_corners * model.first;
         t.vertexStride = 12;
         t.maxVertex = mesh.n_corners * std::max(model.count, 1u) - 1;
         t.indexType = VK_INDEX_TYPE_UINT32;
-        t.indexData.deviceAddress = get_impl(indices.buffer()).address;
+        t.indexData.deviceAddress = indices.buffer().impl().address;
     }
     input.info.type = VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR;
     input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR |
@@ -240,7 +239,7 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
         a.indices = Array<std::uint32_t>(
             device, std::span<const std::uint32_t>(make_triangle_indices(a.mesh, largest)), "proxy indices");
 
-    const std::uint64_t alignment = get_impl(device).scratch_alignment;
+    const std::uint64_t alignment = device.impl().scratch_alignment;
     VkDeviceSize scratch_bytes = 0;
     a.blas_input.reserve(layout.models.size());
     for (const Model& model : layout.models) {
@@ -251,7 +250,7 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
             a.blas.push_back(nullptr);
             continue;
         }
-        const VkAccelerationStructureBuildSizesInfoKHR sizes = a.blas_input.back().sizes(get_impl(device), n);
+        const VkAccelerationStructureBuildSizesInfoKHR sizes = a.blas_input.back().sizes(device.impl(), n);
         a.blas.push_back(std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR,
                                                      sizes.accelerationStructureSize,
                                                      "bottom level of " + model.name));
@@ -265,12 +264,12 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
     a.tlas_input.info.type = VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR;
     a.tlas_input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR;
     const VkAccelerationStructureBuildSizesInfoKHR sizes = a.tlas_input.sizes(
-        get_impl(device), static_cast<std::uint32_t>(std::max<std::size_t>(layout.instances.size(), 1)));
+        device.impl(), static_cast<std::uint32_t>(std::max<std::size_t>(layout.instances.size(), 1)));
     a.tlas = std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR,
                                          sizes.accelerationStructureSize, "top level");
     scratch_bytes = std::max(scratch_bytes, sizes.buildScratchSize);
     a.scratch = Buffer(device, scratch_bytes + alignment, "acceleration structure scratch");
-    a.scratch_address = (get_impl(a.scratch).address + alignment - 1) / alignment * alignment;
+    a.scratch_address = (a.scratch.impl().address + alignment - 1) / alignment * alignment;
 }
 
 HardwareAccel::~HardwareAccel() = default;
@@ -326,13 +325,13 @@ void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const Accel
         inputs.push_back(a.blas_input[i]);
     }
     if (!inputs.empty())
-        record_builds(get_impl(stream), refit ? "accel/refit" : "accel/build", std::move(inputs));
+        record_builds(stream.impl(), refit ? "accel/refit" : "accel/build", std::move(inputs));
     move(stream, scene);
 }
 
 void HardwareAccel::move(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
-    Stream::Impl& s = get_impl(stream);
+    Stream::Impl& s = stream.impl();
     a.tlas_input.geometry.geometry.instances.data.deviceAddress = a.write_instances(s, scene);
     a.tlas_input.prepare(*a.tlas, false, a.scratch_address);
     record_builds(s, "accel/top_level", {a.tlas_input});

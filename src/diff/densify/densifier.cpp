@@ -10,6 +10,7 @@
 #include <fmt/format.h>
 
 #include <relidar/diff/optimizer.hpp>
+#include <relidar/gpu/out_of_memory.hpp>
 
 #include "base/assert.hpp"
 #include "base/random.hpp"
@@ -105,7 +106,7 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
                   .weight = arrays.weight.address(),
                   .counters = counters.address(),
                   .models = scene.models().address(),
-                  .extents = get_impl(stream).values(extents).as<shared::ModelExtents>(),
+                  .extents = stream.impl().values(extents).as<shared::ModelExtents>(),
                   .min_opacity = rules.min_opacity,
                   .max_extent_share = rules.max_extent_share,
                   .clone_extent_share = static_cast<float>(options.clone_extent_share),
@@ -146,7 +147,7 @@ std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::ui
             adam.moment1().reserve(device, n, "first moment");
             adam.moment2().reserve(device, n, "second moment");
             arrays.reserve(n);
-        } catch (const DeviceError& error) {
+        } catch (const OutOfDeviceMemory& error) {
             why = error.what();
         }
         return why.empty();

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include <relidar/base/error.hpp>
+#include <relidar/gpu/out_of_memory.hpp>
 #include <relidar/gpu/stream.hpp>
 
 namespace relidar {
@@ -22,7 +23,7 @@ inline std::string describe_missing_memory(Device& device, double n_bytes) {
         for (; n_bytes > 0.0; n_bytes -= kPiece)
             pieces.emplace_back(device, static_cast<std::size_t>(std::min(std::max(n_bytes, 4.0), kPiece)),
                                 "more surfels");
-    } catch (const DeviceError& error) {
+    } catch (const OutOfDeviceMemory& error) {
         return error.what();
     }
     return {};

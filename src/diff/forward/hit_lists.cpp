@@ -8,6 +8,7 @@
 #include <utility>
 
 #include <relidar/base/error.hpp>
+#include <relidar/gpu/out_of_memory.hpp>
 
 namespace relidar {
 namespace {
@@ -62,7 +63,7 @@ void HitLists::make_hits(std::size_t n_lists) {
         try {
             hits_ = Array<shared::Hit>(device_, n_lists * room_, "lists of hits");
             break;
-        } catch (const DeviceError&) {  // not enough memory for this capacity
+        } catch (const OutOfDeviceMemory&) {  // not enough memory for this capacity
         }
     }
     hits_room_ = room_;
@@ -74,7 +75,7 @@ void HitLists::make_hits(std::size_t n_lists) {
 /// may wait for it. Reads the count only after its submission is finished, so that the
 /// host never waits here.
 bool HitLists::needs_more_room(Stream& stream) {
-    if (!overflows_.pending() || get_impl(stream).last_ticket + 1 < counted_until_ + Stream::Impl::kSlots)
+    if (!overflows_.pending() || stream.impl().last_ticket + 1 < counted_until_ + Stream::Impl::kSlots)
         return false;
     std::uint32_t count = 0;
     std::memcpy(&count, overflows_.wait(stream), sizeof count);
@@ -104,7 +105,7 @@ shared::HitLists HitLists::make_room(Stream& stream, std::size_t n_threads, cons
     try {
         if (lengths_.size() < n)
             lengths_ = Array<std::uint32_t, shared::ListLengths>(device_, n, "lengths of lists of hits");
-    } catch (const DeviceError&) {  // not enough memory for lists
+    } catch (const OutOfDeviceMemory&) {  // not enough memory for lists
         return {};
     }
     const std::uint32_t room = in_kept ? kept->per_ray : room_;
@@ -117,7 +118,7 @@ shared::HitLists HitLists::make_room(Stream& stream, std::size_t n_threads, cons
 void HitLists::count_overflows(Stream& stream) {
     if (!grows_ || room_ >= most_room_ || overflows_.pending()) return;
     overflows_.record(stream, n_overflows_.buffer(), sizeof(std::uint32_t));
-    counted_until_ = get_impl(stream).last_ticket + 1;
+    counted_until_ = stream.impl().last_ticket + 1;
 }
 
 void HitLists::run(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,

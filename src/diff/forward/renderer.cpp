@@ -9,6 +9,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+#include <relidar/gpu/out_of_memory.hpp>
 
 #include "diff/shared/trace.h"
 #include "gpu/context.hpp"
@@ -47,9 +48,21 @@ struct Renderer::Impl {
 
     void make_room(std::size_t n_rays) {
         rendered = Array<shared::RenderedRay>(device, n_rays, "rendered rays");
-        allocate_kept_hits(n_rays);
+        keep_fewer_hits_if_needed(n_rays);
         if (options.trace.has_surfaces()) surfaces.emplace(device, n_rays, "surfaces of rays");
         batch = {{}, &rendered, nullptr, kept ? &*kept : nullptr, surfaces ? &*surfaces : nullptr};
+    }
+
+    /// Halves the number of kept hits until they fit into the device memory. The backward
+    /// pass traces a ray again if not all its hits are kept.
+    void keep_fewer_hits_if_needed(std::size_t n_threads) {
+        for (;; options.keep_hits /= 2) {
+            try {
+                return allocate_kept_hits(n_threads);
+            } catch (const OutOfDeviceMemory&) {
+                if (options.keep_hits == 0) throw;
+            }
+        }
     }
 
     void allocate_kept_hits(std::size_t n_threads) {
@@ -64,14 +77,15 @@ struct Renderer::Impl {
 Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model,
                    const RendererOptions& options)
     : impl_(std::make_unique<Impl>(device, scene, model, options)) {}
-Renderer::~Renderer() {
-    // Waits, because the device may still use the arrays of this renderer. On a stream of
-    // the caller, the recorded commands may use them too.
+Renderer::~Renderer() { wait_for_device(); }
+
+void Renderer::wait_for_device() noexcept {
+    // On a stream of the caller, recorded commands may use the arrays too.
     try {
         if (!impl_->local_stream) impl_->stream.finish();
     } catch (const Error&) {  // nothing to do, because a lost device no longer uses memory
     }
-    get_impl(impl_->device).wait_idle();
+    impl_->device.impl().wait_idle();
 }
 
 void Renderer::place(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m) {
@@ -106,7 +120,7 @@ void Renderer::record_forward(const RayBatch& rays) {
     // threads than rays.
     if (r.kept && !r.kept->hold(rays)) {
         r.stream.finish();
-        r.allocate_kept_hits(trace_threads(rays));
+        r.keep_fewer_hits_if_needed(trace_threads(rays));
     }
     r.batch.rays = rays;
     // Eq. 2-4 of the paper
@@ -146,7 +160,7 @@ Rendering Renderer::download_rendering() {
 
 std::uint32_t Renderer::kept_hits() const { return impl_->options.keep_hits; }
 
-bool Renderer::keep_hits(std::uint32_t per_ray) {
+void Renderer::keep_hits(std::uint32_t per_ray) {
     Impl& r = *impl_;
     r.stream.finish();
     const std::uint32_t before = std::exchange(r.options.keep_hits, per_ray);
@@ -154,11 +168,10 @@ bool Renderer::keep_hits(std::uint32_t per_ray) {
         std::max(r.rendered.size(), r.kept ? r.kept->hits.size() / r.kept->per_ray : 0);
     try {
         r.allocate_kept_hits(n_threads);
-        return true;
-    } catch (const DeviceError&) {
+    } catch (const OutOfDeviceMemory&) {
         r.options.keep_hits = before;
-        r.allocate_kept_hits(n_threads);
-        return false;
+        r.keep_fewer_hits_if_needed(n_threads);
+        throw;
     }
 }
 

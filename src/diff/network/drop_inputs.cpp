@@ -100,8 +100,8 @@ void DropInputs::make(Stream& stream, std::span<const Chosen> chosen, shared::Dr
         turns.push_back(c.turn);
     }
     start_.reserve(stream.device(), images.grid.all_pixels(), "rendered logits");
-    params.chosen = get_impl(stream).values(samples).as<shared::ChosenSamples>();
-    params.turn = get_impl(stream).values(turns).as<shared::SampleTurns>();
+    params.chosen = stream.impl().values(samples).as<shared::ChosenSamples>();
+    params.turn = stream.impl().values(turns).as<shared::SampleTurns>();
     params.scale_shift = scale_shift_.address();
     params.images = images.values.address();
     params.start = start_.address();

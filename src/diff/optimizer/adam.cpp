@@ -103,7 +103,7 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g,
              .n_listed = listed ? a.list->count() : Address<std::uint32_t, shared::TouchedCount>{},
              .bounds = group.scales && a.max_log_scale.size() > 0 ? a.max_log_scale.address(first)
                                                                   : Address<float, shared::ScaleBounds>{},
-             .model_scale = (by_model ? get_impl(stream).values(rates.mean_factors) : Address<float>{})
+             .model_scale = (by_model ? stream.impl().values(rates.mean_factors) : Address<float>{})
                                 .as<shared::ModelRates>(),
              .models = by_model ? rates.models->address() : Address<shared::ModelEntry>{},
              .learning_rate = static_cast<float>(rates.*group.rate * rest_factor),

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adds the backward pass and its gradients to the renderer.
+// Computes gradients with a renderer, a backward pass and arrays for the gradients.
 #include <relidar/diff/differentiable_renderer.hpp>
 
 #include <algorithm>
@@ -53,12 +53,21 @@ std::vector<float> values_of(const Array<float>& array, std::size_t count) {
 }  // namespace
 
 struct DifferentiableRenderer::Impl {
+    Renderer renderer;
     GradientOptions options;
     BackwardPass backward;
     std::optional<Gradients> gradients;  ///< no value while surfels are added or removed
     Array<shared::RayGradient> upstream;
 
-    void make_gradients(Renderer& renderer) {
+    Impl(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& of_renderer,
+         const GradientOptions& of_gradients)
+        : renderer(device, scene, model, of_renderer),
+          options(of_gradients),
+          backward(device, model, renderer.accel().proxy(), of_renderer.trace, of_gradients.sums),
+          upstream(device, of_renderer.n_rays, "loss gradients") {
+        make_gradients();
+    }
+    void make_gradients() {
         gradients.emplace(renderer.stream().device(), renderer.scene(), options.wanted, room(renderer));
         gradients->zero_untouched = options.zero_untouched;
     }
@@ -67,33 +76,30 @@ struct DifferentiableRenderer::Impl {
 DifferentiableRenderer::DifferentiableRenderer(Device& device, const Scene& scene, const ImageModel& model,
                                                const RendererOptions& options,
                                                const GradientOptions& gradients)
-    : Renderer(device, scene, model, options),
-      impl_(new Impl{gradients,
-                     BackwardPass(device, model, accel().proxy(), options.trace, gradients.sums),
-                     std::nullopt,
-                     {device, options.n_rays, "loss gradients"}}) {
-    impl_->make_gradients(*this);
-}
+    : impl_(std::make_unique<Impl>(device, scene, model, options, gradients)) {}
 
-DifferentiableRenderer::~DifferentiableRenderer() = default;
+DifferentiableRenderer::~DifferentiableRenderer() { impl_->renderer.wait_for_device(); }
 
 RenderedBatch DifferentiableRenderer::batch() {
-    Device& device = stream().device();
-    const std::size_t n_rays = room(*this);
+    Renderer& renderer = impl_->renderer;
+    Device& device = renderer.stream().device();
+    const std::size_t n_rays = room(renderer);
     if (impl_->upstream.size() < n_rays) {  // the maximum number of rays per batch has grown
-        stream().finish();
+        renderer.stream().finish();
         impl_->upstream = Array<shared::RayGradient>(device, n_rays, "loss gradients");
         if (impl_->options.wanted.rays) impl_->gradients->rays = {device, 6 * n_rays, "ray gradient"};
     }
-    RenderedBatch result = rendered();
+    RenderedBatch result = renderer.rendered();
     result.upstream = &impl_->upstream;
     return result;
 }
 
 void DifferentiableRenderer::record_backward() {
-    impl_->backward.set_sh_degree(model().sh_degree);
+    Renderer& renderer = impl_->renderer;
+    impl_->backward.set_sh_degree(renderer.model().sh_degree);
     // Eq. 9 of the paper
-    impl_->backward.run(stream(), scene(), accel(), batch(), view_origin_m(), *impl_->gradients);
+    impl_->backward.run(renderer.stream(), renderer.scene(), renderer.accel(), batch(),
+                        renderer.view_origin_m(), *impl_->gradients);
 }
 
 HostGradients DifferentiableRenderer::backward(const RenderedGradients& d_rendered) {
@@ -101,26 +107,31 @@ HostGradients DifferentiableRenderer::backward(const RenderedGradients& d_render
     const std::size_t n_rays = last.rays.n_rays;
     if (last.rays.rays == nullptr)
         throw UsageError("cannot compute gradients: nothing was rendered; call forward() first");
-    stream().finish();
+    Stream& stream = impl_->renderer.stream();
+    stream.finish();
     impl_->upstream.upload(make_ray_gradients(d_rendered, n_rays));
     record_backward();
-    stream().finish();
+    stream.finish();
     const Gradients& g = *impl_->gradients;
-    return {g.surfels.download(), g.touched.download(scene().size()), values_of(g.poses, g.poses.size()),
-            values_of(g.sensor, g.sensor.size()), values_of(g.rays, 6 * n_rays)};
+    return {g.surfels.download(), g.touched.download(impl_->renderer.scene().size()),
+            values_of(g.poses, g.poses.size()), values_of(g.sensor, g.sensor.size()),
+            values_of(g.rays, 6 * n_rays)};
 }
 
 void DifferentiableRenderer::change_surfels(const std::function<void(double others_bytes)>& change) {
-    const Device& device = stream().device();
-    stream().finish();
+    Renderer& renderer = impl_->renderer;
+    const Device& device = renderer.stream().device();
+    renderer.stream().finish();
     const std::uint64_t before = device.allocated_bytes();
-    release_accel();
+    renderer.release_accel();
     impl_->gradients.reset();
-    change(double(before - device.allocated_bytes()) / std::max(scene().size(), 1u));
-    impl_->make_gradients(*this);
-    make_accel();
+    change(double(before - device.allocated_bytes()) / std::max(renderer.scene().size(), 1u));
+    impl_->make_gradients();
+    renderer.make_accel();
 }
 
+Renderer& DifferentiableRenderer::renderer() { return impl_->renderer; }
+const Renderer& DifferentiableRenderer::renderer() const { return impl_->renderer; }
 Gradients& DifferentiableRenderer::gradients() { return *impl_->gradients; }
 BackwardPass& DifferentiableRenderer::backward_pass() { return impl_->backward; }
 

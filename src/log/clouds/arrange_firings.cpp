@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <complex>
-#include <map>
 
 #include "log/sensor/beam_geometry.hpp"
 
@@ -59,8 +58,12 @@ Sweep arrange_firings(Points& points, const std::vector<int>& numbers, const Spi
                       double step_rad) {
     std::map<int, double> heads = compute_head_azimuths(points, numbers, sensor, step_rad);
     add_end_of_turn(heads, sensor.columns, step_rad);
+    return sort_firings(points, numbers, heads);
+}
+
+Sweep sort_firings(Points& points, const std::vector<int>& numbers, const std::map<int, double>& head_rad) {
     std::vector<std::pair<double, int>> by_azimuth;
-    for (const auto& [number, head] : heads) by_azimuth.emplace_back(-head, number);
+    for (const auto& [number, head] : head_rad) by_azimuth.emplace_back(-head, number);
     std::sort(by_azimuth.begin(), by_azimuth.end());
     Sweep sweep{{kTicks, 0.0}, {}};
     std::map<int, std::uint32_t> place;

@@ -3,6 +3,7 @@
 // times, or whose points are stored in the order of the firings.
 #pragma once
 
+#include <map>
 #include <vector>
 
 #include <relidar/log/clouds.hpp>
@@ -23,5 +24,11 @@ namespace relidar {
 /// for a head that rotates clockwise
 Sweep arrange_firings(Points& points, const std::vector<int>& numbers, const SpinningSensor& sensor,
                       double step_rad);
+
+/// Sorts firings with known azimuths by azimuth, and assigns each point to its firing.
+/// @param numbers  [points] firing number of each point
+/// @param head_rad  azimuth of the head for each firing number, also for firings without
+/// points
+Sweep sort_firings(Points& points, const std::vector<int>& numbers, const std::map<int, double>& head_rad);
 
 }  // namespace relidar

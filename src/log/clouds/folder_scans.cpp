@@ -13,6 +13,7 @@
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 
+#include "base/median.hpp"
 #include "base/progress_blocks.hpp"
 #include "log/clouds/broken_scans.hpp"
 #include "log/clouds/dropped_ray.hpp"
@@ -201,9 +202,7 @@ private:
             if (frame.time_s > before_s) steps.push_back(frame.time_s - before_s);
             before_s = frame.time_s;
         }
-        if (steps.empty()) return kUsualPeriod_s;
-        std::nth_element(steps.begin(), steps.begin() + std::ptrdiff_t(steps.size() / 2), steps.end());
-        return steps[steps.size() / 2];
+        return steps.empty() ? kUsualPeriod_s : compute_median(std::move(steps));
     }
 
     /// Sets the sweep period of a LiDAR whose files contain rays. If the beams of the

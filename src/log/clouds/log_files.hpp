@@ -72,6 +72,12 @@ std::vector<Pose> read_oxts_poses(const std::filesystem::path& drive, const std:
 /// as 12 numbers: a 3x4 matrix, row-major.
 std::vector<Pose> read_pose_file(const std::filesystem::path& file, const std::vector<int>& frames);
 
+/// Reads the LiDAR poses of some frames from a file of the user: matrices as in
+/// read_pose_file(), or poses with times (see folder::read_poses()).
+/// @param time_s  [frames] times of the frames
+std::vector<Pose> read_user_poses(const std::filesystem::path& file, const std::vector<int>& frames,
+                                  const std::vector<double>& time_s, std::vector<std::string>& notes);
+
 /// Note that is added to a log if the user requested to load it without poses.
 inline constexpr const char* kNoPosesNote =
     "poses are not read (dataset.poses=none); they must be estimated from the scans";

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/median.hpp"
+
 namespace relidar {
 
 double compute_median_step_s(std::vector<double> times_s) {
@@ -11,9 +13,8 @@ double compute_median_step_s(std::vector<double> times_s) {
     std::ranges::sort(times_s);
     std::vector<double> steps;
     for (std::size_t i = 1; i < times_s.size(); ++i) steps.push_back(times_s[i] - times_s[i - 1]);
-    const auto middle = steps.begin() + std::ptrdiff_t(steps.size() / 2);
-    std::ranges::nth_element(steps, middle);
-    return *middle > 1e-3 ? *middle : 0.1;
+    const double step_s = compute_median(std::move(steps));
+    return step_s > 1e-3 ? step_s : 0.1;
 }
 
 std::vector<std::optional<std::size_t>> match_sweeps(const std::vector<double>& main_s,

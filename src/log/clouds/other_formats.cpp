@@ -17,8 +17,7 @@ struct OtherFormat {
     const char* tool;
 };
 constexpr OtherFormat kOtherFormats[] = {
-    {".las", "a LAS file", "convert it with 'pdal translate IN.las OUT.ply'"},
-    {".laz", "a LAZ file", "convert it with 'pdal translate IN.laz OUT.ply'"},
+    {".laz", "a LAZ file", "convert it with 'pdal translate IN.laz OUT.las'"},
     {".e57", "an E57 file", "convert it with 'pdal translate IN.e57 OUT.ply'"},
     {".pts", "a PTS file", "save it as PLY with CloudCompare"},
     {".ptx", "a PTX file", "save it as PLY with CloudCompare"},

@@ -112,11 +112,6 @@ NumberType parse_point_type(const PointField& field, const std::string& location
         location, make_excerpt(field.name), make_excerpt(std::string(1, field.kind)), field.size));
 }
 
-void check_count(std::size_t count, const std::string& location) {
-    if (count == 0 || count > kMostPoints)
-        throw DataError(fmt::format("{}: found {} points, expected 1 to {}", location, count, kMostPoints));
-}
-
 PointTable read_bin(const fs::path& file, const std::vector<std::string>& columns) {
     const SharedBytes data = share_bytes(read_file(file));
     const std::size_t n_bytes = data.bytes.size();
@@ -182,6 +177,11 @@ std::vector<std::string> PointTable::names(PointValue value) const {
     std::vector<std::string> names;
     for (auto& [row, is_other, name] : ranked) names.push_back(std::move(name));
     return names;
+}
+
+void check_count(std::size_t count, const std::string& location) {
+    if (count == 0 || count > kMostPoints)
+        throw DataError(fmt::format("{}: {} points, expected 1 to {}", location, count, kMostPoints));
 }
 
 const FieldValues* PointTable::find(const std::string& name) const {
@@ -273,7 +273,7 @@ PointTable read_lines(std::string_view text, const std::vector<PointField>& fiel
 bool is_point_file(const fs::path& file) {
     const std::string ending = file.extension().string();
     return ending == ".pcd" || ending == ".ply" || ending == ".bin" || ending == ".npy" || ending == ".csv" ||
-           ending == ".xyz";
+           ending == ".xyz" || ending == ".las";
 }
 
 bool is_image_file(const fs::path& file) { return file.extension() == ".npz" || file.extension() == ".exr"; }
@@ -306,13 +306,14 @@ PointTable read_point_file(const fs::path& file, const std::vector<std::string>&
     if (ending == ".npy") return read_npy_points(file, columns.empty() ? kKitti : columns);
     if (ending == ".pcd") return read_with_header(file, read_pcd);
     if (ending == ".ply") return read_with_header(file, read_ply);
+    if (ending == ".las") return read_las(share_bytes(read_file(file)), file.string());
     if (ending == ".csv" || ending == ".xyz")
         return read_text_points(share_bytes(read_file(file)), columns, file.string());
     if (const std::string other = describe_other_format(file); !other.empty())
         throw DataError(fmt::format("{}: {}", file.string(), other));
     throw DataError(
         fmt::format("{}: found the file name ending '{}', expected .npz, .exr, .pcd, .ply, .bin, .npy, "
-                    ".csv or .xyz",
+                    ".las, .csv or .xyz",
                     file.string(), make_excerpt(ending)));
 }
 

@@ -34,6 +34,17 @@ enum class NumberType : std::uint8_t { f4, f8, i1, i2, i4, i8, u1, u2, u4, u8 };
 /// Values of one field for all points. The values are not copied and keep the number type
 /// of the file.
 class FieldValues {
+    // This function precedes its uses, because older versions of clang cannot deduce its
+    // return type otherwise.
+    template <class T>
+    auto reader() const {
+        return [first = first_, step = step_](std::size_t index) {
+            T value;
+            std::memcpy(&value, first + index * step, sizeof value);
+            return value;
+        };
+    }
+
 public:
     /// Creates a view of values in memory.
     /// @param first  address of the value of point 0
@@ -80,15 +91,6 @@ private:
     const char* first_;
     std::size_t step_;
     NumberType type_;
-
-    template <class T>
-    auto reader() const {
-        return [first = first_, step = step_](std::size_t index) {
-            T value;
-            std::memcpy(&value, first + index * step, sizeof value);
-            return value;
-        };
-    }
 };
 
 /// The fields of a point cloud that relidar reads. Copies of a table share the memory of
@@ -148,6 +150,9 @@ enum class Packing {
     by_field   ///< all values of the first field, followed by all values of the second field, and so on
 };
 
+/// Checks the number of points of a file.
+/// @throws DataError if there are no points, or too many for one scan
+void check_count(std::size_t count, const std::string& location);
 /// Returns a table of binary little-endian numbers. Does not copy the values.
 /// @throws DataError if a number type does not exist or if the data is too short
 PointTable read_packed(const SharedBytes& data, const std::vector<PointField>& fields, std::size_t count,
@@ -167,6 +172,9 @@ bool is_image_file(const std::filesystem::path& file);
 /// @throws DataError with the name of the file
 PointTable read_point_file(const std::filesystem::path& file, const std::vector<std::string>& columns);
 
+/// Reads a LAS file that contains one scan.
+/// @throws DataError if the points do not surround the origin, where the sensor must be
+PointTable read_las(const SharedBytes& file, const std::string& location);
 /// Reads a PCD or PLY file. The header of the file describes the fields.
 PointTable read_pcd(const SharedBytes& file, const std::string& location);
 PointTable read_ply(const SharedBytes& file, const std::string& location);

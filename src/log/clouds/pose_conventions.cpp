@@ -29,6 +29,34 @@ bool is_compared(const glm::vec3& point_m) {
     return range_m > kNear_m && range_m < kFar_m;
 }
 
+constexpr std::size_t kPairs = 5;  // number of pairs of scans that are compared
+
+/// Returns the returns of a frame as points in the vehicle frame.
+std::vector<glm::vec3> vehicle_points(const Sequence& sequence, const Frame& frame) {
+    const Pose& mounting = sequence.get_lidar(frame).vehicle_from_sensor;
+    const RayTable& rays = frame.scan.rays;
+    std::vector<glm::vec3> points_m;
+    for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
+        if (const float range_m = frame.scan.range_m[i]; range_m > 0.0f)
+            points_m.emplace_back(mounting * glm::dvec3(rays.origin[i] + range_m * rays.direction[i]));
+    return points_m;
+}
+
+/// Returns pairs of consecutive scans of the first LiDAR, evenly spread over the log.
+ScanPairs format_pairs(const Sequence& sequence) {
+    std::vector<const Frame*> frames;
+    for (const Frame& frame : sequence.frames)
+        if (frame.lidar == 0 && frame.scan.count_returns() > 0) frames.push_back(&frame);
+    ScanPairs pairs;
+    const std::size_t n = frames.empty() ? 0 : std::min(kPairs, frames.size() - 1);
+    for (std::size_t k = 0; k < n; ++k) {
+        const std::size_t i = k * (frames.size() - 1) / n;
+        pairs.add(frames[i]->time_s, vehicle_points(sequence, *frames[i]), frames[i + 1]->time_s,
+                  vehicle_points(sequence, *frames[i + 1]));
+    }
+    return pairs;
+}
+
 }  // namespace
 
 void ScanPairs::add(double first_s, std::vector<glm::vec3> first_m, double second_s,
@@ -84,6 +112,22 @@ std::size_t choose_reading(const std::vector<PoseReading>& readings, const ReadP
                         "forward, but only {:.2f} m if poses are read as {}",
                         location, readings[best].about, forward[best], forward[0], readings[0].about));
     return best;
+}
+
+void correct_inverse_poses(Sequence& sequence) {
+    if (!sequence.has_poses) return;
+    PoseTrack invert_track = sequence.world_from_vehicle;
+    for (Pose& pose : invert_track.pose) {
+        pose.translation += sequence.world_offset_m;
+        pose = inverse(pose);
+    }
+    const std::vector<PoseReading> readings = {{"world-from-sensor poses", sequence.world_from_vehicle},
+                                               {"sensor-from-world poses", std::move(invert_track), true}};
+    const auto read_pairs = [&] { return format_pairs(sequence); };
+    if (choose_reading(readings, read_pairs, sequence.source, sequence.notes) == 0) return;
+    set_vehicle_poses(sequence, readings[1].world_from_vehicle);
+    sequence.world_offset_m = glm::dvec3(0.0);
+    recentre_sequence(sequence);
 }
 
 }  // namespace relidar::folder

@@ -55,4 +55,9 @@ using ReadPairs = std::function<ScanPairs()>;
 std::size_t choose_reading(const std::vector<PoseReading>& readings, const ReadPairs& read_pairs,
                            const std::string& location, std::vector<std::string>& notes);
 
+/// Inverts the poses of a log if they are sensor-from-world poses. Then the vehicle of
+/// the inverted poses drives forward, and consecutive scans overlap better. In this case,
+/// also adds a note. The scans of the log must have been read.
+void correct_inverse_poses(Sequence& sequence);
+
 }  // namespace relidar::folder

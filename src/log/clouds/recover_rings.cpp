@@ -65,6 +65,52 @@ struct Band {
     double elevation_rad;  ///< median elevation of the band
 };
 
+/// Returns the groups of bins with at least `least` points each. Groups are separated by
+/// more than kLeastGap other bins.
+std::vector<Band> group_bins(const std::vector<int>& count, double least) {
+    std::vector<Band> bands;
+    for (int b = 0; b < int(count.size()); ++b) {
+        if (count[std::size_t(b)] == 0 || count[std::size_t(b)] < least) continue;
+        if (bands.empty() || b - bands.back().last > kLeastGap) bands.push_back({b, b, 0.0});
+        bands.back().last = b;
+    }
+    return bands;
+}
+
+/// Adds bands with few points, which belong to beams with few returns. Such a band is
+/// narrow, and its distance from the previous band is nearly the usual distance there.
+/// Stray points have no such regular distances.
+/// @param groups  groups of all bins with points, in the order of the search
+/// @param bands  bands with enough points, in the same order
+std::vector<Band> add_weak_bands(const std::vector<Band>& groups, const std::vector<Band>& bands) {
+    constexpr double kNearest = 0.75, kFarthest = 1.35;  // distances, relative to the usual distance
+    constexpr int kWidestWeak = 2;
+    std::vector<Band> complete;
+    double usual = 0.0;       // distance between the last two bands
+    bool is_regular = false;  // false after a group of stray points, until the next band
+    const auto distance = [](const Band& first, const Band& second) {
+        return 0.5 * std::abs(double(second.first + second.last) - double(first.first + first.last));
+    };
+    const auto add = [&](const Band& band) {
+        if (!complete.empty()) usual = distance(complete.back(), band);
+        is_regular = complete.size() > 0;
+        complete.push_back(band);
+    };
+    std::size_t next = 0;
+    for (const Band& group : groups) {
+        const std::size_t first = next;
+        while (next < bands.size() && bands[next].first >= group.first && bands[next].last <= group.last)
+            add(bands[next++]);
+        if (next > first || !is_regular) continue;
+        const double apart = distance(complete.back(), group);
+        is_regular = apart > kNearest * usual && apart < kFarthest * usual &&
+                     group.last - group.first <= kWidestWeak &&
+                     (next == bands.size() || distance(group, bands[next]) > kNearest * usual);
+        if (is_regular) add(group);
+    }
+    return complete;
+}
+
 /// Returns the bands of the histogram. A band is a group of consecutive bins that are not
 /// empty.
 std::vector<Band> find_bands(const std::vector<double>& elevations) {
@@ -77,11 +123,11 @@ std::vector<Band> find_bands(const std::vector<double>& elevations) {
     if (full.empty()) return {};
     std::nth_element(full.begin(), full.begin() + std::ptrdiff_t(full.size() * 9 / 10), full.end());
     const double least = kStray * full[full.size() * 9 / 10];
-    std::vector<Band> bands;
-    for (int b = 0; b < n_bins; ++b) {
-        if (count[std::size_t(b)] == 0 || count[std::size_t(b)] < least) continue;
-        if (bands.empty() || b - bands.back().last > kLeastGap) bands.push_back({b, b, 0.0});
-        bands.back().last = b;
+    std::vector<Band> groups = group_bins(count, 1.0), bands = group_bins(count, least);
+    for (int pass = 0; pass < 2; ++pass) {  // upward, then downward
+        bands = add_weak_bands(groups, bands);
+        std::ranges::reverse(groups);
+        std::ranges::reverse(bands);
     }
     for (Band& band : bands) {
         const auto begin = std::partition_point(elevations.begin(), elevations.end(),

@@ -13,6 +13,7 @@
 
 #include "base/csv.hpp"
 #include "base/files.hpp"
+#include "base/median.hpp"
 #include "log/clouds/folder_points.hpp"
 #include "log/clouds/log_files.hpp"
 #include "log/clouds/point_meaning.hpp"
@@ -142,9 +143,7 @@ bool are_near_beams(const std::vector<Points>& samples, const FittedSensor& fit)
             const glm::dvec3 p(scan.position_m[i]);
             off.push_back(std::abs(std::atan2(p.z, std::hypot(p.x, p.y)) - beams[b].elevation_rad) / apart);
         }
-    const auto middle = off.begin() + std::ptrdiff_t(off.size() / 2);
-    std::nth_element(off.begin(), middle, off.end());
-    return *middle < kNearBeam;
+    return compute_median(std::move(off)) < kNearBeam;
 }
 
 /// Fits the nominal beams to the points. Returns nothing if the points come from another

@@ -151,11 +151,10 @@ std::vector<FiredColumn> find_firings(const Scan& scan, double time_s, const Spi
     if (has_laser_times) correct_empty_times(columns, sensor.period_s);
     sort_by_rotation(columns, sensor.period_s);
     // A log may store a firing twice to complete its image, so remove the duplicates.
-    const auto repeated =
-        std::ranges::unique(columns, [&](const FiredColumn& before, const FiredColumn& after) {
-            return 1e6 * std::abs(before.time_s - after.time_s) < kSameFiring_us;
-        });
-    columns.erase(repeated.begin(), repeated.end());
+    const auto is_repeat = [&](const FiredColumn& before, const FiredColumn& after) {
+        return 1e6 * std::abs(before.time_s - after.time_s) < kSameFiring_us;
+    };
+    columns.erase(std::unique(columns.begin(), columns.end(), is_repeat), columns.end());
     for (FiredColumn& column : columns) column.time_s += time_s;
     return columns;
 }

@@ -17,6 +17,7 @@
 #include "log/clouds/log_files.hpp"
 #include "log/clouds/other_formats.hpp"
 #include "log/clouds/point_table.hpp"
+#include "log/clouds/pose_conventions.hpp"
 #include "log/readers/argoverse2/argoverse2.hpp"
 #include "log/readers/bag/load_ros_bag.hpp"
 #include "log/readers/boreas/boreas.hpp"
@@ -39,7 +40,7 @@ struct DatasetKind {
     const char* name;
     /// Names that identify this kind of dataset, separated by blanks. A path matches if
     /// it contains one of these files or folders. "name*" matches every name that begins
-    /// with "name". ".ending" matches a file with this extension, or a folder that
+    /// with "name". ".ending" matches a file whose name has this ending, or a folder that
     /// contains such a file.
     const char* marker;
     const char* describe;
@@ -65,7 +66,7 @@ constexpr DatasetKind kKinds[] = {
     {"folder", "sequence.json", "a plain folder", load_plain_folder},
     {"synthetic", "street.toml", "a synthetic street", load_synthetic},
     {"rosbag", ".mcap .db3 .bag metadata.yaml", "a ROS bag", load_ros_bag},
-    {"pcap", ".pcap .pcapng", "a capture of LiDAR packets", load_ros_bag},
+    {"pcap", ".pcap .pcapng .pcap.gz .pcapng.gz", "a capture of LiDAR packets", load_ros_bag},
 };
 
 std::vector<std::string> list_kind_names() {
@@ -87,7 +88,7 @@ bool has_marker(const fs::path& path, std::string_view marker) {
     if (!marker.starts_with('.') && !marker.ends_with('*')) return does_path_exist(path / marker);
     const auto matches = [&](const fs::path& file) {
         return marker.starts_with('.')
-                   ? file.extension() == marker
+                   ? file.filename().string().ends_with(marker)
                    : file.filename().string().starts_with(marker.substr(0, marker.size() - 1));
     };
     if (!does_path_exist(path)) return false;
@@ -232,20 +233,30 @@ void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
     note_outside_range(sequence, counts);
 }
 
-/// Adds a note if the log has no intensities: the log has returns, but all of their
-/// intensities are 0.
+/// Adds a note if the log has no intensities: the log has returns, but all of them have
+/// the same intensity.
 void note_missing_intensities(Sequence& sequence) {
-    std::vector<char> has_returns(sequence.frames.size(), 0), has_intensities(sequence.frames.size(), 0);
-    parallel_for(static_cast<int>(has_returns.size()), [&](int index) {
+    constexpr float kNone = -1.0f, kSeveral = -2.0f;
+    // [frames] intensity of all returns of the frame, or one of the constants above
+    std::vector<float> common(sequence.frames.size(), kNone);
+    const auto add = [&](float& all, float intensity) {
+        if (all == kNone) all = intensity;
+        else if (intensity != kNone && intensity != all) all = kSeveral;
+    };
+    parallel_for(static_cast<int>(common.size()), [&](int index) {
         const Scan& scan = sequence.frames[std::size_t(index)].scan;
-        has_returns[std::size_t(index)] = scan.count_returns() > 0;
-        has_intensities[std::size_t(index)] =
-            std::ranges::any_of(scan.intensity, [](float v) { return v > 0.0f; });
+        for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray)
+            if (scan.range_m[ray] > 0.0f) add(common[std::size_t(index)], scan.intensity[ray]);
     });
-    if (std::ranges::count(has_returns, 1) > 0 && std::ranges::count(has_intensities, 1) == 0)
-        sequence.notes.push_back(
-            "the log has no intensities (all are 0), so rendered intensities have no meaning and are "
-            "not scored");
+    float all = kNone;
+    for (const float intensity : common) add(all, intensity);
+    if (all < 0.0f) return;
+    const std::string note =
+        fmt::format("the log has no intensities (all are {}), so rendered intensities have no meaning{}",
+                    all == 0.0f ? "0" : fmt::format("{:.4g} of the maximum", all),
+                    all == 0.0f ? " and are not scored" : "");
+    // a converted log may already have the note
+    if (std::ranges::find(sequence.notes, note) == sequence.notes.end()) sequence.notes.push_back(note);
 }
 
 /// Keeps only the LiDARs with the given names, in the order of the log. Removes the
@@ -377,6 +388,7 @@ Sequence load_sequence(const std::string& dataset, const DatasetOptions& options
     check_sequence(sequence);
     check_gaps(sequence);
     if (!options.lidars.empty()) keep_lidars(sequence, options.lidars);
+    folder::correct_inverse_poses(sequence);
     find_sweeps(sequence);
     drop_far_marker(sequence);
     apply_limits(sequence, {options.min_range_m, options.max_range_m});

@@ -10,6 +10,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/median.hpp"
 #include "base/parallel.hpp"
 #include "log/registration/loops.hpp"
 #include "log/registration/odometry.hpp"
@@ -103,8 +104,7 @@ double compute_median_share(const PlaneAdjustment& adjustment, const PlaneMap& m
     });
     for (std::size_t k = 0; k < all.size(); ++k)
         if (among[k]) shares.push_back(all[k]);
-    std::nth_element(shares.begin(), shares.begin() + std::ptrdiff_t(shares.size() / 2), shares.end());
-    return shares[shares.size() / 2];
+    return compute_median(std::move(shares));
 }
 
 }  // namespace

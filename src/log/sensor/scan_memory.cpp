@@ -162,14 +162,6 @@ std::uint64_t get_machine_memory() {
     return bytes;
 }
 
-/// Adds a number of bytes to the used memory.
-/// @return false if the memory limit would be exceeded; the used memory is then unchanged
-bool take(Memory& m, std::size_t bytes) {
-    if (m.used.fetch_add(bytes) + bytes <= m.limit) return true;
-    m.used -= bytes;
-    return false;
-}
-
 }  // namespace
 
 void limit_scan_memory(std::uint64_t bytes, const fs::path& folder) {
@@ -189,7 +181,10 @@ ScanMemoryUse get_scan_memory_use() {
 void* allocate_scan_array(std::size_t bytes) {
     if (bytes < kSmall) return ::operator new(bytes);
     Memory& m = memory();
-    if (!take(m, bytes)) return m.mapped().allocate(bytes);
+    if (m.used.fetch_add(bytes) + bytes > m.limit) {
+        m.used -= bytes;
+        return m.mapped().allocate(bytes);
+    }
     try {
         return ::operator new(bytes);
     } catch (...) {

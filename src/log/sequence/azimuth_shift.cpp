@@ -7,6 +7,8 @@
 
 #include <relidar/log/sequence.hpp>
 
+#include "base/median.hpp"
+
 namespace relidar {
 namespace {
 
@@ -36,26 +38,18 @@ void visit_rays(const SpinningSensor& sensor, const Visit& visit) {
     }
 }
 
-float compute_median(std::vector<float>& values) {
-    const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
-    std::nth_element(values.begin(), middle, values.end());
-    return *middle;
-}
-
 /// Fills in the shifts of unknown firings (NAN) by interpolation between the neighbouring
-/// known firings.
-/// @return true if at least one firing is known
-bool fill_shift_gaps(std::vector<float>& shift_rad) {
+/// known firings. Removes all shifts if no firing is known.
+void fill_shift_gaps(std::vector<float>& shift_rad) {
     const auto is_known = [](float shift) { return !std::isnan(shift); };
     auto last = std::ranges::find_if(shift_rad, is_known);
-    if (last == shift_rad.end()) return false;
+    if (last == shift_rad.end()) return shift_rad.clear();
     std::fill(shift_rad.begin(), last, *last);
     for (auto next = last; next != shift_rad.end(); last = next) {
         next = std::find_if(last + 1, shift_rad.end(), is_known);
         const float step = next == shift_rad.end() ? 0.0f : (*next - *last) / static_cast<float>(next - last);
         for (auto gap = last + 1; gap != next; ++gap) *gap = *(gap - 1) + step;
     }
-    return true;
 }
 
 }  // namespace
@@ -78,8 +72,8 @@ std::vector<float> find_azimuth_shift(const Scan& scan, const SpinningSensor& se
         shift_rad[firing] = compute_median(seen[firing]);
         for (const float shift : seen[firing]) off.push_back(std::abs(shift - shift_rad[firing]));
     }
-    if (!fill_shift_gaps(shift_rad) || compute_median(off) > kAgree_columns * 2.0 * kPi / sensor.columns)
-        return {};
+    fill_shift_gaps(shift_rad);
+    if (shift_rad.empty() || compute_median(off) > kAgree_columns * 2.0 * kPi / sensor.columns) return {};
     if (std::ranges::all_of(shift_rad, [](float shift) { return std::abs(shift) < kExact_rad; })) return {};
     return shift_rad;
 }

@@ -11,6 +11,7 @@
 #include <relidar/log/sequence.hpp>
 
 #include "base/incidence.hpp"
+#include "base/median.hpp"
 #include "log/sequence/beam_returns.hpp"
 
 namespace relidar {
@@ -56,10 +57,8 @@ Differences collect_differences(const Frame& frame) {
     return result;
 }
 
-double estimate_sigma(std::vector<float>& differences_m) {
-    const auto middle = differences_m.begin() + std::ptrdiff_t(differences_m.size() / 2);
-    std::nth_element(differences_m.begin(), middle, differences_m.end());
-    return kOfMedian * double(*middle) / std::sqrt(6.0);
+double estimate_sigma(const std::vector<float>& differences_m) {
+    return kOfMedian * double(compute_median(differences_m)) / std::sqrt(6.0);
 }
 
 /// Fills bins without enough returns with the noise of other bins of the same incidence.

@@ -55,11 +55,13 @@ std::string make_unknown_key_message(const std::string& key) {
 template <class T>
 void assign(T& field, const std::string& key, const Accepts& accepts, const ParsedValue& value) {
     const bool wrong_kind = value.quotes == (is_text<T> ? ParsedValue::Quotes::no : ParsedValue::Quotes::yes);
-    if (wrong_kind || !from_text(value.text, accepts, field)) {
+    const std::optional<T> parsed = from_text<T>(value.text, accepts);
+    if (wrong_kind || !parsed) {
         const char* hint = wrong_kind && is_text<T> ? " in quotes" : wrong_kind ? " without quotes" : "";
         throw UsageError(fmt::format("setting {}: found \"{}\", expected {}{}", key, make_excerpt(value.text),
                                      describe<T>(accepts), hint));
     }
+    field = *parsed;
 }
 
 void apply_setting(Config& config, const std::string& key, const ParsedValue& value) {

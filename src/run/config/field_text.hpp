@@ -8,6 +8,7 @@
 #include <charconv>
 #include <cmath>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <type_traits>
 
@@ -49,27 +50,26 @@ std::string describe(const Accepts& accepts) {
 }
 
 template <class T>
-bool parse_number(const std::string& text, const Accepts& accepts, T& value) {
+std::optional<T> parse_number(const std::string& text, const Accepts& accepts) {
     T parsed{};
     const char* begin = text.data();
     const char* end = begin + text.size();
     if (begin != end && *begin == '+') ++begin;
     const auto [stop, error] = std::from_chars(begin, end, parsed);
-    if (begin == end || error != std::errc() || stop != end) return false;
+    if (begin == end || error != std::errc() || stop != end) return std::nullopt;
     if constexpr (std::is_floating_point_v<T>) {
-        if (!std::isfinite(parsed)) return false;
+        if (!std::isfinite(parsed)) return std::nullopt;
     }
     const auto number = static_cast<double>(parsed);
     if (number > accepts.high || number < accepts.low || (accepts.above_low && number <= accepts.low))
-        return false;
-    value = parsed;
-    return true;
+        return std::nullopt;
+    return parsed;
 }
 
-/// Parses the text of a setting and stores the value.
-/// @return false if the text is not an accepted value; `value` is then unchanged
+/// Returns the value of a setting's text. Returns no value if the setting does not accept
+/// the text.
 template <class T>
-bool from_text(const std::string& text, const Accepts& accepts, T& value) {
+std::optional<T> from_text(const std::string& text, const Accepts& accepts) {
     const auto find = [&](const std::string& word) {
         return std::find(accepts.choices.begin(), accepts.choices.end(), word);
     };
@@ -77,19 +77,18 @@ bool from_text(const std::string& text, const Accepts& accepts, T& value) {
     const auto is_choice = [&](const std::string& word) { return find(word) != accepts.choices.end(); };
     if (accepts.several ? !std::ranges::all_of(split_words(text), is_choice)
                         : !accepts.choices.empty() && choice == accepts.choices.end())
-        return false;
+        return std::nullopt;
     if constexpr (std::is_enum_v<T>) {
-        value = static_cast<T>(choice - accepts.choices.begin());
+        return static_cast<T>(choice - accepts.choices.begin());
     } else if constexpr (std::is_same_v<T, std::string>) {
-        if (text.find_first_of("\n\r") != std::string::npos) return false;
-        value = text;
+        if (text.find_first_of("\n\r") != std::string::npos) return std::nullopt;
+        return text;
     } else if constexpr (std::is_same_v<T, bool>) {
-        if (text != "true" && text != "false") return false;
-        value = text == "true";
+        if (text != "true" && text != "false") return std::nullopt;
+        return text == "true";
     } else {
-        return parse_number(text, accepts, value);
+        return parse_number<T>(text, accepts);
     }
-    return true;
 }
 
 }  // namespace relidar::config_detail

@@ -12,6 +12,7 @@
 #include <fmt/ranges.h>
 
 #include <relidar/base/error.hpp>
+#include <relidar/scene/symmetry.hpp>
 
 namespace relidar {
 
@@ -149,6 +150,29 @@ PoseTrack refine_track(const PoseTrack& track, double step_s) {
     return fine;
 }
 
+/// Completes the unobserved sides of a vehicle, because its new pose can turn them to a
+/// sensor. Does nothing if it is unknown what the log has observed, or if the scene has
+/// no surfels in memory.
+void complete_sides(DrivingScene& driving, const std::string& track) {
+    Scene& scene = driving.scene;
+    const std::uint32_t number = scene.instances[find_actor(driving, track)].model;
+    Model& model = scene.models[number];
+    if (!model.surface || model.surface->is_completed || model.surface->mirrored() == 0.0 ||
+        !is_vehicle(box_of(driving, track)) || std::size_t(model.first) + model.count > scene.surfels.size())
+        return;
+    Surfels completed = scene.surfels.slice(model.first, model.count);
+    if (complete_by_symmetry(completed, *model.surface) == 0) return;
+    const std::size_t behind = std::size_t(model.first) + model.count;
+    Surfels all = scene.surfels.slice(0, model.first);
+    all.append(completed);
+    all.append(scene.surfels.slice(behind, scene.surfels.size() - behind));
+    scene.surfels = std::move(all);
+    const std::uint32_t before = model.count;
+    model.count = static_cast<std::uint32_t>(completed.size());
+    for (std::size_t m = number + 1; m < scene.models.size(); ++m)
+        scene.models[m].first += model.count - before;
+}
+
 /// Adds an instance of a model to the scene, with a new track.
 void add_instance(DrivingScene& driving, std::uint32_t model, BoxTrack box, const Start& start) {
     box.world_from_box = start.dataset_path.pose.empty()
@@ -157,6 +181,7 @@ void add_instance(DrivingScene& driving, std::uint32_t model, BoxTrack box, cons
     box.n_before = box.n_after = 0;
     driving.scene.instances.push_back({model, box.id});
     driving.sequence.boxes.push_back(std::move(box));
+    complete_sides(driving, driving.scene.instances.back().track);
 }
 
 }  // namespace
@@ -169,11 +194,13 @@ DrivingScene remove_track(DrivingScene driving, const std::string& track) {
 
 DrivingScene move_track(DrivingScene driving, const std::string& track, const Pose& box_from_moved) {
     for (Pose& pose : box_of(driving, track).world_from_box.pose) pose = pose * box_from_moved;
+    complete_sides(driving, track);
     return driving;
 }
 
 DrivingScene retime_track(DrivingScene driving, const std::string& track, double seconds) {
     for (double& time_s : box_of(driving, track).world_from_box.time_s) time_s += seconds;
+    complete_sides(driving, track);
     return driving;
 }
 
@@ -199,6 +226,7 @@ DrivingScene replace_trajectory(DrivingScene driving, const std::string& track,
     box.n_before = box.n_after = 0;
     box.world_from_box = refine_track(shift_track(dataset_from_box, -driving.sequence.world_offset_m),
                                       std::max(driving.sequence.lidars[0].period_s(), 1e-3));
+    complete_sides(driving, track);
     return driving;
 }
 

@@ -65,21 +65,39 @@ glm::vec3 read_half_size(const JsonField& model) {
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
-/// Reads the stride length of a model that deforms. Returns 0 if the model does not
-/// deform.
+/// Reads the walked distance after which the motion of a model repeats. Returns 0 for a
+/// rigid model.
 float read_stride(const JsonField& model) {
     return model.has("stride_m") ? static_cast<float>(model.at("stride_m").number(1e-3, 1e6)) : 0.0f;
 }
 
-/// Reads the share of each side of a model's box that the log has observed. Returns
-/// nothing if the file does not contain these shares.
-std::optional<SideShares> read_seen_sides(const JsonField& model) {
-    if (!model.has("seen_sides")) return {};
-    SideShares shares{};
-    const JsonField field = model.at("seen_sides");
-    (void)field.numbers<kBoxSides>();
-    for (std::size_t s = 0; s < kBoxSides; ++s) shares[s] = float(field.at(s).number(0.0, 1.0));
-    return shares;
+constexpr const char* kSurface = "surface";
+
+/// Reads which parts of a model's box the log has observed. Returns nothing if the file
+/// does not contain them.
+std::optional<BoxSurface> read_surface(const JsonField& model) {
+    if (!model.has(kSurface)) return {};
+    const JsonField field = model.at(kSurface), size = field.at("size_m");
+    const std::array<double, 3> size_m = size.numbers<3>();
+    for (std::size_t k = 0; k < 3; ++k) size.at(k).number(1e-3, 1e4);
+    BoxSurface surface({size_m[0], size_m[1], size_m[2]});
+    surface.is_completed = field.at("completed").boolean();
+    for (std::size_t s = 0; s < kBoxSides; ++s) {
+        const JsonField side = field.at(get_name(BoxSide(s)));
+        if (!surface.set_patches(BoxSide(s), side.text()))
+            side.fail("found a text of " + std::to_string(side.text().size()) + " characters",
+                      "expected a 0 or 1 for each of " + std::to_string(surface.patches(BoxSide(s)).size()) +
+                          " patches");
+    }
+    return surface;
+}
+
+nlohmann::ordered_json surface_to_json(const BoxSurface& surface) {
+    const glm::dvec3 size_m = 2.0 * surface.half_size_m();
+    nlohmann::ordered_json json = {{"size_m", {size_m.x, size_m.y, size_m.z}},
+                                   {"completed", surface.is_completed}};
+    for (std::size_t s = 0; s < kBoxSides; ++s) json[get_name(BoxSide(s))] = surface.patches(BoxSide(s));
+    return json;
 }
 
 void read_layout(const JsonField& layout, Scene& scene) {
@@ -96,7 +114,7 @@ void read_layout(const JsonField& layout, Scene& scene) {
         next = first + count;
         scene.models.push_back({m.at("name").text(), static_cast<std::uint32_t>(first),
                                 static_cast<std::uint32_t>(count), read_half_size(m), read_stride(m),
-                                read_seen_sides(m)});
+                                read_surface(m)});
     }
     if (next != n)
         models.fail(fmt::format("found models of {} surfels", next), fmt::format("expected {}", n));
@@ -184,7 +202,7 @@ std::string layout_to_json(const Scene& scene) {
                                   {"count", m.count},
                                   {"half_size_m", {m.half_size_m.x, m.half_size_m.y, m.half_size_m.z}}});
         if (m.stride_m > 0.0f) json["models"].back()["stride_m"] = m.stride_m;
-        if (m.seen_sides) json["models"].back()["seen_sides"] = *m.seen_sides;
+        if (m.surface) json["models"].back()[kSurface] = surface_to_json(*m.surface);
     }
     for (const Instance& i : scene.instances)
         json["instances"].push_back({{"model", i.model}, {"track", i.track}});

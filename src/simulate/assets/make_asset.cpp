@@ -11,21 +11,10 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/run/edit.hpp>
+#include <relidar/scene/symmetry.hpp>
 
 namespace relidar {
 namespace {
-
-// Minimum length of a vehicle. It is used for objects without a class. Cyclists are
-// shorter.
-constexpr double kShortestVehicle_m = 3.0;
-/// Indices of the spherical harmonics that are odd in y. They are the harmonics with a
-/// negative order.
-constexpr int kOddInY[] = {1, 4, 5, 9, 10, 11};
-
-bool is_vehicle(const BoxTrack& box) {
-    return parse_object_kind(box.category) == ObjectKind::vehicle ||
-           (box.category == kDiscoveredCategory && box.size_m.x >= kShortestVehicle_m);
-}
 
 /// Returns the name of an asset, for example "car-3". The name is a valid folder name on
 /// all systems. It contains only letters, digits, dots, dashes and underscores. If an
@@ -48,23 +37,6 @@ bool can_show(const Surfels& surfels, std::size_t index, const Model& model, con
     return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[index])) >= image.alpha_min;
 }
 
-/// Completes an actor that is nearly symmetric. If only one of two mirrored surface
-/// patches was observed, replaces the surfels of the unobserved patch by the mirror image
-/// of the observed patch.
-/// @return number of surfels that were added
-std::size_t complete_by_mirroring(Surfels& surfels, const BoxSurface& surface) {
-    std::vector<std::uint32_t> kept, copied;
-    for (std::uint32_t i = 0; i < surfels.size(); ++i) {
-        const glm::dvec3 here(surfels.mean[i]), there(here.x, -here.y, here.z);
-        if (!surface.is_mirrored(here)) kept.push_back(i);
-        if (surface.is_mirrored(there)) copied.push_back(i);
-    }
-    const Surfels more = mirror_left_right(surfels.reorder(copied));
-    surfels = surfels.reorder(kept);
-    surfels.append(more);
-    return copied.size();
-}
-
 /// Returns the frames of a log in which an actor is present. The result has no scans and
 /// no other actors.
 Sequence frames_of(const Sequence& log, const BoxTrack& box) {
@@ -84,16 +56,6 @@ Sequence frames_of(const Sequence& log, const BoxTrack& box) {
     return sequence;
 }
 
-/// Returns the share of each side of a box that has surfels. This is the observed share.
-/// For vehicles, it also includes the share that was completed by mirroring.
-SideShares list_known_sides(const BoxSurface& surface, ObjectKind kind) {
-    SideShares shares{};
-    for (std::size_t s = 0; s < kBoxSides; ++s)
-        shares[s] = float(surface.seen(BoxSide(s)) +
-                          (kind == ObjectKind::vehicle ? surface.mirrored(BoxSide(s)) : 0.0));
-    return shares;
-}
-
 }  // namespace
 
 BoxSurface compute_visible_surface(const glm::dvec3& size_m, const ActorObservations& sightings) {
@@ -101,20 +63,6 @@ BoxSurface compute_visible_surface(const glm::dvec3& size_m, const ActorObservat
     for (std::size_t i = 0; i < sightings.points_m.size(); ++i)
         surface.add(glm::dvec3(sightings.points_m[i]), glm::dvec3(sightings.directions[i]));
     return surface;
-}
-
-Surfels mirror_left_right(Surfels surfels) {
-    for (std::size_t i = 0; i < surfels.size(); ++i) {
-        surfels.mean[i].y *= -1.0f;
-        // Mirrors the quaternion (w, x, y, z). A mirrored rotation has a mirrored axis
-        // and the opposite direction of rotation.
-        glm::vec4& q = surfels.rotation[i];
-        q = {q[0], -q[1], q[2], -q[3]};
-        for (int channel = 0; channel < kShChannels; ++channel)
-            for (const int k : kOddInY)
-                surfels.sh[i * kShFloats + std::size_t(channel * kShCoefficients + k)] *= -1.0f;
-    }
-    return surfels;
 }
 
 Asset make_asset(const Run& run, const std::string& track, const ActorObservations& sightings) {
@@ -131,7 +79,7 @@ Asset make_asset(const Run& run, const std::string& track, const ActorObservatio
             fmt::format("cannot make an asset of \"{}\": the run has no such actor, expected one of: {}",
                         track, fmt::join(others, ", ")));
 
-    const BoxSurface surface = compute_visible_surface(box->size_m, sightings);
+    BoxSurface surface = compute_visible_surface(box->size_m, sightings);
     Asset asset;
     AssetFacts& facts = asset.facts;
     facts = {make_asset_name(*box),
@@ -153,16 +101,15 @@ Asset make_asset(const Run& run, const std::string& track, const ActorObservatio
         if (can_show(surfels, i, model, run.config.image)) shown.push_back(i);
     surfels = surfels.reorder(shown);
     if (facts.kind == ObjectKind::vehicle) {
-        facts.mirrored = complete_by_mirroring(surfels, surface);
-        facts.completed = surface.mirrored();
+        facts.mirrored = complete_by_symmetry(surfels, surface);
+        facts.completed = surface.is_completed ? surface.mirrored() : 0.0;
     }
     surfels = surfels.reorder(compute_kd_order(surfels.mean));
     facts.surfels = surfels.size();
 
     BoxTrack named = *box;
     named.id = facts.name;
-    model = {facts.name,        0,    std::uint32_t(surfels.size()),
-             model.half_size_m, 0.0f, list_known_sides(surface, facts.kind)};
+    model = {facts.name, 0, std::uint32_t(surfels.size()), model.half_size_m, model.stride_m, surface};
     alone.scene.models[0].first = 0;
     alone.scene.instances[1].track = facts.name;
     alone.scene.sensor_drop = {};

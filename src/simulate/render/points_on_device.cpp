@@ -46,7 +46,7 @@ std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::record(Stream& stream, con
     run(stream, gather_, n,
         {.rays = rays.rays().address(),
          .measured = rays.measured().address(),
-         .poses = get_impl(stream).values(poses),
+         .poses = stream.impl().values(poses),
          .marks = marks_.address(),
          .places = places_.address(),
          .points = points_.address(),

@@ -330,7 +330,7 @@ void ScanRenderer::side_by_side(int count) {
 }
 
 int ScanRenderer::choose_max_lanes(const Device& device) {
-    return get_impl(device).forced.side_by_side.value_or(device.info().type == "CPU" ? 1 : kSideBySide);
+    return device.impl().forced.side_by_side.value_or(device.info().type == "CPU" ? 1 : kSideBySide);
 }
 
 int ScanRenderer::side_by_side() const {

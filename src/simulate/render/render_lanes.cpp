@@ -6,6 +6,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+#include <relidar/gpu/out_of_memory.hpp>
 
 #include "simulate/render/resident_scene.hpp"
 
@@ -20,7 +21,7 @@ RenderLane& RenderLanes::next() {
             try {
                 others_.emplace_back(device_).copy = scene_.copy();
                 // Uses fewer copies of the scene, because device memory is exhausted.
-            } catch (const DeviceError&) {
+            } catch (const OutOfDeviceMemory&) {
                 others_.pop_back();
                 most_ = 1 + int(others_.size());
             }

@@ -158,7 +158,7 @@ void SensorRays::fire(Stream& stream, const PoseTrack& world_from_sensor, double
     const auto poses = this->poses(world_from_sensor, time_s);
     run(stream, fire_, table_.size(),
         {.rays = rays_.address(),
-         .poses = get_impl(stream).values(poses),
+         .poses = stream.impl().values(poses),
          .fired = fired_.address(),
          .n_rays = std::uint32_t(table_.size()),
          .n_poses = std::uint32_t(poses.size())});
@@ -179,8 +179,8 @@ void SensorRays::measure(Stream& stream, const RenderedBatch& rendered, const Ra
          .fired = fired_.address(),
          .rendered = rendered.rendered->address(),
          .surfaces = surfaces.address(),
-         .beams = get_impl(stream).values(beams),
-         .response = get_impl(stream).values(response),
+         .beams = stream.impl().values(beams),
+         .response = stream.impl().values(response),
          .measured = measured_.address(),
          .n_rays = std::uint32_t(table_.size()),
          .n_surfaces = std::uint32_t(surfaces.size()),
@@ -203,7 +203,7 @@ void SensorRays::refine(Stream& stream, DropPass& network, const glm::vec3& orig
     run(stream, drop_channels_, table_.size(),
         {.rays = rays_.address(),
          .measured = measured_.address(),
-         .channels = get_impl(stream).values(channels).as<shared::DropChannels>(),
+         .channels = stream.impl().values(channels).as<shared::DropChannels>(),
          .samples = samples_.address(),
          .origin = origin_m,
          .n_channels = std::uint32_t(channels.size()),

@@ -1,44 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
-// Counts the rays of a scan that enter the box of an actor through an unobserved side.
-// The log has no points on such a side, so the model has no surfels there and rays pass
-// through.
+// Counts the rays of a scan that meet an unobserved side of an actor. The log has no
+// points on such a side. The side is completed by mirrored surfels, or rays pass through
+// it.
 #include <relidar/simulate/render.hpp>
 
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <limits>
+#include <optional>
 #include <utility>
 
 namespace relidar {
 namespace {
 
-// Minimum cosine between a counted ray and the normal of the side. BoxSurface uses the
-// same limit.
-constexpr double kGrazing = 0.2;
-// Minimum number of rays through an unobserved side. Fewer rays do not change the
+// Minimum number of rays that meet an unobserved side. Fewer rays do not change the
 // appearance of an actor.
 constexpr std::size_t kFewestRays = 5;
-
-/// An actor with at least one unobserved side, and its pose in a scan.
-struct HollowBox {
-    const std::string* track;
-    const PoseTrack* world_from_box;
-    glm::dvec3 half_m;
-    const SideShares* shares;
-    /// Sphere in the world frame that contains the box during the scan. Testing the
-    /// sphere first excludes most rays quickly.
-    glm::dvec3 centre_m{0.0};
-    double radius_m = 0.0;
-    std::array<std::size_t, kBoxSides> n_rays{};
-
-    bool is_near(const glm::dvec3& origin, const glm::dvec3& direction) const {
-        const glm::dvec3 to_centre = centre_m - origin;
-        const double along_m = glm::dot(to_centre, direction);
-        return along_m > -radius_m &&
-               glm::dot(to_centre, to_centre) - along_m * along_m < radius_m * radius_m;
-    }
-};
 
 /// Returns the range at which a ray enters a box, and the axis of the side that it
 /// enters. Returns infinity if the ray misses the box or starts inside the box.
@@ -56,20 +34,59 @@ std::pair<double, int> find_box_entry(const glm::dvec3& origin, const glm::dvec3
     return {enter_m, axis};
 }
 
+/// An actor with at least one unobserved or completed side, and its pose in a scan.
+struct HollowBox {
+    const std::string* track;
+    const PoseTrack* world_from_box;
+    glm::dvec3 half_m;
+    const BoxSurface* surface;
+    std::int32_t instance;  ///< index of the actor in Scene::instances
+    SideShares known;       ///< observed or completed fraction of each side
+    /// Sphere in the world frame that contains the box during the scan. Testing the
+    /// sphere first excludes most rays quickly.
+    glm::dvec3 centre_m{0.0};
+    double radius_m = 0.0;
+    std::array<std::size_t, kBoxSides> n_through{}, n_completed{};
+
+    bool is_near(const glm::dvec3& origin, const glm::dvec3& direction) const {
+        const glm::dvec3 to_centre = centre_m - origin;
+        const double along_m = glm::dot(to_centre, direction);
+        return along_m > -radius_m &&
+               glm::dot(to_centre, to_centre) - along_m * along_m < radius_m * radius_m;
+    }
+
+    /// Counts a ray if it hits a completed side, or enters the box through an unobserved
+    /// side. All coordinates are in the box frame.
+    /// @param range_m range of the return; 0 if the ray does not return
+    /// @param hits_actor true if the return is a surface of this actor
+    void count(const glm::dvec3& ray_origin, const glm::dvec3& ray, double range_m, bool hits_actor) {
+        if (hits_actor && range_m > 0.0)
+            if (const auto side = surface->completed_side(ray_origin + range_m * ray))
+                ++n_completed[std::size_t(*side)];
+        const auto [enter_m, axis] = find_box_entry(ray_origin, ray, half_m);
+        if (!std::isfinite(enter_m) || (range_m > 0.0 && range_m < enter_m)) return;
+        for (std::size_t s = 0; s < kBoxSides; ++s)
+            if (kSideFrames[s].normal == axis &&
+                -kSideFrames[s].sign * ray[axis] >= least_cosine(BoxSide(s)) && known[s] < kUnseenSide)
+                ++n_through[s];
+    }
+};
+
 std::vector<HollowBox> find_hollow_boxes(const RenderedScan& scan, const Scene& scene,
                                          const Sequence& sequence) {
     std::vector<HollowBox> boxes;
     if (scan.time_offset_s.empty()) return boxes;
     const auto [first_s, last_s] = std::ranges::minmax(scan.time_offset_s);
-    for (const Instance& instance : scene.instances) {
-        const Model& model = scene.models[instance.model];
+    for (std::size_t i = 0; i < scene.instances.size(); ++i) {
+        const Instance& instance = scene.instances[i];
+        const std::optional<BoxSurface>& surface = scene.models[instance.model].surface;
         const BoxTrack* box = instance.track.empty() ? nullptr : find_box(sequence, instance.track);
-        if (!box || !box->present(scan.time_s) || !model.seen_sides ||
-            list_unseen_sides(*model.seen_sides).empty())
-            continue;
+        if (!box || !box->present(scan.time_s) || !surface) continue;
+        const SideShares known = surface->known();
+        if (list_unseen_sides(known).empty() && !surface->is_completed) continue;
         const glm::dvec3 begin_m = box->world_from_box.at(scan.time_s + double(first_s)).translation,
                          end_m = box->world_from_box.at(scan.time_s + double(last_s)).translation;
-        boxes.push_back({&box->id, &box->world_from_box, 0.5 * box->size_m, &*model.seen_sides,
+        boxes.push_back({&box->id, &box->world_from_box, 0.5 * box->size_m, &*surface, std::int32_t(i), known,
                          0.5 * (begin_m + end_m),
                          0.5 * (glm::length(box->size_m) + glm::distance(begin_m, end_m))});
     }
@@ -90,20 +107,18 @@ std::vector<UnseenSide> find_unseen_sides(const RenderedScan& scan, const Scene&
             if (!box.is_near(origin, direction)) continue;
             const Pose box_from_world =
                 inverse(box.world_from_box->at(scan.time_s + double(scan.time_offset_s[i])));
-            const glm::dvec3 ray = box_from_world.rotation * direction;
-            const auto [enter_m, axis] = find_box_entry(box_from_world * origin, ray, box.half_m);
-            const bool is_hidden = scan.median_range_m[i] > 0.0f && double(scan.median_range_m[i]) < enter_m;
-            if (!std::isfinite(enter_m) || is_hidden || std::abs(ray[axis]) < kGrazing) continue;
-            for (std::size_t s = 0; s < kBoxSides; ++s)
-                if (kSideFrames[s].normal == axis && kSideFrames[s].sign * ray[axis] < 0.0 &&
-                    (*box.shares)[s] < kUnseenSide)
-                    ++box.n_rays[s];
+            box.count(box_from_world * origin, box_from_world.rotation * direction,
+                      double(scan.median_range_m[i]),
+                      !scan.instance.empty() && scan.instance[i] == box.instance);
         }
     }
     std::vector<UnseenSide> sides;
     for (const HollowBox& box : boxes)
-        for (std::size_t s = 0; s < kBoxSides; ++s)
-            if (box.n_rays[s] >= kFewestRays) sides.push_back({*box.track, BoxSide(s), box.n_rays[s]});
+        for (std::size_t s = 0; s < kBoxSides; ++s) {
+            if (box.n_through[s] >= kFewestRays) sides.push_back({*box.track, BoxSide(s), box.n_through[s]});
+            if (box.n_completed[s] >= kFewestRays)
+                sides.push_back({*box.track, BoxSide(s), box.n_completed[s], true});
+        }
     return sides;
 }
 

@@ -177,9 +177,10 @@ Json boxes_json(const RenderedScan& scan, const ScanFormat& format) {
 std::string scan_files::make_entry_json(int frame, const RenderedScan& scan, const ScanFormat& format,
                                         const std::vector<std::string>& files) {
     const std::size_t n_points = count_points(scan, format.config);
-    Json sides = Json::array();
+    Json sides = Json::array(), completed = Json::array();
     for (const UnseenSide& unseen : scan.unseen_sides)
-        sides.push_back({{"track", unseen.track}, {"side", get_name(unseen.side)}, {"rays", unseen.n_rays}});
+        (unseen.is_completed ? completed : sides)
+            .push_back({{"track", unseen.track}, {"side", get_name(unseen.side)}, {"rays", unseen.n_rays}});
     const Json entry = {{"frame_number", frame},
                         {"time_s", scan.time_s},
                         {"world_from_sensor", make_matrix_json(scan.world_from_sensor)},
@@ -188,6 +189,7 @@ std::string scan_files::make_entry_json(int frame, const RenderedScan& scan, con
                         {"dropped", scan.image.range_m.size() - n_points},
                         {"unseen", scan.unseen_share ? Json(*scan.unseen_share) : Json()},
                         {"unseen_sides", sides},
+                        {"completed_sides", completed},
                         {"boxes", scan.actor_views.empty() ? Json::array() : boxes_json(scan, format)},
                         {"files", files}};
     return entry.dump(-1, ' ', false, Json::error_handler_t::replace);

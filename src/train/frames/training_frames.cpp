@@ -74,7 +74,7 @@ void count(FrameData& data, const std::vector<DeviceTarget>& targets) {
 
 template <class T>
 void write(Stream& stream, const Array<T>& to, const std::vector<T>& values) {
-    get_impl(stream).write(to.buffer(), values.data(), values.size() * sizeof(T));
+    stream.impl().write(to.buffer(), values.data(), values.size() * sizeof(T));
 }
 
 }  // namespace

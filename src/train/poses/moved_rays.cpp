@@ -34,7 +34,7 @@ void MovedRays::move(Stream& stream, const TrackCorrection& sensor, FrameData& f
         knots.push_back({glm::vec3(sensor.get_uncorrected_track().pose[k].translation),
                          glm::vec3(c[0], c[1], c[2]), glm::vec3(c[3], c[4], c[5])});
     }
-    get_impl(stream).write(knots_.buffer(), knots.data(), knots.size() * sizeof(knots[0]));
+    stream.impl().write(knots_.buffer(), knots.data(), knots.size() * sizeof(knots[0]));
     run(stream, move_, frame.n_rays,
         {.rays = frame.arrays->rays.address(),
          .places = frame.arrays->places.address(),

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cstring>
 
+#include <relidar/base/error.hpp>
 #include <relidar/diff/backward.hpp>
 #include <relidar/diff/optimizer.hpp>
 #include <relidar/train/train.hpp>
@@ -176,7 +177,7 @@ void PoseRefiner::update_poses() {
         poses_.boxes[actor.box].world_from_box = actor.correction.make_corrected_track();
 }
 
-bool PoseRefiner::restore() {
+void PoseRefiner::restore() {
     const std::size_t n = coming_.step.size();
     const bool sound =
         (!sensor_ || sensor_->is_sound()) &&
@@ -186,8 +187,8 @@ bool PoseRefiner::restore() {
         coming_.gradient.size() == n * (floats_of_rays_ + floats_of_instances_) &&
         std::all_of(coming_.frame.begin(), coming_.frame.end(),
                     [this](std::uint64_t frame) { return frame < frames_.all().size(); });
-    if (sound) update_poses();
-    return sound;
+    if (!sound) throw DataError("cannot resume: the stored pose corrections do not fit this log");
+    update_poses();
 }
 
 }  // namespace relidar

@@ -70,8 +70,8 @@ public:
         visit("poses/coming/gradient", coming_.gradient);
     }
     /// Recomputes the corrected poses after the state was read from a checkpoint.
-    /// @return false if the state is invalid
-    bool restore();
+    /// @throws DataError if the state does not fit the log
+    void restore();
 
 private:
     struct Actor {

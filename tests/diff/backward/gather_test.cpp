@@ -171,10 +171,10 @@ TEST_F(Gather, EmptySlotsAndSmallerBatches) {
     once.run();
     EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download());
     many.renderer.record_forward({&many.rays, 0, 1, 20});
-    many.renderer.record_backward();
+    many.differentiable.record_backward();
     many.renderer.stream().finish();
     EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download());
-    many.renderer.backward_pass().reserve_hits(many.renderer.stream(), 1u << 20);
+    many.differentiable.backward_pass().reserve_hits(many.renderer.stream(), 1u << 20);
     many.run();
     EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download())
         << "room does not matter";

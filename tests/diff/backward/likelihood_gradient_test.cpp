@@ -158,8 +158,8 @@ struct DevicePasses : test::Passes {
             &targets, 0, 1, kRows * kColumns, n_returned, double(kRows * kColumns), {kRows, kColumns, false}};
         run_forward();
         for (const std::unique_ptr<Loss>& loss : losses)
-            loss->compare(renderer.stream(), renderer.batch(), measured, loss_terms);
-        renderer.record_backward();
+            loss->compare(renderer.stream(), differentiable.batch(), measured, loss_terms);
+        differentiable.record_backward();
         renderer.stream().finish();
     }
 };

@@ -125,7 +125,8 @@ std::vector<DeviceTarget> make_targets_near(const std::vector<shared::RenderedRa
 /// Trains for twenty steps and returns the losses. The scene moves slightly before each
 /// step.
 std::vector<float> train(Passes& passes) {
-    DifferentiableRenderer& renderer = passes.renderer;
+    DifferentiableRenderer& differentiable = passes.differentiable;
+    Renderer& renderer = passes.renderer;
     Device& device = renderer.stream().device();
     passes.run_forward();
     renderer.stream().finish();
@@ -144,10 +145,11 @@ std::vector<float> train(Passes& passes) {
         renderer.place(placed, passes.view_origin);
         renderer.stream().fill(terms);
         renderer.record_forward(passes.batch());
-        loss.compare(renderer.stream(), renderer.batch(), {&targets, 0, 1, n, double(n), double(n)}, terms);
-        renderer.record_backward();
-        adam.step(renderer.stream(), renderer.scene().parameters(), renderer.gradients().surfels,
-                  &renderer.gradients().touched, kRates, step, 3);
+        loss.compare(renderer.stream(), differentiable.batch(), {&targets, 0, 1, n, double(n), double(n)},
+                     terms);
+        differentiable.record_backward();
+        adam.step(renderer.stream(), renderer.scene().parameters(), differentiable.gradients().surfels,
+                  &differentiable.gradients().touched, kRates, step, 3);
         renderer.stream().finish();
         const std::vector<float> all = terms.download();
         losses.push_back(std::accumulate(all.begin(), all.end(), 0.0f));

@@ -40,7 +40,8 @@ inline RendererOptions add_hit_room(RendererOptions options, std::size_t n_rays)
 /// A scene with rays that can be rendered and differentiated.
 struct Passes {
     SceneAndPoses placed;
-    DifferentiableRenderer renderer;
+    DifferentiableRenderer differentiable;
+    Renderer& renderer;  ///< the renderer of `differentiable`
     Array<DeviceRay> rays;
     Array<shared::DeviceTarget> targets;
     glm::vec3 view_origin;
@@ -51,8 +52,9 @@ struct Passes {
            const std::vector<reference::PixelGradient>& g, const RendererOptions& options,
            const BackwardOptions& sums = {})
         : placed(to_scene(to_surfels(s.world.surfels), s.world.instances)),
-          renderer(device, placed.scene, model, add_hit_room(options, s.rays.size()),
-                   {.sums = sums, .wanted = {.rays = true, .poses = true}}),
+          differentiable(device, placed.scene, model, add_hit_room(options, s.rays.size()),
+                         {.sums = sums, .wanted = {.rays = true, .poses = true}}),
+          renderer(differentiable.renderer()),
           rays(device, std::span<const DeviceRay>(to_device_rays(to_world_rays(s.rays))), "rays"),
           targets(device, std::span<const shared::DeviceTarget>(to_targets(s.rays)), "targets"),
           view_origin(s.view_origin) {
@@ -64,18 +66,18 @@ struct Passes {
             RELIDAR_BLENDED_VALUES(RELIDAR_COPY)
 #undef RELIDAR_COPY
         }
-        renderer.batch().upstream->upload(u);
+        differentiable.batch().upstream->upload(u);
     }
 
     RayBatch batch() const { return {&rays, 0, 1, static_cast<std::uint32_t>(rays.size()), 0, &targets}; }
-    Gradients& gradients() { return renderer.gradients(); }
+    Gradients& gradients() { return differentiable.gradients(); }
     void run_forward() {
         renderer.place(view_origin);
         renderer.record_forward(batch());
     }
     void run() {
         run_forward();
-        renderer.record_backward();
+        differentiable.record_backward();
         renderer.stream().finish();
     }
     /// Returns the inner product of upstream gradients and rendered values over all rays,
@@ -84,7 +86,7 @@ struct Passes {
         run_forward();
         renderer.stream().finish();
         const std::vector<shared::RenderedRay> r = renderer.rendered().rendered->download();
-        const std::vector<shared::RayGradient> u = renderer.batch().upstream->download();
+        const std::vector<shared::RayGradient> u = differentiable.batch().upstream->download();
         double sum = 0.0;
         for (std::size_t i = 0; i < rays.size(); ++i) {
 #define RELIDAR_ADD(name, built, value, input, slope, meaning) sum += double(r[i].name) * u[i].name;
@@ -101,7 +103,7 @@ struct GatheredHits {
     std::uint64_t capacity = 0;
 };
 inline GatheredHits download_gathered_hits(Passes& passes) {
-    const BackwardPass& backward = passes.renderer.backward_pass();
+    const BackwardPass& backward = passes.differentiable.backward_pass();
     if (!backward.most_hits()) return {};
     const GatheredHits hits{backward.most_hits()->download()[0], backward.hit_capacity()};
     passes.renderer.stream().fill(*backward.most_hits());

@@ -267,7 +267,7 @@ TEST_F(PoseGradient, WhatNoRayMeetsHasNone) {
         met += std::abs(poses[18 + k]);
     }
     EXPECT_GT(met, 0.0);
-    passes.renderer.stream().fill(*passes.renderer.batch().upstream);
+    passes.renderer.stream().fill(*passes.differentiable.batch().upstream);
     passes.run();
     for (const float x : passes.gradients().poses.download()) EXPECT_EQ(x, 0.0f);
     for (const float x : passes.gradients().sensor.download()) EXPECT_EQ(x, 0.0f);

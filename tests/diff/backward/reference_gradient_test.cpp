@@ -203,6 +203,7 @@ TEST(ReferenceGradient, LikelihoodAlone) {
 TEST(ReferenceGradient, SingleDropLogit) {
     test::RandomSceneOptions options;
     options.seed = 5;
+    options.background_surfels = 24, options.actor_surfels = 8, options.rays = 12;
     expect_differences_agree(ShDirection::ray, options, 4, "one drop logit, SH along the ray, chunk 4", true);
     expect_differences_agree(ShDirection::surfel, options, 4,
                              "one drop logit, SH along sensor -> mean, chunk 4", true);

@@ -53,7 +53,8 @@ double measure_distance_after(Device& device, float shift, bool cut_gradient, bo
     weights.depth = weights.intensity = weights.drop = 0.0f;
     weights.chamfer = 1.0f;
     weights.normalised_depth = true;
-    DifferentiableRenderer renderer(device, wall(shift), {}, {.n_rays = kRays});
+    DifferentiableRenderer differentiable(device, wall(shift), {}, {.n_rays = kRays});
+    Renderer& renderer = differentiable.renderer();
     const std::vector<std::unique_ptr<Loss>> losses = make_losses(device, weights, kRays);
     Adam adam(device, renderer.scene().size(), {});
     const Array<float> terms(device, std::vector<float>(kLossTerms, 0.0f), "terms");
@@ -64,10 +65,10 @@ double measure_distance_after(Device& device, float shift, bool cut_gradient, bo
         renderer.place(glm::vec3(0.0f));
         renderer.record_forward(batch);
         for (const std::unique_ptr<Loss>& loss : losses)
-            loss->compare(renderer.stream(), renderer.batch(), measured, terms);
-        if (cut_gradient) renderer.stream().fill(*renderer.batch().upstream);
-        renderer.record_backward();
-        const Gradients& gradients = renderer.gradients();
+            loss->compare(renderer.stream(), differentiable.batch(), measured, terms);
+        if (cut_gradient) renderer.stream().fill(*differentiable.batch().upstream);
+        differentiable.record_backward();
+        const Gradients& gradients = differentiable.gradients();
         adam.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched,
                   {0.02, 0.0, 0.0, 0.0, 0.0, 1.0}, step, 3);
         renderer.stream().finish();

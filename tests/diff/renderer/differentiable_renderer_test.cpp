@@ -6,9 +6,12 @@
 #include <relidar/diff/differentiable_renderer.hpp>
 #include <relidar/diff/first_use.hpp>
 #include <relidar/diff/optimizer.hpp>
+#include <relidar/gpu/out_of_memory.hpp>
 
 #include "../../support/surfels.hpp"
+#include "../../support/work_in_flight.hpp"
 #include "../backward/passes.hpp"
+#include "gpu/buffer.hpp"
 #include "gpu/check_device.hpp"
 #include "gpu/trust.hpp"
 
@@ -58,13 +61,14 @@ TEST_F(Differentiable, HostGradientsAgreeWithTheReference) {
     const std::vector<reference::PixelGradient> d_rendered = test::make_random_upstream(scene.rays.size(), 5);
     std::vector<reference::RayGradient> d_rays;
     const reference::Gradients expected = compute_expected_gradients(scene, settings, d_rendered, d_rays);
-    DifferentiableRenderer renderer(device(), placed.scene, settings.image, {},
-                                    {.wanted = {.rays = true, .poses = true}});
+    DifferentiableRenderer differentiable(device(), placed.scene, settings.image, {},
+                                          {.wanted = {.rays = true, .poses = true}});
+    Renderer& renderer = differentiable.renderer();
     place(renderer);
     // renders a small batch before a larger batch
     renderer.forward({{rays.origin[0]}, {rays.direction[0]}});
     EXPECT_EQ(renderer.forward(rays).size(), rays.size());
-    const HostGradients device_result = renderer.backward(to_arrays(d_rendered));
+    const HostGradients device_result = differentiable.backward(to_arrays(d_rendered));
     test::GradientTable table;
     for (std::size_t i = 0; i < expected.surfels.size(); ++i) {
         table.add_row("mean", lanes(expected.surfels[i].mean, 3), lanes(device_result.surfels.mean[i], 3));
@@ -90,14 +94,78 @@ TEST_F(Differentiable, EmptyLanesAreZeroAndOnlyRequestedValuesReturn) {
     std::vector<reference::PixelGradient> d_rendered = test::make_random_upstream(scene.rays.size(), 6);
     for (reference::PixelGradient& g : d_rendered) g = {.depth = g.depth};
     const GradientOptions bit_equal{.sums = {.reduction = Reduction::gather}};
-    DifferentiableRenderer renderer(device(), placed.scene, settings.image, {.keep_hits = 8}, bit_equal);
+    DifferentiableRenderer differentiable(device(), placed.scene, settings.image, {.keep_hits = 8},
+                                          bit_equal);
+    Renderer& renderer = differentiable.renderer();
     place(renderer);
     renderer.forward(rays);
-    const HostGradients all = renderer.backward(to_arrays(d_rendered));
-    const HostGradients depth_alone = renderer.backward({.depth = to_arrays(d_rendered).depth});
+    const HostGradients all = differentiable.backward(to_arrays(d_rendered));
+    const HostGradients depth_alone = differentiable.backward({.depth = to_arrays(d_rendered).depth});
     EXPECT_EQ(depth_alone.surfels.mean, all.surfels.mean);
     EXPECT_EQ(depth_alone.surfels.sh, std::vector<float>(all.surfels.sh.size(), 0.0f));
     EXPECT_TRUE(all.poses.empty() && all.sensor.empty() && all.rays.empty());
+}
+
+/// Arrays that consist of several allocations must give the same bits. Each page of
+/// memory is a separate piece.
+TEST_F(Differentiable, ArraysOfSeveralAllocationsGiveTheSameBits) {
+    Device::Impl& impl = device().impl();
+    if (!impl.binds_sparse) GTEST_SKIP() << "no sparse binding";
+    scene = test::make_random_scene({.seed = 82, .background_surfels = 500, .rays = 200}, settings);
+    placed = test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
+    rays = test::to_world_rays(scene.rays);
+    const RenderedGradients d = to_arrays(test::make_random_upstream(scene.rays.size(), 7));
+    const GradientOptions bit_equal{.sums = {.reduction = Reduction::gather}};
+    std::vector<Rendering> images;
+    std::vector<HostGradients> gradients;
+    for (const std::uint64_t n_bytes : {impl.largest_allocation.n_bytes, std::uint64_t(1)}) {
+        const std::uint64_t before = std::exchange(impl.largest_allocation.n_bytes, n_bytes);
+        DifferentiableRenderer differentiable(device(), placed.scene, settings.image, {.keep_hits = 8},
+                                              bit_equal);
+        place(differentiable.renderer());
+        images.push_back(differentiable.renderer().forward(rays));
+        gradients.push_back(differentiable.backward(d));
+        const Array<float>& sh = differentiable.renderer().scene().parameters().sh;
+        EXPECT_EQ(sh.buffer().impl().memory.size() > 1, n_bytes == 1);
+        impl.largest_allocation.n_bytes = before;
+    }
+    EXPECT_EQ(images[0].depth, images[1].depth);
+    EXPECT_EQ(images[0].intensity, images[1].intensity);
+    EXPECT_EQ(images[0].drop_logit, images[1].drop_logit);
+    EXPECT_EQ(gradients[0].surfels.mean, gradients[1].surfels.mean);
+    EXPECT_EQ(gradients[0].surfels.sh, gradients[1].surfels.sh);
+}
+
+/// A renderer that is destroyed while the device renders must keep its arrays until the
+/// device has finished.
+TEST_F(Differentiable, ArraysOutliveSubmittedWork) {
+    const Array<DeviceRay> device_rays(device(), std::span<const DeviceRay>(to_device_rays(rays)), "rays");
+    const RayBatch batch{&device_rays, 0, 1, static_cast<std::uint32_t>(rays.size())};
+    const test::WorkInFlight work;
+    {
+        DifferentiableRenderer differentiable(device(), placed.scene, settings.image,
+                                              {.n_rays = batch.n_rays});
+        place(differentiable.renderer());
+        differentiable.renderer().record_forward(batch);
+        differentiable.record_backward();
+        differentiable.renderer().stream().submit();
+    }
+    EXPECT_GT(work.n_destroyed(), 20);
+    EXPECT_EQ(work.n_destroyed_in_flight(), 0);
+}
+
+/// If device memory is exhausted, the renderer must keep fewer hits instead of failing.
+/// 32 hits of 16 bytes for 65536 rays need 32 MiB.
+TEST_F(Differentiable, KeepsFewerHitsIfMemoryIsExhausted) {
+    std::uint64_t& limit = device().impl().memory_limit_bytes;
+    const std::uint64_t before = std::exchange(limit, device().allocated_bytes() + (48 << 20));
+    Renderer renderer(device(), placed.scene, settings.image, {.n_rays = 65536, .keep_hits = 256});
+    EXPECT_EQ(renderer.kept_hits(), 32u);
+    EXPECT_THROW(renderer.keep_hits(128), OutOfDeviceMemory);
+    EXPECT_EQ(renderer.kept_hits(), 32u) << "unchanged after the failure";
+    place(renderer);
+    EXPECT_EQ(renderer.forward(rays).size(), rays.size());
+    limit = before;
 }
 
 TEST_F(Differentiable, MovedIsAsPlaced) {
@@ -118,7 +186,8 @@ TEST_F(Differentiable, MovedIsAsPlaced) {
 /// Trains with a user-defined loss on the host, the mean squared intensity error. The
 /// error must decrease.
 TEST_F(Differentiable, ALossOfOnesOwnLearns) {
-    DifferentiableRenderer renderer(device(), placed.scene, settings.image);
+    DifferentiableRenderer differentiable(device(), placed.scene, settings.image);
+    Renderer& renderer = differentiable.renderer();
     Adam adam(device(), renderer.scene().size(), {});
     std::vector<double> losses;
     for (int step = 1; step <= 30; ++step) {
@@ -131,8 +200,8 @@ TEST_F(Differentiable, ALossOfOnesOwnLearns) {
             losses.back() += error * error;
             d.intensity[i] = 2.0f * error;
         }
-        renderer.backward(d);
-        const Gradients& gradients = renderer.gradients();
+        differentiable.backward(d);
+        const Gradients& gradients = differentiable.gradients();
         adam.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched,
                   {0.0, 0.0, 0.0, 0.0, 0.05, 0.05}, step, 3);
     }
@@ -140,15 +209,16 @@ TEST_F(Differentiable, ALossOfOnesOwnLearns) {
 }
 
 TEST_F(Differentiable, WhatIsOutOfOrderIsRefused) {
-    DifferentiableRenderer renderer(device(), placed.scene, settings.image);
+    DifferentiableRenderer differentiable(device(), placed.scene, settings.image);
+    Renderer& renderer = differentiable.renderer();
     EXPECT_THROW(renderer.forward(rays), UsageError) << "call place() first";
-    EXPECT_THROW(renderer.backward({}), UsageError) << "not rendered";
+    EXPECT_THROW(differentiable.backward({}), UsageError) << "not rendered";
     place(renderer);
     renderer.forward(rays);
-    EXPECT_THROW(renderer.backward({.weight = std::vector<float>(3)}), DataError);
+    EXPECT_THROW(differentiable.backward({.weight = std::vector<float>(3)}), DataError);
     EXPECT_THROW(renderer.upload(placed.scene.surfels.slice(0, 2)), DataError);
     EXPECT_THROW(renderer.place({InstancePose{}}, glm::vec3(0.0f)), DataError);
-    renderer.change_surfels([](double bytes) { EXPECT_GT(bytes, 0.0); });
+    differentiable.change_surfels([](double bytes) { EXPECT_GT(bytes, 0.0); });
     EXPECT_THROW(renderer.forward(rays), UsageError) << "the structure is gone";
     place(renderer);
     EXPECT_EQ(renderer.forward(rays).size(), rays.size());
@@ -211,8 +281,8 @@ TEST_F(FirstUseTest, WrongAtomicsLeadToGatheredGradients) {
     const ImageModel model{.sh_direction = ShDirection::surfel};
     Surfels surfels;
     surfels.resize(1);
-    DifferentiableRenderer renderer(opened, make_background_scene(surfels), model);
-    EXPECT_NE(renderer.backward_pass().most_hits(), nullptr);
+    DifferentiableRenderer differentiable(opened, make_background_scene(surfels), model);
+    EXPECT_NE(differentiable.backward_pass().most_hits(), nullptr);
     EXPECT_EQ(notes.size(), device().info().float_atomics ? 1u : 0u);
 }
 

@@ -12,6 +12,8 @@
 #include <relidar/base/error.hpp>
 #include <relidar/log/dataset.hpp>
 
+#include "log/clouds/pose_conventions.hpp"
+
 namespace relidar {
 namespace {
 
@@ -60,6 +62,35 @@ void expect_errors(const std::vector<std::pair<std::function<void(Sequence&)>, s
         EXPECT_EQ(message.find('\n'), std::string::npos);
         EXPECT_NE(message.find(", expected "), std::string::npos) << message;
     }
+}
+
+TEST(CorrectInversePoses, IfTheScansConfirm) {
+    const Sequence street =
+        make_synthetic_street({.n_frames = 12, .rows = 16, .columns = 240, .moving_cars = false});
+    const auto largest_error_m = [&](const Sequence& log) {
+        double largest_m = 0.0;
+        const Pose first = inverse(log.world_from_vehicle.pose[0]),
+                   truth = inverse(street.world_from_vehicle.pose[0]);
+        for (std::size_t i = 0; i < 12; ++i)
+            largest_m =
+                std::max(largest_m, glm::distance((first * log.world_from_vehicle.pose[i]).translation,
+                                                  (truth * street.world_from_vehicle.pose[i]).translation));
+        return largest_m;
+    };
+    Sequence log = street;
+    folder::correct_inverse_poses(log);
+    EXPECT_EQ(log.notes, street.notes);
+    EXPECT_EQ(largest_error_m(log), 0.0);
+    for (Pose& pose : log.world_from_vehicle.pose) {
+        pose.translation += log.world_offset_m;
+        pose = inverse(pose);
+    }
+    log.world_offset_m = glm::dvec3(0.0);
+    EXPECT_GT(largest_error_m(log), 3.0);
+    folder::correct_inverse_poses(log);
+    EXPECT_LT(largest_error_m(log), 1e-6);
+    ASSERT_EQ(log.notes.size(), street.notes.size() + 1);
+    EXPECT_NE(log.notes.back().find("sensor-from-world"), std::string::npos) << log.notes.back();
 }
 
 TEST(CheckSequence, NamesLidarFramePoseOrBox) {

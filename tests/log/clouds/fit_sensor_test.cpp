@@ -76,6 +76,27 @@ TEST(FindBeams, NoneWhereElevationsDoNotGather) {
     EXPECT_TRUE(find_beams({make_points_on(wide, 1)}).empty());
 }
 
+// In a scan of TIER IV's nebula, the lowest four beams of a QT128 that return have 1 to 4
+// points.
+TEST(FindBeams, KeepsBeamsWithFewReturns) {
+    SpinningSensor truth = std::get<SpinningSensor>(find_built_in_sensor("QT128", 900, 10.0)->pattern);
+    for (Beam& beam : truth.beams) beam = {.elevation_rad = beam.elevation_rad};
+    const RayTable rays = make_rays(truth);
+    Random random(11);
+    std::vector<int> n_left(128, 1004);
+    n_left[0] = 2, n_left[60] = 3, n_left[125] = 2, n_left[126] = 1, n_left[127] = 4;
+    Points points;
+    for (std::size_t i = 0; i < rays.size(); ++i)
+        if (const int n = n_left[rays.channel[i]]--; n > 0)
+            points.position_m.push_back(float(n < 5 ? 19.0 : random.uniform(2.0, 20.0)) * rays.direction[i]);
+    expect_beams(find_beams({points}), truth.beams, 1e-5);
+    for (const double elevation_deg : {-53.1, -54.2, 53.0, 0.31, 7.7}) {  // stray points between the beams
+        const double e = elevation_deg * kPi / 180.0;
+        points.position_m.emplace_back(10.0 * std::cos(e), 0.0, 10.0 * std::sin(e));
+    }
+    expect_beams(find_beams({points}), truth.beams, 1e-5);
+}
+
 TEST(RecoverRings, OfBeamsThatStartBesideTheCentre) {
     SpinningSensor s = make_true_sensor();
     // 2 degrees at 3 m, which is three beam spacings

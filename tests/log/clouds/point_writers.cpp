@@ -148,4 +148,25 @@ std::string compress_lzf(const std::string& bytes) {
     return out;
 }
 
+std::string las(const FilePoints& points, double x_offset_m, int format) {
+    constexpr std::size_t kHeader = 227, kRecord = 28;
+    std::string bytes("LASF");
+    bytes.resize(24), bytes += "\x01\x02";
+    bytes.resize(94), append(bytes, std::uint16_t(kHeader)), append(bytes, std::uint32_t(kHeader));
+    append(bytes, std::uint32_t(0)), append(bytes, std::uint8_t(format));
+    append(bytes, std::uint16_t(kRecord)), append(bytes, std::uint32_t(points.size()));
+    bytes.resize(131);
+    for (int axis = 0; axis < 3; ++axis) append(bytes, 1e-5);
+    append(bytes, x_offset_m), append(bytes, 0.0), append(bytes, 0.0);
+    bytes.resize(kHeader);
+    for (const FilePoint& p : points) {
+        const glm::dvec3 stored_m = glm::dvec3(p.point_m) - glm::dvec3(x_offset_m, 0.0, 0.0);
+        for (int axis = 0; axis < 3; ++axis) append(bytes, std::int32_t(std::lround(1e5 * stored_m[axis])));
+        append(bytes, std::uint16_t(get_byte(p.intensity)));
+        append(bytes, std::uint32_t(9));  // return 1 of 1; class, angle and user data are 0
+        append(bytes, std::uint16_t(0)), append(bytes, p.time_s);
+    }
+    return bytes;
+}
+
 }  // namespace relidar::test

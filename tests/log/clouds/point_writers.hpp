@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes points in the file formats of other programs, byte by byte: PCD (text, packed,
-// compressed), PLY (text, packed), .bin, .npy.
+// compressed), PLY (text, packed), .bin, .npy, LAS.
 #pragma once
 
 #include <cstdint>
@@ -32,6 +32,10 @@ std::string make_ply_binary(const FilePoints& points);
 std::string bin(const FilePoints& points);
 /// [n, 6] float64: x y z intensity ring timestamp.
 std::string npy(const FilePoints& points);
+
+/// Returns a LAS 1.2 file with points of format 1, as in the specification of the ASPRS.
+/// Coordinates have a unit of 0.01 mm.
+std::string las(const FilePoints& points, double x_offset_m = 0.0, int format = 1);
 
 /// Compresses bytes with LZF. Uses matches of at least 3 bytes at any encodable distance,
 /// and literals for the remaining bytes.

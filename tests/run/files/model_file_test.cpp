@@ -64,6 +64,25 @@ TEST_F(ModelFile, RoundTripsExactly) {
     EXPECT_EQ(read.instances[1].track, "7");
 }
 
+TEST_F(ModelFile, KeepsWhichPatchesWereSeen) {
+    BoxSurface surface({4.5, 1.75, 1.5});
+    surface.add({2.25, 0.3, 0.2}, {-1.0, 0.0, 0.0});
+    surface.is_completed = true;
+    scene.models[1].surface = surface;
+    save_model(path, scene);
+    const Scene read = load_model(path);
+    EXPECT_FALSE(read.models[0].surface);
+    ASSERT_TRUE(read.models[1].surface);
+    EXPECT_TRUE(read.models[1].surface->is_completed);
+    EXPECT_TRUE(read.models[1].surface->is_seen({2.25, 0.3, 0.2}));
+    EXPECT_TRUE(read.models[1].surface->is_mirrored({2.25, -0.3, 0.2}));
+    EXPECT_EQ(read.models[1].surface->known(), surface.known());
+    arrays = read_safetensors(path, &metadata);
+    std::string layout = metadata.at("layout");
+    layout.replace(layout.find("\"front\":\"") + 9, 1, "7");
+    EXPECT_NE(get_error_with_layout(layout).find("expected a 0 or 1 for each of"), std::string::npos);
+}
+
 TEST_F(ModelFile, HasTheDocumentedArrays) {
     const std::map<std::string, std::vector<std::size_t>> expected{{"mean", {4, 3}},
                                                                    {"rotation", {4, 4}},

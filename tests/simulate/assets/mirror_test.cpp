@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests mirror images of surfels. Compares covariances and harmonics with their
 // definitions, and renders complete cars from both sides.
+#include <relidar/run/edit.hpp>
+#include <relidar/scene/symmetry.hpp>
 #include <relidar/simulate/assets.hpp>
 #include <relidar/simulate/render.hpp>
 
@@ -135,6 +137,63 @@ TEST_F(MirroredCar, KeepsWhatWasSeen) {
                                left.sh.begin() + std::ptrdiff_t((i + 1) * kShFloats),
                                found.sh.begin() + std::ptrdiff_t(k * kShFloats)));
     }
+}
+
+/// Returns the surfels of the left plate of the car, 5 cm inside its box.
+Surfels left_plate() {
+    const Surfels all = make_plates();
+    std::vector<std::uint32_t> left;
+    for (std::uint32_t i = 0; i < all.size(); ++i)
+        if (std::abs(all.mean[i].y - 0.95f) < 1e-3f) left.push_back(i);
+    return all.reorder(left);
+}
+
+/// Returns a trained run of which the log has seen the given surfels from outside.
+relidar::Run train_small_run(const Surfels& car, const std::string& category) {
+    relidar::Run run = run_of(car, {});
+    run.sequence.boxes[0].category = category;
+    BoxSurface surface(kCarSize_m);
+    for (const glm::vec3& p : car.mean) surface.add(glm::dvec3(p), {0.0, p.y > 0.0f ? -1.0 : 1.0, 0.0});
+    run.scene.models[1].surface = surface;
+    return run;
+}
+
+TEST_F(MirroredCar, AMovedCarReturnsRaysOfTheUnseenSideAtTheMirroredPlane) {
+    const relidar::Run run = train_small_run(left_plate(), "Car");
+    relidar::Run edited = run;
+    edited.replace(move_track(edited.driving(), "7", {}));
+    const RayTable rays = make_rays_from_the_right(1.0);
+    const RenderedScan before = seen(run, rays), after = seen(edited, rays);
+    for (std::size_t i = 0; i < rays.direction.size(); ++i) {
+        const auto range_to = [&](float y_m) { return (y_m - rays.origin[i].y) / rays.direction[i].y; };
+        ASSERT_NEAR(after.median_range_m[i], range_to(-0.95f), 0.01f) << i;
+        if (before.median_range_m[i] > 0.0f)
+            ASSERT_NEAR(before.median_range_m[i], range_to(0.95f), 0.01f) << "the inside of the left plate";
+    }
+    EXPECT_EQ(seen(edited, make_rays_from_the_right(-1.0)).median_range_m,
+              seen(run, make_rays_from_the_right(-1.0)).median_range_m)
+        << "the seen side";
+    const BoxSurface& surface = *edited.scene.models[1].surface;
+    EXPECT_EQ(list_unseen_sides(surface.known()), "front, rear, top");
+    EXPECT_EQ(move_track(edited.driving(), "7", {}).scene.surfels.size(), edited.scene.surfels.size())
+        << "completed once";
+}
+
+TEST_F(MirroredCar, OnlyASymmetricVehicleIsCompleted) {
+    EXPECT_GT(copy_track(train_small_run(left_plate(), "Car").driving(), "7", {}).scene.surfels.size(),
+              left_plate().size());
+    EXPECT_EQ(copy_track(train_small_run(left_plate(), "Pedestrian").driving(), "7", {}).scene.surfels.size(),
+              left_plate().size());
+    // The rear half of the right side was seen too, 0.4 m nearer to the centre.
+    Surfels lopsided = left_plate(), right = mirror_left_right(left_plate());
+    std::vector<std::uint32_t> rear;
+    for (std::uint32_t i = 0; i < right.size(); ++i) {
+        if (right.mean[i].x < -0.1f) rear.push_back(i);
+        right.mean[i] *= 0.55f / 0.95f;
+    }
+    lopsided.append(right.reorder(rear));
+    EXPECT_EQ(copy_track(train_small_run(lopsided, "Car").driving(), "7", {}).scene.surfels.size(),
+              lopsided.size());
 }
 
 }  // namespace

@@ -320,7 +320,7 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     for (int round = 0; round < 3; ++round) {
         expect_equal(alone(beside[2]), expected_points[2], "by turns");
         expect_equal(alone(beside[3]), expected_points[3], "by turns");
-        buffers.push_back(get_impl(device()).n_buffers);
+        buffers.push_back(device().impl().n_buffers);
     }
     EXPECT_EQ(buffers[2], buffers[0]) << "memory is found once";
 }

@@ -67,7 +67,7 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
     };
     TrainingStep step(device, bench, options,
                       make_noisy_targets(rendered(), bench.config.loss.normalised_depth));
-    DifferentiableRenderer& renderer = step.renderer;
+    Renderer& renderer = step.renderer;
     Stream& stream = renderer.stream();
     const Array<DeviceRay> rays(device, std::span<const DeviceRay>(to_device_rays(bench.rays)), "rays");
     const RayBatch batch{&rays, 0, 1, n_rays, static_cast<std::uint32_t>(bench.columns), &step.targets};
@@ -84,7 +84,7 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
             renderer.place(bench.placed, bench.view_origin_m);
             renderer.record_forward(batch);
             step.compare(batch);
-            renderer.record_backward();
+            step.differentiable.record_backward();
             step.optimise();
         });
         time(build, [&] { renderer.accel().update(stream, renderer.scene(), true); });
@@ -92,7 +92,7 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
         time(forward, [&] { renderer.record_forward(batch); });
         step.compare(batch);
         stream.finish();
-        time(backward, [&] { renderer.record_backward(); });
+        time(backward, [&] { step.differentiable.record_backward(); });
     };
     // Time to warm up the device before the measurement. The first launches compile
     // kernels, and a GPU raises its clock rate only under load.

@@ -26,10 +26,11 @@ std::vector<DeviceTarget> make_noisy_targets(const Rendering& rendering, bool no
 
 TrainingStep::TrainingStep(Device& device, const BenchCase& bench, const RendererOptions& options,
                            const std::vector<DeviceTarget>& wanted)
-    : renderer(device, bench.scene, bench.config.image, options,
-               // Adam skips surfels without a gradient, so the backward pass need not set
-               // their gradients to zero.
-               {.sums = make_backward_options(bench.config), .zero_untouched = false}),
+    : differentiable(device, bench.scene, bench.config.image, options,
+                     // Adam skips surfels without a gradient, so the backward pass need
+                     // not set their gradients to zero.
+                     {.sums = make_backward_options(bench.config), .zero_untouched = false}),
+      renderer(differentiable.renderer()),
       targets(device, std::span<const DeviceTarget>(wanted), "targets"),
       loss_(device, bench.config.loss),
       adam_(device, renderer.scene().size(), {.only_touched = bench.config.train.only_touched},
@@ -44,13 +45,14 @@ void TrainingStep::compare(const RayBatch& rays) {
     const ImageShape image{rays.n_rays / columns, columns, false};
     const TargetBatch measured{&targets, 0, 1, rays.n_rays, n_returned_, static_cast<double>(rays.n_rays),
                                image};
-    loss_.compare(renderer.stream(), renderer.batch(), measured, terms_);
-    if (likelihood_loss_) likelihood_loss_->compare(renderer.stream(), renderer.batch(), measured, terms_);
+    loss_.compare(renderer.stream(), differentiable.batch(), measured, terms_);
+    if (likelihood_loss_)
+        likelihood_loss_->compare(renderer.stream(), differentiable.batch(), measured, terms_);
 }
 
 void TrainingStep::optimise() {
     constexpr LearningRates kNone{0.0, 0.0, 0.0, 0.0, 0.0, 0.05};
-    const Gradients& gradients = renderer.gradients();
+    const Gradients& gradients = differentiable.gradients();
     adam_.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched, kNone,
                ++step_, renderer.model().sh_degree);
 }

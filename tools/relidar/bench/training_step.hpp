@@ -25,7 +25,8 @@ public:
     TrainingStep(Device& device, const BenchCase& bench, const RendererOptions& options,
                  const std::vector<DeviceTarget>& wanted);
 
-    DifferentiableRenderer renderer;
+    DifferentiableRenderer differentiable;
+    Renderer& renderer;  ///< The renderer of `differentiable`.
     Array<DeviceTarget> targets;
 
     /// Adds the loss kernels to the command buffer. Must be called after

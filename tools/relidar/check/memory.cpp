@@ -21,8 +21,8 @@ constexpr std::uint64_t kMiB = std::uint64_t(1) << 20;
 
 /// Returns the number of bytes that the memory checks may allocate.
 std::uint64_t compute_allowed_bytes(const Device& device) {
-    std::uint64_t n_free = gpu::query_memory_budget(get_impl(device).physical).n_free();
-    if (const std::uint64_t limit = get_impl(device).memory_limit_bytes; limit > 0)
+    std::uint64_t n_free = gpu::query_memory_budget(device.impl().physical).n_free();
+    if (const std::uint64_t limit = device.impl().memory_limit_bytes; limit > 0)
         n_free = std::min(n_free, limit - std::min(limit, device.allocated_bytes()));
     return device.info().type == "CPU" ? std::min(n_free / 8, 2048 * kMiB) : n_free / 10 * 9;
 }
@@ -41,7 +41,7 @@ bool holds(const Buffer& buffer, std::uint32_t value) {
 
 Finding check_large_buffer(CheckedDevice& checked) {
     Device& device = checked.device();
-    const std::uint64_t limit = get_impl(device).largest_buffer.n_bytes,
+    const std::uint64_t limit = device.impl().largest_buffer.n_bytes,
                         n_bytes = std::min(limit, compute_allowed_bytes(device)) / 64 * 64;
     if (n_bytes < kMiB) return report_unsupported("less than 1 MiB of device memory is free");
     const Buffer buffer(device, n_bytes, "the largest buffer");
@@ -75,7 +75,7 @@ Finding check_memory(CheckedDevice& checked) {
                 fmt::format("buffer {} of {} contains other values than were written", i + 1, pieces.size()));
     return {Finding::Kind::right,
             fmt::format("{} of the memory budget of {}", format_byte_size(pieces.size() * kPiece),
-                        format_byte_size(gpu::query_memory_budget(get_impl(device).physical).n_bytes))};
+                        format_byte_size(gpu::query_memory_budget(device.impl().physical).n_bytes))};
 }
 
 }  // namespace relidar::cli

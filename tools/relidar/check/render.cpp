@@ -47,7 +47,8 @@ Pass run_pass(Device& device) {
     const test::SceneAndPoses placed =
         test::to_scene(test::to_surfels(pass.scene.world.surfels), pass.scene.world.instances);
     const auto n_rays = static_cast<std::uint32_t>(pass.scene.rays.size());
-    DifferentiableRenderer renderer(device, placed.scene, pass.settings.image, {.n_rays = n_rays});
+    DifferentiableRenderer differentiable(device, placed.scene, pass.settings.image, {.n_rays = n_rays});
+    Renderer& renderer = differentiable.renderer();
     const Array<DeviceRay> rays(
         device, std::span<const DeviceRay>(to_device_rays(test::to_world_rays(pass.scene.rays))), "rays");
     std::vector<shared::RayGradient> upstream(n_rays);
@@ -57,12 +58,12 @@ Pass run_pass(Device& device) {
         RELIDAR_BLENDED_VALUES(RELIDAR_COPY)
 #undef RELIDAR_COPY
     }
-    renderer.batch().upstream->upload(upstream);
+    differentiable.batch().upstream->upload(upstream);
     renderer.place(placed.world_from_instance, glm::vec3(pass.scene.view_origin));
     renderer.record_forward({&rays, 0, 1, n_rays});
-    renderer.record_backward();
+    differentiable.record_backward();
     pass.rendering = renderer.download_rendering();
-    pass.gradients = renderer.gradients().surfels.download();
+    pass.gradients = differentiable.gradients().surfels.download();
     return pass;
 }
 

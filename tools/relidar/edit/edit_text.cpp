@@ -122,22 +122,34 @@ std::string standing(const Start& start, const std::string& typed) {
 std::string describe_unseen_ground(const Start& start, const std::string& track) {
     if (start.unseen_m == 0.0) return "";
     return fmt::format(
-        "track {}: the log has not observed the ground below {:.0f} m of its path, so the height there is "
-        "extrapolated with the mean slope of the path",
+        "track {}: the log has not seen the ground below {:.0f} m of its path, so the height there is a "
+        "guess: the actor keeps the mean slope of its path",
         track, start.unseen_m);
 }
 
-/// Returns a warning if the log has not observed some sides of an actor. These sides have
-/// no surfels, so rays pass through them.
-std::string describe_unseen_sides(const DrivingScene& driving) {
-    const Instance& added = driving.scene.instances.back();
-    const Model& model = driving.scene.models[added.model];
-    const std::string sides = model.seen_sides ? list_unseen_sides(*model.seen_sides) : "";
-    if (sides.empty()) return "";
-    return fmt::format(
-        "track {}: the log has not observed these sides of the actor: {}; rays pass through "
-        "these sides",
-        added.track, sides);
+/// Returns a note on the sides of an actor that the log has not observed. Completed sides
+/// are mirror images. The remaining sides have no surfels, so rays pass through them.
+std::string describe_unseen_sides(const DrivingScene& driving, const std::string& track) {
+    const auto actor = std::ranges::find(driving.scene.instances, track, &Instance::track);
+    const std::optional<BoxSurface>& surface = driving.scene.models[actor->model].surface;
+    if (!surface) return "";
+    std::vector<std::string> parts;
+    for (std::size_t s = 0; s < kBoxSides; ++s) {
+        const double share = surface->mirrored(BoxSide(s));
+        if (surface->is_completed && share >= double(kUnseenSide))
+            parts.push_back(fmt::format("{:.0f} % of the {}", 100.0 * share, get_name(BoxSide(s))));
+    }
+    const std::string unseen = list_unseen_sides(surface->known());
+    std::string text;
+    if (!parts.empty())
+        text = fmt::format(
+            "track {}: not seen by the log and completed by the mirror image of the other "
+            "side: {}",
+            track, fmt::join(parts, ", "));
+    if (!unseen.empty())
+        text += fmt::format("{}track {}: the log has not seen these sides of it: {}; rays pass through them",
+                            text.empty() ? "" : "; ", track, unseen);
+    return text;
 }
 
 std::string join_notes(const std::vector<std::string>& notes) {
@@ -157,8 +169,9 @@ AppliedEdit remove_one(DrivingScene driving, const TypedEdit& edit) {
 
 AppliedEdit move(DrivingScene driving, const TypedEdit& edit) {
     const auto [track, offset] = cut(edit, edit.value, edit.value.rfind(':'));
-    return {move_track(std::move(driving), track, make_pose(numbers(edit, offset, 3, 4))), "moved " + track,
-            ""};
+    driving = move_track(std::move(driving), track, make_pose(numbers(edit, offset, 3, 4)));
+    const std::string note = describe_unseen_sides(driving, track);
+    return {std::move(driving), "moved " + track, note};
 }
 
 /// Returns true if the actor is present in at least one frame of the log.
@@ -197,7 +210,8 @@ AppliedEdit apply_trajectory(DrivingScene driving, const TypedEdit& edit) {
     const auto [track, file] = cut(edit, edit.value, edit.value.find(':'));
     const BoxTrack before = copy_of_box(driving, track);
     driving = replace_trajectory(std::move(driving), track, read_trajectory(file));
-    const std::string note = describe_absence(driving, track, &before);
+    const std::string note =
+        join_notes({describe_absence(driving, track, &before), describe_unseen_sides(driving, track)});
     return {std::move(driving), fmt::format("{} follows {}", track, file), note};
 }
 
@@ -205,9 +219,9 @@ AppliedEdit copy(DrivingScene driving, const TypedEdit& edit) {
     const auto [track, place] = cut(edit, edit.value, edit.value.rfind('@'));
     const Start start = start_of(edit, place, driving, {driving, track, {}});
     driving = copy_track(std::move(driving), track, start);
-    return {
-        driving, fmt::format("copied {} as {}{}", track, get_last_track(driving), standing(start, place)),
-        join_notes({describe_unseen_ground(start, get_last_track(driving)), describe_unseen_sides(driving)})};
+    return {driving, fmt::format("copied {} as {}{}", track, get_last_track(driving), standing(start, place)),
+            join_notes({describe_unseen_ground(start, get_last_track(driving)),
+                        describe_unseen_sides(driving, get_last_track(driving))})};
 }
 
 /// An actor that is inserted from another run or from an asset.
@@ -249,8 +263,8 @@ AppliedEdit insert(DrivingScene driving, const TypedEdit& edit) {
         start_of(edit, place, driving, {actor.owner, actor.track, measure_asset_clearance(actor.run)});
     const std::string sensor = describe_sensor_of_actor(actor, driving);
     driving = insert_track(std::move(driving), actor.owner, actor.track, start);
-    const std::string note = join_notes(
-        {sensor, describe_unseen_ground(start, get_last_track(driving)), describe_unseen_sides(driving)});
+    const std::string note = join_notes({sensor, describe_unseen_ground(start, get_last_track(driving)),
+                                         describe_unseen_sides(driving, get_last_track(driving))});
     const std::string placed = standing(start, place);
     return {
         driving,
@@ -294,9 +308,7 @@ void follow(const TypedEdit& edit, const ScenarioEntity& entity, const std::stri
     const BoxTrack before = copy_of_box(driving, description);
     if (!is_known) {
         if (description.find('#') == std::string::npos && !std::filesystem::exists(description))
-            refuse(edit, fmt::format("{}=TRACK (a track of the run), RUN#TRACK (a track of another run) or "
-                                     "an asset",
-                                     entity.name));
+            refuse(edit, fmt::format("{}=TRACK of the run, RUN#TRACK or ASSET", entity.name));
         const ExternalActor actor = load_external_actor(edit, description);
         join_note(applied.note, describe_sensor_of_actor(actor, driving));
         driving = insert_track(std::move(driving), actor.owner, actor.track, {});
@@ -308,6 +320,7 @@ void follow(const TypedEdit& edit, const ScenarioEntity& entity, const std::stri
     applied.said += fmt::format("{}{} follows {} of {}", applied.said.empty() ? "" : "\n", track, entity.name,
                                 edit.value.substr(0, edit.value.find('@')));
     join_note(applied.note, describe_absence(driving, track, is_known ? &before : nullptr));
+    join_note(applied.note, describe_unseen_sides(driving, track));
     if (!entity.ignored.empty())
         join_note(applied.note, fmt::format("the element {} of entity {} is not supported and is ignored",
                                             fmt::join(entity.ignored, ", "), entity.name));

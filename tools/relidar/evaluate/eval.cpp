@@ -18,6 +18,7 @@
 #include "browser.hpp"
 #include "command.hpp"
 #include "console.hpp"
+#include "evaluate/actor_strips.hpp"
 #include "evaluate/evaluation.hpp"
 #include "evaluate/pictures.hpp"
 #include "evaluate/run_report.hpp"
@@ -126,6 +127,14 @@ void keep_rank_share(std::vector<int>& positions, const Ranks& ranks) {
                  positions.begin() + std::ptrdiff_t(share.end)};
 }
 
+/// Loads the scans of the held-out frames.
+/// @return for an edited synthetic street, the exact scans before the edits
+std::vector<Scan> attach_test_scans(Run& run, const Sequence& log) {
+    if (is_recastable(run)) return attach_recast(run);
+    attach_scans(run, run.split.test, log);
+    return {};
+}
+
 void score_run(const EvalOptions& options, const Ranks& ranks, const std::string& command_line) {
     // Lock of the run's folder. No other process may write to this folder, because the
     // command writes metrics.json there.
@@ -142,12 +151,11 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
         options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out),
         options.pictures, ranks);
     check_held_out(run.split, run.folder.string());
+    const std::vector<int> all_test = run.split.test;
     keep_rank_share(run.split.test, ranks);
     Device device(make_device_options(options.device));
     const Sequence log = load_dataset(run.config, options.quiet);
-    std::vector<Scan> before;
-    if (is_recastable(run)) before = attach_recast(run);
-    else attach_scans(run, run.split.test, log);
+    const std::vector<Scan> before = attach_test_scans(run, log);
     if (!options.baseline.empty()) attach_scans(run, run.split.train, log);
 
     catch_interrupts();
@@ -169,12 +177,19 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
         ranks);
     if (!ranks.is_first()) return;
     if (!options.quiet) print(describe_edits(run));
+    if (!output.pictures.empty()) {
+        run.split.test = all_test;
+        if (ranks.size() > 1) (void)attach_test_scans(run, log);
+        write_actor_strips(output.pictures, device, run, evaluation);
+    }
     write_results(output, evaluation, run.config,
                   {make_absolute_path(run.folder.string()), device.info().name, device.peak_bytes(),
                    measure_seconds_since(start), baseline ? &*baseline : nullptr},
                   options.quiet);
     if (!options.open) return;
-    const Report report = make_evaluation_report(run, evaluation, device, command_line);
+    Report report = make_evaluation_report(run, evaluation, device, command_line);
+    for (ReportFigure& strip : worst_actor_strips(device, run, evaluation))
+        report.figures.push_back(std::move(strip));
     open_page(output.file.parent_path() / "evaluation.html", report, options.quiet);
 }
 
@@ -306,7 +321,8 @@ void add_eval(CLI::App& app, Call& call) {
     add_log_part_options(*command, options->part);
     command
         ->add_option("--pictures", options->pictures,
-                     "folder for pictures of each held-out frame: real, rendered, error")
+                     "folder for pictures of each held-out frame and of each moving box: real, rendered, "
+                     "error")
         ->type_name("DIR");
     command->add_flag("--open", options->open,
                       "write the scores to a page, evaluation.html in the folder of the JSON file, and open "

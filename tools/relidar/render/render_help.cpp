@@ -11,7 +11,8 @@ std::string files_help() {
     return R"(Files are named DIR/frame_000123.npz and so on, by the dataset's frame number; with --trajectory
 they are counted from 0. DIR/scans.json holds run, sensor, offset, poses, times and settings, and
 `unseen`: the share of rays that cross mainly space that the log has not seen. `unseen_sides`: sides
-of actors that rays meet and the log has not seen. `boxes`, with --boxes: each actor at the time
+of actors that the log has not seen and rays pass through; `completed_sides`: filled by mirroring.
+`boxes`, with --boxes: each actor at the time
 at which the sensor faces it, in the dataset's world; first returns on it; and the share of the
 rays that hit it of those that would hit it if nothing else existed.
 npz: range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions,

@@ -48,20 +48,27 @@ void note_weather(const Weather& weather) {
 namespace {
 
 /// Prints which sides of actors appear in the scans although the log never observed them.
-/// Each side is printed with the number of scans that show it.
-void note_unseen_sides(const std::vector<nlohmann::json>& scans, const std::string& folder) {
-    std::map<std::string, std::size_t> n_scans;
+/// Each side is printed with the number of scans that show it, and of rays that meet it.
+/// @param key list of sides in an entry of scans.json
+/// @param effect what such rays do
+void note_sides(const std::vector<nlohmann::json>& scans, const std::string& folder, const char* key,
+                const char* effect) {
+    struct Sum {
+        std::size_t scans = 0, rays = 0;
+    };
+    std::map<std::string, Sum> sums;
     for (const nlohmann::json& scan : scans)
-        for (const nlohmann::json& side : scan["unseen_sides"])
-            ++n_scans[fmt::format("the {} of {}", side["side"].get<std::string>(),
-                                  side["track"].get<std::string>())];
+        for (const nlohmann::json& side : scan[key]) {
+            Sum& sum = sums[fmt::format("the {} of {}", side["side"].get<std::string>(),
+                                        side["track"].get<std::string>())];
+            ++sum.scans, sum.rays += side["rays"].get<std::size_t>();
+        }
     std::vector<std::string> texts;
-    for (const auto& [name, n] : n_scans) texts.push_back(fmt::format("{} in {} scans", name, n));
+    for (const auto& [name, sum] : sums)
+        texts.push_back(fmt::format("{} in {} scans ({} rays)", name, sum.scans, sum.rays));
     if (texts.empty()) return;
-    note(
-        fmt::format("{}: rays pass through sides of actors that the log has not observed: {} (see "
-                    "unseen_sides in scans.json)",
-                    folder, fmt::join(texts, ", ")));
+    note(fmt::format("{}: rays meet sides of actors that the log has not seen, and {}: {} (scans.json: {})",
+                     folder, effect, fmt::join(texts, ", "), key));
 }
 
 }  // namespace
@@ -69,7 +76,8 @@ void note_unseen_sides(const std::vector<nlohmann::json>& scans, const std::stri
 void note_unseen(const std::vector<std::string>& entries, const std::string& folder) {
     std::vector<nlohmann::json> scans;
     for (const std::string& entry : entries) scans.push_back(nlohmann::json::parse(entry));
-    note_unseen_sides(scans, folder);
+    note_sides(scans, folder, "unseen_sides", "pass through them");
+    note_sides(scans, folder, "completed_sides", "return from mirrored surfaces");
     std::size_t n_unseen = 0, n_known = 0;
     double worst = 0.0;
     int worst_number = 0;

@@ -63,7 +63,8 @@ void train_network(Device& device, Run& run, const RefineOptions& options, const
     if (start && !options.quiet) print(fmt::format("resume  from step {}\n", start->iteration));
     const std::filesystem::path checkpoints = get_network_checkpoint_folder(run.folder);
     catch_interrupts();
-    if (!refine_with_progress(device, run, options.quiet, {.checkpoints = checkpoints, .start = start})) {
+    if (refine_with_progress(device, run, options.quiet, {.checkpoints = checkpoints, .start = start}) ==
+        TrainingEnd::stopped) {
         const bool can_go_on = !list_checkpoints(checkpoints).empty();
         throw Error(ExitCode::interrupted,
                     fmt::format("interrupted: the network of {} is unchanged{}", run.folder.string(),

@@ -15,9 +15,9 @@
 #include <relidar/run/stage_options.hpp>
 #include "command.hpp"
 #include "console.hpp"
+#include "evaluate/actor_strips.hpp"
 #include "evaluate/evaluation.hpp"
 #include "evaluate/run_report.hpp"
-#include "evaluate/walking_strip.hpp"
 #include "interrupt.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
@@ -206,7 +206,7 @@ Error make_interruption_error(const char* description, const Run& run, const Tra
 /// Runs the steps after the training of the scene and before the training of the ray-drop
 /// network. These steps align the held-out scans and learn the intensity noise.
 void complete_with_hint(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
-    if (!complete_scene_with_progress(device, run, options.quiet, stages))
+    if (complete_scene_with_progress(device, run, options.quiet, stages) == TrainingEnd::stopped)
         throw make_interruption_error("held-out scans were aligned and intensity scatter was learned", run,
                                       options);
 }
@@ -254,6 +254,8 @@ void finish(Device& device, const Run& run, const TrainResult& result, const Tra
     const Evaluation evaluation = score(device, run, options);
     stages.begin("report");
     add_evaluation(report, evaluation, run, {"held out", "real"});
+    for (ReportFigure& strip : worst_actor_strips(device, run, evaluation))
+        report.figures.push_back(std::move(strip));
     if (std::optional<ReportFigure> strip = draw_walking_strip(device, run))
         report.figures.push_back(std::move(*strip));
     report.facts.emplace_back("Stages", format_stages(stages));
@@ -297,10 +299,10 @@ void refine_with_hint(Device& device, Run& run, const TrainOptions& options, Sta
         note(error.what());
     };
     try {
-        if (!refine_with_progress(device, run, options.quiet,
-                                  {.checkpoints = get_network_checkpoint_folder(run.folder),
-                                   .start = start ? &*start : nullptr,
-                                   .stages = &stages}))
+        const RefineSession session{.checkpoints = get_network_checkpoint_folder(run.folder),
+                                    .start = start ? &*start : nullptr,
+                                    .stages = &stages};
+        if (refine_with_progress(device, run, options.quiet, session) == TrainingEnd::stopped)
             throw make_interruption_error("the ray-drop network was trained", run, options);
     } catch (const DataError& error) {
         // Removes the checkpoints, because a resumed training would fail with the same

@@ -186,7 +186,7 @@ private:
                 step == n_steps);
         };
         try {
-            if (!relidar::train_actors(device_, run_, {show, is_interrupted}))
+            if (relidar::train_actors(device_, run_, {show, is_interrupted}) == TrainingEnd::stopped)
                 throw Error(ExitCode::interrupted,
                             "interrupted while actors were trained in front of the joined background");
         } catch (const Error& error) {

@@ -137,18 +137,18 @@ void learn_scatter_with_progress(Device& device, Run& run, bool quiet) {
 
 }  // namespace
 
-bool complete_scene_with_progress(Device& device, Run& run, bool quiet, StageTimes& stages) {
+TrainingEnd complete_scene_with_progress(Device& device, Run& run, bool quiet, StageTimes& stages) {
     stages.begin("place");
     place_with_progress(device, run, quiet);
     stages.begin("scatter");
     learn_scatter_with_progress(device, run, quiet);
-    if (is_interrupted()) return false;
+    if (is_interrupted()) return TrainingEnd::stopped;
     stages.begin("save");
     save_run(run);
-    return true;
+    return TrainingEnd::finished;
 }
 
-bool refine_with_progress(Device& device, Run& run, bool quiet, RefineSession session) {
+TrainingEnd refine_with_progress(Device& device, Run& run, bool quiet, RefineSession session) {
     Progress progress(quiet);
     session.progress = make_progress(progress);
     session.stop = is_interrupted;
@@ -164,9 +164,9 @@ bool refine_with_progress(Device& device, Run& run, bool quiet, RefineSession se
     };
     DropNetwork network = refine_drops(device, run, session);
     end_progress_line();
-    if (network.empty()) return false;
+    if (network.empty()) return TrainingEnd::stopped;
     run.drop_network = std::move(network);
-    return true;
+    return TrainingEnd::finished;
 }
 
 std::string format_progress(const TrainProgress& progress) {

@@ -29,15 +29,15 @@ TrainResult train_with_log(Device& device, const Sequence& sequence, const Split
 /// network. The steps align the held-out scans, measure the noise of intensities, and
 /// save the run again.
 /// @param stages receives the times of "place", "scatter" and "save"
-/// @return false if the user interrupted; the folder then holds the scene without these
-/// results
-bool complete_scene_with_progress(Device& device, Run& run, bool quiet, StageTimes& stages);
+/// @return `stopped` if the user interrupted; the folder then holds the scene without
+/// these results
+TrainingEnd complete_scene_with_progress(Device& device, Run& run, bool quiet, StageTimes& stages);
 
 /// Trains the ray-drop network of a run and shows a progress line. The scans of the log
 /// must be loaded.
 /// @param session this function sets its members `progress`, `step`, `stop` and `note`
-/// @return false if the user interrupted the training
-bool refine_with_progress(Device& device, Run& run, bool quiet, RefineSession session = {});
+/// @return `stopped` if the user interrupted the training
+TrainingEnd refine_with_progress(Device& device, Run& run, bool quiet, RefineSession session = {});
 
 /// Returns the text of the progress line, such as "iteration 1200/30000  4.20 it/s  eta
 /// 1:54:00  loss 0.0123 (depth 0.01 intensity 0.002 drop 0.0003)".

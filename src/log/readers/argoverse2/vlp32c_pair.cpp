@@ -8,44 +8,27 @@
 #include <algorithm>
 #include <cmath>
 #include <complex>
-#include <numeric>
+#include <variant>
+
+#include <relidar/log/sensor_pattern.hpp>
 
 #include "log/clouds/arrange_firings.hpp"
 
 namespace relidar::argoverse2 {
 namespace {
 
-constexpr double kCycle_ns = 55296.0, kPair_ns = 2304.0, kRate_hz = 10.0;
+constexpr double kCycle_ns = 55296.0, kRate_hz = 10.0;
+constexpr const char* kName = "VLP-32C";
 
-struct Laser {
-    int number;  ///< Argoverse's laser_number, modulo 32
-    double elevation_deg, azimuth_deg;
-};
-// Lasers in the order of firing, two lasers per firing. The nominal angles are from
-// VeloView-VLP-32C.yaml of ros-drivers/velodyne (BSD). The laser numbers of Argoverse and
-// the firing order were derived from the times and elevations of points in a published
-// sweep.
-constexpr Laser kTable[kLasers] = {
-    {31, -25.000, -1.4}, {13, -1.000, 4.2},  {1, -1.667, -1.4},  {17, -15.639, 1.4}, {29, -11.310, -1.4},
-    {9, 0.000, 1.4},     {3, -0.667, -4.2},  {21, -8.843, 1.4},  {27, -7.254, -1.4}, {12, 0.333, 4.2},
-    {5, -0.333, -1.4},   {16, -6.148, 1.4},  {25, -5.333, -4.2}, {8, 1.333, 1.4},    {7, 0.667, -4.2},
-    {20, -4.000, 1.4},   {22, -4.667, -1.4}, {2, 1.667, 4.2},    {10, 1.000, -1.4},  {28, -3.667, 4.2},
-    {23, -3.333, -4.2},  {6, 3.333, 1.4},    {11, 2.333, -1.4},  {24, -2.667, 1.4},  {18, -3.000, -1.4},
-    {0, 7.000, 1.4},     {14, 4.667, -1.4},  {30, -2.333, 4.2},  {19, -2.000, -4.2}, {4, 15.000, 1.4},
-    {15, 10.333, -1.4},  {26, -1.333, 1.4},
-};
+/// Argoverse's laser_number, modulo 32, of each channel of the VLP-32C. The numbers were
+/// derived from the times and elevations of points in a published sweep.
+constexpr std::array<int, kLasers> kNumbers = {31, 13, 1,  17, 29, 9, 3,  21, 27, 12, 5,  16, 25, 8, 7,  20,
+                                               22, 2,  10, 28, 23, 6, 11, 24, 18, 0,  14, 30, 19, 4, 15, 26};
 
 double to_radians(double degrees) { return degrees * kPi / 180.0; }
 
-/// Returns the indices of the table rows, sorted by elevation with the highest laser
-/// first.
-std::array<int, kLasers> make_row_order() {
-    std::array<int, kLasers> entries;
-    std::iota(entries.begin(), entries.end(), 0);
-    std::sort(entries.begin(), entries.end(), [](int first, int second) {
-        return kTable[first].elevation_deg > kTable[second].elevation_deg;
-    });
-    return entries;
+std::vector<Beam> nominal_beams() {
+    return std::get<SpinningSensor>(find_built_in_sensor(kName, 1, kRate_hz)->pattern).beams;
 }
 
 /// Row of a laser in the range image, delay of the laser after the first firing, and
@@ -57,13 +40,11 @@ struct LaserPlace {
 };
 std::array<LaserPlace, kLasers> make_laser_table() {
     std::array<LaserPlace, kLasers> places;
-    const std::array<int, kLasers> entries = make_row_order();
-    for (int row = 0; row < kLasers; ++row) {
-        const int entry = entries[std::size_t(row)];
-        const Laser& laser = kTable[entry];
-        places[std::size_t(laser.number)] = {std::uint16_t(row), entry / 2 * kPair_ns,
-                                             to_radians(laser.elevation_deg)};
-    }
+    const std::vector<BeamFiring> firings = find_beam_firings(kName);
+    const std::vector<Beam> beams = nominal_beams();
+    for (std::size_t row = 0; row < firings.size(); ++row)
+        places[std::size_t(kNumbers[std::size_t(firings[row].channel)])] = {
+            std::uint16_t(row), 1e3 * firings[row].offset_us, beams[row].elevation_rad};
     return places;
 }
 
@@ -104,13 +85,10 @@ SpinningSensor make_vlp32c(bool clockwise) {
     sensor.name = "VLP-32C";
     sensor.clockwise = clockwise;
     sensor.period_s = 1.0 / kRate_hz;
-    for (const int entry : make_row_order()) {
-        const Laser& laser = kTable[entry];
-        const double turned = 2.0 * kPi * kRate_hz * 1e-9 * (entry / 2) * kPair_ns;
-        sensor.beams.push_back(
-            {.elevation_rad = to_radians(laser.elevation_deg),
-             .azimuth_offset_rad = to_radians(laser.azimuth_deg) + (clockwise ? -turned : turned)});
-    }
+    sensor.beams = nominal_beams();  // of a head that rotates clockwise
+    const std::vector<BeamFiring> firings = find_beam_firings(kName);
+    for (std::size_t row = 0; row < firings.size() && !clockwise; ++row)
+        sensor.beams[row].azimuth_offset_rad += 2.0 * 2.0 * kPi * kRate_hz * 1e-6 * firings[row].offset_us;
     return sensor;
 }
 

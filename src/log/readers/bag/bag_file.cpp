@@ -9,6 +9,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/files.hpp"
+#include "log/readers/bag/unpacked_file.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -17,10 +18,15 @@ namespace fs = std::filesystem;
 
 constexpr const char* kMetadata = "metadata.yaml";
 constexpr std::int64_t kLatest_ns = 4294967296000000000;  // latest time stamp that ROS 1 can represent
-constexpr std::array kEndings = {".mcap", ".db3", ".bag", ".pcap", ".pcapng"};
+constexpr std::array kEndings = {".mcap", ".db3", ".bag"};
+
+bool is_capture(const fs::path& file) {
+    const std::string ending = unpacked_name(file).extension().string();
+    return ending == ".pcap" || ending == ".pcapng";
+}
 
 bool is_part(const fs::path& file) {
-    return std::ranges::find(kEndings, file.extension().string()) != kEndings.end();
+    return is_capture(file) || std::ranges::find(kEndings, file.extension().string()) != kEndings.end();
 }
 
 /// The parts of rosbag2's metadata.yaml that describe the recording's files. The parser
@@ -105,7 +111,7 @@ Bag::Bag(const fs::path& path, bool skip_broken) {
                 fmt::format("{}: rosbag2 has compressed this file; unpack it with `zstd -d {}` and remove "
                             ".zstd from its name in {}",
                             file.string(), file.filename().string(), kMetadata));
-        if (ending == ".pcap" || ending == ".pcapng") files_.push_back(open_pcap(file));
+        if (is_capture(file)) files_.push_back(open_pcap(file));
         else if (ending == ".bag") files_.push_back(open_ros1(file, skip_broken));
         else if (ending == ".db3")
             files_.push_back(open_sqlite(file, metadata.mode == "message" && metadata.compression == "zstd"));

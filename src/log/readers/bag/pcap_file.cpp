@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads network captures (pcap, pcapng) with libpcap. The packets of each LiDAR become a
-// topic. The topic is named after the LiDAR's address and the destination port. Up to
-// kRun packets of a topic form one message. The position of a message is the byte offset
-// of its first packet in the file.
+// Reads network captures (pcap, pcapng, also compressed with gzip) with libpcap. The
+// packets of each LiDAR become a topic. The topic is named after the LiDAR's address and
+// the destination port. Up to kRun packets of a topic form one message. The position of a
+// message is the byte offset of its first packet in the file.
 #include <arpa/inet.h>
 #include <pcap/pcap.h>
 
@@ -26,7 +26,7 @@
 #include "log/readers/bag/packets/livox.hpp"
 #include "log/readers/bag/packets/ouster.hpp"
 #include "log/readers/bag/packets/packet_messages.hpp"
-#include "log/readers/bag/part_file.hpp"
+#include "log/readers/bag/unpacked_file.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -178,9 +178,17 @@ struct ClosePcap {
 
 class PcapFile : public BagFile {
 public:
-    explicit PcapFile(const std::filesystem::path& path) : path_(path), bytes_(PartFile(path).size()) {
+    explicit PcapFile(const std::filesystem::path& path) : path_(path) {
         char why[PCAP_ERRBUF_SIZE] = "";
-        pcap_.reset(pcap_open_offline_with_tstamp_precision(path.c_str(), PCAP_TSTAMP_PRECISION_NANO, why));
+        const UnpackedFile unpacked = open_unpacked(path);
+        fseeko(unpacked.file, 0, SEEK_END);
+        bytes_ = std::uint64_t(std::max<off_t>(ftello(unpacked.file), 0));
+        std::rewind(unpacked.file);
+        pcap_.reset(pcap_fopen_offline_with_tstamp_precision(unpacked.file, PCAP_TSTAMP_PRECISION_NANO, why));
+        if (!pcap_) std::fclose(unpacked.file);
+        if (!unpacked.problem.empty())
+            problem_ =
+                fmt::format("{}: {}: the packets behind it are missing", path.string(), unpacked.problem);
         if (!pcap_)
             throw DataError(
                 fmt::format("{}: cannot read the capture ({}), expected packets in the format "
@@ -199,7 +207,8 @@ public:
     void each(TopicTable& topics, const Pass& pass) override {
         const std::lock_guard guard(lock_);
         std::vector<std::string> broken;
-        ousters_ = packets::find_ouster_metadata(path_, broken);
+        ousters_ = packets::find_ouster_metadata(unpacked_name(path_), broken);
+        if (!problem_.empty()) pass.note(problem_);
         for (const std::string& text : broken) pass.note(text);
         streams_.clear();
         seek(begin_);
@@ -280,7 +289,8 @@ private:
     };
     packets::OusterFormats ousters_;  ///< metadata from files in the folder of the capture
     const std::filesystem::path path_;
-    const std::uint64_t bytes_;
+    std::uint64_t bytes_ = 0;
+    std::string problem_;  ///< note about a truncated gzip file; may be empty
     std::unique_ptr<pcap_t, ClosePcap> pcap_;
     int link_ = 0;
     std::uint64_t begin_ = 0;

@@ -28,9 +28,8 @@ std::string format_clouds(const CloudTopic& clouds) {
         return fmt::format(
             ", frame '{}', {} packets of a {}: {} full turns{}{}{}", make_excerpt(clouds.frame),
             clouds.packets.size(), clouds.packets.about(), clouds.turns.size(),
-            n_missing == 0
-                ? ""
-                : fmt::format("; {} packets are missing, and their rays are read as dropped rays", n_missing),
+            n_missing == 0 ? ""
+                           : fmt::format("; {} packets are missing, and their rays are left out", n_missing),
             problems.empty() ? "" : "; ", problems);
     }
     std::vector<std::string> names;

@@ -10,8 +10,10 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/median.hpp"
 #include "log/readers/bag/packets/ouster.hpp"
 #include "log/readers/bag/packets/packet_messages.hpp"
+#include "log/readers/bag/unpacked_file.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -59,7 +61,8 @@ public:
         has_read_metadata_ = true;
         std::vector<std::string> broken;
         for (const std::filesystem::path& file : bag_.files())
-            for (const auto& format : packets::find_ouster_metadata(file, broken)) ousters_.push_back(format);
+            for (const auto& format : packets::find_ouster_metadata(unpacked_name(file), broken))
+                ousters_.push_back(format);
         for (const std::string& text : broken) broken_metadata_ += fmt::format(" ({})", text);
     }
 
@@ -75,13 +78,10 @@ private:
     bool has_read_metadata_ = false;
 
     void read_corrections() {
-        // Sets the list first, so that a file with an error is read only once.
-        std::vector<packets::Correction>& corrections = corrections_.emplace();
-        for (const std::filesystem::path& file : bag_.files())
-            for (packets::Correction& correction : packets::find_corrections(file))
-                if (std::ranges::find(corrections, correction.where, &packets::Correction::where) ==
-                    corrections.end())
-                    corrections.push_back(std::move(correction));
+        corrections_.emplace();  // a file with an error is read only once
+        std::vector<std::filesystem::path> names;
+        for (const std::filesystem::path& file : bag_.files()) names.push_back(unpacked_name(file));
+        corrections_ = packets::find_corrections(names);
     }
 
     void add_cloud(const Topic& topic, const Message& message) {
@@ -221,8 +221,7 @@ std::size_t CloudTopic::compute_median_points() const {
     if (clouds.empty()) return 0;
     std::vector<std::uint32_t> counts;
     for (const CloudEntry& cloud : clouds) counts.push_back(cloud.n_points);
-    std::ranges::nth_element(counts, counts.begin() + std::ptrdiff_t(counts.size() / 2));
-    return counts[counts.size() / 2];
+    return compute_median(std::move(counts));
 }
 
 Survey survey_bag(Bag& bag, const Progress& progress) {

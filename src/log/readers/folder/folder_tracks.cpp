@@ -245,7 +245,7 @@ std::optional<std::vector<Pose>> read_poses(const fs::path& file, const std::vec
     if (first == lines.end())
         throw DataError(
             fmt::format("{}: the file has no pose, expected lines of 12 or 8 numbers", file.string()));
-    if (const auto numbers = parse_numbers(strip_comment(*first)); !numbers || numbers->size() != 12) {
+    if (split_pose_words(strip_comment(*first)).size() != 12) {
         const PoseRows rows = read_rows(lines, file.string());
         if (rows.rows.empty())
             throw DataError(

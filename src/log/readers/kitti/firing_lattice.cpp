@@ -13,6 +13,7 @@
 #include <numeric>
 
 #include <relidar/base/math.hpp>
+#include "base/median.hpp"
 #include "base/parallel.hpp"
 #include "log/sensor/beam_geometry.hpp"
 
@@ -134,9 +135,7 @@ int estimate_mean_steps(const std::vector<const RawScan*>& scans) {
         }
     }
     if (steps.empty()) return 1;
-    const auto middle = steps.begin() + static_cast<std::ptrdiff_t>(steps.size() / 2);
-    std::nth_element(steps.begin(), middle, steps.end());
-    const double longest = 1.5 * *middle;
+    const double longest = 1.5 * compute_median(steps);
     double sum = 0.0, n = 0.0;
     for (const double s : steps) {
         if (s < longest) sum += s, n += 1.0;

@@ -13,6 +13,8 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 
+#include "base/median.hpp"
+
 namespace relidar::kitti {
 namespace {
 
@@ -45,11 +47,9 @@ Cone fit_cone(const std::vector<Sample>& samples) {
     for (int pass = 0; pass < 4 && cone.n > 0; ++pass) {
         std::vector<double> error;
         for (const Sample& s : samples) error.push_back(std::abs(compute_residual(cone, s)));
-        std::nth_element(error.begin(), error.begin() + static_cast<std::ptrdiff_t>(error.size() / 2),
-                         error.end());
         // Standard deviation of a normal distribution with this median absolute
         // deviation.
-        const double sigma = 1.4826 * error[error.size() / 2];
+        const double sigma = 1.4826 * compute_median(std::move(error));
         cone = fit_line(samples, cone, std::max(3.0 * sigma, 1e-3));
     }
     return cone;
@@ -85,9 +85,7 @@ double estimate_slope_at_height(const std::vector<Sample>& samples, const BlockL
     for (int pass = 0; pass < 3; ++pass) {
         for (std::size_t i = 0; i < samples.size(); ++i)
             slope[i] = (samples[i].z_m - line.at(tan_el)) / std::max(samples[i].rho_m, 0.1);
-        const auto middle = slope.begin() + static_cast<std::ptrdiff_t>(slope.size() / 2);
-        std::nth_element(slope.begin(), middle, slope.end());
-        tan_el = *middle;
+        tan_el = compute_median(slope);
     }
     return tan_el;
 }
@@ -133,9 +131,7 @@ int find_nearest_ring(const RawScan& scan, std::size_t begin, std::size_t end, c
             error.push_back(
                 std::abs(compute_residual(cones[static_cast<std::size_t>(k)], {std::hypot(p.x, p.y), p.z})));
         }
-        std::nth_element(error.begin(), error.begin() + static_cast<std::ptrdiff_t>(error.size() / 2),
-                         error.end());
-        if (error[error.size() / 2] < least) least = error[error.size() / 2], best = k;
+        if (const double middle = compute_median(std::move(error)); middle < least) least = middle, best = k;
     }
     return best;
 }

@@ -53,9 +53,10 @@ fs::path find_poses(const fs::path& folder) {
 
 /// Reads the poses of the LiDAR in the world frame for some frames.
 std::vector<Pose> read_odometry_poses(const fs::path& folder, const std::vector<int>& frames,
-                                      const fs::path& poses_file) {
+                                      const std::vector<double>& time_s, const fs::path& poses_file,
+                                      std::vector<std::string>& notes) {
     if (poses_file == kNoPoses) return std::vector<Pose>(frames.size());
-    if (!poses_file.empty()) return kitti::read_pose_file(poses_file, frames);
+    if (!poses_file.empty()) return kitti::read_user_poses(poses_file, frames, time_s, notes);
     const Pose cam_from_velo = kitti::read_transform(folder / "calib.txt", "Tr");
     std::vector<Pose> poses = kitti::read_pose_file(find_poses(folder), frames);
     for (Pose& pose : poses) pose = inverse(cam_from_velo) * pose * cam_from_velo;
@@ -70,7 +71,9 @@ Sequence load_kitti_odometry(const fs::path& log_folder, const DatasetOptions& o
     const std::vector<int> frames =
         kitti::list_scans(folder / "velodyne", options.frames.begin, options.frames.end);
     const std::vector<double> time_s = read_seconds(folder / "times.txt", frames);
-    const std::vector<Pose> poses = read_odometry_poses(folder, frames, options.poses_file);
+    std::vector<std::string> pose_notes;
+    const std::vector<Pose> poses =
+        read_odometry_poses(folder, frames, time_s, options.poses_file, pose_notes);
     Sequence sequence;
     sequence.name = "KITTI odometry " + folder.filename().string();
     sequence.source = log_folder.string();
@@ -80,6 +83,7 @@ Sequence load_kitti_odometry(const fs::path& log_folder, const DatasetOptions& o
     sequence.notes = {"this log has no labels",
                       "the scans are motion-compensated, so all rays start at the position of the sensor "
                       "at the time of the frame"};
+    sequence.notes.insert(sequence.notes.end(), pose_notes.begin(), pose_notes.end());
     if (options.poses_file == kNoPoses) sequence.notes.push_back(kitti::kNoPosesNote);
     sequence.rolling_shutter = false;
     sequence.lidars[0].sensor.name = "HDL-64E fitted to " + sequence.name;

@@ -3,6 +3,7 @@
 // with 12 numbers per line, or are computed from GPS/IMU data (OXTS):
 //   x = s R lon, y = s R ln tan(pi/4 + lat/2), z = alt,  s = cos(first latitude), R = 6378137 m,
 //   rotation R_z(yaw) R_y(pitch) R_x(roll)
+#include "log/clouds/folder_head.hpp"
 #include "log/clouds/log_files.hpp"
 
 #include <algorithm>
@@ -184,6 +185,16 @@ std::vector<Pose> read_pose_file(const fs::path& file, const std::vector<int>& f
     return poses;
 }
 
+std::vector<Pose> read_user_poses(const fs::path& file, const std::vector<int>& frames,
+                                  const std::vector<double>& time_s, std::vector<std::string>& notes) {
+    std::vector<folder::HeadFrame> heads;
+    for (std::size_t i = 0; i < frames.size(); ++i) heads.push_back({frames[i], time_s[i], 0, {}});
+    const auto poses = folder::read_poses(file, heads, nullptr, notes);
+    if (!poses)
+        throw DataError(fmt::format("{}: no such file, expected poses (dataset.poses)", file.string()));
+    return *poses;
+}
+
 void use_pose_file(Sequence& sequence, const fs::path& poses_file) {
     if (poses_file.empty()) return;
     PoseTrack given{sequence.world_from_vehicle.time_s,
@@ -192,7 +203,8 @@ void use_pose_file(Sequence& sequence, const fs::path& poses_file) {
     std::vector<int> frames;
     for (const Frame& frame : sequence.frames)
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
-    if (poses_file != kNoPoses) given.pose = read_pose_file(poses_file, frames);
+    if (poses_file != kNoPoses)
+        given.pose = read_user_poses(poses_file, frames, given.time_s, sequence.notes);
     else sequence.notes.push_back(kNoPosesNote);
     set_vehicle_poses(sequence, std::move(given));
 }

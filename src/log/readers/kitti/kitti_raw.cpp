@@ -17,12 +17,13 @@ namespace {
 namespace fs = std::filesystem;
 using namespace kitti;
 
-PoseTrack read_drive_poses(const fs::path& drive, const std::vector<int>& frames,
-                           const fs::path& poses_file) {
+PoseTrack read_drive_poses(const fs::path& drive, const std::vector<int>& frames, const fs::path& poses_file,
+                           std::vector<std::string>& notes) {
     PoseTrack track{read_times(drive / "velodyne_points/timestamps.txt", frames),
                     std::vector<Pose>(frames.size())};
     if (poses_file != kNoPoses)
-        track.pose = poses_file.empty() ? read_oxts_poses(drive, frames) : read_pose_file(poses_file, frames);
+        track.pose = poses_file.empty() ? read_oxts_poses(drive, frames)
+                                        : read_user_poses(poses_file, frames, track.time_s, notes);
     return track;
 }
 
@@ -73,7 +74,7 @@ Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     sequence.lidars[0].sensor.name = "HDL-64E fitted to " + sequence.name;
     sequence.lidars[0].sensor.period_s = read_period(drive);
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
-    const PoseTrack poses = read_drive_poses(drive, frames, options.poses_file);
+    const PoseTrack poses = read_drive_poses(drive, frames, options.poses_file, sequence.notes);
     for (std::size_t i = 0; i < frames.size(); ++i)
         add_frame(sequence, frames[i], poses.time_s[i], poses.pose[i]);
     recentre_sequence(sequence);

@@ -15,6 +15,7 @@
 
 #include <relidar/base/error.hpp>
 #include "base/files.hpp"
+#include "base/median.hpp"
 
 namespace relidar::kitti {
 namespace fs = std::filesystem;
@@ -101,9 +102,7 @@ namespace {
 /// Returns the median duration of a sweep. Throws if the median is not a valid period.
 /// @param lasts_s  durations of sweeps in seconds
 double compute_median_period(std::vector<double> lasts_s, const fs::path& file) {
-    std::nth_element(lasts_s.begin(), lasts_s.begin() + static_cast<std::ptrdiff_t>(lasts_s.size() / 2),
-                     lasts_s.end());
-    const double period_s = lasts_s[lasts_s.size() / 2];
+    const double period_s = compute_median(std::move(lasts_s));
     if (!(period_s > 0.01 && period_s < 1.0)) {
         throw DataError(fmt::format("{}: a sweep lasts {:.6g} s from start to end, expected 0.01 to 1 s",
                                     file.string(), period_s));

@@ -52,7 +52,7 @@ void use_poses_file(Sequence& sequence, const fs::path& poses_file) {
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
     PoseTrack track{sequence.world_from_vehicle.time_s, std::vector<Pose>(frames.size())};
     if (poses_file != kNoPoses) {
-        track.pose = kitti::read_pose_file(poses_file, frames);
+        track.pose = kitti::read_user_poses(poses_file, frames, track.time_s, sequence.notes);
         track = shift_track(std::move(track), -sequence.world_offset_m);
     }
     set_vehicle_poses(sequence, std::move(track));

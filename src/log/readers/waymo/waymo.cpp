@@ -25,6 +25,7 @@
 #include <relidar/log/clouds.hpp>
 #include "base/codecs/tfrecord.hpp"
 #include "base/files.hpp"
+#include "base/median.hpp"
 #include "base/progress_blocks.hpp"
 #include "log/clouds/broken_scans.hpp"
 #include "log/clouds/lidar_rt_benchmark.hpp"
@@ -166,8 +167,7 @@ double compute_median_period(const std::vector<FrameHead>& heads, const std::str
     for (std::size_t i = 1; i < heads.size(); ++i)
         steps_s.push_back(1e-6 * double(heads[i].timestamp_us - heads[i - 1].timestamp_us));
     if (steps_s.empty()) return 0.1;
-    std::nth_element(steps_s.begin(), steps_s.begin() + std::ptrdiff_t(steps_s.size() / 2), steps_s.end());
-    const double period_s = steps_s[steps_s.size() / 2];
+    const double period_s = compute_median(std::move(steps_s));
     if (!(period_s > 0.01 && period_s < 1.0))
         throw DataError(
             fmt::format("{}: timestamp_micros increase by {:.6g} s per record, expected 0.01 to 1 s",

@@ -54,7 +54,8 @@ TEST(Boreas, EveryReturnIsWhereItWasMeasured) {
     EXPECT_THAT(sequence.conventions, testing::HasSubstr("rotated about z by -42.60 degrees"));
     EXPECT_THAT(sequence.notes, testing::ElementsAre("this log has no labels",
                                                      "a sensor with 128 beams and 360 columns was fitted "
-                                                     "to the points"));
+                                                     "to the points",
+                                                     testing::HasSubstr("no intensities (all are 0.2")));
     ASSERT_EQ(sequence.frames.size(), std::size_t(BoreasFolder::kScans));
     const SpinningSensor& sensor = sequence.lidars[0].sensor;
     EXPECT_NEAR(sensor.period_s, 0.1, 1e-5);

@@ -64,6 +64,33 @@ TEST(OtherPrograms, NpyWithNamedFields) {
     };
     expect_street({"npy_fields", "npy", npy, kStamped}, 1e-6);
 }
+TEST(OtherPrograms, Las) {
+    const auto scan = [](const test::FilePoints& points) { return test::las(points, 100.0); };
+    expect_street({"las", "las", scan, kStamped}, 1e-6);
+    const auto complaint = [](const PointLog& log) {
+        return error_message<DataError>([&] { load_sequence(log.folder.string(), {}); });
+    };
+    const auto survey = [](test::FilePoints points) {
+        for (test::FilePoint& p : points) p.point_m.x += 500.0f;
+        return test::las(points);
+    };
+    EXPECT_THAT(complaint({"las_map", "las", survey, ""}), testing::HasSubstr("survey coordinates"));
+    const auto packed = [](const test::FilePoints& points) { return test::las(points, 0.0, 128 + 1); };
+    EXPECT_THAT(complaint({"las_packed", "las", packed, ""}), testing::HasSubstr("laszip"));
+    const auto cut = [](const test::FilePoints& points) { return test::las(points).substr(0, 5000); };
+    EXPECT_THAT(complaint({"las_cut", "las", cut, ""}), testing::HasSubstr("truncated"));
+}
+
+TEST(OtherPrograms, NotesIntensitiesThatAreAllTheSame) {
+    const auto constant = [](test::FilePoints points) {
+        for (test::FilePoint& p : points) p.intensity = 0.5f;
+        return test::bin(points);
+    };
+    const PointLog log("constant", "bin", constant, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
+    EXPECT_THAT(load_sequence(log.folder.string(), {}).notes,
+                testing::Contains(testing::HasSubstr("no intensities (all are 0.5 of the maximum)")));
+}
+
 TEST(OtherPrograms, NamesTheToolForOtherFormats) {
     const fs::path folder = make_fresh_folder_path("other_formats");
     fs::create_directories(folder / "scans");
@@ -77,15 +104,18 @@ TEST(OtherPrograms, NamesTheToolForOtherFormats) {
     };
     for (const auto& [name, tool] : {std::pair("a.laz", "pdal"), std::pair("a.E57", "pdal"),
                                      std::pair("a.lvx", "livox_ros_driver"), std::pair("a.osf", "ouster-cli"),
-                                     std::pair("a.pcap.gz", "gunzip"), std::pair("a.db3.zstd", "zstd")}) {
+                                     std::pair("a.bag.gz", "gunzip"), std::pair("a.db3.zstd", "zstd")}) {
         test::write_text(folder / name, "content");
         EXPECT_NE(complaint(folder / name).find(tool), std::string::npos) << complaint(folder / name);
         EXPECT_NE(complaint(folder).find(tool), std::string::npos) << complaint(folder);
         fs::remove(folder / name);
     }
-    test::write_text(folder / "scans/a.las", "content");
+    test::write_text(folder / "scans/a.laz", "content");
     test::write_text(folder / "sequence.json", R"({"format": "relidar log", "version": 1, "rate_hz": 10})");
     EXPECT_NE(complaint(folder).find("pdal"), std::string::npos) << complaint(folder);
+    fs::rename(folder / "scans/a.laz", folder / "scans/a.las");
+    test::write_text(folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
+    EXPECT_NE(complaint(folder).find("begins with LASF"), std::string::npos) << complaint(folder);
 }
 
 TEST(OtherPrograms, ReadsPosesOfOtherConventions) {

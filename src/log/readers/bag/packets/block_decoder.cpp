@@ -9,8 +9,8 @@
 //   Velodyne VLS-128 (63-9483): as above, but four blocks, marked FF EE, FF DD, FF CC and FF BB,
 //     contain the 128 lasers of a firing.
 //   RoboSense RS-LiDAR-16 (user manual, "MSOP"): a header of 42 bytes, then the 12 blocks
-//     of a VLP-16, with the highest byte of each number first. Packets with two returns
-//     have another layout and are not supported.
+//     of a VLP-16, with the highest byte of each number first. With two returns, a block has
+//     both returns of one firing instead of two firings.
 //   Hesai Pandar40P, Pandar64, PandarXT-16 and 32, XT32M2X, PandarQT, QT128C2X and OT128
 //     (user manuals, "Point cloud data packet" and the appendix on absolute time): the
 //     packet's time, in microseconds of its second, follows the firings. The last block
@@ -128,13 +128,14 @@ public:
         for (std::size_t b = 0; b < layout_.n_blocks / n_joined * n_joined; ++b) {
             const std::size_t bank = b % n_joined / n_returns;
             const double azimuth_deg = read_azimuth(reader, bank);
-            for (std::size_t f = 0; f < layout_.firings; ++f) {
-                const std::size_t slot = b / n_joined * layout_.firings + f;
+            for (std::size_t f = 0; f < layout_.firings * layout_.block_returns; ++f) {
+                const std::size_t slot = b / n_joined * layout_.firings + f / layout_.block_returns;
                 Firing& firing = packet.firings[slot];
                 firing.azimuth_deg = azimuth_deg;
                 firing.part = find_part(bytes, b / n_joined, n_returns);
                 const int* rings = &ring_of_[std::size_t(firing.part)][bank * layout_.block_lasers];
-                read_echoes(reader, unit_m, b % n_returns, rings, &packet.echoes[slot * beams_.size()]);
+                read_echoes(reader, unit_m, b % n_returns + f % layout_.block_returns, rings,
+                            &packet.echoes[slot * beams_.size()]);
             }
         }
         add_times(packet);
@@ -272,8 +273,9 @@ private:
 }  // namespace
 
 std::unique_ptr<Decoder> make_block_decoder(const char* name, const Calibration& calibration) {
+    const std::string row_name = std::string(name) + (calibration.has_two_returns ? " with two returns" : "");
     const auto* layout =
-        std::ranges::find_if(kLayouts, [&](const Layout& row) { return std::string_view(name) == row.name; });
+        std::ranges::find_if(kLayouts, [&](const Layout& row) { return row.name == row_name; });
     return std::make_unique<BlockDecoder>(*layout, calibration.corrections);
 }
 

@@ -94,7 +94,8 @@ struct Layout {
     /// number of lasers in a block, and number of bytes per laser (range and
     /// reflectivity)
     std::size_t block_lasers = 32, unit_bytes = 3;
-    std::size_t firings = 1;  ///< firings per block
+    std::size_t firings = 1;        ///< firings per block
+    std::size_t block_returns = 1;  ///< returns of a firing in the same block
     /// Unit of the ranges in metres. 0 means that byte `unit_at` of the packet contains
     /// the unit in millimetres.
     double range_unit_m = 0.0;
@@ -188,6 +189,19 @@ inline constexpr Layout kLayouts[] = {
      .flagged = true,
      .block_lasers = 16,
      .firings = 2,
+     .range_unit_m = 0.005,
+     .time_at = 26,
+     .is_big_endian = true,
+     .cycle_us = 55.5,
+     .at_end = false,
+     .forward_deg = 0.0,
+     .has_correction_file = false},
+    {.name = "RS-LiDAR-16 with two returns",
+     .sensor = "RS-LiDAR-16",
+     .blocks_at = 42,
+     .flagged = true,
+     .block_lasers = 16,
+     .block_returns = 2,
      .range_unit_m = 0.005,
      .time_at = 26,
      .is_big_endian = true,

@@ -5,6 +5,7 @@
 #include <cctype>
 #include <cmath>
 #include <map>
+#include <set>
 #include <system_error>
 
 #include <fmt/format.h>
@@ -87,20 +88,25 @@ Correction read_correction(const std::string& text, const std::string& location)
     return correction;
 }
 
-std::vector<Correction> find_corrections(const fs::path& recording) {
-    const fs::path folder = recording.has_parent_path() ? recording.parent_path() : fs::path(".");
-    const bool is_ros2_folder = does_path_exist(folder / "metadata.yaml");
-    std::vector<fs::path> named{fs::path(recording).replace_extension(".csv")};
-    if (is_ros2_folder) named.push_back(fs::path(fs::absolute(folder)).concat(".csv"));
-    for (const fs::path& file : named) {
-        if (!is_correction(file)) continue;
-        Correction correction = read_correction(read_text(file), file.filename().string());
-        correction.is_named = true;
-        return {correction};
+std::vector<Correction> find_corrections(const std::vector<fs::path>& recording) {
+    std::set<fs::path> named, folders;
+    for (const fs::path& file : recording) {
+        const fs::path folder = file.has_parent_path() ? file.parent_path() : fs::path(".");
+        const fs::path of_file = fs::path(file).replace_extension(".csv"),
+                       of_folder = fs::path(fs::absolute(folder)).concat(".csv");
+        const bool is_ros2_folder = does_path_exist(folder / "metadata.yaml");
+        folders.insert(folder);
+        if (is_ros2_folder) folders.insert(fs::absolute(folder).parent_path());
+        if (is_correction(of_file)) named.insert(of_file);
+        else if (is_ros2_folder && is_correction(of_folder)) named.insert(of_folder);
     }
     std::vector<Correction> corrections;
-    add_corrections(folder, corrections);
-    if (is_ros2_folder) add_corrections(fs::absolute(folder).parent_path(), corrections);
+    for (const fs::path& file : named) {
+        corrections.push_back(read_correction(read_text(file), file.filename().string()));
+        corrections.back().is_named = true;
+    }
+    if (!corrections.empty()) return corrections;
+    for (const fs::path& folder : folders) add_corrections(folder, corrections);
     return corrections;
 }
 

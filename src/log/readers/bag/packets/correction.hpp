@@ -25,11 +25,12 @@ struct Correction {
 /// @throws DataError if a line is invalid, or if a laser is missing
 Correction read_correction(const std::string& text, const std::string& location);
 
-/// Finds and reads the angle correction files of a recording. If a .csv file has the name
-/// of the recording, returns only this file. Otherwise, reads all .csv files in the
-/// folder of the recording that begin like an angle correction. For a ROS 2 bag, also
+/// Finds and reads the angle correction files of a recording. If .csv files have the
+/// names of the recording's files, returns only these. Otherwise, reads all .csv files in
+/// the folder of the recording that begin like an angle correction. For a ROS 2 bag, also
 /// reads the folder that contains the bag's folder.
+/// @param recording  all files of the recording
 /// @throws DataError if the file with the name of the recording is damaged
-std::vector<Correction> find_corrections(const std::filesystem::path& recording);
+std::vector<Correction> find_corrections(const std::vector<std::filesystem::path>& recording);
 
 }  // namespace relidar::packets

@@ -101,6 +101,9 @@ struct Calibration {
     /// Packet format from the metadata of an Ouster sensor. Null if the sensor is not an
     /// Ouster or its metadata is missing.
     std::shared_ptr<const OusterFormat> ouster = {};
+    /// True if the packets of an RS-LiDAR-16 contain two returns. See
+    /// have_two_returns().
+    bool has_two_returns = false;
 };
 
 /// A LiDAR product whose packets relidar recognises.
@@ -123,6 +126,11 @@ const Product* find_product(std::string_view bytes, const Calibration& calibrati
 /// Returns an error message about a packet that relidar cannot decode, for example
 /// "packets of a VLS-128, expected those of ...".
 std::string describe_unknown_packet(const Product* product, std::string_view bytes);
+
+/// Returns true if consecutive packets of an RS-LiDAR-16 contain two returns per firing.
+/// The packets do not state this. With two returns, a packet contains half as many
+/// firings, so the time between packets is half as long.
+bool have_two_returns(const std::vector<PacketView>& packets);
 
 /// Creates a decoder for a product: the first function for Velodyne and Hesai, the second
 /// for Ouster.

@@ -17,6 +17,7 @@
 #include "base/files.hpp"
 #include "base/json_field.hpp"
 #include "log/readers/bag/packets/ouster.hpp"
+#include "log/readers/bag/unpacked_file.hpp"
 
 namespace relidar::packets {
 namespace {
@@ -154,7 +155,7 @@ bool has_serial(std::string_view packet, const OusterFormat& format) {
 }
 
 bool is_recording(const fs::path& file) {
-    const std::string ending = file.extension().string();
+    const std::string ending = bag::unpacked_name(file).extension().string();
     return ending == ".pcap" || ending == ".pcapng" || ending == ".bag" || ending == ".mcap" ||
            ending == ".db3";
 }
@@ -222,7 +223,7 @@ OusterFormats find_ouster_metadata(const fs::path& recording, std::vector<std::s
         list_files_of_folder(recording.has_parent_path() ? recording.parent_path() : ".");
     std::set<std::string> recorded;
     for (const fs::path& file : files)
-        if (is_recording(file)) recorded.insert(file.stem().string());
+        if (is_recording(file)) recorded.insert(bag::unpacked_name(file).stem().string());
     OusterFormats formats;
     for (const fs::path& file : files) {
         const std::string stem = file.stem().string();

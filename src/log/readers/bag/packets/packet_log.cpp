@@ -13,6 +13,7 @@
 #include <relidar/base/math.hpp>
 
 #include "log/clouds/arrange_firings.hpp"
+#include "log/readers/bag/packets/fired_points.hpp"
 #include "log/sensor/beam_geometry.hpp"
 
 namespace relidar::packets {
@@ -26,21 +27,8 @@ constexpr double kBehind_deg = 180.0;
 constexpr double kMostBright = 65535.0;
 // A larger azimuth step between two firings means that the sensor skips a sector.
 constexpr double kJump_deg = 5.0;
-// A longer run of unmeasured columns is a sector in which the sensor did not measure.
-constexpr std::size_t kMostUnmeasured = 8;
 // A revolution is reported as cut off if more than this fraction of it was recorded.
 constexpr double kCutOff = 0.02;
-
-/// Azimuth, time and number of a firing. The points of the firing are computed from
-/// these.
-struct Place {
-    double azimuth_deg, time_s;
-    int number;  ///< number of the firing
-    /// rotation rate at this firing minus the average rotation rate, in degrees per
-    /// microsecond
-    double ahead_deg_us;
-    double brightness;  ///< intensity value that becomes 1
-};
 
 // Returns true if the sensor fires at a column. The column may be outside one revolution;
 // it is wrapped.
@@ -49,82 +37,18 @@ bool is_firing_at(const std::vector<bool>& fires, std::int64_t column) {
     return fires[std::size_t((column % n + n) % n)];
 }
 
-/// Points of a revolution. For each point, also the number of the firing that measured
-/// it.
-struct FiredPoints {
-    Points points;
-    std::vector<int> numbers;
-};
-
-/// Adds the returns of all beams of a firing as points. If a ray has two returns, adds
-/// the brighter return first.
-void add_firing(FiredPoints& fired, const Place& place, const std::array<Echo, 2>* echoes,
-                const std::vector<BeamGeometry>& beams, const std::vector<double>& offset_us) {
-    Points& points = fired.points;
-    for (std::size_t ring = 0; ring < beams.size(); ++ring) {
-        const double head_deg = place.azimuth_deg + place.ahead_deg_us * offset_us[ring];
-        const BeamRay ray = beams[ring].ray(-head_deg * kPi / 180.0);
-        const auto add = [&](const Echo& echo, std::uint8_t number) {
-            points.position_m.emplace_back(ray.origin_m + ray.direction * double(echo.range_m));
-            points.intensity.push_back(float(double(echo.intensity) / place.brightness));
-            points.ring.push_back(std::uint16_t(ring));
-            points.time_offset_s.push_back(float(place.time_s + 1e-6 * offset_us[ring]));
-            points.return_number.push_back(number);
-            fired.numbers.push_back(place.number);
-        };
-        Echo first = echoes[ring][0], other = echoes[ring][1];  // two returns may be identical
-        if (other.range_m == first.range_m) other.range_m = 0.0f;
-        if (first.range_m == 0.0f || (other.range_m != 0.0f && other.intensity > first.intensity))
-            std::swap(first, other);
-        if (first.range_m != 0.0f) add(first, 1);
-        if (other.range_m != 0.0f) add(other, 2);
-    }
-}
-
-/// Marks long runs of unmeasured columns, and columns of lost packets, as fired. Their
-/// rays then become dropped rays. Otherwise, the scan would repeat a neighbouring column,
-/// which would be wrong data.
-/// @param is_lost  [columns per revolution] true if the packet with the column was lost
-void add_unmeasured(std::vector<bool>& has_fired, const std::vector<bool>& fires,
-                    const std::vector<bool>& is_lost) {
-    std::size_t run = 0;
-    for (std::size_t c = 0; c <= fires.size(); ++c) {
-        if (c < fires.size() && fires[c] && !has_fired[c]) {
-            ++run;
-            continue;
-        }
-        for (std::size_t k = 1; run > kMostUnmeasured && k <= run; ++k) has_fired[c - k] = true;
-        run = 0;
-    }
-    for (std::size_t c = 0; c < fires.size(); ++c) has_fired[c] = has_fired[c] || is_lost[c];
-}
-
-/// Creates the scan of a sensor that fires at fixed azimuths.
-/// @param has_fired  [columns per revolution] true if the sensor fired at the column
-/// @param n_columns  minimum number of columns of the scan
-Scan make_fired_scan(FiredPoints& fired, const std::vector<bool>& has_fired, SpinningSensor sensor,
-                     std::size_t n_columns) {
-    Sweep sweep{{int(has_fired.size()), kPi}, {}};
-    std::vector<std::uint32_t> place(has_fired.size());
-    for (std::size_t c = 0; c < has_fired.size(); ++c) {
-        place[c] = std::uint32_t(sweep.firings.size());
-        if (has_fired[c]) sweep.firings.push_back(int((has_fired.size() - c) % has_fired.size()));
-    }
-    for (const int column : fired.numbers) fired.points.firing.push_back(place[std::size_t(column)]);
-    sensor.columns = int(std::max(n_columns, sweep.firings.size()));
-    return make_spinning_scan(fired.points, sensor, sweep);
-}
-
 }  // namespace
 
 void PacketLog::add(const std::vector<PacketView>& packets, std::int64_t log_ns, const bag::Place& place,
                     const Calibration& calibration) {
     messages_.push_back({place, log_ns});
+    Calibration of_first = calibration;
+    of_first.has_two_returns = !product_ && have_two_returns(packets);
     if (packets.size() > kMostInMessage)
         throw DataError(
             fmt::format("a message has {} packets, expected at most {}", packets.size(), kMostInMessage));
     for (std::size_t i = 0; i < packets.size(); ++i) {
-        check_product(packets[i], calibration);
+        check_product(packets[i], of_first);
         add_packet(packets[i], std::uint16_t(i));
     }
 }
@@ -148,7 +72,10 @@ double PacketLog::step_deg() const { return 360.0 / double(decoder_->timing().fi
 
 void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
     const Packet packet = decoder_->decode(view.bytes);
-    if (packet.firings.empty()) return;
+    if (packet.firings.empty()) {
+        ++n_empty_;
+        return;
+    }
     n_slots_ = packet.n_slots;
     const auto message = std::uint32_t(messages_.size() - 1);
     const auto hash = std::uint32_t(std::hash<std::string_view>()(view.bytes));
@@ -180,7 +107,8 @@ void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
                     std::uint16_t(f + 1 - first),
                     std::int16_t(begin.slot),
                     std::int16_t(end_slot - begin_slot),
-                    hash};
+                    hash,
+                    std::exchange(n_empty_, std::uint16_t(0))};
         for (std::size_t k = first; k < f; ++k) entry.turned_deg += float(step_deg(k));
         unwrap_clock(entry);
         packets_.push_back(entry);
@@ -250,6 +178,8 @@ std::size_t PacketLog::count_missing_before(std::size_t packet) const {
         return std::size_t(std::clamp(std::round(count_lost_slots(packet) / double(n_slots_)), 0.0, 1e9));
     const std::size_t n = count_steps_to(packet) - 1;
     if (n * std::size_t(n_slots_) > 2 * fires.size()) return n;
+    // A received packet without a firing is not lost.
+    const std::size_t n_lost = n - std::min<std::size_t>(n, packets_[packet].n_empty_before);
     const Entry& before = packets_[packet - 1];
     std::int64_t column = std::llround((before.azimuth_deg - kBehind_deg) / step_deg()) - before.first_slot;
     std::size_t missing = 0;  // number of lost packets with at least one firing
@@ -259,7 +189,26 @@ std::size_t PacketLog::count_missing_before(std::size_t packet) const {
         for (int slot = 0; slot < n_slots_; ++slot) any = any || is_firing_at(fires, column + slot);
         missing += any;
     }
-    return missing;
+    return std::min(missing, n_lost);
+}
+
+/// Counts the lost packets of a revolution. The packets that were lost before its first
+/// packet, or after its last packet, may also belong to the neighbouring revolution. So
+/// the function counts only a share of them.
+void PacketLog::count_missing(PacketTurn& turn) const {
+    double n_missing = 0.0;
+    const double compute_slot_deg = deg_us_ * decoder_->timing().cycle_us;
+    const std::size_t end = std::min(turn.last + 2, packets_.size());
+    for (std::size_t i = turn.first + 1; i < end; ++i) {
+        const Entry& before = packets_[i - 1];
+        const double from_deg = before.azimuth_deg + double(before.turned_deg) + compute_slot_deg,
+                     to_deg = packets_[i].azimuth_deg, width_deg = std::max(to_deg - from_deg, 1e-6);
+        const double within_deg =
+            std::min(to_deg, turn.begin_deg + 360.0) - std::max(from_deg, turn.begin_deg);
+        n_missing += double(count_missing_before(i)) * std::clamp(within_deg / width_deg, 0.0, 1.0);
+    }
+    turn.n_missing = std::size_t(std::llround(n_missing));
+    turn.has_gaps = n_missing > 0.0;
 }
 
 /// Returns the first and the last head angle that the packets cover. Includes adjacent
@@ -310,7 +259,7 @@ void PacketLog::find_turns() {
             left_out_.n_lost += std::size_t(std::llround((begin - lost) / 360.0)) + 1;
             continue;
         }
-        for (std::size_t i = turn.first + 1; i <= turn.last; ++i) turn.n_missing += count_missing_before(i);
+        count_missing(turn);
         find_times(turn);
         if (2 * turn.n_missing >= turn.last - turn.first) ++left_out_.n_lost;
         else if (!is_even(turn)) ++left_out_.n_jumps;
@@ -393,8 +342,9 @@ std::vector<PacketLog::Source> PacketLog::messages(const PacketTurn& turn) const
 
 /// Returns the average azimuth step between two firings of a revolution.
 double PacketLog::compute_slot_deg(const PacketTurn& turn) const {
-    std::size_t n = turn.n_missing * std::size_t(n_slots_);
-    for (std::size_t i = turn.first; i < turn.last; ++i) n += std::size_t(packets_[i].n_slots);
+    std::size_t n = 0;
+    for (std::size_t i = turn.first; i < turn.last; ++i)
+        n += std::size_t(packets_[i].n_slots) + count_missing_before(i + 1) * std::size_t(n_slots_);
     const double first_deg = packets_[turn.first].azimuth_deg, last_deg = packets_[turn.last].azimuth_deg;
     return std::max(last_deg - first_deg - skipped_.between(first_deg, last_deg), 1.0) /
            double(std::max<std::size_t>(n, 1));
@@ -457,13 +407,21 @@ int PacketLog::compute_column(const PacketTurn& turn, double azimuth_deg) const 
     return int(std::clamp(std::round((azimuth_deg - turn.begin_deg) / step_deg()), -n, 2.0 * n));
 }
 
-/// Marks the columns of the packets that were lost immediately before `packet`.
-void PacketLog::mark_missing(const PacketTurn& turn, std::size_t packet, std::vector<bool>& is_lost) const {
-    const Entry &entry = packets_[packet], &before = packets_[packet - 1];
-    const int begin = compute_column(turn, before.azimuth_deg) - before.first_slot + n_slots_;
-    const int end = std::min(compute_column(turn, entry.azimuth_deg) - entry.first_slot, int(is_lost.size()));
-    for (int c = std::max(begin, 0); c < end; ++c)
-        is_lost[std::size_t(c)] = decoder_->timing().fires[std::size_t(c)];
+/// Returns the columns of a revolution whose packets were lost. The array is empty for a
+/// sensor that fires at any azimuth.
+std::vector<bool> PacketLog::lost_columns(const PacketTurn& turn) const {
+    const std::vector<bool>& fires = decoder_->timing().fires;
+    std::vector<bool> is_lost(fires.size(), false);
+    const std::size_t end_packet = std::min(turn.last + 2, packets_.size());
+    for (std::size_t i = turn.first + 1; i < end_packet && !fires.empty(); ++i) {
+        if (count_missing_before(i) == 0) continue;
+        const Entry &entry = packets_[i], &before = packets_[i - 1];
+        const int begin = compute_column(turn, before.azimuth_deg) - before.first_slot + n_slots_;
+        const int end =
+            std::min(compute_column(turn, entry.azimuth_deg) - entry.first_slot, int(fires.size()));
+        for (int c = std::max(begin, 0); c < end; ++c) is_lost[std::size_t(c)] = fires[std::size_t(c)];
+    }
+    return is_lost;
 }
 
 Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<PacketView>>& packets,
@@ -473,7 +431,6 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
     const Timing& timing = decoder_->timing();
     const double mean_deg_us = 360e-6 / sensor.period_s, brightness = intensity_max();
     const int n_columns = int(timing.fires.size());
-    std::vector<bool> has_fired(timing.fires.size(), false), is_lost = has_fired;
     const std::uint32_t first_of_turn = find_first_message(turn);
     // firings of the revolution before this packet, including firings in lost packets
     std::size_t before = 0;
@@ -486,7 +443,6 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
         Packet packet = reread_packet(entry.message - first_of_turn, entry, packets);
         const std::size_t begin = entry.first_firing, end = begin + entry.n_firings;
         if (packet.firings.size() < end) continue;
-        if (p > turn.first && n_columns > 0) mark_missing(turn, p, is_lost);
         const std::int64_t begin_ns =
             timing.fires.empty() ? entry.stamp_ns : entry.clock_ns + turn.stamp_less_clock_ns;
         const double begin_s = 1e-9 * double(begin_ns - zero_ns), first_us = packet.firings[begin].after_us;
@@ -507,7 +463,6 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
                                           : start_deg >= turn.begin_deg && start_deg < turn.begin_deg + 360.0;
             previous_number = number;
             if (!is_inside) continue;
-            if (n_columns > 0) has_fired[std::size_t(number)] = true;
             const double time_s = begin_s + 1e-6 * (firing.after_us - first_us - late_us);
             const double ahead_deg_us = timing.interpolates ? step / timing.cycle_us - mean_deg_us : 0.0;
             std::array<Echo, 2>* echoes = &packet.echoes[f * sensor.beams.size()];
@@ -515,15 +470,21 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
                        timing.offset_us);
         }
     }
+    return arrange_points(turn, fired, sensor);
+}
+
+/// Creates the scan of a revolution from its points.
+Scan PacketLog::arrange_points(const PacketTurn& turn, FiredPoints& fired,
+                               const SpinningSensor& sensor) const {
     if (fired.points.size() == 0) return make_unordered_scan(fired.points);
-    if (n_columns > 0) {
-        add_unmeasured(has_fired, timing.fires, is_lost);
-        return make_fired_scan(fired, has_fired, sensor, std::size_t(std::ranges::count(timing.fires, true)));
-    }
+    if (!decoder_->timing().fires.empty())
+        return make_fired_scan(fired, decoder_->timing().fires, lost_columns(turn), sensor);
+    const Sweep sweep = sort_firings(fired.points, fired.numbers, fired.head_rad);
+    // All complete turns have the same number of columns. A turn with lost packets has a
+    // column for each firing that was received.
     SpinningSensor seen = sensor;
     seen.columns = int(std::ceil(double(sensor.columns) * (1.0 - skipped_.width_deg / 360.0)));
-    const Sweep sweep = arrange_firings(fired.points, fired.numbers, seen,
-                                        -compute_slot_deg(turn) * double(timing.parts) * kPi / 180.0);
+    if (turn.has_gaps) seen.columns = int(sweep.firings.size());
     return make_spinning_scan(fired.points, seen, sweep);
 }
 

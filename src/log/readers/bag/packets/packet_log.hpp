@@ -17,6 +17,8 @@
 
 namespace relidar::packets {
 
+struct FiredPoints;
+
 /// One revolution of the LiDAR's head. It begins and ends when the head faces backward.
 struct PacketTurn {
     /// Time at which the head faced forward, and time at which the packet of that moment
@@ -26,7 +28,9 @@ struct PacketTurn {
     /// Unwrapped head angle at the start of the revolution, counted from the start of the
     /// recording. The revolution ends 360 degrees later.
     double begin_deg = 0.0;
-    std::size_t n_missing = 0;  ///< number of packets of the revolution that were lost
+    /// number of packets of the revolution that were lost, also at its start and its end
+    std::size_t n_missing = 0;
+    bool has_gaps = false;  ///< true if a part of a packet of the revolution was lost
     /// Time stamp minus sensor clock, for the packet with the smallest network delay.
     /// Used only if the sensor's clock defines the times.
     std::int64_t stamp_less_clock_ns = 0;
@@ -82,6 +86,8 @@ private:
     Calibration calibration_;
     int n_slots_ = 1;            ///< slots per packet
     std::size_t n_packets_ = 0;  ///< number of packets without repeats
+    /// number of packets without a firing since the last packet with a firing
+    std::uint16_t n_empty_ = 0;
     std::vector<Entry> packets_;
     std::vector<Source> messages_;
     std::vector<PacketTurn> turns_;
@@ -101,12 +107,14 @@ private:
     void count_bright(const Packet& packet);
     double step_deg() const;
     std::pair<double, double> find_azimuth_reach_deg() const;
-    void mark_missing(const PacketTurn& turn, std::size_t packet, std::vector<bool>& is_lost) const;
+    std::vector<bool> lost_columns(const PacketTurn& turn) const;
+    Scan arrange_points(const PacketTurn& turn, FiredPoints& fired, const SpinningSensor& sensor) const;
     int compute_column(const PacketTurn& turn, double azimuth_deg) const;
     void find_turns();
     std::size_t count_steps_to(std::size_t packet) const;
     double count_lost_slots(std::size_t packet) const;
     std::size_t count_missing_before(std::size_t packet) const;
+    void count_missing(PacketTurn& turn) const;
     bool is_even(const PacketTurn& turn) const;
     void find_times(PacketTurn& turn) const;
     double compute_slot_deg(const PacketTurn& turn) const;

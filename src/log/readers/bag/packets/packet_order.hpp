@@ -29,6 +29,9 @@ struct PacketEntry {
     std::int16_t first_slot;  ///< slot of the first firing
     std::int16_t n_slots;     ///< number of slots
     std::uint32_t hash;       ///< hash of the packet's bytes
+    /// number of packets without a firing that were received immediately before this
+    /// packet
+    std::uint16_t n_empty_before = 0;
 };
 
 /// Returns the rotation from one azimuth to another in the direction of rotation, less

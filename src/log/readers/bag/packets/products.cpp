@@ -4,7 +4,9 @@
 #include <algorithm>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
+#include "base/median.hpp"
 #include "log/readers/bag/packets/decoder.hpp"
 #include "log/readers/bag/packets/livox.hpp"
 #include "log/readers/bag/packets/ouster.hpp"
@@ -42,9 +44,25 @@ bool is_hesai_of(string_view packet) {
            has_byte(packet, kBlocksAt, blocks) &&
            (packet.size() == bytes || packet.size() == bytes + optional);
 }
-bool is_rs16(string_view packet) {
+/// Returns true for packets of RoboSense's first spinning sensors. Older packets have the
+/// number of the model in byte 30, newer packets also in byte 31.
+template <int model>
+bool is_robosense(string_view packet) {
     return packet.size() == 1248 && packet.starts_with("\x55\xaa\x05\x0a\x5a\xa5\x50\xa0") &&
-           has_byte(packet, 30, 1);
+           has_byte(packet, has_byte(packet, 31, 0) ? 30 : 31, model);
+}
+constexpr auto is_rs16 = is_robosense<1>;
+/// Returns true for packets of RoboSense's later spinning sensors. The first two blocks
+/// begin with the byte `flag`.
+template <int flag, std::size_t first_block_at, std::size_t second_block_at>
+bool is_robosense_with(string_view packet) {
+    return packet.starts_with("\x55\xaa\x05\x5a") && has_byte(packet, first_block_at, flag) &&
+           has_byte(packet, second_block_at, flag);
+}
+/// Returns true for packets of RoboSense's sensors that do not spin.
+template <std::size_t bytes>
+bool is_robosense_window(string_view packet) {
+    return packet.size() == bytes && packet.starts_with("\x55\xaa\x5a\xa5");
 }
 // Sizes of the optional fields: packet number and digital signature.
 constexpr std::size_t kNumberBytes = 4, kSignatureBytes = 32;
@@ -81,13 +99,29 @@ constexpr Product kProducts[] = {
     {"Hesai LiDAR of an unknown model",
      [](string_view p) { return p.size() > 500 && p.starts_with("\xee\xff"); }, nullptr, "hesai_ros_driver"},
     {"RS-LiDAR-16", is_rs16, make_block_decoder},
-    {"RoboSense",
+    {"RS-LiDAR-32", is_robosense<2>, nullptr, "rslidar_sdk"},
+    {"RS-BPearl", is_robosense<3>, nullptr, "rslidar_sdk or nebula"},
+    {"RS-Ruby-128", is_robosense_with<0xFE, 80, 468>, nullptr, "rslidar_sdk"},
+    {"RS-Ruby-80", is_robosense_with<0xFE, 80, 324>, nullptr, "rslidar_sdk"},
+    {"RS-Ruby-48", is_robosense_with<0xFE, 80, 228>, nullptr, "rslidar_sdk"},
+    {"RS-Helios", is_robosense_with<0xFF, 42, 142>, nullptr, "rslidar_sdk or nebula"},
+    {"RS-Airy", is_robosense_with<0xFF, 42, 190>, nullptr, "rslidar_sdk"},
+    {"RS-LiDAR-M1", is_robosense_window<1210>, nullptr, "rslidar_sdk"},
+    {"RS-LiDAR-M2", is_robosense_window<1342>, nullptr, "rslidar_sdk"},
+    {"RS-LiDAR-E1", is_robosense_window<1200>, nullptr, "rslidar_sdk"},
+    {"RoboSense that relidar does not know",
      [](string_view p) {
          return p.size() > 500 && (p.starts_with("\x55\xaa\x05") || p.starts_with("\x55\xaa\x5a"));
      },
      nullptr, "rslidar_sdk"},
     {"Livox", is_livox, nullptr, "livox_ros_driver2"},
 };
+
+/// Returns the time of a packet of an RS-LiDAR-16 within its second.
+double rs16_clock_us(string_view packet) {
+    const auto byte = [&](std::size_t at) { return double(static_cast<unsigned char>(packet[at])); };
+    return 1e3 * (256.0 * byte(26) + byte(27)) + 256.0 * byte(28) + byte(29);
+}
 
 /// Packets without an identifying header.
 constexpr Product kOuster{"Ouster", nullptr, make_ouster_decoder};
@@ -104,14 +138,26 @@ std::string describe_unknown_packet(const Product* product, string_view bytes) {
     std::string known;
     for (const Product& row : kProducts)
         if (row.make) known += (known.empty() ? "" : ", ") + std::string(row.name);
+    const auto* begin = reinterpret_cast<const unsigned char*>(bytes.data());
+    const std::vector<unsigned> first(begin, begin + std::min(bytes.size(), std::size_t(4)));
     if (!product)
         return fmt::format(
             "found unknown packets of {} bytes, expected packets of {}, or of an Ouster with its metadata",
             bytes.size(), known);
     return fmt::format(
-        "found packets of a {}, which relidar cannot decode, expected packets of {}, or point clouds; "
-        "convert the packets to point clouds with {} and record these",
-        product->name, known, product->driver);
+        "found packets of a {} ({} bytes that begin with {:02X}), which relidar cannot decode, expected "
+        "packets of {}, or point clouds; convert the packets to point clouds with {} and record these",
+        product->name, bytes.size(), fmt::join(first, " "), known, product->driver);
+}
+
+bool have_two_returns(const std::vector<PacketView>& packets) {
+    // time between two packets with one return, which contain 24 firings
+    constexpr double kSingle_us = 24 * 55.5;
+    std::vector<double> steps_us;
+    for (std::size_t i = 1; i < packets.size(); ++i)
+        if (is_rs16(packets[i - 1].bytes) && is_rs16(packets[i].bytes))
+            steps_us.push_back(rs16_clock_us(packets[i].bytes) - rs16_clock_us(packets[i - 1].bytes));
+    return !steps_us.empty() && compute_median(steps_us) < 0.75 * kSingle_us;
 }
 
 }  // namespace relidar::packets

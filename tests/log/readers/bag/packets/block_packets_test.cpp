@@ -215,19 +215,19 @@ TEST(BlockPackets, AngleFilesNextToABag) {
     write("drive/metadata.yaml", "");
     write("poses.csv", "time,x,y\n1,2,3\n");
     write("damaged.csv", "Laser id,Elevation,Azimuth\n1,2,north\n");
-    EXPECT_TRUE(packets::find_corrections(recording).empty());
+    EXPECT_TRUE(packets::find_corrections({recording}).empty());
     write("PandarXT.csv", "Channel,Elevation,Azimuth\n1,2,0\n2,1,0\n");
-    const auto any = packets::find_corrections(recording);
+    const auto any = packets::find_corrections({recording});
     ASSERT_EQ(any.size(), 1u);
     EXPECT_EQ(any[0].where, "PandarXT.csv");
     EXPECT_FALSE(any[0].is_named);
     write("drive.csv", "Laser id,Elevation,Azimuth\n1,3,0\n");
-    const auto named = packets::find_corrections(recording);
+    const auto named = packets::find_corrections({recording});
     ASSERT_EQ(named.size(), 1u);
     EXPECT_TRUE(named[0].is_named);
     EXPECT_EQ(named[0].lasers.size(), 1u);
     write("drive.csv", "Laser id,Elevation,Azimuth\n2,3,0\n");
-    EXPECT_THROW(packets::find_corrections(recording), DataError);
+    EXPECT_THROW(packets::find_corrections({recording}), DataError);
 }
 
 /// Returns a packet of an OT128 with a return per laser, written byte by byte from the
@@ -332,6 +332,67 @@ TEST(BlockPackets, RsLidar16) {
     EXPECT_NEAR(packet.echoes[0][0].range_m, 0.005 * (0x300 + 8), 1e-6);
     EXPECT_NEAR(packet.echoes[16 + 15][0].range_m, 0.005 * (0x300 + 16), 1e-6);
     EXPECT_NEAR(packet.echoes[15][0].intensity, 0.2, 1e-6);
+}
+
+/// Returns consecutive packets of an RS-LiDAR-16.
+/// @param step_us  time from packet to packet
+std::vector<std::string> rs16_packets(int step_us) {
+    std::vector<std::string> packets;
+    for (int k = 0; k < 8; ++k) {
+        std::string bytes = make_rs16_packet();
+        const int us = 998'000 + k * step_us;  // passes the end of a second
+        const int ms = us / 1000 % 1000, rest = us % 1000;
+        bytes.replace(26, 4, {char(ms >> 8), char(ms & 255), char(rest >> 8), char(rest & 255)});
+        packets.push_back(bytes);
+    }
+    return packets;
+}
+
+TEST(BlockPackets, RsLidar16WithTwoReturns) {
+    const auto have_two = [](const std::vector<std::string>& all) {
+        std::vector<packets::PacketView> views;
+        for (const std::string& bytes : all) views.push_back({0, bytes});
+        return packets::have_two_returns(views);
+    };
+    // A packet has 12 blocks, of two firings or of one firing with two returns. A firing
+    // takes 55.5 us.
+    EXPECT_FALSE(have_two(rs16_packets(24 * 55 + 12)));
+    EXPECT_TRUE(have_two(rs16_packets(12 * 55 + 6)));
+    const std::string bytes = make_rs16_packet();
+    const auto decoder = make_decoder(bytes, "RS-LiDAR-16", {.has_two_returns = true});
+    ASSERT_TRUE(decoder);
+    const packets::Packet packet = decoder->decode(bytes);
+    ASSERT_EQ(packet.firings.size(), 12u);
+    EXPECT_NEAR(packet.firings[1].azimuth_deg, 90.4, 1e-9);
+    EXPECT_NEAR(packet.firings[11].after_us, 11 * 55.5, 1e-9);
+    EXPECT_NEAR(packet.echoes[0][0].range_m, 0.005 * (0x300 + 8), 1e-6);
+    EXPECT_NEAR(packet.echoes[0][1].range_m, 0.005 * (0x300 + 24), 1e-6);
+}
+
+TEST(BlockPackets, OtherRoboSenseSensorsAreRefusedByName) {
+    const auto with = [](std::string bytes, std::size_t at, const std::string& part) {
+        return bytes.replace(at, part.size(), part);
+    };
+    const std::string old = make_rs16_packet(), later = with(std::string(1248, '\0'), 0, "\x55\xaa\x05\x5a");
+    const std::string solid = with(std::string(1210, '\0'), 0, "\x55\xaa\x5a\xa5");
+    const std::pair<std::string, std::string> cases[] = {
+        {with(old, 30, "\x02"), "RS-LiDAR-32"},
+        {with(old, 31, "\x03"), "RS-BPearl"},
+        {with(old, 31, "\x09"), "RoboSense"},
+        {with(with(later, 42, "\xff\xee"), 142, "\xff\xee"), "RS-Helios"},
+        {with(with(later, 42, "\xff\xee"), 190, "\xff\xee"), "RS-Airy"},
+        {with(with(later, 80, "\xfe"), 468, "\xfe"), "RS-Ruby-128"},
+        {solid, "RS-LiDAR-M1"},
+    };
+    for (const auto& [bytes, name] : cases) {
+        const packets::Product* product = packets::find_product(bytes, {});
+        ASSERT_TRUE(product) << name;
+        EXPECT_FALSE(product->make) << name;
+        const std::string text = packets::describe_unknown_packet(product, bytes);
+        EXPECT_NE(text.find("packets of a " + name), std::string::npos) << text;
+        EXPECT_NE(text.find("begin with 55 AA"), std::string::npos) << text;
+        EXPECT_NE(text.find("RS-LiDAR-16"), std::string::npos) << text;
+    }
 }
 
 }  // namespace

@@ -393,19 +393,19 @@ TEST(OusterPackets, RepeatedAndLatePacketsAreSorted) {
                 AllOf(HasSubstr("1 packets were received twice"), HasSubstr("1 packets were received late")));
 }
 
-TEST(OusterPackets, RaysOfMissingPacketsAreDropped) {
+TEST(OusterPackets, RaysOfMissingPacketsAreUnknown) {
     const OusterImages images = make_small_images(test::kSingle);
     auto datagrams = test::receive(test::make_packets(images));
     datagrams[10].bytes.resize(500);          // columns 32 to 47 of frame 1
-    datagrams.erase(datagrams.begin() + 13);  // columns 80 to 95
+    datagrams.erase(datagrams.begin() + 15);  // columns 112 to 127, the end of the turn
     const Loaded loaded(write_capture(images, datagrams));
     if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
     ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
     EXPECT_THAT(loaded.notes(), HasSubstr("2 packets are missing, and their rays"));
     const Columns columns(loaded.log, 1);
     for (std::size_t column = 0; column < images.columns; ++column) {
-        const bool is_missing = column / 16 == 2 || column / 16 == 5;
-        EXPECT_EQ(columns.rays[column], images.rows) << column;
+        const bool is_missing = column / 16 == 2 || column / 16 == 7;
+        EXPECT_EQ(columns.rays[column], is_missing ? 0u : images.rows) << column;
         EXPECT_EQ(columns.returns[column] == 0, is_missing) << column;
     }
 }

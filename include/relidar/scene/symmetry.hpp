@@ -1,0 +1,25 @@
+// SPDX-License-Identifier: Apache-2.0
+// Completes the unobserved sides of vehicles. A vehicle is symmetric about the x-z plane
+// of its box, so an unobserved side looks like the mirror image of the observed side.
+#pragma once
+
+#include <relidar/log/sequence.hpp>
+#include <relidar/scene/scene.hpp>
+
+namespace relidar {
+
+/// Returns true for labelled vehicles, and for objects without a label that are at least
+/// 3 m long. All other objects, for example people, are not symmetric.
+bool is_vehicle(const BoxTrack& box);
+
+/// Returns a copy of the surfels, mirrored at the x-z plane: y becomes -y.
+Surfels mirror_left_right(Surfels surfels);
+
+/// Completes a symmetric object: replaces the surfels of each unobserved patch whose
+/// mirror patch was observed. The new surfels are the mirror image of the observed side,
+/// and are the last surfels. Marks the surface as completed. Does nothing if both sides
+/// were observed and differ by more than 0.15 m.
+/// @return number of surfels that were added
+std::size_t complete_by_symmetry(Surfels& surfels, BoxSurface& surface);
+
+}  // namespace relidar

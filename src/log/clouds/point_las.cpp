@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reads the points of LAS files (ASPRS LAS 1.0 to 1.4, point formats 0 to 10). A LAS file
+// usually contains a map in survey coordinates. Such a file is not a scan, so it is
+// refused.
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "log/clouds/point_table.hpp"
+
+namespace relidar::folder {
+namespace {
+
+// byte offsets in the header
+constexpr std::size_t kVersionAt = 24, kPointsAt = 96, kFormatAt = 104, kRecordAt = 105, kCountAt = 107,
+                      kScaleAt = 131, kOffsetAt = 155, kHeaderBytes = 227, kLongCountAt = 247,
+                      kLongHeader = 255;
+constexpr int kMostFormat = 10, kFirstLongFormat = 6;
+constexpr int kPacked = 128;  // added to the point format if the points are compressed
+
+template <class T>
+T number_at(std::string_view bytes, std::size_t offset) {
+    T value;
+    std::memcpy(&value, bytes.data() + offset, sizeof value);
+    return value;
+}
+
+struct LasHeader {
+    int format = 0;
+    std::size_t begin = 0, record = 0;  ///< byte offset of the first point, and bytes per point
+    std::uint64_t n = 0;                ///< number of points
+    std::array<double, 3> scale{}, offset_m{};
+
+    bool is_long() const { return format >= kFirstLongFormat; }
+    bool has_time() const { return is_long() || format == 1 || format >= 3; }
+    std::size_t time_at() const { return is_long() ? 22 : 20; }
+    std::size_t least_record() const { return time_at() + (has_time() ? 8 : 0); }
+};
+
+LasHeader read_header(std::string_view bytes, const std::string& location) {
+    if (bytes.size() < kHeaderBytes || !bytes.starts_with("LASF"))
+        throw DataError(
+            fmt::format("{}: {} bytes, expected a LAS file, which begins with LASF", location, bytes.size()));
+    LasHeader header;
+    header.format = number_at<std::uint8_t>(bytes, kFormatAt);
+    if (header.format >= kPacked)
+        throw DataError(fmt::format(
+            "{}: found compressed points (LAZ), expected LAS; 'laszip IN.laz OUT.las' unpacks them",
+            location));
+    if (header.format > kMostFormat)
+        throw DataError(
+            fmt::format("{}: point format {}, expected 0 to {}", location, header.format, kMostFormat));
+    header.begin = number_at<std::uint32_t>(bytes, kPointsAt);
+    header.record = number_at<std::uint16_t>(bytes, kRecordAt);
+    header.n = number_at<std::uint32_t>(bytes, kCountAt);
+    if (number_at<std::uint8_t>(bytes, kVersionAt + 1) >= 4 && bytes.size() >= kLongHeader)
+        header.n = std::max(header.n, number_at<std::uint64_t>(bytes, kLongCountAt));
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+        header.scale[axis] = number_at<double>(bytes, kScaleAt + 8 * axis);
+        header.offset_m[axis] = number_at<double>(bytes, kOffsetAt + 8 * axis);
+    }
+    if (header.record < header.least_record() || header.begin > bytes.size() ||
+        header.n > (bytes.size() - header.begin) / header.record)
+        throw DataError(fmt::format("{}: truncated: {} bytes, expected {} points of {} bytes from byte {}",
+                                    location, bytes.size(), header.n, header.record, header.begin));
+    return header;
+}
+
+/// Refuses a map. The sensor of a scan is at the origin, so its points surround the
+/// origin.
+void check_is_scan(const std::array<std::vector<double>, 3>& position_m, const std::string& location) {
+    for (std::size_t axis = 0; axis < 2; ++axis) {
+        const auto [least, most] = std::ranges::minmax(position_m[axis]);
+        if (least <= 0.0 && most >= 0.0) continue;
+        throw DataError(fmt::format(
+            "{}: {} is from {:.6g} to {:.6g} m, so the points are a map or in survey coordinates; expected "
+            "one scan with the sensor at the origin",
+            location, axis == 0 ? "x" : "y", least, most));
+    }
+}
+
+}  // namespace
+
+PointTable read_las(const SharedBytes& file, const std::string& location) {
+    const LasHeader header = read_header(file.bytes, location);
+    const auto n = std::size_t(header.n);
+    check_count(n, location);
+    const char* points = file.bytes.data() + header.begin;
+    std::array<std::vector<double>, 3> position_m;
+    std::vector<std::uint8_t> return_numbers(n);
+    for (std::size_t axis = 0; axis < 3; ++axis) position_m[axis].resize(n);
+    for (std::size_t i = 0; i < n; ++i) {
+        const std::string_view point(points + i * header.record, header.record);
+        for (std::size_t axis = 0; axis < 3; ++axis)
+            position_m[axis][i] =
+                header.scale[axis] * number_at<std::int32_t>(point, 4 * axis) + header.offset_m[axis];
+        return_numbers[i] = std::uint8_t(point[14] & (header.is_long() ? 15 : 7));
+    }
+    check_is_scan(position_m, location);
+    PointTable table(n);
+    table.keep(file.memory);
+    const char* names[] = {"x", "y", "z"};
+    for (std::size_t axis = 0; axis < 3; ++axis)
+        table.add(names[axis], NumberType::f8, std::move(position_m[axis]), location);
+    table.add("intensity", {NumberType::u2, points + 12, header.record}, location);
+    // Some programs write 0 for all return numbers.
+    if (std::ranges::any_of(return_numbers, [](std::uint8_t number) { return number > 1; }))
+        table.add("return_number", NumberType::u1, std::move(return_numbers), location);
+    if (!header.has_time()) return table;
+    const FieldValues times(NumberType::f8, points + header.time_at(), header.record);
+    bool is_constant = true;  // some programs write the time 0 for all points
+    for (std::size_t i = 1; i < n; ++i) is_constant = is_constant && times[i] == times[0];
+    if (!is_constant) table.add("time", times, location);
+    return table;
+}
+
+}  // namespace relidar::folder

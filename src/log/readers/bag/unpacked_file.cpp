@@ -1,0 +1,63 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/readers/bag/unpacked_file.hpp"
+
+#include <cstdlib>
+#include <memory>
+#include <system_error>
+#include <vector>
+
+#include <unistd.h>
+#include <zlib.h>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+namespace relidar::bag {
+namespace {
+
+struct CloseFile {
+    void operator()(std::FILE* file) const { std::fclose(file); }
+};
+using File = std::unique_ptr<std::FILE, CloseFile>;
+
+/// Creates an empty file without a name, for reading and writing.
+File temporary_file() {
+    std::error_code failed;
+    std::string name = (std::filesystem::temp_directory_path(failed) / "relidar-XXXXXX").string();
+    const int descriptor = failed ? -1 : mkstemp(name.data());
+    File file(descriptor < 0 ? nullptr : fdopen(descriptor, "w+b"));
+    if (!file) throw DataError("cannot create a temporary file to unpack a recording");
+    unlink(name.c_str());
+    return file;
+}
+
+}  // namespace
+
+std::filesystem::path unpacked_name(const std::filesystem::path& file) {
+    return file.extension() == ".gz" ? std::filesystem::path(file).replace_extension() : file;
+}
+
+UnpackedFile open_unpacked(const std::filesystem::path& path) {
+    File packed(std::fopen(path.c_str(), "rb"));
+    if (!packed) throw DataError(fmt::format("cannot read {}", path.string()));
+    const int first = std::fgetc(packed.get()), second = std::fgetc(packed.get());
+    std::rewind(packed.get());
+    if (first != 0x1f || second != 0x8b) return {packed.release(), ""};
+    const std::unique_ptr<gzFile_s, int (*)(gzFile)> reader(gzopen(path.c_str(), "rb"), gzclose);
+    if (!reader) throw DataError(fmt::format("cannot read {}", path.string()));
+    File unpacked = temporary_file();
+    std::vector<char> block(1 << 20);
+    int n = 0;
+    while ((n = gzread(reader.get(), block.data(), unsigned(block.size()))) > 0)
+        if (std::fwrite(block.data(), 1, std::size_t(n), unpacked.get()) != std::size_t(n))
+            throw DataError(fmt::format("{}: no space in {} to unpack it", path.string(),
+                                        std::filesystem::temp_directory_path().string()));
+    int code = Z_OK;
+    gzerror(reader.get(), &code);
+    const bool is_cut = n < 0 || (code != Z_OK && code != Z_STREAM_END);
+    std::rewind(unpacked.get());
+    return {unpacked.release(), is_cut ? "the gzip file is damaged or truncated" : ""};
+}
+
+}  // namespace relidar::bag

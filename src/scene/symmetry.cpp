@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: Apache-2.0
+// Mirrors surfels at the x-z plane of a box.
+#include <relidar/scene/symmetry.hpp>
+
+namespace relidar {
+namespace {
+
+// Minimum length of a vehicle. It is used for objects without a class. Cyclists are
+// shorter.
+constexpr double kShortestVehicle_m = 3.0;
+// Maximum difference between the two sides of a symmetric object. Loose boxes reach it,
+// because the plane of symmetry is then not in the middle of the box.
+constexpr double kMostAsymmetry_m = 0.15;
+/// Indices of the spherical harmonics that are odd in y. They are the harmonics with a
+/// negative order.
+constexpr int kOddInY[] = {1, 4, 5, 9, 10, 11};
+
+}  // namespace
+
+bool is_vehicle(const BoxTrack& box) {
+    return parse_object_kind(box.category) == ObjectKind::vehicle ||
+           (box.category == kDiscoveredCategory && box.size_m.x >= kShortestVehicle_m);
+}
+
+Surfels mirror_left_right(Surfels surfels) {
+    for (std::size_t i = 0; i < surfels.size(); ++i) {
+        surfels.mean[i].y *= -1.0f;
+        // Mirrors the quaternion (w, x, y, z). A mirrored rotation has a mirrored axis
+        // and the opposite direction of rotation.
+        glm::vec4& q = surfels.rotation[i];
+        q = {q[0], -q[1], q[2], -q[3]};
+        for (int channel = 0; channel < kShChannels; ++channel)
+            for (const int k : kOddInY)
+                surfels.sh[i * kShFloats + std::size_t(channel * kShCoefficients + k)] *= -1.0f;
+    }
+    return surfels;
+}
+
+std::size_t complete_by_symmetry(Surfels& surfels, BoxSurface& surface) {
+    std::vector<glm::vec3> opaque_m;
+    for (std::size_t i = 0; i < surfels.size(); ++i)
+        if (surfels.opacity_logit[i] > 0.0f) opaque_m.push_back(surfels.mean[i]);
+    if (surface.asymmetry_m(opaque_m) > kMostAsymmetry_m) return 0;
+    std::vector<std::uint32_t> kept, copied;
+    for (std::uint32_t i = 0; i < surfels.size(); ++i) {
+        const glm::dvec3 here(surfels.mean[i]), there(here.x, -here.y, here.z);
+        if (!surface.is_mirrored(here)) kept.push_back(i);
+        if (surface.is_mirrored(there)) copied.push_back(i);
+    }
+    const Surfels more = mirror_left_right(surfels.reorder(copied));
+    surfels = surfels.reorder(kept);
+    surfels.append(more);
+    surface.is_completed = true;
+    return copied.size();
+}
+
+}  // namespace relidar

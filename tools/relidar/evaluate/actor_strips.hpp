@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: Apache-2.0
+// Draws the real and the simulated points of actors in several frames, side by side.
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <vector>
+
+#include <relidar/score/report.hpp>
+
+namespace relidar {
+class Device;
+struct Evaluation;
+struct Run;
+}  // namespace relidar
+
+namespace relidar::cli {
+
+/// Draws a walking actor in eight successive frames, seen from its right side. Chooses
+/// the actor with the most points in the log.
+/// @param run run whose log is loaded with all scans
+/// @return no value if no walking actor is visible in eight frames
+std::optional<ReportFigure> draw_walking_strip(Device& device, const Run& run);
+
+/// Draws the three actors with the worst scores in held-out frames, as the sensor sees
+/// them: the real points, the simulated points, and the distance of each simulated point
+/// from the nearest real point. Actors with fewer than 20 real points per frame are left
+/// out.
+/// @param run run whose log is loaded with the scans of the held-out frames
+std::vector<ReportFigure> worst_actor_strips(Device& device, const Run& run, const Evaluation& evaluation);
+
+/// Writes the figures of worst_actor_strips() for at most 20 actors as
+/// FOLDER/actor_TRACK.png.
+void write_actor_strips(const std::filesystem::path& folder, Device& device, const Run& run,
+                        const Evaluation& evaluation);
+
+}  // namespace relidar::cli
