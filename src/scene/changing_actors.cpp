@@ -142,8 +142,9 @@ std::vector<char> find_resting(const std::vector<Sample>& samples, const Frames&
     return rests;
 }
 
-/// Makes the surfels of one frame. Their opacity falls like a Gaussian with the distance
-/// from the frame. The spacing of the frames is its standard deviation.
+/// Makes the surfels of one frame. The opacity of a surfel falls with the distance that
+/// the actor has moved since this frame. The curve is a Gaussian whose standard deviation
+/// is the distance between two frames.
 Surfels surfels_of_frame(const Frames& frames, std::size_t index, const std::vector<Sample>& samples,
                          const std::vector<Sample>& changing, double period_m,
                          const InitialiseOptions& options, double incidence) {

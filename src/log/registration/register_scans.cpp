@@ -82,7 +82,8 @@ std::vector<bool> mark_sweeps(const Sweeps& sweeps, const std::vector<int>& posi
     return is;
 }
 
-/// Returns [sweeps] flags: true only for the middle of the marked sweeps.
+/// Returns one flag per sweep. Only the middle one of the selected sweeps has the flag
+/// true.
 std::vector<bool> select_middle_sweep(const std::vector<bool>& selected) {
     std::vector<bool> is(selected.size(), false);
     auto to_go = std::ranges::count(selected, true) / 2;

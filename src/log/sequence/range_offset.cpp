@@ -58,8 +58,8 @@ std::vector<Observation> collect_observations(const Sequence& sequence, const Fr
     return result;
 }
 
-/// Returns of a log, sorted by cell, and by frame within a cell. Offsets move a return by
-/// centimetres, but the return stays assigned to its cell.
+/// Returns of a log, sorted by cell, and by frame within a cell. The range offset of a
+/// beam may move a return by centimetres, but the return keeps its original cell.
 struct Cells {
     std::vector<Observation> seen;
     std::vector<std::size_t> first;  ///< [cells + 1] index into `seen`

@@ -37,8 +37,10 @@ public:
     /// Returns the sensor with the head azimuths that the log has measured. See
     /// align_sensor_with_sweep().
     SensorChoice align_with_log(const SensorChoice& sensor, double time_s) const;
-    /// Returns a sweep on the recorded path of the log's vehicle.
+    /// Returns the sweep of a sensor that is mounted on the log's vehicle. The vehicle
+    /// drives its recorded path.
     /// @param sensor must outlive the sweep
+    /// @param sensor_offset pose of the sensor relative to its recorded mounting
     Sweep make(const SensorChoice& sensor, double time_s, const Pose& sensor_offset);
     /// Returns a sweep with the poses that a request contains.
     /// @throws DataError if poses or times are invalid
