@@ -119,7 +119,7 @@ std::string find_wrong_operations(Device& device) {
 }
 
 /// Sorts 5000 keys on the device. Returns an empty text if the order is correct.
-std::string find_wrong_sort(Device& device) {
+std::string describe_sort_failure(Device& device) {
     if (!device.info().has_known_subgroups) return {};
     constexpr std::uint32_t kKeys = 5000;
     Words keys(kKeys);
@@ -177,7 +177,7 @@ std::vector<int> list_subgroup_sizes(const Device& device) {
 
 std::string find_wrong_subgroups(Device& device) {
     const std::string wrong = find_wrong_operations(device);
-    return wrong.empty() ? find_wrong_sort(device) : wrong;
+    return wrong.empty() ? describe_sort_failure(device) : wrong;
 }
 
 }  // namespace relidar

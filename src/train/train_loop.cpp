@@ -395,15 +395,15 @@ DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequen
         const auto passes = static_cast<std::uint32_t>(
             std::clamp<std::size_t>(rays_of_frame / kRays, 1, batches.n_batches(frame)));
         for (std::uint32_t pass = 0; pass < passes; ++pass)
-            count_drops(counts, sequence, frame, batches.take(stream_, frame, first, pass));
+            count_dropped_rays(counts, sequence, frame, batches.take(stream_, frame, first, pass));
     }
     DropTable drops = counts.estimate_drop_rate();
     add_unseen_sectors(drops, frames_.unknown().observed_drops, sequence);
     return drops;
 }
 
-void TrainLoop::count_drops(DropCounts& counts, const Sequence& sequence, const FrameData& frame,
-                            const SampledBatch& batch) {
+void TrainLoop::count_dropped_rays(DropCounts& counts, const Sequence& sequence, const FrameData& frame,
+                                   const SampledBatch& batch) {
     // Minimum blending weight of a counted ray: a ray below it hit no solid surface.
     // Blind rays always count, because no surface was trained for them.
     constexpr float kSolid = 0.9f;

@@ -170,8 +170,8 @@ private:
     void keep_more_hits(const IterationReports::Report& report);
     /// Selects the rays of a batch for which the scene predicts a return, and adds them
     /// to `counts`.
-    void count_drops(DropCounts& counts, const Sequence& sequence, const FrameData& frame,
-                     const SampledBatch& batch);
+    void count_dropped_rays(DropCounts& counts, const Sequence& sequence, const FrameData& frame,
+                            const SampledBatch& batch);
     void change_surfels(const std::function<DensifyReport(double others_bytes)>& change);
 };
 

@@ -149,7 +149,7 @@ void run(const std::string& folder, int device_index) {
             const SensorChoice sensor = make_configured_sensor(run.config, run.sequence, frame.lidar);
             const RayTable rays = make_nominal_rays(run.sequence.get_lidar(frame), frame.time_s);
             const Pose offset{{1, 0, 0, 0}, offset_m};
-            const PoseTrack track = make_mounted_track(run.sequence.world_from_sensor(frame.lidar), offset);
+            const PoseTrack track = mount_on_track(run.sequence.world_from_sensor(frame.lidar), offset);
             const RenderedScan scan = renderer.render(sensor, frame.time_s, offset);
             const Place place{street, track, frame.time_s};
             const Scan truth = cast_synthetic_street(street, rays, track, frame.time_s);

@@ -62,7 +62,7 @@ DeviceUse::DeviceUse(OpenDevice& device) : device_(device) {
 DeviceUse::~DeviceUse() { device_.user = std::thread::id(); }
 
 void add_device(py::module_& module) {
-    set_first_use({check_first_use, [](const std::string& text) {
+    set_first_use({check_device_at_first_use, [](const std::string& text) {
                        std::fprintf(stderr, "relidar: note: %s\n", text.c_str());
                    }});
     py::class_<DeviceInfo>(module, "DeviceInfo",

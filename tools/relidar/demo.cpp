@@ -70,7 +70,7 @@ Evaluation evaluate_held_out(Device& device, const Run& run, bool quiet) {
 Evaluation evaluate_shifted(Device& device, const Run& run, const SyntheticOptions& street, bool quiet) {
     Progress progress(quiet);
     ScanRenderer renderer(device, run);
-    const PoseTrack track = make_mounted_track(run.sequence.world_from_sensor(0), kShift);
+    const PoseTrack track = mount_on_track(run.sequence.world_from_sensor(0), kShift);
     const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
     std::vector<ScoredFrame> frames;
     for (const int position : run.split.test) {

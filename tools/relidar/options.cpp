@@ -54,7 +54,7 @@ DeviceOptions make_device_options(const DeviceChoice& choice) {
             "--device: found {}; expected a device number from `relidar list devices`", choice.index));
     options.index = choice.index;
     options.traversal = find_traversal(choice.traversal);
-    set_first_use({check_first_use, note});
+    set_first_use({check_device_at_first_use, note});
     return from_environment(options);
 }
 

@@ -34,7 +34,7 @@ public:
         if (const auto rig = find_rig(bench.sensor)) {
             for (const MountedSensor& mounted : *rig) {
                 sensors_.push_back(make_sensor_choice(mounted));
-                tracks_.push_back(make_mounted_track(refine_turns(log), mounted.rig_from_sensor));
+                tracks_.push_back(mount_on_track(refine_turns(log), mounted.rig_from_sensor));
             }
         } else {
             sensors_.push_back(

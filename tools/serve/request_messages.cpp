@@ -254,7 +254,7 @@ RenderRequest RequestReader::read_scan(const v1::RenderLidarRequest& message, co
     wanted.points_at_s = message.has_points_at_s() ? read_moment(message.points_at_s(), path, "points_at_s")
                                                    : path.time_s.back();
     wanted.request.dataset_from_sensor =
-        path_from_sensor ? make_mounted_track(std::move(path), *path_from_sensor) : std::move(path);
+        path_from_sensor ? mount_on_track(std::move(path), *path_from_sensor) : std::move(path);
     if (message.has_actors()) place_actors(read_actors(message.actors(), wanted.request.time_s), wanted);
     if (message.has_sample_seed()) wanted.sample = message.sample_seed();
     if (!message.weather().empty()) wanted.weather = read_weather(message.weather());

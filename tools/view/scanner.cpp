@@ -253,7 +253,7 @@ RenderedScan Scanner::render(const Traffic& traffic, const LiveScanRequest& wish
     ScanRequest request;
     request.time_s = wish.time_s;
     request.dataset_from_sensor = shift_track(
-        make_mounted_track(log.world_from_sensor(wish.lidar), wish.sensor_offset), log.world_offset_m);
+        mount_on_track(log.world_from_sensor(wish.lidar), wish.sensor_offset), log.world_offset_m);
     request.dataset_from_actor = traffic.placed(wish.time_s);
     ScanRenderer& renderer = find_renderer(traffic);
     renderer.set_weather(wish.weather);

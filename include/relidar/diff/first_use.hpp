@@ -12,7 +12,7 @@ namespace relidar {
 /// a second.
 /// @return results of the check
 /// @throws DeviceError if no subgroup size gives right results
-DeviceTrust check_first_use(const DeviceOptions& options);
+DeviceTrust check_device_at_first_use(const DeviceOptions& options);
 
 /// State of the trees of an acceleration structure.
 enum class TreeState { built, refitted };

@@ -36,7 +36,7 @@ struct FirstUse {
 };
 
 /// Sets the functions for all devices that this process opens later. A program calls this
-/// function once, before it opens a device. check_first_use() in
+/// function once, before it opens a device. check_device_at_first_use() in
 /// relidar/diff/first_use.hpp is the standard check.
 void set_first_use(FirstUse first_use);
 

@@ -33,7 +33,7 @@ struct PoseTrack {
     Pose at(double t_s) const;
     /// Returns the pose at `t_s` of an object that is mounted on the moving object of
     /// this track. `mounted` is the pose of the mounted object in the moving frame. Same
-    /// as make_mounted_track(*this, mounted).at(t_s).
+    /// as mount_on_track(*this, mounted).at(t_s).
     Pose at(double t_s, const Pose& mounted) const;
     /// Returns the two entries of the track between which at(t_s) interpolates.
     /// @throws DataError if the track is empty
@@ -289,7 +289,7 @@ int find_lidar(const Sequence& sequence, const std::string& name);
 /// Returns the poses of an object that is mounted on another moving object.
 /// @param track  poses of the moving object
 /// @param sensor_from_moved  pose of the mounted object in the frame of the moving object
-PoseTrack make_mounted_track(PoseTrack track, const Pose& sensor_from_moved);
+PoseTrack mount_on_track(PoseTrack track, const Pose& sensor_from_moved);
 /// Returns the same motion with additional poses in curves. A mounted object then follows
 /// the curve, instead of straight lines between the poses.
 PoseTrack refine_turns(const PoseTrack& track);

@@ -125,7 +125,7 @@ struct Bvh::Impl {
     /// Returns the offset of one of two sets of sort keys. The sorted keys end in set 0.
     /// The costs of the binary nodes later overwrite set 1.
     std::uint32_t get_keys_offset(int set) const { return set == 0 ? kKeysAt : kCostsAt; }
-    SortSet sort_set(int set) const;
+    SortSet get_sort_set(int set) const;
     std::uint32_t levels() const;
     void collapse(Stream& stream, const DeviceScene& scene);
     std::uint32_t get_key_bits() const {
@@ -214,7 +214,7 @@ shared::BvhWide Bvh::Impl::wide() const {
             .count = count.address()};
 }
 
-SortSet Bvh::Impl::sort_set(int set) const {
+SortSet Bvh::Impl::get_sort_set(int set) const {
     return {.keys = at<std::uint32_t, shared::SortKeys>(get_keys_offset(set)),
             .order = at<std::uint32_t, shared::SortOrder>(set == 0 ? kValuesAt : kCostsAt + 2)};
 }
@@ -252,7 +252,7 @@ SortSet Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
          .demands = at<std::uint32_t, shared::SlotDemands>(kDemandsAt),
          .n_surfels = n,
          .n_models = n_models});
-    return sort.run(stream, sort_set(first_set), sort_set(1 - first_set), get_key_bits());
+    return sort.run(stream, get_sort_set(first_set), get_sort_set(1 - first_set), get_key_bits());
 }
 
 void Bvh::Impl::collapse(Stream& stream, const DeviceScene& scene) {

@@ -39,7 +39,7 @@ Surfels make_surfel_ring() {
     return surfels;
 }
 
-WorldRays make_rays_around() {
+WorldRays make_full_sphere_rays() {
     WorldRays rays;
     for (int i = 0; i < kRays; ++i) {
         const float angle = 6.2831853f * float(i) / kRays, up = 0.1f * float(i % 5 - 2);
@@ -61,7 +61,7 @@ Rendering render_ring(Device& device, const AccelOptions& accel, TreeState state
         renderer.upload(surfels);
         renderer.place(glm::vec3(0.0f));
     }
-    return renderer.forward(make_rays_around());
+    return renderer.forward(make_full_sphere_rays());
 }
 
 /// Returns the largest subgroup size that gives correct results. Does not test the
@@ -96,7 +96,7 @@ int count_wrong_rays(Device& device, TreeState state) {
     return n_wrong;
 }
 
-DeviceTrust check_first_use(const DeviceOptions& options) {
+DeviceTrust check_device_at_first_use(const DeviceOptions& options) {
     const Trusting trusting(DeviceTrust{});
     Device device(options);
     DeviceTrust trust;

@@ -51,7 +51,7 @@ bool are_ranges(const FieldValues& ranges, const std::vector<glm::vec3>& points,
 /// Returns for each point whether its field `range` marks a ray without a return. Returns
 /// an empty array if the points have no such field, or if the field does not contain the
 /// distances of the points.
-std::vector<char> find_far_points(const PointTable& table, const std::vector<glm::vec3>& points) {
+std::vector<char> flag_far_points(const PointTable& table, const std::vector<glm::vec3>& points) {
     const FieldValues* ranges = table.find(PointValue::range);
     std::vector<char> marked;
     if (!ranges) return marked;
@@ -71,7 +71,7 @@ std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> find_returns(
         xyz[std::size_t(axis)]->visit([&](const auto& value_at) {
             for (std::size_t i = 0; i < table.n; ++i) all[i][axis] = float(value_at(i));
         });
-    const std::vector<char> marked = find_far_points(table, all);
+    const std::vector<char> marked = flag_far_points(table, all);
     std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> returns;
     returns.first.reserve(table.n);
     for (std::size_t i = 0; i < table.n; ++i)

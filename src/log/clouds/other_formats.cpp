@@ -44,7 +44,7 @@ constexpr OtherFormat kOtherFormats[] = {
 
 }  // namespace
 
-std::string describe_other_format(const std::filesystem::path& file) {
+std::string describe_unsupported_format(const std::filesystem::path& file) {
     std::string ending = file.extension().string();
     std::ranges::transform(ending, ending.begin(),
                            [](unsigned char character) { return char(std::tolower(character)); });
@@ -58,7 +58,7 @@ std::string describe_other_files(const std::filesystem::path& folder) {
     std::error_code failed;
     if (!std::filesystem::is_directory(folder, failed)) return "";
     for (const std::filesystem::path& file : list_folder(folder))
-        if (const std::string about = describe_other_format(file); !about.empty())
+        if (const std::string about = describe_unsupported_format(file); !about.empty())
             return fmt::format("{} is {}", file.filename().string(), about);
     return "";
 }

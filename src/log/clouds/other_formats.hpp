@@ -10,7 +10,7 @@ namespace relidar {
 
 /// Returns a text with the format of a file and the tool that converts it to a supported
 /// format. Returns an empty string if the extension of the file is unknown.
-std::string describe_other_format(const std::filesystem::path& file);
+std::string describe_unsupported_format(const std::filesystem::path& file);
 
 /// Returns a text about the first file of a folder whose format is known but not
 /// supported. Returns an empty string if the folder contains no such file.

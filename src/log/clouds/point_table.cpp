@@ -309,7 +309,7 @@ PointTable read_point_file(const fs::path& file, const std::vector<std::string>&
     if (ending == ".las") return read_las(share_bytes(read_file(file)), file.string());
     if (ending == ".csv" || ending == ".xyz")
         return read_text_points(share_bytes(read_file(file)), columns, file.string());
-    if (const std::string other = describe_other_format(file); !other.empty())
+    if (const std::string other = describe_unsupported_format(file); !other.empty())
         throw DataError(fmt::format("{}: {}", file.string(), other));
     throw DataError(
         fmt::format("{}: found the file name ending '{}', expected .npz, .exr, .pcd, .ply, .bin, .npy, "

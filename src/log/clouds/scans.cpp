@@ -68,7 +68,7 @@ void check_points(const Points& points, std::size_t n_beams) {
 
 /// Returns for each azimuth step of the head the index of the firing with the nearest
 /// azimuth step.
-std::vector<int> find_nearest_firings(const std::vector<int>& firings, int n_ticks) {
+std::vector<int> find_nearest_firing_of_ticks(const std::vector<int>& firings, int n_ticks) {
     std::vector<int> nearest(static_cast<std::size_t>(n_ticks), kEmpty);
     for (std::size_t f = 0; f < firings.size(); ++f)
         nearest[static_cast<std::size_t>(firings[f])] = static_cast<int>(f);
@@ -114,7 +114,8 @@ public:
                const std::vector<double>& head_rad)
         : points_(points), sensor_(sensor), sweep_(sweep), head_rad_(head_rad) {
         firing_of.reserve(points.size());
-        if (points.firing.empty()) nearest_ = find_nearest_firings(sweep.firings, sweep.lattice.n_ticks);
+        if (points.firing.empty())
+            nearest_ = find_nearest_firing_of_ticks(sweep.firings, sweep.lattice.n_ticks);
         cells_of(0);
         for (std::size_t i = 0; i < points.size(); ++i) add(i);
         for (std::size_t i = 0; i < points.size(); ++i) add_beyond(i);

@@ -91,7 +91,7 @@ Coverage find_coverage(const Sequence& sequence, const PoseTrack& world_from_veh
                        const std::vector<int>& positions, double max_range_m) {
     std::vector<PoseTrack> world_from_sensor;
     for (const Lidar& lidar : sequence.lidars)
-        world_from_sensor.push_back(make_mounted_track(world_from_vehicle, lidar.vehicle_from_sensor));
+        world_from_sensor.push_back(mount_on_track(world_from_vehicle, lidar.vehicle_from_sensor));
     Coverage all;
     std::mutex mutex;
     parallel_for(static_cast<int>(positions.size()), [&](int index) {

@@ -354,7 +354,7 @@ std::string recognise_dataset(const fs::path& path) {
         known += fmt::format("{}{} ({})", known.empty() ? "" : ", ", kind.describe, kind.marker);
     }
     check_bare_folder(path);
-    if (const std::string other = describe_other_format(path); !other.empty())
+    if (const std::string other = describe_unsupported_format(path); !other.empty())
         throw DataError(fmt::format("{}: {}", path.string(), other));
     if (const std::string other = describe_other_files(path); !other.empty())
         throw DataError(fmt::format("{} is not a dataset: {}", path.string(), other));

@@ -132,7 +132,7 @@ std::string table_of(const std::string& name) {
 /// Returns the description of a beam table's source: its first line without the #.
 std::string about(const std::string& table) { return table.substr(2, table.find('\n') - 2); }
 
-SensorModel make_tabled_sensor(const Tabled& row, int columns, double rate_hz) {
+SensorModel make_sensor_from_table(const Tabled& row, int columns, double rate_hz) {
     const std::string table = table_of(row.name);
     SpinningSensor sensor = parse_beam_table(table, row.name, columns ? columns : row.columns, rate_hz);
     sensor.name = row.name;
@@ -241,7 +241,7 @@ std::optional<SensorModel> find_built_in_sensor(const std::string& name, int col
     if (*known == "AT128") return make_at128();
     if (*known == "window-128") return make_window_128();
     if (*known == "rosette") return make_rosette();
-    return make_tabled_sensor(
+    return make_sensor_from_table(
         *std::ranges::find(kTabled, *known, [](const Tabled& row) { return std::string(row.name); }), columns,
         rate);
 }

@@ -111,7 +111,7 @@ std::size_t Sequence::get_pose_index(const Frame& frame) const {
 }
 
 PoseTrack Sequence::world_from_sensor(int lidar) const {
-    return make_mounted_track(world_from_vehicle, lidars[std::size_t(lidar)].vehicle_from_sensor);
+    return mount_on_track(world_from_vehicle, lidars[std::size_t(lidar)].vehicle_from_sensor);
 }
 
 int find_lidar(const Sequence& sequence, const std::string& name) {
@@ -161,7 +161,7 @@ Sequence copy_without_frames(const Sequence& all) {
             all.rolling_shutter};
 }
 
-PoseTrack make_mounted_track(PoseTrack track, const Pose& sensor_from_moved) {
+PoseTrack mount_on_track(PoseTrack track, const Pose& sensor_from_moved) {
     for (Pose& pose : track.pose) pose = pose * sensor_from_moved;
     return track;
 }

@@ -67,7 +67,7 @@ std::set<int> select_every_nth(int test_every, const std::vector<int>& sweeps) {
 }
 
 /// Returns those frame indices of a published split that exist in the log.
-std::set<int> select_published(const std::vector<int>& test_frames, const std::vector<int>& sweeps) {
+std::set<int> select_published_frames(const std::vector<int>& test_frames, const std::vector<int>& sweeps) {
     std::set<int> held_out;
     for (const int index : sweeps)
         if (std::ranges::find(test_frames, index) != test_frames.end()) held_out.insert(index);
@@ -103,7 +103,7 @@ Split split_frames(const Sequence& sequence, int test_every, const std::string& 
     const std::vector<int> sweeps = group_frames_by_sweep(sequence);
     const bool as_published =
         test_frames.empty() && test_every == kPublishedEvery && !sequence.test_frames.empty();
-    const std::set<int> held_out = as_published          ? select_published(sequence.test_frames, sweeps)
+    const std::set<int> held_out = as_published ? select_published_frames(sequence.test_frames, sweeps)
                                    : test_frames.empty() ? select_every_nth(test_every, sweeps)
                                                          : parse_frame_list(test_frames, sweeps);
     Split split;

@@ -252,7 +252,7 @@ std::vector<ScenarioEntity> read_scenario(const std::filesystem::path& path) {
 PoseTrack make_box_track(const ScenarioEntity& entity, double begin_s, const glm::dvec3& size_m) {
     const glm::dvec3 centre_m(entity.centre_m.x, entity.centre_m.y,
                               entity.centre_m.z - 0.5 * entity.size_m.z + 0.5 * size_m.z);
-    PoseTrack track = make_mounted_track(refine_turns(entity.world_from_reference), {{1, 0, 0, 0}, centre_m});
+    PoseTrack track = mount_on_track(refine_turns(entity.world_from_reference), {{1, 0, 0, 0}, centre_m});
     for (double& time_s : track.time_s) time_s += begin_s;
     return track;
 }

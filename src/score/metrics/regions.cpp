@@ -37,7 +37,7 @@ Region make_range_band(const RangeImage& real, double low_m, double high_m) {
 /// Returns a mask of the returns of a frame that are in a moving box.
 Mask find_returns_in_moving_boxes(std::vector<BoxTrack> boxes, const Sequence& sequence, const Frame& frame,
                                   const Pose& sensor_offset) {
-    const PoseTrack track = make_mounted_track(sequence.world_from_sensor(frame.lidar), sensor_offset);
+    const PoseTrack track = mount_on_track(sequence.world_from_sensor(frame.lidar), sensor_offset);
     // Evaluates moves() once for each box, because it is expensive.
     std::erase_if(boxes, [](const BoxTrack& box) { return !box.moves(); });
     Mask moving(frame.scan.range_m.size());

@@ -24,17 +24,19 @@ std::vector<glm::vec3> compute_visible_normals(const Rendering& rendering, const
     return normal;
 }
 
-ChannelValues normals(const Rendering& rendering, const RenderedScan& scan) {
+ChannelValues make_normal_channel(const Rendering& rendering, const RenderedScan& scan) {
     return compute_visible_normals(rendering, scan);
 }
 
-ChannelValues incidence(std::span<const shared::MeasuredRay> measured) {
+ChannelValues make_incidence_channel(std::span<const shared::MeasuredRay> measured) {
     std::vector<float> cosine;
     for (const shared::MeasuredRay& ray : measured) cosine.push_back(ray.incidence);
     return cosine;
 }
 
-ChannelValues spread(const RenderedScan& scan, const ScanContext&) { return compute_range_spread(scan); }
+ChannelValues make_spread_channel(const RenderedScan& scan, const ScanContext&) {
+    return compute_range_spread(scan);
+}
 
 /// Returns the velocity of a point on an instance, in the world frame. The motion of the
 /// limbs of a walking actor is ignored.
@@ -46,7 +48,7 @@ glm::dvec3 compute_surface_velocity(const InstancePose& placed, double after_s, 
 /// Returns the rate of change of each ray's range:
 ///   direction * (velocity of the surface - velocity of the ray's origin)
 /// The rotation of the LiDAR's head does not count as a motion of the sensor.
-ChannelValues velocities(const RenderedScan& scan, const ScanContext& context) {
+ChannelValues make_velocity_channel(const RenderedScan& scan, const ScanContext& context) {
     constexpr double kStep_s = 0.005;
     std::vector<float> velocity(scan.median_range_m.size(), 0.0f);
     const PoseTrack& track = context.world_from_sensor;
@@ -69,14 +71,14 @@ ChannelValues velocities(const RenderedScan& scan, const ScanContext& context) {
     return velocity;
 }
 
-ChannelValues classes(const RenderedScan& scan, const ScanContext& context) {
+ChannelValues make_class_channel(const RenderedScan& scan, const ScanContext& context) {
     std::vector<std::int32_t> of_rays;
     for (const std::int32_t instance : scan.instance)
         of_rays.push_back(instance < 0 ? -1 : context.classes[std::size_t(instance)]);
     return of_rays;
 }
 
-ChannelValues seen(const RenderedScan& scan, const ScanContext& context) {
+ChannelValues make_seen_channel(const RenderedScan& scan, const ScanContext& context) {
     const SeenByLog& log = context.log;
     if (log.coverage.empty()) return {};
     std::vector<std::size_t> rays;
@@ -86,11 +88,13 @@ ChannelValues seen(const RenderedScan& scan, const ScanContext& context) {
 
 // Returns "surface" as the cause of each return. If the scan has weather, add_weather()
 // later overwrites these values.
-ChannelValues surfaces(const RenderedScan& scan, const ScanContext&) {
+ChannelValues make_source_channel(const RenderedScan& scan, const ScanContext&) {
     return std::vector<std::int32_t>(scan.median_range_m.size(), std::int32_t(PointSource::surface));
 }
 
-ChannelValues surfel_drop_prob(const RenderedScan& scan, const ScanContext&) { return scan.image.drop_prob; }
+ChannelValues make_surfel_drop_channel(const RenderedScan& scan, const ScanContext&) {
+    return scan.image.drop_prob;
+}
 
 /// Describes how an optional channel is computed. A row sets exactly one of the three
 /// functions.
@@ -101,14 +105,14 @@ struct Maker {
     ChannelValues (*of_scan)(const RenderedScan&, const ScanContext&);
 };
 constexpr Maker kMakers[] = {
-    {"normal", normals, nullptr, nullptr},
+    {"normal", make_normal_channel, nullptr, nullptr},
     {kIncidence, nullptr, incidence, nullptr},
-    {"velocity", nullptr, nullptr, velocities},
-    {"spread", nullptr, nullptr, spread},
-    {"class", nullptr, nullptr, classes},
-    {"seen", nullptr, nullptr, seen},
-    {"surfel_drop_prob", nullptr, nullptr, surfel_drop_prob},
-    {"source", nullptr, nullptr, surfaces},
+    {"velocity", nullptr, nullptr, make_velocity_channel},
+    {"spread", nullptr, nullptr, make_spread_channel},
+    {"class", nullptr, nullptr, make_class_channel},
+    {"seen", nullptr, nullptr, make_seen_channel},
+    {"surfel_drop_prob", nullptr, nullptr, make_surfel_drop_channel},
+    {"source", nullptr, nullptr, make_source_channel},
 };
 
 Maker find_maker(const ChannelInfo& channel) {

@@ -86,7 +86,8 @@ private:
 
 /// Appends the values of all channels of a scan.
 /// @param first_ray index of the scan's first ray in the merged scan
-void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& poses, std::size_t first_ray) {
+void append_scan_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& poses,
+                          std::size_t first_ray) {
     const std::size_t n = scan.image.range_m.size();
     for (ScanChannel& channel : merged.channels) {
         // Copies the reference, because clang 14 cannot capture structured bindings in a
@@ -142,7 +143,7 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
     RenderedScan merged;
     const Pose sensor_from_rig = inverse(rig_from_sensor[0]);
     merged.world_from_sensor = scans[0].world_from_sensor * sensor_from_rig;
-    merged.track = make_mounted_track(scans[0].track, sensor_from_rig);
+    merged.track = mount_on_track(scans[0].track, sensor_from_rig);
     merged.time_s = scans[0].time_s;
     std::size_t rings = 0;
     double unseen_rays = 0.0;
@@ -156,7 +157,7 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
             throw UsageError(
                 fmt::format("cannot merge scans: found {} beams in total, expected at most 65536", rings));
         const std::size_t first_ray = merged.image.range_m.size();
-        append_channels(merged, scan, poses, first_ray);
+        append_scan_channels(merged, scan, poses, first_ray);
         for_each_basic_pair(scan, merged,
                             [](const ChannelInfo&, const auto& from, auto& to) { append(to, from); });
         if (scan.unseen_share) {

@@ -42,7 +42,7 @@ bool has_rolling_shutter_of_log(const Config& config, const Sequence& sequence) 
     return config.sensor.rolling_shutter == RollingShutter::yes || sequence.rolling_shutter;
 }
 
-SensorChoice log_sensor(const Config& config, const Sequence& sequence, int lidar) {
+SensorChoice get_log_sensor(const Config& config, const Sequence& sequence, int lidar) {
     const Lidar& own = sequence.lidars[std::size_t(lidar)];
     const SpinningSensor& sensor = own.sensor;
     const RangeLimits limits =
@@ -72,7 +72,7 @@ SensorChoice make_grid_choice(const RangeGrid& grid, const Config& config, const
     if (method != "project") {
         throw UsageError(fmt::format("sensor.grid_method: found \"{}\", expected project or cast", method));
     }
-    SensorChoice choice = log_sensor(config, sequence, lidar);
+    SensorChoice choice = get_log_sensor(config, sequence, lidar);
     choice.grid = grid;
     choice.limits = intersect_limits(choice.limits, limits);
     choice.name = grid.name;
@@ -132,7 +132,7 @@ SensorChoice align_sensor_with_sweep(const SensorChoice& sensor, std::span<const
 }
 
 SensorChoice make_configured_sensor(const Config& config, const Sequence& sequence, int lidar) {
-    if (config.sensor.grid == "native") return log_sensor(config, sequence, lidar);
+    if (config.sensor.grid == "native") return get_log_sensor(config, sequence, lidar);
     return make_grid_choice(find_grid(config.sensor.grid), config, sequence, lidar);
 }
 
@@ -153,7 +153,7 @@ SensorChoice make_sensor_choice(const MountedSensor& mounted, int lidar) {
 
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence,
                            int lidar) {
-    if (find_known_name(name_or_file, {"native"})) return log_sensor(config, sequence, lidar);
+    if (find_known_name(name_or_file, {"native"})) return get_log_sensor(config, sequence, lidar);
     if (find_known_name(name_or_file, {make_kitti360_grid().name}))
         return make_grid_choice(make_kitti360_grid(), config, sequence, lidar);
     return make_sensor_choice(find_sensor(name_or_file, {"native"}), lidar);

@@ -98,7 +98,7 @@ Sweep SweepMaker::drive(const SensorChoice& sensor, double time_s, PoseTrack wor
                         const ActorPoses* world_from_actor) {
     Lidar& lidar = log_.lidars[std::size_t(sensor.lidar)];
     log_.world_from_vehicle =
-        make_mounted_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
+        mount_on_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
     log_.rolling_shutter = has_rolling_shutter(sensor, config_);
     lidar.pattern = sensor.pattern;
     // The azimuth at which the sweep starts comes from the pattern of the sensor. Without
@@ -120,8 +120,8 @@ Sweep SweepMaker::make(const SensorChoice& sensor, double time_s, const Pose& se
     const bool is_elsewhere =
         sensor_offset.translation != glm::dvec3(0.0) || sensor_offset.rotation != Pose{}.rotation;
     const PoseTrack track = log_.world_from_sensor(sensor.lidar);
-    return drive(sensor, time_s,
-                 is_elsewhere ? make_mounted_track(refine_turns(track), sensor_offset) : track, nullptr);
+    return drive(sensor, time_s, is_elsewhere ? mount_on_track(refine_turns(track), sensor_offset) : track,
+                 nullptr);
 }
 
 Sweep SweepMaker::make(const SensorChoice& sensor, const ScanRequest& request) {

@@ -30,7 +30,8 @@ public:
         constexpr int kRounds = 3;
         double time_s = scan_.time_s;
         for (int round = 0; round < kRounds && !rays_.empty(); ++round) {
-            const glm::vec3 towards(glm::normalize(inverse(find_sensor_pose(scan_, time_s)) * place_m(time_s)));
+            const glm::vec3 towards(
+                glm::normalize(inverse(find_sensor_pose(scan_, time_s)) * place_m(time_s)));
             const auto cosine = [&](const Ray& ray) { return glm::dot(ray.direction, towards); };
             time_s = scan_.time_s + double(std::ranges::max_element(rays_, {}, cosine)->time_offset_s);
         }

@@ -11,7 +11,7 @@
 namespace relidar {
 namespace {
 
-std::uint32_t find_max_knots(const std::vector<FrameData>& frames) {
+std::uint32_t count_max_pose_knots(const std::vector<FrameData>& frames) {
     std::uint32_t most = 0;
     for (const FrameData& frame : frames) most = std::max(most, frame.n_knots);
     return most;
@@ -20,7 +20,7 @@ std::uint32_t find_max_knots(const std::vector<FrameData>& frames) {
 }  // namespace
 
 MovedRays::MovedRays(Device& device, const std::vector<FrameData>& frames)
-    : most_knots_(find_max_knots(frames)),
+    : most_knots_(count_max_pose_knots(frames)),
       moved_(device, find_max_rays(frames), "moved rays"),
       knots_(device, most_knots_, "sensor poses"),
       rows_(device, std::size_t(kRows) * 6 * most_knots_, "pose gradients"),

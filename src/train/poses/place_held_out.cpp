@@ -38,8 +38,7 @@ public:
         const Pose& mounted = run_.sequence.get_lidar(frame).vehicle_from_sensor;
         const glm::dvec3& offset_m = run_.sequence.world_offset_m;
         const RenderedScan scan = renderer_.render(
-            sensor,
-            {frame.time_s, shift_track(make_mounted_track(world_from_vehicle, mounted), offset_m), {}});
+            sensor, {frame.time_s, shift_track(mount_on_track(world_from_vehicle, mounted), offset_m), {}});
         const std::vector<glm::vec3>& normals = *find_values<glm::vec3>(scan.channels, "normal");
         std::vector<VisibleSurface> surfaces(rays.size());
         FiringPoses firing(scan);

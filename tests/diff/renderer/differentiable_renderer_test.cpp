@@ -244,12 +244,12 @@ protected:
 
 TEST_F(FirstUseTest, FindsWhatIsWrong) {
     const Trust unforced = device().traversal() == Traversal::ray_query ? Trust::right : Trust::unknown;
-    const DeviceTrust right = check_first_use(options);
+    const DeviceTrust right = check_device_at_first_use(options);
     EXPECT_TRUE(right.float_atomics && right.float_swaps);
     EXPECT_EQ(right.subgroup_size, 0);
     EXPECT_EQ(right.ray_query, unforced);
     gpu::set_faults("float_atomics,float_swaps,ray_query");
-    const DeviceTrust wrong = check_first_use(options);
+    const DeviceTrust wrong = check_device_at_first_use(options);
     EXPECT_EQ(wrong.float_atomics, !device().info().float_atomics);
     EXPECT_FALSE(wrong.float_swaps);
     EXPECT_EQ(wrong.ray_query, unforced == Trust::right ? Trust::wrong : Trust::unknown);
@@ -266,16 +266,16 @@ TEST_F(FirstUseTest, ChoosesAnotherSubgroupSize) {
     const int size = device().info().subgroup_size;
     gpu::set_faults("subgroups:" + std::to_string(size));
     if (sizes.size() == 1) {
-        EXPECT_THROW(check_first_use(options), DeviceError);
+        EXPECT_THROW(check_device_at_first_use(options), DeviceError);
         return;
     }
     const int other = sizes.back() == size ? sizes[sizes.size() - 2] : sizes.back();
-    EXPECT_EQ(check_first_use(options).subgroup_size, other);
+    EXPECT_EQ(check_device_at_first_use(options).subgroup_size, other);
 }
 
 TEST_F(FirstUseTest, WrongAtomicsLeadToGatheredGradients) {
     std::vector<std::string> notes;
-    set_first_use({check_first_use, [&](const std::string& text) { notes.push_back(text); }});
+    set_first_use({check_device_at_first_use, [&](const std::string& text) { notes.push_back(text); }});
     gpu::set_faults("float_atomics");
     Device opened(options);
     const ImageModel model{.sh_direction = ShDirection::surfel};

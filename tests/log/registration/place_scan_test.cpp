@@ -69,7 +69,7 @@ ScanPlacement placed(const Sequence& log, std::size_t pose, const RegisterOption
         [&](int position, const std::vector<std::size_t>& rays, const PoseTrack& world_from_vehicle) {
             const Frame& frame = log.frames[std::size_t(position)];
             const PoseTrack world_from_sensor =
-                make_mounted_track(world_from_vehicle, log.get_lidar(frame).vehicle_from_sensor);
+                mount_on_track(world_from_vehicle, log.get_lidar(frame).vehicle_from_sensor);
             std::vector<VisibleSurface> seen;
             for (const std::size_t i : rays) {
                 const WorldRay ray =

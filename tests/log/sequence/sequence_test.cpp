@@ -44,8 +44,7 @@ TEST(PoseTrack, WhatIsMountedGoesRoundBendsOfFineTurns) {
                            make_turned_pose(0.8, {2, 0, 1}), make_turned_pose(-0.4, {1, 4, 0})}};
     const PoseTrack fine = refine_turns(track);
     const Pose mounted = make_turned_pose(0.3, {2, 1, 0.5});
-    const PoseTrack coarse_ride = make_mounted_track(track, mounted),
-                    ride = make_mounted_track(fine, mounted);
+    const PoseTrack coarse_ride = mount_on_track(track, mounted), ride = mount_on_track(fine, mounted);
     double largest_m = 0.0, coarse_m = 0.0;
     for (double t = 0.0; t <= 3.0; t += 0.01) {
         EXPECT_LT(glm::distance(fine.at(t).translation, track.at(t).translation), 1e-12)

@@ -32,7 +32,7 @@ RenderedScan scan_of(const Pose& rig_from_sensor, float range_m) {
         {get_optional_channels()[0], std::vector<glm::vec3>{{-1.0f, 0.0f, 0.0f}, {0.0f, 0.0f, -1.0f}}}};
     scan.time_offset_s = {-0.05f, 0.04f};
     scan.ring = {3, 1};
-    scan.track = make_mounted_track({{0.0, 1.0}, {start, end}}, rig_from_sensor);
+    scan.track = mount_on_track({{0.0, 1.0}, {start, end}}, rig_from_sensor);
     scan.time_s = 0.5;
     scan.world_from_sensor = scan.track.at(0.5);
     return scan;

@@ -309,7 +309,7 @@ public:
         for (const TargetSensor& w : targets_) {
             stop_if_interrupted();
             scans.push_back(
-                drives() ? renderer_.render(w.sensor, {sweep.time_s, make_mounted_track(track_, w.mounting)},
+                drives() ? renderer_.render(w.sensor, {sweep.time_s, mount_on_track(track_, w.mounting)},
                                             options_.sample)
                          : renderer_.render(w.sensor, sweep.time_s, offset_ * w.mounting, options_.sample));
             trace_ms_ += scans.back().trace_ms;
@@ -370,7 +370,7 @@ void run_render(const RenderOptions& typed_options) {
     const Pose offset = parse_offset(options.offset);
     const bool drives = !options.trajectory.file.empty();
     const PoseTrack track =
-        drives ? make_mounted_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
+        drives ? mount_on_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
     std::optional<LockedFolder> folder;
     // Only the first MPI process creates this object, because the destructor may remove
     // the folder.

@@ -175,7 +175,7 @@ SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Li
                                  {lidars[0].vehicle_from_sensor, lidars[1].vehicle_from_sensor});
         });
     std::array<PoseTrack, 2> ways;
-    for (std::size_t l = 0; l < 2; ++l) ways[l] = make_mounted_track(track, lidars[l].vehicle_from_sensor);
+    for (std::size_t l = 0; l < 2; ++l) ways[l] = mount_on_track(track, lidars[l].vehicle_from_sensor);
     SweepPairs sweeps(files.size());
     for_each_with_progress(files.size(), progress, "reading sweeps", [&](std::size_t at) {
         broken.attempt(at, [&] {

@@ -51,6 +51,6 @@ struct BoxChoice {
 };
 /// Selects the topic that contains the most boxes with a track id. If two topics contain
 /// equally many, selects the first one by name.
-BoxChoice choose_boxes(const Bag& bag, const Survey& survey);
+BoxChoice choose_box_topic(const Bag& bag, const Survey& survey);
 
 }  // namespace relidar::bag

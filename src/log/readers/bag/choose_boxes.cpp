@@ -9,7 +9,7 @@
 
 namespace relidar::bag {
 
-BoxChoice choose_boxes(const Bag& bag, const Survey& survey) {
+BoxChoice choose_box_topic(const Bag& bag, const Survey& survey) {
     BoxChoice choice;
     const auto get_name = [&](const BoxTopic& boxes) { return bag.topics()[boxes.topic].name; };
     const auto is_worse = [&](const BoxTopic& first, const BoxTopic& second) {

@@ -120,8 +120,8 @@ double estimate_rate(const Survey& survey, const CloudTopic& clouds) {
            double(std::max<std::size_t>(facts.n - clouds.n_empty, 1));
 }
 
-std::vector<std::size_t> find_named_clouds(const Bag& bag, const Survey& survey,
-                                           const std::vector<std::string>& topics) {
+std::vector<std::size_t> find_clouds_of_topics(const Bag& bag, const Survey& survey,
+                                               const std::vector<std::string>& topics) {
     std::vector<std::size_t> lidars;
     for (const std::string& name : topics) {
         const auto found = std::ranges::find_if(
@@ -180,7 +180,7 @@ std::size_t choose_main_lidar(const Survey& survey, const std::vector<std::size_
 
 CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vector<std::string>& topics) {
     CloudChoice choice;
-    choice.lidars = topics.empty() ? guess_clouds(survey) : find_named_clouds(bag, survey, topics);
+    choice.lidars = topics.empty() ? guess_clouds(survey) : find_clouds_of_topics(bag, survey, topics);
     if (choice.lidars.empty())
         throw DataError(
             fmt::format("{}: the recording has no point clouds{}, expected a topic of "

@@ -35,8 +35,8 @@ std::string find_vehicle_frame(const FrameTree& frames, const std::vector<std::s
     return chain.front();
 }
 
-bool has_motion_below(const FrameTree& frames, const std::vector<std::string>& chain,
-                      const std::string& outer) {
+bool has_moving_transform_between(const FrameTree& frames, const std::vector<std::string>& chain,
+                                  const std::string& outer) {
     const auto end = std::ranges::find(chain, outer);
     return std::any_of(chain.begin(), end, [&](const std::string& frame) { return frames.moves(frame); });
 }
@@ -44,10 +44,11 @@ bool has_motion_below(const FrameTree& frames, const std::vector<std::string>& c
 PoseSource make_frame_source(const FrameTree& frames, const std::vector<std::string>& chain,
                              const std::string& outer) {
     PoseSource source{outer, nullptr, find_vehicle_frame(frames, chain, outer), {}};
-    source.about = fmt::format(
-        "poses are those of the frame '{}' in the frame '{}' from /tf (path {}){}", source.vehicle, outer,
-        fmt::join(chain, " < "),
-        has_motion_below(frames, chain, outer) ? "" : "; they are constant, so the LiDAR does not move");
+    source.about = fmt::format("poses are those of the frame '{}' in the frame '{}' from /tf (path {}){}",
+                               source.vehicle, outer, fmt::join(chain, " < "),
+                               has_moving_transform_between(frames, chain, outer)
+                                   ? ""
+                                   : "; they are constant, so the LiDAR does not move");
     return source;
 }
 
@@ -100,7 +101,8 @@ std::optional<PoseSource> guess_source(const Bag& bag, const Survey& survey,
                                        const std::vector<std::string>& chain,
                                        std::vector<std::string>& notes) {
     const std::string outer = std::ranges::find(chain, "map") != chain.end() ? "map" : chain.back();
-    if (has_motion_below(survey.frames, chain, outer)) return make_frame_source(survey.frames, chain, outer);
+    if (has_moving_transform_between(survey.frames, chain, outer))
+        return make_frame_source(survey.frames, chain, outer);
     if (const PoseTopic* topic = find_densest_topic(bag, survey))
         return make_topic_source(bag, survey.frames, *topic, chain.front(), notes);
     for (const char* world : {"map", "odom", "world", "earth"})

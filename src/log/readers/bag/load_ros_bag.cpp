@@ -39,7 +39,7 @@ public:
           survey_(survey_bag(bag_, options.progress)),
           clouds_(choose_clouds(bag_, survey_, options.lidars)),
           poses_(choose_poses(bag_, survey_, main(), options.bag.poses_from)),
-          boxes_(choose_boxes(bag_, survey_)) {
+          boxes_(choose_box_topic(bag_, survey_)) {
         sequence_.name = path.lexically_normal().filename().empty()
                              ? path.lexically_normal().parent_path().filename().string()
                              : path.lexically_normal().filename().string();
@@ -122,7 +122,7 @@ private:
                             "transforms is used",
                             frame));
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
-            if (const std::string text = describe_jumps(get_topic(l)); !text.empty())
+            if (const std::string text = describe_time_jumps(get_topic(l)); !text.empty())
                 note(get_name(get_topic(l)) + ": " + text);
     }
 

@@ -104,7 +104,7 @@ std::string describe_gaps(const std::vector<double>& times_s, double step_s) {
                         n, missing, longest_s, at_s);
 }
 
-std::string describe_jumps(const CloudTopic& clouds) {
+std::string describe_time_jumps(const CloudTopic& clouds) {
     std::size_t n_falls = 0, n_jumps = 0;
     double largest_s = 0.0;
     for (std::size_t i = 1; i < clouds.clouds.size(); ++i) {

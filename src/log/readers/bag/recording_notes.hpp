@@ -21,6 +21,6 @@ std::vector<std::string> list_topic_lines(const Bag& bag, const Survey& survey,
 std::string describe_gaps(const std::vector<double>& times_s, double step_s);
 /// Returns a text about time stamps that decrease, or that jump relative to the recording
 /// times. Returns an empty string if no time stamps do.
-std::string describe_jumps(const CloudTopic& clouds);
+std::string describe_time_jumps(const CloudTopic& clouds);
 
 }  // namespace relidar::bag

@@ -110,7 +110,7 @@ void read_hdl32e_sweeps(Sequence& sequence, const std::vector<fs::path>& files,
     BrokenScans broken(options.skip_broken);
     std::vector<PoseTrack> ways;  // [lidars] poses of each LiDAR over time
     for (const Lidar& lidar : sequence.lidars)
-        ways.push_back(make_mounted_track(vehicle_track, lidar.vehicle_from_sensor));
+        ways.push_back(mount_on_track(vehicle_track, lidar.vehicle_from_sensor));
     std::vector<ReadSweep> sweeps(files.size());
     for_each_with_progress(sweeps.size(), options.progress, "reading sweeps", [&](std::size_t at) {
         const Frame& frame = sequence.frames[at];

@@ -66,7 +66,7 @@ void count_boxes(const JsonField& frame, OnceFile& content) {
     ++content.n_labelled;
 }
 
-OnceFile read_once_file(const fs::path& file, const fs::path& lidar, bool needs_poses) {
+OnceFile read_once_dataset_file(const fs::path& file, const fs::path& lidar, bool needs_poses) {
     const std::string where = file.string();
     const nlohmann::json json = parse_json(read_text(file), where);
     const JsonField frames = JsonField(json, where, "").at("frames");
@@ -121,7 +121,7 @@ PoseTrack make_turned_track(const OnceFile& content, const stamped::StampedLog& 
         notes.push_back(
             "the quaternions of poses are read with w first, unlike in the code of ONCE, because "
             "only then the vehicle drives forward");
-    return make_mounted_track(is_w_first ? w_first : w_last, {make_rotation(-kTurned_rad, 0.0, 0.0), {}});
+    return mount_on_track(is_w_first ? w_first : w_last, {make_rotation(-kTurned_rad, 0.0, 0.0), {}});
 }
 
 }  // namespace
@@ -129,7 +129,7 @@ PoseTrack make_turned_track(const OnceFile& content, const stamped::StampedLog& 
 Sequence load_once(const fs::path& log_folder, const DatasetOptions& options) {
     check_folder(log_folder, "a ONCE sequence (lidar_roof/ and its JSON file)");
     const fs::path folder = fs::canonical(log_folder), json = folder / (folder.filename().string() + ".json");
-    const OnceFile content = read_once_file(json, folder / "lidar_roof", options.poses_file.empty());
+    const OnceFile content = read_once_dataset_file(json, folder / "lidar_roof", options.poses_file.empty());
     Sequence sequence;
     sequence.name = "ONCE " + folder.filename().string();
     sequence.source = log_folder.string();
