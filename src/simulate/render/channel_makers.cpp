@@ -106,7 +106,7 @@ struct Maker {
 };
 constexpr Maker kMakers[] = {
     {"normal", make_normal_channel, nullptr, nullptr},
-    {kIncidence, nullptr, incidence, nullptr},
+    {kIncidence, nullptr, make_incidence_channel, nullptr},
     {"velocity", nullptr, nullptr, make_velocity_channel},
     {"spread", nullptr, nullptr, make_spread_channel},
     {"class", nullptr, nullptr, make_class_channel},

@@ -52,7 +52,7 @@ void show_log(const InfoOptions& options) {
     LogSummary summary =
         summarise(load_dataset(config, false, options.all ? 0 : int(kMostScans)), config.init);
     const bool is_long = std::ranges::any_of(
-        summary.lidars, [](const LidarSummary& summary) { return summary.n_frames > kMostScans; });
+        summary.lidars, [](const LidarSummary& lidar) { return lidar.n_frames > kMostScans; });
     // Checks whether scans were really left out, because some log readers ignore the
     // limit and read all scans.
     summary.is_look = !options.all && is_long && summary.n_scans_read < summary.n_frames;
