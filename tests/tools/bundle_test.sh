@@ -65,6 +65,9 @@ patchelf --add-needed libold.so relidar/libexec/relidar
 [[ $(relidar/bin/relidar --version) == "$version" ]] || fail "the program does not start on a machine that lacks a library of the archive"
 ln -s "$PWD/relidar/bin/relidar" link
 [[ $(./link --version) == "$version" ]] || fail "the program does not start through a link"
+# A driver can be in a folder of LD_LIBRARY_PATH.
+mkdir extra && mv relidar/lib/system/libold.so extra/
+[[ $(LD_LIBRARY_PATH=$PWD/extra RELIDAR_C_LIBRARY=bundle relidar/bin/relidar --version) == "$version" ]] || fail "RELIDAR_C_LIBRARY=bundle ignores LD_LIBRARY_PATH"
 
 # The wheel: its name must promise exactly what its files need.
 for module in pip wheel setuptools numpy; do

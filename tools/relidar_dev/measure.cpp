@@ -153,7 +153,7 @@ public:
         r.record_forward(batch());
         if (training_) {
             training_->compare(batch());
-            training_->renderer.record_backward();
+            training_->differentiable.record_backward();
             training_->optimise();
         }
         stream.finish();
@@ -292,7 +292,7 @@ FloorSizes Bench::sizes(const BenchResult& result) {
     }
     if (training_)
         for (const std::uint32_t touched :
-             training_->renderer.gradients().touched.download(renderer().scene().size()))
+             training_->differentiable.gradients().touched.download(renderer().scene().size()))
             s.n_touched += touched;
     return s;
 }

@@ -111,18 +111,17 @@ TEST_F(Differentiable, EmptyLanesAreZeroAndOnlyRequestedValuesReturn) {
 TEST_F(Differentiable, ArraysOfSeveralAllocationsGiveTheSameBits) {
     Device::Impl& impl = device().impl();
     if (!impl.binds_sparse) GTEST_SKIP() << "no sparse binding";
-    scene = test::make_random_scene({.seed = 82, .background_surfels = 500, .rays = 200}, settings);
-    placed = test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
-    rays = test::to_world_rays(scene.rays);
+    Surfels surfels = test::to_surfels(scene.world.surfels);
+    for (int i = 0; i < 4; ++i) surfels.append(Surfels(surfels));
+    const Scene many = make_background_scene(surfels);
     const RenderedGradients d = to_arrays(test::make_random_upstream(scene.rays.size(), 7));
     const GradientOptions bit_equal{.sums = {.reduction = Reduction::gather}};
     std::vector<Rendering> images;
     std::vector<HostGradients> gradients;
     for (const std::uint64_t n_bytes : {impl.largest_allocation.n_bytes, std::uint64_t(1)}) {
         const std::uint64_t before = std::exchange(impl.largest_allocation.n_bytes, n_bytes);
-        DifferentiableRenderer differentiable(device(), placed.scene, settings.image, {.keep_hits = 8},
-                                              bit_equal);
-        place(differentiable.renderer());
+        DifferentiableRenderer differentiable(device(), many, settings.image, {.keep_hits = 8}, bit_equal);
+        differentiable.renderer().place(glm::vec3(scene.view_origin));
         images.push_back(differentiable.renderer().forward(rays));
         gradients.push_back(differentiable.backward(d));
         const Array<float>& sh = differentiable.renderer().scene().parameters().sh;
