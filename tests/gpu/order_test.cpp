@@ -106,8 +106,8 @@ protected:
             key_bits == 64 ? ~std::uint64_t(0) : (std::uint64_t(1) << (key_bits + 7) / 8 * 8) - 1;
         Words order(n), sorted;
         std::iota(order.begin(), order.end(), 0u);
-        std::stable_sort(order.begin(), order.end(), [&](std::uint32_t first, std::uint32_t second) {
-            return (keys[first] & mask) < (keys[second] & mask);
+        std::stable_sort(order.begin(), order.end(), [&](std::uint32_t left, std::uint32_t right) {
+            return (keys[left] & mask) < (keys[right] & mask);
         });
         for (const std::uint32_t i : order)
             sorted.insert(sorted.end(), words.begin() + key_words * i, words.begin() + key_words * (i + 1));
