@@ -219,7 +219,7 @@ void add_surfel_rows(test::GradientTable& table, reference::Surfel& surfel, cons
 TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
     std::vector<reference::Surfel> surfels = make_some_surfels();
     const glm::vec3 view(0.3f, -0.2f, 0.1f);
-    glm::dvec3 convert_track_to_frame(view);
+    glm::dvec3 exact_view(view);
     const std::vector<float> d_records = make_record_gradients(surfels.size());
     const std::unique_ptr<DeviceScene> placed = on_device(test::to_surfels(surfels));
     DeviceScene& scene = *placed;
@@ -241,11 +241,11 @@ TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
         test::GradientTable table;
         for (std::size_t i = 0; i < surfels.size(); ++i) {
             const auto terms = [&] {
-                std::vector<double> sum = compute_record(in_scene(surfels[i], i), track_in_frame, degree);
+                std::vector<double> sum = compute_record(in_scene(surfels[i], i), exact_view, degree);
                 for (std::size_t k = 0; k < 16; ++k) sum[k] *= d_records[16 * i + k];
                 return sum;
             };
-            table.add_row("view origin", test::compute_central_differences(&track_in_frame.x, 3, terms),
+            table.add_row("view origin", test::compute_central_differences(&exact_view.x, 3, terms),
                           std::vector<double>(views.data() + 3 * i, views.data() + 3 * i + 3));
             add_surfel_rows(table, surfels[i], actual, i, degree, bends(), terms);
         }

@@ -203,8 +203,8 @@ TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
         // A bias before a batch normalisation has an effect only through the zero padding
         // of the next convolution, so its gradient is small.
         const double largest =
-            std::abs(*std::max_element(expected.begin(), expected.end(), [](double first, double second) {
-                return std::abs(first) < std::abs(second);
+            std::abs(*std::max_element(expected.begin(), expected.end(), [](double left, double right) {
+                return std::abs(left) < std::abs(right);
             }));
         for (std::size_t k = 0; k < device_result.size(); ++k)
             EXPECT_NEAR(device_result[k], expected[k], 2e-3 * largest + 1e-3)

@@ -248,7 +248,7 @@ TEST_F(AdamTest, MoreRowsThanOneDimensionOfWorkgroups) {
     stream.finish();
     const std::vector<float> values = value.download();
     EXPECT_EQ(std::count_if(values.begin(), values.end(),
-                            [](float value) { return std::abs(value + 1.0f) < 1e-4f; }),
+                            [](float x) { return std::abs(x + 1.0f) < 1e-4f; }),
               std::ptrdiff_t(n));
 }
 
