@@ -1,6 +1,7 @@
-// SPDX-License-Identifier: Apache-2.0 Prefix sums over a workgroup of at most 64
-// subgroups. get_scan_thread() numbers the threads subgroup by subgroup, so that the sums
-// are the same in every run. A shader must assign its elements to threads by this number.
+// SPDX-License-Identifier: Apache-2.0
+// Prefix sums over a workgroup of at most 64 subgroups. get_scan_thread() numbers the
+// threads subgroup by subgroup, so that the sums are the same in every run. A shader must
+// assign its elements to threads by this number.
 #ifndef RELIDAR_INCLUDED_BASE_WORKGROUP_SCAN_GLSL
 #define RELIDAR_INCLUDED_BASE_WORKGROUP_SCAN_GLSL
 #extension GL_KHR_shader_subgroup_basic : require

@@ -70,7 +70,7 @@ wrong_usage() {
     bad 2 "unknown.toml: setting loss.dpth: unknown key, did you mean loss.depth\?" list settings --config unknown.toml
     bad 3 "nowhere: no such folder" info nowhere
     bad 3 "not a dataset" info .
-    bad 2 "dataset kind 'kity': unknown" info kity:street
+    bad 2 "dataset kind 'kity' is unknown" info kity:street
     bad 3 "cannot create the folder" train street --out broken.toml/run
     bad 3 "/proc/" train street --out /proc/relidar
     mkdir full && printf 'x' >full/file
@@ -517,7 +517,7 @@ XOSC
     bad 2 'expected also Van=TRACK, Van=RUN#TRACK, Van=ASSET or Van=-' edit run --out x --scenario cut_in.xosc
     bad 2 'expected entities of the file; Bus is not in the file' edit run --out x --scenario cut_in.xosc@Van=1,Bus=0
     bad 2 'an entity with a trajectory, but Ego has no trajectory' edit run --out x --scenario cut_in.xosc@Van=1,Ego=0
-    bad 2 'expected Van=TRACK \(a track of the run\), RUN#TRACK' edit run --out x --scenario cut_in.xosc@Van=7
+    bad 2 'expected Van=TRACK of the run, RUN#TRACK' edit run --out x --scenario cut_in.xosc@Van=7
     bad 2 'scenario with at least one entity that follows' edit run --out x --scenario cut_in.xosc@Van=-
     bad 2 'expected FILE.xosc\[@ENTITY=TRACK' edit run --out x --scenario cut_in.xosc@Van
     bad 3 'none.xosc' edit run --out x --scenario none.xosc

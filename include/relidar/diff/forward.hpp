@@ -136,7 +136,7 @@ public:
     /// Records GPU commands that render rays on the device. The ray array must stay valid
     /// until the stream has finished. rendered() then contains the results.
     void record_forward(const RayBatch& rays);
-    /// Returns the last rendered batch. Its pointer `upstream` (gradients) is always null.
+    /// Returns the last rendered batch. Its pointer to gradients is always null.
     /// Its pointer to the rays is null until the first batch is rendered.
     const RenderedBatch& rendered() const;
     /// Waits for the GPU and returns the rendered values of the last batch as host

@@ -1,4 +1,5 @@
-// SPDX-License-Identifier: Apache-2.0 Interface of all traversal methods.
+// SPDX-License-Identifier: Apache-2.0
+// Interface of all traversal methods.
 // find_next_hits() finds the nearest hits of a ray that come after the sort key `after`.
 // It writes at most CHUNK hits to the hit buffer, sorted by the key (t, instance,
 // surfel), each surfel at most once. In kernels with RELIDAR_APPENDS_HITS,

@@ -181,7 +181,7 @@ std::vector<std::string> PointTable::names(PointValue value) const {
 
 void check_count(std::size_t count, const std::string& location) {
     if (count == 0 || count > kMostPoints)
-        throw DataError(fmt::format("{}: {} points, expected 1 to {}", location, count, kMostPoints));
+        throw DataError(fmt::format("{}: found {} points, expected 1 to {}", location, count, kMostPoints));
 }
 
 const FieldValues* PointTable::find(const std::string& name) const {

@@ -1,7 +1,7 @@
-// SPDX-License-Identifier: Apache-2.0 Assigns points to the rays that measured them. The
-// ray of beam k at head azimuth theta is compute_beam_ray(beam_k, theta). The range is
-// |point - origin|. The firing time is the measured time. If the points have no times, it
-// is
+// SPDX-License-Identifier: Apache-2.0
+// Assigns points to the rays that measured them. The ray of beam k at head azimuth theta
+// is compute_beam_ray(beam_k, theta). The range is |point - origin|. The firing time is
+// the measured time. If the points have no times, it is
 //   -theta / (2 pi) * period   (clockwise, 0 = facing forward)
 #include <relidar/log/clouds.hpp>
 

@@ -1,6 +1,7 @@
-// SPDX-License-Identifier: Apache-2.0 Presets: named sets of default values.
-// `make_paper_config` has the values of docs/method.md sections 2, 5 and 6. The comments
-// of the other presets say how and why they differ from it.
+// SPDX-License-Identifier: Apache-2.0
+// Presets: named sets of default values. The preset `paper` has the values of
+// docs/method.md sections 2, 5 and 6. The comments of the other presets say how and why
+// they differ from it.
 #include <relidar/run/config.hpp>
 
 #include <fmt/format.h>
@@ -58,8 +59,7 @@ Config make_standard_config() {
     // The beams of an HDL-64E differ in range by centimetres, and in intensity more than
     // different surfaces do.
     config.sensor.calibrate = "range,intensity";
-    // Small voxels give sharp silhouettes, because surfels extend beyond an edge by about
-    // their size.
+    // small voxels give sharp silhouettes, because surfels extend beyond an edge
     config.init.voxel_m = 0.1;
     config.init.voxel_growth = 0.006;    // approximately the spacing of neighbouring rays
     config.init.normal_neighbours = 24;  // 6 points with noise of 2 cm would tilt a normal by 0.1 rad
@@ -75,8 +75,7 @@ Config make_standard_config() {
     config.init.second_returns = true;
     // a smaller value would leave holes between the rings of a 32-beam log
     config.init.max_gap_m = 2.0;
-    // Used only for 3D Gaussians. With this value, they reach the same range error as
-    // surfels.
+    // With this value, 3D Gaussians reach the same range error as surfels.
     config.init.thickness = 0.05;
     config.image.sh_direction = ShDirection::surfel;
     config.image.transmittance_min = 1e-3f;
@@ -85,9 +84,7 @@ Config make_standard_config() {
     config.loss.intensity_delta = 0.2f;  // lowers the RMSE of held-out intensities
     // Without normalisation, a blending weight of 0.97 would move every surface by 3 %.
     config.loss.normalised_depth = true;
-    // The Chamfer loss is off, because it changes metrics by less than 1 % and makes a
-    // step 10 % slower.
-    config.loss.chamfer = 0.0f;
+    config.loss.chamfer = 0.0f;  // off, because it changes metrics by less than 1 % and takes time
     config.loss.opacity = 0.1f;      // closes holes; the normalised range alone does not close them
     config.loss.likelihood = 0.05f;  // this loss lowers the Chamfer distance and the median range error
     config.train.iterations = 3000;
@@ -109,8 +106,7 @@ Config make_standard_config() {
     config.render.range = "normalised";
     // renders with the measured head angles, because heads rotate unevenly
     config.render.follow_sweeps = true;
-    // A single traversal pass is nearly always enough, because rays stop at a low
-    // transmittance.
+    // nearly all rays stop within the first chunk of hits, at a low transmittance
     config.trace.chunk = 64;
     return config;
 }
@@ -129,8 +125,8 @@ Config make_quick_config() {
     config.image.alpha_min = 0.04f;
     config.image.sh_degree = 2;
     config.train.iterations = 540;
-    // The rates are higher than in `make_standard_config`, because there are few steps
-    // and each step reaches few surfels (docs/results.md). Discs that grow this fast need
+    // The rates are higher than those of the preset `default`: there are few steps, and
+    // each step reaches few surfels (docs/results.md). Discs that grow this fast need
     // the limit train.max_growth.
     config.train.opacity_rate = 0.15;
     config.train.scale_rate = 6.5e-2;

@@ -1,6 +1,6 @@
-// SPDX-License-Identifier: Apache-2.0 Runs the kernels fire_rays, measure_rays and
-// list_drop_channel_indices of simulate/render. They compute world rays, measurements,
-// and the inputs of ray-drop networks.
+// SPDX-License-Identifier: Apache-2.0
+// Runs the kernels fire_rays, measure_rays and drop_channels of simulate/render. They
+// compute world rays, measurements, and the inputs of ray-drop networks.
 #include "simulate/render/sensor_rays.hpp"
 
 #include <algorithm>

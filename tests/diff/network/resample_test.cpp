@@ -1,6 +1,6 @@
-// SPDX-License-Identifier: Apache-2.0 Compares diff/network/pool, backpropagate_pool,
-// upsample and backpropagate_upsample with the double reference. Covers odd sizes, equal
-// pixels, the ring of columns, and slices.
+// SPDX-License-Identifier: Apache-2.0
+// Compares diff/network/pool, pool_vjp, upsample and upsample_vjp with the double
+// reference. Covers odd sizes, equal pixels, the ring of columns, and slices.
 #include "diff/network/resample.hpp"
 
 #include "../../support/device.hpp"

@@ -168,7 +168,7 @@ TEST(Boreas, SaysWhichFileAndLineIsWrong) {
          "lidar_poses.csv line 4: cell 11 is 'x', expected a number of at most 1e+08");
     with(data.poses(), line(4, ",0.3,", ",nan,"),
          "lidar_poses.csv line 4: cell 11 is 'nan', expected a number");
-    with(data.poses(), line(4, "16064", "t6064"), "lidar_poses.csv line 4: 't6064");
+    with(data.poses(), line(4, "16064", "t6064"), "lidar_poses.csv line 4: found 't6064");
     with(data.poses(), line(5, "16064", "16063"),
          "lidar_poses.csv line 5: found the time 1606317097828152 after 1606417097728152");
     with(

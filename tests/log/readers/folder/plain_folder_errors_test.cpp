@@ -158,15 +158,15 @@ TEST_F(FolderDamage, OfListedFrames) {
     expect("sequence.json", frames(R"({"number": 0, "time_s": 0, "scan": "scans/x.pcd"})"),
            "x.pcd: no such file, expected the scan of frame 0", strict);
     strict.frames = {7, 9};
-    expect("poses.txt", test::read_text(folder / "poses.txt"), "frames 7:9 select no scan", strict);
+    expect("poses.txt", test::read_text(folder / "poses.txt"), "frames 7:9 select no", strict);
 }
 
 TEST_F(FolderDamage, OfPosesAndBoxes) {
     expect("poses.txt", kMissing,
            "poses.txt: no such file; expected poses of the vehicle; use dataset.poses=FILE");
-    expect("poses.txt", "", "poses.txt: no pose");
+    expect("poses.txt", "", "poses.txt: the file has no pose");
     expect("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", "poses.txt: found 1 lines, but frame 1 needs line 2");
-    expect("poses.txt", "1 2 3\n", "poses.txt line 1: '1 2 3', expected 8 numbers");
+    expect("poses.txt", "1 2 3\n", "poses.txt line 1: found '1 2 3', expected 8 numbers");
     expect("poses.txt", "0 0 0 0 1 0 0 0\n0 0 0 0 1 0 0 0\n",
            "poses.txt line 2: found the time 0 s after 0 s, expected increasing times");
     expect("poses.txt", "0 0 0 nan 1 0 0 0\n", "expected finite numbers");
@@ -174,7 +174,7 @@ TEST_F(FolderDamage, OfPosesAndBoxes) {
     expect("poses.txt", "5 0 0 0 1 0 0 0\n6 0 0 0 1 0 0 0\n", "poses from 5 to 6 s, but frame 0 is at 0 s");
     expect("poses.txt", "# time_s x y z qw qx qy yaw\n0 0 0 0 1 0 0 0\n",
            "poses.txt line 1: column 'yaw' is unknown");
-    expect("poses.txt", "time_s x y z qw qx qy\n", "poses.txt line 1: found no column 'qz'");
+    expect("poses.txt", "time_s x y z qw qx qy\n", "poses.txt line 1: the column 'qz' is missing");
     const std::string good = test::read_text(folder / "boxes.json");
     expect("boxes.json", good.substr(0, 30), "boxes.json: not valid JSON");
     expect("boxes.json", replace_text(good, "\"yaw_deg\": 0", "\"yaw\": 0"),

@@ -261,9 +261,9 @@ TEST(Kitti360, SaysWhichFileIsWrong) {
     expect_error(kitti, kitti.poses(), "2350 1 0 0 0 0 1 0 0 0 0 2 0\n",
                  "poses.txt line 1: the 3x3 block is not a rotation");
     expect_error(kitti, kitti.calibration("calib_cam_to_pose.txt"), "image_01: 1\n",
-                 "calib_cam_to_pose.txt: no line 'image_00:'");
+                 "calib_cam_to_pose.txt: the line 'image_00:' is missing");
     expect_error(kitti, kitti.calibration("calib_cam_to_velo.txt"), "1 0 0 0\n",
-                 "calib_cam_to_velo.txt line 1: 4 numbers, expected 12");
+                 "calib_cam_to_velo.txt line 1: found 4 numbers, expected 12");
     expect_error(kitti, kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n",
                  "timestamps.txt: no two consecutive lines have times");
     expect_error(kitti, kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n2013-05-28 08:47:02.9\n",

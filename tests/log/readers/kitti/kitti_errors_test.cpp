@@ -208,8 +208,8 @@ TEST(KittiErrors, Calibration) {
         write_text(drive.calibration(), text);
         expect_data_error(drive, parts);
     };
-    expect("T: 0 0 0\n", {"calib_imu_to_velo.txt: no line 'R:'"});
-    expect("R: 1 0 0 0 1 0 0 0\nT: 0 0 0\n", {"calib_imu_to_velo.txt key R: 8 numbers, expected 9"});
+    expect("T: 0 0 0\n", {"calib_imu_to_velo.txt: the line 'R:' is missing"});
+    expect("R: 1 0 0 0 1 0 0 0\nT: 0 0 0\n", {"calib_imu_to_velo.txt key R: found 8 numbers, expected 9"});
     expect("R: 1 0 0 0 1 0 0 0 1.01\nT: 0 0 0\n", {"calib_imu_to_velo.txt", "not a rotation", "orthonormal"});
     expect("R: 1 0 0 0 1 0 0 0 -1\nT: 0 0 0\n", {"not a rotation"});
     expect("R: 1 0 0 0 1 0 0 0 1\nT: 0 nan 0\n", {"key T: number 2 is nan"});
@@ -224,7 +224,7 @@ TEST(KittiErrors, PosesFile) {
         write_text(options.poses_file, text);
         expect_failure(drive, options, ExitCode::data, parts);
     };
-    expect(good + "1 0 0 0 0 1 0 0 0 0 1\n" + good, {"poses.txt line 2: 11 numbers, expected 12"});
+    expect(good + "1 0 0 0 0 1 0 0 0 0 1\n" + good, {"poses.txt line 2: found 11 numbers, expected 12"});
     expect(good + good, {"poses.txt: found 2 lines, but frame 2 needs line 3"});
     expect(good + good + "1 0.1 0 0 0 1 0 0 0 0 1 0\n", {"poses.txt line 3", "not a rotation"});
     expect("1 0 0 x 0 1 0 0 0 0 1 0\n", {"poses.txt line 1: found a word that is not a number"});

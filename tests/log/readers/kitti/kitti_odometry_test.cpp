@@ -96,16 +96,16 @@ TEST(KittiOdometry, SaysWhichFileIsWrong) {
         test::write_text(file, good);
     };
     expect(odometry.folder / "times.txt", "0\n0.1\n", "times.txt: found 2 lines, but frame 2 needs line 3");
-    expect(odometry.folder / "times.txt", "0\nx\n0.2\n", "times.txt line 2: 'x', expected seconds");
+    expect(odometry.folder / "times.txt", "0\nx\n0.2\n", "times.txt line 2: found 'x', expected a time");
     expect(odometry.folder / "times.txt", "0\n0.2\n0.1\n",
            "pose 2: found the time 0.1 s after the time 0.2 s");
-    expect(odometry.folder / "calib.txt", "P0: 1\n", "calib.txt: no line 'Tr:'");
-    expect(odometry.folder / "calib.txt", "Tr: 1 0 0\n", "calib.txt key Tr: 3 numbers, expected 12");
+    expect(odometry.folder / "calib.txt", "P0: 1\n", "calib.txt: the line 'Tr:' is missing");
+    expect(odometry.folder / "calib.txt", "Tr: 1 0 0\n", "calib.txt key Tr: found 3 numbers, expected 12");
     expect(odometry.folder / "calib.txt", "Tr: 2 0 0 0 0 1 0 0 0 0 1 0\n",
            "calib.txt key Tr: the 3x3 block is not a rotation");
     fs::remove(odometry.poses());
     expect(odometry.folder / "times.txt", test::read_text(odometry.folder / "times.txt"),
-           "exists, expected the poses of the camera ");
+           "exists, expected the poses of the camera");
 }
 
 }  // namespace

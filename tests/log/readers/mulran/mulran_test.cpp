@@ -148,7 +148,7 @@ TEST(Mulran, SaysWhichFileAndLineIsWrong) {
          "global_pose.csv line 3: the 3x3 block is not a rotation");
     with(3, "5,1,0,0,0,0,1,0,0,0,0,1,0",
          "global_pose.csv line 3: found the time 5 after 1561000444446857630");
-    with(3, "x,1,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3: 'x', expected a time");
+    with(3, "x,1,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3: found 'x', expected a time");
     test::write_text(data.poses(), good);
     const std::string bytes = test::read_text(data.scan(2)), first = test::read_text(data.scan(1));
     test::write_text(data.scan(1), std::string(first).erase(16 * 30000, 160) + first.substr(16 * 30000, 160));

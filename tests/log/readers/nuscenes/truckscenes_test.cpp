@@ -274,7 +274,7 @@ TEST(Lyft, PointsThatWereMovedHaveNoColumns) {
     const Sequence actual = load(data, options);
     EXPECT_EQ(actual.frames[0].scan.rays.rows, 1) << "rays without order";
     EXPECT_EQ(actual.frames[0].scan.count_returns(), actual.frames[0].scan.rays.size());
-    EXPECT_THAT(actual.notes, testing::Contains(testing::HasSubstr("dropped rays are unknown")));
+    EXPECT_THAT(actual.notes, testing::Contains(testing::HasSubstr("therefore dropped rays")));
 }
 
 }  // namespace
