@@ -126,9 +126,7 @@ const std::vector<Case>& cases_of_sensors() {
          [](auto& r) {
              spec(r) = make_rays_ahead(3), spec(r).mutable_rays()->set_time_s(std::string(8, '\0'));
          },
-         Code::INVALID_ARGUMENT,
-         "rays.time_s: found 8 bytes, expected 12 bytes, which are 4 bytes for "
-         "each of 3 rays"},
+         Code::INVALID_ARGUMENT, "rays.time_s: found 8 bytes, expected 12 bytes"},
         {"directions of no length",
          [](auto& r) { spec(r).mutable_rays()->set_direction(std::string(12, '\0')); },
          Code::INVALID_ARGUMENT, "direction of ray 0: found 0, expected a length of 1"},

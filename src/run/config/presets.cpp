@@ -84,7 +84,7 @@ Config make_standard_config() {
     config.loss.intensity_delta = 0.2f;  // lowers the RMSE of held-out intensities
     // Without normalisation, a blending weight of 0.97 would move every surface by 3 %.
     config.loss.normalised_depth = true;
-    config.loss.chamfer = 0.0f;  // off, because it changes metrics by less than 1 % and takes time
+    config.loss.chamfer = 0.0f;      // off, because it changes metrics by less than 1 % and takes time
     config.loss.opacity = 0.1f;      // closes holes; the normalised range alone does not close them
     config.loss.likelihood = 0.05f;  // this loss lowers the Chamfer distance and the median range error
     config.train.iterations = 3000;

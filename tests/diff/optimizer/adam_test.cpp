@@ -247,8 +247,7 @@ TEST_F(AdamTest, MoreRowsThanOneDimensionOfWorkgroups) {
          .n_active = 1});
     stream.finish();
     const std::vector<float> values = value.download();
-    EXPECT_EQ(std::count_if(values.begin(), values.end(),
-                            [](float x) { return std::abs(x + 1.0f) < 1e-4f; }),
+    EXPECT_EQ(std::count_if(values.begin(), values.end(), [](float x) { return std::abs(x + 1.0f) < 1e-4f; }),
               std::ptrdiff_t(n));
 }
 
