@@ -437,6 +437,7 @@ Device::Impl::~Impl() {
 }
 
 void Device::Impl::wait_idle() noexcept {
+    if (compile_only) return;  // a driver without hardware has no work and cannot wait
     const std::lock_guard lock(queue_mutex);
     vkDeviceWaitIdle(device);
 }

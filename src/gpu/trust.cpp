@@ -99,11 +99,11 @@ DeviceTrust find_trust(const Device::Impl& device, const DeviceOptions& options)
     const auto is_complete = [&](const std::optional<DeviceTrust>& trust) {
         return trust && (trust->ray_query != Trust::unknown || device.traversal != Traversal::ray_query);
     };
-    const std::optional<DeviceTrust> known = read_trust(path, device.info.driver);
-    if (is_complete(known)) return *known;
     const std::string key = make_device_key(properties) + " " + collect_all_faults();
     UnstoredTrust& unstored = unstored_trust();
     const std::scoped_lock lock(unstored.mutex);
+    const std::optional<DeviceTrust> known = read_trust(path, device.info.driver);
+    if (is_complete(known)) return *known;
     const auto checked_before = unstored.by_device.find(key);
     if (checked_before != unstored.by_device.end() && is_complete(checked_before->second))
         return checked_before->second;

@@ -25,6 +25,7 @@ bool is_vehicle(const BoxTrack& box) {
 Surfels mirror_left_right(Surfels surfels) {
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         surfels.mean[i].y *= -1.0f;
+        if (surfels.bends) surfels.gait[i].swing.y *= -1.0f;
         // Mirrors the quaternion (w, x, y, z). A mirrored rotation has a mirrored axis
         // and the opposite direction of rotation.
         glm::vec4& q = surfels.rotation[i];
@@ -47,6 +48,7 @@ std::size_t complete_by_symmetry(Surfels& surfels, BoxSurface& surface) {
         if (!surface.is_mirrored(here)) kept.push_back(i);
         if (surface.is_mirrored(there)) copied.push_back(i);
     }
+    if (copied.empty()) return 0;
     const Surfels more = mirror_left_right(surfels.reorder(copied));
     surfels = surfels.reorder(kept);
     surfels.append(more);

@@ -210,7 +210,8 @@ TEST_F(SurfelPly, RefusesFilesThatLie) {
             [](Parts& p) { p.replace("float f_rest_4\n", "double f_rest_4\n"); });
     refused("property y occurs twice", [](Parts& p) { p.replace("float z\n", "float y\n"); });
     refused("type \"list\"", [](Parts& p) { p.replace("float nx\n", "list uchar int nx\n"); });
-    refused("found element face", [](Parts& p) { p.replace("end_header", "element face 3\nend_header"); });
+    refused("found the PLY element face",
+            [](Parts& p) { p.replace("end_header", "element face 3\nend_header"); });
     refused("before the element",
             [](Parts& p) { p.replace("element vertex 7\n", "property float e\nelement vertex 7\n"); });
     refused("the format or the element vertex is missing",

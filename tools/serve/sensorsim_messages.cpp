@@ -171,7 +171,13 @@ void write_objects(const Run& run, PoseOrder order, sensorsim::DynamicObjectTrac
         object.mutable_object_size()->set_x(float(box->size_m.x));
         object.mutable_object_size()->set_y(float(box->size_m.y));
         object.mutable_object_size()->set_z(float(box->size_m.z));
-        write_track(box->world_from_box, order, *object.mutable_trajectory());
+        // Leaves out poses before 0 s, because the message format has no negative times.
+        PoseTrack track;
+        for (std::size_t i = 0; i < box->world_from_box.pose.size(); ++i)
+            if (box->world_from_box.time_s[i] >= 0.0)
+                track.time_s.push_back(box->world_from_box.time_s[i]),
+                    track.pose.push_back(box->world_from_box.pose[i]);
+        write_track(track, order, *object.mutable_trajectory());
     }
 }
 

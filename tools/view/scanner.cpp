@@ -35,9 +35,10 @@ std::vector<std::string> list_built_in_sensors() {
 
 /// Returns the run and the track of each copied actor. Two lists of copies with the same
 /// result need the same surfels, so the renderer can be reused.
-std::vector<std::pair<std::string, std::string>> list_models(const std::vector<ActorEdits::Copy>& copies) {
+std::vector<std::pair<std::string, std::string>> list_models(const ActorEdits& edits) {
     std::vector<std::pair<std::string, std::string>> models;
-    for (const ActorEdits::Copy& copy : copies) models.emplace_back(copy.from, copy.of);
+    for (const ActorEdits::Copy& copy : edits.copies) models.emplace_back(copy.from, copy.of);
+    for (const auto& [track, by] : edits.moves) models.emplace_back("moved", track);
     return models;
 }
 
@@ -214,18 +215,22 @@ Json Scanner::read_sensor(TabCache& tab, const SensorFile& file) const {
     return make_sensor_json(*tab.file_sensor, 0.0);
 }
 
-/// Returns a renderer whose scene contains the copied actors. Reuses the last renderer if
-/// only moves and removals differ, because they do not change the surfels.
+/// Returns a renderer whose scene contains the copied actors. An actor that is moved for
+/// the first time gets a new renderer too, because the edit completes its unseen sides.
+/// Other moves and removals reuse the last renderer.
 ScanRenderer& Scanner::find_renderer(const Traffic& traffic) {
-    const auto models = list_models(traffic.edits().copies);
+    const auto models = list_models(traffic.edits());
     if (!renderer_ || rendered_ != models) {
         renderer_.reset();  // Frees the memory of the old renderer before a new one is created.
-        if (traffic.edits().copies.empty()) {
+        if (models.empty()) {
             renderer_.emplace(device_, run_);
         } else {
             Run run = run_;
-            run.replace(apply_copies({std::move(run.scene), std::move(run.sequence)}, others_,
-                                     traffic.edits().copies));
+            DrivingScene driving = apply_copies({std::move(run.scene), std::move(run.sequence)}, others_,
+                                                traffic.edits().copies);
+            for (const auto& [track, by] : traffic.edits().moves)
+                driving = move_track(std::move(driving), track, {});
+            run.replace(std::move(driving));
             renderer_.emplace(device_, run);
         }
         rendered_ = models;

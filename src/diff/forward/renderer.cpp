@@ -47,9 +47,13 @@ struct Renderer::Impl {
     }
 
     void make_room(std::size_t n_rays) {
+        // Allocates the kept hits last, because their number may be reduced. If another
+        // allocation fails, `rendered` is empty, so that the next call tries again.
+        batch.surfaces = nullptr;
+        rendered = {};
+        if (options.trace.has_surfaces()) surfaces.emplace(device, n_rays, "surfaces of rays");
         rendered = Array<shared::RenderedRay>(device, n_rays, "rendered rays");
         keep_fewer_hits_if_needed(n_rays);
-        if (options.trace.has_surfaces()) surfaces.emplace(device, n_rays, "surfaces of rays");
         batch = {{}, &rendered, nullptr, kept ? &*kept : nullptr, surfaces ? &*surfaces : nullptr};
     }
 

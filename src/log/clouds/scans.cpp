@@ -44,8 +44,8 @@ void check_points(const Points& points, std::size_t n_beams) {
     const auto check = [&](const char* field, std::size_t count, bool may_be_empty) {
         if (count != points.size() && !(may_be_empty && count == 0))
             throw UsageError(
-                fmt::format("cannot make a scan: found {} values of {} for the points, expected {}", field,
-                            count, points.size()));
+                fmt::format("cannot make a scan: found {} values of {} for the points, expected {}", count,
+                            field, points.size()));
     };
     check("intensity", points.intensity.size(), false);
     check("ring", points.ring.size(), n_beams == 0);

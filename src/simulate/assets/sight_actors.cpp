@@ -56,9 +56,13 @@ void add_returns(const RenderedScan& scan, const Run& run, const std::vector<con
         const Pose box_from_world =
             inverse(box->world_from_box.at(scan.time_s + double(scan.time_offset_s[i])));
         const Pose& world_from_firing = firing.at(i);
+        const glm::dvec3 point_m =
+            box_from_world * (world_from_firing * seen_m - run.sequence.world_offset_m);
+        // Skips surfels that an edit has mirrored, because the log has not observed them.
+        const Model& model = run.scene.models[run.scene.instances[std::size_t(scan.instance[i])].model];
+        if (model.surface && model.surface->completed_side(point_m)) continue;
         ActorObservations& actor = sightings[box->id];
-        actor.points_m.push_back(
-            glm::vec3(box_from_world * (world_from_firing * seen_m - run.sequence.world_offset_m)));
+        actor.points_m.push_back(glm::vec3(point_m));
         actor.directions.push_back(glm::vec3(box_from_world.rotation * world_from_firing.rotation *
                                              glm::dvec3(scan.image.direction[i])));
         actor.nearest_m = std::min(actor.nearest_m, double(range_m));

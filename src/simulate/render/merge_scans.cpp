@@ -119,6 +119,24 @@ void fill_second_returns(RenderedScan& merged) {
                        channel.second);
 }
 
+/// Adds the numbers of rays on actors, and on their unseen sides, to those of the merged
+/// scan.
+void add_actors(RenderedScan& merged, const RenderedScan& scan) {
+    for (const ActorView& view : scan.actor_views) {
+        const auto known = std::ranges::find(merged.actor_views, view.track, &ActorView::track);
+        if (known == merged.actor_views.end()) merged.actor_views.push_back(view);
+        else known->n_rays += view.n_rays, known->n_rays_alone += view.n_rays_alone;
+    }
+    for (const UnseenSide& side : scan.unseen_sides) {
+        const auto known = std::ranges::find_if(merged.unseen_sides, [&](const UnseenSide& other) {
+            return other.track == side.track && other.side == side.side &&
+                   other.is_completed == side.is_completed;
+        });
+        if (known == merged.unseen_sides.end()) merged.unseen_sides.push_back(side);
+        else known->n_rays += side.n_rays;
+    }
+}
+
 /// Appends the rays of a scan to the merged scan. Each ray is transformed into the frame
 /// of the rig at the firing time of the ray.
 /// @param first_ring number in the merged scan that ring 0 of this scan gets
@@ -171,6 +189,7 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
             append(merged.second_returns[k].range_m, scan.second_returns[k].range_m);
             append(merged.second_returns[k].intensity, scan.second_returns[k].intensity);
         }
+        add_actors(merged, scan);
         merged.trace_ms += scan.trace_ms;
     }
     fill_second_returns(merged);

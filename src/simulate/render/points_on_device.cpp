@@ -23,8 +23,8 @@ void PointsOnDevice::make_room(Stream& stream, std::size_t n_rays) {
     marks_ = {}, places_ = {}, points_ = {};  // frees the old arrays before allocating larger ones
     marks_ = Array<std::uint32_t, shared::ReturnMarks>(device_, n_rays, "rays that return");
     places_ = Array<std::uint32_t, shared::ReturnPlaces>(device_, n_rays, "places of points");
-    points_ = Array<shared::ReturnedPoint>(device_, n_rays, "returned points");
     sum_.reserve(device_, n_rays);
+    points_ = Array<shared::ReturnedPoint>(device_, n_rays, "returned points");
 }
 
 std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::record(Stream& stream, const SensorRays& rays,

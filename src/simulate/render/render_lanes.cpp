@@ -18,11 +18,12 @@ RenderLanes::RenderLanes(Device& device, ResidentScene& scene)
 RenderLane& RenderLanes::next() {
     if (!batch_) {
         while (1 + std::ssize(others_) < most_) {
+            const std::size_t n_before = others_.size();
             try {
                 others_.emplace_back(device_).copy = scene_.copy();
                 // Uses fewer copies of the scene, because device memory is exhausted.
             } catch (const OutOfDeviceMemory&) {
-                others_.pop_back();
+                if (others_.size() > n_before) others_.pop_back();
                 most_ = 1 + int(others_.size());
             }
         }

@@ -136,7 +136,8 @@ void SensorRays::take(const RayTable& rays, const std::string& sensor,
                       .sees = 1.0f - never_seen(index),
                       .channel = rays.channel[index]};
     });
-    if (all.size() > rays_.size()) {
+    if (all.size() > measured_.size()) {          // measured_ is allocated last
+        table_ = {};                              // has() must not find arrays that could not be allocated
         rays_ = {}, fired_ = {}, measured_ = {};  // frees the old arrays before allocating larger ones
         rays_ = Array<shared::SensorRay>(device_, all.size(), "rays of a sensor");
         fired_ = Array<shared::DeviceRay>(device_, all.size(), "rays of a sensor in the world");

@@ -32,6 +32,20 @@ void add_times(std::vector<double>& times_s, const PoseTrack& track, double firs
     if (begin < end) times_s.insert(times_s.end(), begin, end);
 }
 
+/// Adds the actors of one scan to the actors of scans with the same time stamp. Adds the
+/// points of an actor, and keeps the larger visible share.
+void add_actors(std::vector<RecordedActor>& all, std::vector<RecordedActor> actors) {
+    for (RecordedActor& actor : actors) {
+        const auto known = std::ranges::find(all, actor.name, &RecordedActor::name);
+        if (known == all.end()) {
+            all.push_back(std::move(actor));
+            continue;
+        }
+        known->n_points += actor.n_points;
+        known->visible_share = std::max(known->visible_share, actor.visible_share);
+    }
+}
+
 }  // namespace
 
 RecordedRig MomentRecorder::rig() const {
@@ -77,7 +91,7 @@ RecordedMoment MomentRecorder::take(std::span<const RenderedScan> scans) {
     for (std::size_t s = 0; s < scans.size(); ++s) {
         times_s.push_back(sweeps[s].first_s), times_s.push_back(sweeps[s].last_s);
         moment.clouds.push_back(cloud(scans[s], sensors_[s], sweeps[s]));
-        moment.actors[stamp(sweeps[s].first_s)] = actors(scans[s], sweeps[s].first_s);
+        add_actors(moment.actors[stamp(sweeps[s].first_s)], actors(scans[s], sweeps[s].first_s));
     }
     moment.poses = poses(scans[0], std::move(times_s));
     return moment;

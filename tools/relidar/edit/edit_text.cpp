@@ -202,7 +202,8 @@ AppliedEdit apply_retime(DrivingScene driving, const TypedEdit& edit) {
     const auto [track, seconds] = cut(edit, edit.value, edit.value.rfind(':'));
     const BoxTrack before = copy_of_box(driving, track);
     driving = retime_track(std::move(driving), track, numbers(edit, seconds, 1, 1)[0]);
-    const std::string note = describe_absence(driving, track, &before);
+    const std::string note =
+        join_notes({describe_absence(driving, track, &before), describe_unseen_sides(driving, track)});
     return {std::move(driving), fmt::format("delayed the motion of {} by {} s", track, seconds), note};
 }
 

@@ -127,6 +127,7 @@ std::vector<Dot> dots_of(const std::vector<glm::dvec3>& points_m, const glm::dve
 BoxPoints points_of(ScanRenderer& renderer, const Run& run, const Config& config, const Frame& frame,
                     const BoxTrack& box) {
     const Scan scan = make_rays_about_box(run, frame, box);
+    if (scan.rays.size() == 0) return {};
     SensorChoice sensor = make_configured_sensor(config, run.sequence, frame.lidar);
     sensor.rays = scan.rays;
     sensor.follows_sweeps = false;

@@ -177,15 +177,15 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
         ranks);
     if (!ranks.is_first()) return;
     if (!options.quiet) print(describe_edits(run));
+    write_results(output, evaluation, run.config,
+                  {make_absolute_path(run.folder.string()), device.info().name, device.peak_bytes(),
+                   measure_seconds_since(start), baseline ? &*baseline : nullptr},
+                  options.quiet);
     if (!output.pictures.empty()) {
         run.split.test = all_test;
         if (ranks.size() > 1) (void)attach_test_scans(run, log);
         write_actor_strips(output.pictures, device, run, evaluation);
     }
-    write_results(output, evaluation, run.config,
-                  {make_absolute_path(run.folder.string()), device.info().name, device.peak_bytes(),
-                   measure_seconds_since(start), baseline ? &*baseline : nullptr},
-                  options.quiet);
     if (!options.open) return;
     Report report = make_evaluation_report(run, evaluation, device, command_line);
     for (ReportFigure& strip : worst_actor_strips(device, run, evaluation))
