@@ -45,7 +45,7 @@ class Logs(TestCase):
 
     def test_bad_input(self):
         self.assert_fails(relidar.DataError, "nowhere: no such folder", relidar.load_sequence, "nowhere")
-        self.assert_fails(relidar.UsageError, "dataset kind 'kity': unknown", relidar.load_sequence, "kity:street")
+        self.assert_fails(relidar.UsageError, "dataset kind 'kity' is unknown", relidar.load_sequence, "kity:street")
         with self.assertRaises(IndexError):
             log().scan(8)
 

@@ -12,6 +12,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/sensor_files.hpp>
+#include <relidar/run/edit.hpp>
 
 #include "frame.hpp"
 

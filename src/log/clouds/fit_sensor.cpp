@@ -101,8 +101,8 @@ int estimate_columns(const Points& scan, const Rings& rings) {
     }
     if (steps.size() < kFewestSteps)
         throw DataError(
-            fmt::format("cannot fit a spinning LiDAR to {} points in {} rings: only {} pairs of "
-                        "consecutive points differ in azimuth, expected at least {}",
+            fmt::format("cannot fit a spinning LiDAR to {} points in {} rings: only {} azimuth "
+                        "steps between neighbouring points are usable, expected at least {}",
                         scan.size(), rings.size(), steps.size(), kFewestSteps));
     return int(std::lround(2.0 * kPi / interpolate_quantile(steps, 0.25)));
 }

@@ -279,9 +279,10 @@ private:
         if (found && why.empty() && !plan.has_rings) why = explain_thinning(samples, *found);
         if (!why.empty()) {
             note(lidar,
-                 fmt::format("{}, so the sensor does not spin: each point becomes one ray, and dropped "
-                             "rays are unknown{}",
-                             why, plan.has_rings ? "" : suggest_sensor_setting(lidar)));
+                 fmt::format(
+                     "{}; therefore no spinning sensor is used: each point becomes one ray, and dropped "
+                     "rays are unknown{}",
+                     why, plan.has_rings ? "" : suggest_sensor_setting(lidar)));
             found = std::nullopt;
         }
         if (!found) plan.order.reset();

@@ -22,7 +22,8 @@ constexpr std::size_t kVersionAt = 24, kPointsAt = 96, kFormatAt = 104, kRecordA
                       kScaleAt = 131, kOffsetAt = 155, kHeaderBytes = 227, kLongCountAt = 247,
                       kLongHeader = 255;
 constexpr int kMostFormat = 10, kFirstLongFormat = 6;
-constexpr int kPacked = 128;  // added to the point format if the points are compressed
+constexpr double kMostAway_m = 100.0;  // largest distance of the nearest points of a scan, along an axis
+constexpr int kPacked = 128;           // added to the point format if the points are compressed
 
 template <class T>
 T number_at(std::string_view bytes, std::size_t offset) {
@@ -72,12 +73,12 @@ LasHeader read_header(std::string_view bytes, const std::string& location) {
     return header;
 }
 
-/// Refuses a map. The sensor of a scan is at the origin, so its points surround the
-/// origin.
+/// Refuses a map. The sensor of a scan is at the origin, so its points begin near the
+/// origin. They need not surround the origin, because a sensor can look forward only.
 void check_is_scan(const std::array<std::vector<double>, 3>& position_m, const std::string& location) {
     for (std::size_t axis = 0; axis < 2; ++axis) {
         const auto [least, most] = std::ranges::minmax(position_m[axis]);
-        if (least <= 0.0 && most >= 0.0) continue;
+        if (least <= kMostAway_m && most >= -kMostAway_m) continue;
         throw DataError(fmt::format(
             "{}: {} is from {:.6g} to {:.6g} m, so the points are a map or in survey coordinates; expected "
             "one scan with the sensor at the origin",
@@ -100,7 +101,8 @@ PointTable read_las(const SharedBytes& file, const std::string& location) {
         for (std::size_t axis = 0; axis < 3; ++axis)
             position_m[axis][i] =
                 header.scale[axis] * number_at<std::int32_t>(point, 4 * axis) + header.offset_m[axis];
-        return_numbers[i] = std::uint8_t(point[14] & (header.is_long() ? 15 : 7));
+        // a ray keeps at most 8 returns
+        return_numbers[i] = std::uint8_t(std::min(point[14] & (header.is_long() ? 15 : 7), 8));
     }
     check_is_scan(position_m, location);
     PointTable table(n);

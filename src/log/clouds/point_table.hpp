@@ -173,7 +173,7 @@ bool is_image_file(const std::filesystem::path& file);
 PointTable read_point_file(const std::filesystem::path& file, const std::vector<std::string>& columns);
 
 /// Reads a LAS file that contains one scan.
-/// @throws DataError if the points do not surround the origin, where the sensor must be
+/// @throws DataError if the points are far from the origin, where the sensor must be
 PointTable read_las(const SharedBytes& file, const std::string& location);
 /// Reads a PCD or PLY file. The header of the file describes the fields.
 PointTable read_pcd(const SharedBytes& file, const std::string& location);

@@ -202,7 +202,7 @@ void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& cou
             parts += fmt::format("{}{} are nearer than {} m", parts.empty() ? "" : " and ", sum.near,
                                  lidar.sensor.min_range_m);
         sequence.notes.push_back(
-            fmt::format("range{}: {} of {} returns ({:.2g} %) are read as dropped "
+            fmt::format("range{}: {} of {} returns ({:.3g} %) are read as dropped "
                         "rays: {}",
                         lidar.name.empty() ? "" : " of " + lidar.name, sum.near + sum.far, sum.all,
                         100.0 * double(sum.near + sum.far) / double(sum.all), parts));

@@ -70,6 +70,13 @@ TEST(Mirror, HarmonicsAreThoseOfTheMirroredDirection) {
     }
 }
 
+TEST(Mirror, AMovingSurfelSwingsToTheOtherSide) {
+    Surfels surfels = make_surfels_anywhere(1);
+    surfels.bends = true;
+    surfels.gait.assign(1, {0.25f, 1.0f, glm::vec3(1.0f, 2.0f, 3.0f)});
+    EXPECT_EQ(mirror_left_right(surfels).gait[0].swing, glm::vec3(1.0f, -2.0f, 3.0f));
+}
+
 TEST(Mirror, TwiceIsNoChange) {
     const Surfels surfels = make_surfels_anywhere(5), twice = mirror_left_right(mirror_left_right(surfels));
     EXPECT_EQ(twice.mean, surfels.mean);
@@ -177,6 +184,16 @@ TEST_F(MirroredCar, AMovedCarReturnsRaysOfTheUnseenSideAtTheMirroredPlane) {
     EXPECT_EQ(list_unseen_sides(surface.known()), "front, rear, top");
     EXPECT_EQ(move_track(edited.driving(), "7", {}).scene.surfels.size(), edited.scene.surfels.size())
         << "completed once";
+}
+
+TEST_F(MirroredCar, ASideStaysUnseenIfNoSurfelIsMirrored) {
+    Surfels inside = left_plate();
+    BoxSurface surface(kCarSize_m);
+    for (const glm::vec3& p : inside.mean) surface.add(glm::dvec3(p), {0.0, -1.0, 0.0});
+    for (glm::vec3& mean : inside.mean) mean = glm::vec3(0.0f);
+    EXPECT_EQ(complete_by_symmetry(inside, surface), 0u);
+    EXPECT_FALSE(surface.is_completed);
+    EXPECT_EQ(inside.size(), left_plate().size());
 }
 
 TEST_F(MirroredCar, OnlyASymmetricVehicleIsCompleted) {

@@ -72,6 +72,21 @@ TEST(MergeScans, PointsOfRowsStayWhereTheyAre) {
         EXPECT_LT(glm::length(compute_world_point(merged, i) - compute_world_point(scan, i)), 1e-4) << i;
 }
 
+TEST(MergeScans, RaysOnActorsAreAdded) {
+    std::vector<RenderedScan> scans{scan_of({}, 10.0f), scan_of({}, 20.0f)};
+    scans[0].actor_views = {{"van", 10, 20}};
+    scans[1].actor_views = {{"car", 1, 2}, {"van", 5, 40}};
+    scans[0].unseen_sides = {{"van", BoxSide::rear, 3, false}};
+    scans[1].unseen_sides = {{"van", BoxSide::rear, 4, false}, {"van", BoxSide::rear, 5, true}};
+    const RenderedScan merged = merge_scans(scans, {Pose{}, Pose{}});
+    ASSERT_EQ(merged.actor_views.size(), 2u);
+    EXPECT_EQ(merged.actor_views[0].n_rays, 15u) << "of the van";
+    EXPECT_EQ(merged.actor_views[0].n_rays_alone, 60u);
+    ASSERT_EQ(merged.unseen_sides.size(), 2u);
+    EXPECT_EQ(merged.unseen_sides[0].n_rays, 7u);
+    EXPECT_EQ(merged.unseen_sides[1].n_rays, 5u) << "on the completed part";
+}
+
 TEST(MergeScans, PointsStayWhereTheyAre) {
     const std::vector<Pose> mounting{
         {glm::angleAxis(1.2, glm::normalize(glm::dvec3(1, 2, 3))), {1.0, -0.5, 2.0}},

@@ -101,7 +101,7 @@ bool is_of_sensor(const CloudTopic& clouds) { return !is_in(clouds, kOfWorld) &&
 void check_frame(const std::string& name, const CloudTopic& clouds, CloudChoice& choice) {
     if (is_in(clouds, kOfWorld))
         throw DataError(
-            fmt::format("{}: the clouds are in the frame '{}' of a map, so the positions of the LiDAR are "
+            fmt::format("{}: the clouds are in the world-fixed frame '{}', so the positions of the LiDAR are "
                         "unknown; expected clouds in the frame of the LiDAR (select another topic with "
                         "dataset.lidars)",
                         name, clouds.frame));

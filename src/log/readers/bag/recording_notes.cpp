@@ -123,7 +123,7 @@ std::string describe_time_jumps(const CloudTopic& clouds) {
         text += fmt::format(
             "{}the clock of the stamps jumps {} times relative to the clock of the recorder, by at most "
             "{:.2f} s",
-            text.empty() ? "" : "; ", n_jumps, largest_s);
+            text.empty() ? "" : "; ", n_jumps, std::abs(largest_s));
     return text;
 }
 

@@ -203,7 +203,7 @@ void join_parts(CloudTopic& topic) {
         for (const TurnPart& part : turn) entry.n_points += part.n_points;
     }
     topic.parts_about =
-        fmt::format("{}; the clouds were combined to {} full turns of {}{}", joined.about,
+        fmt::format("{}; the clouds were combined into {} full turns of {} clouds{}", joined.about,
                     joined.turns.size(), joined.turns[joined.turns.size() / 2].size(),
                     joined.n_left_out == 0
                         ? ""

@@ -1,7 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "log/readers/bag/unpacked_file.hpp"
 
+#include <algorithm>
+#include <cstdint>
 #include <cstdlib>
+#include <filesystem>
 #include <memory>
 #include <system_error>
 #include <vector>
@@ -47,12 +50,28 @@ UnpackedFile open_unpacked(const std::filesystem::path& path) {
     const std::unique_ptr<gzFile_s, int (*)(gzFile)> reader(gzopen(path.c_str(), "rb"), gzclose);
     if (!reader) throw DataError(fmt::format("cannot read {}", path.string()));
     File unpacked = temporary_file();
+    const auto write = [&](const char* bytes, std::size_t n_bytes) {
+        if (std::fwrite(bytes, 1, n_bytes, unpacked.get()) != n_bytes ||
+            (n_bytes == 0 && std::fflush(unpacked.get()) != 0))
+            throw DataError(fmt::format("cannot unpack {}: no space is left in {}", path.string(),
+                                        std::filesystem::temp_directory_path().string()));
+    };
+    // Captures of LiDARs shrink to a half or a fifth. A much larger factor shows damage.
+    constexpr std::uint64_t kMostGrowth = 100, kSmall = std::uint64_t(64) << 20;
+    const std::uint64_t most = std::max(kSmall, kMostGrowth * std::filesystem::file_size(path));
+    std::uint64_t n_unpacked = 0;
     std::vector<char> block(1 << 20);
     int n = 0;
-    while ((n = gzread(reader.get(), block.data(), unsigned(block.size()))) > 0)
-        if (std::fwrite(block.data(), 1, std::size_t(n), unpacked.get()) != std::size_t(n))
-            throw DataError(fmt::format("{}: no space in {} to unpack it", path.string(),
-                                        std::filesystem::temp_directory_path().string()));
+    while ((n = gzread(reader.get(), block.data(), unsigned(block.size()))) > 0) {
+        n_unpacked += std::uint64_t(n);
+        if (n_unpacked > most)
+            throw DataError(
+                fmt::format("cannot unpack {}: found more than {} bytes, expected at most {} "
+                            "times the size of the file",
+                            path.string(), most, kMostGrowth));
+        write(block.data(), std::size_t(n));
+    }
+    write(nullptr, 0);
     int code = Z_OK;
     gzerror(reader.get(), &code);
     const bool is_cut = n < 0 || (code != Z_OK && code != Z_STREAM_END);

@@ -273,9 +273,13 @@ private:
 }  // namespace
 
 std::unique_ptr<Decoder> make_block_decoder(const char* name, const Calibration& calibration) {
-    const std::string row_name = std::string(name) + (calibration.has_two_returns ? " with two returns" : "");
+    const auto find_layout = [](const std::string& row_name) {
+        return std::ranges::find_if(kLayouts, [&](const Layout& row) { return row.name == row_name; });
+    };
     const auto* layout =
-        std::ranges::find_if(kLayouts, [&](const Layout& row) { return row.name == row_name; });
+        find_layout(std::string(name) + (calibration.has_two_returns ? " with two returns" : ""));
+    // only some sensors have another layout for packets with two returns
+    if (layout == std::end(kLayouts)) layout = find_layout(name);
     return std::make_unique<BlockDecoder>(*layout, calibration.corrections);
 }
 

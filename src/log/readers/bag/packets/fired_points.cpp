@@ -63,8 +63,9 @@ Scan make_fired_scan(FiredPoints& fired, const std::vector<bool>& fires, const s
         if (has_fired[c]) sweep.firings.push_back(int((has_fired.size() - c) % has_fired.size()));
     }
     for (const int column : fired.numbers) fired.points.firing.push_back(place[std::size_t(column)]);
-    const auto n_received = std::ranges::count(fires, true) - std::ranges::count(is_lost, true);
-    sensor.columns = std::max(int(n_received), int(sweep.firings.size()));
+    // A turn with lost packets has a column for each firing that was received.
+    const bool has_gaps = std::ranges::count(is_lost, true) > 0;
+    sensor.columns = std::max(has_gaps ? 0 : int(std::ranges::count(fires, true)), int(sweep.firings.size()));
     return make_spinning_scan(fired.points, sensor, sweep);
 }
 

@@ -294,7 +294,7 @@ std::string describe_ouster_packet(const OusterFormats& formats, const fs::path&
     if (std::ranges::any_of(formats, [&](const auto& format) { return format->packet_bytes == bytes; }))
         return fmt::format(
             "found packets of {} bytes{}, expected exactly one metadata file that belongs to them ({}), "
-            "but several files describe such packets: {}",
+            "but found {}",
             bytes, from, port > 0 ? "udp_port_lidar" : "a topic in the same name space", told);
     return fmt::format(
         "found packets of {} bytes{}, but the metadata describes {}; use the metadata of the same sensor "

@@ -155,8 +155,11 @@ bool have_two_returns(const std::vector<PacketView>& packets) {
     constexpr double kSingle_us = 24 * 55.5;
     std::vector<double> steps_us;
     for (std::size_t i = 1; i < packets.size(); ++i)
-        if (is_rs16(packets[i - 1].bytes) && is_rs16(packets[i].bytes))
-            steps_us.push_back(rs16_clock_us(packets[i].bytes) - rs16_clock_us(packets[i - 1].bytes));
+        if (is_rs16(packets[i - 1].bytes) && is_rs16(packets[i].bytes)) {
+            const double step_us = rs16_clock_us(packets[i].bytes) - rs16_clock_us(packets[i - 1].bytes);
+            // skips packets that were received twice, and the end of a second
+            if (step_us > 0.0) steps_us.push_back(step_us);
+        }
     return !steps_us.empty() && compute_median(steps_us) < 0.75 * kSingle_us;
 }
 
