@@ -358,6 +358,9 @@ TEST(BlockPackets, RsLidar16WithTwoReturns) {
     // takes 55.5 us.
     EXPECT_FALSE(have_two(rs16_packets(24 * 55 + 12)));
     EXPECT_TRUE(have_two(rs16_packets(12 * 55 + 6)));
+    std::vector<std::string> twice;
+    for (const std::string& bytes : rs16_packets(24 * 55 + 12)) twice.insert(twice.end(), 2, bytes);
+    EXPECT_FALSE(have_two(twice)) << "packets that were received twice have one return";
     const std::string bytes = make_rs16_packet();
     const auto decoder = make_decoder(bytes, "RS-LiDAR-16", {.has_two_returns = true});
     ASSERT_TRUE(decoder);
