@@ -122,7 +122,7 @@ def test_said():
         turns = [message(*firings(k * COLUMNS, (k + 1) * COLUMNS), frame=frame) for k in range(N)]
         bags.write_mcap(bag, turns)
         said = run("info", bag, code=3 if frame == "map" else 0)
-        expect(("of a map" if frame == "map" else "several LiDARs were probably merged") in said, f"clouds in {frame}: {said}")
+        expect(("world-fixed frame" if frame == "map" else "several LiDARs were probably merged") in said, f"clouds in {frame}: {said}")
     merged = []
     for k in range(N):
         (a, t), (b, _) = firings(k * COLUMNS, (k + 1) * COLUMNS), firings(k * COLUMNS, (k + 1) * COLUMNS, offset=(2.0, 1.0, -1.5))
