@@ -402,7 +402,7 @@ void read_ousters(std::string_view input, const fs::path&) {
     constexpr std::size_t kMostPackets = 64;
     bag::ByteReader reader(input);
     packets::Calibration calibration;
-    calibration.ouster = packets::read_ouster_metadata(std::string(reader.sized()), "metadata");
+    calibration.ouster = packets::read_ouster_metadata(std::string(reader.read_sized_string()), "metadata");
     std::vector<packets::PacketView> views;
     while (reader.left() >= calibration.ouster->packet_bytes && views.size() < kMostPackets)
         views.push_back(
