@@ -53,9 +53,15 @@ protected:
             }
         return points;
     }
-    /// Loads the log with a sensor whose beam table has additional columns.
+    static DatasetOptions without_limit() {
+        DatasetOptions options;
+        options.max_range_m = INFINITY;
+        return options;
+    }
+    /// Loads the log with a sensor whose beam table has additional columns. By default, the
+    /// limits are those of the sensor, as in the presets of the program.
     Sequence load(const std::string& names, const std::string& values,
-                  const DatasetOptions& options = {}) const {
+                  const DatasetOptions& options = without_limit()) const {
         test::write_text(folder / "beams.csv", fmt::format("elevation_deg{0}\n5{1}\n-5{1}\n", names, values));
         test::write_text(folder / "sequence.json",
                          fmt::format(R"({{"format": "relidar log", "version": 1, "rate_hz": 10,
@@ -83,13 +89,13 @@ TEST_F(RangeLimit, OfATableCountsTheReturnsThatItExcludes) {
     EXPECT_EQ(far.lidars[0].sensor.max_range_m, 100.0);
     EXPECT_EQ(count_returns(far), std::size_t(2 * kColumns * kScans - 2));
     EXPECT_THAT(far.notes, Contains(HasSubstr(
-                               "range: 2 of 144 returns (1.4 %) are read as dropped rays: 2 are beyond 100 "
+                               "range: 2 of 144 returns (1.39 %) are read as dropped rays: 2 are beyond 100 "
                                "m")));
     const Sequence both = load(",min_range_m,max_range_m", ",1,100");
     EXPECT_THAT(
         both.notes,
         Contains(HasSubstr(
-            "4 of 144 returns (2.8 %) are read as dropped rays: 2 are beyond 100 m and 2 are nearer than 1 "
+            "4 of 144 returns (2.78 %) are read as dropped rays: 2 are beyond 100 m and 2 are nearer than 1 "
             "m")));
 }
 
@@ -97,7 +103,7 @@ TEST_F(RangeLimit, OfTheUserCountsTheReturnsThatItExcludes) {
     DatasetOptions options;
     options.max_range_m = 30.0;
     EXPECT_THAT(load("", "", options).notes,
-                Contains(HasSubstr("2 of 144 returns (1.4 %) are read as dropped rays: 2 are beyond 30 m")));
+                Contains(HasSubstr("2 of 144 returns (1.39 %) are read as dropped rays: 2 are beyond 30 m")));
     options.min_range_m = 1.0;
     options.max_range_m = 10.0;
     EXPECT_THAT([&] { load("", "", options); },
