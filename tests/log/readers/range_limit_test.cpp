@@ -53,15 +53,15 @@ protected:
             }
         return points;
     }
-    static DatasetOptions without_limit() {
+    static DatasetOptions make_options_without_limit() {
         DatasetOptions options;
         options.max_range_m = INFINITY;
         return options;
     }
-    /// Loads the log with a sensor whose beam table has additional columns. By default, the
-    /// limits are those of the sensor, as in the presets of the program.
+    /// Loads the log with a sensor whose beam table has additional columns. By default,
+    /// the limits are those of the sensor, as in the presets of the program.
     Sequence load(const std::string& names, const std::string& values,
-                  const DatasetOptions& options = without_limit()) const {
+                  const DatasetOptions& options = make_options_without_limit()) const {
         test::write_text(folder / "beams.csv", fmt::format("elevation_deg{0}\n5{1}\n-5{1}\n", names, values));
         test::write_text(folder / "sequence.json",
                          fmt::format(R"({{"format": "relidar log", "version": 1, "rate_hz": 10,
