@@ -53,6 +53,9 @@ Violations check_face_comments(const SourceTree& tree);
 /// Checks that installed headers mention only documents and headers that are installed
 /// too.
 Violations check_installed_names(const SourceTree& tree);
+/// Checks that the build compiles each test file: a CMakeLists.txt of tests/ must contain
+/// its name.
+Violations check_test_suites(const SourceTree& tree);
 /// Checks that each source, shader and script names its licence in the first lines.
 Violations check_licence_lines(const SourceTree& tree);
 /// Checks that no file contains the address of a package mirror, because mirrors belong

@@ -200,6 +200,13 @@ TEST(Rules, UncommentedFunctionIsFound) {
     EXPECT_THAT(check_face_comments(tree), ElementsAre(HasSubstr("a.hpp:5: h")));
 }
 
+TEST(Rules, TestFileWithoutASuiteIsFound) {
+    const SourceTree tree = make_tree({{"tests/CMakeLists.txt", "relidar_test(gpu gpu a_test.cpp)\n"},
+                                       {"tests/gpu/a_test.cpp", ""},
+                                       {"tests/gpu/b_test.cpp", ""}});
+    EXPECT_THAT(check_test_suites(tree), ElementsAre(HasSubstr("tests/gpu/b_test.cpp:1")));
+}
+
 TEST(Rules, MissingLicenceIsFound) {
     const SourceTree tree = make_tree({{"a.cpp", "int x;\n"}, {"tools/go", "#!/bin/sh\n"}, {"notes.md", ""}});
     EXPECT_EQ(check_licence_lines(tree).size(), 2u);

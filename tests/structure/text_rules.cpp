@@ -119,6 +119,18 @@ Violations check_installed_names(const SourceTree& tree) {
     return violations;
 }
 
+Violations check_test_suites(const SourceTree& tree) {
+    std::string builds;
+    for (const auto& [path, file] : tree)
+        if (path.starts_with("tests/") && path.ends_with("/CMakeLists.txt")) builds += file.text;
+    Violations violations;
+    for (const auto& [path, file] : tree)
+        if (path.starts_with("tests/") && path.ends_with("_test.cpp") &&
+            builds.find(path.substr(path.rfind('/') + 1)) == std::string::npos)
+            violations.push_back(at(path, 1) + "no suite of a CMakeLists.txt contains this file");
+    return violations;
+}
+
 Violations check_licence_lines(const SourceTree& tree) {
     Violations violations;
     for (const auto& [path, file] : tree) {
