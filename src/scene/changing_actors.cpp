@@ -145,9 +145,9 @@ std::vector<char> find_resting(const std::vector<Sample>& samples, const Frames&
 /// Makes the surfels of one frame. The opacity of a surfel falls with the distance that
 /// the actor has moved since this frame. The curve is a Gaussian whose standard deviation
 /// is the distance between two frames.
-Surfels surfels_of_frame(const Frames& frames, std::size_t index, const std::vector<Sample>& samples,
-                         const std::vector<Sample>& changing, double period_m,
-                         const InitialiseOptions& options, double incidence) {
+Surfels make_surfels_of_frame(const Frames& frames, std::size_t index, const std::vector<Sample>& samples,
+                              const std::vector<Sample>& changing, double period_m,
+                              const InitialiseOptions& options, double incidence) {
     const FrameSamples& frame = *frames[index];
     std::vector<glm::vec3> shifts(changing.size());
     for_each_block(changing.size(),
@@ -192,7 +192,7 @@ ChangingSurfels make_changing_surfels(const std::vector<Sample>& samples, const 
         if (changing.empty()) continue;
         changing = thin_samples(changing, most_in_frame);
         actor.surfels.append(
-            surfels_of_frame(frames, k, samples, changing, actor.period_m, options, incidence));
+            make_surfels_of_frame(frames, k, samples, changing, actor.period_m, options, incidence));
     }
     actor.surfels = actor.surfels.reorder(compute_kd_order(actor.surfels.mean));
     return actor;

@@ -34,12 +34,13 @@ std::vector<std::string> list_built_in_sensors() {
     return names;
 }
 
-/// Returns the run and the track of each copied actor. Two lists of copies with the same
-/// result need the same surfels, so the renderer can be reused.
+/// Returns what the surfels of the scene depend on: the run and the track of each copied
+/// actor, and the track of each moved actor, whose second entry is empty. Edits with the
+/// same result can share a renderer.
 std::vector<std::pair<std::string, std::string>> list_models(const ActorEdits& edits) {
     std::vector<std::pair<std::string, std::string>> models;
     for (const ActorEdits::Copy& copy : edits.copies) models.emplace_back(copy.from, copy.of);
-    for (const auto& [track, by] : edits.moves) models.emplace_back("moved", track);
+    for (const auto& [track, by] : edits.moves) models.emplace_back(track, "");
     return models;
 }
 

@@ -14,7 +14,7 @@ struct FiredRay {
     glm::dvec3 origin, direction;
 };
 
-std::vector<FiredRay> fired_rays(const Sweep& sweep) {
+std::vector<FiredRay> list_fired_rays(const Sweep& sweep) {
     const RayTable& rays = sweep.rays();
     std::vector<FiredRay> in_world;
     for (std::size_t i = 0; i < rays.size(); ++i) {
@@ -27,8 +27,8 @@ std::vector<FiredRay> fired_rays(const Sweep& sweep) {
 
 /// Returns the indices of the rays that pass through the sphere around a model. The
 /// sphere contains the model during the full sweep.
-std::vector<std::size_t> rays_near(const std::vector<FiredRay>& rays, const Sweep& sweep,
-                                   const InstancePose& placed, double model_radius_m) {
+std::vector<std::size_t> find_rays_near(const std::vector<FiredRay>& rays, const Sweep& sweep,
+                                        const InstancePose& placed, double model_radius_m) {
     const auto [first_s, last_s] = std::ranges::minmax(sweep.rays().time_offset_s);
     const glm::dvec3 begin_m = placed.motion.at(placed.world_from_model, double(first_s)).translation,
                      end_m = placed.motion.at(placed.world_from_model, double(last_s)).translation;
@@ -62,12 +62,12 @@ std::vector<ActorView> ScanRenderer::Impl::count_first_hits(const RenderedScan& 
 /// Then removes the background and all actors that no ray would hit.
 void ScanRenderer::Impl::count_hits_alone(const Sweep& sweep, const ScanPlan& plan,
                                           std::vector<ActorView>& views) {
-    const std::vector<FiredRay> rays = fired_rays(sweep);
+    const std::vector<FiredRay> rays = list_fired_rays(sweep);
     for (std::size_t i = 0; i < views.size() && !rays.empty(); ++i) {
         if (views[i].track.empty() || !sweep.instances[i].present) continue;
         const Model& model = sweeps.layout().models[sweeps.layout().instances[i].model];
         const std::vector<std::size_t> near =
-            rays_near(rays, sweep, sweep.instances[i], double(glm::length(model.half_size_m)));
+            find_rays_near(rays, sweep, sweep.instances[i], double(glm::length(model.half_size_m)));
         if (near.empty()) continue;
         Sweep alone = sweep;
         alone.changed_rays = select_rays(sweep.rays(), near);

@@ -151,7 +151,7 @@ namespace {
 
 /// Returns the boxes of the actors that at least one ray of the scan would hit. Each box
 /// has its pose at the time at which the sensor faces the actor.
-Json boxes_json(const RenderedScan& scan, const ScanFormat& format) {
+Json make_boxes_json(const RenderedScan& scan, const ScanFormat& format) {
     Json boxes = Json::array();
     for (const scan_files::SeenActor& actor : scan_files::find_actors(scan, format)) {
         if (!actor.visible_share) continue;
@@ -190,7 +190,7 @@ std::string scan_files::make_entry_json(int frame, const RenderedScan& scan, con
                         {"unseen", scan.unseen_share ? Json(*scan.unseen_share) : Json()},
                         {"unseen_sides", sides},
                         {"completed_sides", completed},
-                        {"boxes", scan.actor_views.empty() ? Json::array() : boxes_json(scan, format)},
+                        {"boxes", scan.actor_views.empty() ? Json::array() : make_boxes_json(scan, format)},
                         {"files", files}};
     return entry.dump(-1, ' ', false, Json::error_handler_t::replace);
 }

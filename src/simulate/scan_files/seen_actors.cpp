@@ -57,7 +57,7 @@ std::size_t count_points_on(const RenderedScan& scan, const ScanFormat& format, 
     return n;
 }
 
-std::optional<double> visible_share(const RenderedScan& scan, const std::string& track) {
+std::optional<double> find_visible_share(const RenderedScan& scan, const std::string& track) {
     const auto view = std::ranges::find(scan.actor_views, track, &ActorView::track);
     if (view == scan.actor_views.end()) return {};
     return std::min(1.0, double(view->n_rays) / double(view->n_rays_alone));
@@ -90,7 +90,7 @@ std::vector<SeenActor> find_actors(const RenderedScan& scan, const ScanFormat& f
         const double faced_s =
             rays.find_facing_time([&](double t_s) { return world_from_box(t_s).translation; });
         actors.push_back({&box, world_from_box, faced_s, count_points_on(scan, format, box.id),
-                          visible_share(scan, box.id)});
+                          find_visible_share(scan, box.id)});
     }
     return actors;
 }

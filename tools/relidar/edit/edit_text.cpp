@@ -283,14 +283,14 @@ glm::dvec3 get_size_of_track(const DrivingScene& driving, const std::string& tra
     return box == driving.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m;
 }
 
-/// Parses "ENTITY=WHAT,ENTITY=WHAT". Each pair says which actor (WHAT) plays an entity of
-/// an OpenSCENARIO file.
+/// Parses "ENTITY=ACTOR,ENTITY=ACTOR". Each pair assigns an actor to an entity of an
+/// OpenSCENARIO file.
 std::map<std::string, std::string> parse_roles(const TypedEdit& edit, const std::string& text) {
     std::map<std::string, std::string> roles;
     std::istringstream words(text);
     for (std::string word; std::getline(words, word, ',');) {
-        auto [entity, what] = cut(edit, word, word.find('='));
-        if (!roles.emplace(entity, what).second) refuse(edit, fmt::format("{} once", entity));
+        auto [entity, actor] = cut(edit, word, word.find('='));
+        if (!roles.emplace(entity, actor).second) refuse(edit, fmt::format("{} once", entity));
     }
     return roles;
 }

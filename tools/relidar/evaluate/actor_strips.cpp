@@ -124,8 +124,8 @@ std::vector<Dot> dots_of(const std::vector<glm::dvec3>& points_m, const glm::dve
 
 /// Renders the scene with the rays of a frame that may hit an actor. Returns the real and
 /// the simulated points in its box.
-BoxPoints points_of(ScanRenderer& renderer, const Run& run, const Config& config, const Frame& frame,
-                    const BoxTrack& box) {
+BoxPoints collect_box_points(ScanRenderer& renderer, const Run& run, const Config& config, const Frame& frame,
+                             const BoxTrack& box) {
     const Scan scan = make_rays_about_box(run, frame, box);
     if (scan.rays.size() == 0) return {};
     SensorChoice sensor = make_configured_sensor(config, run.sequence, frame.lidar);
@@ -138,7 +138,7 @@ BoxPoints points_of(ScanRenderer& renderer, const Run& run, const Config& config
 }
 
 /// Returns the settings for pictures: one ray and one return for each ray of the log.
-Config picture_config(const Run& run) {
+Config make_picture_config(const Run& run) {
     Config config = run.config;
     config.sensor.grid = "native";
     config.sensor.sub_rays = config.sensor.returns = 1;
@@ -166,7 +166,7 @@ std::optional<ReportFigure> sensor_strip(ScanRenderer& renderer, const Run& run,
     for (const int position : run.split.test) {
         const Frame& frame = run.sequence.frames[std::size_t(position)];
         if (real.size() == kFrames || frame.scan.range_m.empty() || !box->present(frame.time_s)) continue;
-        const BoxPoints points = points_of(renderer, run, config, frame, *box);
+        const BoxPoints points = collect_box_points(renderer, run, config, frame, *box);
         if (points.real_m.empty() && points.simulated_m.empty()) continue;
         const glm::dvec3 sensor_m = run.sequence.world_from_sensor(frame.lidar).at(frame.time_s).translation;
         const glm::dvec2 seen_from(inverse(box->world_from_box.at(frame.time_s)) * sensor_m);
@@ -195,13 +195,13 @@ std::optional<ReportFigure> sensor_strip(ScanRenderer& renderer, const Run& run,
 std::optional<ReportFigure> draw_walking_strip(Device& device, const Run& run) {
     const Walk walk = find_nearest_walk(run);
     if (!walk.box) return std::nullopt;
-    const Config config = picture_config(run);
+    const Config config = make_picture_config(run);
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const glm::dvec2 to_the_left(0.0, 1.0);
     std::vector<std::vector<Dot>> real, simulated;
     std::size_t n = 0;
     for (const Frame* frame : walk.frames) {
-        const BoxPoints points = points_of(renderer, run, config, *frame, *walk.box);
+        const BoxPoints points = collect_box_points(renderer, run, config, *frame, *walk.box);
         n += points.real_m.size();
         real.push_back(dots_of(points.real_m, to_the_left));
         simulated.push_back(dots_of(points.simulated_m, to_the_left));
@@ -221,7 +221,7 @@ std::optional<ReportFigure> draw_walking_strip(Device& device, const Run& run) {
 
 std::vector<ReportFigure> worst_actor_strips(Device& device, const Run& run, const Evaluation& evaluation) {
     constexpr std::size_t kMost = 3;
-    const Config config = picture_config(run);
+    const Config config = make_picture_config(run);
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     std::vector<ReportFigure> figures;
     for (const ActorScore& actor : evaluation.actors) {
@@ -235,7 +235,7 @@ std::vector<ReportFigure> worst_actor_strips(Device& device, const Run& run, con
 void write_actor_strips(const std::filesystem::path& folder, Device& device, const Run& run,
                         const Evaluation& evaluation) {
     constexpr std::size_t kMost = 20;
-    const Config config = picture_config(run);
+    const Config config = make_picture_config(run);
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     for (std::size_t i = 0; i < std::min(kMost, evaluation.actors.size()); ++i) {
         const std::optional<ReportFigure> figure = sensor_strip(renderer, run, config, evaluation.actors[i]);
