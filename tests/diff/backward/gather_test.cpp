@@ -101,7 +101,9 @@ TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
             gradients.zero_untouched = false;
             passes.run();
             EXPECT_EQ(gradients.touched.download(), touched);
-            if (reduction == Reduction::gather) EXPECT_EQ(collect_all_gradients(gradients), first);
+            if (reduction == Reduction::gather) {
+                EXPECT_EQ(collect_all_gradients(gradients), first);
+            }
         }
     }
 }

@@ -151,7 +151,9 @@ TEST(BrokenScans, OfKittiMayCountIntensitiesTo255) {
     const Sequence log = load_sequence(drive.folder.string(), {});
     const Scan& scan = log.frames[0].scan;
     for (std::size_t i = 0; i < scan.range_m.size(); ++i)
-        if (scan.range_m[i] > 0.0f) ASSERT_FLOAT_EQ(scan.intensity[i], 0.2f);
+        if (scan.range_m[i] > 0.0f) {
+            ASSERT_FLOAT_EQ(scan.intensity[i], 0.2f);
+        }
     EXPECT_THAT(log.notes,
                 testing::Contains(HasSubstr("whole numbers up to 51, so they are divided by 255")));
     for (const float wrong : {1.5f, 256.0f, -1.0f}) {

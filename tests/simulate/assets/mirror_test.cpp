@@ -174,8 +174,9 @@ TEST_F(MirroredCar, AMovedCarReturnsRaysOfTheUnseenSideAtTheMirroredPlane) {
     for (std::size_t i = 0; i < rays.direction.size(); ++i) {
         const auto range_to = [&](float y_m) { return (y_m - rays.origin[i].y) / rays.direction[i].y; };
         ASSERT_NEAR(after.median_range_m[i], range_to(-0.95f), 0.01f) << i;
-        if (before.median_range_m[i] > 0.0f)
+        if (before.median_range_m[i] > 0.0f) {
             ASSERT_NEAR(before.median_range_m[i], range_to(0.95f), 0.01f) << "the inside of the left plate";
+        }
     }
     EXPECT_EQ(seen(edited, make_rays_from_the_right(-1.0)).median_range_m,
               seen(run, make_rays_from_the_right(-1.0)).median_range_m)
