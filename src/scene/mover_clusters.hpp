@@ -28,8 +28,8 @@ struct MoverCluster {
     void merge(const MoverCluster& other);
 };
 
-/// Finds the clusters of moved returns in the given frames. Splits a long log into
-/// sections. The processes of a process group share the sections.
+/// Finds the clusters of points on moving objects in the given frames. Splits a long log
+/// into sections, which the processes of a process group share.
 /// @param positions indices of the frames, ascending
 /// @param visibility tells what these frames observe at a point
 /// @return [positions] clusters of each frame, identical in all processes
