@@ -73,8 +73,8 @@ public:
 
 private:
     OutputFolder folder_;
-    /// The lock is declared last, so it is destroyed first and its lock file is removed.
-    /// After that, the folder can be removed if it is empty.
+    /// Declared last, so that the lock file is removed first. Then the folder can be
+    /// removed if it is empty.
     FolderLock lock_;
 };
 
@@ -104,8 +104,8 @@ public:
 
 private:
     std::optional<OutputFolder> folder_;
-    /// The lock is declared last, so it is destroyed first and its lock file is removed.
-    /// After that, the folder can be removed if it is empty.
+    /// Declared last, so that the lock file is removed first. Then the folder can be
+    /// removed if it is empty.
     std::optional<FolderLock> lock_;
 };
 
