@@ -56,8 +56,8 @@ void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<B
     });
 }
 
-/// Returns the returns of the training frames that lie inside boxes. Stores each point in
-/// the frame of its box.
+/// Collects the LiDAR returns of the training frames that lie inside boxes. Stores each
+/// point in the frame of its box.
 /// @return [boxes]
 std::vector<std::vector<Sample>> collect_box_samples(const Sequence& sequence, const std::vector<int>& train,
                                                      const std::vector<BoxTrack>& boxes,

@@ -148,11 +148,11 @@ std::vector<glm::vec3> merge_into_cells(std::vector<Returns>& frames) {
     return means;
 }
 
-/// Finds the vertical extent of one object. Heights that are separated by a large gap,
-/// such as a tree above the object, form separate pieces. Selects the piece with the most
-/// moved returns.
+/// Returns the lowest and the highest point of an object above the ground. Splits the
+/// heights at large gaps, for example between a car and a tree above it. Uses the part
+/// with the most returns.
 /// @param heights_m heights of the moved returns of a cluster, at least one
-/// @return lowest and highest point of the object, metres
+/// @return lowest and highest point, metres
 std::pair<double, double> find_heights_of_one_object(std::vector<double> heights_m) {
     std::sort(heights_m.begin(), heights_m.end());
     std::size_t best = 0, n_best = 0;

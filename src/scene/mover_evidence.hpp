@@ -10,8 +10,8 @@
 
 namespace relidar {
 
-/// Evidence from other frames that the object at a position moved or stayed, as numbers
-/// of frames.
+/// Number of frames which show that the object at a position has moved, and number of
+/// frames which show that it stayed.
 struct Evidence {
     /// Number of frames with a return at the position although the tracked object is
     /// elsewhere. Something else occupies the position.
@@ -26,7 +26,7 @@ struct Evidence {
     static constexpr std::size_t kMuchMore = 3;
 };
 
-/// Sums the frame counts over all returns of a track, or over a part of the track.
+/// Evidence of motion, summed over all returns of a track or of a part of the track.
 struct EvidenceSum {
     Evidence looks;
     std::size_t returns = 0;

@@ -214,7 +214,8 @@ double compute_mismatch_over_gap(const MoverTrack& before, const MoverTrack& aft
                     glm::length(glm::dvec2(from_velocity - to_velocity)) / kOtherSpeed_mps);
 }
 
-/// Pair of tracks. The track `after` may continue the track `before` after a gap.
+/// Two tracks that may belong to the same object: `after` begins some time after the end
+/// of `before`.
 struct GapFit {
     double mismatch;
     std::size_t before, after;

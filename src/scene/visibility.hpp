@@ -116,7 +116,7 @@ private:
         float returned_m[6];
         int n = 0;
     };
-    /// Frames in which the points of a ground tile are looked up.
+    /// Square tile of the ground, with the frames that can observe points above it.
     struct Tile {
         std::vector<std::uint32_t> views;
         bool wanted = false;

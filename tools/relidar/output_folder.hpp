@@ -82,7 +82,7 @@ private:
 /// files of a training that was killed before it saved a scene.
 bool contains_run(const std::filesystem::path& folder);
 
-/// Says what to do if the output folder of a run already contains a run.
+/// Says what to do if the output folder already contains a trained run.
 enum class Existing {
     refuse,  ///< Throws an error if the folder is not empty.
     keep,    ///< Keeps the existing run. Training continues from its last checkpoint.

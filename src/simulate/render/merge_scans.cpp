@@ -70,6 +70,7 @@ RenderedScan make_rig_firing(const RenderedScan& merged, const RenderedScan& sca
 /// lines.
 class RigPoses {
 public:
+    /// Copies the tracks of the rig, and keeps a reference to the scan of the sensor.
     /// @param scan scan of the sensor; must outlive this object
     RigPoses(const RenderedScan& merged, const RenderedScan& scan)
         : rig_(make_rig_firing(merged, scan)), world_from_rig_(rig_), world_from_firing_(scan) {}

@@ -87,7 +87,7 @@ std::uint32_t find_max_rays(std::span<const FrameData> frames) {
 }
 
 RayBatch FrameData::batch(std::uint32_t first, std::uint32_t stride) const {
-    // Every stride-th ray is the same as every stride-th column only if the stride
+    // True if the rays form complete columns of the image. This requires that the stride
     // divides the number of columns.
     const bool is_column_subset = image.columns % stride == 0 && first < stride;
     return {&rays(),
