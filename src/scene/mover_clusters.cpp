@@ -33,11 +33,11 @@ constexpr double kMaxLength_m = 14.0;
 // frames that find it occupied. The share is low, because a vehicle hides the space
 // behind it.
 constexpr double kSeenThroughShare = 0.25;
-// If at most this many frames have a return in a cell, the program cannot decide whether
-// the object there moved. A static object has more, unless it is far away or hidden.
+// A static object is usually seen in more frames than this. If fewer frames have a return
+// in a cell, the program cannot decide whether the object there moved.
 constexpr int kSeldomSeen = 3;
-// Returns of a cluster that are lower than its lowest moved return by more than this
-// belong to the ground.
+// Points that are lower than the lowest moved point of a cluster by more than this belong
+// to the ground.
 constexpr double kGroundBelow_m = 0.05;
 // Vertical gap without points that separates two objects. At 29 m, beams that are two
 // degrees apart leave a gap of this size.
@@ -86,7 +86,7 @@ std::vector<LabelledBox> find_labelled_boxes_at(const Sequence& sequence, double
     return boxes;
 }
 
-/// Returns of one frame: the points outside all labelled boxes, and the clusters of
+/// All LiDAR returns of one frame: points outside all labelled boxes, and clusters of
 /// points inside moving labelled boxes.
 struct Returns {
     std::vector<Return> others;

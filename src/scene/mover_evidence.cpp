@@ -13,8 +13,8 @@ namespace {
 // Two returns closer than this can belong to the same static object, because poses and
 // ranges have errors.
 constexpr double kSamePlace_m = 0.2;
-// Margin around the tracked box. A frame says nothing about a point that the enlarged box
-// covers in this frame.
+// Margin around the tracked box. Frames in which the enlarged box covers a point are not
+// used for this point.
 constexpr double kClear_m = 0.4;
 // At least this share of the returns of a track must be proven to lie on a moving object.
 constexpr double kToldShare = 0.25;

@@ -59,7 +59,7 @@ public:
     struct Report {
         int first_step, last_step;
         std::uint32_t pass_cap, most_hits, overfull;
-        /// capacity of the hit buffer when close() was called, like kept_hits
+        /// capacity of the hit buffer, and stored hits per ray, when close() was called
         std::uint64_t hit_capacity;
         std::uint32_t kept_hits;
     };

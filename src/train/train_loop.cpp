@@ -210,7 +210,8 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
 
 TrainLoop::~TrainLoop() {
     try {
-        // If training ends with an exception, the device may still use the arrays.
+        // Waits for the device, because it may still use the arrays if training ended
+        // with an exception.
         stream_.finish();
     } catch (const Error&) {
         // Ignores the error, because it was already reported. A lost device no longer

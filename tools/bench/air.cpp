@@ -41,8 +41,7 @@ std::array<glm::vec3, kProbes> make_directions_all_around() {
     return directions;
 }
 
-/// Synthetic street with exact geometry, and the path of the sensor and the time of a
-/// scan.
+/// Exact synthetic street, path of the sensor, and time of a scan.
 struct Place {
     const SyntheticOptions& street;
     const PoseTrack& world_from_sensor;

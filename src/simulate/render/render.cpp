@@ -63,8 +63,8 @@ void fill_scan(RenderedScan& scan, std::span<const shared::MeasuredRay> measured
     }
 }
 
-/// Drops beams whose range is outside the sensor's limits. This range is the mean of
-/// several sub-rays, so it was not limited before.
+/// Drops beams whose range is outside the sensor's limits. Before, only the ranges of
+/// their sub-rays were compared with the limits.
 void drop_beyond(RenderedScan& scan, const RangeLimits& limits) {
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i]))

@@ -62,7 +62,7 @@ private:
     const FrameUse use_;
     std::vector<FrameData> frames_;
     std::size_t n_staying_ = 0;  ///< number of frames that stay on the device; they are the first frames
-    /// arrays that all frames share that do not stay in device memory
+    /// arrays that are shared by all frames that do not stay in device memory
     std::shared_ptr<const FrameArrays> shared_;
     std::future<HostFrame> coming_;
     std::size_t coming_frame_ = 0;
