@@ -25,7 +25,7 @@ namespace {
 // Margins in metres around the boxes of people and of vehicles. A second track inside the
 // margin may be a part of the same object.
 constexpr double kFragment_m = 0.5, kVehicleFragment_m = 1.0;
-// minimum number of returns per frame after the static returns are removed
+// minimum number of points of a moving object per frame, after static points are removed
 constexpr std::size_t kFewestPoints = 5;
 constexpr double kLongest_m = 20.0, kWidest_m = 3.2, kTallest_m = 4.5;
 constexpr double kSlowest_mps = 0.4, kFastest_mps = 50.0;

@@ -21,8 +21,8 @@ constexpr double kMaxRange_m = 40.0;  // beyond this range, a person has only on
 // Edge length of a grid cell. All returns in a cell get the same decision whether they
 // belong to a moving object.
 constexpr double kCell_m = 0.2;
-// Edge of a square on the ground. Returns above neighbouring squares belong to the same
-// object.
+// Edge length of a square on the ground. Points above neighbouring squares belong to the
+// same object.
 constexpr double kSquare_m = 0.3;
 // Maximum distance between two neighbouring squares of an object, in squares. This is 0.6
 // to 0.9 m.

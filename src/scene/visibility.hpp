@@ -109,8 +109,8 @@ private:
         /// [rows * columns] range of the nearest return, or 0 if a cell has no return
         std::vector<float> range_m;
     };
-    /// Range of a point as a view sees it, and the ranges of the returns near the point.
-    /// These returns lie in 6 cells: 3 neighbours in each of the two nearest rows.
+    /// Range of a point, and the ranges of the returns around it in the range image of a
+    /// frame. These returns lie in 6 cells: 3 neighbours in each of the two nearest rows.
     struct Surroundings {
         double range_m = 0.0;
         float returned_m[6];

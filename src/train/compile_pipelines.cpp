@@ -51,7 +51,7 @@ void compile_for(Device& device, const Sequence& street, const Config& config) {
     const ScanRenderer renderer(device, scene, config, street);
 }
 
-/// Compiles all variants of the ray search. A running program uses only one variant,
+/// Compiles all variants of the ray traversal. A running program uses only one variant,
 /// which depends on the type of the device.
 void compile_searches(Device& device, const Sequence& street) {
     const Config config = make_preset("default");
