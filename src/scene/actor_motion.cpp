@@ -9,17 +9,17 @@
 namespace relidar {
 namespace {
 
-// Maximum difference in radians between the azimuth of a beam and the azimuth that the
-// head of the LiDAR faces.
+// A beam may point up to this many radians to the side of the azimuth that the LiDAR head
+// faces.
 constexpr double kBeside_rad = 0.17;
-// The angle that a box covers is widened on each side by this share of half the angle,
-// because the sensor and the box move while the head faces the box.
+// Margin on each side of the azimuth range that a box covers, as a share of half the
+// range. The sensor and the box move during the scan.
 constexpr double kBesideShare = 0.25;
-// Share by which the time span of a motion is lengthened. Real LiDAR heads deviate from
-// the nominal firing times.
+// The time span of an actor's motion is extended by this share, because real LiDAR heads
+// deviate from the nominal firing times.
 constexpr double kBeyond = 0.02;
-// A LiDAR without known firing times may fire this many seconds before or after the
-// reference time.
+// Assumed maximum difference between a firing time and the reference time of a sweep, if
+// the firing times of the LiDAR are unknown.
 constexpr double kUnknownSweep_s = 0.1;
 constexpr double kVelocityStep_s = 0.005;
 
@@ -69,9 +69,9 @@ double compute_half_angle(const Pose& sensor_from_box, const glm::dvec3& half_si
     return largest;
 }
 
-/// Returns the time interval in which the rays of a sweep can hit a box. During this
-/// interval the LiDAR's head faces the box. If the interval is unknown or reaches beyond
-/// the sweep, returns the time of the full sweep.
+/// Returns the time interval in which the rotating LiDAR head faces a box, so that its
+/// rays can hit the box. Returns the full sweep if this interval is unknown or not inside
+/// the sweep.
 TimeSpan compute_facing_span(const Sequence& sequence, const PoseTrack& world_from_box,
                              const glm::dvec3& half_size_m, const SweepMoment& sweep) {
     const TimeSpan all = compute_sweep_span(sequence, sweep);

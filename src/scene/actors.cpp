@@ -56,8 +56,8 @@ void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<B
     });
 }
 
-/// Returns the returns of the training frames that lie inside boxes. Stores each point in
-/// the frame of its box.
+/// Collects the LiDAR returns of the training frames that lie inside boxes. Stores each
+/// point in the frame of its box.
 /// @return [boxes]
 std::vector<std::vector<Sample>> collect_box_samples(const Sequence& sequence, const std::vector<int>& train,
                                                      const std::vector<BoxTrack>& boxes,
@@ -158,7 +158,7 @@ std::vector<Sample> prepare_actor_samples(std::vector<Sample> samples, const Box
     return samples;
 }
 
-/// Marks the parts of a box that samples have hit from outside.
+/// Returns the parts of a box's surface that LiDAR rays have hit from outside.
 BoxSurface compute_visible_surface(const BoxTrack& box, const std::vector<Sample>& samples) {
     BoxSurface surface(box.size_m);
     for (const Sample& s : samples) surface.add(glm::dvec3(s.position), glm::dvec3(s.view));
@@ -198,10 +198,9 @@ void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& sam
     scene.surfels.append(surfels);
 }
 
-/// Returns the distance in metres that an actor had walked when a new track starts. Finds
-/// the nearest pose on the recorded track of the actor. Adds the distance by which the
-/// new pose is ahead of this recorded pose. If a caller moves the actor to another track,
-/// its steps then still match its position.
+/// Returns the distance in metres that an actor has walked at the start of a new track.
+/// Takes the distance at the nearest recorded pose, and adds the way to the new pose.
+/// Steps are animated by this distance, so they match the position.
 double compute_start_distance_m(const BoxTrack& box, const PoseTrack& track) {
     const Pose& at = track.pose.front();
     const auto place_m = [&](const Pose& pose) { return glm::distance(pose.translation, at.translation); };

@@ -9,15 +9,15 @@
 
 namespace relidar {
 
-/// Returns the surfels of a synthetic street. The same arguments always give the same
-/// surfels. Makes benchmark scene A if `refine` is false, and scene B if it is true. The
-/// values equal the output of the Python generator, except for rounding in the last
-/// digit. The surfels are not sorted in kd-tree order.
+/// Returns the surfels of a synthetic street, which depend only on the arguments. If
+/// `refine` is true (benchmark scene B), the surfels become smaller as `count` grows. The
+/// values equal those of the Python generator up to rounding in the last digit. The
+/// surfels are not sorted in kd-tree order.
 Surfels make_benchmark_street(std::uint32_t count, std::uint32_t seed = 20261120, bool refine = false);
 
-/// Returns the rays of the street's sensor at (0, -2, 1.8). The kind is "waymo" (64 x
-/// 2650 rays) or "kitti" (66 x 1030 rays). The second overload accepts any number of rays
-/// and any vertical field of view.
+/// Returns the LiDAR rays of the street, with their origin at (0, -2, 1.8) m. `kind` is
+/// "waymo" (64 x 2650 rays) or "kitti" (66 x 1030 rays). The second overload accepts any
+/// number of rays and any vertical field of view.
 RayTable make_benchmark_rays(const std::string& kind);
 RayTable make_benchmark_rays(int rows, int columns, double top_deg, double bottom_deg);
 

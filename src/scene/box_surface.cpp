@@ -15,12 +15,13 @@ namespace relidar {
 namespace {
 
 constexpr double kBoxPatch_m = 0.3;
-// Fraction of the height of a vertical side that counts as hidden. The ground hides this
-// lowest part, so it is ignored.
+// The ground hides the lowest part of a vertical side. Patches below this share of the
+// height are ignored.
 constexpr double kHiddenHeight = 0.2;
-// Minimum number of pairs of patches that show whether an actor is symmetric.
+// Minimum number of mirrored pairs of patches from which the symmetry of an actor is
+// measured.
 constexpr std::size_t kFewestPairs = 3;
-// Maximum number of pairs of patches along an axis. A box of 120 m reaches it.
+// Upper limit for the number of pairs of surface patches along an axis (a box of 120 m).
 constexpr double kMostPairs = 200.0;
 
 /// Returns the number of patches along a length. The number is even, so that the symmetry
@@ -49,8 +50,9 @@ BoxSurface::BoxSurface(const glm::dvec3& size_m) : half_m_(0.5 * size_m) {
     }
 }
 
-/// Returns the patch that a line from the centre of the box through a point hits. Returns
-/// no value if the line hits no patch, or only a patch that the ground hides.
+/// Returns the surface patch where a line from the box centre through a point leaves the
+/// box. Returns nothing if the line leaves through the bottom, or if the patch is too
+/// close to the ground.
 std::optional<BoxSurface::Patch> BoxSurface::find(const glm::dvec3& point_m) const {
     const glm::dvec3 share = point_m / half_m_, size = glm::abs(share);
     const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;

@@ -23,23 +23,22 @@ namespace {
 
 // Maximum distance between points of the same surface.
 constexpr double kNearPlace_m = 0.07;
-// Minimum fraction of the frames that have a point at a position. Above it, the position
-// counts as static.
+// A position counts as static if at least this share of the frames have a point there.
 constexpr double kResting = 0.75;
-// Maximum number of frames that are searched for points at a position.
+// Maximum number of frames that are searched to decide whether a position is static.
 constexpr std::size_t kCompared = 64;
-// Minimum number of surfels that each frame is allowed. Without it, the actors of long
-// logs would have too few surfels per frame.
+// Minimum number of surfels for each frame. In a long log, an equal share of the actor's
+// surfels would be too small.
 constexpr std::size_t kInFrame = 200;
-// Minimum number of frames with points for an actor whose surfels change from frame to
-// frame.
+// Minimum number of frames with points of an actor. With fewer frames, the actor is
+// modelled as rigid.
 constexpr std::size_t kFewestChanging = 3;
-// Minimum distance that the actor must walk in the log. Minimum spacing of two frames in
-// walked distance, because frames of a standing actor would have a spacing of zero.
+// Minimum distance that an actor must walk in the log, because an actor that stands still
+// is modelled as rigid. Lower limit for the distance walked between two frames.
 constexpr double kFewestWalked_m = 0.5, kSmallestSpacing_m = 0.02;
-// Gap between the last and the first frame when the motion repeats, as a number of frame
-// spacings. The gap keeps surfels of the last and the first frame from being visible
-// together.
+// The recorded motion is repeated after its end. This gap separates its last frame from
+// its first frame, so that both are never visible together. The unit is the distance
+// between two frames.
 constexpr double kFramesBetween = 3.0;
 
 /// Samples of one frame.
@@ -70,8 +69,8 @@ Frames group_samples_by_frame(const std::vector<Sample>& samples) {
     return frames;
 }
 
-/// Finds the shift in metres per frame that moves the points around a sample onto the
-/// points of the two frames before and the two frames after it.
+/// Estimates how the surface around a sample moves, in metres per frame. This shift moves
+/// the points around the sample onto the points of two earlier and two later frames.
 /// @param index index of the sample's frame
 glm::vec3 shift_per_frame(const Frames& frames, std::size_t index, const std::vector<Sample>& samples,
                           const Sample& sample) {
@@ -100,7 +99,8 @@ glm::vec3 shift_per_frame(const Frames& frames, std::size_t index, const std::ve
     return best;
 }
 
-/// Replaces each shift by the median of the shifts at the nearest samples, axis by axis.
+/// Smooths the shifts. Each shift is replaced by the median of the shifts at the nearest
+/// samples, separately for each axis.
 std::vector<glm::vec3> median_shifts(const std::vector<Sample>& samples,
                                      const std::vector<glm::vec3>& shifts) {
     constexpr double kAround_m = 0.15;
@@ -119,7 +119,8 @@ std::vector<glm::vec3> median_shifts(const std::vector<Sample>& samples,
     return medians;
 }
 
-/// Makes one surfel for each sample, with the visibility and the motion of that sample.
+/// Makes one surfel for each sample. `gait` says when the surfel is visible and how it
+/// moves while the actor walks.
 Surfels make_surfels_at(const std::vector<Sample>& samples, const std::vector<Gait>& gait,
                         const InitialiseOptions& options, double incidence) {
     std::vector<std::uint32_t> order;
@@ -129,7 +130,7 @@ Surfels make_surfels_at(const std::vector<Sample>& samples, const std::vector<Ga
     return surfels;
 }
 
-/// Returns true for each sample at a position where most frames have a point.
+/// Returns true for each sample at a static position, where most frames have a point.
 std::vector<char> find_resting(const std::vector<Sample>& samples, const Frames& frames) {
     std::vector<char> rests(samples.size());
     const std::size_t step = frames.size() / kCompared + 1;
@@ -142,9 +143,9 @@ std::vector<char> find_resting(const std::vector<Sample>& samples, const Frames&
     return rests;
 }
 
-/// Makes the surfels of one frame. The opacity of a surfel falls with the distance that
-/// the actor has moved since this frame. The curve is a Gaussian whose standard deviation
-/// is the distance between two frames.
+/// Makes the surfels that represent an actor in one frame. The farther the actor walks
+/// from the position of this frame, the more transparent they become. The curve is a
+/// Gaussian whose standard deviation is the distance between two frames.
 Surfels make_surfels_of_frame(const Frames& frames, std::size_t index, const std::vector<Sample>& samples,
                               const std::vector<Sample>& changing, double period_m,
                               const InitialiseOptions& options, double incidence) {

@@ -33,8 +33,8 @@ void check_primitive(Primitive primitive, const ImageModel& model) {
 }
 
 void check_layout(const Scene& scene) {
-    // The kernels find the model of a surfel by binary search. Therefore the surfel
-    // ranges of the models must be sorted.
+    // Checks that the surfels of each model follow those of the previous model. The
+    // kernels need this order, because they find the model of a surfel by binary search.
     std::size_t next = 0;
     for (const Model& model : scene.models) {
         if (model.first != next)
@@ -56,24 +56,24 @@ void check_layout(const Scene& scene) {
 
 std::vector<Constant> make_activation_constants(bool stage_harmonics) {
     std::vector<Constant> all{{ConstantId::STAGED, stage_harmonics ? 1u : 0u}};
-    // Uses workgroups of 64 threads, so that one workgroup needs 4.4 kB of shared memory.
-    // Such a workgroup has one or two subgroups, depending on the device.
+    // Limits a workgroup to 64 threads, so that it needs only 4.4 kB of shared memory. It
+    // then has one or two subgroups, depending on the device.
     if (stage_harmonics) all.push_back({ConstantId::WORKGROUP_SIZE, 64u});
     return all;
 }
 
-/// Assigns rows of the gradient array to the instances of each model. The first instance
-/// of a model uses the rows of the model's surfels. The rows of all further instances
-/// follow after the rows of all surfels, sorted by model.
+/// Rows of the gradient array for each instance (a model with a pose). The first instance
+/// of a model uses the rows of the model's surfels. The rows of further instances follow
+/// at the end of the array, sorted by model.
 struct Placements {
     std::vector<std::uint32_t> first_row;  ///< [instances] first gradient row of each instance
     /// [models] index of the first instance of each model, or -1 if the model has no
     /// instance
     std::vector<std::int64_t> first_instance;
-    /// index of the first gradient row of the second and of each further instance, sorted
-    /// by model
+    /// first gradient row of each further instance of a model (every instance except the
+    /// first), sorted by model
     std::vector<std::uint32_t> more;
-    /// [models + 1] index in `more` where the entries of each model begin
+    /// [models + 1] start of the entries of each model in the array `more`
     std::vector<std::uint32_t> first_more;
     std::uint32_t n_rows;
 
@@ -130,7 +130,8 @@ struct DeviceScene::Impl {
     float alpha_min = ImageModel{}.alpha_min;
     Kernel<shared::ActivateParams> activate;
     Kernel<shared::ActivateVjpParams> activate_vjp;
-    /// list of the surfels with a gradient; used only if the harmonics are not staged
+    /// List of the surfels that have a gradient. Exists only if the kernels do not stage
+    /// the spherical harmonics in shared memory.
     std::optional<TouchedList> list;
 
     Impl(Device& device, const Scene& scene, bool stage_harmonics)
@@ -149,10 +150,9 @@ struct DeviceScene::Impl {
 
     std::uint32_t n_models() const { return static_cast<std::uint32_t>(layout.models.size()); }
 
-    /// Stores the poses of all instances, and returns the table of instances for the
-    /// device.
-    /// @return the transform from the world frame to the model frame for each instance.
-    /// The entry of an absent instance has no surfels.
+    /// Stores the poses of all instances, and returns the instance table for the device.
+    /// An entry holds the transform from world to model, the motion, and the range of
+    /// surfels. An absent instance has no surfels.
     std::vector<shared::InstanceEntry> make_instance_table(const std::vector<InstancePose>& placed) {
         if (placed.size() != layout.instances.size())
             throw DataError(fmt::format("cannot place the instances: found {} poses, expected {}",
@@ -179,8 +179,8 @@ struct DeviceScene::Impl {
         return entries;
     }
 
-    /// Transforms the view origin from the world frame into the frame of each model. Uses
-    /// the pose of the model's first instance.
+    /// Returns the view origin in the frame of each model. If a model has several
+    /// instances, uses the pose of the first instance.
     /// @return [models], valid for the next submission
     Address<glm::vec3> view_origins(Stream& stream, const glm::vec3& world) const {
         std::vector<glm::vec3> origins;
@@ -191,9 +191,10 @@ struct DeviceScene::Impl {
         return stream.impl().values(origins);
     }
 
-    /// Returns the gait phase of each model. Uses the first instance of the model.
+    /// Returns the phase of the walking motion of each model. If a model has several
+    /// instances, uses the first instance.
     /// @return [models] phase as a fraction of a stride, 0..1; negative for rigid models.
-    /// The address is null if no model has a gait.
+    /// The address is null if all models are rigid.
     Address<float> phases(Stream& stream) const {
         if (!parameters.bends) return {};
         std::vector<float> all;

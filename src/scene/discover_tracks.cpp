@@ -22,21 +22,20 @@
 namespace relidar {
 namespace {
 
-// Margin in metres around a box. A second track inside the margin may be a part of the
-// same object.
+// Margins in metres around the boxes of people and of vehicles. A second track inside the
+// margin may be a part of the same object.
 constexpr double kFragment_m = 0.5, kVehicleFragment_m = 1.0;
-// minimum number of returns per frame after the static returns are removed
+// minimum number of points of a moving object per frame, after static points are removed
 constexpr std::size_t kFewestPoints = 5;
 constexpr double kLongest_m = 20.0, kWidest_m = 3.2, kTallest_m = 4.5;
 constexpr double kSlowest_mps = 0.4, kFastest_mps = 50.0;
 constexpr double kVehicle_m = 1.2;  // objects that are at least this long are vehicles, not people
 // Minimum distance that a moving object must travel, as a multiple of the longer side of
-// its box. Over shorter distances, the visible part of a static object can drift within
-// its box.
+// its box. A static object can seem to move by less, because its visible part changes.
 constexpr double kWayOfSize = 0.9;
 constexpr double kStraightness = 0.5;  // minimum ratio of net motion to path length
-// Maximum turn of a vehicle: per metre of its path, plus a constant angle. A vehicle
-// cannot turn on the spot.
+// Maximum turn of a vehicle: radians per metre of its path, plus a constant angle. A
+// vehicle cannot turn on the spot.
 constexpr double kTurnPer_m = 0.4, kTurn_rad = 0.5;
 
 /// Motion of a box: the distance from the first to the last position, the length of the
@@ -67,14 +66,13 @@ bool is_plausible(const BoxTrack& box) {
     return box.size_m.x < kLongest_m && box.size_m.y < kWidest_m && box.size_m.z < kTallest_m &&
            fastest > kSlowest_mps && fastest < kFastest_mps && travel.net_m > kWayOfSize * longest &&
            travel.net_m > kStraightness * travel.path_m &&
-           // Also applies the motion test of labelled boxes. This test rejects a track
-           // whose only motion is a jump across a gap.
+           // `moves()` rejects a track whose only motion is a jump across a gap in time.
            !turns_on_the_spot && box.moves();
 }
 
-/// Removes the returns that other frames prove to be static. Then fits a box to the
-/// remaining returns of the track. Returns nothing if other frames do not prove that the
-/// track moved.
+/// Fits a box to a track if other frames prove that the object moved. First removes the
+/// returns at positions that are also occupied in other frames. Returns nothing if there
+/// is no proof, or if the motion is implausible.
 std::optional<BoxTrack> find_proven_box(const Visibility& visibility, MoverTrack& track) {
     EvidenceSum sum;
     const BoxTrack box = box_of(track);
@@ -91,8 +89,8 @@ std::optional<BoxTrack> find_proven_box(const Visibility& visibility, MoverTrack
 }
 
 /// Extends a labelled box to the times before and after its labels. Uses only those parts
-/// of the track for which other frames prove motion. Returns nothing if no part is
-/// proven.
+/// of the track in which other frames prove that the object moved. Returns nothing if
+/// there is no such part.
 std::optional<BoxTrack> find_proven_continuation(const Visibility& visibility, MoverTrack& track,
                                                  const BoxTrack& label) {
     const BoxTrack box = make_continued_box(track, label);
@@ -113,7 +111,7 @@ std::optional<BoxTrack> find_proven_continuation(const Visibility& visibility, M
     return make_continued_box(track, label);
 }
 
-/// Fixed-size data of a box, which the processes of a group exchange.
+/// Fixed-size data of a box, for the exchange between processes.
 struct BoxHead {
     glm::dvec3 size_m;
     std::uint64_t n_poses, n_before, n_after;
@@ -160,8 +158,8 @@ std::vector<BoxTrack> joined(const ProcessGroup& group, const std::vector<MoverT
     return boxes;
 }
 
-/// Returns the boxes of all tracks that are proven to have moved. Each process of a
-/// process group checks its share of the tracks.
+/// Returns the boxes of all objects that are proven to have moved. If several processes
+/// work together, each process checks a share of the tracks.
 std::vector<BoxTrack> find_proven_boxes(Visibility& visibility, std::vector<MoverTrack>& tracks,
                                         const Sequence& sequence, const Progress& progress,
                                         const ProcessGroup& group) {
@@ -179,9 +177,8 @@ std::vector<BoxTrack> find_proven_boxes(Visibility& visibility, std::vector<Move
     return joined(group, tracks, found, share.begin, sequence);
 }
 
-/// Returns true if the centre of `part` is inside the box `box` for more than half of
-/// the time. In this case both boxes belong to the same object. The returns of `part`
-/// formed a separate cluster for a while.
+/// Returns true if two boxes belong to the same object. This is the case if the centre of
+/// `part` is inside `box`, plus a margin, for more than half of the time.
 bool is_part_of(const BoxTrack& part, const BoxTrack& box) {
     const double margin =
         std::max(box.size_m.x, box.size_m.y) < kVehicle_m ? kFragment_m : kVehicleFragment_m;
@@ -195,8 +192,8 @@ bool is_part_of(const BoxTrack& part, const BoxTrack& box) {
 
 bool is_continued(const BoxTrack& box) { return !box.id.empty(); }
 
-/// Removes duplicate boxes of the same object. Keeps the box with the most observations.
-/// A box that continues a label is removed only if the kept box has the same label.
+/// Removes duplicate boxes of an object. Keeps the box with the most observations, or a
+/// box that extends a label. Boxes of different labels are never duplicates.
 std::vector<BoxTrack> remove_parts(std::vector<BoxTrack> boxes) {
     std::ranges::stable_sort(boxes, [](const BoxTrack& first, const BoxTrack& second) {
         return std::pair(is_continued(first), first.world_from_box.time_s.size()) >
@@ -211,8 +208,9 @@ std::vector<BoxTrack> remove_parts(std::vector<BoxTrack> boxes) {
     return kept;
 }
 
-/// Returns true if a box should be fitted to a track. The track must either move by
-/// itself, or extend a labelled track beyond its labels.
+/// Returns true if a box should be fitted to a track. The track must be an unlabelled
+/// object that moves, or a labelled object that was also observed outside the time of its
+/// labels.
 bool should_add_box(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
     if (track.label == kNoLabel)
         return has_moved_far(track) && !is_fixed_to_vehicle(track, world_from_vehicle);
@@ -236,10 +234,10 @@ std::vector<BoxTrack> discover_with_lidar(int lidar, const Sequence& sequence, s
     return remove_parts(find_proven_boxes(visibility, tracks, sequence, progress, group));
 }
 
-/// Adds the boxes that another LiDAR found. If both LiDARs found the same object, usually
-/// keeps the existing box. The new box replaces the existing box only if it has more than
-/// 1.5 times as many observations, which means that the first LiDAR lost the object. A
-/// slightly longer track is not always better.
+/// Adds the boxes that another LiDAR found. If both LiDARs found the same object, prefers
+/// the box that extends a label. Otherwise keeps the existing box, unless the new box has
+/// more than 1.5 times as many observations. In this case the first LiDAR lost the
+/// object.
 void add_movers(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
     for (BoxTrack& other : others) {
         const auto is_same = [&](const BoxTrack& b) {

@@ -79,8 +79,8 @@ void rotate_harmonics(const Turn& turn, float* channel) {
     std::ranges::copy(turned, channel);
 }
 
-/// Moves a surfel to its position at a phase of the gait. Reduces the surfel's opacity by
-/// the distance between this phase and the surfel's phase
+/// Moves a surfel of a walking actor to its position at the given phase of the walk. If
+/// the surfel was recorded at another phase, reduces its opacity
 /// (shaders/scene/gaussian/gait.glsl).
 void bend(Surfels& surfels, std::size_t index, double phase) {
     const Gait& gait = surfels.gait[index];

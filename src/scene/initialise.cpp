@@ -27,8 +27,9 @@ namespace relidar {
 
 namespace {
 
-// A point is removed if at least this share of the frames observe empty space at the
-// point. A share of 1 would keep points of objects that stood still for part of the log.
+// A point is removed if the frames that look through it are at least this share of the
+// frames that hit it. A share of 1 would keep objects that stood still for part of the
+// log.
 constexpr double kGoneShare = 0.25;
 
 /// Running sums of the samples in one voxel.
@@ -53,8 +54,9 @@ struct CellHash {
     }
 };
 
-/// Returns the points of one frame in the world frame. Each point has the direction from
-/// the sensor at its firing time. Skips points inside the boxes `separate`.
+/// Returns the points of one frame in the world frame, with the direction of each ray.
+/// Skips points inside the boxes `separate`, because these objects have models of their
+/// own.
 std::vector<Sample> collect_frame_samples(const Sequence& sequence, const Frame& frame,
                                           const std::vector<BoxTrack>& separate,
                                           const InitialiseOptions& options) {

@@ -13,21 +13,21 @@
 namespace relidar {
 namespace {
 
-// Number of fits. Where other sides of the object become visible, the path of the first
-// fit is curved wrongly. The following fits correct this.
+// Number of times that the box is fitted. The first path is curved wrongly where other
+// sides of the object become visible. The following fits correct the path.
 constexpr int kRounds = 3;
-// Window in seconds for the height of an object's top. The road height changes little in
-// this time.
+// The top of an object is its highest return within this many seconds before and after.
+// The road height changes little in this time.
 constexpr double kTop_s = 1.0;
 constexpr double kMargin_m = 0.1;  // added around the points of a box
-// A box is extended downwards by this length, because the lowest part of a box is treated
-// as ground (actors.cpp).
+// Boxes are extended downwards by this length, because the lowest part of each box is
+// treated as ground (actors.cpp).
 constexpr double kGroundOfBox_m = 0.15;
 constexpr double kSpeedOver_s = 0.5;
-// Number of labelled observations from which the offset between the labelled box and the
-// visible points is computed.
+// The offset between a labelled box and the visible points is computed from this many
+// labelled observations.
 constexpr std::size_t kNearLabels = 10;
-// If the sensor is farther outside the box than this, the sensor sees only one end.
+// If the sensor is farther outside the box than this, only the near end is visible.
 constexpr double kBeside_m = 0.5;
 
 /// Position and heading of an object on the ground. They define the frame of the object.
@@ -75,8 +75,8 @@ std::vector<Placement> find_placements_at_frames(const MoverTrack& track,
     return find_placements_along(positions);
 }
 
-/// Returns the interval that the points of an observation cover along an axis. Ignores
-/// the outermost 0.5 % of the points at each end.
+/// Interval that the points of an observation cover along an axis. Ignores the outermost
+/// 0.5 % of the points at each end.
 struct Extent {
     double low, high;
 };
@@ -88,8 +88,8 @@ Extent compute_extent_along(const MoverCluster& cluster, const glm::dvec3& axis)
     return {values[cut], values[values.size() - 1 - cut]};
 }
 
-/// Returns half the visible length of an object along the axes. Uses the 90th percentile
-/// over all observations.
+/// Returns half the visible length of an object. Measures the length along the axis of
+/// each observation, and uses the 90th percentile.
 double estimate_visible_half_length_m(const MoverTrack& track, const std::vector<glm::dvec3>& axes) {
     std::vector<double> lengths;
     for (std::size_t k = 0; k < axes.size(); ++k) {
@@ -100,8 +100,8 @@ double estimate_visible_half_length_m(const MoverTrack& track, const std::vector
     return 0.5 * lengths[lengths.size() * 9 / 10];
 }
 
-/// Returns the centre of an object along each axis. Computes it from the end near the
-/// sensor and half the size of the object.
+/// Returns the centre of an object along an axis, for each observation. The centre is
+/// half the size of the object behind its visible end, which faces the sensor.
 std::vector<double> compute_centres_along(const MoverTrack& track, const std::vector<glm::dvec3>& axes,
                                           double half) {
     std::vector<double> centres;
@@ -113,8 +113,9 @@ std::vector<double> compute_centres_along(const MoverTrack& track, const std::ve
     return centres;
 }
 
-/// Returns the height of the object's top for each observation. Beams can miss the top of
-/// a distant object. Therefore the function returns the maximum over one second.
+/// Returns the height of the object's top for each observation. Uses the highest return
+/// within one second before and after, because beams can miss the top of a distant
+/// object.
 std::vector<double> list_tops(const MoverTrack& track) {
     std::vector<double> own, result;
     for (const Observation& o : track.seen)
@@ -129,8 +130,8 @@ std::vector<double> list_tops(const MoverTrack& track) {
     return result;
 }
 
-/// Returns the position of the object in each observation. Computes the horizontal
-/// position from the end near the sensor. The vertical position is the top of the object.
+/// Returns the position of the object in each observation. Computes the horizontal centre
+/// from the end that faces the sensor. The height is the top of the object.
 /// @param size_m length and width; if null, the visible size is used
 std::vector<glm::dvec3> find_near_end_positions(const MoverTrack& track, const std::vector<Placement>& placed,
                                                 const glm::dvec3* size_m) {
@@ -176,14 +177,14 @@ Corners find_corners(const MoverTrack& track, const std::vector<Placement>& plac
 struct Kind {
     const char* name;
     double length_m, width_m;
-    /// A box that is shorter or narrower than one of these minima shows only one side of
-    /// the object.
+    /// minimum length and width of an object whose sides are all visible; a smaller box
+    /// shows only one side
     double least_length_m, least_width_m;
 };
 constexpr Kind kCar{"car", 4.2, 1.8, 3.4, 1.5}, kCyclist{"cyclist", 1.8, 0.6, 1.4, 0.0},
     kTruck{"truck", 7.0, 2.4, 3.4, 1.5};
-// Minimum speed of a vehicle in m/s. Pedestrians are slower. Without this limit, several
-// pedestrians side by side would be taken for a car.
+// Minimum speed of a vehicle in m/s. Slower objects can be pedestrians, who look like a
+// car if they walk side by side.
 constexpr double kDrives_mps = 2.5;
 constexpr double kTruck_m = 2.5;  // objects taller than this are trucks
 // An object that is narrower than the first value and taller than the second is a
@@ -240,7 +241,7 @@ Offset estimate_offset(const MoverTrack& track, const std::vector<std::size_t>& 
     return {{median(values[0]), median(values[1]), median(values[2])}, median(values[3])};
 }
 
-/// Indices of the labelled observations nearest to the first and to the last label.
+/// Indices of the first few and of the last few labelled observations of a track.
 struct NearLabels {
     std::vector<std::size_t> first, last;
 };

@@ -20,9 +20,9 @@ BoxTrack box_of(const MoverTrack& track);
 /// kind in the box. Leaves other boxes unchanged.
 void complete_size(BoxTrack& box, const MoverTrack& track);
 
-/// Returns a labelled box with additional poses. The additional poses are for the times
-/// when the object was observed without a label. The box keeps its size. The offset
-/// between the box and the visible points is computed from the nearest labels.
+/// Adds poses to a labelled box for the times when the object was observed without a
+/// label. The size of the box does not change. The offset between the box and the visible
+/// points is computed from the nearest labels.
 BoxTrack make_continued_box(const MoverTrack& track, const BoxTrack& label);
 
 /// Returns the speeds of a box in m/s. Each speed is measured over at least half a second

@@ -18,39 +18,38 @@ namespace relidar {
 namespace {
 
 constexpr double kMaxRange_m = 40.0;  // beyond this range, a person has only one or two returns
-// Edge length of a cell. The program computes once per cell whether other frames observe
-// empty space there.
+// Edge length of a grid cell. All returns in a cell get the same decision whether they
+// belong to a moving object.
 constexpr double kCell_m = 0.2;
-// Edge of a square on the ground. Returns above neighbouring squares belong to the same
-// object.
+// Edge length of a square on the ground. Points above neighbouring squares belong to the
+// same object.
 constexpr double kSquare_m = 0.3;
-// Maximum distance between two squares of the same object, in squares. It is 0.6 to 0.9
-// m.
+// Maximum distance between two neighbouring squares of an object, in squares. This is 0.6
+// to 0.9 m.
 constexpr int kReach = 2;
 constexpr double kMinPoints = 12;  // minimum number of moved returns in a cluster
 constexpr double kMaxLength_m = 14.0;
-// A cell counts as moved if at least this share of the frames that observe the cell find
-// it empty. The share is low, because a vehicle ahead hides the positions where it was
-// before.
+// A cell counts as moved if the frames that find it empty are at least this share of the
+// frames that find it occupied. The share is low, because a vehicle hides the space
+// behind it.
 constexpr double kSeenThroughShare = 0.25;
-// If at most this many frames observe a cell, the program cannot decide whether it moved.
-// A static object is observed in more frames, unless it is far away or hidden.
+// A static object is usually seen in more frames than this. If fewer frames have a return
+// in a cell, the program cannot decide whether the object there moved.
 constexpr int kSeldomSeen = 3;
-// Height difference below which points are treated as ground. Points that lie lower than
-// the moved points by more than this are ground, if few frames observe them.
+// Points that are lower than the lowest moved point of a cluster by more than this belong
+// to the ground.
 constexpr double kGroundBelow_m = 0.05;
 // Vertical gap without points that separates two objects. At 29 m, beams that are two
 // degrees apart leave a gap of this size.
 constexpr double kGapAbove_m = 1.0;
 constexpr double kMovedShare = 0.15;  // minimum share of moved returns in a cluster
-// Minimum number of frames whose returns are in memory at the same time. Larger groups
-// are faster, because cells at the border between two groups are computed twice.
+// Minimum number of frames that are processed together. Larger groups are faster, because
+// cells at the border between two groups are computed twice.
 constexpr std::size_t kStretch = 200;
 
-/// Motion state of a grid cell. At the end of a log, only few frames observe a cell, so
-/// they cannot prove that a moving object left the cell. The state of such a cell is
-/// `seldom_seen`. It becomes part of a cluster only together with cells in the state
-/// `moved`.
+/// Motion state of a grid cell. `moved` means that other frames find the cell empty.
+/// `seldom_seen` means that too few frames observe the cell, for example at the end of a
+/// log. Such a cell becomes part of an object only next to `moved` cells.
 enum class Motion : char { rests, seldom_seen, moved };
 
 /// One return of a frame.
@@ -87,7 +86,7 @@ std::vector<LabelledBox> find_labelled_boxes_at(const Sequence& sequence, double
     return boxes;
 }
 
-/// Returns of one frame: the points outside all labelled boxes, and the clusters of
+/// All LiDAR returns of one frame: points outside all labelled boxes, and clusters of
 /// points inside moving labelled boxes.
 struct Returns {
     std::vector<Return> others;
@@ -114,8 +113,8 @@ Returns returns_of(const Sequence& sequence, const Frame& frame) {
             labelled, [&](const LabelledBox& l) { return l.box.holds(w.point_m, w.time_s, kMoverMargin_m); });
         if (in == labelled.end()) {
             result.others.push_back({glm::vec3(w.point_m), w.time_s, 0, Motion::rests});
-            // Does not enlarge the box by a margin, because the margin would contain
-            // points of the ground.
+            // Tests the box without a margin, because the margin would contain points of
+            // the ground.
         } else if (in->label != kNoLabel && in->box.holds(w.point_m, w.time_s, 0.0)) {
             MoverCluster& cluster = of_boxes[std::size_t(in - labelled.begin())];
             cluster.label = in->label;
@@ -149,11 +148,11 @@ std::vector<glm::vec3> merge_into_cells(std::vector<Returns>& frames) {
     return means;
 }
 
-/// Finds the vertical extent of one object. Heights that are separated by a large gap,
-/// such as a tree above the object, form separate pieces. Selects the piece with the most
-/// moved returns.
+/// Returns the lowest and the highest point of an object above the ground. Splits the
+/// heights at large gaps, for example between a car and a tree above it. Uses the part
+/// with the most returns.
 /// @param heights_m heights of the moved returns of a cluster, at least one
-/// @return lowest and highest point of the object, metres
+/// @return lowest and highest point, metres
 std::pair<double, double> find_heights_of_one_object(std::vector<double> heights_m) {
     std::sort(heights_m.begin(), heights_m.end());
     std::size_t best = 0, n_best = 0;
@@ -165,9 +164,8 @@ std::pair<double, double> find_heights_of_one_object(std::vector<double> heights
     return {heights_m[best] - kGroundBelow_m, heights_m[best + n_best - 1] + kGapAbove_m};
 }
 
-/// Groups returns that are close to each other on the ground. Some returns lie in cells
-/// that few frames observe. Such a return joins a group only if it is near a moved
-/// return.
+/// Groups returns that are close to each other in the view from above. If the motion of a
+/// return is unknown, it joins a group only next to a moved return.
 std::vector<MoverCluster> group_returns(const std::vector<Return>& returns) {
     std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> squares;
     const auto square_of = [](const glm::dvec3& point) {
@@ -232,7 +230,7 @@ namespace {
 
 using Clusters = std::vector<std::vector<MoverCluster>>;  // [frames]
 
-/// Returns the clusters of moved returns in some consecutive frames.
+/// Returns the clusters of points on moving objects in some consecutive frames.
 Clusters find_clusters_of_frames(const Sequence& sequence, std::span<const int> positions,
                                  Visibility& visibility) {
     std::vector<Returns> frames(positions.size());

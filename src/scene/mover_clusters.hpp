@@ -13,9 +13,9 @@ namespace relidar {
 
 inline constexpr int kNoLabel = -1;
 
-/// Cluster of returns in one frame. It holds either moved returns without a label, or all
-/// returns inside a moving labelled box. One type is used for both, because a track can
-/// continue before and after the labels of an object.
+/// Points of one object in one frame: a moving object without a label, or the inside of a
+/// moving labelled box. One type is used for both, because a track can continue before
+/// and after the labels of an object.
 struct MoverCluster {
     double time_s = 0.0;               ///< mean firing time of its returns
     glm::dvec3 centre_m{0.0};          ///< mean position of its returns, world
@@ -28,8 +28,8 @@ struct MoverCluster {
     void merge(const MoverCluster& other);
 };
 
-/// Finds the clusters of moved returns in the given frames. Splits a long log into
-/// sections. The processes of a process group share the sections.
+/// Finds the clusters of points on moving objects in the given frames. Splits a long log
+/// into sections, which the processes of a process group share.
 /// @param positions indices of the frames, ascending
 /// @param visibility tells what these frames observe at a point
 /// @return [positions] clusters of each frame, identical in all processes

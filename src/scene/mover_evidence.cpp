@@ -13,12 +13,13 @@ namespace {
 // Two returns closer than this can belong to the same static object, because poses and
 // ranges have errors.
 constexpr double kSamePlace_m = 0.2;
-// Margin around the box. A moving object leaves the positions outside this margin empty.
+// Margin around the tracked box. Frames in which the enlarged box covers a point are not
+// used for this point.
 constexpr double kClear_m = 0.4;
-// At least this share of a track's returns must be proven to have moved.
+// At least this share of the returns of a track must be proven to lie on a moving object.
 constexpr double kToldShare = 0.25;
-// At least this share of a track's returns must have moved. Returns that no other frame
-// can confirm or disprove are not counted.
+// Other frames confirm or disprove the motion of some returns. At least this share of
+// these returns must be confirmed.
 constexpr double kLeftShare = 0.85;
 constexpr double kProvenShare = 0.5;  // motion must be proven in at least this share of a track's frames
 

@@ -10,31 +10,30 @@
 
 namespace relidar {
 
-/// Counts frames for the position of a return. Some frames show that the object at this
-/// position moved, and other frames show that it stayed.
+/// Number of frames which show that the object at a position has moved, and number of
+/// frames which show that it stayed.
 struct Evidence {
-    /// Number of frames that have a return at the position while the tracked object is
-    /// elsewhere. In these frames the position is still occupied.
+    /// Number of frames with a return at the position although the tracked object is
+    /// elsewhere. Something else occupies the position.
     std::size_t stayed = 0;
     std::size_t left = 0;  ///< frames that observe an empty space at the position
     void operator+=(const Evidence& other) { stayed += other.stayed, left += other.left; }
     bool is_any() const { return stayed + left > 0; }
     bool has_proof_of_rest() const { return stayed > 0 && stayed >= left; }
     bool has_proof_of_motion() const { return left > kMuchMore * stayed; }
-    /// The counts prove motion only if `left` is more than this factor times `stayed`.
-    /// `stayed` can be above zero for a moving object, because other objects pass behind
-    /// or near it.
+    /// Motion is proven if `left` is more than this factor times `stayed`. `stayed` can
+    /// be above zero for a moving object, because other objects pass behind or near it.
     static constexpr std::size_t kMuchMore = 3;
 };
 
-/// Sums the frame counts over all returns of a track, or over a part of the track.
+/// Evidence of motion, summed over all returns of a track or of a part of the track.
 struct EvidenceSum {
     Evidence looks;
     std::size_t returns = 0;
     std::size_t told = 0;   ///< number of returns for which `left` or `stayed` is above zero
     std::size_t moved = 0;  ///< number of returns that other frames prove to have moved
-    /// Number of frames with observations of the object, and number of those frames whose
-    /// returns are proven to have moved.
+    /// Number of frames in which the object was observed, and number of those frames that
+    /// prove its motion.
     std::size_t frames = 0, frames_moved = 0;
     void operator+=(const EvidenceSum& other);
     /// Returns true if the frame counts prove that the object moves. At nearly all

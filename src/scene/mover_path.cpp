@@ -25,8 +25,8 @@ constexpr int kPathRounds = 3;
 // The heading is the direction of a chord. The chord reaches this far along the path in
 // each direction. An error of 3 cm at both ends rotates the chord by less than a degree.
 constexpr double kChord_m = 1.5;
-// Minimum length of the chord, relative to its longer half. A shorter chord means that
-// the path turns back. Such a chord gives no heading.
+// If the chord is shorter than this share of its longer half, the path turns back. Then
+// only the earlier half of the chord gives the heading.
 constexpr double kTurnsBack = 0.3;
 
 /// State of the Kalman filter. Each column is a world axis. The rows are position,

@@ -15,19 +15,19 @@
 namespace relidar {
 namespace {
 
-// time after which a track is interrupted, if no cluster continues the track
+// longest time without a matching cluster before a track is interrupted
 constexpr double kMaxGap_s = 0.35;
 constexpr double kLongestGap_s = 1.5;  // maximum gap across which two parts of a track are joined
 constexpr std::size_t kEndsOfGap = 4;  // minimum number of observations before and after a gap
-// Number of observations from which a velocity is estimated. kNext is used to predict the
-// next frame, and kFar is used to predict across a gap.
+// Number of observations from which a velocity is estimated: kNext for the prediction to
+// the next frame, kFar for the prediction across a gap.
 constexpr std::size_t kNext = 4, kFar = 10;
 constexpr double kFirstSpeed_mps = 15.0;  // maximum speed of an object that has been observed only once
-// An object may be this far from its predicted position: kAcceleration_m, plus
-// kAcceleration_mps for each second since it was last seen.
+// Maximum distance between an object and its predicted position: a constant, plus a
+// distance for each second since the object was last seen.
 constexpr double kAcceleration_m = 0.7, kAcceleration_mps = 4.0;
-// Maximum position error per second of gap. It applies to the prediction across a gap,
-// both forward and backward.
+// Maximum error of a predicted position per second of a gap. The positions on both sides
+// of the gap are predicted.
 constexpr double kOverGap_mps = 0.8;
 // largest allowed difference between the speeds before and after a gap
 constexpr double kOtherSpeed_mps = 2.0;
@@ -75,9 +75,9 @@ double compute_mismatch(const MoverTrack& track, const MoverCluster& cluster) {
            gate;
 }
 
-/// Returns how badly a cluster matches a track, if both can have labels. While an object
-/// has a label, its track accepts only clusters with the same label. A value above 1
-/// means that the cluster is another object.
+/// Returns how badly a cluster matches a track, which may have a label. While the object
+/// has a label, only clusters with the same label match. A value above 1 means that the
+/// cluster is another object.
 double compute_mismatch(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s,
                         const Sequence& sequence) {
     if (track.label == kNoLabel) return compute_mismatch(track, cluster);
@@ -87,8 +87,8 @@ double compute_mismatch(const MoverTrack& track, const MoverCluster& cluster, do
                : compute_mismatch(track, cluster);
 }
 
-/// Collects tracks frame by frame. Keeps a list of the open tracks, which clusters of the
-/// next frame can continue.
+/// Builds tracks frame by frame. A track is open if a cluster of the next frame can
+/// continue it.
 class OpenTracks {
 public:
     explicit OpenTracks(const Sequence& sequence) : sequence_(sequence) {}
@@ -214,7 +214,8 @@ double compute_mismatch_over_gap(const MoverTrack& before, const MoverTrack& aft
                     glm::length(glm::dvec2(from_velocity - to_velocity)) / kOtherSpeed_mps);
 }
 
-/// Pair of tracks. The track `after` may continue the track `before` after a gap.
+/// Two tracks that may belong to the same object: `after` begins some time after the end
+/// of `before`.
 struct GapFit {
     double mismatch;
     std::size_t before, after;

@@ -114,17 +114,17 @@ struct Gap {
 /// the point itself
 Gap measure_gap_between_lines(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours,
                               const glm::dvec3& normal) {
-    // The four nearest neighbours of a point are on the same scan line.
+    // number of nearest neighbours that lie on the same scan line as the point
     constexpr std::size_t kOnLine = 4;
-    // Minimum cosine between `across` and the direction to a neighbour. With a smaller
-    // cosine, the neighbour does not lie across the scan line.
+    // Minimum cosine of the angle between `across` and the direction to a neighbour. A
+    // neighbour at a larger angle is not on the next scan line.
     constexpr double kAcross = 0.7071;
-    // maximum distance from the plane: a share of the horizontal distance, and a constant
+    // maximum distance of a neighbour from the plane: a share of its distance from the
+    // point, plus a constant
     constexpr double kSlope = 0.1, kNoise_m = 0.05;
     const glm::dvec3 point(samples[neighbours[0]].position), x = is_direction_within(normal, 0.0),
                                                              y = glm::cross(normal, x);
-    // Sums the cosine and the sine of twice the angle. Opposite directions along a line
-    // then count as the same direction.
+    // Averages directions of lines. Doubling each angle makes opposite directions equal.
     double even = 0.0, odd = 0.0;
     for (std::size_t j = 1; j < std::min(neighbours.size(), kOnLine + 1); ++j) {
         const glm::dvec3 d = glm::dvec3(samples[neighbours[j]].position) - point;
@@ -209,8 +209,8 @@ Place place_of(const Tree& tree, const std::vector<Sample>& samples, std::size_t
     for (int k = 0; is_line && !place.plane.is_surface && k < kWider; ++k) {
         widen();
         const Plane wider = fit_plane(samples, nearest, samples[index].view, options.flatness);
-        // Uses only the normal of the wider plane. The plane itself is too coarse, so the
-        // point is not moved onto it.
+        // Uses only the normal of the wider plane. That plane is too coarse for the
+        // position of the surfel.
         if (wider.is_surface) place.plane = {samples[index].position, wider.normal, true, true};
     }
     if (!place.plane.is_surface) return place;
@@ -275,7 +275,7 @@ Surfels make_surfels_from_points(const std::vector<Sample>& samples, const Initi
 
 std::vector<Sample> thin_samples(const std::vector<Sample>& samples, std::size_t max_count,
                                  std::vector<std::uint32_t>* kept) {
-    // edge length of a voxel; smaller details are blurred by the jitter of labels
+    // edge length of a voxel; the jitter of labelled boxes blurs smaller details
     constexpr double kVoxel_m = 0.06;
     std::unordered_set<std::uint64_t> seen;
     std::vector<std::uint32_t> first;

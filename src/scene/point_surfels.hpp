@@ -34,10 +34,9 @@ void for_each_return(const Sequence& sequence, const Frame& frame, bool second_r
 }
 
 /// Makes one surfel for each sample, sorted in kd-tree order. If normals are estimated,
-/// the initial intensity depends on the angle of incidence. The log determines how
-/// strongly.
+/// the initial intensity depends on the angle of incidence.
 /// @param samples must not be empty
-/// @param incidence coefficient of IntensityResponse
+/// @param incidence strength of this dependence (IntensityResponse)
 /// @param order output [n]: the index of each surfel's sample
 Surfels make_surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options,
                                  double incidence, const Progress& progress = {},

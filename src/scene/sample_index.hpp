@@ -17,7 +17,7 @@
 
 namespace relidar {
 
-/// Returns the indices of the samples of each frame, by the number of the frame.
+/// Maps the number of each frame to the indices of the samples of this frame.
 inline std::map<int, std::vector<std::uint32_t>> group_by_frame(const std::vector<Sample>& samples) {
     std::map<int, std::vector<std::uint32_t>> groups;
     for (std::size_t i = 0; i < samples.size(); ++i) groups[samples[i].frame].push_back(std::uint32_t(i));

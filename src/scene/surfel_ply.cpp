@@ -37,9 +37,8 @@ constexpr std::size_t kMaxModels = 1u << 24;
 
 const auto& [kGait, kMean, kRotation, kLogScale, kOpacityLogit, kSh, kLogScaleW] = kParameterGroups;
 
-/// A PLY property. It is either a float of a parameter group, or a value that other tools
-/// expect. The properties of the second and third colour have the same values as the
-/// first colour.
+/// A property of the PLY file. It holds a surfel parameter, or a value that only other
+/// tools need. The second and the third colour repeat the values of the first colour.
 struct Property {
     std::string name;
     const ParameterGroup* group = nullptr;  ///< parameter group of the property, or null
@@ -73,8 +72,8 @@ std::vector<Property> list_properties(ParameterSet parameter_set) {
     return list;
 }
 
-/// Returns the third column of the rotation matrix. Returns zero if the quaternion is
-/// zero or not a number.
+/// Returns the normal of a surfel, which is the third column of its rotation matrix.
+/// Returns zero if the quaternion is zero or not a number.
 glm::vec3 compute_normal(const glm::vec4& wxyz) {
     const float length = glm::length(wxyz);
     if (!(length > 0.0f)) return glm::vec3(0.0f);
@@ -98,8 +97,8 @@ float get_property_value(const Property& property, const Surfels& surfels, std::
     return 0.0f;
 }
 
-/// Stores the value of a property in surfel `index`. If the property is the model index,
-/// stores the value in `model` instead.
+/// Stores the value of a PLY property in surfel `index`, or in `model` if the property is
+/// the index of the model.
 /// @param property a property that the reader uses
 void set_value(const Property& property, Surfels& surfels, std::size_t index, std::uint32_t& model,
                float value) {
@@ -281,7 +280,7 @@ Scene parse_surfels(const std::vector<std::byte>& file, const Scene& scene_layou
 }
 
 /// Returns the header of a PLY file.
-/// @param frame name of the frame of the positions
+/// @param frame name of the coordinate frame of the positions
 std::string make_ply_header_text(const Surfels& surfels, const std::vector<Property>& list, const char* frame,
                                  const FileNotes& notes = {}) {
     std::string text = "ply\nformat binary_little_endian 1.0\ncomment relidar ";

@@ -5,11 +5,12 @@
 namespace relidar {
 namespace {
 
-// Minimum length of a vehicle. It is used for objects without a class. Cyclists are
+// An object without a class counts as a vehicle if it is at least this long. Cyclists are
 // shorter.
 constexpr double kShortestVehicle_m = 3.0;
-// Maximum difference between the two sides of a symmetric object. Loose boxes reach it,
-// because the plane of symmetry is then not in the middle of the box.
+// Maximum difference between the left and the right side of a symmetric object. If a box
+// is loose, its middle is not the plane of symmetry, so the difference is larger than
+// zero.
 constexpr double kMostAsymmetry_m = 0.15;
 /// Indices of the spherical harmonics that are odd in y. They are the harmonics with a
 /// negative order.

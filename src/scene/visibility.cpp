@@ -17,25 +17,25 @@ namespace relidar {
 namespace {
 
 constexpr int kMostRows = 96, kEvenRows = 64, kFewestColumns = 64, kMostColumns = 1024;
-// Number of cells per ray along a row. With this ratio, the six cells around a point hold
-// four or five returns.
+// Number of cells of a range image per ray along a row. With this ratio, the six cells
+// around a point contain four or five returns.
 constexpr double kCellsPerRay = 4.0 / 3.0;
 constexpr double kBeyond_rad = 0.002;  // margin at the outermost beams, about the width of a beam
 constexpr int kMinReturns = 3;  // the 2 x 3 cells around a point must contain at least this many returns
 // Number of azimuth sectors of a sweep. One sensor position is used per sector, because
 // the sensor moves only millimetres to centimetres within one sector.
 constexpr int kSectors = 64;
-// Minimum distance of a return behind a point, as a multiple of the error margin. With a
-// larger distance, the ray counts as passing through the point.
+// A point is empty in a frame if the returns around it are farther away by more than this
+// multiple of the error margin.
 constexpr double kBehind = 1.5;
-// Edge length of a tile of the ground. All points of a tile are looked up in the same
-// frames.
+// Edge length of a square tile of the ground. All points of a tile are looked up in the
+// same frames.
 constexpr double kTile_m = 8.0;
-// Maximum distance of the sensor from a tile. A frame from farther away has only one or
-// two returns from a person, and does not observe most positions.
+// Maximum distance between the sensor and a tile of the ground. At a larger distance, a
+// person has only one or two returns.
 constexpr double kNear_m = 40.0;
-// Used if no sensor is within kNear_m of a tile. Then a frame may be farther away than
-// the nearest frame by at most this factor.
+// If no sensor is within kNear_m of a tile, frames are used that are at most this factor
+// farther away than the nearest frame.
 constexpr double kHardlyFarther = 1.25;
 constexpr std::size_t kMostViews = 64;
 
@@ -82,7 +82,7 @@ glm::dvec3 compute_tile_centre(const glm::dvec3& point) {
     return kTile_m * (glm::floor(glm::dvec3(point.x, point.y, 0.0) / kTile_m) + glm::dvec3(0.5, 0.5, 0.0));
 }
 
-/// Removes views until at most kMostViews remain. The remaining views are evenly spaced.
+/// Shortens the list to at most kMostViews views, which are evenly spaced in the list.
 void thin_list(std::vector<std::uint32_t>& views) {
     if (views.size() <= kMostViews) return;
     std::vector<std::uint32_t> kept;
@@ -138,7 +138,7 @@ std::vector<float> BeamGrid::compute_nearest_m(const Scan& scan) const {
 
 Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positions)
     : sequence_(sequence), positions_(positions) {
-    // A LiDAR without views keeps an empty grid. This grid is never read.
+    // If a LiDAR has none of these frames, its grid stays empty and is never read.
     grids_.resize(sequence.lidars.size());
     std::vector<char> has_grid(grids_.size());
     for (const int position : positions) {

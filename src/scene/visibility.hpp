@@ -55,8 +55,8 @@ private:
 /// creates only the images of this part.
 class Visibility {
 public:
-    /// Selects the frames for each tile of the ground, but creates no images. Keeps a
-    /// reference to `sequence`, so `sequence` must not change.
+    /// Selects the frames that observe each tile of the ground. Creates no range images
+    /// yet. Keeps a reference to `sequence`, so `sequence` must not change.
     Visibility(const Sequence& sequence, const std::vector<int>& positions);
 
     /// Creates the range images that these points need. After this call, only these
@@ -83,7 +83,8 @@ public:
     /// @param point_m [3] world
     Votes count_votes(const glm::vec3& point_m) const;
 
-    /// Returns the frames in which a point is looked up, ascending.
+    /// Returns the frames near a point, ascending. The point is looked up in these
+    /// frames.
     /// @param point_m [3] world
     /// @return indices into the positions given to the constructor
     const std::vector<std::uint32_t>& find_views_near(const glm::dvec3& point_m) const;
@@ -102,21 +103,20 @@ private:
     struct View {
         double time_s;
         int lidar;
-        /// One pose for each azimuth sector of the sweep. The pose is valid at the time
-        /// when the LiDAR's head faces the middle of the sector. Empty until the image is
-        /// created.
+        /// One pose for each azimuth sector of the sweep, at the time when the LiDAR head
+        /// faces the middle of the sector. Empty until the image is created.
         std::vector<Pose> sensor_from_world;
         /// [rows * columns] range of the nearest return, or 0 if a cell has no return
         std::vector<float> range_m;
     };
-    /// Range of a point as a view sees it, and the ranges of the returns near the point.
-    /// These returns lie in 6 cells: 3 neighbours in each of the two nearest rows.
+    /// Range of a point, and the ranges of the returns around it in the range image of a
+    /// frame. These returns lie in 6 cells: 3 neighbours in each of the two nearest rows.
     struct Surroundings {
         double range_m = 0.0;
         float returned_m[6];
         int n = 0;
     };
-    /// Frames in which the points of a ground tile are looked up.
+    /// Square tile of the ground, with the frames that can observe points above it.
     struct Tile {
         std::vector<std::uint32_t> views;
         bool wanted = false;

@@ -8,7 +8,7 @@
 namespace relidar {
 namespace {
 
-// Time over which positions are averaged, because the boxes of labels jitter.
+// Time over which positions are averaged, because labelled boxes jitter.
 constexpr double kAverage_s = 1.0;
 constexpr double kStands_mps = 0.2;
 

@@ -17,15 +17,14 @@
 namespace relidar {
 namespace {
 
-/// A setting that changes a kernel or its specialisation constants.
+/// A setting whose value changes a kernel or its specialisation constants.
 struct Setting {
     const char* key;
     const char* value;
 };
 
-// Settings that change a kernel. Each setting is compiled on top of the preset `default`,
-// one at a time. The loss terms are compiled in the same way. Add a row here for each new
-// specialisation constant.
+// Settings that change a kernel. For each row, the kernels are compiled with the preset
+// `default` and this one setting. Add a row for each new specialisation constant.
 constexpr Setting kSettings[] = {{"image.sh_direction", "ray"},
                                  {"image.sh_direction", "surfel"},
                                  {"image.single_drop_logit", "true"},
@@ -52,7 +51,7 @@ void compile_for(Device& device, const Sequence& street, const Config& config) {
     const ScanRenderer renderer(device, scene, config, street);
 }
 
-/// Compiles all variants of the ray search. A running program uses only one variant,
+/// Compiles all variants of the ray traversal. A running program uses only one variant,
 /// which depends on the type of the device.
 void compile_searches(Device& device, const Sequence& street) {
     const Config config = make_preset("default");
@@ -103,7 +102,7 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
         compile_drop_network(device, options);
     }
     report("summation of hits in a fixed order");
-    // Compiles this sort here, because BackwardPass creates the sort only for its first
+    // Compiles the sort kernels of BackwardPass, which creates them only for its first
     // batch.
     const RadixSort by_row(device, 1, 1);
 }

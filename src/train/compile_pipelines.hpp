@@ -10,9 +10,9 @@ namespace relidar {
 
 class Device;
 
-/// Compiles every pipeline that training and rendering use. Compiles the kernels of each
-/// preset. Then compiles each setting that changes a kernel, one at a time. Afterwards,
-/// Device::pipelines() lists the pipelines.
+/// Compiles every pipeline that training and rendering use: the kernels of each preset,
+/// and of each setting that changes a kernel. Afterwards, Device::pipelines() lists the
+/// pipelines.
 /// @param device  must be opened with DeviceOptions::compile_only
 /// @param progress  called with the name of each preset or setting before it is compiled
 void compile_pipelines(Device& device, const std::function<void(const std::string&)>& progress = {});

@@ -22,17 +22,17 @@ struct LogLine {
     int step = 0;
     std::array<double, kLossTerms> terms{};  ///< mean losses over the iterations since the last line
     std::uint32_t n_surfels = 0;             ///< number of surfels after this step
-    /// number of surfels that densification added or removed since the last line
+    /// number of surfels that were added or removed (densification) since the last line
     DensifyReport densified;
 };
 
 /// Counters on the device. Each report copies the counters and resets them to 0.
 struct DeviceCounts {
-    /// [1] number of rays that stopped because they reached the maximum number of passes
+    /// [1] number of rays whose traversal was cut off at the maximum number of passes
     /// (ForwardPass::pass_cap_count)
     const Array<std::uint32_t>* pass_cap = nullptr;
-    /// [1] largest number of hits in one iteration (BackwardPass::most_hits); null if the
-    /// counter is not needed
+    /// [1] largest number of ray-surfel hits in one iteration (BackwardPass::most_hits);
+    /// null if not needed
     const Array<std::uint32_t>* most_hits = nullptr;
     std::uint64_t hit_capacity = 0;
     /// [1] number of rays with more hits than can be stored (ForwardPass::overfull_count)
@@ -44,31 +44,31 @@ class IterationReports {
 public:
     explicit IterationReports(Device& device);
 
-    /// Returns the row to which the current iteration adds its losses.
+    /// Returns the row of the loss table to which the current iteration adds its losses.
     TermRow row() const { return {terms_, static_cast<std::uint32_t>(iterations_.size())}; }
     /// Adds an iteration after its GPU commands were recorded.
     /// @param frame  frame number of the dataset
     void add(int step, int frame) { iterations_.push_back({step, frame}); }
     bool is_full() const { return iterations_.size() == kRows; }
-    /// Requests a copy of all losses and counters since the last report, without waiting.
-    /// Call it after add(), at most once for each iteration.
+    /// Starts to copy all losses and counters since the last report to the host. Does not
+    /// wait. Call it after add(), at most once per iteration.
     /// @param line  log line that ends with these iterations, if any
     void close(Stream& stream, const DeviceCounts& counts, const std::optional<LogLine>& line);
 
-    /// Contents of a report that was copied to the host.
+    /// Counters of a group of iterations, copied from the device.
     struct Report {
         int first_step, last_step;
         std::uint32_t pass_cap, most_hits, overfull;
-        /// Hit capacity at the time at which close() was called. kept_hits refers to the
-        /// same time.
+        /// capacity of the hit buffer, and stored hits per ray, when close() was called
         std::uint64_t hit_capacity;
         std::uint32_t kept_hits;
     };
-    /// Returns the oldest report that was not returned before, if it ends at iteration
-    /// `last` or earlier. Waits if the device has not finished the report.
+    /// Returns the oldest unread report if it ends at iteration `last` or earlier. Waits
+    /// if the device has not finished the report.
     /// @throws DataError naming iteration, frame and term if a loss is not finite
     std::optional<Report> take(Stream& stream, int last);
-    /// Returns and removes the log lines of the reports that take() has returned.
+    /// Returns the log lines of the reports that take() has returned, and removes them
+    /// here.
     std::vector<LogLine> collect_lines() { return std::exchange(lines_, {}); }
 
     template <class Visitor>
@@ -103,7 +103,7 @@ private:
     /// [kReadbackLag] host buffers; iteration i uses buffer i modulo kReadbackLag
     std::vector<Slot> slots_;
     std::deque<Closed> closed_;  ///< reports that the host has not read yet, oldest first
-    /// [kLossTerms] sums of the losses over the reports since the last log line
+    /// [kLossTerms] sum of each loss over the iterations since the last log line
     std::vector<double> sums_;
     std::uint64_t n_summed_ = 0;  ///< number of iterations in sums_
     std::vector<LogLine> lines_;

@@ -42,14 +42,14 @@ Sequence load_log(const Config& config, const Progress& progress, int max_scans)
 
 namespace {
 
-/// Returns true if the log provides poses of the sensor. The registration of scans can
-/// then start from these poses.
+/// Returns true if the log provides vehicle poses from which the registration of scans
+/// can start.
 bool has_poses(const Sequence& sequence, const Config& config) {
     return config.dataset.poses != kNoPoses && sequence.has_poses;
 }
 
-/// Differences between the poses of a log before and after the registration: median and
-/// maximum of the shift and of the rotation.
+/// How much the registration changed the poses of a log: median and maximum of the shift
+/// and of the rotation.
 struct PoseCorrections {
     double median_m = 0.0, most_m = 0.0, median_deg = 0.0, most_deg = 0.0;
 
@@ -105,7 +105,8 @@ std::string describe_loops(const Registration& registration) {
         registration.n_loop_closures, registration.largest_loop_error_m);
 }
 
-// Maximum fraction of scans that may fail to register. One failed scan is always allowed.
+// Maximum fraction of scans whose registration may fail. One failed scan is always
+// allowed.
 constexpr double kMostLost = 0.05;
 
 /// Prints which scans could not be registered.
@@ -130,7 +131,7 @@ void report_lost_scans(const Sequence& sequence, const Registration& registratio
     session.tell(text + "; their poses are interpolated from their neighbours");
 }
 
-/// Registers the scans of the log with each other, which estimates their poses.
+/// Estimates the vehicle poses by registering the scans of the log with each other.
 /// @return a registration; its `done` is set if it has new poses
 Registration register_log(Sequence& sequence, const Split& split, const Config& config,
                           const PrepareSession& session) {
@@ -224,8 +225,8 @@ void throw_if_interrupted(const PrepareSession& session) {
                     "interrupted during the preparation of the log, before the training started");
 }
 
-/// Calibrates the beams in the first process, and sends the results to all other
-/// processes of the group.
+/// Calibrates the beams of all LiDARs. The first process computes the results and sends
+/// them to the other processes.
 void calibrate(Sequence& sequence, const Split& split, const SensorConfig& config,
                const PrepareSession& session) {
     if (session.group.is_first()) {
@@ -264,8 +265,8 @@ std::string describe_box(const BoxTrack& box) {
         glm::distance(track.pose.front().translation, track.pose.back().translation) / seconds, seconds);
 }
 
-/// Returns a text about a labelled object that was also observed outside its labels. The
-/// text contains the id, and the numbers of frames before and after the labels.
+/// Describes a labelled object that was also observed without a label: its id, and the
+/// numbers of frames before and after the labels.
 std::string describe_continuation(const BoxTrack& box) {
     std::vector<std::string> sides;
     if (box.n_before > 0) sides.push_back(fmt::format("{} frames before the first label", box.n_before));
@@ -296,8 +297,8 @@ void add_discovered(Sequence& sequence, const Split& split, const PrepareSession
                                  fmt::join(extended, ", ")));
 }
 
-/// Refines the poses of moving boxes by registering their points. The first process does
-/// this, and sends the poses to all other processes of the group.
+/// Refines the poses of moving boxes by registering their points. The first process
+/// computes the poses and sends them to the other processes.
 void register_boxes(Sequence& sequence, const Split& split, const PrepareSession& session) {
     ActorRegistration registration;
     if (session.group.is_first())

@@ -7,10 +7,10 @@
 
 namespace relidar {
 
-/// The host reads the report of iteration i just before it records iteration i +
-/// kReadbackLag. At this time, the stream waits for iteration i in any case, because it
-/// reuses the command buffer. Therefore reading the report needs no additional wait.
-/// Training is repeatable, because the lag is constant.
+/// Number of iterations after which the host reads the report of an iteration. At this
+/// time, the stream waits for that iteration anyway, because it reuses the command
+/// buffer. Therefore reading needs no additional wait. Training is repeatable, because
+/// the number is constant.
 inline constexpr int kReadbackLag = static_cast<int>(Stream::Impl::kSlots);
 
 }  // namespace relidar

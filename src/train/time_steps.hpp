@@ -28,8 +28,8 @@ struct StepTimes {
     double compute_interval_ms() const { return wall_ms - kernels_ms; }  ///< time in which no kernel runs
 };
 
-/// Maximum number of timed steps. The limit is needed because the times of all launches
-/// are kept in memory.
+/// Maximum number of timed steps, because the times of all kernel launches are kept in
+/// memory.
 inline constexpr int kMostTimedSteps = 500;
 
 /// Continues training from the scene of a run and measures the time of each step. Uses

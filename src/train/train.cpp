@@ -26,9 +26,9 @@ double measure_seconds_since(Clock::time_point start) {
     return std::chrono::duration<double>(Clock::now() - start).count();
 }
 
-/// Returns the options of the initialisation. If the model has a single drop logit, the
-/// logit starts with the difference of the two usual logits. This gives the same ray-drop
-/// probability (docs/method.md M6).
+/// Returns the options for the initial scene. A model with a single drop logit starts
+/// with the difference of the usual two logits, which gives the same ray-drop probability
+/// (docs/method.md M6).
 InitialiseOptions start_options(const Config& config) {
     InitialiseOptions options = config.init;
     options.seed = config.train.seed;
@@ -47,7 +47,8 @@ Scene start_scene(const Sequence& sequence, const Split& split, const Config& co
     return scene;
 }
 
-/// Prints which moving boxes have no surfels, because training ignores their returns.
+/// Prints which moving boxes have no surfels. Training ignores the returns in these
+/// boxes.
 void report_masked_boxes(const Scene& scene, const Sequence& sequence, const Config& config,
                          const TrainSession& session) {
     const std::vector<BoxTrack> masked = find_masked_boxes(scene, sequence, config.init);
@@ -68,9 +69,9 @@ void report_sent_frames(const TrainingFrames& frames, const Config& config, cons
                     frames.n_resident(), frames.all().size(), config.train.frame_memory_mib));
 }
 
-/// Returns the settings, and disables pose refinement if the poses cannot be determined.
-/// If all training frames belong to one sweep, nothing constrains the pose of this sweep.
-/// The pose and the scene would then drift away from the poses of all other sweeps.
+/// Turns the refinement of the sensor's poses off if all training frames belong to one
+/// sweep. Nothing constrains the pose of a single sweep, so its pose and the scene would
+/// drift away from the poses of the other sweeps.
 Config disable_undetermined_poses(Config config, const Sequence& sequence, const Split& split,
                                   const Scene& initial, const TrainSession& session) {
     const auto frame = [&](int position) -> const Frame& { return sequence.frames[std::size_t(position)]; };
@@ -95,8 +96,8 @@ bool should_log_at(int step, const TrainConfig& config) {
     return step == 1 || step % std::max(1, config.log_every) == 0 || step == config.iterations;
 }
 
-/// Downloads the trained scene and its poses. Estimates the ray-drop of the sensor and
-/// the coverage.
+/// Downloads the trained scene and its poses. Then estimates the ray-drop of the sensor,
+/// and the space that the log observed.
 void read_scene(TrainLoop& loop, Device& device, const Sequence& sequence, const Split& split,
                 const Config& config, const TrainSession& session, TrainResult& result) {
     result.interrupted = result.iterations < config.train.iterations;
@@ -128,7 +129,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     report_masked_boxes(initial, sequence, config, session);
 
     begin_stage(session.stages, "train");
-    // Keeps the settings in a variable, because the loop stores a reference to them.
+    // must outlive the training loop, which stores a reference to these settings
     const Config findable = disable_undetermined_poses(config, sequence, split, initial, session);
     if (session.progress) session.progress("allocating memory and loading kernels", 0.0);
     TrainLoop loop(device, sequence, split, initial, findable);

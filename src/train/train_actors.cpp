@@ -18,22 +18,23 @@
 namespace relidar {
 namespace {
 
-// Margin around the box of an actor. It includes the rays at the silhouette of the actor.
+// Margin around the box of an actor, so that rays that pass just beside the actor are
+// also used.
 constexpr double kBeside_m = 0.5;
 constexpr double kSweep_m = 0.2;  // maximum distance that a sensor moves while its beam crosses an actor
 constexpr double kAlong_m = 2.0;  // maximum distance that a sensor moves during half a sweep
-// Radius of a surfel in standard deviations. Beyond this radius, the alpha of the surfel
-// is too small to contribute.
+// Radius of a surfel in standard deviations. Farther out, the surfel is too transparent
+// to matter.
 constexpr double kReach_sigmas = 3.5;
-// Maximum number of surfels in the blocks of one training. Only the surfels near actors
-// are used from these blocks.
+// Maximum total number of surfels in the scene blocks that are loaded for one training.
+// Of these blocks, only the surfels near actors are used.
 constexpr std::size_t kTogether = 1'500'000;
-// Maximum probability with which the sensor itself drops a ray. Rays with a higher
-// probability are skipped, because they carry no information about actors.
+// Rays are skipped if the sensor itself drops them with a higher probability than this,
+// because they carry no information about actors.
 constexpr float kBlind = 0.5f;
 
-/// An actor in one sweep. Also holds the sensor position at the time when the sensor's
-/// head faces the actor.
+/// An actor in one sweep, and the sensor position at the time when the LiDAR head faces
+/// the actor.
 struct Sight {
     glm::dvec3 sensor_m;
     InstancePose placed;
@@ -43,8 +44,8 @@ struct Sight {
     /// @param after_s  firing time of the ray, relative to the reference time of the
     /// sweep
     bool is_hit_by(const WorldRay& ray, double after_s) const { return meets(ray, after_s, kBeside_m); }
-    /// Returns true if a ray that hits the actor's box can also hit this sphere. The
-    /// sphere can be in front of the actor or behind it.
+    /// Returns true if a ray to the actor's box can also hit this sphere, in front of the
+    /// actor or behind it.
     bool can_observe(const glm::dvec3& point_m, double reach_m) const {
         const double driven_length_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
         return meets({sensor_m, glm::normalize(point_m - sensor_m)}, placed.motion.middle_s,
@@ -71,14 +72,14 @@ struct SightedFrame {
     }
 };
 
-/// Frames that are trained together, and the scene blocks that the rays of these frames
-/// can reach.
+/// Section of the log: frames that are trained together, and the scene blocks that their
+/// rays can reach.
 struct Stretch {
     std::vector<SightedFrame> frames;
     std::set<std::size_t> blocks;
 };
 
-/// Returns the track of each LiDAR. Compute the tracks only once, because each track has
+/// Returns the track of each LiDAR. The result should be reused, because each track has
 /// as many poses as the log has sweeps.
 std::vector<PoseTrack> list_sensor_tracks(const Sequence& sequence) {
     std::vector<PoseTrack> tracks;
@@ -87,7 +88,7 @@ std::vector<PoseTrack> list_sensor_tracks(const Sequence& sequence) {
     return tracks;
 }
 
-/// Returns a frame together with the actors that are within the range of its returns.
+/// Returns a frame and the actors that are near enough to have returns in it.
 SightedFrame find_visible_actors(const Run& run, int position, const std::vector<PoseTrack>& tracks) {
     const Frame& frame = run.sequence.frames[std::size_t(position)];
     const PoseTrack& world_from_sensor = tracks[std::size_t(frame.lidar)];
@@ -127,7 +128,7 @@ std::vector<Stretch> divide_into_stretches(const Run& run, const std::vector<Pos
 }
 
 /// Returns the rays of a scan that pass near an actor, as a list without rows and
-/// columns. Leaves out rays that the sensor drops with a high probability.
+/// columns. Leaves out rays that the sensor itself usually drops.
 Scan select_rays_near(const Run& run, const Frame& frame, const PoseTrack& world_from_sensor,
                       const std::vector<Sight>& sights) {
     const Scan& all = frame.scan;
@@ -150,7 +151,7 @@ Scan select_rays_near(const Run& run, const Frame& frame, const PoseTrack& world
     return scan;
 }
 
-/// Returns the log of a section. Its frames contain only the rays near actors.
+/// Returns the part of the log for one section. Its frames contain only rays near actors.
 Sequence log_of(const Run& run, const Stretch& stretch, const std::vector<PoseTrack>& tracks) {
     std::vector<Frame> frames(stretch.frames.size());
     parallel_for(static_cast<int>(frames.size()), [&](int index) {
@@ -167,7 +168,7 @@ Sequence log_of(const Run& run, const Stretch& stretch, const std::vector<PoseTr
     return log;
 }
 
-/// Returns the surfels on the rays that pass near actors.
+/// Returns the surfels that a ray can hit if it passes near an actor.
 Surfels select_surfels_along_rays(const Surfels& surfels, const std::vector<const SightedFrame*>& frames) {
     std::vector<std::uint8_t> kept(surfels.size(), 0);
     for_each_block(surfels.size(), [&](std::size_t index) {
@@ -186,8 +187,8 @@ Surfels select_surfels_along_rays(const Surfels& surfels, const std::vector<cons
     return surfels.reorder(order);
 }
 
-/// Scene in which the actors of a section are trained. `extent_m` is the mean extent of
-/// the backgrounds of its blocks.
+/// Scene in which the actors of one section of the log are trained. `extent_m` is the
+/// mean extent of its background blocks.
 struct StretchScene {
     Scene scene;
     double extent_m = 1.0;
@@ -210,8 +211,8 @@ StretchScene make_scene_of_stretch(const Run& run, const Stretch& stretch) {
     return {add_background(run.scene, background), extent_m};
 }
 
-/// Returns the settings for training actors. Keeps the schedule and uses all rays. Does
-/// not refine poses or change the number of surfels.
+/// Returns the settings for training only the actors. Uses all rays, and does not refine
+/// poses or change the number of surfels.
 Config make_settings(const Config& config, std::size_t n_frames) {
     Config c = config;
     TrainConfig& t = c.train;

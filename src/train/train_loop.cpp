@@ -51,8 +51,8 @@ namespace {
 /// because few views observe how the intensity depends on the direction.
 constexpr double kShRestFactor = 0.05;
 
-// Number of iterations between two checks. Each check tests how much the acceleration
-// structure has grown.
+// Number of iterations between two checks of how much the acceleration structure has
+// grown.
 constexpr int kGrowthEvery = 32;
 
 LearningRates compute_learning_rates(const TrainConfig& config, double extent_m, int step) {
@@ -85,14 +85,14 @@ std::vector<float> compute_mean_factors(const Scene& layout, double background_e
     return factors;
 }
 
-/// Returns the highest active degree of the spherical harmonics. The image model can
-/// limit it to a lower degree.
+/// Returns the degree of the spherical harmonics that is active in a training step. The
+/// image model can limit the degree further.
 int get_sh_degree_at(const TrainConfig& config, int step) {
     return config.sh_degree_start + std::max(step - 1, 0) / std::max(1, config.sh_degree_interval);
 }
 
-/// Describes how often the acceleration structures are refitted to the surfels. Surfels
-/// move between two refits, so a margin around their boxes prevents missed hits.
+/// Describes how often the acceleration structures are refitted to the moving surfels.
+/// Between two refits, a margin around the surfels' boxes prevents missed hits.
 struct TreeFits {
     int every = 1;  ///< iterations between two refits
     AccelOptions accel;
@@ -110,12 +110,11 @@ TreeFits choose_tree_fits(const Config& config, std::uint32_t n_fixed) {
     return {2, {.margin_scale = 1.05f, .margin_m = 0.003f}};
 }
 
-/// Returns true if the acceleration structures must be refitted in this step. While the
-/// learning rate is high, surfels could outgrow the margin between two refits. Then every
-/// step refits.
+/// Returns true if the acceleration structures must be refitted in this step. Refits in
+/// every step while the learning rate is so high that surfels could outgrow the margin.
 bool should_fit_tree(const TreeFits& fits, const TrainConfig& config, int step) {
-    // Surfels may grow by this fraction of the tree's margin before a refit. The
-    // remainder is reserved for growing opacities, which also enlarge surfels.
+    // Share of the tree's margin that surfels may use by growing before a refit. The
+    // remainder is needed because rising opacity also enlarges surfels.
     constexpr double kShare = 0.9;
     const double growth = (fits.every - 1) * compute_learning_rates(config, 1.0, step).log_scale;
     return growth > kShare * std::log(fits.accel.margin_scale) || (step - 1) % fits.every == 0;
@@ -129,9 +128,9 @@ RendererOptions make_renderer_options(const Config& config, const TrainingFrames
             .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)};
 }
 
-/// Returns the maximum scale of each surfel. The limit is proportional to the initial
-/// scale. Surfels that are close together start small and do not need to grow much.
-/// Surfels that are far apart must be able to close the holes between them.
+/// Returns the maximum scale of each surfel, proportional to its initial scale. Surfels
+/// close to each other start small and need little growth. Surfels far apart must be able
+/// to close the holes between them.
 std::vector<float> scale_bounds(const Surfels& surfels, double max_growth) {
     std::vector<float> bounds;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
@@ -143,7 +142,7 @@ std::vector<float> scale_bounds(const Surfels& surfels, double max_growth) {
 }
 
 /// Returns true if every surfel gets a gradient in each iteration, even if no ray hits
-/// it. The box loss causes such gradients, because it depends only on the surfels.
+/// it. The box loss has this effect, because it depends only on the surfels.
 bool have_all_gradients(const Config& config) { return config.loss.box > 0.0f && !config.train.only_touched; }
 
 Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene, const Config& config) {
@@ -155,7 +154,7 @@ Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene
     return masks;
 }
 
-/// Returns the grid whose cells are used as training rays. Returns nothing if training
+/// Returns the range grid whose cells are used as training rays, or nothing if training
 /// uses the rays of the sensor.
 /// @throws UsageError if another setting requires the rays of the sensor
 std::optional<RangeGrid> get_trained_grid(const Config& config) {
@@ -203,20 +202,20 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
     for (std::size_t i = 0; i < frames_.all().size(); ++i)
         frames_[i].placed = place_instances(
             initial, sequence, get_sweep_moment(sequence.frames[std::size_t(frames_[i].position)]));
-    // Limits the size of surfels only if densification is off. Densification splits large
-    // surfels, so it needs no limit.
+    // Limits the size of surfels. With densification, large surfels are split, so no
+    // limit is needed.
     if (config.densify.strategy == DensifyStrategy::none)
         adam_.bound_scales(device, scale_bounds(initial.surfels, config.train.max_growth));
 }
 
 TrainLoop::~TrainLoop() {
     try {
-        // Waits for the device, because it may still use the arrays when training ends
+        // Waits for the device, because it may still use the arrays if training ended
         // with an exception.
         stream_.finish();
     } catch (const Error&) {
-        // Ignores the error. It was already reported, and a lost device no longer uses
-        // the arrays.
+        // Ignores the error, because it was already reported. A lost device no longer
+        // uses the arrays.
     }
 }
 
@@ -315,19 +314,18 @@ void TrainLoop::check_room(const IterationReports::Report& report) {
             "{} hits, expected at most {}; use fewer rays per iteration (train.rays_per_iteration)",
             report.first_step, report.last_step, report.most_hits, report.hit_capacity));
     if (report.most_hits <= differentiable_.backward_pass().hit_capacity() / 2) return;
-    // finishes the report of the iterations that used the current capacity
+    // ends the current report here, because it belongs to the old capacity
     close_report(last_step_, false);
-    // Reserves space for twice this number of hits, before the capacity is exceeded.
+    // Doubles the reserved space before the number of hits exceeds it.
     differentiable_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));
 }
 
 void TrainLoop::keep_more_hits(const IterationReports::Report& report) {
-    // Ignores reports of iterations from before the last increase of the number of stored
-    // hits.
+    // Ignores reports from before the last increase of the hits per ray.
     if (report.kept_hits != renderer_.kept_hits() || no_room_to_keep_more_) return;
     const std::uint32_t n_hits = recommend_kept_hits(report.kept_hits, report.overfull);
     if (n_hits == report.kept_hits) return;
-    // finishes the report of the iterations that used the current number of stored hits
+    // ends the current report here, because it belongs to the old number of hits per ray
     close_report(last_step_, false);
     try {
         renderer_.keep_hits(n_hits);
@@ -356,8 +354,7 @@ void TrainLoop::save(Checkpoint& checkpoint) {
 }
 
 void TrainLoop::restore(const Checkpoint& checkpoint) {
-    // waits for the submitted iterations, because their results would overwrite the
-    // restored state
+    // waits for pending iterations, because they would overwrite the restored state
     settle();
     visit_state(StateReader(checkpoint));
     last_step_ = checkpoint.iteration;
@@ -370,16 +367,16 @@ void TrainLoop::restore(const Checkpoint& checkpoint) {
 }
 
 DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequence) {
-    // Number of rays of a frame in one batch. Over a full log, each bin of the drop table
-    // gets hundreds of rays.
+    // Number of rays in a batch of one frame. In a full log, each bin of the drop table
+    // then gets hundreds of rays.
     constexpr std::uint32_t kRays = 20000;
-    // Minimum number of rays for each bin of the drop table. A short log may need all its
-    // rays to reach this number.
+    // Minimum number of rays per bin of the drop table. A short log may need all its rays
+    // for this.
     constexpr std::size_t kRaysPerBin = 20;
     Config some_rays = config_;
     some_rays.train.rays_per_iteration = kRays;
-    // disables the image loss, so that a batch contains rays of all directions and not
-    // one window
+    // Turns the image loss off, because it needs a window of columns. Without it, a batch
+    // contains rays of all directions.
     some_rays.loss.intensity_ssim = 0.0f;
     BatchSampler batches(device, some_rays, frames_.all());
     DropCounts counts(sequence);
@@ -388,7 +385,8 @@ DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequen
     const std::size_t rays_of_frame =
         kRaysPerBin * counts.bins() / std::max<std::size_t>(1, frames_.all().size());
     for (std::size_t k = 0; k < frames_.all().size(); ++k) {
-        // Refits before the first frame, because the last iteration moved the surfels.
+        // The last iteration moved the surfels, so the tree is refitted before the first
+        // frame.
         const FrameData& frame = make_resident(k, k == 0);
         if (k + 1 < frames_.all().size()) frames_.expect(k + 1);
         const std::uint32_t first = batches.draw_first(frame, sampler_.random());
@@ -404,8 +402,8 @@ DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequen
 
 void TrainLoop::count_dropped_rays(DropCounts& counts, const Sequence& sequence, const FrameData& frame,
                                    const SampledBatch& batch) {
-    // Minimum blending weight of a counted ray: a ray below it hit no solid surface.
-    // Blind rays always count, because no surface was trained for them.
+    // A ray hits a solid surface if its blending weight is above this value. Other rays
+    // are not counted, except in blind directions, for which no surface was trained.
     constexpr float kSolid = 0.9f;
     const Frame& sweep = sequence.frames[std::size_t(frame.position)];
     const DropTable& observed = frames_.unknown().observed_drops;

@@ -23,7 +23,7 @@
 
 namespace relidar {
 
-/// Draws frames in random order. Each frame is drawn once in an epoch.
+/// Draws training frames in random order. Each frame is drawn once per epoch.
 class FrameSampler {
 public:
     FrameSampler(std::size_t n, std::uint64_t seed);
@@ -51,8 +51,7 @@ private:
 class TrainLoop {
 public:
     /// Creates the loop and its arrays on the device.
-    /// @param n_fixed  number of surfels at the beginning of the scene that are not
-    /// trained
+    /// @param n_fixed  the first n_fixed surfels of the scene are not trained
     /// @param extent_m  extent of the background in metres; if empty, it is computed from
     /// the initial scene
     TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial,
@@ -70,8 +69,8 @@ public:
     /// @throws DataError naming iteration, frame and term if a loss was not finite in the
     /// last 64 + kReadbackLag iterations
     void run_iteration(int step, bool ends_line = false);
-    /// Returns the log lines that became available since the last call. The line of an
-    /// iteration becomes available kReadbackLag iterations later, or after settle().
+    /// Returns the new log lines since the last call. The line of an iteration becomes
+    /// available kReadbackLag iterations later, or after settle().
     std::vector<LogLine> collect_lines() { return reports_.collect_lines(); }
     /// Waits for all submitted iterations and reads their reports.
     /// @throws DataError if a loss of these iterations was not finite
@@ -88,7 +87,7 @@ public:
     /// @throws DataError if the state does not match
     void restore(const Checkpoint& checkpoint);
     /// Estimates the probability that the sensor itself drops a ray. Uses only rays for
-    /// which the current scene predicts a return. Waits for the device.
+    /// which the scene predicts a return. Waits for the device.
     DropTable estimate_sensor_drop(Device& device, const Sequence& sequence);
     /// Returns the current poses, or nothing if no poses are refined.
     std::optional<RefinedPoses> copy_refined_poses() const {
@@ -126,8 +125,8 @@ private:
     bool no_room_to_keep_more_ = false;
 
     /// Passes every state variable of the loop to a visitor, which reads or writes a
-    /// checkpoint. State that is not listed here is lost when training is resumed. Add a
-    /// line for each new state variable.
+    /// checkpoint. A state variable that is missing here is lost when training is
+    /// resumed.
     template <class Visitor>
     void visit_state(Visitor&& visit) {
         visit("parameters", renderer_.scene().parameters());
@@ -149,11 +148,12 @@ private:
             visit(std::string("densify/report/") + name, densified_.*count);
     }
 
-    /// Records GPU commands that set up one frame for this step: its rays, the poses of
-    /// its instances, and the surfel intensities for its sensor position.
+    /// Sets up one frame for this step: its rays, the poses of its instances, and the
+    /// surfel intensities seen from its sensor position. Records the GPU commands for
+    /// this.
     const FrameData& place(std::size_t frame_index, int step);
-    /// Uploads a frame to the device if the frame is not there yet. Moves the instances
-    /// to their poses in this frame.
+    /// Uploads a frame if it is not on the device, and moves the instances to their poses
+    /// in this frame.
     /// @param surfels_changed  true if surfels have changed since the last frame
     const FrameData& make_resident(std::size_t frame_index, bool surfels_changed);
     /// Records GPU commands that render a batch, and compute its losses and gradients.
@@ -162,14 +162,14 @@ private:
     void check_reports(int last);
     void close_report(int step, bool ends_line);
     /// Compares the number of hits in a report with the capacity of the hit buffer.
-    /// Increases the capacity if the hits used more than half of it.
+    /// Increases the capacity if more than half of it was used.
     /// @throws DeviceError if a deterministic step exceeded the capacity
     void check_room(const IterationReports::Report& report);
-    /// Increases the number of hits that the forward pass stores per ray, if too many
-    /// rays had more hits. Then almost no ray must be searched twice.
+    /// Increases the number of hits that are stored per ray if too many rays had more
+    /// hits, because these rays must be traced twice.
     void keep_more_hits(const IterationReports::Report& report);
-    /// Selects the rays of a batch for which the scene predicts a return, and adds them
-    /// to `counts`.
+    /// Counts the rays of a batch for which the scene predicts a return, and how many
+    /// were dropped.
     void count_dropped_rays(DropCounts& counts, const Sequence& sequence, const FrameData& frame,
                             const SampledBatch& batch);
     void change_surfels(const std::function<DensifyReport(double others_bytes)>& change);

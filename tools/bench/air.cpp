@@ -24,8 +24,8 @@ namespace {
 using namespace relidar;
 
 constexpr float kOnSurface_m = 0.05f, kFar_m = 0.3f;
-// Number of directions in which rays are cast around a point. With this number, the
-// normal of any surface is within 7 degrees of one of the directions.
+// Number of test rays that start at a point in all directions. They are dense enough that
+// one of them is within 7 degrees of the normal of any surface.
 constexpr std::size_t kProbes = 256;
 constexpr std::size_t kTogether = 4096;  // Number of points whose test rays are cast together.
 
@@ -41,14 +41,14 @@ std::array<glm::vec3, kProbes> make_directions_all_around() {
     return directions;
 }
 
-/// The exact street, and a pose of the sensor at one time.
+/// Exact synthetic street, path of the sensor, and time of a scan.
 struct Place {
     const SyntheticOptions& street;
     const PoseTrack& world_from_sensor;
     double time_s;
 };
 
-/// End points of the rays of a scan, and the exact ranges of the street along the same
+/// Simulated rays and their ranges, and the exact ranges of the street along the same
 /// rays.
 struct RayEnds {
     const RayTable& rays;
@@ -104,7 +104,7 @@ std::vector<float> measure_distances(const Place& place, const RayEnds& points,
 struct Count {
     std::size_t points = 0, in_air = 0, far_out = 0, at_another_range = 0;
 
-    /// Counts the points of a scan: all points, and points in empty space.
+    /// Counts the points of a scan, and how many of them float in empty space.
     /// @param ends  simulated and true ranges of the rays
     /// @param scan  the same scan; its drop probabilities select the rays with a return
     void add(const Place& place, const RayEnds& ends, const RenderedScan& scan) {

@@ -39,8 +39,8 @@ void print_kernels(const KernelTimes& times, int steps) {
 }
 
 void measure(const DeviceOptions& chosen, const RefineOptions& options, int rows, int columns, int repeat) {
-    // Opens the device again for each image size. The peak of the device memory then
-    // belongs to this size.
+    // Opens a new device for each image size, so that the peak of the device memory
+    // belongs to this size only.
     Device device(from_environment(chosen));
     MeasuredDropNetwork network(device, options, rows, columns);
     // Measured during training.

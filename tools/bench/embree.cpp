@@ -37,11 +37,11 @@ using Context = RTCIntersectContext;
 #endif
 
 constexpr int kMaxChunk = 64, kMaxPasses = 4096;
-// Margins around the bounding shapes of surfels, as in AccelOptions.
+// Margins around the shapes that bound the surfels: a factor and a distance, as in
+// AccelOptions.
 constexpr float kGrow = 1.002f, kPad_m = 1e-4f;
 
-/// Data that are needed to blend the hit of a surfel, including the coefficients of its
-/// channels.
+/// Geometry and opacity of a surfel, from which hits of rays are computed.
 struct Record {
     glm::vec3 mean;
     float opacity;
@@ -63,8 +63,8 @@ struct World {
     std::vector<float> sh;
 };
 
-/// State of one pass of a ray. The context must be the first member, because Embree
-/// passes only its address to the filter.
+/// State of a ray while it searches its next hits. The context must be the first member,
+/// because Embree passes only its address to the filter callback.
 struct Query {
     Context context;
     const World* world;
@@ -85,8 +85,8 @@ struct Query {
         if (!(hit.alpha >= world->model.alpha_min) || !before(after, hit)) return;
         int slot = n;
         while (slot > 0 && before(hit, hits[slot - 1])) --slot;
-        // Ignores the second hit of the same surfel. A quad can be hit twice, because
-        // Embree splits it.
+        // Ignores a second hit of the same surfel. Embree splits a quad into two
+        // triangles, so a ray can hit both.
         if (slot == chunk || (slot > 0 && hits[slot - 1].surfel == surfel)) return;
         n = std::min(n + 1, chunk);
         std::copy_backward(hits + slot, hits + n - 1, hits + n);
@@ -101,8 +101,8 @@ struct Query {
 void on_candidate(const RTCFilterFunctionNArguments* args) {
     Query& query = *reinterpret_cast<Query*>(args->context);
     query.offer(RTCHitN_primID(args->hit, 1, 0));
-    // If a hit is accepted, the ray ends at this hit. Only hits beyond the end of the
-    // query are accepted, so that the search stops there.
+    // Rejects hits before the end of the query, so that Embree continues the search.
+    // Accepts the first hit after the end, because it stops the ray.
     args->valid[0] = RTCRayN_tfar(args->ray, 1, 0) > query.end() ? -1 : 0;
 }
 
@@ -183,7 +183,7 @@ private:
     int chunk_;
     World world_;
 
-    /// Adds the record of a surfel and the rectangle that bounds it (M1-M3).
+    /// Adds a surfel to the world, and returns the corners of its bounding rectangle.
     void add(const Surfels& surfels, std::size_t index, glm::vec3* corners) {
         const glm::vec4 q = surfels.rotation[index];
         const glm::mat3 r = glm::mat3_cast(glm::normalize(glm::quat(q[0], q[1], q[2], q[3])));
@@ -221,7 +221,7 @@ private:
     }
 
     /// Blends a hit into a pixel.
-    /// @return false if the ray is already opaque, so that this hit is not visible
+    /// @return false if the ray is already opaque, so that the hit is invisible
     bool blend(const Hit& hit, const float* basis, Pixel& pixel) const {
         const float alpha = std::min(hit.alpha, world_.model.alpha_max),
                     next = pixel.transmittance * (1.0f - alpha);
@@ -245,8 +245,8 @@ private:
     }
 };
 
-/// Renders all rays in blocks on several threads. Each thread reads the number of its
-/// next block from a shared counter.
+/// Renders all rays on several threads. Each thread takes its next block of rays from a
+/// shared counter.
 std::vector<Pixel> render(const Renderer& renderer, const RayTable& rays, int n_threads) {
     constexpr std::size_t kBlock = 256;
     std::vector<Pixel> image(rays.size());

@@ -27,8 +27,8 @@ using namespace relidar;
 constexpr int kCone = 64;
 constexpr double kGolden_rad = 2.399963229728653;
 constexpr float kSeparation_m = 0.5f, kSecondShare = 0.1f;
-// A point counts as floating in the air if its distance to all surfaces in the beam,
-// along the ray, is larger than this.
+// A point floats in the air if its range differs by more than this from the range of
+// every surface in the beam.
 constexpr float kOnSurface_m = 0.3f;
 
 struct Return {
@@ -38,9 +38,8 @@ struct Return {
 /// Returns of one beam, sorted by range.
 using Returns = std::vector<Return>;
 
-/// Replaces each ray by a cone of rays.
-/// @param divergence_rad divergence of all beams; if it is 0, each ray keeps its
-/// divergence
+/// Replaces each ray by a dense cone of rays, which samples the footprint of the beam.
+/// @param divergence_rad divergence of all beams; if 0, each ray keeps its divergence
 RayTable make_cone_rays(const RayTable& rays, double divergence_rad) {
     RayTable cone;
     cone.rows = rays.rows;
@@ -63,9 +62,9 @@ RayTable make_cone_rays(const RayTable& rays, double divergence_rad) {
     return cone;
 }
 
-/// Computes the returns of a beam from its cone of rays. The ranges of the rays are
-/// sorted. Two neighbouring ranges belong to the same return if their difference is below
-/// the separation.
+/// Computes the returns of a beam from its cone of rays. After sorting by range,
+/// neighbouring rays belong to the same return if their ranges differ by less than
+/// kSeparation_m.
 Returns returns_of(const Scan& cone, std::size_t ray) {
     std::vector<std::pair<float, float>> hits;
     for (std::size_t i = ray * kCone; i < (ray + 1) * kCone; ++i)

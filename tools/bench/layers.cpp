@@ -99,8 +99,8 @@ struct Times {
     }
 };
 
-/// Prints one line with the wall time, the processor time, and the GFLOP per second of
-/// processor time. The line contains the values of the device and of oneDNN.
+/// Prints one line with wall times, processor times and GFLOP per second, for the device
+/// and for oneDNN.
 void print(const ConvolutionSize& size, const char* pass, const Times& device, const Times& host) {
     const double of_device = median(device.cpu), of_host = median(host.cpu),
                  wall_device = median(device.wall), wall_host = median(host.wall),

@@ -37,7 +37,7 @@ double format_percent(std::size_t count, std::size_t total) {
     return total ? 100.0 * double(count) / double(total) : 0.0;
 }
 
-/// Ranges of the rays of a scan that was rendered, or cast into the exact street.
+/// Ranges of a scan, either rendered or cast into the exact synthetic street.
 struct Returns {
     /// [rays] range in metres, 0 for no return. `second_m` is empty if the sensor has no
     /// second returns.
@@ -58,9 +58,8 @@ Returns returns_of(const Scan& scan) {
     return {{scan.range_m.begin(), scan.range_m.end()}, second_m};
 }
 
-/// Compares the second return of ray `index` with the exact scan and counts the result.
-/// @param truth exact scan. Its second returns have at least a tenth of the light of a
-/// beam.
+/// Compares the second return of ray `index` with the exact scan, and counts the result.
+/// @param truth exact scan; its second returns have at least a tenth of the beam's light
 void add_seconds(Score& score, const Returns& scan, const Returns& truth, std::size_t index) {
     const float is_m = truth.second_m[index], reported_m = scan.second_m[index];
     const bool right =
@@ -100,8 +99,8 @@ std::string row(const std::string& name, Score& s) {
                        format_percent(s.drops_right, s.rays), seconds);
 }
 
-/// Casts rays into the exact street and returns their ranges. A beam with two returns is
-/// cast as a cone of rays.
+/// Casts rays into the exact synthetic street and returns their ranges. A beam with two
+/// returns is cast as a cone of rays.
 /// @param aside_m shift of the sensor to the left and upwards, metres
 Returns cast(const SyntheticOptions& street, RayTable rays, const PoseTrack& track, double time_s,
              const SensorChoice& sensor, float aside_m = 0.0f) {
@@ -112,8 +111,8 @@ Returns cast(const SyntheticOptions& street, RayTable rays, const PoseTrack& tra
     return returns_of(scan);
 }
 
-/// Renders the held-out sweeps with a sensor that the log does not have, and scores them.
-/// The sensor replaces the first LiDAR.
+/// Renders the held-out sweeps with another sensor than the one in the log, and scores
+/// them. The sensor replaces the first LiDAR.
 void run_other(ScanRenderer& renderer, const Run& run, const SyntheticOptions& street,
                const std::string& name) {
     const SensorChoice sensor = choose_sensor(name, run.config, run.sequence);

@@ -36,8 +36,7 @@ int main(int argc, char** argv) try {
     const SensorChoice sensor = make_configured_sensor(run.config, run.sequence);
 
     Pose start = run.sequence.world_from_sensor(0).pose.front();
-    // Converts the pose to the world frame of the dataset, because requests use this
-    // frame.
+    // converts the pose to the world frame of the dataset, which requests use
     start.translation += run.sequence.world_offset_m;
     const auto ahead = [&](double metres, double up_m) {
         return start * Pose{{1, 0, 0, 0}, {metres, 0, up_m}};
@@ -51,8 +50,8 @@ int main(int argc, char** argv) try {
             .dataset_from_actor = ActorPoses{
                 {actor,
                  {{t, t + kStep_s}, {ahead(actor_m, -1.0), ahead(actor_m + actor_mps * kStep_s, -1.0)}}}}};
-        // Returns the points in the sensor frame at time t. A program can do other work
-        // or request the next scan between these two calls.
+        // Requests the points in the sensor frame at time t. The program could do other
+        // work before it waits for the points.
         renderer.submit_points(sensor, request, t);
         const double gap_m = measure_gap_ahead(renderer.wait_for_points().points);
         if (gap_m < 6.0 + ego_mps * ego_mps / (2.0 * kEgoBrakes_mps2) * 1.3)

@@ -17,7 +17,7 @@ namespace relidar::python {
 
 namespace py = pybind11;
 
-/// Python callback that receives the progress of a step: the name of the step, and the
+/// Python callback that reports progress. Its arguments are the name of the step, and the
 /// finished share from 0 to 1.
 using Tell = std::optional<std::function<void(const std::string&, double)>>;
 
@@ -36,9 +36,8 @@ inline Progress collect_into(const Tell& report) {
 /// stops at a safe point, and rethrow() raises the exception again.
 class PythonCalls {
 public:
-    /// Calls a Python function. Stores the first exception that a call raises.
-    /// @return false if any call has raised an exception, so that the caller must stop
-    /// its work
+    /// Calls a Python function, and stores the first exception that any call raises.
+    /// @return false after an exception, so that the caller must stop its work
     template <class Call>
     bool operator()(Call&& call) {
         if (failure_) return false;

@@ -46,7 +46,7 @@ public:
 
 private:
     OpenDevice& device_;
-    /// Declared before the device lock, so that the thread releases the GIL before it
+    /// Must be declared before the lock, so that the thread releases the GIL before it
     /// waits for the device.
     py::gil_scoped_release others_run_;
     std::unique_lock<std::mutex> lock_;
@@ -68,8 +68,8 @@ public:
     }
     ~OnDevice() {
         if (!made_ || device_->user == std::this_thread::get_id())
-            // A training callback of this thread destroys the object, so this thread has
-            // already locked the device. The device is idle during a callback.
+            // In a training callback, this thread has already locked the device, and the
+            // device is idle. Locking it again would be an error.
             return;
         const DeviceUse use(*device_);
         made_.reset();

@@ -18,8 +18,8 @@
 namespace relidar::python {
 namespace {
 
-/// A differentiable renderer, and the sizes that determine the shapes of its numpy
-/// arrays.
+/// A differentiable renderer, with the numbers of instances and rays that give the shapes
+/// of the numpy arrays.
 struct HeldRenderer {
     OnDevice<DifferentiableRenderer> differentiable;
     std::vector<InstancePose> placed;  ///< [instances] pose of each instance.

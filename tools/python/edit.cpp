@@ -42,8 +42,8 @@ struct Edits {
         return *this;
     }
 
-    /// Applies an edit that changes when an actor is present. Warns if the actor is
-    /// missing in more frames of the log than before.
+    /// Applies an edit that can change the times at which an actor is present. Warns if
+    /// the actor is then missing in more frames of the log.
     Edits& apply_times(const std::string& description, const std::string& track,
                        const std::function<DrivingScene(DrivingScene)>& edit) {
         const BoxTrack* box = find_box(run.sequence, track);

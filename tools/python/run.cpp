@@ -49,8 +49,8 @@ PoseTrack log_track(const Sequence& sequence, int lidar) {
     return shift_track(sequence.world_from_sensor(lidar), sequence.world_offset_m);
 }
 
-/// Checks that a track covers a time. At other times, the poses of moving objects would
-/// be extrapolated.
+/// Checks that a track has poses around a time. At other times, the poses would be
+/// extrapolated.
 /// @throws UsageError if the time is more than `tolerance_s` before or after the track
 void check_covered(const PoseTrack& track, double time_s, double tolerance_s,
                    const std::string& description) {
@@ -64,8 +64,8 @@ void check_covered(const PoseTrack& track, double time_s, double tolerance_s,
 }
 
 ActorPoses read_actor_poses(const py::dict& actors, double time_s) {
-    // Longest time in seconds before the first or after the last pose of an actor. It is
-    // not 0, because a sweep begins before its nominal time and ends after it.
+    // An actor may be rendered this long before its first pose or after its last pose. A
+    // sweep begins before its nominal time and ends after it, so the limit is not 0.
     constexpr double kBeside_s = 1.0;
     ActorPoses poses;
     for (const auto& [name, pose] : actors) {
@@ -316,7 +316,7 @@ OnDevice<ScanRenderer>& LoadedRun::get_renderer() {
         made = std::make_unique<ScanRenderer>(device->device, run);
     }
     OnDevice<ScanRenderer> fresh(device, std::move(made));
-    // Keeps the existing renderer if another thread has created one in the meantime.
+    // keeps the renderer if another thread has created one during this call
     if (!renderer) renderer = std::move(fresh);
     return renderer;
 }

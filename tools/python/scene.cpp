@@ -17,8 +17,8 @@ namespace {
 
 constexpr std::string_view kThirdScale = "log_scale_w", kGait = "gait";
 
-/// Calls the function `callback` for each parameter array of the surfels. The arguments
-/// are the name of the array, its values, and the shape of the values of one surfel.
+/// Calls `callback` for each parameter array of the surfels, with the name of the array,
+/// its values, and the shape of one surfel's values.
 template <class Set, class Take>
 void for_each_group(Set& surfels, Take&& callback) {
     callback("mean", surfels.mean, Shape{3});
@@ -30,7 +30,7 @@ void for_each_group(Set& surfels, Take&& callback) {
     callback(kGait.data(), surfels.gait, Shape{5});
 }
 
-/// Returns true if these surfels have a parameter array with this name.
+/// Returns true if surfels of this kind have a parameter array with this name.
 bool has_group(const Surfels& surfels, std::string_view name) {
     if (name == kGait) return surfels.bends;
     return name != kThirdScale || kind_of(surfels.primitive).third_scale;
@@ -125,8 +125,8 @@ Surfels read_surfels(const py::dict& arrays) {
             throw UsageError(fmt::format("surfels: the array \"{}\" is unknown{} (known: {})", text,
                                          suggest_name(text, names, "\""), fmt::join(names, ", ")));
     }
-    // Chooses the shape of the surfels. The array of third scales exists only for 3D
-    // Gaussians, not for 2D surfels.
+    // Finds out the kind of primitive. Only 3D Gaussians have an array of third scales;
+    // 2D surfels do not.
     const auto kind =
         std::ranges::find(kPrimitives, arrays.contains(kThirdScale), &PrimitiveKind::third_scale);
     surfels.primitive = kind->primitive, surfels.bends = arrays.contains(kGait);

@@ -41,8 +41,8 @@ py::dict scan_of(const Log& log, int position) {
     const Scan& scan = frames[static_cast<std::size_t>(position)].scan;
     const Shape image{scan.rays.rows, scan.rays.columns};
     RayTable rays = scan.rays;
-    // Sets all time offsets to 0, because all points of a frame have the same time in a
-    // motion-compensated log.
+    // In a motion-compensated log, all points of a frame have the same time, so all time
+    // offsets are 0.
     if (!log.sequence.rolling_shutter) std::ranges::fill(rays.time_offset_s, 0.0f);
     py::dict dict = to_dict(rays);
     dict["range"] = to_owned_array<float>(to_vector(scan.range_m), image);

@@ -12,12 +12,12 @@ namespace relidar::python {
 
 struct Log {
     Sequence sequence;
-    /// Settings of the log. config.dataset and config.sensor.rolling_shutter have the
-    /// values with which the log was loaded.
+    /// settings; config.dataset and config.sensor.rolling_shutter have the values with
+    /// which the log was loaded
     Config config;
 };
 
-/// These functions return the frames and poses of a log, or of the log of a run.
+/// The following functions return the frames and poses of a log.
 pybind11::object list_times(const Sequence& sequence);  ///< Returns the frame times, [frames] float64.
 pybind11::object list_frame_numbers(
     const Sequence& sequence);                           ///< Returns the frame numbers, [frames] int32.

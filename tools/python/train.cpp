@@ -28,8 +28,8 @@ struct TrainArguments {
     SharedDevice device;
 };
 
-/// Returns the settings for a training. Takes the user's settings, but keeps the settings
-/// with which the log was loaded.
+/// Returns the user's settings for a training, except settings that were fixed when the
+/// log was loaded.
 Config choose_config(const Log& log, const std::optional<Config>& wanted) {
     Config config = wanted.value_or(log.config);
     config.dataset = log.config.dataset;

@@ -16,7 +16,7 @@ class App;
 
 namespace relidar::cli {
 
-/// The command line, and the function of the command that the user chose.
+/// The typed command line, and the function that runs the chosen command.
 struct Call {
     std::string command_line;   ///< Command line as the user typed it. Reports show this text.
     std::function<void()> run;  ///< Runs the chosen command. Throws an exception if the command fails.

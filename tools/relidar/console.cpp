@@ -19,7 +19,7 @@ namespace {
 constexpr std::chrono::seconds kPlainFirst{2}, kPlainInterval{10};
 constexpr std::chrono::milliseconds kTerminalInterval{100};
 
-// True if the terminal shows a progress line that does not yet end with a line break.
+// true if the last output on the terminal is a progress line without a line break
 bool line_open = false;
 
 /// Returns the number of terminal columns that a text needs. Assumes that each UTF-8

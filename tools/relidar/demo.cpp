@@ -26,7 +26,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Shift of the second scored sensor: 2 m to the left and 1 m up.
+// Position of the second simulated sensor: 2 m to the left of the first and 1 m above it.
 const Pose kShift{glm::dquat(1.0, 0.0, 0.0, 0.0), glm::dvec3(0.0, 2.0, 1.0)};
 constexpr const char* kDemoMetrics[] = {"strict/depth_medae_m", "strict/depth_rmse_m", "strict/intensity_mae",
                                         "strict/drop_accuracy", "strict/cd_mean_m",    "points/cd_mean_m",
@@ -43,11 +43,11 @@ struct DemoOptions {
 Config config_of(const DemoOptions& options, const fs::path& street) {
     Config config = make_preset("quick");
     set_key(config, "train.seed", options.seed);
-    // The preset assumes a sensor with 64 beams. This sensor has 32 beams, so the gaps
-    // between its points are wider and the factor differs.
+    // The preset is made for 64 beams. This sensor has 32 beams, so the gaps between its
+    // points are wider and need another factor.
     config.init.scale_factor = 0.6;
-    // Uses fewer iterations than the 540 of preset quick, so that the demo takes one to
-    // two minutes on two processor cores.
+    // fewer iterations than in preset `quick`, so that the demo takes one to two minutes
+    // on two processor cores
     config.train.iterations = 250;
     apply_setting_texts(config, options.sets);
     config.dataset.path = make_dataset_absolute("synthetic:" + street.string());

@@ -143,8 +143,7 @@ void check_sets(const std::vector<std::string>& sets, const std::vector<std::str
                 const std::string& command) {
     Config scratch;
     for (const std::string& set : sets) {
-        // Applies the setting to a temporary Config. This throws an error if the key or
-        // the value is invalid.
+        // Throws an error if the key or the value is invalid. The result is not used.
         apply_setting_texts(scratch, {set});
         const std::string key = set.substr(0, set.find('='));
         const bool is_used = std::ranges::any_of(used, [&](const std::string& name) {

@@ -44,15 +44,14 @@ void add_channels_option(CLI::App& command, std::optional<std::string>& channels
 /// @param weather output: text that the user typed; parse_weather() reads the text later
 /// @param description part of the help text that says to which scans the weather applies
 void add_weather_option(CLI::App& command, std::string& weather, const std::string& description);
-/// Adds the option --set. Commands that read their settings from a trained run use it,
-/// because such commands have no --preset and no --config.
+/// Adds the option --set, for commands that read all other settings from a trained run.
 void add_set_option(CLI::App& command, std::vector<std::string>& sets);
 Config resolve(const Settings& settings);
 void apply_setting_texts(Config& config, const std::vector<std::string>& sets);
 /// Returns the names of the settings that affect rendering. A name that ends in a dot
 /// means all settings of that group.
 std::vector<std::string> list_rendering_settings();
-/// Throws an error if a setting of --set has no effect in a command.
+/// Checks that each setting of --set has an effect in a command.
 /// @param used names and groups of settings that the command uses, as in
 /// list_rendering_settings()
 /// @param command name of the command

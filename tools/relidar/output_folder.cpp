@@ -31,8 +31,8 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::chrono::milliseconds kLockLook{50};
-/// Longest time to wait for another process to release the lock of a folder. mpirun and
-/// batch systems may restart a job before all processes of the old job have ended.
+/// Longest time to wait for the lock of a folder. mpirun and batch systems may restart a
+/// job before all processes of the old job have ended.
 constexpr std::chrono::milliseconds kEndOfOthers{5000};
 
 constexpr const char* kLockFile = ".lock";
@@ -120,8 +120,8 @@ OutputFolder::OutputFolder(const fs::path& path) : path_(path) {
 
 OutputFolder::~OutputFolder() {
     std::error_code failed;
-    // Removes the folder that this object created. The removal fails if the folder
-    // contains files. This failure is ignored.
+    // Removes the created folder if it is still empty. Otherwise the removal fails, and
+    // the error is ignored.
     if (!was_there_) fs::remove(path_, failed);
 }
 
@@ -214,9 +214,8 @@ void NewRun::save(Run& run) const {
             run.folder = path_;
             return;
         } catch (const DataError&) {
-            // The folder cannot be renamed, because it is a mount point or its parent
-            // folder is read-only. The code below overwrites the files in the folder
-            // instead.
+            // The folder is a mount point or its parent is read-only, so it cannot be
+            // renamed. The files in the folder are overwritten below instead.
             run.folder = path_;
         }
     }
@@ -224,8 +223,7 @@ void NewRun::save(Run& run) const {
         remove_run_files(path_);
         remove_blocks(path_);
         std::error_code failed;
-        // Removes the old checkpoints. Otherwise a later training would continue from
-        // these checkpoints.
+        // removes the old checkpoints, because a later training would continue from them
         fs::remove_all(get_checkpoint_folder(path_), failed);
     });
 }
@@ -260,8 +258,7 @@ fs::path get_network_checkpoint_folder(const fs::path& run) {
 void remove_network_checkpoints(const fs::path& run) {
     remove_checkpoints(get_network_checkpoint_folder(run));
     std::error_code failed;
-    // The removal fails if the folder still contains checkpoints of the scene. This
-    // failure is ignored.
+    // Fails if the folder still contains checkpoints of the scene. The error is ignored.
     fs::remove(get_checkpoint_folder(run), failed);
 }
 

@@ -73,8 +73,8 @@ public:
 
 private:
     OutputFolder folder_;
-    /// The lock is declared last, so it is destroyed first and its lock file is removed.
-    /// After that, the folder can be removed if it is empty.
+    /// Declared last, so that the lock file is removed first. Then the folder can be
+    /// removed if it is empty.
     FolderLock lock_;
 };
 
@@ -82,7 +82,7 @@ private:
 /// files of a training that was killed before it saved a scene.
 bool contains_run(const std::filesystem::path& folder);
 
-/// Says what to do if the output folder of a run already contains a run.
+/// Says what to do if the output folder already contains a trained run.
 enum class Existing {
     refuse,  ///< Throws an error if the folder is not empty.
     keep,    ///< Keeps the existing run. Training continues from its last checkpoint.
@@ -104,8 +104,8 @@ public:
 
 private:
     std::optional<OutputFolder> folder_;
-    /// The lock is declared last, so it is destroyed first and its lock file is removed.
-    /// After that, the folder can be removed if it is empty.
+    /// Declared last, so that the lock file is removed first. Then the folder can be
+    /// removed if it is empty.
     std::optional<FolderLock> lock_;
 };
 

@@ -80,8 +80,8 @@ int run_program(const Program& program, int argc, char** argv) {
                       "out of memory: this machine has too little memory for this log or scene; use fewer "
                       "frames (--frames A:B) or larger voxels (--set init.voxel_m=METRES)");
     } catch (const std::filesystem::filesystem_error& error) {
-        // An error of the file system is not a bug of relidar. The exit code is therefore
-        // the one for invalid data.
+        // Uses the exit code for invalid data, because a file system error is not a bug
+        // of relidar.
         return report(ExitCode::data, fmt::format("{}: {}", error.path1().string(), error.code().message()));
     } catch (const std::exception& error) {
         return report(ExitCode::bug, std::string("internal error of relidar: ") + error.what());

@@ -12,10 +12,9 @@
 
 namespace relidar::cli {
 
-/// This process as a member of a group of MPI processes that work on the same job. If
-/// there is only one process, no function waits or communicates. If an exception destroys
-/// this object, the process does not notify the others. mpirun then terminates all
-/// processes.
+/// Represents this process in a group of MPI processes that work on the same job. With a
+/// single process, no function waits or communicates. If an exception destroys this
+/// object, the other processes are not notified, and mpirun terminates them.
 class Ranks {
 public:
     /// Joins the group of processes that mpirun has started.

@@ -24,8 +24,8 @@ using Clock = std::chrono::steady_clock;
 
 constexpr int kImageRows = 64, kImageColumns = 1024;
 
-/// Returns the surfels of an actor that is about 4 m long. Makes them by scaling down the
-/// benchmark street.
+/// Makes the surfels of an actor of about 4 m length by scaling down the benchmark
+/// street.
 Surfels make_actor_surfels() {
     constexpr float kHalfLength_m = 2.0f;
     Surfels actor = make_benchmark_street(kActorSurfels);

@@ -11,13 +11,13 @@
 
 namespace relidar::cli {
 
-/// Times of a scene with `n_actors` copies of an actor. Each copy has kActorSurfels
-/// surfels. The sensor has 64 x 1024 rays.
+/// Times of a scene with `n_actors` copies of an actor, each with kActorSurfels surfels.
+/// The sensor has 64 x 1024 rays.
 struct ActorTimes {
     int n_actors = 0;
-    /// If true, each actor has a separate model, and spherical harmonics are evaluated
-    /// once per surfel. If false, all actors share one model, and spherical harmonics are
-    /// evaluated for each ray.
+    /// If true, each actor has its own model, and spherical harmonics are evaluated per
+    /// surfel. If false, all actors share one model, and spherical harmonics are
+    /// evaluated per ray.
     bool copy_shared_models = false;
     /// Wall time of building the complete acceleration structure: all bottom levels and
     /// the top level.
@@ -25,10 +25,9 @@ struct ActorTimes {
     /// Wall time of uploading the poses and rebuilding the top level of the acceleration
     /// structure. Includes all waits.
     Spread move_ms{};
-    /// Number of builds and refits of bottom levels of the acceleration structure while
-    /// the actors moved.
+    /// number of times that bottom levels were built or refitted while the actors moved
     std::uint64_t builds = 0;
-    /// Wall time of the activation functions, the refit and the forward pass together.
+    /// wall time of rendering: activation functions, refit and forward pass
     Spread scan_ms{};
     Spread step_ms{};          ///< Wall time of a training iteration.
     std::uint64_t memory = 0;  ///< Device memory during training, in bytes.

@@ -34,8 +34,8 @@ struct BenchOptions {
     BenchSettings settings;
     bool no_backward = false;
     std::string json;
-    /// Numbers of actors, such as "1,10,100". If set, measures scenes with these numbers
-    /// of actors instead of the street.
+    /// Numbers of actors, such as "1,10,100". If set, measures scenes with so many actors
+    /// instead of the street.
     std::string actors;
     ServeBench service;
     ScanBench scans;
@@ -117,7 +117,7 @@ void run_bench(const BenchOptions& options, const std::string& command_line) {
     if (options.n_steps != 0) return bench_steps(options, device, command_line);
     const DevCase bench = make_case(options.choice);
     BenchResult result = measure(device, bench, settings);
-    // Measures the copy bandwidth here, after the memory of the case was freed.
+    // The copy bandwidth is measured last, when the memory of the scene is free again.
     result.copy_bytes_per_s = copy_bytes_per_s(device);
     end_progress_line();
     if (!json.empty()) write_text(json, make_bench_json(bench, settings, result, device, command_line));

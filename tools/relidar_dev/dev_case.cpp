@@ -57,8 +57,7 @@ std::optional<ImageSize> parse_rays(const std::string& text) {
     return size;
 }
 
-/// Applies the options of the user to the settings. The image model is the paper's for a
-/// benchmark street, and the run's for a run.
+/// Applies the options of the command line to the settings.
 void apply(const BenchChoice& choice, Config& config) {
     if (!choice.chunk.empty()) set_key(config, "trace.chunk", choice.chunk);
     if (!choice.keep_hits.empty()) set_key(config, "trace.keep_hits", choice.keep_hits);
@@ -77,8 +76,8 @@ std::size_t place_of(const char* option, const std::string& word, const std::vec
     return std::size_t(match - words.begin());
 }
 
-/// Parse the values of options. The lists of words have the same order as the
-/// enumerations Proxy, Walk and HitOrder.
+/// Parse the values of options. The words are listed in the order of the enumerations
+/// Proxy, Walk and HitOrder.
 /// @throws UsageError if a word is unknown
 Proxy parse_proxy(const BenchChoice& choice) {
     return choice.proxy.empty() ? Proxy::automatic

@@ -13,33 +13,34 @@ namespace relidar::cli {
 
 /// Options of the command line that describe the case.
 struct BenchChoice {
-    /// Kind of benchmark street. In "A", the size of the surfels does not depend on their
-    /// number. In "B", a larger number of surfels makes each surfel smaller. "C" is like
-    /// "B", but all surfels have opacity 0.1.
+    /// Kind of benchmark street. In "A", all surfels have the same size for any number of
+    /// surfels. In "B", a larger number makes each surfel smaller. "C" is like "B", but
+    /// all surfels have opacity 0.1.
     std::string street = "A";
     long long n_surfels = 100000;
     std::string rays = "64x1024";  ///< "waymo", "kitti" or "ROWSxCOLUMNS".
     std::string run;               ///< run folder; if it is set, the run is measured instead of the street
-    /// Values that replace settings of the case. An empty text leaves the setting
-    /// unchanged.
+    /// values that override settings of the benchmark; an empty text leaves the setting
+    /// unchanged
     std::string chunk, proxy, walk, order, sh, keep_hits;
     std::string likelihood;  ///< Weight of the likelihood loss. An empty text leaves it unchanged.
-    /// If true, gradients are gathered and not added by atomic operations. This overrides
-    /// the setting of the case.
+    /// If true, gradients are summed in a fixed order instead of by atomic operations.
+    /// Overrides the setting of the benchmark.
     bool deterministic = false;
 };
 
-/// A case with additional options that are not settings of a run.
+/// Input of a benchmark, with additional options that are not settings of a training.
 struct DevCase : BenchCase {
     Proxy proxy = Proxy::automatic;
     Walk walk = Walk::automatic;
     HitOrder order = HitOrder::automatic;
-    /// If true, the number of stored hits per ray grows beyond config.trace.keep_hits if
-    /// needed. Training does the same.
+    /// If true, more hits per ray are stored than config.trace.keep_hits if many rays
+    /// need it, as in training.
     bool keeps_more_hits = true;
 };
 
-/// Returns the options for building and traversing the acceleration structure.
+/// Return the options for building the acceleration structure, and for tracing rays
+/// through it.
 AccelOptions make_accel_options(const DevCase& bench);
 TraceOptions trace_of(const DevCase& bench);
 

@@ -12,11 +12,11 @@ namespace {
 constexpr double kRecord = 64, kGeometry = 4 * (3 + 4 + 2 + 1), kNode = 80, kRay = 24, kRendered = 36,
                  kTarget = 12, kUpstream = 20, kKeptHit = 16, kHit = 16, kHitRecord = 16, kRow = 4, kMark = 4;
 constexpr double kBox = 24, kCorners = 48, kKey = 8, kIndex = 4;
-// Minimum number of tree nodes per surfel. A node has 8 children, and a leaf has 4
+// Minimum number of tree nodes per surfel, because a node has 8 children and a leaf has 4
 // surfels.
 constexpr double kFewestNodes = 1.0 / 28.0;
-// Arithmetic operations per visited node and per tested surfel, counted in
-// shaders/diff/traversal/software_bvh.glsl.
+// Arithmetic operations for each tree node that a ray visits, and for each surfel that it
+// tests. Counted in shaders/diff/traversal/software_bvh.glsl.
 constexpr double kNodeOperations = 150, kSurfelOperations = 40;
 
 double count_sh_bytes(const FloorSizes& sizes) { return 4 * 3 * sizes.n_sh; }
@@ -27,7 +27,7 @@ double count_sh_bytes_per_surfel(const FloorSizes& sizes) {
     return sizes.sh_per_surfel ? count_sh_bytes(sizes) : 0.0;
 }
 
-/// Returns the number of 8-bit digits that are needed to number n different keys.
+/// Returns how many 8-bit digits the radix sort needs for n different keys.
 double round_to_digits(double n) { return std::ceil(std::bit_width(static_cast<std::uint64_t>(n)) / 8.0); }
 
 double refit(const FloorSizes& sizes) {
@@ -54,15 +54,15 @@ double count_backward_trace_bytes(const FloorSizes& sizes) {
 }
 
 /// Returns the number of bytes that the derivative of the activation functions must read
-/// and write. The kernel reads the gradients of all records, and marks the surfels with a
-/// gradient. For the marked surfels, it reads the parameters and writes their gradients.
+/// and write. It reads the gradient of every surfel record. Only for surfels with a
+/// gradient, it reads the parameters and writes their gradients.
 double activate_vjp(const FloorSizes& sizes) {
     return sizes.n_surfels * (kRecord + kMark) +
            sizes.n_touched * 2 * (kGeometry + count_sh_bytes_per_surfel(sizes));
 }
 
-/// Returns the number of bytes of one optimizer step (Adam). The kernel reads the marks
-/// and the nonzero gradients. It reads and writes the parameters and both moments.
+/// Returns the number of bytes of one optimizer step (Adam). The kernel reads the
+/// gradients that are not zero. It reads and writes the parameters and both moments.
 double count_adam_bytes(const FloorSizes& sizes) {
     const double updated = sizes.only_touched ? sizes.n_touched : sizes.n_surfels;
     return sizes.n_surfels * kMark + (sizes.n_touched + 6 * updated) * (kGeometry + count_sh_bytes(sizes));
@@ -76,8 +76,8 @@ struct Row {
     double (*bytes)(const FloorSizes&);
 };
 
-/// Table with one row per kernel. Only surfels with a gradient are counted as hit,
-/// because the kernels do not have to load other surfels.
+/// Minimum number of bytes of each kernel. Kernels need to load only surfels that rays
+/// hit; these are the surfels with a gradient.
 constexpr Row kFloorRows[] = {
     {"scene/activate", When::always,
      [](const FloorSizes& sizes) { return sizes.n_surfels * (kGeometry + count_sh_bytes(sizes) + kRecord); }},
@@ -148,10 +148,11 @@ std::map<std::string, double> compute_cache_bytes(const FloorSizes& sizes) {
         bytes["diff/forward/trace"] = search + shading;
     }
     if (!sizes.training) return bytes;
-    // Share of the hits that are not stored. The backward pass must search these hits
-    // again.
+    // share of the hits that are not stored, so that the backward pass must search them
+    // again
     const double searched_again = sizes.n_hits > 0.0 ? 1.0 - sizes.n_hits_kept / sizes.n_hits : 0.0;
-    // If gradients are not gathered, each hit adds 16 floats with atomic operations.
+    // Bytes that each hit adds to the gradient sums: a hit record, or atomic operations
+    // on 16 floats.
     const double sums = sizes.gather ? kHitRecord + kRow : kRecord + count_sh_bytes_along_ray(sizes);
     bytes["diff/backward/trace"] = searched_again * search + shading + sizes.n_hits * (kRecord + sums);
     return bytes;

@@ -12,7 +12,7 @@
 
 namespace relidar::cli {
 
-/// Sizes of a case, from which the bytes of one repetition are computed.
+/// Sizes of a benchmark, from which the minimum number of bytes is computed.
 struct FloorSizes {
     double n_surfels = 0.0;
     double n_models = 1.0;
@@ -21,20 +21,20 @@ struct FloorSizes {
     double n_rays = 0.0;
     double n_hits = 0.0;          ///< Total number of blended hits of all rays.
     double n_hits_written = 0.0;  ///< Number of hits that the forward pass stores.
-    /// Number of stored hits that the backward pass reads. It searches all other hits
-    /// again.
+    /// number of stored hits that the backward pass reads; all other hits are searched
+    /// again
     double n_hits_kept = 0.0;
     double n_sh = 16.0;  ///< Number of active spherical harmonics per channel.
     bool sh_per_surfel = true;
     bool training = true;
     bool lists = false;  ///< If true, the forward pass writes lists of hits.
-    /// If true, gradients are gathered from hit records. If false, they are added by
-    /// atomic operations.
+    /// If true, gradients are first written as hit records and then summed. If false,
+    /// they are summed by atomic operations.
     bool gather = false;
     bool only_touched = false;
     bool boxes = true;  ///< If true, surfels are represented by boxes in the acceleration structure.
-    /// True if the tree is traversed in software. For hardware traversal, the tree of the
-    /// driver is unknown and not counted.
+    /// True if the tree is traversed in software. With hardware traversal, the driver's
+    /// tree is unknown, so it is not counted.
     bool software = true;
     /// Number of tree nodes that all rays together visit in the forward pass, or 0 if
     /// unknown.
@@ -42,18 +42,17 @@ struct FloorSizes {
     double surfels_tested = 0.0;
 };
 
-/// Returns the minimum number of bytes that each kernel must read and write. Counts a
-/// read only if another kernel has written the data. Counts a write only if another
-/// kernel reads the data. Leaves out kernels of the driver and very short kernels,
-/// because they have no bound.
+/// Returns the minimum number of bytes that each kernel must exchange with other kernels.
+/// Counts a read only if another kernel has written the data, and a write only if another
+/// kernel reads them. Leaves out kernels of the driver and very short kernels.
 std::map<std::string, double> compute_floor_bytes(const FloorSizes& sizes);
 
-/// Returns the number of bytes that the tracing kernels load from the caches. Counts each
-/// visit of a node and each hit. Returns an empty map if visits were not counted.
+/// Returns how many bytes the tracing kernels load through the caches, for all visits of
+/// tree nodes and all hits. Returns an empty map if visits were not counted.
 std::map<std::string, double> compute_cache_bytes(const FloorSizes& sizes);
 
-/// Returns the number of arithmetic operations for finding the hits in the forward pass.
-/// Returns 0 if visits were not counted.
+/// Returns the number of arithmetic operations with which the forward pass finds hits, or
+/// 0 if visits were not counted.
 double count_search_operations(const FloorSizes& sizes);
 
 }  // namespace relidar::cli

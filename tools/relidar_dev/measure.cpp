@@ -30,8 +30,8 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using Samples = std::map<std::string, std::vector<double>>;
 
-/// Returns the warm-up time of a device before measuring. A warm-up is needed because the
-/// first launches compile kernels, and because a GPU raises its clocks only under load.
+/// Returns the warm-up time of a device. It is needed because the first launches compile
+/// kernels, and because a GPU raises its clock rate only under load.
 double measure_warm_up_ms(const Device& device) { return device.info().type == "CPU" ? 200.0 : 2000.0; }
 
 constexpr const char* kOrder[] = {"scene/activate",
@@ -52,9 +52,8 @@ constexpr const char* kOrder[] = {"scene/activate",
                                   "scene/activate_vjp",
                                   "diff/optimizer/adam"};
 
-/// Returns the table row to which a kernel belongs. Kernels that build the tree in
-/// software get the names of the driver's builds. The kernels of prefix sums and of sorts
-/// are grouped too.
+/// Returns the row of the result table in which a kernel is counted. Groups the kernels
+/// that build the tree, prefix sums, and sorts.
 std::string row_of(const std::string& kernel, const std::string& phase) {
     if (kernel == "diff/accel/bvh_top") return "accel/top_level";
     if (kernel.starts_with("diff/accel/bvh_")) return phase == "rebuild" ? "accel/build" : "accel/refit";
@@ -77,8 +76,8 @@ RendererOptions make_training_options(const DevCase& bench, std::uint32_t keep_h
     return options;
 }
 
-/// Returns the number of stored hits per ray at the end of a training. The number grows
-/// during training until only few rays have more hits.
+/// Returns how many hits per ray would be stored at the end of a training. Training
+/// increases this number until only few rays have more hits.
 std::uint32_t choose_hits_to_keep(const DevCase& bench, const std::vector<std::uint32_t>& hits) {
     auto keep = static_cast<std::uint32_t>(bench.config.trace.keep_hits);
     while (bench.keeps_more_hits) {
@@ -91,7 +90,7 @@ std::uint32_t choose_hits_to_keep(const DevCase& bench, const std::vector<std::u
     return keep;
 }
 
-/// Measures the memory of each part of a case. Creates each part once for this purpose.
+/// Measures the memory of each part of a benchmark, by creating each part once.
 BenchMemory measure_memory_of_parts(Device& device, const DevCase& bench, bool training) {
     auto since_last = [&device, last = device.allocated_bytes()]() mutable {
         return device.allocated_bytes() - std::exchange(last, device.allocated_bytes());
@@ -116,8 +115,8 @@ public:
           allocated_before_(device.allocated_bytes()),
           rays_(device, std::span<const DeviceRay>(to_device_rays(bench.rays)), "rays") {}
 
-    /// Renders the first image to count its hits. If training is measured, also creates
-    /// the targets from this image and the training step.
+    /// Renders an image to count its hits. To measure training, also creates the training
+    /// step and its target values.
     void prepare(bool training) {
         memory_ = measure_memory_of_parts(device_, case_, training);
         image_ = std::make_unique<Renderer>(device_, case_.scene, case_.config.image,
@@ -140,7 +139,7 @@ public:
                                            make_noisy_targets(rendering, case_.config.loss.normalised_depth));
     }
 
-    /// Runs one repetition. Rebuilds the acceleration structure, runs a complete training
+    /// Runs one repetition: rebuilds the acceleration structure, runs a training
     /// iteration, and moves an instance away and back.
     void repeat() {
         Renderer& r = renderer();
@@ -194,7 +193,8 @@ private:
     std::uint64_t allocated_before_;
     Array<DeviceRay> rays_;
     BenchMemory memory_;  ///< Device memory that each part of the case uses.
-    /// null if the training step is used; the case uses only one of the two
+    /// Renderer without training. Null if training is measured, because then `training_`
+    /// is used.
     std::unique_ptr<Renderer> image_;
     std::unique_ptr<TrainingStep> training_;
     FloorSizes sizes_;
@@ -245,8 +245,8 @@ BenchResult Bench::result() {
             fmt::format("tracing {} rays: {} reached the cap of passes or filled the traversal stack, "
                         "expected every ray to end",
                         rays_.size(), capped));
-    // Adds the times of the kernels that run only when the acceleration structure is
-    // built.
+    // Adds the kernels that do not run in an iteration, such as the build of the
+    // acceleration structure.
     kernels_.merge(rebuild_kernels_);
     BenchResult result;
     result.proxy = r.accel().proxy() == Proxy::boxes ? "boxes" : "triangles";
@@ -272,7 +272,8 @@ BenchResult Bench::result() {
     return result;
 }
 
-/// Returns the sizes from which the lower bounds of this case are computed.
+/// Returns the sizes of this benchmark, from which lower bounds of the kernel times are
+/// computed.
 FloorSizes Bench::sizes(const BenchResult& result) {
     FloorSizes s = sizes_;
     s.n_surfels = renderer().scene().size();

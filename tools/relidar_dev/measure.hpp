@@ -62,8 +62,8 @@ struct BenchResult {
     std::vector<BenchRow> kernels;  ///< Times of the kernels, in the order of a training iteration.
     /// Times of the phases "rebuild", "iteration", "iteration_wall" and "move".
     std::vector<BenchRow> phases;
-    /// Speed of the forward pass in million rays per second, from the median time of the
-    /// kernel diff/forward/trace.
+    /// Speed of the forward pass in million rays per second, from the median times of the
+    /// kernels diff/forward/*.
     double forward_mrays_per_s = 0.0;
     /// Speed of the backward pass in million rays per second, from the median time of the
     /// kernel diff/backward/trace.
@@ -74,8 +74,8 @@ struct BenchResult {
     std::optional<BenchVisits> visits;
     BenchMemory memory;
     FloorSizes sizes;
-    /// Bandwidth of copying in bytes read plus bytes written per second. measure() leaves
-    /// it empty, because it depends on the device and not on the case.
+    /// Copy bandwidth of the device: bytes read plus bytes written per second. Not set by
+    /// measure(), because it does not depend on the benchmark.
     std::optional<double> copy_bytes_per_s;
 };
 

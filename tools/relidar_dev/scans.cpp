@@ -20,12 +20,12 @@ namespace relidar::cli {
 namespace {
 
 constexpr int kMostInOneGo = 1'000'000;
-// Maximum number of scans that are submitted together. The value is half the limit of the
-// renderer. The device can then work on the next scans while finished scans are read.
+// Maximum number of scans per group. It is half the limit of the renderer, so that the
+// device can render the next group while a finished group is read.
 constexpr int kMostTogether = int(ScanRenderer::kScansInFlight) / 2;
 
-/// Moves a sensor along the path of the log. If a rig is measured, uses its sensors one
-/// after another.
+/// Returns requests for scans along the path of the log. With several sensors, uses one
+/// sensor after the other.
 class Drive {
 public:
     Drive(const Run& run, const ScanBench& bench) {
@@ -94,7 +94,7 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
         }
         return end - first;
     };
-    // Renders some scans before the measurement, because the first scans allocate memory.
+    // Does not measure the first scans, because they allocate memory.
     for (int n = ask(0); n > 0; --n) renderer.wait_for_points();
     ScanTimes result{.sensor = drive.n_sensors() > 1 ? bench.sensor : drive.sensor(0).name,
                      .n_scans = bench.n_scans,
@@ -110,8 +110,8 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
         const auto begun = std::chrono::steady_clock::now();
         const int n_scans = n_requested;
         first += n_scans;
-        // Submits the next scans before the points of finished scans are read, so that
-        // the device always has work.
+        // Submits the next scans before it reads the finished scans, so that the device
+        // always has work.
         n_requested = first < bench.n_scans ? ask(first) : 0;
         for (int i = 0; i < n_scans; ++i) {
             scan = renderer.wait_for_points(std::move(scan.points));

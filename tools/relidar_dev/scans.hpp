@@ -17,8 +17,8 @@ struct ScanBench {
     /// Run folder and sensor. The sensor is a name of `relidar list sensors` or the path
     /// of a rig file. If the sensor is empty, the sensor of the log is used.
     std::string run, sensor;
-    /// Number of scans that are submitted together. 0 means one scan, or all scans of a
-    /// rig if a rig is used.
+    /// Number of scans that are submitted together. 0 means one scan, or one scan of each
+    /// sensor of a rig.
     int together = 0;
     /// If true, ray drops and noise are random. If false, the most likely scan is
     /// computed.
@@ -33,11 +33,10 @@ struct ScanTimes {
     int side_by_side = 1;
     double rays = 0.0;    ///< Mean number of rays per scan.
     double points = 0.0;  ///< Mean number of returned points per scan.
-    /// Number of scans per second. The measurement starts after the memory of the scans
-    /// was allocated.
+    /// number of scans per second, without the first scans, which allocate memory
     double scans_per_s = 0.0;
-    /// Median wall time per scan. The time of a group of scans that were submitted
-    /// together is divided by their number.
+    /// Median wall time per scan. If scans are submitted in groups, the time of a group
+    /// is divided by its size.
     double scan_ms = 0.0;
     double device_ms = 0.0;  ///< mean kernel time per scan, or 0 if the device has no timestamps
     double host_ms = 0.0;    ///< mean processor time per scan of the calling thread

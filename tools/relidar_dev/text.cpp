@@ -65,7 +65,7 @@ std::string format_memory(const BenchMemory& memory, std::size_t n_surfels, std:
 }
 
 /// Returns a lower bound for the time of each kernel, in milliseconds. The bound of a
-/// phase is the sum of the bounds of its kernels.
+/// phase (a group of kernels) is the sum of their bounds.
 std::map<std::string, double> compute_floors_ms(const BenchResult& result) {
     std::map<std::string, double> floors;
     if (!result.copy_bytes_per_s) return floors;

@@ -89,9 +89,9 @@ int listen_on_address(const addrinfo& address) {
     return -1;
 }
 
-/// Returns the lowest file descriptor number that connections may not use. A connection
-/// with this number or a higher number is closed. The system always assigns the lowest
-/// free number, so the number shows how many descriptors are open.
+/// Returns the lowest file descriptor number at which a new connection is closed. The
+/// system always assigns the lowest free number, so a high number means that many
+/// descriptors are open.
 int find_first_spare_descriptor() {
     rlimit limit{};
     const bool is_known =

@@ -26,8 +26,8 @@ struct Sample {
     std::size_t rays, points;
 };
 
-/// Returns a percentile of the values, for example the median if `share` is 0.5. The
-/// fraction `share` of all values is at most as large as the result.
+/// Returns a percentile of the values, for example the median if `share` is 0.5. It is
+/// the smallest value that at least this share of the values does not exceed.
 double compute_percentile(std::vector<double> values, double share) {
     std::sort(values.begin(), values.end());
     const auto rank = std::size_t(std::ceil(share * double(values.size())));

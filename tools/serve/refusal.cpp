@@ -27,8 +27,7 @@ void refuse_unknown(const std::string& field, const std::string& name,
 std::string quoted(const std::string& word) {
     constexpr std::size_t kMost = 80;
     std::size_t n = std::min(word.size(), kMost);
-    // Shortens the text at the start of a UTF-8 character, so that no character is cut in
-    // two.
+    // Cuts the text before a UTF-8 character, not in the middle of it.
     while (n < word.size() && n > 0 && (static_cast<unsigned char>(word[n]) & 0xc0) == 0x80) --n;
     std::string shown = word.substr(0, n);
     std::replace_if(
@@ -52,7 +51,7 @@ grpc::Status answered(const std::function<void()>& answer) {
     } catch (const DeviceLost& error) {
         return {grpc::StatusCode::UNAVAILABLE,
                 fmt::format("{}; this server process ends and must be restarted", error.what())};
-        // Other exceptions come from the device, from a modified run folder, or from a
+        // Other exceptions come from the device, from a changed run folder, or from a
         // bug.
     } catch (const std::exception& error) {
         return {grpc::StatusCode::INTERNAL, error.what()};

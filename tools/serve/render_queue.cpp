@@ -9,8 +9,8 @@
 namespace relidar::serve {
 namespace {
 
-/// Interval at which a waiting call checks whether its client has cancelled the request.
-/// The render thread checks once more before it submits the request.
+/// Interval at which a waiting call checks whether its client has cancelled it. The
+/// render thread checks this again before it submits the request.
 constexpr std::chrono::milliseconds kPoll{10};
 
 class FunctionRequest final : public Request {
@@ -85,9 +85,9 @@ void RenderQueue::wait(Request& request, std::unique_lock<std::mutex>& lock) {
         lock, [&] { return request.state_ == State::done || request.state_ == State::cancelled; });
 }
 
-/// Returns the next request that is not cancelled. Returns null if no such request is
-/// pending.
-/// @param scene if set, returns null unless the next request is for this scene
+/// Removes the next request that is not cancelled from the queue and returns it. Returns
+/// null if there is none.
+/// @param scene if set, also returns null if the next request is for another scene
 Request* RenderQueue::next(const std::optional<std::size_t>& scene) {
     while (!pending_.empty()) {
         Request* request = pending_.front();
@@ -100,8 +100,8 @@ Request* RenderQueue::next(const std::optional<std::size_t>& scene) {
     return nullptr;
 }
 
-/// Runs one part of a request: its submission to the device, or its end. A request is
-/// done after its last part, or when a part throws an exception.
+/// Runs submit() or finish() of a request. A request is done after finish(), or when one
+/// of them throws an exception.
 /// @param submits_last argument of submit(); without a value, runs finish() instead
 void RenderQueue::run_part(Request& request, std::optional<bool> submits_last,
                            std::unique_lock<std::mutex>& lock) {
@@ -127,9 +127,8 @@ void RenderQueue::run_part(Request& request, std::optional<bool> submits_last,
     request.changed_.notify_one();
 }
 
-/// Submits a request together with the following requests for the same scene. Such a
-/// group is called a batch.
-/// @return the submitted requests that are not yet finished
+/// Submits a batch: a request, and the requests after it for the same scene.
+/// @return the submitted requests that are not finished yet
 RenderQueue::Batch RenderQueue::submit(Request* request, std::unique_lock<std::mutex>& lock) {
     Batch batch;
     for (std::size_t n = 1; request; ++n) {

@@ -29,7 +29,7 @@ public:
     /// Waits for the device and stores the response. It is called only for requests that
     /// have a scene.
     virtual void finish() {}
-    /// Returns true if no client waits for the response any more, because it has
+    /// Returns true if the client no longer waits for the response, because it has
     /// disconnected or its deadline has passed. One thread calls this function from time
     /// to time.
     virtual bool is_cancelled() const { return false; }
@@ -68,8 +68,8 @@ public:
     RenderQueue& operator=(const RenderQueue&) = delete;
 
     enum class Outcome { done, cancelled };
-    /// A reserved place in the queue. Only a caller that holds a slot can run requests,
-    /// and the number of slots is limited. The destructor releases the slot.
+    /// A reserved slot in the queue, whose number of slots is limited. Only a caller that
+    /// holds a slot can run requests. The destructor releases the slot.
     class Slot {
     public:
         Slot(Slot&& other) noexcept : queue_(other.queue_) { other.queue_ = nullptr; }
@@ -105,8 +105,8 @@ private:
     std::mutex mutex_;
     std::condition_variable more_;
     std::optional<std::string> device_loss_;
-    /// Requests that are not yet submitted. Each request belongs to the thread that waits
-    /// for its response.
+    /// Requests that are not submitted yet. The thread that waits for the response owns
+    /// the request.
     std::deque<Request*> pending_;
     std::size_t n_reserved_ = 0, batch_size_ = 1;
     bool closed_ = false;

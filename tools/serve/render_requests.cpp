@@ -98,8 +98,8 @@ void PointsRequest::finish() {
 
 void SpawnRequest::submit(bool) { places = scenes_.spawn(spawn_scene_, wishes_); }
 
-/// Removes the spawned actors. A client that receives no response would never remove
-/// them.
+/// Removes the spawned actors, because a client that did not receive the response would
+/// never remove them.
 void SpawnRequest::undo() { scenes_.spawned().release(spawn_scene_, list_names_of_spawned(places)); }
 
 }  // namespace relidar::serve

@@ -59,8 +59,8 @@ private:
 
 /// Maximum number of scans in one PointsRequest.
 inline constexpr std::size_t kMostAtOnce = 8;
-/// Maximum number of requests in a batch. The device may hold the scans of two batches,
-/// because a batch is submitted before the previous batch is read.
+/// Maximum number of requests in a batch. The device can hold two batches, because the
+/// next batch is submitted before the previous one is read.
 inline constexpr std::size_t kBatchSize = 4;
 static_assert(2 * kBatchSize * kMostAtOnce <= ScanRenderer::kScansInFlight);
 
@@ -81,8 +81,8 @@ private:
     const std::span<const RenderRequest> wanted_;
     SceneSet::Load load_{};
     std::size_t n_submitted_ = 0;
-    /// Exception that was thrown when a scan was submitted. It is thrown again after the
-    /// earlier scans are read, because the renderer returns scans in order.
+    /// Exception from the submission of a scan. It is thrown again after the earlier
+    /// scans are read, because the renderer returns scans in order.
     std::exception_ptr submit_failure_ = {};
 };
 

@@ -235,7 +235,8 @@ std::vector<ActorToSpawn> RequestReader::read_spawns(const v1::SpawnActorsReques
         if (!spawn.has_actor()) refuse(field, "neither actor nor asset", "one of them");
         const auto actor = std::ranges::find(run_actors, spawn.actor());
         if (actor == run_actors.end()) refuse_unknown(field + ".actor", spawn.actor(), run_actors);
-        // The list begins with the actors of the run, so the same index can be used.
+        // The index also fits `known`, because this list begins with the actors of the
+        // run.
         const PlacedActor& model = known[std::size_t(actor - run_actors.begin())];
         wishes.push_back({spawn.name(), {false, spawn.actor()}, model.size_m, model.surfels});
     }
@@ -275,8 +276,7 @@ std::vector<RenderRequest> RequestReader::read(const v1::RenderRigRequest& messa
         refuse("sensors", fmt::format("a rig with {} sensors", message.sensors_size()),
                fmt::format("1 to {}", kMostSensors));
     std::vector<RenderRequest> scans;
-    // Names that clients gave to the sensors. A sensor without a name is identified by
-    // its position in the request instead.
+    // names of the sensors, to detect duplicates; a name is optional
     std::set<std::string_view> names;
     for (int i = 0; i < message.sensors_size(); ++i) {
         const v1::RigSensor& sensor = message.sensors(i);

@@ -34,8 +34,7 @@ struct PlacedActor {
 
 /// Name and poses of an actor that a client wants to see in the scan.
 struct ActorRequest {
-    /// Field of the request that holds the actor's name. Error messages contain this
-    /// field.
+    /// name of the field of the request that holds the actor's name, for error messages
     std::string field;
     std::string name;
     PoseTrack dataset_from_actor;
@@ -63,10 +62,10 @@ std::vector<std::string> list_actor_names_of_run(const Run& run);
 /// request. The constructor's arguments must outlive this object.
 class RequestReader {
 public:
-    /// Creates a reader for the scenes of a device.
-    /// @param scenes the reader uses only members that any thread may call
+    /// Creates a reader of requests for these scenes.
+    /// @param scenes uses only members that any thread may call
     explicit RequestReader(SceneSet& scenes);
-    /// Creates a reader for runs whose surfels are not on a device.
+    /// Creates a reader of requests for runs whose surfels are not on a device.
     RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources,
                   const AssetCatalogue& assets, const SpawnedActors& spawned);
 

@@ -23,8 +23,8 @@ Run make_outline(Run run) {
     return run;
 }
 
-/// Returns a sensor with a single ray. When this ray is rendered, the complete scene is
-/// uploaded to the device.
+/// Returns a sensor with a single ray. Rendering this ray uploads the complete scene to
+/// the device.
 SensorChoice make_one_ray() {
     return {.rays = {1, 1, {glm::vec3(0.0f)}, {{1.0f, 0.0f, 0.0f}}, {0.0f}, {0}}, .name = "one ray"};
 }
@@ -70,8 +70,8 @@ SceneSet::Load SceneSet::use(std::size_t scene, const std::optional<Weather>& we
         renderer.set_weather(weather.value_or(sources_[scene].weather));
         work(renderer);
     });
-    // Unloads other scenes if the memory is exceeded. Rendering may have allocated larger
-    // arrays, because the sensor has more rays than earlier sensors.
+    // Unloads other scenes if memory is exceeded, because rendering may have allocated
+    // larger arrays for a sensor with more rays.
     make_room(scene, 0);
     return loaded_[scene].load;
 }
@@ -88,8 +88,8 @@ void SceneSet::attempt(std::size_t scene, const std::function<void(ScanRenderer&
     try {
         count_growth(scene, [&] { work(*loaded_[scene].renderer); });
     } catch (const DeviceError&) {
-        // The state of the renderer is unknown after an error, so the renderer is
-        // destroyed. The next request loads the scene again.
+        // The state of the renderer is unknown after an error. The next request loads the
+        // scene again.
         loaded_[scene].renderer.reset();
         throw;
     }
@@ -128,7 +128,7 @@ std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene,
     std::vector<SpawnedActors::Place> places = spawned_.take(scene, actors);
     if (loaded.renderer && loaded.n_places == spawned_.count_places(scene)) return places;
     const auto undo = [&] {
-        // Destroys the renderer, so that the next request loads the scene without the new
+        // Without the renderer, the next request loads the scene again, without the new
         // actors.
         loaded.renderer.reset();
         spawned_.undo(scene, places, n_before);
@@ -160,8 +160,8 @@ std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene,
                     actors.size(), needed_mib, double(memory_bytes_) / kMiB));
 }
 
-/// Unloads other scenes until all scenes and `bytes` more bytes fit into the memory.
-/// Starts with the least recently used scene.
+/// Unloads other scenes, the least recently used first, until `bytes` more bytes fit into
+/// the memory.
 void SceneSet::make_room(std::size_t scene, std::uint64_t bytes) {
     while (device_.allocated_bytes() + bytes > memory_bytes_) {
         Loaded* oldest = nullptr;
@@ -173,8 +173,8 @@ void SceneSet::make_room(std::size_t scene, std::uint64_t bytes) {
     }
 }
 
-/// Calls a function. Adds the device memory that the function allocates to the recorded
-/// size of the scene.
+/// Calls a function, and adds the device memory that it allocates to the recorded size of
+/// the scene.
 void SceneSet::count_growth(std::size_t scene, const std::function<void()>& work) {
     const std::uint64_t before = device_.allocated_bytes();
     work();

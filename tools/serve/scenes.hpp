@@ -17,8 +17,8 @@
 
 namespace relidar::serve {
 
-/// All scenes of one device. Only the render thread may use this class. Exceptions are
-/// outlines(), assets() and spawned(), which any thread may call.
+/// All scenes of one device. Only the render thread may use this class, except for
+/// outlines(), assets() and spawned().
 class SceneSet {
 public:
     /// Loads each run once to check it and to measure its size on the device.
@@ -43,8 +43,8 @@ public:
     /// memory is too small; the scene is then unchanged
     std::vector<SpawnedActors::Place> spawn(std::size_t scene, const std::vector<ActorToSpawn>& actors);
 
-    /// Number that changes each time a scene is loaded. Loading a scene discards its
-    /// pending scans, so a changed number shows that such a scan is lost.
+    /// Number that changes each time a scene is loaded. Loading discards pending scans,
+    /// so a changed number shows that a scan is lost.
     enum class Load : std::uint64_t {};
     /// Calls a function with the renderer of a scene. First loads the scene if it is not
     /// on the device.
@@ -70,8 +70,8 @@ private:
         /// Device memory of the renderer in bytes. Keeps the last value after the scene
         /// is unloaded.
         std::uint64_t bytes = 0;
-        /// Counter value of the last use. The scene with the smallest value was used
-        /// least recently.
+        /// counter value of the last use; the scene with the smallest value was used
+        /// least recently
         std::uint64_t used = 0;
         Load load{};               ///< Number of the most recent load of the scene.
         std::size_t n_places = 0;  ///< Number of slots for added actors in the loaded scene.

@@ -40,8 +40,8 @@ double read_between(const std::string& field, double value, double low, double h
     return value;
 }
 
-/// Copies an array from the bytes of a message. The array must be empty or contain
-/// `count` values.
+/// Reads an array from the bytes of a message. The array must have `count` values or be
+/// empty.
 template <class T>
 std::vector<T> read_array(const std::string& bytes, std::size_t count, const std::string& field) {
     if (!bytes.empty() && bytes.size() != count * sizeof(T))
@@ -115,8 +115,8 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
     SpinningSensor sensor;
     for (const v1::Beam& beam : message.beams())
         read_beam(beam, fmt::format("{}.beams[{}]", field, sensor.beams.size()), sensor);
-    // Compares only the first and the last beam, because neighbouring beams of real
-    // sensors may be slightly out of order.
+    // Checks only that the first beam is above the last beam, because neighbouring beams
+    // of real sensors can be slightly out of order.
     if (const auto& beams = sensor.beams;
         !beams.empty() && beams.back().elevation_rad > beams.front().elevation_rad)
         refuse(field + ".beams",
@@ -204,8 +204,8 @@ SensorChoice read_sensor(const v1::SensorSpec& message, const std::string& field
             pattern.divergence_rad = static_cast<decltype(pattern.divergence_rad)>(divergence_rad);
         },
         sensor.pattern);
-    // Computes the rays only to check that their values are finite. Without this check,
-    // the error would occur later, when a scan is rendered.
+    // Computes the rays to check that they are finite. Otherwise the error would occur
+    // only when a scan is rendered.
     if (describe_pattern(sensor.pattern).has_rays_by_time) make_rays(sensor);
     return make_sensor_choice(sensor);
 }
@@ -228,8 +228,8 @@ SensorChoice find_named_sensor(const std::string& name, const Run& run, int lida
 
 FiringSpan compute_firing_span(const SensorChoice& sensor) {
     const ScanArray<float>& times = sensor.rays.time_offset_s;
-    // A rosette sensor has no fixed firing times. The firing times of a sensor that is
-    // known only from its scans are unknown too.
+    // Without fixed firing times, assumes a full period around the reference time. This
+    // applies to rosette sensors and to sensors that are known only from their scans.
     if (times.empty()) {
         const double period_s = sensor.pattern ? get_period(*sensor.pattern) : 0.0;
         return {-0.5 * period_s, 0.5 * period_s};

@@ -133,8 +133,8 @@ RenderRequest SensorsimReader::read(const sensorsim::LidarRenderRequest& message
                       read_time(double(end_us) * kMicrosecond, "frame_end_us"),
                       outlines_[wanted.scene].sequence.world_offset_m};
     wanted.sensor = sensor(message, wanted.scene);
-    // Uses the middle of the interval, because firing times are relative to the middle of
-    // the sweep.
+    // The reference time is the middle of the interval, because firing times are relative
+    // to the middle of a sweep.
     wanted.request.time_s = 0.5 * (frame.start_s + frame.end_s);
     wanted.request.dataset_from_sensor = read_track(message.sensor_pose(), frame, "sensor_pose");
     wanted.points_at_s = frame.end_s;

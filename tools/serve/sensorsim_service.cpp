@@ -33,8 +33,8 @@ constexpr const char* kPackages[] = {"nre.grpc.protos", "nurec.grpc.protos"};
 
 }  // namespace
 
-/// Registers the gRPC methods of the service under a single name. The wire format does
-/// not contain the names of messages, so all services use the same message types.
+/// Registers the gRPC methods of the service under one of its names. All names share the
+/// same message types, because the wire format does not contain names of messages.
 class SensorsimService::NamedService final : public grpc::Service {
 public:
     NamedService(SensorsimService& calls, const std::string& full_name) : path_("/" + full_name + "/") {
@@ -74,8 +74,8 @@ public:
 
 private:
     const std::string path_;
-    // gRPC keeps pointers to the characters of these names. A deque does not move its
-    // elements.
+    // Names of the methods. gRPC keeps pointers to them, so they are in a deque, which
+    // does not move its elements.
     std::deque<std::string> methods_;
 
     /// Registers a method. The function answers a call and throws Refusal to reject it.
@@ -170,8 +170,7 @@ void SensorsimService::render_aggregated(const grpc::ServerContext& context,
     if (request.lidar_size() > kMostScans)
         refuse("lidar", fmt::format("{} scans", request.lidar_size()),
                fmt::format("at most {} per call", kMostScans));
-    // Reserves one slot for all scans of the call, so that the call is not rejected
-    // after some scans.
+    // One slot for all scans of the call, so that the call is not rejected in the middle.
     RenderQueue::Slot slot = reserve(queue_);
     std::vector<RenderRequest> wanted;
     for (const sensorsim::LidarRenderRequest& lidar : request.lidar()) wanted.push_back(reader_->read(lidar));

@@ -24,10 +24,10 @@ enum class PoseOrder {
 };
 
 struct ServerOptions {
-    /// Runs that the server offers. Each run is written as "RUN" or "NAME=RUN".
+    /// Trained runs that the server offers, each written as "RUN" or "NAME=RUN".
     std::vector<std::string> runs;
     std::vector<std::string> assets;  ///< Asset folders, as written by `relidar assets`.
-    /// Channels of scans, which replace the setting render.channels of each run.
+    /// channels of scans; they replace the setting render.channels of each run
     std::optional<std::string> channels;
     Weather weather = {};  ///< Weather that is simulated if the request does not contain a weather.
     /// Pose order of SensorsimService. Without a value, this service is disabled.

@@ -115,8 +115,8 @@ grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::
 grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::RenderRigRequest* request,
                                       grpc::ServerWriter<v1::RigScan>* writer) {
     return answered([&] {
-        // Reserves one slot for all scans of the rig, so that the call is not rejected
-        // after some scans.
+        // One slot for all scans of the rig, so that the call is not rejected in the
+        // middle.
         RenderQueue::Slot slot = reserve(queue_);
         const std::vector<RenderRequest> wanted = reader_.read(*request);
         for (std::size_t first = 0, n = 1; first < wanted.size(); first += n) {

@@ -14,8 +14,8 @@
 namespace relidar::serve {
 namespace {
 
-// Maximum number of slots that are added together. Unused slots can need much memory,
-// because with image.sh_direction=surfel each slot has its own copy of the surfels.
+// Maximum number of slots that are added at the same time. With
+// image.sh_direction=surfel, even an unused slot needs memory for a copy of the surfels.
 constexpr std::size_t kMostSpare = 8;
 
 using SpawnedPlaces = std::vector<ActorToSpawn>;
@@ -24,8 +24,8 @@ auto find_spawned(SpawnedPlaces& places, const std::string& name) {
     return std::ranges::find(places, name, &ActorToSpawn::name);
 }
 
-/// Returns the index of a free slot for the same model. If no such slot is free, adds
-/// slots and returns the index of the first new slot.
+/// Returns the index of a free slot for the same model. If there is none, adds slots and
+/// returns the first new one.
 std::size_t free_place(SpawnedPlaces& places, const ActorToSpawn& actor) {
     const auto is_free = [&](const ActorToSpawn& p) { return p.name.empty() && p.source == actor.source; };
     const auto free = std::ranges::find_if(places, is_free);
@@ -81,7 +81,7 @@ std::size_t SpawnedActors::count_places(std::size_t scene) const {
 std::vector<SpawnedActors::Place> SpawnedActors::take(std::size_t scene,
                                                       const std::vector<ActorToSpawn>& actors) {
     const std::lock_guard lock(mutex_);
-    // The code below changes only this copy, so that a rejected request has no effect.
+    // Changes only this copy, so that a rejected request has no effect.
     SpawnedPlaces places = scenes_[scene];
     std::vector<Place> new_places;
     for (const ActorToSpawn& wish : actors) {

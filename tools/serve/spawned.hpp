@@ -17,8 +17,7 @@ namespace relidar::serve {
 
 class AssetCatalogue;
 
-/// Says which surfels an added actor uses. They come from an actor of the scene's run or
-/// from an asset.
+/// Origin of the surfels of an added actor: an actor of the scene, or an asset.
 struct SpawnSource {
     bool is_asset = false;
     std::string name;
@@ -68,8 +67,7 @@ public:
 
 private:
     mutable std::mutex mutex_;
-    /// Slots of each scene: the first index is the scene, and the second index is the
-    /// slot.
+    /// [scenes][slots] actor in each slot of each scene
     std::vector<std::vector<ActorToSpawn>> scenes_;
 };
 

@@ -58,8 +58,8 @@ bool is_same_origin(std::string_view origin, std::string_view host) {
 
 bool is_same_secret(std::string_view first, std::string_view second) {
     unsigned differs = first.size() == second.size() ? 0u : 1u;
-    // Always compares all characters of the secret `second`. Otherwise the duration would
-    // show a client how many characters of its text `first` are right.
+    // Always compares all characters of the secret `second`, so that the duration does
+    // not show how many characters of `first` are right.
     for (std::size_t i = 0; i < second.size(); ++i) {
         const char shown = i < first.size() ? first[i] : '\0';
         differs |= static_cast<unsigned char>(shown) ^ static_cast<unsigned char>(second[i]);

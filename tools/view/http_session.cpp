@@ -18,7 +18,7 @@ namespace http = boost::beast::http;
 namespace {
 
 constexpr std::size_t kDrainedAtOnce = 65536;
-// Maximum number of reads that discard the remaining data of a rejected request.
+// Maximum number of reads that discard the rest of a rejected request.
 constexpr int kMaxDrains = 16;
 constexpr std::chrono::milliseconds kDrainTime{500};
 
@@ -76,9 +76,8 @@ void HttpSession::on_read(Error failed) {
     if (const std::optional<Status> status = status_of(failed)) refuse(*status);
 }
 
-/// Returns the HTTP status if a request is rejected. Returns no value if the request is
-/// allowed. The order of the checks reveals as little as possible to a client without
-/// access.
+/// Returns the HTTP error status of a request that must be rejected, or no value if it is
+/// allowed. The order of the checks reveals little to a client without access.
 std::optional<HttpSession::Status> HttpSession::find_objection(const Request& request) const {
     if (request.count(http::field::host) != 1) return Status::bad_request;
     const Credentials credentials{view(request[http::field::host]), view(request[http::field::origin]),
@@ -98,8 +97,7 @@ void HttpSession::answer(const Request& request) {
     const std::string_view target = view(request.target()), path = path_of(target);
     if (path == kSocketPath) {
         if (!boost::beast::websocket::is_upgrade(request)) return refuse(Status::upgrade_required);
-        // Rejects a client that has sent data before the WebSocket handshake was
-        // complete.
+        // A client must not send data before the WebSocket handshake is complete.
         if (buffer_.size() > 0) return refuse(Status::bad_request);
         std::make_shared<SocketSession>(std::move(stream_), std::move(counted_), hub_)->start(request);
         return;
@@ -115,8 +113,8 @@ void HttpSession::answer(const Request& request) {
                        hub_.cookie_name + "=" + hub_.options.token + "; Path=/; HttpOnly; SameSite=Strict");
     response_->body() = std::string(asset->body);
     response_->prepare_payload();
-    // A HEAD request receives no body, although the header contains the length of the
-    // body.
+    // The response to a HEAD request has no body, but its header contains the length of
+    // the body.
     if (request.method() == http::verb::head) response_->body().clear();
     response_->keep_alive(request.keep_alive());
     write();

@@ -30,7 +30,7 @@ struct Hub {
     ClientId last_client = 0;
 };
 
-/// Counts the open connections. The constructor increments the counter of the hub, and
+/// Counts the open connections: the constructor increments the counter of the hub, and
 /// the destructor decrements it.
 class Counted {
 public:

@@ -7,8 +7,8 @@
 
 namespace relidar {
 
-// Returns the names and texts of the page's files. cmake/Assets.cmake generates the
-// definition.
+// Returns the names and texts of the web page's files. cmake/Assets.cmake generates the
+// definition of this function.
 std::span<const std::pair<std::string_view, std::string_view>> view_page_texts();
 
 namespace view {

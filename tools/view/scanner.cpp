@@ -34,9 +34,8 @@ std::vector<std::string> list_built_in_sensors() {
     return names;
 }
 
-/// Returns what the surfels of the scene depend on: the run and the track of each copied
-/// actor, and the track of each moved actor, whose second entry is empty. Edits with the
-/// same result can share a renderer.
+/// Lists the edits that change the surfels of the scene: run and track of each copied
+/// actor, and track of each moved actor. Edits with the same list can share a renderer.
 std::vector<std::pair<std::string, std::string>> list_models(const ActorEdits& edits) {
     std::vector<std::pair<std::string, std::string>> models;
     for (const ActorEdits::Copy& copy : edits.copies) models.emplace_back(copy.from, copy.of);
@@ -44,9 +43,8 @@ std::vector<std::pair<std::string, std::string>> list_models(const ActorEdits& e
     return models;
 }
 
-/// Returns a hash (FNV-1a) of the path of the run, which hides the path from clients.
-/// When the program restarts, the web page compares the hash to detect whether it shows
-/// the same run.
+/// Returns a hash (FNV-1a) of the run's path, so that clients do not learn the path.
+/// After a restart, the web page compares the hash to detect another run.
 std::string make_identity(const Run& run) {
     std::uint32_t hash = 2166136261u;
     for (const char c : std::filesystem::absolute(run.folder).lexically_normal().string())
@@ -117,8 +115,8 @@ void check_size(const SensorChoice& sensor) {
 
 Json make_channels_json(const Config& config) {
     Json channels = Json::array();
-    // Adds the channel `source`. It is not in the settings, because it exists only if
-    // weather is simulated.
+    // The channel `source` is not in the settings, because it exists only in simulated
+    // weather.
     for (const ChannelInfo& channel : parse_channels(config.render.channels + ",source"))
         channels.push_back({{"name", channel.name}, {"unit", channel.unit}, {"meaning", channel.meaning}});
     return channels;
@@ -217,9 +215,9 @@ Json Scanner::read_sensor(TabCache& tab, const SensorFile& file) const {
     return make_sensor_json(*tab.file_sensor, 0.0);
 }
 
-/// Returns a renderer whose scene contains the copied actors. An actor that is moved for
-/// the first time gets a new renderer too, because the edit completes its unseen sides.
-/// Other moves and removals reuse the last renderer.
+/// Returns a renderer whose scene contains the copied actors. Creates a new renderer also
+/// when an actor is moved for the first time, because its unseen sides are then
+/// completed. Other moves and removals reuse the renderer.
 ScanRenderer& Scanner::find_renderer(const Traffic& traffic) {
     const auto models = list_models(traffic.edits());
     if (!renderer_ || rendered_ != models) {
@@ -241,8 +239,8 @@ ScanRenderer& Scanner::find_renderer(const Traffic& traffic) {
     return *renderer_;
 }
 
-/// Returns the frame of the requested LiDAR that is nearest in time to the request.
-/// Returns null if measured scans are missing or not requested.
+/// Returns the measured frame of the requested LiDAR that is nearest in time. Returns
+/// null if measured scans are missing or not requested.
 const Frame* Scanner::find_nearest_real_frame(const LiveScanRequest& request) const {
     const Sequence* log = real_.sequence();
     if (!log || !request.real) return nullptr;
@@ -268,8 +266,8 @@ RenderedScan Scanner::render(const Traffic& traffic, const LiveScanRequest& wish
 }
 
 /// Returns the time of the last launch of each kernel in milliseconds. Leaves out kernels
-/// that have not run since the previous call. If a kernel's list of times is full, its
-/// length no longer changes, so this kernel is always included.
+/// that have not run since the previous call. A kernel whose list of times is full is
+/// always included, because its length no longer changes.
 Json Scanner::kernel_times() {
     constexpr std::size_t kFull = 4096;
     Json times = Json::array();

@@ -64,7 +64,8 @@ private:
     Device& device_;
     RealScans real_;
     std::optional<ScanRenderer> renderer_;
-    /// Run and track of each copied actor in the scene of the current renderer.
+    /// Copied and moved actors in the scene of the current renderer, as listed by
+    /// list_models().
     std::vector<std::pair<std::string, std::string>> rendered_;
     /// Number of recorded times of each kernel at the previous call of kernel_times().
     std::map<std::string, std::size_t> launches_;

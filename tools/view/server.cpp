@@ -115,8 +115,8 @@ void Server::close(std::chrono::milliseconds patience) {
     boost::asio::post(impl_->hub.io, [&impl = *impl_] {
         ErrorCode ignored;
         impl.acceptor.close(ignored);
-        // Copies the list, because a session that ends immediately removes itself from
-        // the original list.
+        // Iterates over a copy, because a session that ends immediately removes itself
+        // from the original list.
         const auto clients = impl.hub.clients;
         for (const auto& [id, client] : clients)
             if (const auto session = client.lock()) session->leave();

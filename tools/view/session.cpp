@@ -72,8 +72,8 @@ void Session::receive(TabId id, const std::string& message) {
     arrived_.notify_one();
 }
 
-/// Returns the most urgent job of a browser tab. Returns no value if the tab has no job.
-/// The caller must hold the mutex.
+/// Returns the most urgent job of a browser tab, or no value if the tab has none. The
+/// caller must hold the mutex.
 std::optional<Session::Job> Session::take_job(TabId id, const std::shared_ptr<Tab>& tab) {
     if (!tab->greeted) {
         tab->greeted = true;
@@ -112,7 +112,7 @@ std::optional<Session::Job> Session::take_job(TabId id, const std::shared_ptr<Ta
     return {};
 }
 
-/// Returns a job of a browser tab. The search starts after the tab of the previous job,
+/// Returns the next job of any browser tab. Starts with the tab after the previous one,
 /// so that all tabs are served in turn.
 std::optional<Session::Job> Session::wait_for_next_job(std::chrono::milliseconds patience) {
     std::optional<Job> job;

@@ -56,7 +56,7 @@ private:
         bool greeted = false;
         /// Last state of the log reader that was sent to the browser tab.
         RealScans::State told = RealScans::State::loading;
-        /// Newest scan that the browser tab has requested and that is not rendered yet.
+        /// newest scan that the tab has requested, if it is not rendered yet
         std::optional<LiveScanRequest> scan = {};
         /// Queued requests that are not scans: sensor files, positions on the ground, and
         /// runs to save.

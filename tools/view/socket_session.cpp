@@ -17,14 +17,13 @@ constexpr std::size_t kMaxWaiting = 64;
 
 SocketSession::SocketSession(boost::beast::tcp_stream stream, Counted counted, Hub& hub)
     : hub_(hub), counted_(std::move(counted)), stream_(std::move(stream)) {
-    // Turns off the timer of the TCP stream, because the WebSocket stream has its own
-    // timer.
+    // turns off the timer of the TCP stream, because the WebSocket has its own timer
     stream_.next_layer().expires_never();
     websocket::stream_base::timeout limits{hub.options.request_time, hub.options.idle_time, true};
     stream_.set_option(limits);
     stream_.read_message_max(hub.options.max_message_bytes);
-    // Sends each message as one WebSocket frame. Fragments of 4 kB would be useless,
-    // because the server sends no other message between them.
+    // Sends each message as one WebSocket frame. Fragments are useless, because the
+    // server sends no other message between them.
     stream_.auto_fragment(false);
 }
 
@@ -44,8 +43,8 @@ void SocketSession::read() {
 }
 
 void SocketSession::on_read(Error failed) {
-    // The client has disconnected, or it has sent an invalid or too large message. For an
-    // invalid message, the stream has already sent the error code.
+    // The client has disconnected, or its message is invalid or too large. For an invalid
+    // message, the stream has already sent the error code.
     if (failed) return finish();
     if (!stream_.got_text()) return refuse();
     std::string text = boost::beast::buffers_to_string(incoming_.data());
@@ -56,7 +55,7 @@ void SocketSession::on_read(Error failed) {
 
 void SocketSession::send(std::string bytes, bool is_text, bool newest_only) {
     if (id_ == 0 || refused_) return;
-    // Removes older scans from the queue. Keeps the first message, because it is already
+    // Removes older scans from the queue, except the first message, which is already
     // being written.
     if (newest_only) {
         const auto stale = [](const Message& m) { return m.newest_only; };

@@ -48,8 +48,7 @@ private:
     boost::beast::websocket::stream<boost::beast::tcp_stream> stream_;
     boost::beast::flat_buffer incoming_;
     std::deque<Message> outgoing_;  ///< Queued messages. The first message is already being written.
-    /// Id of the client. The value is 0 before the handshake and after the connection is
-    /// closed.
+    /// id of the client; 0 before the handshake and after the connection is closed
     ClientId id_ = 0;
     bool refused_ = false;
     bool leaving_ = false;

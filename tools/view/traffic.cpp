@@ -63,8 +63,8 @@ const Run& run_called(const std::string& name, const OtherRuns& other_runs) {
 }
 
 /// Adds the copied actors to a scene.
-/// @param scene_of function that returns the needed data of another run: tracks and
-/// instances, with or without surfels
+/// @param scene_of returns the tracks and instances of another run, with or without
+/// surfels
 DrivingScene copied(DrivingScene driving, const OtherRuns& other_runs,
                     const std::vector<ActorEdits::Copy>& copies, DrivingScene (*scene_of)(const Run&)) {
     for (const ActorEdits::Copy& copy : copies) {
@@ -79,13 +79,12 @@ DrivingScene copied(DrivingScene driving, const OtherRuns& other_runs,
 
 void check_known(const DrivingScene& driving, const std::set<std::string>& tracks) {
     const std::vector<std::string> names(tracks.begin(), tracks.end());
-    // Throws an error if a name is unknown. The error message suggests the most similar
-    // name.
+    // throws an error that suggests a similar name if a name is unknown
     (void)select_instances(driving.scene, names);
 }
 
-/// Converts the edits to the history that `relidar edit` also writes. The saved run
-/// contains this history.
+/// Converts the edits to the history of a saved run, in the form that `relidar edit`
+/// writes.
 std::vector<RunEdit> make_history(const Run& run, const OtherRuns& other_runs, const ActorEdits& edits) {
     const auto folder_of = [](const Run& r) {
         return std::filesystem::absolute(r.folder).lexically_normal().string();

@@ -23,7 +23,7 @@ namespace relidar::view {
 using OtherRuns = std::map<std::string, Run>;
 
 /// Adds copies of actors to a scene. The original actors belong to this run or to other
-/// runs. Moves and removals are not applied here, because they do not change the surfels.
+/// runs. Does not apply moves and removals.
 /// @throws UsageError if a run or track is unknown
 DrivingScene apply_copies(DrivingScene driving, const OtherRuns& other_runs,
                           const std::vector<ActorEdits::Copy>& copies);
@@ -33,8 +33,7 @@ DrivingScene apply_copies(DrivingScene driving, const OtherRuns& other_runs,
 /// @throws UsageError if there is no ground at this position
 ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& other_runs, const GroundRequest& request);
 
-/// The actors of a run after all edits. The object stores tracks and instances, but no
-/// surfels.
+/// Tracks and instances of a run's actors after all edits, without surfels.
 class Traffic {
 public:
     /// Applies the edits to the tracks of a run.

@@ -46,8 +46,9 @@ struct DatasetOptions {
     /// the first drive is read.
     std::string sequence;
     FrameRange frames;
-    /// Text file with poses. Line i holds the first 12 numbers of the matrix
-    /// world_from_sensor of frame i, in the world frame of the dataset. If the path is
+    /// Text file with poses world_from_vehicle. Line i holds the 3 x 4 matrix of frame i,
+    /// row by row. Alternatively, each line holds a time, a position, and a quaternion or
+    /// three angles; these poses are interpolated (docs/datasets.md). If the path is
     /// empty, the poses of the dataset are used. The value kNoPoses means that no poses
     /// are read.
     std::filesystem::path poses_file;

@@ -32,8 +32,8 @@ struct DatasetConfig {
     /// Indices and ranges of the held-out frames, for example "13,26,40:45". Empty =
     /// test_every selects the frames.
     std::string test_frames;
-    /// Text file with one pose per frame, as 12 numbers per line. Empty = use the poses
-    /// of the dataset. kNoPoses = read no poses.
+    /// Text file with poses, in the forms of DatasetOptions::poses_file. Empty = use the
+    /// poses of the dataset. kNoPoses = read no poses.
     std::string poses;
     /// TF frame or topic of a ROS bag from which the poses are read. Empty = relidar
     /// selects it.

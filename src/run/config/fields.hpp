@@ -80,8 +80,10 @@ void visit_dataset(C& c, Visitor&& visitor) {
             "frames that are held out for testing, in the numbering of the dataset, for example "
             "13,26,40:45, where 40:45 excludes 45; empty: use dataset.test_every");
     visitor("dataset.poses", c.dataset.poses, anything(),
-            "file with one line of 12 numbers per frame, the 3 x 4 matrix world_from_sensor; empty: "
-            "use the poses of the dataset; none: estimate the poses from the scans");
+            "text file with the poses of the vehicle, or of the LiDAR if the log has no mounting: 12 "
+            "numbers per frame, a 3 x 4 matrix by rows, or lines time_s x y z qw qx qy qz or time_s x y "
+            "z roll pitch yaw in radians; empty: use the poses of the dataset; none: estimate the poses "
+            "from the scans");
     visitor("dataset.poses_from", c.dataset.poses_from, anything(),
             "for a ROS bag, the source of the LiDAR's poses: a frame of /tf, such as map or odom, or "
             "a topic with odometry or poses; empty: chosen automatically, and `relidar info` prints "

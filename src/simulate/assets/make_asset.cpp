@@ -28,8 +28,8 @@ std::string make_asset_name(const BoxTrack& box) {
     return name.front() == '.' ? "-" + name : name;
 }
 
-/// Returns true if a surfel can be visible. A visible surfel is opaque enough to be
-/// blended, and lies inside the box of its model.
+/// Returns true if a surfel can be visible: its opacity reaches the blending threshold,
+/// and it lies inside the box of its model.
 bool can_show(const Surfels& surfels, std::size_t index, const Model& model, const ImageModel& image) {
     const glm::vec3 outside = glm::abs(surfels.mean[index]) - model.half_size_m;
     const bool bounded = model.half_size_m.x > 0.0f;
@@ -37,8 +37,8 @@ bool can_show(const Surfels& surfels, std::size_t index, const Model& model, con
     return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[index])) >= image.alpha_min;
 }
 
-/// Returns the frames of a log in which an actor is present. The result has no scans and
-/// no other actors.
+/// Returns the frames of a log in which an actor is present, without their scans and
+/// without other actors.
 Sequence frames_of(const Sequence& log, const BoxTrack& box) {
     Sequence sequence = copy_without_frames(log);
     sequence.boxes = {box};

@@ -10,7 +10,8 @@
 namespace relidar {
 namespace {
 
-// Sensor model that is used instead of a LiDAR whose rays differ in each scan.
+// Sensor model that replaces a LiDAR of the log if this LiDAR has different rays in each
+// scan.
 constexpr const char* kStandIn = "HDL-64E";
 
 std::vector<SensorChoice> list_sensors(const Run& run) {
@@ -58,7 +59,8 @@ void add_returns(const RenderedScan& scan, const Run& run, const std::vector<con
         const Pose& world_from_firing = firing.at(i);
         const glm::dvec3 point_m =
             box_from_world * (world_from_firing * seen_m - run.sequence.world_offset_m);
-        // Skips surfels that an edit has mirrored, because the log has not observed them.
+        // Skips a return from a side of the actor that was completed with mirrored
+        // surfels. The log has not observed this side.
         const Model& model = run.scene.models[run.scene.instances[std::size_t(scan.instance[i])].model];
         if (model.surface && model.surface->completed_side(point_m)) continue;
         ActorObservations& actor = sightings[box->id];

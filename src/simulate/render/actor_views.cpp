@@ -25,8 +25,8 @@ std::vector<FiredRay> list_fired_rays(const Sweep& sweep) {
     return in_world;
 }
 
-/// Returns the indices of the rays that pass through the sphere around a model. The
-/// sphere contains the model during the full sweep.
+/// Returns the indices of the rays that pass near a model. The test uses a sphere that
+/// contains the model during the full sweep.
 std::vector<std::size_t> find_rays_near(const std::vector<FiredRay>& rays, const Sweep& sweep,
                                         const InstancePose& placed, double model_radius_m) {
     const auto [first_s, last_s] = std::ranges::minmax(sweep.rays().time_offset_s);
@@ -46,8 +46,8 @@ std::vector<std::size_t> find_rays_near(const std::vector<FiredRay>& rays, const
 
 }  // namespace
 
-/// Counts the rays of a scan that hit each instance first. Near the edge of an actor, a
-/// ray is partly absorbed. Such a ray counts only if surfaces absorb half of its light.
+/// Counts the rays of a scan whose first hit is on each instance. A ray at the edge of an
+/// actor counts only if surfaces absorb at least half of its light.
 std::vector<ActorView> ScanRenderer::Impl::count_first_hits(const RenderedScan& scan) const {
     std::vector<ActorView> views;
     for (const Instance& instance : sweeps.layout().instances) views.push_back({instance.track});
@@ -58,8 +58,8 @@ std::vector<ActorView> ScanRenderer::Impl::count_first_hits(const RenderedScan& 
     return views;
 }
 
-/// Traces the rays near each actor without all other surfaces, and counts their hits.
-/// Then removes the background and all actors that no ray would hit.
+/// Traces the rays near each actor in a scene that contains only this actor, and counts
+/// their hits. Then removes the entries of the background and of actors without hits.
 void ScanRenderer::Impl::count_hits_alone(const Sweep& sweep, const ScanPlan& plan,
                                           std::vector<ActorView>& views) {
     const std::vector<FiredRay> rays = list_fired_rays(sweep);

@@ -18,7 +18,8 @@
 namespace relidar {
 namespace {
 
-/// Copies points that the device computed to the arrays of `Points`.
+/// Copies points that the device computed to the arrays of `Points`. Rounds the
+/// intensities to the steps of the sensor.
 void copy_points(std::span<const shared::ReturnedPoint> from, const IntensityScatter& steps, Points& to) {
     constexpr std::size_t kTogether = 1 << 13;
     static_assert(std::int32_t(RELIDAR_NO_INSTANCE) == -1);
@@ -98,8 +99,8 @@ RenderedPoints ScanRenderer::Impl::collect(PendingPoints& scan, Points memory) {
     return result;
 }
 
-/// Waits until all requested scans are finished. Stores their points until they are
-/// collected.
+/// Waits until all submitted scans are finished, and stores their points for later calls
+/// of wait_for_points().
 void ScanRenderer::Impl::finish_pending() {
     for (PendingPoints& scan : pending) scan.ready = collect(scan);
 }
@@ -133,8 +134,8 @@ RenderedPoints ScanRenderer::wait_for_points(Points memory) {
     return s.collect(first, std::move(memory));
 }
 
-/// Waits until the device no longer uses the arrays of this object. Submits recorded
-/// commands first, because otherwise a later scan would submit them.
+/// Waits until the device no longer uses the arrays of this object. First submits the
+/// commands that are recorded but not submitted yet.
 void ScanRenderer::Impl::wait_for_device() noexcept {
     try {
         lanes->submit_batch();

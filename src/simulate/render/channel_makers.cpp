@@ -87,7 +87,7 @@ ChannelValues make_seen_channel(const RenderedScan& scan, const ScanContext& con
 }
 
 // Returns "surface" as the cause of each return. If the scan has weather, add_weather()
-// later overwrites these values.
+// overwrites these values later.
 ChannelValues make_source_channel(const RenderedScan& scan, const ScanContext&) {
     return std::vector<std::int32_t>(scan.median_range_m.size(), std::int32_t(PointSource::surface));
 }
@@ -96,8 +96,8 @@ ChannelValues make_surfel_drop_channel(const RenderedScan& scan, const ScanConte
     return scan.image.drop_prob;
 }
 
-/// Describes how an optional channel is computed. A row sets exactly one of the three
-/// functions.
+/// Describes how an optional channel is computed. Exactly one of the three functions is
+/// set.
 struct Maker {
     std::string_view name;
     ChannelValues (*of_rendering)(const Rendering&, const RenderedScan&);
@@ -117,8 +117,8 @@ constexpr Maker kMakers[] = {
 
 Maker find_maker(const ChannelInfo& channel) {
     const auto* maker = std::ranges::find(kMakers, channel.name, &Maker::name);
-    // A test (tests/simulate/render/channels_test.cpp) checks that each channel has a row
-    // in the table.
+    // A channel without a row in the table gets no values. A test
+    // (tests/simulate/render/channels_test.cpp) checks that every channel has a row.
     return maker == std::end(kMakers) ? Maker{} : *maker;
 }
 
@@ -127,7 +127,8 @@ Maker find_maker(const ChannelInfo& channel) {
 std::vector<std::int32_t> instance_classes(const Scene& scene, const Sequence& sequence) {
     std::vector<std::int32_t> classes;
     for (const Instance& instance : scene.instances) {
-        // A copy of an actor has no box, but its model has the name of the actor's box.
+        // A copied actor has no box of its own, but its model has the name of the
+        // original actor's box.
         const BoxTrack* box = find_box(sequence, instance.track);
         if (!box) box = find_box(sequence, scene.models[instance.model].name);
         const ObjectKind kind = box ? parse_object_kind(box->category) : ObjectKind::other;

@@ -28,8 +28,8 @@ struct ScanContext {
     std::vector<std::int32_t> classes = {};
 };
 
-/// Minimum blending weight of a ray. A ray with a smaller weight counts as having hit
-/// nothing.
+/// A ray hits nothing if the blending weights of its surfels sum up to less than this
+/// value.
 inline constexpr float kMinWeight = 1e-3f;
 /// Name of the channel "incidence". Ray-drop networks also read this channel.
 inline constexpr const char* kIncidence = "incidence";
@@ -38,17 +38,17 @@ inline constexpr const char* kIncidence = "incidence";
 /// actor without a box has the kind `other`.
 /// @return [instances]
 std::vector<std::int32_t> instance_classes(const Scene& scene, const Sequence& sequence);
-/// Returns true if any of the channels needs the full rendering result of the rays.
+/// Returns true if any of the channels needs the full rendering result, for example the
+/// normals.
 bool needs_rendering(const std::vector<ChannelInfo>& channels);
 /// Adds the optional channels that are computed for each traced ray.
 /// @param scan scan of these rays; its image, poses and times must be set
-/// @param rendering full rendering result; may be empty if needs_rendering() returns
-/// false
+/// @param rendering may be empty if needs_rendering() returns false
 void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured,
                       const Rendering& rendering, const std::vector<ChannelInfo>& channels);
-/// Adds the optional channels that are computed after sub-rays were joined to beams. Call
-/// it before a network or random sampling changes the drop probabilities. Leaves out
-/// channels without values.
+/// Adds the optional channels that are computed for each beam, after its sub-rays were
+/// joined. Must be called before a network or random sampling changes the drop
+/// probabilities. Leaves out channels without values.
 void add_scan_channels(RenderedScan& scan, const ScanContext& context,
                        const std::vector<ChannelInfo>& channels);
 

@@ -13,8 +13,8 @@
 
 namespace relidar {
 
-/// Calls visit(info, values of `source`, values of `target`) for each basic channel that
-/// is rendered. Leaves out time and ring, because they belong to the rays.
+/// Calls visit(info, values in `source`, values in `target`) for each basic channel, such
+/// as range or intensity. Leaves out time and ring, because they belong to the rays.
 template <class Visit>
 void for_each_basic_pair(const RenderedScan& source, RenderedScan& target, Visit&& visit) {
     const BasicChannels& basic = get_basic_channels();
@@ -27,10 +27,10 @@ void for_each_basic_pair(const RenderedScan& source, RenderedScan& target, Visit
     visit(basic.instance, source.instance, target.instance);
 }
 
-/// Calls visit(info, values of `source`, values of `target`) for the basic and the
-/// optional channels of two scans.
-/// @param target must have the channels of `source` in the same order; emptied() creates
-/// such a scan
+/// Calls visit(info, values in `source`, values in `target`) for each channel of two
+/// scans, basic or optional.
+/// @param target must have the channels of `source` in the same order; empty_scan()
+/// creates such a scan
 template <class Visit>
 void for_each_pair(const RenderedScan& source, RenderedScan& target, Visit&& visit) {
     for_each_basic_pair(source, target, visit);

@@ -8,8 +8,8 @@ namespace relidar {
 
 /// Returns a scan with these rays but without measurements. Its channels have no values
 /// yet.
-/// @param taken a scan of the same sweep. Its times, poses and channel names are copied.
-/// Leave it out if no such scan exists.
+/// @param taken another scan of the same sweep, from which times, poses and channel names
+/// are copied; optional
 inline RenderedScan empty_scan(const RayTable& rays, const RenderedScan& taken = {}) {
     RenderedScan scan;
     scan.image.rows = rays.rows;

@@ -13,8 +13,8 @@
 namespace relidar {
 namespace {
 
-// Smallest weight of a sub-ray. It keeps the range of a sub-ray with intensity 0 in the
-// mean.
+// Smallest weight of a sub-ray in a mean. Without it, sub-rays with intensity 0 would be
+// ignored.
 constexpr float kDarkest = 1e-3f;
 
 /// Returns two unit vectors that are perpendicular to a direction and to each other.
@@ -30,9 +30,9 @@ struct Group {
     float light = 0.0f;              ///< sum of the intensities
 };
 
-/// Returns true if the hits of sub-rays lie on one plane. On a plane, 1 / range is linear
-/// in the offsets of the sub-rays. A plane counts as one return even if its ranges differ
-/// much at a grazing angle. Fewer than five sub-rays are too few for this test.
+/// Returns true if the hits of sub-rays lie on one plane, on which 1 / range is linear in
+/// the offsets of the sub-rays. At a grazing angle, ranges on one plane differ much, but
+/// they form one return. Fewer than five sub-rays are too few for this test.
 bool are_on_one_plane(const std::vector<std::size_t>& parts, const std::vector<float>& range_m,
                       std::size_t first, const std::vector<glm::dvec2>& offsets, double tolerance_m) {
     if (parts.size() < 5) return false;
@@ -56,8 +56,8 @@ bool are_on_one_plane(const std::vector<std::size_t>& parts, const std::vector<f
 /// Joins consecutive groups of sub-rays that lie on the same plane.
 void join_slopes(std::vector<Group>& groups, const std::vector<float>& range_m, std::size_t first,
                  const std::vector<glm::dvec2>& offsets, double tolerance_m) {
-    // Tries the longest sequence of groups first. If all groups belong to one surface,
-    // the first try joins all of them.
+    // Tries to join all groups first, then shorter and shorter sequences of groups. A
+    // single surface is thus joined in the first try.
     for (std::size_t length = groups.size(); length >= 2; --length) {
         for (std::size_t begin = 0; begin + length <= groups.size(); ++begin) {
             Group joined;
@@ -129,7 +129,7 @@ const Group* find_second_return(const std::vector<Group>& groups, const Group& s
     return second && double(second->light) >= kSecondReturnShare * double(strongest.light) ? second : nullptr;
 }
 
-/// Joins sub-rays to the returns of the beams, one beam at a time.
+/// Joins the sub-rays of each beam into returns.
 class Joiner {
 public:
     Joiner(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config)
@@ -162,8 +162,9 @@ public:
                                                                : sum_over_group(strongest, of_parts) /
                                                                      static_cast<float>(n));
                           }
-                          // Sub-rays are ordered from the centre outwards. Therefore the
-                          // sub-ray with the smallest index is nearest to the centre.
+                          // Copies the value of the sub-ray nearest to the centre. It has
+                          // the smallest index, because sub-rays are ordered from the
+                          // centre outwards.
                           of_rays.push_back(of_parts[std::ranges::min(strongest.parts)]);
                       });
         if (scan_.second_returns.empty()) return;

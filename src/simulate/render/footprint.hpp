@@ -8,8 +8,8 @@
 
 namespace relidar {
 
-/// Returns `count` sub-rays for each ray, in the order of make_footprint_pattern(). A
-/// sub-ray keeps the origin, time and channel of its ray.
+/// Splits each ray into `count` sub-rays, in the order of make_footprint_pattern(). A
+/// sub-ray has the origin, time and channel of its ray.
 /// @param count 1, 5 or 9; any other number gives a spiral that starts next to the centre
 /// @param divergence_rad full divergence of all rays; if 0, the divergence of each ray is
 /// used
@@ -31,17 +31,16 @@ RayTable split_rays(const RayTable& rays, int count, double divergence_rad);
 /// @param parts scan of split_rays(rays, config.sub_rays, ...)
 RenderedScan join_footprints(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config);
 
-/// Number of sub-rays of a beam that hits several surfaces. Nine sub-rays would be too
-/// few. A surface with a tenth of the light would be hit by only one of them or by none.
-/// At a straight edge, one outer sub-ray would report a surface that covers only 2.6 % of
-/// the footprint.
+/// Number of sub-rays of a beam that hits several surfaces. With nine sub-rays, at most
+/// one would hit a surface with a tenth of the light. At a straight edge, one outer
+/// sub-ray would report a surface that covers only 2.6 % of the footprint.
 inline constexpr int kEdgeParts = 40;
 
-/// Returns the indices of the beams that hit several surfaces. The sub-rays of such a
-/// beam form more than one return.
+/// Returns the indices of the beams that hit several surfaces, so that their sub-rays
+/// form more than one return.
 std::vector<std::size_t> find_edges(const RenderedScan& parts, const RayTable& rays,
                                     const SensorConfig& config);
-/// Replaces some rays of a scan by the rays of another scan with better values.
+/// Replaces some rays of a scan by the rays of a more exact scan.
 /// @param places [rays of `better`] indices of the replaced rays
 void replace_rays(RenderedScan& scan, const std::vector<std::size_t>& places, const RenderedScan& better);
 

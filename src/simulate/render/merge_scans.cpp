@@ -18,8 +18,8 @@ void append(std::vector<T>& to, const std::vector<T>& from) {
     to.insert(to.end(), from.begin(), from.end());
 }
 
-/// Adds the channels of a scan to the merged scan. In a new channel, the rays that were
-/// merged earlier get no value.
+/// Adds the channels of a scan to the merged scan. If a channel is new, it gets no value
+/// for the rays that are already merged.
 /// @throws UsageError if a channel has a different type in two scans
 void add_channels(RenderedScan& merged, const RenderedScan& scan) {
     for (const ScanChannel& channel : remove_values(scan.channels)) {
@@ -40,7 +40,7 @@ void add_channels(RenderedScan& merged, const RenderedScan& scan) {
     }
 }
 
-/// Appends the channel values of second returns to the merged channel.
+/// Appends the values that a channel has for second returns.
 void append_second_returns(ScanChannel& merged, const ScanChannel& own, std::size_t first_ray) {
     const auto add = [&]<class T>(const std::vector<T>& values) {
         if (size(merged.second) == 0) merged.second = std::vector<T>{};
@@ -51,7 +51,8 @@ void append_second_returns(ScanChannel& merged, const ScanChannel& own, std::siz
     std::visit(add, own.second);
 }
 
-/// Returns a scan with the poses of the rig and the firing times of another scan.
+/// Returns a scan with the poses of the rig (all merged sensors) and the firing times of
+/// one sensor.
 RenderedScan make_rig_firing(const RenderedScan& merged, const RenderedScan& scan) {
     RenderedScan rig;
     rig.image.rows = scan.image.rows;
@@ -64,12 +65,12 @@ RenderedScan make_rig_firing(const RenderedScan& merged, const RenderedScan& sca
 }
 
 /// Computes the pose of a sensor in the rig's frame at the firing time of a ray.
-/// Interpolates the pose of the sensor and the pose of the rig separately. A fixed
-/// mounting pose would be slightly wrong: the interpolated positions of sensor and rig
-/// move along different straight lines.
+/// Interpolates the poses of sensor and rig separately. A fixed mounting pose would be
+/// slightly wrong, because the interpolated positions move along different straight
+/// lines.
 class RigPoses {
 public:
-    /// Stores the tracks of a sensor and its rig.
+    /// Copies the tracks of the rig, and keeps a reference to the scan of the sensor.
     /// @param scan scan of the sensor; must outlive this object
     RigPoses(const RenderedScan& merged, const RenderedScan& scan)
         : rig_(make_rig_firing(merged, scan)), world_from_rig_(rig_), world_from_firing_(scan) {}
@@ -108,8 +109,8 @@ void append_scan_channels(RenderedScan& merged, const RenderedScan& scan, RigPos
     }
 }
 
-/// Adds empty second returns for rays without a second return. Their ranges and
-/// intensities are 0, and their channels have no value.
+/// Fills up the lists of second returns for rays without a second return. Their ranges
+/// and intensities are 0, and their channels have no value.
 void fill_second_returns(RenderedScan& merged) {
     const std::size_t n = merged.image.range_m.size();
     for (SecondReturn& second : merged.second_returns) second.range_m.resize(n), second.intensity.resize(n);
@@ -119,8 +120,8 @@ void fill_second_returns(RenderedScan& merged) {
                        channel.second);
 }
 
-/// Adds the numbers of rays on actors, and on their unseen sides, to those of the merged
-/// scan.
+/// Adds the numbers of rays that hit the actors and their unobserved sides to the numbers
+/// of the merged scan.
 void add_actors(RenderedScan& merged, const RenderedScan& scan) {
     for (const ActorView& view : scan.actor_views) {
         const auto known = std::ranges::find(merged.actor_views, view.track, &ActorView::track);
@@ -139,7 +140,7 @@ void add_actors(RenderedScan& merged, const RenderedScan& scan) {
 
 /// Appends the rays of a scan to the merged scan. Each ray is transformed into the frame
 /// of the rig at the firing time of the ray.
-/// @param first_ring number in the merged scan that ring 0 of this scan gets
+/// @param first_ring number of this scan's ring 0 in the merged scan
 void append_rays(RenderedScan& merged, const RenderedScan& scan, RigPoses& poses, std::size_t first_ring) {
     for (std::size_t i = 0; i < scan.image.origin.size(); ++i) {
         merged.time_offset_s.push_back(scan.time_offset_s[i]);

@@ -36,8 +36,8 @@ std::vector<Return> find_returns(const RenderedScan& scan, const std::vector<flo
     return returns;
 }
 
-/// Returns the poses of the sensor during a scan, in the frame of the points. If the
-/// points are in the sensor's frame, returns no poses.
+/// Returns the poses of the sensor during a scan, in the frame of the points. Returns no
+/// poses if the points stay in the sensor's frame.
 std::vector<shared::SensorPose> list_firing_poses(const RenderedScan& scan,
                                                   const std::optional<Pose>& dataset_from_points) {
     if (!dataset_from_points || scan.time_offset_s.empty()) return {};
@@ -48,7 +48,7 @@ std::vector<shared::SensorPose> list_firing_poses(const RenderedScan& scan,
                                     double(first_s), double(last_s));
 }
 
-/// Returns the last pose before a time. Works like the function in
+/// Returns the last pose before a time. Selects the same pose as the shader
 /// shaders/simulate/render/sensor_way.glsl.
 const shared::SensorPose& find_pose_before(const std::vector<shared::SensorPose>& poses,
                                            float time_offset_s) {

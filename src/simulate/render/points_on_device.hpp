@@ -18,9 +18,8 @@ namespace relidar {
 
 class SensorRays;
 
-/// Number of rays that are sampled to estimate the share of rays through space that the
-/// log did not observe. With this number, the error of the estimate is one or two
-/// percent.
+/// Number of rays from which the program estimates how many rays pass through space that
+/// the log did not observe. The error of the estimate is one or two percent.
 inline constexpr std::size_t kAskedRays = 1024;
 
 /// Options for computing the points of a scan.
@@ -57,16 +56,16 @@ public:
 
     struct Gathered {
         std::span<const shared::ReturnedPoint> points;
-        /// Distance to the surface in metres for each sampled ray. requested_ray()
-        /// returns the index of a sampled ray.
+        /// [sampled rays] distance to the surface in metres; requested_ray() returns the
+        /// index of a sampled ray
         std::span<const float> requested_m;
         std::uint32_t n_capped;
     };
-    /// Waits until the points in these host buffers are complete.
+    /// Waits until the points are copied to these host buffers.
     /// @return valid until the buffers are reused
     static Gathered wait(Stream& stream, Slot& slot);
-    /// Returns the index of the k-th sampled ray. The surface range of a sampled ray is
-    /// always copied to the host, even if the ray does not return.
+    /// Returns the index of the k-th sampled ray. The distance to its surface is copied
+    /// to the host even if the ray has no return.
     /// @param index index below n_requested()
     static std::size_t requested_ray(std::size_t index, std::size_t n_rays) {
         return index * n_rays / n_requested(n_rays);

@@ -63,16 +63,16 @@ void fill_scan(RenderedScan& scan, std::span<const shared::MeasuredRay> measured
     }
 }
 
-/// Drops beams whose range is outside the sensor's limits. The range of a beam is a mean
-/// over sub-rays, so it can be outside although some sub-rays are inside.
+/// Drops beams whose range is outside the sensor's limits. Before, only the ranges of
+/// their sub-rays were compared with the limits.
 void drop_beyond(RenderedScan& scan, const RangeLimits& limits) {
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i]))
             scan.image.drop_prob[i] = 1.0f;
 }
 
-/// Replaces the drop probabilities of a scan by the output of a network. Keeps a
-/// probability of 1, because such a ray hit nothing that the sensor can measure.
+/// Replaces the drop probabilities of a scan by the output of a network. A probability of
+/// 1 stays, because such a ray hit nothing that the sensor can measure.
 void replace_drops(RenderedScan& scan, std::span<const float> refined) {
     std::vector<float>& drop_prob = scan.image.drop_prob;
     for (std::size_t i = 0; i < drop_prob.size(); ++i)
@@ -89,8 +89,8 @@ WeatherSensor make_weather_sensor(const Config& config, const RayTable& rays, co
     if (config.sensor.divergence_mrad > 0.0) result.divergence_rad = 1e-3 * config.sensor.divergence_mrad;
     else if (divergence_rad > 0.0) result.divergence_rad = divergence_rad;
     if (step > 0.0) result.darkest = 0.5 * step;
-    // Uses the middle of the interval from 0 to half an intensity step. The sensor
-    // reports every intensity in this interval as 0.
+    // The sensor reports every intensity below half a step as 0. Uses the middle of this
+    // interval.
     result.weakest_reflectivity = 0.5 * result.darkest;
     result.separation_m = config.sensor.return_separation_m;
     result.min_range_m = limits.min_m, result.max_range_m = limits.max_m;
@@ -149,8 +149,8 @@ SeenByLog ScanRenderer::Impl::compute_seen_by_log(const SensorChoice& sensor) co
 
 /// Loads the part of the scene around the sensor, and moves the instances to their poses.
 void ScanRenderer::Impl::load_scene(const RenderLane& lane, const Sweep& sweep) {
-    // Waits for pending scans, because loading blocks can replace the renderer that these
-    // scans use.
+    // Waits for pending scans, because loading parts of the scene can replace the
+    // renderer that these scans use.
     if (!sweeps.layout().blocks.empty()) finish_pending();
     const glm::vec3 sensor_m(sweep.pose.translation);
     scene.make_resident(sensor_m, sweeps.get_limits(sweep.sensor).max_m);
@@ -159,7 +159,7 @@ void ScanRenderer::Impl::load_scene(const RenderLane& lane, const Sweep& sweep) 
 
 /// Records GPU commands that trace rays and compute the measurements. Call load_scene()
 /// before.
-/// @param is_drop_correction_used true to run the ray-drop network as well
+/// @param corrects_drops true to run the ray-drop network as well
 std::shared_ptr<SensorRays> ScanRenderer::Impl::record(RenderLane& lane, const Sweep& sweep,
                                                        const RayTable& rays, bool corrects_drops) try {
     const SensorChoice& sensor = sweep.sensor;
@@ -182,8 +182,7 @@ std::shared_ptr<SensorRays> ScanRenderer::Impl::record(RenderLane& lane, const S
 }
 
 /// Traces rays and waits for the result.
-/// @param is_drop_correction_used true to compute the drop probabilities of the network
-/// as well
+/// @param corrects_drops true to run the ray-drop network as well
 ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace(const Sweep& sweep, const RayTable& table,
                                                          bool corrects_drops) {
     Renderer& renderer = scene.renderer();
@@ -200,8 +199,8 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace(const Sweep& sweep, con
     scan.track = shift_track(sweep.world_from_sensor, offset_m);
     scan.world_from_sensor = {sweep.pose.rotation, sweep.pose.translation + offset_m};
     scan.time_s = sweep.time_s;
-    // Adds the incidence channel if there is a network, because the host computes an
-    // input of the network from it.
+    // If there is a ray-drop network, adds the incidence channel, because it is an input
+    // of the network.
     std::vector<ChannelInfo> channels = settings.channels;
     if (lanes->network() && !has_channel(kIncidence)) channels.push_back(parse_channels(kIncidence).front());
     add_ray_channels(scan, measured, needs_rendering(channels) ? renderer.download_rendering() : Rendering{},
@@ -234,7 +233,7 @@ void ScanRenderer::Impl::correct_drops(RenderedScan& scan) {
                             .refine(make_drop_image(scan, lanes->network()->inputs, first_origin_m)));
 }
 
-/// Converts expected values to measured values: draws random returns, adds weather, and
+/// Converts expected values to measured values. Draws random returns, adds weather, and
 /// rounds intensities to the steps of the sensor.
 void ScanRenderer::Impl::measure(RenderedScan& scan, const Sweep& sweep,
                                  std::optional<std::uint64_t> sample) {
@@ -263,7 +262,7 @@ void ScanRenderer::Impl::measure(RenderedScan& scan, const Sweep& sweep,
         for (float& intensity : echo.intensity) intensity = scatter.quantised(intensity);
 }
 
-/// Renders the scan of a sweep by running all steps.
+/// Renders the scan of a sweep, from tracing the rays to weather and rounding.
 RenderedScan ScanRenderer::Impl::render(const Sweep& sweep, std::optional<std::uint64_t> sample) {
     using Network = ScanPlan::Network;
     const SensorChoice& sensor = sweep.sensor;
@@ -307,7 +306,8 @@ ScanRenderer::ScanRenderer(Device& device, const Run& run)
 void ScanRenderer::show_only(const std::vector<bool>& shown) { impl_->sweeps.show_only(shown); }
 
 void ScanRenderer::refine_drops(const DropNetwork& network) {
-    // called only to throw an error if the network has inputs that cannot be rendered
+    // The result is not used. The call throws an error if the network has inputs that
+    // cannot be rendered.
     list_drop_channel_indices(network.inputs);
     impl_->finish_pending();
     impl_->lanes->set_network(network);

@@ -21,7 +21,7 @@ RenderLane& RenderLanes::next() {
             const std::size_t n_before = others_.size();
             try {
                 others_.emplace_back(device_).copy = scene_.copy();
-                // Uses fewer copies of the scene, because device memory is exhausted.
+                // If device memory is exhausted, continues with the copies that exist.
             } catch (const OutOfDeviceMemory&) {
                 if (others_.size() > n_before) others_.pop_back();
                 most_ = 1 + int(others_.size());
@@ -62,7 +62,7 @@ void RenderLanes::set_most(int count) {
 std::shared_ptr<SensorRays> RenderLane::upload(Device& device, const SensorChoice& sensor,
                                                const RayTable& table,
                                                const std::function<float(std::size_t)>& never_seen) {
-    // limits for rays that stay on the device; they need 0.2 GB
+    // limits for the rays that stay in device memory, where they need 0.2 GB
     constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;
     const std::string name = fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_own);
     const auto known =
@@ -71,13 +71,12 @@ std::shared_ptr<SensorRays> RenderLane::upload(Device& device, const SensorChoic
         std::rotate(known_rays.begin(), known, known + 1);
         return known_rays.front();
     }
-    // Tests whether an entry can be replaced. The rays of a pending scan must not be
-    // replaced.
+    // Returns true if an entry can be overwritten: no pending scan uses its rays, and it
+    // is empty or belongs to the same sensor.
     const auto is_free = [&](const std::shared_ptr<SensorRays>& rays) {
         return rays.use_count() == 1 && (rays->table().size() == 0 || rays->sensor() == name);
     };
-    // Reuses the existing entry of a sensor. This happens if the sensor has different
-    // rays in every scan.
+    // Overwrites the entry of the same sensor, whose rays may differ from scan to scan.
     auto place = std::ranges::find_if(known_rays, is_free);
     if (place == known_rays.end()) place = known_rays.insert(place, std::make_shared<SensorRays>(device));
     std::rotate(known_rays.begin(), place, place + 1);

@@ -21,8 +21,8 @@ namespace relidar {
 
 class ResidentScene;
 
-/// Resources that one scan uses exclusively while it is being rendered. If several scans
-/// are rendered in parallel, each scan has a separate lane.
+/// Device resources for rendering one scan. Scans that are rendered in parallel use
+/// different lanes.
 struct RenderLane {
     /// copy of the scene on the device; null if this lane uses the original scene
     std::unique_ptr<Renderer> copy = {};
@@ -33,21 +33,21 @@ struct RenderLane {
     std::optional<DropRefiner> refiner = {};
 
     explicit RenderLane(Device& device) : known_rays{std::make_shared<SensorRays>(device)}, points(device) {}
-    /// Returns the rays of a sensor as arrays on the device. Keeps these rays on the
-    /// device for the next scans of the same sensor.
+    /// Returns the rays of a sensor as arrays on the device. The arrays stay on the
+    /// device for the next scans of the sensor.
     /// @param never_seen returns the probability that the sensor never gets a return
     /// along a ray
     std::shared_ptr<SensorRays> upload(Device& device, const SensorChoice& sensor, const RayTable& table,
                                        const std::function<float(std::size_t)>& never_seen);
 };
 
-/// All lanes of a scene. A lane is a set of resources for one scan at a time. The GPU
-/// commands of a scan are recorded in one lane.
+/// All lanes of a scene. A lane has the device resources for one scan at a time, so that
+/// several scans can be rendered in parallel.
 class RenderLanes {
 public:
     RenderLanes(Device& device, ResidentScene& scene);
 
-    /// Returns the lane for a scan that the device renders alone.
+    /// Returns the lane for a scan that is not part of a batch.
     RenderLane& first() { return first_; }
     /// Returns the lane for the next scan of a batch. Begins a batch if none is open.
     /// Creates the lanes at the first call.
@@ -57,10 +57,11 @@ public:
     void submit_batch();
     Renderer& renderer(const RenderLane& lane);
 
-    /// Sets the network that corrects the ray-drop. An empty network turns this
+    /// Sets the network that corrects the drop probabilities. An empty network turns the
     /// correction off.
     void set_network(const DropNetwork& network);
-    /// Returns the network that corrects the ray-drop, or null if there is none.
+    /// Returns the network that corrects the drop probabilities, or null if there is
+    /// none.
     const DropNetwork* network() const { return first_.refiner ? &first_.refiner->network() : nullptr; }
     /// Returns the object that runs the ray-drop network in a lane. Creates the object at
     /// the first call.

@@ -41,8 +41,8 @@ void ResidentScene::load(const std::vector<std::size_t>& blocks) {
     loaded_ = blocks;
 }
 
-/// Returns the blocks that a scan needs, plus loaded blocks for which memory is left.
-/// Prefers the most recently needed blocks.
+/// Returns the blocks (parts of a large scene) that a scan needs, plus other loaded
+/// blocks that fit into memory. Prefers the most recently needed blocks.
 std::vector<std::size_t> ResidentScene::add_kept_blocks(std::vector<std::size_t> blocks) const {
     double bytes = 0.0;
     for (const std::size_t i : blocks) bytes += scene_.blocks[i].count * bytes_per_surfel_;

@@ -17,20 +17,20 @@
 
 namespace relidar {
 
-/// Loads the blocks that a scan needs before the scan is rendered. Other blocks stay
-/// loaded while they fit into config.render.memory_mib. The least recently needed blocks
-/// are removed first. A scene without blocks is loaded in the constructor.
+/// A scene on the device. A large scene is divided into blocks, and only blocks near the
+/// sensor must be loaded. Other blocks stay loaded while they fit into
+/// config.render.memory_mib. The least recently needed blocks are removed first. A scene
+/// without blocks is loaded in the constructor.
 class ResidentScene {
 public:
     ResidentScene(Device& device, const Scene& scene, const Config& config, const RendererOptions& options);
 
-    /// Loads all blocks within the range of a sensor.
+    /// Loads all blocks of the scene within the range of a sensor.
     /// @param sensor_m [3] position of the sensor, world frame
     /// @param reach_m maximum range of its rays
     /// @throws DataError as read_blocks()
     void make_resident(const glm::vec3& sensor_m, double reach_m);
-    /// Returns the renderer of the loaded scene. Call make_resident() first, because it
-    /// loads the scene.
+    /// Returns the renderer of the loaded scene. Call make_resident() before.
     Renderer& renderer() { return *renderer_; }
     bool is_loaded() const { return renderer_.has_value(); }
     /// Copies a scene without blocks on the device, so that several scans can be rendered
@@ -53,12 +53,13 @@ private:
     Scene scene_;  ///< blocks, and the parts that always stay in memory; empty if the scene has no blocks
     std::optional<Renderer> renderer_;
     std::vector<std::size_t> loaded_;  ///< blocks on the device, in ascending order
-    /// [blocks] number of the last scan that needed the block, or 0 if no scan needed it
+    /// [blocks] number of the last scan that needed the block, or 0 if no scan has needed
+    /// it
     std::vector<std::uint64_t> last_needed_;
     std::uint64_t scans_ = 0;
     double bytes_per_surfel_ = 0.0;  ///< measured when blocks were loaded last
-    /// past_ holds the kernel times of renderers that were replaced. times_ is the sum of
-    /// these and the times of the current renderer.
+    /// `past_` holds the kernel times of replaced renderers. `times_` also includes the
+    /// times of the current renderer.
     KernelTimes past_, times_;
 };
 

@@ -10,8 +10,8 @@
 namespace relidar {
 namespace {
 
-/// Name of the image of a network that corrects the rays of the sensor. Other names mean
-/// that the network corrects the cells of a grid.
+/// A ray-drop network with this image name corrects the rays of the sensor. With other
+/// names, it corrects the cells of a grid.
 constexpr const char* kNative = "native";
 
 SensorConfig list_beams(const SensorChoice& sensor, const Config& config) {
@@ -45,8 +45,8 @@ void check_beams(const RayTable& rays, const SensorConfig& beams, const SensorCh
                         beams.sub_rays, rays.size(), kMaxRays));
 }
 
-/// Returns true if a network can correct images with this name and this number of rows
-/// and columns.
+/// Returns true if the network exists and can correct an image with this name and this
+/// number of rows and columns.
 bool has_drop_correction(const DropNetwork* network, const std::string& image, int rows, int columns) {
     if (!network || network->image != image) return false;
     // A network with 1 x 1 convolutions processes each ray separately, so it needs no

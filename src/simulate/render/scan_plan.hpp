@@ -9,8 +9,7 @@
 
 namespace relidar {
 
-/// Settings that apply to all scans of a renderer. They are not part of the
-/// configuration.
+/// Settings that apply to all scans of a renderer, in addition to the configuration.
 struct ScanSettings {
     std::vector<ChannelInfo> channels;
     Coverage coverage = {};
@@ -19,18 +18,17 @@ struct ScanSettings {
     bool has_views = false;  ///< if true, scans have RenderedScan::actor_views
 };
 
-/// Describes which steps the rendering of a scan consists of. In every scan, the device
-/// traces the rays.
+/// Describes which steps the rendering of a scan consists of. The device always traces
+/// the rays.
 struct ScanPlan {
-    /// Number of sub-rays and number of returns of each beam. The host joins the sub-rays
-    /// of a beam.
+    /// number of sub-rays and number of returns of each beam; the host joins the sub-rays
     SensorConfig beams;
-    /// Input of the ray-drop network: the traced rays on the device, the joined beams, or
-    /// the cells of the grid.
+    /// Rays that the ray-drop network corrects: traced rays on the device, joined beams,
+    /// or cells of a grid.
     enum class Network { none, device, beams, cells } network = Network::none;
-    /// True if the device computes the points. This is possible if the scan uses no
-    /// sub-rays, grid, channels, weather or random sampling. Otherwise place_points()
-    /// computes the same points on the host.
+    /// True if the device computes the points. This requires a scan without sub-rays,
+    /// grid, channels, weather and random sampling. Otherwise place_points() computes the
+    /// same points on the host.
     bool points_on_device = false;
 
     bool splits_beams() const { return beams.sub_rays > 1; }

@@ -25,7 +25,8 @@ class RenderLanes;
 class SensorRays;
 struct RenderLane;
 
-/// Points of a requested scan that the caller has not collected yet.
+/// Points of a submitted scan. The caller has not collected them with wait_for_points()
+/// yet.
 struct PendingPoints {
     std::optional<RenderedPoints> ready = {};  ///< the points, if the host computed them
     std::shared_ptr<SensorRays> rays = {};
@@ -50,8 +51,8 @@ struct ScanRenderer::Impl {
     std::deque<PendingPoints> pending = {};  ///< requested scans, sorted from the oldest to the newest
 
     Impl(Device& on, const Scene& all, const Config& settings_of_run, const Sequence& sequence);
-    /// A scan of traced rays. Also holds the drop probabilities of the network if the
-    /// network ran on the device. Both are valid until the next scan is traced.
+    /// A scan of traced rays. `drops` has the drop probabilities of the network if the
+    /// network ran on the device. It is valid until the next scan is traced.
     struct TracedScan {
         RenderedScan scan;
         std::span<const float> drops;

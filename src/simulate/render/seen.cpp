@@ -9,8 +9,8 @@
 namespace relidar {
 namespace {
 
-// Minimum observed share of a ray's path. A ray with at least this share counts as
-// observed by the log.
+// A ray counts as observed by the log if at least this share of its path lies in observed
+// space.
 constexpr float kSeen = 0.5f;
 
 bool is_mostly_unseen(float share) { return share < kSeen; }

@@ -36,9 +36,9 @@ double compute_unseen_share(std::size_t count, const std::function<LookingRay(st
 std::vector<float> compute_seen_shares(const RenderedScan& scan, const std::vector<std::size_t>& rays,
                                        const SeenByLog& log);
 
-/// Sets RenderedScan::compute_unseen_share to the share of unobserved rays. Uses the
-/// channel "seen" if the scan has it. Otherwise samples kAskedRays rays. Leaves the value
-/// empty if the log has no coverage.
+/// Sets RenderedScan::unseen_share to the share of rays that count as unobserved. Uses
+/// the channel "seen" if the scan has it. Otherwise samples kAskedRays rays. Leaves the
+/// value empty if the log has no coverage.
 void set_unseen_share(RenderedScan& scan, const SeenByLog& log);
 
 }  // namespace relidar

@@ -20,24 +20,24 @@ namespace relidar {
 
 namespace {
 
-/// Minimum blending weight of a simulated ray. A ray with a smaller weight has no point
-/// that can be binned.
+/// A simulated ray becomes a point of the grid only if its blending weight is at least
+/// this value.
 constexpr float kLeastWeight = 0.05f;
 
 RangeLimits make_configured_limits(const Config& config, const Sequence& sequence) {
     return {config.dataset.min_range_m, use_farthest_return(config, sequence).dataset.max_range_m};
 }
 
-/// Returns the rays of a sensor. Returns no rays if the sensor has different rays in
-/// every scan.
+/// Returns the rays of a sensor, or no rays if the sensor has different rays in every
+/// scan.
 template <class Make>
 RayTable make_rays_of(const std::optional<SensorPattern>& pattern, const Make& make) {
     return pattern && describe_pattern(*pattern).has_rays_by_time ? RayTable{} : make();
 }
 
 /// Returns true if the rays of the simulated sensor fire at different times (a rolling
-/// shutter). This is the case if the setting requires it or if the LiDARs of the log do
-/// so.
+/// shutter). Either the setting requires a rolling shutter, or the LiDARs of the log have
+/// one.
 bool has_rolling_shutter_of_log(const Config& config, const Sequence& sequence) {
     return config.sensor.rolling_shutter == RollingShutter::yes || sequence.rolling_shutter;
 }
@@ -95,8 +95,8 @@ void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, 
     to.time_offset_s[cell] = from.time_offset_s[source];
 }
 
-/// Sets the drop probability of a cell to the smallest drop probability of its rays.
-/// Therefore a cell is dropped only if all its rays are dropped.
+/// Sets the drop probability of a cell to the smallest drop probability of its rays,
+/// because one return is enough to fill the cell.
 void join_drops(const RenderedScan& from, std::size_t source, RenderedScan& to, std::size_t cell) {
     for_each_pair(
         from, to,
@@ -169,8 +169,8 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
                       of_cells.assign(n, get_missing_value<T>(channel));
                   });
     result.time_offset_s.assign(n, 0.0f);
-    // Drop probability of the ray whose values a cell stores. The value 2 means that the
-    // cell has no ray yet.
+    // [cells] drop probability of the ray whose values are stored in the cell; 2 if the
+    // cell has no ray yet
     std::vector<float> winner_drop(n, 2.0f);
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f) || scan.weight[i] < kLeastWeight) continue;

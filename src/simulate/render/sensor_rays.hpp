@@ -25,8 +25,8 @@ struct RayMeasuring {
     const std::vector<Beam>& beams;
     const IntensityResponse& response;
     RangeLimits limits;
-    /// Minimum blending weight of a ray. A ray with a smaller weight counts as having hit
-    /// nothing.
+    /// A ray hits nothing if the blending weights of its surfels sum up to less than this
+    /// value.
     float min_weight;
 };
 
@@ -34,25 +34,25 @@ class SensorRays {
 public:
     explicit SensorRays(Device& device);
 
-    /// Uploads the rays of a sensor if they are not on the device yet. No pending GPU
-    /// commands may use the old rays.
-    /// @param sensor name of the sensor; needed because two sensors with the same rays
-    /// can have different `never_seen`
+    /// Uploads the rays of a sensor if they are not on the device yet. Pending GPU
+    /// commands must not use the old rays.
+    /// @param sensor name of the sensor; two sensors with the same rays can have
+    /// different `never_seen`
     /// @param never_seen returns the probability that the sensor never gets a return
     /// along a ray
     void take(const RayTable& rays, const std::string& sensor,
               const std::function<float(std::size_t)>& never_seen);
-    /// Records GPU commands that compute the rays of a sweep in the world frame. Each ray
-    /// starts at the sensor's pose at its firing time. Then batch() returns these rays.
+    /// Records GPU commands that transform the rays to the world frame, each with the
+    /// sensor's pose at its firing time. Afterwards batch() returns the transformed rays.
     /// @param world_from_sensor poses of the sensor; a single pose if the sensor does not
     /// move
     void fire(Stream& stream, const PoseTrack& world_from_sensor, double time_s);
-    /// Returns the rays in the world frame. They have rows and columns if the ray table
-    /// of the sensor has rows and columns.
+    /// Returns the rays in the world frame, with the rows and columns of the sensor's ray
+    /// table.
     RayBatch batch() const;
     /// Records GPU commands that compute the measurements of all rays of batch().
     void measure(Stream& stream, const RenderedBatch& rendered, const RayMeasuring& options);
-    /// Records GPU commands that run a ray-drop network on the measured rays. Then
+    /// Records GPU commands that run a ray-drop network on the measured rays. Afterwards
     /// drop_probabilities() returns the result.
     /// @param origin_m [3] position of the sensor relative to get_first_origin()
     /// @throws DataError if the image or the channels do not match the network
@@ -60,7 +60,7 @@ public:
     /// Copies the measurements to the host and waits for them.
     /// @return [rays] valid until the next call
     std::span<const shared::MeasuredRay> wait(Stream& stream);
-    /// Returns the drop probability of each ray that the network computed. Call wait()
+    /// Returns the drop probability that the network computed for each ray. Call wait()
     /// first. The result is valid until the next call of wait().
     std::span<const float> refined(Stream& stream);
 
@@ -73,8 +73,8 @@ public:
     /// Returns the device address of the drop probabilities that the last call of
     /// refine() computed.
     Address<float, shared::DropProbabilities> drop_probabilities() const { return get_address(refined_); }
-    /// Returns the sensor poses of a sweep. The pose of each ray is interpolated between
-    /// them.
+    /// Returns the poses of the sensor during a sweep. The pose at the firing time of a
+    /// ray is interpolated between them.
     std::vector<shared::SensorPose> poses(const PoseTrack& track, double time_s) const;
 
 private:
@@ -91,8 +91,8 @@ private:
     Kernel<shared::DropChannelsParams> drop_channels_;
     Array<shared::RenderedSurface> no_surfaces_;  ///< a single entry of zeros
     Array<float, shared::DropSamples> samples_;   ///< inputs of the ray-drop network
-    /// Output of the ray-drop network. Null if refine() was not called since the last
-    /// call of measure().
+    /// output of the ray-drop network; null if the network did not run after the last
+    /// call of measure()
     const Array<float, shared::DropProbabilities>* refined_ = nullptr;
 };
 

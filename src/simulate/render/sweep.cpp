@@ -91,8 +91,8 @@ PoseTrack SweepMaker::convert_to_dataset(const PoseTrack& world_from_thing) cons
     return shift_track(world_from_thing, log_.world_offset_m);
 }
 
-/// Makes a sweep for a sensor that follows a given track. The vehicle is moved so that
-/// the mounted sensor has these poses.
+/// Makes a sweep for a sensor that follows a given track. Moves the vehicle with the
+/// sensor.
 /// @param world_from_actor poses of the actors; if null, uses the tracks of the run
 Sweep SweepMaker::drive(const SensorChoice& sensor, double time_s, PoseTrack world_from_sensor,
                         const ActorPoses* world_from_actor) {
@@ -101,8 +101,8 @@ Sweep SweepMaker::drive(const SensorChoice& sensor, double time_s, PoseTrack wor
         mount_on_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
     log_.rolling_shutter = has_rolling_shutter(sensor, config_);
     lidar.pattern = sensor.pattern;
-    // The azimuth at which the sweep starts comes from the pattern of the sensor. Without
-    // a pattern, it comes from the LiDAR that the sensor replaces.
+    // The pattern of the sensor determines at which azimuth the sweep starts. Without a
+    // pattern, the LiDAR that the sensor replaces determines it.
     const SweepMoment now{time_s, sensor.lidar, find_start(sensor.rays, lidar)};
     Sweep sweep{sensor, time_s, make_changed_rays(sensor, time_s, log_.rolling_shutter),
                 log_.world_from_sensor(sensor.lidar)};

@@ -15,8 +15,8 @@ namespace relidar {
 struct Sweep {
     const SensorChoice& sensor;
     double time_s = 0.0;
-    /// Rays of this sweep if they differ from the rays of the sensor. They differ if a
-    /// pattern generates new rays for each scan, or if all rays are fired at once.
+    /// Rays of this sweep, if they differ from the rays of the sensor. They differ if the
+    /// pattern changes from scan to scan, or if all rays fire at the same time.
     std::optional<RayTable> changed_rays = {};
     PoseTrack world_from_sensor = {};  ///< poses of the sensor; a single pose if the sensor does not move
     Pose pose = {};                    ///< pose of the sensor at `time_s`
@@ -25,7 +25,7 @@ struct Sweep {
     const RayTable& rays() const { return changed_rays ? *changed_rays : sensor.rays; }
 };
 
-/// Makes sweeps from the log and the actors of a run.
+/// Makes sweeps from the log and the actors of a trained scene.
 class SweepMaker {
 public:
     /// Creates an object that makes sweeps for a scene and a log.
@@ -34,11 +34,11 @@ public:
     /// Shows only the selected instances in all following sweeps.
     /// @throws UsageError if the number of instances is wrong
     void show_only(const std::vector<bool>& shown);
-    /// Returns the sensor with the head azimuths that the log has measured. See
-    /// align_sensor_with_sweep().
+    /// Returns the sensor with the head azimuths that were measured in the sweep of the
+    /// log at `time_s`. See align_sensor_with_sweep().
     SensorChoice align_with_log(const SensorChoice& sensor, double time_s) const;
-    /// Returns the sweep of a sensor that is mounted on the log's vehicle. The vehicle
-    /// drives its recorded path.
+    /// Returns the sweep of a sensor on the vehicle of the log, which drives its recorded
+    /// path.
     /// @param sensor must outlive the sweep
     /// @param sensor_offset pose of the sensor relative to its recorded mounting
     Sweep make(const SensorChoice& sensor, double time_s, const Pose& sensor_offset);
@@ -49,8 +49,8 @@ public:
     /// LiDARs and boxes of the log, without scans.
     const Sequence& log() const { return log_; }
     const Scene& layout() const { return layout_; }
-    /// Returns the probability that the sensor never gets a return in a direction. One
-    /// cause is that the vehicle blocks the direction.
+    /// Returns the probability that the sensor never gets a return in a direction, for
+    /// example because the vehicle blocks the view.
     float get_never_seen_probability(const SensorChoice& sensor, std::uint16_t channel,
                                      const glm::vec3& direction) const;
     /// Returns the range limits of a sensor. If the sensor has no maximum range, returns

@@ -14,12 +14,12 @@
 namespace relidar {
 namespace {
 
-// Minimum number of rays that meet an unobserved side. Fewer rays do not change the
-// appearance of an actor.
+// Minimum number of rays that meet an unobserved side of an actor. With fewer rays, the
+// side is not reported.
 constexpr std::size_t kFewestRays = 5;
 
-/// Returns the range at which a ray enters a box, and the axis of the side that it
-/// enters. Returns infinity if the ray misses the box or starts inside the box.
+/// Returns the range at which a ray enters a box, and the axis of the side through which
+/// it enters. Returns infinity if the ray misses the box or starts inside the box.
 std::pair<double, int> find_box_entry(const glm::dvec3& origin, const glm::dvec3& direction,
                                       const glm::dvec3& half_m) {
     double enter_m = 0.0, leave_m = std::numeric_limits<double>::infinity();
@@ -34,7 +34,7 @@ std::pair<double, int> find_box_entry(const glm::dvec3& origin, const glm::dvec3
     return {enter_m, axis};
 }
 
-/// An actor with at least one unobserved or completed side, and its pose in a scan.
+/// An actor with a side that the log did not observe, or that was completed by symmetry.
 struct HollowBox {
     const std::string* track;
     const PoseTrack* world_from_box;
@@ -42,8 +42,8 @@ struct HollowBox {
     const BoxSurface* surface;
     std::int32_t instance;  ///< index of the actor in Scene::instances
     SideShares known;       ///< observed or completed fraction of each side
-    /// Sphere in the world frame that contains the box during the scan. Testing the
-    /// sphere first excludes most rays quickly.
+    /// sphere in the world frame that contains the box during the scan; rays that miss
+    /// the sphere are skipped quickly
     glm::dvec3 centre_m{0.0};
     double radius_m = 0.0;
     std::array<std::size_t, kBoxSides> n_through{}, n_completed{};
@@ -55,9 +55,9 @@ struct HollowBox {
                glm::dot(to_centre, to_centre) - along_m * along_m < radius_m * radius_m;
     }
 
-    /// Counts a ray if it hits a completed side, or enters the box through an unobserved
-    /// side. All coordinates are in the box frame.
-    /// @param range_m range of the return; 0 if the ray does not return
+    /// Counts a ray if it hits a side that was completed by symmetry, or if it enters the
+    /// box through an unobserved side. All coordinates are in the box frame.
+    /// @param range_m range of the return; 0 if the ray has no return
     /// @param hits_actor true if the return is a surface of this actor
     void count(const glm::dvec3& ray_origin, const glm::dvec3& ray, double range_m, bool hits_actor) {
         if (hits_actor && range_m > 0.0)

@@ -49,8 +49,8 @@ constexpr const char *kTimestamp = ".google.protobuf.Timestamp", *kDuration = ".
 constexpr const char *kPose = ".foxglove.Pose", *kVector = ".foxglove.Vector3",
                      *kQuaternion = ".foxglove.Quaternion";
 
-/// Message types of the Foxglove schema. Shapes that relidar never writes have no fields,
-/// but they are declared, because readers expect an empty list for each shape.
+/// Message types of the Foxglove schema. Shapes that relidar never writes are declared
+/// without fields, because readers expect an empty list for each shape.
 const std::initializer_list<MessageType> kMessages = {
     {"Vector3", {{1, "x", kDouble}, {2, "y", kDouble}, {3, "z", kDouble}}},
     {"Quaternion", {{1, "x", kDouble}, {2, "y", kDouble}, {3, "z", kDouble}, {4, "w", kDouble}}},
@@ -277,7 +277,7 @@ std::string make_box_message(const RecordedActor& actor) {
     pbf_writer writer(bytes);
     writer.add_message(1, make_pose_message(actor.faced.world_from_box));
     writer.add_message(2, vector(actor.size_m));
-    // A translucent orange, so that the points inside the box stay visible.
+    // orange, and translucent so that the points inside the box stay visible
     writer.add_message(3, numbers({1.0, 0.6, 0.1, 0.3}));
     return bytes;
 }
@@ -299,8 +299,8 @@ std::string format_vector(const glm::dvec3& vector) {
 /// replace all earlier boxes. Each box has its own time stamp. Velocities are in the
 /// world frame.
 std::string make_boxes_message(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
-    // Value ALL of SceneEntityDeletionType. It removes all earlier boxes, also of actors
-    // that have disappeared.
+    // Value ALL of SceneEntityDeletionType. It also removes boxes of actors that have
+    // disappeared.
     constexpr int kAll = 1;
     std::string bytes, all;
     pbf_writer writer(bytes), deletion(all);
@@ -347,9 +347,9 @@ std::vector<RecordedMessage> make_moving_transforms(const RecordedMoment& moment
     return messages;
 }
 
-/// Returns the poses of the sensors on the vehicle. These poses are written with every
-/// scan, so that a player that starts in the middle of the file receives them. The
-/// concatenated protobuf messages form one message with all transforms.
+/// Returns one message with the poses of all sensors on the vehicle. The message is
+/// repeated with every scan, so that a player that starts in the middle of the file
+/// receives it. Protobuf messages with repeated fields can simply be concatenated.
 std::vector<RecordedMessage> make_mountings(const RecordedRig& rig, const RecordedMoment& moment) {
     std::string bytes;
     for (const RecordedSensor& sensor : rig.sensors)

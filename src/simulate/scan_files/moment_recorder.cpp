@@ -14,7 +14,7 @@
 namespace relidar::scan_files {
 namespace {
 
-// Latest time of a ROS time stamp, whose seconds have 31 bits.
+// latest possible time in a ROS time stamp, whose seconds are a signed 32-bit integer
 constexpr double kLatest_s = 2147483647.0;
 // Interval between recorded poses in seconds. Readers interpolate between two recorded
 // poses. For a sensor that is 2 m from the vehicle's origin and turns with 1 rad/s, the
@@ -22,7 +22,7 @@ constexpr double kLatest_s = 2147483647.0;
 constexpr double kPoseStep_s = 0.01;
 
 /// Adds times from `first_s` to `last_s` at intervals of kPoseStep_s. Also adds the times
-/// of all poses of a track between these limits.
+/// of the track's poses between these limits.
 void add_times(std::vector<double>& times_s, const PoseTrack& track, double first_s, double last_s) {
     const int n = std::max(1, static_cast<int>(std::ceil((last_s - first_s) / kPoseStep_s)));
     for (int i = 0; i <= n; ++i) times_s.push_back(i == n ? last_s : first_s + (last_s - first_s) * i / n);
@@ -32,8 +32,8 @@ void add_times(std::vector<double>& times_s, const PoseTrack& track, double firs
     if (begin < end) times_s.insert(times_s.end(), begin, end);
 }
 
-/// Adds the actors of one scan to the actors of scans with the same time stamp. Adds the
-/// points of an actor, and keeps the larger visible share.
+/// Merges the actors of several scans with the same time stamp. Sums up the points of an
+/// actor, and keeps the largest visible share.
 void add_actors(std::vector<RecordedActor>& all, std::vector<RecordedActor> actors) {
     for (RecordedActor& actor : actors) {
         const auto known = std::ranges::find(all, actor.name, &RecordedActor::name);
@@ -98,8 +98,8 @@ RecordedMoment MomentRecorder::take(std::span<const RenderedScan> scans) {
 }
 
 /// Returns the poses of the vehicle at the given times.
-/// @param scan scan of the first sensor; the path of the vehicle is computed from this
-/// sensor's path
+/// @param scan scan of the first sensor, from whose path the path of the vehicle is
+/// computed
 std::vector<RecordedPose> MomentRecorder::poses(const RenderedScan& scan, std::vector<double> times_s) {
     std::ranges::sort(times_s);
     const Pose sensor_from_vehicle = inverse(rig().sensors.front().vehicle_from_sensor);
@@ -109,7 +109,8 @@ std::vector<RecordedPose> MomentRecorder::poses(const RenderedScan& scan, std::v
     std::vector<RecordedPose> poses;
     for (const double t_s : times_s) {
         const std::uint64_t time_ns = stamp(t_s);
-        // Skips a time for which a pose is already written, because sweeps can overlap.
+        // Sweeps can overlap in time. Skips times for which a pose has already been
+        // written.
         if (last_pose_ns_ && time_ns <= *last_pose_ns_) continue;
         poses.push_back({time_ns, world_from_vehicle(t_s), compute_velocity(world_from_vehicle, t_s)});
         last_pose_ns_ = time_ns;

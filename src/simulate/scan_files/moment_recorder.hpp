@@ -13,8 +13,8 @@
 
 namespace relidar::scan_files {
 
-/// Converts scans to the data of a recording, in order of time. A RecordedMoment contains
-/// the poses, points and boxes of all scans at the same time.
+/// Converts scans to the data of a recording, in order of time. A RecordedMoment has the
+/// poses, points and boxes of one scan of each sensor.
 class MomentRecorder {
 public:
     explicit MomentRecorder(std::vector<ScanFormat> sensors) : sensors_(std::move(sensors)) {}
@@ -23,9 +23,8 @@ public:
     /// @param scans one scan per sensor
     /// @throws DataError if times decrease, or if the file format cannot represent them
     RecordedMoment take(std::span<const RenderedScan> scans);
-    /// Returns the number of whole seconds that is added to the times of the log, because
-    /// times in files cannot be negative. The time of the first scan determines this
-    /// number.
+    /// Returns the number of whole seconds that is added to all times of the log, because
+    /// times in files cannot be negative. The first scan determines this number.
     double shift_s() const { return shift_s_.value_or(0.0); }
 
 private:

@@ -21,20 +21,21 @@ struct PlacedScan {
     const ScanFormat& format;
     int frame;                                 ///< frame number of the dataset
     std::vector<glm::vec3> origin, direction;  ///< [n] in the frame of the file
-    /// [n] end points of the rays in the frame of the file
+    /// [n] end points of the rays in the coordinate frame of the file
     std::vector<glm::vec3> end_m;
-    /// optional channels with [n] values each; vectors are in the frame of the file
+    /// optional channels with [n] values each; vectors are in the coordinate frame of the
+    /// file
     std::vector<ScanChannel> channels;
     FileNotes notes;
-    /// pose of the frame of the points in the world frame of the dataset; no value if
-    /// each point is in the sensor's frame at its firing time
+    /// pose of the points' coordinate frame in the world frame of the dataset; no value
+    /// if each point is in the sensor's frame at its firing time
     std::optional<Pose> dataset_from_points;
 
     const RangeImage& image() const { return scan.image; }
 };
 
-/// Calls visit(info, values) for each channel that files contain, in the order of the
-/// files. Second returns are stored as the channels range_2 and intensity_2.
+/// Calls visit(info, values) for each channel of the output files, in the order of the
+/// files. Second returns are written as the channels range_2 and intensity_2.
 template <class Visit>
 void for_each_file_channel(const PlacedScan& placed, Visit&& visit) {
     const RenderedScan& scan = placed.scan;

@@ -19,8 +19,8 @@
 namespace relidar {
 namespace {
 
-/// A field of a point, with its types in PLY and PCD. PLY has two names for the 16-bit
-/// type, ushort and uint16. The files use uint16, because Open3D does not read ushort.
+/// A field of a point, with its types in PLY and PCD. PLY knows the 16-bit type as ushort
+/// and as uint16. The files use uint16, because Open3D does not read ushort.
 struct Field {
     std::string name;
     const char* ply_type;

@@ -26,7 +26,7 @@ struct RecordedSensor {
 };
 struct RecordedRig {
     std::vector<RecordedSensor> sensors;
-    /// true: points are in the world frame; false: points are in the frame of their
+    /// true if points are in the world frame, false if they are in the frame of their
     /// sensor
     bool world = false;
 };
@@ -50,8 +50,8 @@ struct RecordedActor {
     std::string name, category;
     glm::dvec3 size_m;  ///< length, width and height
     bool is_parked = false;
-    /// State at the time when the sensor points at the actor. The box of a moving actor
-    /// matches its points only at this time.
+    /// State at the time when the rotating sensor points at the actor. Only at this time,
+    /// the box of a moving actor matches its points.
     BoxState faced;
     BoxState at_stamp;                    ///< state at the time stamp of the point cloud
     std::size_t n_points;                 ///< first returns of the scan on the actor
@@ -63,12 +63,11 @@ inline std::uint64_t to_stamp(double time_s) { return std::uint64_t(std::llround
 
 struct RecordedMoment {
     std::uint64_t first_ns, last_ns;  ///< firing times of the first and last ray of all sensors
-    /// poses in ascending order of time; all poses are later than the poses of earlier
-    /// scans
+    /// poses in ascending order of time, all later than the poses of earlier scans
     std::vector<RecordedPose> poses;
-    /// [sensors] Points of each sensor. `time_s` is the firing time of the first ray, in
-    /// the time of the file. Motion-compensated points are in the sensor's frame at
-    /// `time_s`.
+    /// [sensors] point cloud of each sensor. `time_s` is the firing time of the first
+    /// ray, in the time of the file. Motion-compensated points are in the sensor's frame
+    /// at `time_s`.
     std::vector<Points> clouds;
     /// actors at the time stamp of each point cloud
     std::map<std::uint64_t, std::vector<RecordedActor>> actors;

@@ -4,8 +4,8 @@
 namespace relidar::scan_files {
 
 std::span<const RecordingFormat> list_recording_formats() {
-    // The metadata contain an empty key `serialized_metadata`. This makes rosbag2 read
-    // quality-of-service policies as numbers, as in bags before version 9.
+    // The empty key `serialized_metadata` makes rosbag2 read quality-of-service policies
+    // as numbers, as in bags before version 9.
     static const RecordingFormat formats[] = {
         {"mcap", "scans.mcap", "", "protobuf", "protobuf", {}, list_foxglove_topics},
         {"rosbag",

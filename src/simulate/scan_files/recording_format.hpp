@@ -30,7 +30,8 @@ struct RecordingFormat {
     const char* file;
     const char* profile;  ///< MCAP profile of the file
     const char *definition_encoding, *message_encoding;
-    /// Metadata that this format requires. The writer adds metadata about the rendering.
+    /// metadata that this format requires, in addition to the metadata about the
+    /// rendering
     std::map<std::string, std::map<std::string, std::string>> metadata;
     /// Returns the topics of a recording. Messages with the same time are written in the
     /// order of these topics.
@@ -39,8 +40,8 @@ struct RecordingFormat {
 
 std::span<const RecordingFormat> list_recording_formats();
 
-/// These functions return the topics of a recording. list_foxglove_topics() uses
-/// Foxglove's schemas in protobuf. list_ros_topics() uses ROS 2 messages in CDR.
+/// Return the topics of a recording: Foxglove schemas in protobuf, or ROS 2 messages in
+/// CDR.
 std::vector<RecordedTopic> list_foxglove_topics(const RecordedRig& rig);
 std::vector<RecordedTopic> list_ros_topics(const RecordedRig& rig);
 

@@ -19,7 +19,8 @@ std::string make_detections_message(std::uint64_t stamp_ns, const Actors& actors
     cdr.add(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {
         add_header(cdr, actor.faced.time_ns, kWorldFrame);
-        // Writes one class per detection with a score of 1, because the class is known.
+        // Each detection has one class with a score of 1, because the class is known
+        // exactly.
         cdr.add(std::uint32_t(1)).add_text(actor.category).add(1.0);
         add_pose(cdr, actor.faced.world_from_box), add_covariance(cdr);
         add_pose(cdr, actor.faced.world_from_box), add_vector(cdr, actor.size_m);
@@ -28,9 +29,9 @@ std::string make_detections_message(std::uint64_t stamp_ns, const Actors& actors
     return cdr.take();
 }
 
-/// A word in the class name of an object, and its label in
-/// autoware_perception_msgs/ObjectClassification. The first match in the list is used.
-/// Longer words are therefore listed first, for example "caravan" before "car".
+/// Maps a word in the class name of an object to its label in
+/// autoware_perception_msgs/ObjectClassification. The first matching word decides, so
+/// longer words come first, for example "caravan" before "car".
 struct Label {
     const char* word;
     std::uint8_t number;
@@ -68,9 +69,9 @@ void add_uuid(Cdr& cdr, const std::string& name) {
     }
 }
 
-/// Returns a message with the boxes of all actors at the time of the message. The objects
-/// in this message have no times of their own. Readers can extrapolate the poses with the
-/// velocities.
+/// Returns a message with the boxes of all actors. The objects have no time stamps of
+/// their own, so their poses are at the time of the message. Readers can extrapolate them
+/// with the velocities.
 std::string make_tracked_objects_message(std::uint64_t stamp_ns, const Actors& actors) {
     constexpr std::uint8_t kOrientationAvailable = 2, kBoundingBox = 0;
     Cdr cdr;
@@ -78,7 +79,8 @@ std::string make_tracked_objects_message(std::uint64_t stamp_ns, const Actors& a
     cdr.add(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {
         add_uuid(cdr, actor.name);
-        // Existence and class are known, so both probabilities are 1.
+        // existence probability, then one class with its label and probability; both
+        // probabilities are 1
         cdr.add(1.0f).add(std::uint32_t(1)).add(label_of(actor.category)).add(1.0f);
         add_pose(cdr, actor.at_stamp.world_from_box), add_covariance(cdr);
         add_velocity(cdr, actor.at_stamp.velocity);

@@ -67,7 +67,8 @@ std::string make_plain_points(const Points& cloud) {
     return bytes;
 }
 
-/// Describes which fields a point cloud message has and how its points are packed.
+/// Describes the fields of a point cloud message, and how its points are packed into
+/// bytes.
 struct PointType {
     const std::vector<RosField>& fields;
     std::uint32_t step;  ///< bytes per point without channels
@@ -111,8 +112,8 @@ std::vector<RecordedTopic> list_ros_cloud_topics(const RecordedRig& rig, std::si
         });
     };
     std::vector<RecordedTopic> topics{of_type(topic, kPlainType)};
-    // Adds this topic only if the points are in the sensor frame, because azimuth and
-    // elevation are relative to the sensor.
+    // This topic contains azimuth and elevation relative to the sensor. It is left out if
+    // the points are in the world frame.
     if (!rig.world) topics.push_back(of_type(topic + "_xyzircaedt", kAutowareType));
     return topics;
 }

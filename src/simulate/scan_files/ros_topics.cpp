@@ -62,9 +62,9 @@ RecordedTopic make_pose_topic(const char* name, const char* type,
     });
 }
 
-/// Returns the topic /tf_static with the poses of the sensors on the vehicle. A message
-/// is written with every scan, so that a player that starts in the middle of the file
-/// receives these poses.
+/// Returns the topic /tf_static with the poses of the sensors on the vehicle. The message
+/// is repeated with every scan, so that a player that starts in the middle of the file
+/// receives it.
 RecordedTopic make_mounting_topic(const RecordedRig& rig) {
     const auto message = [rig](const RecordedMoment& moment) {
         Cdr cdr;

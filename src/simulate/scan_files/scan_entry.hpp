@@ -11,8 +11,8 @@
 
 namespace relidar::scan_files {
 
-/// Returns the JSON object that describes one scan in scans.json. The object has the
-/// boxes of the actors only if the scan has views of its actors.
+/// Returns the JSON object that describes one scan in scans.json. It contains the boxes
+/// of the actors if the visibility of the actors was computed.
 /// @param frame frame number
 /// @param files names of the scan's files in the folder
 std::string make_entry_json(int frame, const RenderedScan& scan, const ScanFormat& format,

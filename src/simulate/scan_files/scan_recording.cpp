@@ -40,7 +40,7 @@ ScanRecording::~ScanRecording() {
 void ScanRecording::add(const RecordedMoment& moment, double shift_s) {
     if (!std::exchange(has_notes_, true)) {
         McapWriter::Values values(notes_.begin(), notes_.end());
-        // Stores the offset in seconds that was added to the times of the log.
+        // offset in seconds between the times of the file and the times of the log
         values["time_shift_s"] = fmt::format("{}", shift_s);
         writer_.add_metadata("relidar", values);
     }
@@ -51,8 +51,7 @@ void ScanRecording::add(const RecordedMoment& moment, double shift_s) {
     std::ranges::stable_sort(messages, {}, [](const auto& message) { return message.second.logged_ns; });
     for (const auto& [channel, message] : messages) {
         // Log times in the file must not decrease, although sweeps can overlap. A message
-        // that is earlier than the previous message gets the log time of the previous
-        // message.
+        // that is too early gets the log time of the previous message.
         last_logged_ns_ = std::max(last_logged_ns_, message.logged_ns);
         writer_.add_message(channel, last_logged_ns_, message.bytes);
     }

@@ -26,8 +26,8 @@ bool is_topic_letter(char character) {
     return std::isalnum(static_cast<unsigned char>(character)) != 0 || character == '_';
 }
 
-/// Returns true if a name is a valid ROS topic. A topic consists of words of letters,
-/// digits and underscores. Each word follows a slash and does not begin with a digit.
+/// Returns true if a name is a valid ROS topic: one or more words of letters, digits and
+/// underscores. Each word follows a slash and does not begin with a digit.
 bool is_topic(const std::string& topic) {
     if (topic.size() < 2 || topic.front() != '/' || topic.back() == '/') return false;
     for (std::size_t i = 1; i < topic.size(); ++i) {

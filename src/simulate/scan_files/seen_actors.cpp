@@ -10,12 +10,12 @@ namespace {
 
 constexpr double kVelocityStep_s = 0.005;
 
-/// A subset of the rays of a scan. The rays are spread evenly over the scan.
+/// Samples the rays of a scan evenly, to find the ray that points at an object.
 class SampledRays {
 public:
     explicit SampledRays(const RenderedScan& scan) : scan_(scan) {
         constexpr std::size_t kMost = 4096;
-        // The step is odd, so that the selected columns differ between the rows.
+        // The step is odd, so that different columns are selected in each row.
         const std::size_t n = scan.image.direction.size(), step = (n / kMost) | 1;
         for (std::size_t i = 0; i < n; i += step)
             rays_.push_back({scan.image.direction[i], scan.time_offset_s[i]});
@@ -25,8 +25,8 @@ public:
     /// frame of the dataset
     template <class PlaceAt>
     double find_facing_time(const PlaceAt& place_m) const {
-        // Number of iterations. Each new firing time changes the positions of the point
-        // and the sensor, so the search is repeated.
+        // Number of repeated searches. Both the point and the sensor move until the
+        // firing time that the previous search found.
         constexpr int kRounds = 3;
         double time_s = scan_.time_s;
         for (int round = 0; round < kRounds && !rays_.empty(); ++round) {

@@ -9,15 +9,15 @@
 namespace relidar {
 namespace {
 
-// Constant of the random number hash. It makes the weather independent of the random
-// numbers with which a scan is sampled.
+// Constant that is mixed into the seed of the weather. The weather is then independent of
+// the random numbers for sampled returns.
 constexpr std::uint64_t kOfWeather = 0x77656174686572ull;
 constexpr const char* kSource = "source";
 
 using Sources = std::vector<std::int32_t>;
 
-/// Returns the channel `source` and resets its values. Adds the channel if the scan has
-/// no such channel.
+/// Returns the channel `source` with all values reset. Adds the channel if the scan does
+/// not have it.
 ScanChannel& find_source_channel(RenderedScan& scan) {
     const auto has_name = [](const ScanChannel& channel) { return channel.info.name == kSource; };
     const auto found = std::ranges::find_if(scan.channels, has_name);
@@ -30,8 +30,8 @@ ScanChannel& find_source_channel(RenderedScan& scan) {
     return channel;
 }
 
-/// Removes the surface of a ray. Sets the instance to -1, and resets the values in all
-/// channels that describe surfaces.
+/// Removes the surface that a ray hit. Sets the instance to -1, and resets all channels
+/// that describe surfaces.
 void remove_surface(RenderedScan& scan, std::size_t ray) {
     scan.instance[ray] = -1;
     for (ScanChannel& channel : scan.channels)
@@ -81,9 +81,9 @@ private:
     float to_intensity(const Echo& echo) const {
         return std::min(static_cast<float>(echo.reflectivity * input_.response.at_range(echo.range_m)), 1.0f);
     }
-    /// Returns the distance that the light of a ray travels through the air. The light
-    /// ends at the first opaque surface, even if the sensor reports no return from this
-    /// surface. Without a surface, it ends at the maximum range.
+    /// Returns the distance that the light of a ray travels through the air: up to the
+    /// first opaque surface, or to the maximum range. The surface stops the light even if
+    /// the sensor reports no return.
     double free_m(const RayInAir& ray) const {
         const float median_m = scan_.median_range_m[ray.index];
         const bool is_blocked =

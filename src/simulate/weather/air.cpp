@@ -44,9 +44,9 @@ Air::Air(const Weather& weather, const WeatherSensor& sensor,
          std::vector<std::unique_ptr<EffectOnRays>> effects)
     : sensor_(sensor), alpha_(compute_extinction(weather)), effects_(std::move(effects)) {}
 
-/// Returns the reflectivity of a surface. If the intensity is below one step of the
-/// sensor, the reflectivity is unknown. In this case, draws a random value between the
-/// weakest detectable reflectivity and one step.
+/// Returns the reflectivity of a surface. An intensity below one step of the sensor does
+/// not determine the reflectivity. Then a random value is drawn, between the weakest
+/// detectable reflectivity and one step.
 double Air::draw_surface_reflectivity(const Echo& surface, Random& random) const {
     const double step = 2.0 * sensor_.darkest;
     if (surface.reflectivity >= step) return surface.reflectivity;

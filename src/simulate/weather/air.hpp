@@ -18,8 +18,8 @@
 
 namespace relidar {
 
-// Range in metres from which the laser beam lies in the receiver's field of view. Air
-// that is nearer returns no light to the receiver (Hahner et al. 2021).
+// Range in metres from which the receiver sees the laser beam. Air that is nearer returns
+// no light to the receiver (Hahner et al. 2021).
 inline constexpr double kOverlap_m = 1.0;
 inline constexpr double kLight_m_s = 299792458.0;
 
@@ -39,8 +39,7 @@ struct WeatherInput {
     const Weather& weather;
     const WeatherSensor& sensor;
     const RenderedScan& scan;  ///< scan in clear air, without weather
-    /// model of the intensity that the sensor reports for the same surface at different
-    /// ranges
+    /// model of how the reported intensity of a surface depends on its range
     const IntensityResponse& response;
     glm::dvec3 world_offset_m{0.0};  ///< see Sequence::world_offset_m
     /// Traces additional rays through the scene at the time of the scan.
@@ -59,7 +58,7 @@ struct RayInAir {
     double through_water = 1.0;        ///< brightness of the wet ground relative to the dry ground
 };
 
-/// A possible return of a ray. The return is bright enough for the sensor.
+/// A possible return of a ray that is bright enough for the sensor.
 struct Candidate {
     Echo echo;
     double power;

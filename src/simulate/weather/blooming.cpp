@@ -17,8 +17,8 @@
 namespace relidar {
 namespace {
 
-// Constant of the random number hash. It makes the random factor of each beam independent
-// of the other random numbers of the weather.
+// Constant that is mixed into the seed. The random factor of each beam is then
+// independent of the other random numbers of the weather.
 constexpr std::uint64_t kOfBeams = 0x626C6F6F6D696E67ull;
 constexpr float kSaturated = 0.95f;
 constexpr double kSpread = 3.0;  // standard deviation of ln X, where X is the random factor of a beam
@@ -28,8 +28,8 @@ constexpr double kNearest_deg = 0.5;
 constexpr double kSameRange_m = 0.5;
 constexpr double kPerRad = 180.0 / kPi;
 
-/// A cell of one square degree. It counts all rays in the cell, and the rays that hit a
-/// retro-reflector.
+/// A cell of one square degree, with the number of its rays and the number of rays that
+/// hit a retro-reflector.
 struct Square {
     int rays = 0, reflectors = 0;
     glm::dvec3 direction{0.0};  // sum of the directions of the rays that hit a reflector
@@ -68,8 +68,8 @@ std::vector<Reflector> find_reflectors(const RenderedScan& scan) {
     return reflectors;
 }
 
-/// Returns the stray light of all reflectors in a direction. The caller multiplies it by
-/// the random factor X and by the setting `bloom`.
+/// Returns the stray light that a ray in this direction receives from all reflectors. It
+/// still has to be multiplied by the random factor X and by the setting `bloom`.
 Echo find_brightest(const std::vector<Reflector>& reflectors, const glm::dvec3& direction) {
     std::vector<double> share;
     std::size_t most = 0;
@@ -90,10 +90,9 @@ Echo find_brightest(const std::vector<Reflector>& reflectors, const glm::dvec3& 
 }
 
 /// Computes the stray-light return of each ray of a scan. Surfaces with an intensity of
-/// at least kSaturated are reflectors, and their area is counted in cells of one square
-/// degree. The reflector with the most power determines the range.
-/// @return [rays] returns, empty for rays without stray light; an empty list if no ray
-/// has stray light
+/// at least kSaturated are reflectors. The brightest reflector determines the range.
+/// @return [rays] returns; a single ray without stray light has an empty return; an empty
+/// list if there are no reflectors
 std::vector<Echo> compute_stray_light(const WeatherInput& input) {
     const RenderedScan& scan = input.scan;
     const std::vector<Reflector> reflectors = find_reflectors(scan);

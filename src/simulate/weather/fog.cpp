@@ -61,8 +61,7 @@ public:
 private:
     const WeatherSensor sensor_;
     const double alpha_, visibility_m_;
-    // [k] mean power that fog reflects from element k of the table; the range is the
-    // nearest range plus k steps.
+    // [k] mean power that fog reflects at the minimum range plus k range steps
     std::vector<double> power_;
 
     /// Returns the mean power that fog reflects from a range. Integrates over the pulse

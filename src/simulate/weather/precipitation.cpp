@@ -87,8 +87,8 @@ private:
     const WeatherSensor sensor_;
     const double alpha_;
     const Particles falling_;
-    // [k] expected number of detectable particles between the nearest range and the
-    // nearest range plus k steps.
+    // [k] expected number of detectable particles between the minimum range and the
+    // minimum range plus k range steps
     std::vector<double> expected_;
 
     /// Returns the diameter of the smallest particle that the sensor detects at a range,

@@ -20,7 +20,7 @@ namespace {
 constexpr double kIrradiance = 0.65;
 constexpr double kSun_rad = 4.65e-3;  // angular radius of the sun
 constexpr double kSun_sr = kPi * kSun_rad * kSun_rad;
-// Sunlight that a dusty sensor window scatters by an angle of one degree, per steradian.
+// Sunlight that a dusty sensor window scatters, per steradian, at an angle of one degree.
 // It decreases with 1 / angle^2. In total, the window scatters 5 % of the light.
 constexpr double kScatter_sr = 5.0;
 constexpr double kDegree_rad = kPi / 180.0;
@@ -66,9 +66,9 @@ public:
     SunlightOnRays(const WeatherInput& input, std::vector<float> angles_rad)
         : sensor_(input.sensor), sun_(input.weather.sun), angles_rad_(std::move(angles_rad)) {}
 
-    /// Adds false returns that the noise causes. Their powers are distributed like the
-    /// local maxima of Gaussian noise above the weakest detectable power: power^2 =
-    /// weakest^2 + 2 sigma^2 E, where E is exponentially distributed.
+    /// Adds false returns that are caused by noise. Their powers are distributed like the
+    /// local maxima of Gaussian noise above the detection threshold: power^2 =
+    /// threshold^2 + 2 sigma^2 E, where E is exponentially distributed.
     void add_returns(Candidates& candidates, const RayInAir& ray, Random& random) const override {
         if (!(ray.free_m > 0.0)) return;
         const bool meets_surface = ray.strongest.source == PointSource::surface;

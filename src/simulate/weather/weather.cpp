@@ -33,8 +33,8 @@ bool are_values_valid(const WeatherEffect& effect, const std::vector<double>& va
     return true;
 }
 
-/// Returns the text of a weather effect, for example "rain=5". Optional numbers with
-/// their usual values are left out.
+/// Formats a weather effect as text, for example "rain=5". Leaves out optional numbers
+/// that have their default values.
 std::string get_word(const WeatherEffect& effect, const Weather& weather) {
     std::vector<double> values = get_effect_numbers(effect, weather);
     while (values.size() > std::max<std::size_t>(effect.n_required, 1) &&
@@ -47,7 +47,7 @@ std::string get_word(const WeatherEffect& effect, const Weather& weather) {
     throw UsageError(fmt::format("weather: found {}, expected {}", word, expected));
 }
 
-/// Returns a text that lists the forms of all weather effects.
+/// Returns a text that lists the syntax of all weather effects.
 std::string forms() {
     std::vector<std::string_view> words;
     for (const WeatherEffect* effect : kWeatherEffects) words.push_back(effect->form);

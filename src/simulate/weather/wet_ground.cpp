@@ -21,7 +21,8 @@ constexpr double kWater = 1.33;      // refractive index of water in the near in
 constexpr double kTexture_mm = 1.0;  // depth of the texture of asphalt
 
 constexpr double kCell_m = 2.0;
-// Maximum height of a ground point in metres above the lowest point of its cell.
+// A point belongs to the ground if it is at most this many metres above the lowest point
+// of its cell.
 constexpr double kLayer_m = 0.25;
 // maximum root mean square distance in metres of the points from the ground plane
 constexpr double kFlat_m = 0.1;
@@ -31,9 +32,8 @@ constexpr double kFewest = 6.0;     // minimum number of points for a plane
 // narrower strip, the slope across the strip is unknown and set to 0.
 constexpr double kWidth_m = 0.2;
 
-/// Statistics of the points in a grid cell, from which a plane is fitted. Contains the
-/// lowest height, and sums over the points near this height. Coordinates are relative to
-/// the sensor, along the axes of the world.
+/// Sums over the points near the lowest height of a grid cell, from which a plane is
+/// fitted. Coordinates are relative to the sensor, along the axes of the world.
 struct Cell {
     double lowest_m = std::numeric_limits<double>::infinity();
     double n = 0.0, zz = 0.0;
@@ -76,15 +76,14 @@ GroundPlane fit_plane(const Cell& cell) {
     const glm::dvec2 right = cell.products / cell.n - mean.z * glm::dvec2(mean);
     const glm::dvec2 slope =
         glm::dvec2(yy * right.x - xy * right.y, xx * right.y - xy * right.x) / (xx * yy - xy * xy);
-    // Variance of the heights around the plane. The term `ridge` makes it slightly
-    // larger.
+    // variance of the heights around the plane, slightly increased by the term `ridge`
     const double squared_m2 = zz - glm::dot(slope, right);
     return {mean.z - glm::dot(slope, glm::dvec2(mean)), slope,
             squared_m2 < kFlat_m * kFlat_m && glm::length(slope) < kSteepest};
 }
 
-/// Returns the points where rays hit the background below the sensor, relative to the
-/// sensor. The value is NaN for all other rays.
+/// Returns the hit point of each ray that hits the background below the sensor, relative
+/// to the sensor. Other rays have NaN.
 std::vector<glm::dvec3> collect_points_below(const RenderedScan& scan) {
     const glm::dvec3 none(std::numeric_limits<double>::quiet_NaN());
     std::vector<glm::dvec3> points(scan.median_range_m.size(), none);
@@ -160,7 +159,8 @@ double compute_mean_reflectance() {
 struct WetRay {
     double through_water = 1.0;  // brightness of the wet ground relative to the dry ground
     Echo mirrored{};  // return of the object that the ray hits after the water has mirrored the ray
-    // share of the light that the water reflects on both ways, to the object and back
+    // share of the light that remains after two reflections at the water: on the way to
+    // the object and back
     double mirrors = 0.0;
 };
 
@@ -170,11 +170,11 @@ struct MirroredRays {
     std::vector<std::size_t> of_ray;  // index of the ray in its scan
 };
 
-// Height in metres above the ground at which mirrored rays start. It is larger than 0,
-// because real ground is rougher than a film of water.
+// Height in metres above the ground at which mirrored rays start, so that they do not hit
+// the rough ground itself.
 constexpr double kLift_m = 0.1;
-// Minimum height in metres of an object that a mirrored ray hits. Lower hits are the
-// ground itself and are ignored.
+// Minimum height in metres of an object that a mirrored ray hits. Lower hits are parts of
+// the ground and are ignored.
 constexpr double kLowest_m = 0.3;
 
 // Computes the drop probability of ray `index` from its two logits (method.md, M6).
@@ -182,8 +182,8 @@ float drop_probability(const Rendering& rendering, std::size_t index) {
     return 1.0f / (1.0f + std::exp(rendering.hit_logit[index] - rendering.drop_logit[index]));
 }
 
-/// Computes how bright the wet ground is, and the rays that it mirrors. Leaves out a
-/// mirrored ray if its light is weaker than the light of the ground.
+/// Computes the brightness of the wet ground, and the rays that the water mirrors. Leaves
+/// out mirrored rays that return less light than the ground.
 MirroredRays mirror_rays_in_wet_ground(const WeatherInput& input, const std::vector<glm::dvec3>& up,
                                        std::vector<WetRay>& wet) {
     const RenderedScan& scan = input.scan;
@@ -198,8 +198,8 @@ MirroredRays mirror_rays_in_wet_ground(const WeatherInput& input, const std::vec
         const double albedo = scan.image.intensity[i] / input.response.at_range(range_m);
         wet[i].through_water = 1.0 - share + share * compute_wet_to_dry_ratio(cosine, albedo);
         wet[i].mirrors = share * std::pow(compute_water_reflectance(cosine), 2);
-        // Skips the mirrored ray if it cannot be brighter than the ground. The mirrored
-        // surface is farther away, so its return is even weaker.
+        // Skips the mirrored ray if its return cannot be stronger than the return of the
+        // ground, which is nearer.
         if (scan.second_returns.empty() && wet[i].mirrors <= wet[i].through_water * albedo) continue;
         wet[i].mirrored.range_m = range_m;
         const glm::dvec3 foot_m =
@@ -254,7 +254,7 @@ constexpr WeatherNumber kWetNumbers[] = {
 }  // namespace
 
 double compute_water_reflectance(double cosine) {
-    // cosine of the angle to the normal inside the water, from Snell's law
+    // cosine of the refracted ray's angle to the normal, by Snell's law
     const double in_water = std::sqrt(1.0 - (1.0 - cosine * cosine) / (kWater * kWater));
     const double across = (cosine - kWater * in_water) / (cosine + kWater * in_water),
                  along = (in_water - kWater * cosine) / (in_water + kWater * cosine);
@@ -262,8 +262,8 @@ double compute_water_reflectance(double cosine) {
 }
 
 double compute_wet_to_dry_ratio(double cosine, double albedo) {
-    // Fraction of the scattered light that stays in the water film because of total
-    // internal reflection.
+    // share of the light from the ground that total internal reflection keeps in the
+    // water film
     static const double kept = 1.0 - (1.0 - compute_mean_reflectance()) / (kWater * kWater);
     const double passes = 1.0 - compute_water_reflectance(cosine);
     return passes * passes / (kWater * kWater * (1.0 - std::clamp(albedo, 0.0, 1.0) * kept));

@@ -17,8 +17,8 @@
 namespace relidar {
 
 namespace {
-// Number of checkpoints that are kept. The older checkpoint is needed if the machine
-// fails while the newest is being written.
+// Number of checkpoints that are kept. The older one is used if the newest is damaged by
+// a failure of the machine.
 constexpr int kKept = 2;
 }  // namespace
 
@@ -73,8 +73,8 @@ bool CheckpointKeeper::due(int step) const {
 }
 
 void CheckpointKeeper::save(TrainLoop& loop, const TrainResult& result, double train_s) {
-    // Updates the time also if the write fails. A full disk is then tried again only when
-    // the next checkpoint should be written.
+    // Sets the time before writing. If the disk is full, the next attempt is then made
+    // when the next checkpoint should be written, not immediately.
     last_ = Clock::now();
     if (!folder_.wanted()) return;
     folder_.save({result.iterations, texts_.get(), {}}, [&](Checkpoint& checkpoint) {

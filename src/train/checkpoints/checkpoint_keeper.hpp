@@ -26,7 +26,7 @@ public:
     /// @param folder  path of the folder; if empty, no checkpoint is written
     /// @param newest  iteration of the newest checkpoint in the folder, or 0 if there is
     /// none
-    /// @param count  word for iterations in messages, for example "iteration"
+    /// @param count  name of an iteration in messages, for example "iteration" or "step"
     CheckpointFolder(std::filesystem::path folder, int newest, std::string count,
                      const std::function<void(const std::string&)>& note);
 
@@ -51,9 +51,9 @@ public:
     CheckpointKeeper(const Sequence& sequence, const Split& split, const Config& config,
                      const TrainSession& session);
 
-    /// Returns true if a checkpoint must be written after this iteration. This is the
-    /// case after a fixed number of iterations, or after some minutes. It is also the
-    /// case after the last iteration, if an earlier checkpoint was written.
+    /// Returns true if a checkpoint must be written after this iteration. Checkpoints are
+    /// written after a fixed number of iterations or minutes. If the folder already has a
+    /// checkpoint, the last iteration also gets one.
     bool due(int step) const;
     /// Writes the state after result.iterations to a checkpoint. If the disk is full, it
     /// prints a note and training continues.

@@ -16,20 +16,20 @@
 
 namespace relidar {
 
-/// Describes a property that must not change when training is resumed. Holds the key in a
-/// checkpoint, the name in messages, and the current value.
+/// A property that must not change when training is resumed: its key in a checkpoint, its
+/// name in messages, and its current value.
 struct Mark {
     std::string key, what, value;
 };
 
-/// Returns hashes of a log and of the scans of its training frames. The hashes are sorted
-/// so that the first difference explains best why two logs differ.
+/// Returns hashes of a log and of the scans of its training frames. If two logs differ,
+/// the first hash that differs is the best explanation.
 std::vector<Mark> list_marks(const Sequence& sequence, const Split& split);
 /// Returns a hash of all surfels of a scene, including its blocks.
 /// @throws DataError if the file of a block is invalid
 Mark mark_of(const Scene& scene);
 
-/// Adds a setting or a hash to the texts that a checkpoint stores.
+/// Adds a setting or a hash to the key-value texts of a checkpoint.
 void put(const ConfigKey& setting, std::map<std::string, std::string>& texts);
 void put(const Mark& mark, std::map<std::string, std::string>& texts);
 /// Compares settings or a hash with the values in a checkpoint.

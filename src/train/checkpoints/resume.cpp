@@ -19,9 +19,9 @@ namespace {
 
 // Prefixes of settings that are used only after training.
 constexpr std::array kFollows{"refine.", "render."};
-/// Settings that may change when training is resumed. They change the number of
-/// iterations, the reports, or the location of the log. They do not change the result of
-/// an iteration. Paths may change because the contents of the log are compared.
+/// Settings that may change when training is resumed, because they do not change the
+/// result of an iteration. Paths may change too, because the contents of the log are
+/// compared instead.
 constexpr std::array kFree{"dataset.path",
                            "dataset.sequence",
                            "dataset.poses",
@@ -39,7 +39,7 @@ bool is_free(const std::string& key) {
            std::ranges::any_of(kFollows, [&](const char* group) { return key.starts_with(group); });
 }
 
-/// Lines of the training log, with one array for each column.
+/// Training log with one array per column, as stored in a checkpoint.
 struct LogColumns {
     std::vector<std::int32_t> iteration;
     std::vector<double> seconds;

@@ -14,12 +14,12 @@
 
 namespace relidar {
 
-/// Returns the settings and the hashes of the log. Both must be the same when training is
+/// Returns the settings and the hashes of the log that must be the same when training is
 /// resumed.
 std::map<std::string, std::string> make_training_texts(const Sequence& sequence, const Split& split,
                                                        const Config& config);
 
-/// Writes the log and the times of the result to a checkpoint.
+/// Writes the training log and the times of the result to a checkpoint.
 /// @param train_s  seconds since training started
 void write_result(StateWriter& write, const TrainResult& result, double train_s);
 /// Reads the log and the times from a checkpoint.
@@ -29,9 +29,9 @@ void read_result(const Checkpoint& checkpoint, const Config& config, TrainResult
 /// @throws DataError if its arrays or its layout are invalid
 Scene read_scene(const Checkpoint& checkpoint);
 
-/// Adds a line to the training log. Estimates the remaining time from the speed since the
-/// first line. The time before the first line is ignored, because drivers compile kernels
-/// then. The remaining time in the first line is infinite.
+/// Adds a line to the training log. Estimates the remaining time from the speed after the
+/// first line, because drivers still compile kernels before that line. In the first line,
+/// the remaining time is infinite.
 /// @param seconds  seconds since training started
 void add_line(std::vector<TrainProgress>& log, const LogLine& line, const Config& config, double seconds);
 

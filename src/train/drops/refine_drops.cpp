@@ -25,25 +25,25 @@ bool uses_grid(const Config& config) {
     return config.refine.image == "grid" && config.sensor.grid != "native";
 }
 
-/// Returns the rays of a frame's LiDAR. With refine.image = grid, returns one ray for
-/// each grid cell.
+/// Returns the rays of a frame's LiDAR. If the network corrects grid images (refine.image
+/// = grid), returns one ray for each grid cell.
 SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame& frame) {
     if (!uses_grid(config)) return make_nominal_rays_of_frame(config, sequence, frame);
     SensorChoice sensor = make_configured_sensor(config, sequence, frame.lidar);
-    // must equal the setting of the scans from which the network learns
+    // uses the rolling shutter of the log, because the network learns from the scans of
+    // the log
     sensor.rolling_shutter = sequence.rolling_shutter;
     return sensor;
 }
 
-/// Returns the rays after a rotation towards the next column by a fraction of the column
-/// spacing. The surfels are fitted to the original rays, so images along the original
-/// rays are more accurate than images of held-out frames. Images along the rotated rays
-/// do not have this advantage.
+/// Rotates the rays towards the next column by a fraction of the column spacing. The
+/// scene fits the original rays unusually well, because it was trained with them. Images
+/// along the rotated rays are as accurate as images of frames that were not used for
+/// training.
 RayTable rotate_rays(RayTable rays, float share) {
     const RayTable original = rays;
-    // Minimum cosine of the angle between neighbouring columns. In a narrow field of
-    // view, the first column is not next to the last column. This limit skips such a
-    // pair.
+    // Minimum cosine of the angle between neighbouring columns. It excludes the pair of
+    // last and first column if the field of view is not a full turn.
     constexpr float kNear = 0.9f;
     for (std::size_t i = 0; i < original.size(); ++i) {
         const std::size_t row = i / std::size_t(original.columns),
@@ -56,8 +56,8 @@ RayTable rotate_rays(RayTable rays, float share) {
     return rays;
 }
 
-/// Returns the measured drops (0 returned, 1 dropped, -1 unknown) for the cells of
-/// config.sensor.grid. A cell is unknown if it contains an unknown return.
+/// Converts the measured drops of rays to drops of the grid cells: 0 returned, 1 dropped,
+/// -1 unknown. A cell is unknown if one of its returns is unknown.
 std::vector<float> compute_cell_drops(const Config& config, const Frame& frame,
                                       const std::vector<float>& dropped) {
     std::vector<float> cells = make_real_image(config, frame.scan).drop_prob;
@@ -70,8 +70,8 @@ std::vector<float> compute_cell_drops(const Config& config, const Frame& frame,
     return cells;
 }
 
-/// Returns the training frames whose rays have rows and columns. If the frames have
-/// different image sizes, returns only the frames with the most frequent size.
+/// Returns the training frames whose rays form an image with rows and columns. If the
+/// images have different sizes, returns only the frames with the most frequent size.
 std::vector<int> make_images_of_frames(const Config& config, const Sequence& sequence,
                                        const std::vector<int>& train) {
     if (uses_grid(config)) return train;
@@ -116,8 +116,8 @@ std::vector<DropImage> make_training_images(Device& device, const Run& run, cons
         if (uses_grid(config)) dropped = compute_cell_drops(config, frame, dropped);
         images.back().dropped = stripes.values(dropped);
         for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
-            // Excludes rays that are always dropped, because the prediction of the
-            // network does not affect them.
+            // Excludes rays that always drop, because the output of the network does not
+            // change them.
             if (scan.image.drop_prob[i] == 1.0f) images.back().dropped[i] = -1.0f;
         if (session.stop && session.stop()) return {};
     }

@@ -14,7 +14,7 @@
 namespace relidar {
 namespace {
 
-/// Returns true if the rendered images or the network depend on a setting.
+/// Returns true if a setting changes the rendered images or the network.
 bool has_effect(const std::string& key) {
     constexpr std::array kGroups{"refine.", "image.", "sensor.", "init.", "render.range", "train.seed"};
     return key != "refine.enabled" &&
@@ -27,7 +27,7 @@ std::vector<Mark> list_marks(const Run& run) {
     return marks;
 }
 
-/// Returns hashes of the scene and the log, and the values of the settings.
+/// Returns the settings, and hashes of the scene and the log, for a checkpoint.
 std::map<std::string, std::string> make_texts(const Run& run) {
     std::map<std::string, std::string> texts;
     for (const ConfigKey& key : list_config_keys(run.config))
@@ -51,8 +51,8 @@ void RefineKeeper::after_step(const RefineProgress& progress, bool stops,
     const std::chrono::duration<double> since_last = Clock::now() - last_;
     const bool by_time = minutes_ > 0.0 && since_last.count() >= 60.0 * minutes_;
     if (!folder_.wanted() || !(ends_epoch || by_time || stops)) return;
-    // Updates the time also if the write fails. A full disk is then tried again only when
-    // the next checkpoint should be written.
+    // Sets the time before writing. If the disk is full, the next attempt is then made
+    // when the next checkpoint should be written, not immediately.
     last_ = Clock::now();
     folder_.save({progress.step, texts_.get(), {}},
                  [&](Checkpoint& checkpoint) { state().visit_state(StateWriter(checkpoint)); });

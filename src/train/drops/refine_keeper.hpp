@@ -21,7 +21,8 @@ class RefineKeeper {
 public:
     RefineKeeper(const Run& run, const RefineSession& session);
 
-    /// Writes a checkpoint if an epoch ended, enough time has passed, or training stops.
+    /// Writes a checkpoint at the end of an epoch, after some minutes, and when training
+    /// stops.
     /// @throws DataError if the state is not finite
     void after_step(const RefineProgress& progress, bool stops, const std::function<RefineState()>& state);
 

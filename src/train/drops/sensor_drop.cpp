@@ -12,17 +12,17 @@ namespace relidar {
 namespace {
 
 constexpr int kColumnsPerBin = 3;
-// Number of neighbouring bins on each side that contribute to the expected drop rate of a
-// bin.
+// The expected drop rate of an azimuth bin is averaged over this many neighbouring bins
+// on each side.
 constexpr int kNeighbours = 2;
-// Minimum number of rays for a drop rate. With fewer rays, a blind spot of the sensor and
-// a hole in the scene cannot be distinguished.
+// Minimum number of rays from which a drop rate is computed. With fewer rays, a blind
+// spot of the sensor cannot be distinguished from a hole in the scene.
 constexpr std::uint32_t kCertainRays = 60;
-// Weight of the prior, as a number of rays. To compute the expected drop rate of a bin,
-// this many returned rays are added to its neighbours. The drop rate of the bin itself is
-// computed with this many additional rays that have the expected rate.
+// Weight of the prior in a drop rate, as a number of rays. The rate of the neighbouring
+// bins is computed with this many additional returned rays. The rate of a bin is computed
+// with this many additional rays that drop with the neighbours' rate.
 constexpr double kPriorRays = 8.0;
-// smallest sector without returns, as a share of the circle
+// minimum width of a sector without returns, as a share of the full circle
 constexpr double kLeastSector = 10.0 / 360.0;
 constexpr float kBlindFrequency = 0.95f;
 
@@ -32,9 +32,9 @@ int count_bins(const Sequence& sequence) {
     return std::max(1, columns / kColumnsPerBin);
 }
 
-/// Calls visit(first, n) for each run of neighbouring bins that fulfil a condition.
-/// Ignores runs that are narrower than the smallest sector. Does nothing if all bins
-/// fulfil the condition.
+/// Calls visit(first, n) for each sector, which is a run of neighbouring bins that fulfil
+/// a condition. Ignores sectors that are narrower than the minimum. Does nothing if all
+/// bins fulfil the condition.
 template <class Condition, class Visit>
 void for_each_sector(int bins, const Condition& is_in, const Visit& visit) {
     int begin = 0;
@@ -50,8 +50,8 @@ void for_each_sector(int bins, const Condition& is_in, const Visit& visit) {
     }
 }
 
-/// Returns the difference between the largest and the smallest azimuth offset of a
-/// LiDAR's beams, in bins.
+/// Returns how much the azimuth offsets of a LiDAR's beams differ: largest minus
+/// smallest, in bins.
 int compute_bin_spread(const SpinningSensor& sensor, int bins) {
     const auto [least, most] = std::ranges::minmax(sensor.beams, {}, &Beam::azimuth_offset_rad);
     return int(std::ceil((most.azimuth_offset_rad - least.azimuth_offset_rad) / (2.0 * kPi) * bins));
@@ -154,8 +154,8 @@ void add_unseen_sectors(DropTable& drops, const DropTable& observed, const Seque
             },
             [&](int first, int count) {
                 for (const std::size_t row : rows) {
-                    // Extends the sector of each beam to neighbouring bins that have
-                    // hardly any returns, because azimuth offsets differ between beams.
+                    // The azimuth offsets differ between beams. Extends the sector of
+                    // each beam by neighbouring bins that have hardly any returns.
                     int begin = first, end = first + count;
                     while (first - begin < spread && is_blind_at(row, begin - 1)) --begin;
                     while (end - first - count < spread && is_blind_at(row, end)) ++end;

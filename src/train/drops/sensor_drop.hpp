@@ -13,7 +13,7 @@
 
 namespace relidar {
 
-/// Counts rays and dropped rays by beam (Sequence::find_beam_number) and azimuth bin.
+/// Counts the rays and the dropped rays of each beam in bins of azimuth.
 class DropCounts {
 public:
     /// Creates the bins for the LiDARs of a log. Each beam has a row of azimuth bins, and
@@ -29,9 +29,9 @@ public:
     /// has fewer than 60 rays in total, its drop rate is 0. The drop rate is 1 in a
     /// sector of at least 10 degrees in which the beam never fires.
     DropTable estimate_persistent_rate() const;
-    /// Returns the drop rate of each bin, also for short logs. The rate of a bin is mixed
-    /// with the rate of the neighbouring bins, which counts like 8 more rays. The rate of
-    /// the neighbours is computed with 8 additional returned rays.
+    /// Returns the drop rate of each bin. Also works for short logs, because it mixes the
+    /// rate of a bin with the rate of its neighbours, which counts like 8 more rays. The
+    /// neighbours' rate is computed with 8 additional returned rays.
     DropTable estimate_drop_rate() const;
     std::size_t bins() const { return rays_.size(); }
 
@@ -40,20 +40,21 @@ private:
     DropTable index_;  ///< contains no probabilities; used only for the layout of the bins
     std::vector<std::uint32_t> rays_, drops_;
 
-    /// Returns the array index of a bin. Bin numbers outside the row wrap around.
+    /// Returns the array index of a bin. Bins before the first and after the last wrap
+    /// around the circle.
     std::size_t slot(int channel, int bin) const {
         return std::size_t(channel) * std::size_t(index_.bins) +
                std::size_t((bin + index_.bins) % index_.bins);
     }
-    /// Sets the drop rate to 1 in sectors in which a beam never fires.
+    /// Sets the drop rate of a beam to 1 in sectors in which it never fires.
     void add_skipped_sectors(DropTable& table, int channel) const;
-    /// Returns the drop rate of a bin, computed from this bin and its neighbours. A fixed
-    /// number of returned rays is added, so that bins with few rays get a low rate.
+    /// Returns the drop rate of a bin and its neighbours together. Adds a fixed number of
+    /// returned rays, so that bins with few rays get a low rate.
     double expected(int channel, int bin) const;
 };
 
-/// Returns how often rays of each beam and azimuth were dropped in the given frames, for
-/// any reason. Uses DropCounts::estimate_persistent_rate().
+/// Returns the share of dropped rays for each beam and azimuth in the given frames. Uses
+/// DropCounts::estimate_persistent_rate().
 DropTable estimate_observed_drops(const Sequence& sequence, const std::vector<int>& positions);
 
 /// Sets the drop probability to 1 in sectors that a LiDAR does not observe. These are
@@ -64,8 +65,8 @@ DropTable estimate_observed_drops(const Sequence& sequence, const std::vector<in
 /// @param observed  result of estimate_observed_drops()
 void add_unseen_sectors(DropTable& drops, const DropTable& observed, const Sequence& sequence);
 
-/// Returns true if rays with this beam and azimuth were dropped at least 95 % of the
-/// time. Training does not use such rays.
+/// Returns true if the beam of this ray was dropped at least 95 % of the time at this
+/// azimuth. Training ignores such rays.
 bool is_blind(const DropTable& observed, const Sequence& sequence, const Frame& frame, std::size_t ray);
 
 }  // namespace relidar

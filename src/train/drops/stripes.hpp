@@ -12,8 +12,8 @@
 
 namespace relidar {
 
-/// Returns a number n. Every n-th stripe of the image together has about 32,768 pixels.
-/// If n is below 2, the full image is used.
+/// Returns a number n such that every n-th stripe of the image gives about 32,768 pixels.
+/// A number below 2 means the full image.
 inline int compute_stripe_share(const RayTable& rays) { return int(rays.size()) / 32768; }
 
 /// Some vertical stripes of an image. The image covers a full turn, so its last column is
@@ -22,11 +22,11 @@ class Stripes {
 public:
     static constexpr int kColumns = 64;  ///< columns in a stripe
 
-    /// Selects the stripes of a frame.
-    /// @param share  a value n selects every n-th stripe. The full image is used if the
-    /// value is below 2, or if the image has fewer stripes than the value.
-    /// @param of_frame  number of the frame. Each frame starts one stripe later, so that
-    /// the frames together use all columns.
+    /// Selects the stripes of a frame. Uses the full image if `share` is below 2 or
+    /// larger than the number of stripes.
+    /// @param share  n selects every n-th stripe
+    /// @param of_frame  number of the frame; each frame starts one stripe later, so that
+    /// the frames together use all columns
     Stripes(int share, const RayTable& rays, std::size_t of_frame)
         : rows_(std::size_t(rays.rows)), columns_(std::size_t(rays.columns)) {
         const int n = rays.columns / kColumns;
@@ -35,7 +35,7 @@ public:
             first_.push_back((of_frame + std::size_t(k * share)) * kColumns % columns_);
     }
 
-    /// Returns the rays of the stripes as an image.
+    /// Returns the rays of the stripes, as an image with rows and columns.
     /// @param all  rays of the full image
     RayTable rays(const RayTable& all) const {
         if (first_.empty()) return all;

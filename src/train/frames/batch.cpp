@@ -24,8 +24,7 @@ struct BatchSampler::Impl {
 
 namespace {
 
-/// Describes n columns of an image. The columns are spread over the image with a fixed
-/// stride.
+/// Selection of n columns of an image, spread over the image with a fixed stride.
 struct Columns {
     std::uint32_t stride = 1;
     std::uint32_t n = 0;  ///< number of columns; 0 if the batch does not consist of columns
@@ -36,8 +35,8 @@ std::uint32_t choose_ray_stride(const FrameData& frame, const TrainConfig& confi
     return n_rays == 0 ? 1u : std::max(1u, frame.n_rays / n_rays);
 }
 
-/// Returns the number of rows and columns of a full frame. A frame without image order
-/// has a single row.
+/// Returns the number of rows and columns of a full frame. If the rays are not ordered as
+/// an image, the frame has a single row.
 ImageShape get_frame_image(const FrameData& frame) {
     return frame.image.is_image() ? frame.image : ImageShape{1, frame.n_rays, false};
 }
@@ -50,8 +49,8 @@ Columns choose_window(const FrameData& frame, const TrainConfig& config) {
     return n < image.columns ? Columns{1, n} : Columns{};
 }
 
-/// Selects every n-th group of neighbouring columns. The groups keep neighbouring rays
-/// together, so that the rays have similar directions for any number of columns.
+/// Selects every n-th group of neighbouring columns. In a group, neighbouring rays have
+/// similar directions and are traced faster.
 Columns choose_every_nth(const FrameData& frame, const TrainConfig& config) {
     const std::uint32_t stride = std::min(choose_ray_stride(frame, config), frame.image.columns);
     return frame.image.is_image() && stride > 1 ? Columns{stride, frame.image.columns / stride} : Columns{};
@@ -62,7 +61,7 @@ Columns choose_columns_of_batch(const FrameData& frame, const TrainConfig& confi
     return windows ? choose_window(frame, config) : choose_every_nth(frame, config);
 }
 
-/// Returns the number of rays in the largest batch that consists of columns.
+/// Returns the number of rays in the largest batch that is copied column by column.
 std::size_t find_largest_gathered_batch(const std::vector<FrameData>& frames, const Config& config) {
     std::size_t largest = 0;
     for (const FrameData& frame : frames)
@@ -72,8 +71,8 @@ std::size_t find_largest_gathered_batch(const std::vector<FrameData>& frames, co
     return largest;
 }
 
-/// Checks that the rays of all frames have rows and columns.
-/// @param setting  name of the setting that compares neighbouring pixels
+/// Checks that the rays of all frames are ordered as an image.
+/// @param setting  name of the setting that needs images, for the error message
 /// @throws UsageError if a frame is not an image
 void check_images(const char* setting, const std::vector<FrameData>& frames) {
     for (const FrameData& frame : frames)
@@ -97,8 +96,8 @@ BatchSampler::BatchSampler(Device& device, const Config& config, const std::vect
 }
 BatchSampler::~BatchSampler() = default;
 
-/// Selects the same columns as get_frame_column() in shaders/train/columns.glsl. The two
-/// functions must be changed together.
+/// This function and get_frame_column() in shaders/train/columns.glsl select the same
+/// columns. Change both together.
 std::size_t SampledBatch::get_ray_of_frame(std::uint32_t index) const {
     if (window.columns == 0) return rays.first + std::size_t(index) * rays.stride;
     const std::uint32_t row = index / window.n_columns, column = index % window.n_columns,
@@ -117,8 +116,8 @@ std::uint32_t BatchSampler::draw_first(const FrameData& frame, Random& random) c
     std::uint32_t choices = n_batches(frame);
     if (columns.n > 0) {
         const ImageShape image = get_frame_image(frame);
-        // Limits the first column of a window, because a window must not continue past
-        // the end of the image.
+        // In an image that is not a full turn, a window of columns must not continue past
+        // the last column.
         choices = image.circular || columns.stride > 1 ? image.columns : image.columns - columns.n + 1;
     }
     return static_cast<std::uint32_t>(random.next() % choices);
@@ -146,9 +145,9 @@ SampledBatch BatchSampler::take(Stream& stream, const FrameData& frame, std::uin
              .first_column = first,
              .column_stride = columns.stride,
              .n_columns = columns.n});
-        // Scales the counts of the full frame instead of counting in the batch, because
-        // this makes the loss unbiased. With the counts of the batch, a sector with few
-        // returns would get a higher weight than other sectors.
+        // The loss is divided by a number of rays. Uses the count of the full frame times
+        // the share of the batch, so that the loss is unbiased. With the count of the
+        // batch, a sector with few returns would get a higher weight.
         const double share = double(n) / frame.n_rays;
         return {{&b.rays, 0, 1, n, columns.n, &b.targets},
                 {&b.targets,

@@ -15,10 +15,11 @@ namespace relidar {
 struct Config;
 struct FrameData;
 
-/// Describes which columns of a frame are copied to the arrays of a batch. The selection
-/// is defined in shared::GatherColumnsParams.
+/// Describes which columns of a frame are copied into a batch. See
+/// shared::GatherColumnsParams for the selection.
 struct ColumnWindow {
-    /// number of columns of the frame; 0 if the batch uses the frame's arrays directly
+    /// number of columns of the full frame; 0 if the batch uses the frame's arrays
+    /// without a copy
     std::uint32_t columns = 0;
     std::uint32_t first = 0;
     std::uint32_t stride = 1;
@@ -31,7 +32,7 @@ struct SampledBatch {
     TargetBatch targets;
     ColumnWindow window{};
 
-    /// Converts the index `index` of a ray in the batch to its index in the frame.
+    /// Returns the index in the frame of ray `index` of the batch.
     std::size_t get_ray_of_frame(std::uint32_t index) const;
 };
 
@@ -45,22 +46,22 @@ class BatchSampler {
 public:
     /// Creates the device arrays for batches.
     /// @throws UsageError if a loss needs images (structural similarity or normal
-    /// consistency), but batches or frames are not images
+    /// consistency), but the rays are not ordered as images
     BatchSampler(Device& device, const Config& config, const std::vector<FrameData>& frames);
     ~BatchSampler();
     /// Records GPU commands that copy a random batch to the batch arrays. The batch is
     /// valid until the next call.
     SampledBatch sample(Stream& stream, const FrameData& frame, Random& random);
-    /// Records GPU commands that copy one of several batches. Together the batches
-    /// contain all rays of a frame once. A few columns can be missing or repeated where a
-    /// full turn closes. Batches that are windows of columns do not cover the frame.
+    /// Records GPU commands that copy one of several batches, which together contain all
+    /// rays of a frame. A few columns can be missing or repeated where a full turn
+    /// closes. Batches that are windows of columns do not cover the frame.
     /// @param first  start of the first batch, from draw_first()
     /// @param index  index of the batch
     SampledBatch take(Stream& stream, const FrameData& frame, std::uint32_t first, std::uint32_t index);
-    /// Draws a random column or ray at which a batch starts.
+    /// Draws a random column (or ray) at which the first batch starts.
     std::uint32_t draw_first(const FrameData& frame, Random& random) const;
-    /// Returns the number of batches that together contain all rays of the frame. Returns
-    /// 1 if the batches are windows of columns.
+    /// Returns the number of batches that together contain all rays of the frame, or 1 if
+    /// the batches are windows of columns.
     std::uint32_t n_batches(const FrameData& frame) const;
 
 private:

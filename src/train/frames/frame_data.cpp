@@ -15,13 +15,13 @@ namespace relidar {
 
 namespace {
 
-/// A moving box during a sweep, enlarged by a margin. Training ignores the returns inside
-/// it.
+/// A moving box without a model, enlarged by a margin. Training ignores the returns
+/// inside it.
 struct MaskedBox {
     InstancePose placed;
     glm::dvec3 half_size_m;
-    /// Radius of a sphere around placed.world_from_model. The sphere contains the box
-    /// during the full sweep.
+    /// radius of a sphere around the box centre; the sphere contains the box during the
+    /// full sweep
     double reach_m;
 
     bool can_intersect(const WorldRay& ray) const {
@@ -49,8 +49,8 @@ std::vector<MaskedBox> list_masked_boxes_in_sweep(const Sequence& sequence, cons
     return result;
 }
 
-/// Returns true if a ray hit, or may have hit, a moving box. Training must ignore the
-/// measurement of such a ray.
+/// Returns true if a ray hit a moving box, or may have hit it and has no return. Training
+/// ignores such a ray.
 /// @param after_s  firing time of the ray, relative to the reference time of the sweep
 bool is_unknown(const std::vector<MaskedBox>& boxes, const WorldRay& ray, double after_s, double range_m) {
     return std::any_of(boxes.begin(), boxes.end(), [&](const MaskedBox& box) {
@@ -87,7 +87,8 @@ std::uint32_t find_max_rays(std::span<const FrameData> frames) {
 }
 
 RayBatch FrameData::batch(std::uint32_t first, std::uint32_t stride) const {
-    // True if the batch contains every stride-th column of each row.
+    // True if the rays form complete columns of the image. This requires that the stride
+    // divides the number of columns.
     const bool is_column_subset = image.columns % stride == 0 && first < stride;
     return {&rays(),
             first,

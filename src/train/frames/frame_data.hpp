@@ -18,14 +18,14 @@
 
 namespace relidar {
 
-/// Arrays on the device with the rays of a frame. They can be longer than the frame,
-/// because several frames use the same arrays one after the other.
+/// Device arrays with the rays of a frame. They can be longer than the frame, because
+/// frames of different lengths use the same arrays in turn.
 struct FrameArrays {
     Array<DeviceRay> rays;        ///< [n] rays, computed from the poses at the start of training
     Array<DeviceTarget> targets;  ///< [n] measurements
-    /// [n] time of each ray on the vehicle's track, as the index of the last pose before
-    /// the ray and the fraction of the way to the next pose. The index counts from
-    /// FrameData::first_knot. Empty if poses are not corrected.
+    /// [n] position of each ray's firing time on the vehicle's track: index of the
+    /// previous pose, counted from FrameData::first_knot, and the fraction of the way to
+    /// the next pose. Empty if poses are not corrected.
     Array<shared::RayPlace> places;
 };
 
@@ -34,16 +34,15 @@ struct FrameData {
     int position = 0;  ///< index into Sequence::frames
     int index = 0;     ///< frame number of the dataset
     std::uint32_t n_rays = 0;
-    /// rows and columns of the rays; empty if the sensor's rays are not ordered as an
-    /// image
+    /// rows and columns of the rays; empty if the rays are not ordered as an image
     ImageShape image;
-    /// index of the first vehicle pose that the rays need
+    /// index of the first vehicle pose that the rays of this frame need
     std::size_t first_knot = 0;
     std::uint32_t n_knots = 0;                  ///< number of vehicle poses that the rays need
     std::shared_ptr<const FrameArrays> arrays;  ///< arrays that hold the frame while it is on the device
-    /// [n] rays, computed from corrected poses; null if poses are not corrected
+    /// [n] rays from corrected sensor poses; null if poses are not corrected
     const Array<DeviceRay>* moved_rays = nullptr;
-    /// Number of rays with a return that training uses. Set when the frame is uploaded
+    /// Number of rays with a return, without ignored rays. Set when the frame is uploaded
     /// for the first time.
     double n_returned = 0.0;
     double n_known = 0.0;
@@ -61,19 +60,20 @@ std::uint32_t find_max_rays(std::span<const FrameData> frames);
 
 /// Selects the measurements that training must ignore.
 struct Unknown {
-    /// settings that decide which boxes are actors, ignored, or part of the background
+    /// settings that decide which moving boxes become actors, are ignored, or belong to
+    /// the background
     InitialiseOptions moving;
-    /// tracks of actors; their points are used for training, because the scene has a
-    /// model for these actors
+    /// tracks of the actors that have a model in the scene; training uses the returns on
+    /// these actors
     std::vector<std::string> actors;
-    /// Measured drop rates. Rays are not trained in blind directions, in which at least
-    /// 95 % of the rays were dropped. If the table is empty, no direction is blind.
+    /// Measured drop rates of beams by azimuth. Directions in which at least 95 % of the
+    /// rays drop are ignored. If the table is empty, no direction is ignored.
     DropTable observed_drops;
 };
 
-/// Computes the rays and target values of a frame on the host. A ray gets weight 0 if it
-/// returned from inside a moving box, or if it is dropped and may have hit such a box.
-/// The background must not learn these rays.
+/// Computes the rays and target values of a frame on the host. Rays that the background
+/// must not learn get weight 0. These are returns from inside a moving box, and dropped
+/// rays that may have hit such a box.
 void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& unknown,
                   std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets);
 

@@ -14,20 +14,20 @@
 
 namespace relidar {
 
-/// Returns the nominal rays of a frame's LiDAR if they have the same rows and columns as
-/// its scan. Otherwise returns the rays of the scan.
+/// Returns the nominal rays of a frame's LiDAR, or the rays of the scan if the scan has
+/// other rows and columns.
 SensorChoice make_nominal_rays_of_frame(const Config& config, const Sequence& sequence, const Frame& frame);
 
-/// Returns the rule that selects which measurements are ignored. The rule ignores
-/// measurements of moving objects that are not in the scene.
+/// Selects the measurements that are ignored: those of moving objects without a model in
+/// the scene.
 Unknown make_masks(const Config& config, const Scene& scene);
 
-/// Returns 0 for each returned ray of a frame, and 1 for each dropped ray. Returns -1 if
-/// the ray hit, or may have hit, a moving object that is not in the scene.
+/// Returns 0 for each returned ray of a frame and 1 for each dropped ray. Returns -1 for
+/// a ray that hit, or may have hit, a moving object without a model in the scene.
 std::vector<float> find_measured_drops(const Sequence& sequence, const Frame& frame, const Unknown& masks);
 
-/// Returns at most `count` of the positions, evenly distributed. Returns all positions if
-/// `count` is 0.
+/// Returns at most `count` of the frame positions, evenly spaced. Returns all positions
+/// if `count` is 0.
 std::vector<int> spread(const std::vector<int>& positions, int count);
 
 }  // namespace relidar

@@ -19,14 +19,14 @@
 namespace relidar {
 namespace {
 
-// Number of frames that are computed in host memory in parallel before they are uploaded.
+// Number of frames that are prepared in parallel in host memory before their upload.
 constexpr std::size_t kPreparedAtOnce = 32;
 
 double firing_time(const Sequence& sequence, const Frame& frame, float offset_s) {
     return frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0);
 }
 
-/// A frame of the log, or the grid image computed from a frame.
+/// A frame of the log, or its image on a range grid.
 struct TrainedFrame {
     std::optional<Frame> binned;
     const Frame& frame;

@@ -21,14 +21,14 @@ struct FrameUse {
     Unknown unknown;
     bool moves_rays = false;  ///< true if vehicle poses are corrected; FrameArrays::places is then needed
     std::uint64_t resident_bytes = ~0ull;  ///< maximum device memory for frames that stay on the device
-    /// If set, training uses one ray for each cell of this grid instead of the fired
-    /// rays.
+    /// If set, training uses one ray for each cell of this grid instead of the rays of
+    /// the sensor.
     std::optional<RangeGrid> grid = {};
 };
 
 class TrainingFrames {
 public:
-    /// Creates all frames, and uploads the frames that stay on the device.
+    /// Creates all frames, and uploads as many as fit into the memory budget.
     /// @param sequence  must outlive this object, because its scans are read for each
     /// upload
     /// @param positions  indices of the frames in Sequence::frames
@@ -38,16 +38,16 @@ public:
 
     const std::vector<FrameData>& all() const { return frames_; }
     FrameData& operator[](std::size_t index) { return frames_[index]; }
-    /// Returns the rule that selects the measurements with weight 0 in training.
+    /// Returns the rule that selects the measurements that training ignores.
     const Unknown& unknown() const { return use_.unknown; }
-    /// Returns the number of frames that stay on the device.
+    /// Returns the number of frames that stay in device memory.
     std::size_t n_resident() const { return n_staying_; }
 
-    /// Uploads frame `index` in the stream if it is not on the device. The arrays of the
-    /// frame are valid until another frame is uploaded.
+    /// Uploads frame `index` if it is not in device memory. The arrays of an uploaded
+    /// frame are valid until the next upload.
     FrameData& make_resident(Stream& stream, std::size_t index);
-    /// Announces that frame `index` is used next. If the frame must be uploaded, a thread
-    /// starts to compute its rays in the background.
+    /// Announces that frame `index` is used next. If the frame must be uploaded, a
+    /// background thread starts to compute its rays.
     void expect(std::size_t index);
 
 private:
@@ -62,7 +62,7 @@ private:
     const FrameUse use_;
     std::vector<FrameData> frames_;
     std::size_t n_staying_ = 0;  ///< number of frames that stay on the device; they are the first frames
-    /// arrays that are shared by all frames that do not stay on the device
+    /// arrays that are shared by all frames that do not stay in device memory
     std::shared_ptr<const FrameArrays> shared_;
     std::future<HostFrame> coming_;
     std::size_t coming_frame_ = 0;

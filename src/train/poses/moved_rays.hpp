@@ -28,25 +28,24 @@ class MovedRays {
 public:
     MovedRays(Device& device, const std::vector<FrameData>& frames);
     /// Records GPU commands that compute the rays of a frame from the corrected poses.
-    /// The frame must be on the device. Then `frame` refers to the new rays, which are
-    /// valid until the next call.
+    /// The frame must be on the device. Afterwards `frame` refers to the new rays, which
+    /// are valid until the next call.
     void move(Stream& stream, const TrackCorrection& sensor, FrameData& frame);
-    /// Records GPU commands that convert the gradients of rays from a backward pass to
-    /// gradients of the sensor poses. Each ray was fired between two poses. The caller
-    /// must have called move() for the same frame. The direction in which spherical
-    /// harmonics are evaluated is treated as a constant.
+    /// Records GPU commands that convert gradients of rays to gradients of the sensor
+    /// poses before and after the firing time. Call move() for the same frame before. The
+    /// viewing direction of the spherical harmonics is treated as a constant.
     void sum_gradients(Stream& stream, const FrameData& frame, const SampledBatch& batch,
                        const Array<float, shared::DeviceRayGradients>& d_rays);
-    /// Returns the partial sums [kRows, maximum poses of a frame, 6] that the last
-    /// sum_gradients() computed.
+    /// Returns the partial sums of the last sum_gradients(): [kRows, maximum poses of a
+    /// frame, 6].
     const Array<float>& gradient_rows() const { return rows_; }
-    /// Adds the partial sums, and returns one gradient for each pose of a frame.
+    /// Sums up the partial sums, and returns one gradient for each pose of a frame.
     std::vector<PoseGradient> sum_pose_gradients(std::span<const float> gradient_rows,
                                                  const FrameData& frame) const;
 
 private:
-    /// Number of workgroups for each pose. More than one is used so that a GPU has enough
-    /// parallel work.
+    /// Number of workgroups that share the gradient sum of a pose, so that the GPU has
+    /// enough parallel work.
     static constexpr std::uint32_t kRows = 16;
 
     std::uint32_t most_knots_;

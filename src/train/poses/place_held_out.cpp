@@ -17,12 +17,11 @@
 namespace relidar {
 namespace {
 
-// Minimum blending weight of a rendered ray. A ray with a lower weight hit no solid
-// surface.
+// A rendered ray hits a solid surface if its blending weight is at least this value.
 constexpr float kFewestWeight = 0.5f;
 
-/// Renders the background of a run. Scans are aligned to these renderings. Excludes
-/// actors, because the poses of actors are estimates.
+/// Renders the trained background, to which scans are aligned. Excludes actors, because
+/// their poses are only estimates.
 class RunView {
 public:
     RunView(Device& device, const Run& run)
@@ -80,8 +79,8 @@ HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& se
     RunView view(device, run);
     PoseTrack track = run.sequence.world_from_vehicle;
     std::vector<double> moved_m;
-    // Indices of the poses of the sweeps. LiDARs that sweep at the same time share a
-    // pose, so they are aligned together.
+    // Indices of the vehicle poses of the held-out sweeps. LiDARs that sweep at the same
+    // time share a pose, so their scans are aligned together.
     std::set<std::size_t> poses;
     for (const int position : run.split.test)
         poses.insert(run.sequence.get_pose_index(run.sequence.frames[std::size_t(position)]));

@@ -13,8 +13,8 @@ struct PlacedBox {
     Pose box_from_world;
     glm::dvec3 half_size_m;
 
-    /// Returns the two distances from the ray origin at which a ray enters and leaves the
-    /// box. Both are at least 0.
+    /// Returns the distances along a ray at which it enters and leaves the box. Both are
+    /// at least 0.
     /// @param grown_m  enlarges the box on every side
     /// @return entry and exit; entry > exit if the ray misses the box
     glm::dvec2 compute_ray_interval(const WorldRay& ray, double grown_m = 0.0) const;

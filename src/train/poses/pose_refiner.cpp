@@ -27,8 +27,7 @@ constexpr double kFinalShare = 0.1;
 /// sensor.
 constexpr double kMetresPerRadian = 10.0, kBoxFactor = 10.0;
 /// Weights of the squared pose corrections in the loss, per square metre and per square
-/// radian. The weights are small. They affect only pose parameters that no ray
-/// constrains.
+/// radian. They are small, so that they affect only poses that no ray constrains.
 constexpr double kPriorPerM2 = 0.01, kPriorPerRad2 = 0.1;
 
 Sequence copy_without_scans(const Sequence& sequence) {
@@ -41,7 +40,8 @@ Sequence copy_without_scans(const Sequence& sequence) {
     return result;
 }
 
-/// Allocates host buffers for an array of the last kReadbackLag iterations.
+/// Allocates host buffers for an array that is copied in each iteration, one per pending
+/// iteration.
 void make_room(std::vector<Readback>& readbacks, Device& device, std::size_t n_floats,
                const char* description) {
     while (readbacks.size() < kReadbackLag)
@@ -150,11 +150,10 @@ void PoseRefiner::apply_oldest_step(Stream& stream) {
         Twist twist;
         std::copy_n(gradient.begin() + std::ptrdiff_t(floats_of_rays_ + 6 * actors_[k].instance), 6,
                     twist.begin());
-        // Splits the gradient into two halves, one for each end of the time interval in
-        // which the actor is visible.
+        // The gradient belongs to the time interval in which the actor is visible. Gives
+        // one half to each end of the interval.
         for (double& g : twist) g *= 0.5;
-        // If the actor was absent, the gradient is zero. add_gradient() ignores such a
-        // gradient.
+        // An actor that was absent has a gradient of zero, which add_gradient() ignores.
         for (std::size_t end = 0; end < 2; ++end)
             actors_[k].correction.add_gradient(coming_.actor_time_s[2 * k + end], twist);
         actors_[k].correction.step(compute_pose_step(config_, kBoxFactor * config_.pose_rate_m, step));

@@ -33,8 +33,8 @@ class PoseRefiner {
 public:
     /// Creates the pose corrections.
     /// @param layout  layout of the scene; the tracks of its instances are corrected
-    /// @param config  train.refine_poses selects the poses to correct; with "none", all
-    /// functions of this class do nothing
+    /// @param config  train.refine_poses selects which poses are corrected; with "none",
+    /// all functions of this class do nothing
     PoseRefiner(Device& device, const Sequence& sequence, const Scene& layout, const TrainConfig& config,
                 const TrainingFrames& frames);
     ~PoseRefiner();
@@ -42,19 +42,19 @@ public:
     bool is_active() const { return is_active_; }
     /// Returns the gradients that the backward pass must compute for record().
     GradientSelection wanted() const;
-    /// Moves a frame to the corrected poses: its rays, its actors and its sensor
-    /// position. The frame must be on the device.
+    /// Moves a frame to the corrected poses: its rays, actors and sensor position. The
+    /// frame must be on the device.
     void place(Stream& stream, FrameData& frame);
     /// Records GPU commands that compute the pose gradients of a batch and copy them to
-    /// the host. A later call of apply_steps() uses these gradients.
+    /// the host, where apply_steps() uses them later.
     /// @param step  counts from 1
     void record(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch,
                 const Gradients& gradients, int step);
     /// Updates the poses with the gradients of all pending iterations up to `last`, in
-    /// order. Waits for gradients that are not ready yet.
+    /// order. Waits for these gradients if necessary.
     void apply_steps(Stream& stream, int last);
-    /// Waits for the pending gradients, so that a checkpoint can store them. Does not
-    /// update the poses.
+    /// Waits for the pending gradients without updating the poses, so that a checkpoint
+    /// can store the gradients.
     void fetch(Stream& stream);
     RefinedPoses poses() const;
 
@@ -80,12 +80,13 @@ private:
         TrackCorrection correction;
     };
 
-    /// Iterations whose pose gradients have not been applied yet, oldest first.
+    /// Iterations whose pose gradients are still to be applied, oldest first.
     struct Coming {
         std::vector<std::uint64_t> step;
         /// index of the iteration's frame in the list of training frames
         std::vector<std::uint64_t> frame;
-        /// [iterations, actors, 2] first and last time at which each actor was visible
+        /// [iterations, actors, 2] start and end of the time in which each actor was
+        /// visible
         std::vector<double> actor_time_s;
         /// [iterations, floats_of_rays_ + floats_of_instances_] gradients; filled by
         /// fetch()
@@ -102,8 +103,8 @@ private:
     std::vector<Actor> actors_;
     Coming coming_;
     std::size_t floats_of_rays_ = 0, floats_of_instances_ = 0;
-    /// [kReadbackLag] Host buffers for gradients. Iteration i uses buffer i modulo
-    /// kReadbackLag. Empty if the corresponding poses are not refined.
+    /// [kReadbackLag] host buffers for gradients; iteration i uses buffer i modulo
+    /// kReadbackLag. Empty if the poses of sensor or actors are not corrected.
     std::vector<Readback> of_rays_, of_instances_;
 
     /// Returns the gradients of the i-th pending iteration. Waits until the gradients are

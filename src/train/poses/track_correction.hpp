@@ -27,23 +27,22 @@ public:
     explicit TrackCorrection(PoseTrack track);
 
     const PoseTrack& get_uncorrected_track() const { return track_; }
-    /// Returns the correction of a pose. Before the first optimisation step, all
-    /// corrections are zero. If only this pose had no step yet, interpolates between the
-    /// nearest poses that had steps.
+    /// Returns the correction of a pose. A pose that was not optimised yet gets the
+    /// interpolated correction of the nearest optimised poses, or zero if there are none.
     Twist at(std::size_t pose) const;
     PoseTrack make_corrected_track() const;
 
-    /// Adds the gradient dL/d(v, w) for the pose at a given time, or for one of the
-    /// recorded poses. The next call of step() uses the sum of these gradients.
+    /// Adds a loss gradient dL/d(v, w), for the pose at a given time or for one of the
+    /// recorded poses. The next call of step() uses the sum of the gradients.
     void add_gradient(double t_s, const Twist& gradient);
     void add_gradient(std::size_t pose, double share, const Twist& gradient);
-    /// Performs one Adam step on the loss and the prior. Changes only the poses that got
-    /// a gradient since the last step.
+    /// Performs one Adam step on the loss and the prior. Changes only poses that got a
+    /// gradient since the last step.
     void step(const PoseStep& step);
-    /// Removes the rigid motion that all corrections have in common. The loss does not
-    /// constrain this motion, because moving the scene and all sensors together does not
-    /// change the images. Without this call, the scene would drift. Afterwards, the mean
-    /// translation and the mean rotation are 0.
+    /// Removes the rigid motion that all corrections have in common, so that the scene
+    /// does not drift. The loss does not constrain this motion, because moving the scene
+    /// and all sensors together does not change the images. Afterwards, the mean
+    /// translation and rotation are 0.
     void remove_common_motion();
 
     /// Passes all variables of the optimizer to a visitor, which reads or writes a

@@ -25,22 +25,21 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-// Minimum and maximum number of repetitions (kLeast, kMost), and number of scans to
-// render (kScans).
+// Minimum and maximum number of repetitions, and number of scans to render.
 constexpr int kLeast = 3, kMost = 10, kScans = 30;
 constexpr double kEnough_ms = 5000.0;
 
-/// Median wall times in milliseconds. The end of each time is the moment when the device
-/// has finished the work.
+/// Median wall times in milliseconds. Each time includes waiting until the device has
+/// finished.
 struct BenchTimes {
     /// Time to build the bounding volume hierarchy, and time to refit it.
     double build_ms = 0.0, refit_ms = 0.0;
     double forward_ms = 0.0, backward_ms = 0.0;
-    /// Time of one training iteration. An iteration is a refit, the forward pass, the
-    /// losses, the backward pass and Adam in one submission.
+    /// Time of one training iteration: refit, forward pass, losses, backward pass and
+    /// optimizer (Adam), in one submission.
     double iteration_ms = 0.0;
     std::size_t repetitions = 0;
-    /// Number of rendered scans per second. Has a value only if the benchmark measures a
+    /// Number of rendered scans per second. Measured only if the benchmark uses a trained
     /// run.
     std::optional<double> scans_per_s;
 };
@@ -94,8 +93,8 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
         stream.finish();
         time(backward, [&] { step.differentiable.record_backward(); });
     };
-    // Time to warm up the device before the measurement. The first launches compile
-    // kernels, and a GPU raises its clock rate only under load.
+    // Warm-up time before the measurement, because the first launches compile kernels,
+    // and because a GPU raises its clock rate only under load.
     const double warm_up_ms = device.info().type == "CPU" ? 200.0 : 2000.0;
     Clock::time_point start = Clock::now();
     do repeat();
@@ -107,9 +106,9 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
         median(build), median(refit), median(forward), median(backward), median(iteration), build.size(), {}};
 }
 
-/// Returns how many scans are rendered per second. The scans are evenly spaced along the
-/// recorded path of the log's sensor. While one scan is read, the device already renders
-/// the next scan.
+/// Returns how many scans are rendered per second along the recorded path of the log's
+/// sensor. While the points of one scan are read, the device already renders the next
+/// scan.
 double measure_scans_per_second(Device& device, const Run& run) {
     ScanRenderer renderer(device, run);
     const SensorChoice sensor = choose_sensor("native", run.config, run.sequence);
@@ -120,7 +119,7 @@ double measure_scans_per_second(Device& device, const Run& run) {
         renderer.submit_points(sensor, {time_s, path}, time_s);
     };
     request(0);
-    // Renders one scan without measuring it, because the first scan allocates memory.
+    // does not measure the first scan, because it allocates memory
     renderer.wait_for_points();
     const Clock::time_point start = Clock::now();
     request(0);

@@ -17,8 +17,8 @@ BenchCase make_street_case(std::uint32_t n_surfels, bool refined, const RayTable
     bench.rows = rays.rows;
     bench.columns = rays.columns;
     bench.view_origin_m = rays.origin.front();
-    // The rays need no transformation, because the sensor frame of the benchmark street
-    // equals the world frame.
+    // The rays are already in the world frame, because it equals the sensor frame of the
+    // benchmark street.
     bench.rays = {to_vector(rays.origin), to_vector(rays.direction)};
     const Surfels surfels = make_benchmark_street(n_surfels, 20261120, refined);
     bench.scene = make_background_scene(surfels.reorder(compute_kd_order(surfels.mean)));

@@ -27,8 +27,8 @@ std::vector<DeviceTarget> make_noisy_targets(const Rendering& rendering, bool no
 TrainingStep::TrainingStep(Device& device, const BenchCase& bench, const RendererOptions& options,
                            const std::vector<DeviceTarget>& wanted)
     : differentiable(device, bench.scene, bench.config.image, options,
-                     // Adam skips surfels without a gradient, so the backward pass need
-                     // not set their gradients to zero.
+                     // The gradients of surfels without hits are not set to zero, because
+                     // Adam skips these surfels.
                      {.sums = make_backward_options(bench.config), .zero_untouched = false}),
       renderer(differentiable.renderer()),
       targets(device, std::span<const DeviceTarget>(wanted), "targets"),

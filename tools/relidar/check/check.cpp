@@ -90,8 +90,8 @@ std::string check_json(const DeviceInfo& info, const std::vector<CheckRow>& rows
 }
 
 void run_checks(const CheckOptions& options) {
-    // The checks show whether the driver computes correctly. With this setting, relidar
-    // does not replace methods that fail on the device.
+    // By default, relidar avoids methods that fail on the device. This setting turns that
+    // off, so that the checks show whether the driver computes correctly.
     const Trusting trusting(DeviceTrust{});
     CheckedDevice checked(make_device_options(options.device));
     const DeviceInfo& info = checked.device().info();

@@ -30,7 +30,7 @@ std::span<const Check> list_all_checks() {
 }
 
 Finding judge(double error, double tolerance) {
-    // This comparison is false if the error is NaN, so a NaN counts as wrong.
+    // If the error is NaN, this comparison is false, so NaN counts as wrong.
     const bool is_right = error <= tolerance;
     return {is_right ? Finding::Kind::right : Finding::Kind::wrong,
             is_right && error == 0.0

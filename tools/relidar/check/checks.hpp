@@ -21,14 +21,13 @@ struct Finding {
     Kind kind = Kind::right;
     std::string text;  ///< Size of the error, or the reason why the check is wrong or unsupported.
 };
-/// Compares an error with a tolerance. Returns `right` if the error is at most the
-/// tolerance, otherwise `report_wrong`.
+/// Returns the result "right" if the error is at most the tolerance, otherwise "wrong".
 Finding judge(double error, double tolerance);
 Finding report_wrong(const std::string& text);
 Finding report_unsupported(const std::string& why);
 
-/// A device under test. It is opened once for each method to trace rays (software or ray
-/// query) that a check needs.
+/// A device under test. It is opened separately for each ray tracing method (software or
+/// ray query) that the checks need.
 class CheckedDevice {
 public:
     /// Opens the device with its default traversal.

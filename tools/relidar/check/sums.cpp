@@ -11,7 +11,8 @@
 namespace relidar::cli {
 namespace {
 
-/// Returns "right" only if a sum has no error. Sums of small integers are exact in float.
+/// Returns the result "right" only if a sum is exact. The sums are of small integers,
+/// which are exact in float.
 Finding judge_sum_error(double error) {
     if (error == 0.0) return {Finding::Kind::right, "exact"};
     return report_wrong(fmt::format("a sum has a relative error of {:.3g}", error));

@@ -14,12 +14,11 @@ constexpr double kWidest = 400.0;  // Maximum width of a view in pixels.
 constexpr double kAround_m = 0.3;  // Width of the margin around the asset's box.
 constexpr int kGap = 8;            // Gap between views in pixels.
 constexpr std::uint8_t kBackdrop = 24;
-// Minimum rendered weight (opacity) of a pixel. A pixel with a lower weight shows no
-// surface.
+// A pixel shows a surface if its rendered weight (opacity) is at least this value.
 constexpr float kLeastWeight = 0.5f;
 
-/// Directions of one camera view, in the frame of the asset's box. `along` is the viewing
-/// direction. `right` and `up` are the axes of the picture.
+/// Axes of one camera view in the frame of the object's box: viewing direction, right and
+/// up.
 struct AssetView {
     glm::dvec3 along, right, up;
 };

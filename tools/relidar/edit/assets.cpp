@@ -63,8 +63,8 @@ std::string explain_rejection(const AssetFacts& facts, const ActorObservations& 
 
 std::vector<std::string> list_actors(const Run& run) {
     std::vector<std::string> tracks;
-    // Surfel models that are already saved. A copy of an actor uses the same model, so it
-    // is skipped.
+    // Models that are already listed. A copy of an actor has the same model, so it is
+    // skipped.
     std::set<std::uint32_t> models;
     for (const Instance& instance : run.scene.instances)
         if (!instance.track.empty() && models.insert(instance.model).second) tracks.push_back(instance.track);

@@ -23,8 +23,7 @@ namespace {
 struct EditOptions {
     std::string run;
     std::string out;
-    /// PLY file with surfels that replace the surfels of the run. If the name is empty,
-    /// the run keeps its surfels.
+    /// PLY file whose surfels replace the surfels of the run; empty to keep them
     std::string ply;
     std::vector<TypedEdit> edits;  ///< Edits in the order in which the user typed them.
     bool force = false;

@@ -35,8 +35,8 @@ const char* get_form(const TypedEdit& edit) {
         ->form;
 }
 
-/// Splits a text into two parts at position `position`. Throws an error if one part is
-/// empty.
+/// Splits a text at `position` and leaves out the character there. Throws an error if a
+/// part is empty.
 std::pair<std::string, std::string> cut(const TypedEdit& edit, const std::string& text,
                                         std::size_t position) {
     if (position == std::string::npos || position == 0 || position + 1 == text.size())
@@ -62,8 +62,8 @@ Pose make_pose(const std::vector<double>& values) {
     return {make_rotation(radians(3), radians(4), radians(5)), {values[0], values[1], values[2]}};
 }
 
-/// Parses a position on the ground, "x,y,ground[,yaw_deg]". Returns no value if the third
-/// field is not the word "ground".
+/// Parses a place on the ground, "x,y,ground[,yaw_deg]". Returns no value if the third
+/// field is a number, so that the text is a full pose.
 std::optional<GroundPlace> parse_ground_place(const TypedEdit& edit, const std::string& text) {
     constexpr std::string_view kWord = ",ground";
     const std::size_t at = text.find(kWord);
@@ -80,8 +80,7 @@ std::optional<GroundPlace> parse_ground_place(const TypedEdit& edit, const std::
 struct SourceActor {
     const DrivingScene& owner;
     const std::string& track;
-    /// Height of the bottom of the actor's box above the ground. Has no value if the
-    /// height is unknown.
+    /// height of the bottom of the actor's box above the ground; no value if unknown
     std::optional<double> clearance_m;
 };
 
@@ -105,8 +104,8 @@ Start start_of(const TypedEdit& edit, const std::string& text, const DrivingScen
     return {make_pose(pose), speed_mps};
 }
 
-/// Describes the height and tilt of an actor that is placed on the ground, because the
-/// user did not type these values. Returns an empty text for other actors.
+/// Describes height and tilt of an actor that was placed on the ground, because the
+/// program computed them. Returns an empty text for other actors.
 std::string standing(const Start& start, const std::string& typed) {
     if (typed.find(",ground") == std::string::npos) return "";
     const glm::dvec3& p = start.dataset_from_box.translation;
@@ -193,8 +192,8 @@ std::string describe_absence(const DrivingScene& driving, const std::string& tra
 
 BoxTrack copy_of_box(const DrivingScene& driving, const std::string& track) {
     const BoxTrack* box = find_box(driving.sequence, track);
-    // Returns an empty track if the actor is unknown, because the edit itself then throws
-    // an error.
+    // Returns an empty track if the actor is unknown. The edit itself reports this error
+    // later.
     return box ? *box : BoxTrack{};
 }
 

@@ -15,8 +15,7 @@
 namespace relidar::cli {
 namespace {
 
-// Maximum number of frames to draw, and minimum mean number of the actor's points per
-// frame.
+// number of frames in a picture, and minimum mean number of the actor's points per frame
 constexpr std::size_t kFrames = 8, kFewestPoints = 20;
 constexpr double kPixels_per_m = 80.0, kBeside_m = 0.25, kWider_m = 0.5;
 constexpr int kDot = 3;
@@ -42,8 +41,8 @@ Scan make_rays_about_box(const Run& run, const Frame& frame, const BoxTrack& box
     return scan;
 }
 
-/// Returns the frames of the first LiDAR in which the box is present. Frames without a
-/// scan are skipped.
+/// Returns the frames of the first LiDAR that have a scan and in which the box is
+/// present.
 std::vector<const Frame*> frames_of(const Run& run, const BoxTrack& box) {
     std::vector<const Frame*> frames;
     for (const Frame& frame : run.sequence.frames)
@@ -64,8 +63,8 @@ struct Walk {
     double distance_m = std::numeric_limits<double>::max();
 };
 
-/// Finds the walking actor that comes nearest to the sensor, and the frames in which it
-/// is nearest. Near actors have the most points.
+/// Finds the walking actor that comes nearest to the sensor, and its nearest frames. A
+/// near actor has many points.
 Walk find_nearest_walk(const Run& run) {
     Walk nearest;
     for (const Instance& instance : run.scene.instances) {
@@ -83,8 +82,8 @@ Walk find_nearest_walk(const Run& run) {
     return nearest;
 }
 
-/// Point of an actor in a picture: metres to the right, metres up, and the value that
-/// becomes its colour.
+/// A point of an actor in a picture: its position in metres, and a value that is shown as
+/// colour.
 struct Dot {
     double right_m, up_m;
     float value;
@@ -137,7 +136,8 @@ BoxPoints collect_box_points(ScanRenderer& renderer, const Run& run, const Confi
                                  make_real_image(config, scan), run.sequence, get_sweep_moment(frame), box);
 }
 
-/// Returns the settings for pictures: one ray and one return for each ray of the log.
+/// Returns the settings for pictures, in which each ray has no sub-rays and at most one
+/// return.
 Config make_picture_config(const Run& run) {
     Config config = run.config;
     config.sensor.grid = "native";

@@ -56,7 +56,7 @@ void check_held_out(const Split& split, const std::string& location) {
 }
 
 /// Output files and folders of the command. The first MPI process checks that they are
-/// writable before any process starts to render.
+/// writable, before any process renders.
 struct Output {
     /// Paths of the output files. If a path is empty, that output is not written.
     std::filesystem::path file, pictures;
@@ -112,7 +112,7 @@ std::string describe_edits(const Run& run) {
            "pixels do not measure the quality of the edit\n";
 }
 
-/// Adds scores that use only the pixels changed by an edit.
+/// Adds scores of only those pixels that an edit has changed.
 /// @param before exact scan of the street without the edit
 void add_edited_scores(ScoredFrame& frame, const Config& config, const Scan& before) {
     frame.metrics.merge(evaluate_regions(frame.rendered.image, frame.real,
@@ -127,8 +127,9 @@ void keep_rank_share(std::vector<int>& positions, const Ranks& ranks) {
                  positions.begin() + std::ptrdiff_t(share.end)};
 }
 
-/// Loads the scans of the held-out frames.
-/// @return for an edited synthetic street, the exact scans before the edits
+/// Loads the scans of the held-out frames. For an edited synthetic street, computes the
+/// scans exactly.
+/// @return exact scans of the street before the edits; empty for other logs
 std::vector<Scan> attach_test_scans(Run& run, const Sequence& log) {
     if (is_recastable(run)) return attach_recast(run);
     attach_scans(run, run.split.test, log);
@@ -136,8 +137,8 @@ std::vector<Scan> attach_test_scans(Run& run, const Sequence& log) {
 }
 
 void score_run(const EvalOptions& options, const Ranks& ranks, const std::string& command_line) {
-    // Lock of the run's folder. No other process may write to this folder, because the
-    // command writes metrics.json there.
+    // Lock of the run's folder, because the command writes metrics.json there. No other
+    // process may write to the folder.
     std::optional<FolderLock> lock;
     if (ranks.is_first() && options.out.empty() && is_run(options.target)) lock.emplace(options.target);
     std::vector<std::string> used = list_rendering_settings();

@@ -29,9 +29,9 @@ std::vector<std::vector<std::string>> make_actor_rows(const Evaluation& evaluati
 /// @param baseline scores of a baseline, whose means are shown too; may be null
 std::string format_metric_table(const Evaluation& evaluation, const Evaluation* baseline = nullptr);
 
-/// Combines the scores of all MPI processes in the first process.
-/// @return in the first process, the scores of all frames; frames of other processes have
-/// no images. In the other processes, `local`
+/// Collects the scores of all MPI processes in the first process.
+/// @return in the first process, the scores of all frames, without the images of other
+/// processes; in the other processes, `local`
 Evaluation joined(const Evaluation& local, const Ranks& ranks);
 
 /// Returns the scored frames as JSON objects. Each object contains the frame number,
@@ -39,8 +39,8 @@ Evaluation joined(const Evaluation& local, const Ranks& ranks);
 /// The program writes them into metrics.json and sends them between MPI processes.
 nlohmann::ordered_json make_frames_json(const Evaluation& evaluation);
 
-/// Says how the scores were computed. metrics.json contains these values in addition to
-/// the scores.
+/// Describes how the scores were computed: device, memory, time and baseline. These
+/// values are also written to metrics.json.
 struct MetricsOrigin {
     std::string run;  ///< Path of the run. Empty if a baseline was scored without a run.
     std::string device;

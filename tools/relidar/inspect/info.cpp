@@ -43,8 +43,8 @@ void show_unfinished(const std::filesystem::path& folder) {
 }
 
 void show_log(const InfoOptions& options) {
-    // Maximum number of scans to read per LiDAR. Reading all scans would take long,
-    // because a bag of one hour has 36,000 scans.
+    // Maximum number of scans to read per LiDAR, because a bag of one hour has 36,000
+    // scans.
     constexpr std::size_t kMostScans = 64;
     Config config = resolve(options.settings);
     config.dataset.path = options.path;
@@ -53,7 +53,7 @@ void show_log(const InfoOptions& options) {
         summarise(load_dataset(config, false, options.all ? 0 : int(kMostScans)), config.init);
     const bool is_long = std::ranges::any_of(
         summary.lidars, [](const LidarSummary& lidar) { return lidar.n_frames > kMostScans; });
-    // Checks whether scans were really left out, because some log readers ignore the
+    // True if the summary is based on a part of the scans. Some log readers ignore the
     // limit and read all scans.
     summary.is_look = !options.all && is_long && summary.n_scans_read < summary.n_frames;
     print(options.json ? to_json(summary) : to_text(summary));

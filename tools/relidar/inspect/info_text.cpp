@@ -265,8 +265,8 @@ LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options)
 RunSummary summarise(const Run& run) {
     RunSummary summary;
     summary.log = summarise(run.sequence, run.config.init);
-    // Actors that edits have removed are left out, because the list of edits already
-    // names them.
+    // After edits, the list is left out, because it would contain actors that the edits
+    // have removed.
     summary.log.masked =
         run.edits.empty() ? list_boxes(find_masked_boxes(run.scene, run.sequence, run.config.init)) : "";
     summary.preset = run.config.preset;

@@ -23,16 +23,15 @@ struct BoxSummary {
     /// frame of the dataset.
     glm::dvec3 start_m{0.0};
     double start_yaw_deg = 0.0;
-    /// Number of the actor in the instance labels of rendered scans. Has no value for a
-    /// log, or if the actor has no surfels.
+    /// Number of the actor in the instance labels of rendered scans. No value for a log
+    /// without a trained scene, or if the actor has no surfels.
     std::optional<std::size_t> instance;
     std::size_t n_surfels = 0;
-    /// Class whose typical size the box has, because the object was only partly visible.
-    /// This happens only to boxes that relidar found without labels. Empty if the size
-    /// was measured.
+    /// Class whose typical size was used for a discovered box, because the object was
+    /// only partly visible. Empty if the size was measured.
     std::string size_guess;
-    /// Number of poses before the first or after the last label of a track. relidar found
-    /// these poses in the scans.
+    /// Number of poses that relidar found in the scans before the first label or after
+    /// the last label of a track.
     std::size_t n_unlabelled_frames = 0;
 };
 

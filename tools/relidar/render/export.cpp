@@ -38,8 +38,8 @@ PoseTrack make_sensor_path(const Sequence& sequence) {
     return shift_track(sequence.world_from_sensor(0), sequence.world_offset_m);
 }
 
-/// Writes one PLY file per frame, such as FOLDER/000010.ply. Each file contains the scene
-/// at the time when the sensor head faces forward, in relidar's world frame.
+/// Writes the scene of each frame as a PLY file, such as FOLDER/000010.ply. The actors
+/// are at their poses at the time of the frame. Positions are in relidar's world frame.
 void export_frames(const ExportOptions& options) {
     const Run run = load_run(options.run);
     const std::vector<int> positions = choose_frames(run, options.frames, options.quiet);

@@ -49,8 +49,8 @@ public:
     }
 
     void send(const std::string& bytes) {
-        // Sends the packet a second time after ECONNREFUSED. This error belongs to an
-        // earlier packet that no program received, so the current packet was not sent.
+        // ECONNREFUSED means that nobody received an earlier packet. The current packet
+        // was not sent in this case, so it is sent again.
         if (::send(socket_, bytes.data(), bytes.size(), 0) < 0 && errno == ECONNREFUSED)
             (void)::send(socket_, bytes.data(), bytes.size(), 0);
     }

@@ -23,8 +23,8 @@ struct PacketTarget {
     /// several sensors, the first sensor uses this port and the others use the following
     /// ports.
     std::string address;
-    /// If true, packets are sent after rendering, with the same time intervals as a real
-    /// sensor. If false, each packet is sent as soon as it is rendered.
+    /// If true, packets are sent after rendering, with the timing of a real sensor. If
+    /// false, each packet is sent as soon as it is rendered.
     bool is_realtime = false;
 };
 void add_packet_options(CLI::App& command, PacketTarget& target);

@@ -24,8 +24,8 @@ std::filesystem::path get_street_folder(const Run& run) {
     return path.starts_with(kKind) ? path.substr(std::string(kKind).size()) : path;
 }
 
-/// Returns the number of the car from which a model was trained. The name of a model is
-/// this number, even if an edit places the model elsewhere.
+/// Returns the number of the synthetic car from which a model was trained. The name of
+/// the model is this number, even after an edit.
 std::size_t find_car(const Model& model, const std::string& track) {
     std::size_t car = 0;
     const auto [end, error] = std::from_chars(model.name.data(), model.name.data() + model.name.size(), car);
@@ -59,7 +59,7 @@ std::vector<Scan> attach_recast(Run& run) {
     const std::vector<StreetCar> cars = list_cars(run);
     const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
     const RangeLimits limits = make_configured_sensor(run.config, run.sequence).limits;
-    // The index is 0, because a synthetic street has exactly one LiDAR.
+    // uses LiDAR 0, because a synthetic street has exactly one LiDAR
     const PoseTrack track = run.sequence.world_from_sensor(0);
     std::vector<Scan> before;
     for (const int position : run.split.test) {

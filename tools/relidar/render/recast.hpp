@@ -21,8 +21,8 @@ bool is_recastable(const Run& run);
 /// @throws DataError if the model of an actor is not a car of the street
 std::vector<Scan> attach_recast(Run& run);
 
-/// Returns the pixels that an edit changes. The exact range of such a pixel differs
-/// before and after the edit. The metrics of these pixels are named edited/*.
+/// Returns the pixels that an edit changes, which are the pixels whose exact range
+/// differs. Their metrics are named edited/*.
 Region find_edited_region(const RangeImage& edited, const RangeImage& before);
 
 }  // namespace relidar::cli

@@ -109,8 +109,8 @@ PointFrame parse_point_frame(const std::string& name) {
         fmt::format("--frame: found \"{}\"; expected sensor or world (use --frames to select scans)", name));
 }
 
-/// Removes the boxes of actors that are not rendered, so that recordings contain only the
-/// boxes of visible actors.
+/// Removes the boxes of actors that are not rendered, so that they do not appear in
+/// recordings.
 void remove_hidden_actors(ScanFormat& format, const Run& run, const std::vector<std::string>& only) {
     if (only.empty()) return;
     const std::vector<bool> shown = select_instances(run.scene, only);
@@ -181,8 +181,8 @@ void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks
     if (t.rate_hz && !t.times.empty()) throw UsageError("--rate and --times cannot be used together");
 }
 
-/// A scan to render. `number` is part of the file name. `time_s` is the time at which the
-/// sensor head faces forward.
+/// A scan to render. `number` is part of the file name. `time_s` is the reference time of
+/// the sweep.
 struct Sweep {
     int number;
     double time_s;
@@ -237,7 +237,8 @@ ScanFormat make_merged_format(const RenderOptions& options, const Run& run,
 }
 
 /// Output folders of a rendering: one folder per sensor, or one folder for merged scans.
-/// With one folder per sensor, `recordings` also contains the scans of all sensors.
+/// If there is a folder per sensor, `recordings` writes the scans of all sensors into
+/// common files.
 struct Output {
     std::vector<ScanFolder> folders;
     std::optional<ScanRecordings> recordings;
@@ -372,8 +373,8 @@ void run_render(const RenderOptions& typed_options) {
     const PoseTrack track =
         drives ? mount_on_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
     std::optional<LockedFolder> folder;
-    // Only the first MPI process creates this object, because the destructor may remove
-    // the folder.
+    // Only the first MPI process locks the folder, because the destructor may remove the
+    // folder.
     if (ranks.is_first()) folder.emplace(options.out);
     check_sets(options.sets, list_rendering_settings(), "render");
     Run run = load_run(options.run);

@@ -47,10 +47,10 @@ void note_weather(const Weather& weather) {
 
 namespace {
 
-/// Prints which sides of actors appear in the scans although the log never observed them.
-/// Each side is printed with the number of scans that show it, and of rays that meet it.
+/// Prints which sides of actors appear in the scans although the log has never observed
+/// them. Also prints for each side how many scans and rays are affected.
 /// @param key list of sides in an entry of scans.json
-/// @param effect what such rays do
+/// @param effect text that says what such rays do
 void note_sides(const std::vector<nlohmann::json>& scans, const std::string& folder, const char* key,
                 const char* effect) {
     struct Sum {

@@ -44,8 +44,8 @@ constexpr std::chrono::milliseconds kLook{100};
 // the error.
 constexpr std::chrono::seconds kFarewell{2};
 
-/// Returns whether poses of the sensorsim interface rotate or translate first. Returns no
-/// value if the user did not enable this interface.
+/// Returns whether poses of the sensorsim gRPC interface rotate or translate first.
+/// Returns no value if the interface is disabled.
 std::optional<serve::PoseOrder> parse_sensorsim_poses(const ServeOptions& options) {
     const bool offered = options.api == "sensorsim";
     if (!offered && !options.api.empty())
@@ -78,10 +78,9 @@ serve::ServerOptions make_server_options(const ServeOptions& options) {
     return server;
 }
 
-/// Makes all threads share one heap. By default, glibc gives each thread its own heap,
-/// and gRPC often starts and ends threads. One thread allocates a scan and another thread
-/// frees it, which leaves gaps in each heap. Without this function, the memory of the
-/// process would grow for hours (docs/service.md).
+/// Makes all threads share one heap, so that the memory of the process does not grow for
+/// hours. By default, glibc uses a heap per thread. gRPC often starts and ends threads,
+/// and scans are freed in another thread than the allocating one (docs/service.md).
 void limit_malloc_arenas() {
 #ifdef __GLIBC__
     mallopt(M_ARENA_MAX, 1);

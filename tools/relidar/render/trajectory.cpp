@@ -15,11 +15,11 @@ namespace relidar::cli {
 namespace {
 
 constexpr double kMostScans = 1e6;
-// Distance from the recorded path in metres. A note is printed if a trajectory is farther
-// away, because the log has not observed most of the scene there.
+// If a trajectory is farther from the recorded path than this, a note is printed, because
+// the log has hardly observed the scene there.
 constexpr double kFar_m = 50.0;
-// Tolerance for rounding errors, as a fraction of a step. The tolerance ensures that the
-// last time of 0:1:0.1 is 1.
+// Tolerance for rounding errors, as a fraction of a step, so that the last time of
+// 0:1:0.1 is 1.
 constexpr double kSlack = 1e-6;
 
 struct Steps {

@@ -91,8 +91,8 @@ void run_view(const ViewOptions& options) {
     if (!options.save_to.empty()) made.emplace(options.save_to);
     const std::filesystem::path folder = save_folder(options, run);
     Device device(make_device_options(options.device));
-    // Server that sends the results of the session to the browser. The server also calls
-    // the session, so it must be destroyed before the session.
+    // The session sends its results through this pointer. The server itself is created
+    // later and destroyed earlier, because it also calls the session.
     view::Server* out = nullptr;
     view::Session session(
         std::move(run), load_other_runs(options.inserts), device, folder,

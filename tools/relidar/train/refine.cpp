@@ -118,8 +118,8 @@ void run_refine(const RefineOptions& options) {
 
     train_network(device, run, options, start ? &*start : nullptr);
     if (!options.no_eval && !run.split.test.empty()) score_with_and_without_network(device, run, options);
-    // Removes the checkpoints as the last step. If the process is killed earlier,
-    // --resume can still use them.
+    // The checkpoints are removed last, so that --resume can use them if the process is
+    // killed earlier.
     remove_network_checkpoints(run.folder);
 }
 

@@ -54,8 +54,8 @@ bool is_file(const fs::path& path) {
     return fs::is_regular_file(path, failed);
 }
 
-/// Decides which argument is the log and which is the run folder. The option --resume may
-/// be in front of either argument.
+/// Decides which argument is the log and which is the output folder, because the option
+/// --resume can precede either of them.
 TrainOptions resolve_options(TrainOptions options) {
     if (options.out.empty()) options.out = options.resume_folder;
     else if (options.dataset.empty())
@@ -73,8 +73,8 @@ TrainOptions resolve_options(TrainOptions options) {
     return options;
 }
 
-/// Returns the initial settings of a training. A training that is resumed without
-/// --preset or --config uses the settings of its run.
+/// Returns the settings of a training. A resumed training uses its saved settings, unless
+/// --preset or --config is given.
 Config start_settings(const TrainOptions& options) {
     const fs::path saved = fs::path(options.out) / kConfigFile;
     if (!options.resume || options.from_preset || !is_file(saved)) return resolve(options.settings);
@@ -87,8 +87,8 @@ Config config_of(const TrainOptions& options) {
     Config config = start_settings(options);
     if (const fs::path saved = fs::path(options.out) / kConfigFile;
         options.resume && config.dataset.max_range_m == 0.0 && is_file(saved))
-        // If the maximum range is 0 (automatic), the resumed training uses the range of
-        // the earlier training.
+        // A maximum range of 0 means automatic. The resumed training uses the range that
+        // was found earlier.
         config.dataset.max_range_m = load_saved_config(saved).dataset.max_range_m;
     if (!options.dataset.empty()) config.dataset.path = make_dataset_absolute(options.dataset);
     if (config.dataset.poses != kNoPoses) config.dataset.poses = make_absolute_path(config.dataset.poses);
@@ -305,8 +305,8 @@ void refine_with_hint(Device& device, Run& run, const TrainOptions& options, Sta
         if (refine_with_progress(device, run, options.quiet, session) == TrainingEnd::stopped)
             throw make_interruption_error("the ray-drop network was trained", run, options);
     } catch (const DataError& error) {
-        // Removes the checkpoints, because a resumed training would fail with the same
-        // error.
+        // The checkpoints are useless, because a resumed training would fail with the
+        // same error.
         remove_network_checkpoints(run.folder);
         return leave_out(error);
     } catch (const DeviceError& error) {
@@ -345,8 +345,8 @@ void finish_scene(const TrainOptions& options, const Config& config, const std::
     }
     catch_interrupts();
     if (!run.held_out_placed) complete_with_hint(device, run, options, stages);
-    // The network is trained, so its checkpoints are not needed. They still exist if an
-    // earlier process was killed before it removed them.
+    // The network is trained, so its checkpoints are obsolete. A process that was killed
+    // may have left them.
     if (has_network) remove_network_checkpoints(run.folder);
     else if (config.refine.enabled) refine_with_hint(device, run, options, stages);
     TrainResult result = read_logged_result(run.folder);

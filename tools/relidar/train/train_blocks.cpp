@@ -24,11 +24,10 @@ namespace {
 namespace fs = std::filesystem;
 using Clock = std::chrono::steady_clock;
 
-/// Returns true if a setting of an already trained block may differ from the current
-/// settings.
+/// Returns true if a setting may differ between the blocks of a scene, which are trained
+/// separately.
 bool is_free(const std::string& key) {
-    // The actor settings differ between blocks, because each block lists only its own
-    // actors.
+    // Actor settings may differ, because each block lists only its own actors.
     constexpr std::array kFree{"dataset.path",           "dataset.memory_mib", "train.log_every",
                                "train.frame_memory_mib", "init.actor_classes", "init.actor_tracks"};
     constexpr std::array kFreeGroups{"train.checkpoint_minutes", "render.", "refine.", "trace.", "blocks."};
@@ -65,7 +64,8 @@ void check_frames(const Run& trained, const BlockLog& log) {
             is.front().index, is.back().index));
 }
 
-/// Combines the training results of all blocks: sums the times and averages the losses.
+/// Combines the training results of all blocks of a scene. Sums up the times and averages
+/// the losses.
 class Total {
 public:
     void add(const std::vector<TrainProgress>& log) {
@@ -147,7 +147,8 @@ private:
     /// @return true if this call has trained the block
     bool train(std::size_t index, const fs::path& folder) {
         std::error_code failed;
-        // Ignores an error, because the lock of the folder reports the same error below.
+        // Ignores the error here, because locking the folder reports the same error
+        // below.
         fs::create_directories(folder, failed);
         const std::unique_ptr<FolderLock> lock = FolderLock::try_lock(folder);
         if (!lock) return false;
@@ -195,7 +196,7 @@ private:
         end_progress_line();
     }
 
-    /// Adds to an error message the command that resumes the training.
+    /// Appends the command that resumes the training to an error message.
     std::string kept(const std::string& description) const {
         return fmt::format("{}; the trained blocks are kept; continue with: {}", description, how_.resume);
     }
