@@ -93,7 +93,7 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
         set_key(config, setting.key, setting.value);
         compile_for(device, street, config);
     }
-    report("nearest-neighbour search and summation kernels");
+    report("kernels of the ray traversal and of sums");
     compile_searches(device, street);
     for (const char* network : {"small", "paper", "pixel"}) {
         report(std::string("refine.network=") + network);

@@ -204,7 +204,7 @@ std::vector<HeadFrame> find_frames_in_folders(double rate_hz, const std::vector<
         if (number == 0)
             throw DataError(fmt::format(
                 "{}: no scan was found{}{}, expected files that end in .npz, .exr, .pcd, .ply, .bin, .npy, "
-                ".csv or .xyz",
+                ".csv, .xyz or .las",
                 (folder / lidars[l].scans).string(), other.empty() ? "" : ": ", other));
     }
     return frames;

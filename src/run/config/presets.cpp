@@ -120,14 +120,13 @@ Config make_quick_config() {
     // Must be below 1 - alpha_max. Otherwise an opaque surfel would end the ray before
     // the surfel is blended.
     config.image.transmittance_min = 9e-3f;
-    // Removes faint surfels. A step is then about 20 % faster, and metrics change by 1 %
-    // (docs/performance.md).
+    // Removes faint surfels. A step is then about 20 % faster, and metrics change by 1 %.
     config.image.alpha_min = 0.04f;
     config.image.sh_degree = 2;
     config.train.iterations = 540;
     // The rates are higher than those of the preset `default`: there are few steps, and
-    // each step reaches few surfels (docs/results.md). Discs that grow this fast need
-    // the limit train.max_growth.
+    // each step reaches few surfels. Discs that grow this fast need the limit
+    // train.max_growth.
     config.train.opacity_rate = 0.15;
     config.train.scale_rate = 6.5e-2;
     config.train.rotation_rate = 5e-3;
@@ -136,14 +135,14 @@ Config make_quick_config() {
     config.train.rays_per_iteration = 24576;
     config.train.sh_degree_interval = 180;
     // Updates only surfels with a gradient. This saves up to a sixth of a step on a CPU.
-    // It raises RMSE and Chamfer distance by about 2 % (docs/performance.md).
+    // It raises RMSE and Chamfer distance by about 2 %.
     config.train.only_touched = true;
     config.train.log_every = 20;
     config.refine.network = "pixel";  // nearly as accurate as "small", in a quarter of its time
     config.refine.frames = 32;
     config.refine.epochs = 4;
     // Ten times the learning rate of larger networks. With few epochs, this is as good as
-    // a lower rate with more epochs (docs/performance.md).
+    // a lower rate with more epochs.
     config.refine.rate = 2e-2;
     return config;
 }

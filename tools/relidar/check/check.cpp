@@ -16,6 +16,7 @@
 #include <relidar/base/files.hpp>
 #include <relidar/gpu/trust.hpp>
 #include "bench/bench.hpp"
+#include "bench/case.hpp"
 #include "check/checks.hpp"
 #include "command.hpp"
 #include "console.hpp"
@@ -89,6 +90,18 @@ std::string check_json(const DeviceInfo& info, const std::vector<CheckRow>& rows
     return json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
+/// Returns all checks. If a run is given, also the checks of its scene.
+std::vector<Check> list_checks(const std::string& run_folder) {
+    std::vector<Check> checks(list_all_checks().begin(), list_all_checks().end());
+    if (run_folder.empty()) return checks;
+    const auto bench = std::make_shared<const BenchCase>(make_run_case(load_run(run_folder)));
+    checks.push_back(
+        {"run, software", [bench](CheckedDevice& c) { return check_run(c, Traversal::software, *bench); }});
+    checks.push_back(
+        {"run, ray query", [bench](CheckedDevice& c) { return check_run(c, Traversal::ray_query, *bench); }});
+    return checks;
+}
+
 void run_checks(const CheckOptions& options) {
     // By default, relidar avoids methods that fail on the device. This setting turns that
     // off, so that the checks show whether the driver computes correctly.
@@ -99,7 +112,7 @@ void run_checks(const CheckOptions& options) {
     std::vector<CheckRow> rows;
     std::vector<std::string> wrong_names;
     bool is_lost = false;
-    for (const Check& check : list_all_checks()) {
+    for (const Check& check : list_checks(options.run)) {
         stop_if_interrupted();
         rows.push_back(run_check(check, checked, is_lost));
         const CheckRow& row = rows.back();
@@ -119,8 +132,6 @@ void check_device(const CheckOptions& options) {
     if (std::error_code failed; std::filesystem::is_directory(options.json, failed))
         throw DataError(
             fmt::format("--json {}: this is a folder; expected the name of a file to write", options.json));
-    if (!options.run.empty() && !options.speed)
-        throw UsageError("--run can only be used with --speed, because the checks use no run");
     std::optional<OutputFolder> folder;
     if (const std::filesystem::path json = options.json; !json.empty())
         folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
@@ -137,6 +148,7 @@ the results of your device.
 times until the device has finished.
 Examples:
   relidar check
+  relidar check --run run
   relidar check --device 1 --json check.json
   relidar check --speed --run run --json speed.json)";
 
@@ -149,7 +161,7 @@ void add_check(CLI::App& app, Call& call) {
     command->add_flag("--speed", options->speed, "measure the speed of the device instead");
     command
         ->add_option("--run", options->run,
-                     "with --speed: measure on the scene and sensor of this run instead of the street")
+                     "also check the images of this run; with --speed: measure on its scene and sensor")
         ->type_name("RUN");
     command->add_option("--json", options->json, "also write the results to this file")->type_name("FILE");
     add_device_options(*command, options->device);

@@ -15,6 +15,8 @@
 
 namespace relidar::cli {
 
+struct BenchCase;
+
 /// Result of a check.
 struct Finding {
     enum class Kind { right, wrong, unsupported };
@@ -25,6 +27,9 @@ struct Finding {
 Finding judge(double error, double tolerance);
 Finding report_wrong(const std::string& text);
 Finding report_unsupported(const std::string& why);
+/// Returns the reason why a device cannot use a method to trace rays. The text is empty
+/// if the device can use it.
+std::string explain_unsupported(const DeviceInfo& info, Traversal traversal);
 
 /// A device under test. It is opened separately for each ray tracing method (software or
 /// ray query) that the checks need.
@@ -63,5 +68,7 @@ Finding check_points(CheckedDevice& checked);
 Finding check_large_buffer(CheckedDevice& checked);
 Finding check_memory(CheckedDevice& checked);
 Finding check_long_dispatch(CheckedDevice& checked);
+/// Compares rendered rays of a run with the double reference.
+Finding check_run(CheckedDevice& checked, Traversal traversal, const BenchCase& bench);
 
 }  // namespace relidar::cli

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks that the driver allows a GPU dispatch of half a second, because some drivers
-// abort long dispatches. relidar splits longer work into several dispatches.
+// Checks that the driver allows a GPU dispatch of a quarter of a second, because some
+// drivers abort long dispatches. relidar splits longer work into several dispatches.
 #include <fmt/format.h>
 
 #include "check/checks.hpp"

@@ -19,12 +19,6 @@
 namespace relidar::cli {
 namespace {
 
-/// Returns the reason why a device cannot use a method to trace rays. The text is empty
-/// if the device can use it.
-std::string explain_unsupported(const DeviceInfo& info, Traversal traversal) {
-    return traversal == Traversal::ray_query ? info.why_not_ray_query : info.why_not_software;
-}
-
 /// Rendered images and gradients of a random scene.
 struct Pass {
     test::RandomScene scene;
@@ -110,6 +104,10 @@ double measure_image_error(const Pass& pass, const reference::BruteForce& brute)
 }
 
 }  // namespace
+
+std::string explain_unsupported(const DeviceInfo& info, Traversal traversal) {
+    return traversal == Traversal::ray_query ? info.why_not_ray_query : info.why_not_software;
+}
 
 Finding check_tree(CheckedDevice& checked, Traversal traversal) {
     const std::string missing = explain_unsupported(checked.device().info(), traversal);

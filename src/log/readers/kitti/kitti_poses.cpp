@@ -105,7 +105,7 @@ int find_first_oxts(const fs::path& drive) {
     }
     throw DataError(
         fmt::format("{}: the OXTS files (0000000000.txt) are missing, so the drive has no poses; use "
-                    "dataset.poses=FILE (12 numbers per line), or dataset.poses=none to estimate the poses "
+                    "dataset.poses=FILE, or dataset.poses=none to estimate the poses "
                     "from the scans",
                     folder.string()));
 }

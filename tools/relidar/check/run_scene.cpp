@@ -1,0 +1,126 @@
+// SPDX-License-Identifier: Apache-2.0
+// Checks the images of a trained scene. Some rays of a run are rendered on the device and,
+// in double precision, on the CPU.
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include <relidar/diff/differentiable_renderer.hpp>
+#include <relidar/run/stage_options.hpp>
+#include "bench/case.hpp"
+#include "check/checks.hpp"
+
+#include "../../../tests/reference/render.hpp"
+#include "../../../tests/support/surfels.hpp"
+
+namespace relidar::cli {
+namespace {
+
+constexpr std::size_t kRunRays = 512;
+/// Maximum difference of a value between the device and double precision, relative to the
+/// value if it is greater than 1.
+constexpr double kValueTolerance = 1e-3;
+/// Maximum share of rays with a larger difference. Such rays pass the edge of a surfel, or
+/// two surfels at equal distances, so that rounding decides which surfels are blended.
+constexpr double kEdgeShare = 0.02;
+
+WorldRays select_rays(const WorldRays& rays) {
+    WorldRays selected;
+    const std::size_t n = std::min(kRunRays, rays.size());
+    for (std::size_t k = 0; k < n; ++k) {
+        const std::size_t i = (2 * k + 1) * rays.size() / (2 * n);
+        selected.origin.push_back(rays.origin[i]);
+        selected.direction.push_back(rays.direction[i]);
+        selected.time_s.push_back(rays.time_s.empty() ? 0.0f : rays.time_s[i]);
+    }
+    return selected;
+}
+
+/// Returns true if a line passes the centre of a surfel within four standard deviations.
+/// Farther away, the opacity of a hit is below the smallest opacity that is blended.
+bool passes_near(const reference::LocalRay<double>& ray, const reference::Surfel& surfel) {
+    const glm::dvec3 to_mean = surfel.mean - ray.origin;
+    const double along = glm::dot(to_mean, ray.direction) / glm::dot(ray.direction, ray.direction);
+    double log_scale = std::max(surfel.log_scale.x, surfel.log_scale.y);
+    if (surfel.log_scale_w) log_scale = std::max(log_scale, *surfel.log_scale_w);
+    return glm::length(to_mean - along * ray.direction) <= 4.0 * std::exp(log_scale);
+}
+
+/// Converts the surfels that the rays can hit to double precision, with one range of
+/// surfels per instance.
+reference::World make_world_near_rays(const BenchCase& bench, const std::vector<reference::Ray>& rays) {
+    reference::World world;
+    for (std::size_t i = 0; i < bench.scene.instances.size(); ++i) {
+        const InstancePose& pose = bench.placed[i];
+        if (!pose.present) continue;
+        const Model& model = bench.scene.models[bench.scene.instances[i].model];
+        const PoseMotion& motion = pose.motion;
+        reference::Placement placement{
+            .first = std::uint32_t(world.surfels.size()),
+            .world_from_model = pose.world_from_model,
+            .motion = {motion.velocity_mps, motion.turn_radps, motion.middle_s, motion.half_span_s}};
+        std::vector<reference::LocalRay<double>> local_rays;
+        for (const reference::Ray& ray : rays)
+            local_rays.push_back(reference::to_model(placement.at(ray.time_s), ray));
+        for (const reference::Surfel& stored :
+             test::to_reference(bench.scene.surfels.slice(model.first, model.count))) {
+            const reference::Surfel surfel =
+                model.stride_m > 0.0f ? reference::move_to_phase(stored, pose.phase) : stored;
+            if (std::ranges::any_of(local_rays, [&](const auto& ray) { return passes_near(ray, surfel); }))
+                world.surfels.push_back(surfel);
+        }
+        placement.count = std::uint32_t(world.surfels.size()) - placement.first;
+        world.instances.push_back(placement);
+    }
+    return world;
+}
+
+/// Largest difference of the values of a ray. The difference is relative for values above
+/// 1, for example ranges.
+double measure_difference(const Rendering& rendering, std::size_t ray, const reference::Pixel& expected) {
+    double worst = 0.0;
+    const auto compare_value = [&](double value, double expected_value) {
+        const double difference =
+            std::abs(value - expected_value) / std::max(1.0, std::abs(expected_value));
+        worst = std::isfinite(difference) ? std::max(worst, difference) : HUGE_VAL;
+    };
+#define RELIDAR_COMPARE(name, built, value, input, slope, meaning) \
+    compare_value(rendering.name[ray], expected.name);
+    RELIDAR_IMAGE_VALUES(RELIDAR_COMPARE)
+#undef RELIDAR_COMPARE
+    compare_value(rendering.transmittance[ray], expected.transmittance);
+    return worst;
+}
+
+}  // namespace
+
+Finding check_run(CheckedDevice& checked, Traversal traversal, const BenchCase& bench) {
+    const std::string missing = explain_unsupported(checked.device().info(), traversal);
+    if (!missing.empty()) return report_unsupported("missing " + missing);
+    const WorldRays rays = select_rays(bench.rays);
+    Renderer renderer(checked.with(traversal), bench.scene, bench.config.image,
+                      {.trace = trace_options(bench.config), .n_rays = std::uint32_t(rays.size())});
+    renderer.place(bench.placed, bench.view_origin_m);
+    const Rendering rendering = renderer.forward(rays);
+
+    const std::vector<reference::Ray> exact_rays = test::to_reference(rays);
+    const reference::World world = make_world_near_rays(bench, exact_rays);
+    const reference::Settings settings{.image = bench.config.image,
+                                       .view_origin = glm::dvec3(bench.view_origin_m)};
+    const reference::BruteForce brute(world, settings.image, reference::Precision::double_record);
+    std::vector<double> differences;
+    for (std::size_t i = 0; i < rays.size(); ++i)
+        differences.push_back(
+            measure_difference(rendering, i, reference::render_all_at_once(world, brute, settings, exact_rays[i])));
+    const auto n_wrong =
+        std::ranges::count_if(differences, [](double d) { return !(d <= kValueTolerance); });
+    std::ranges::sort(differences);
+    return {double(n_wrong) <= kEdgeShare * double(rays.size()) ? Finding::Kind::right : Finding::Kind::wrong,
+            fmt::format("{} of {} rays differ by more than {:.0e}, expected at most {:.0f}; median difference "
+                        "{:.1e}",
+                        n_wrong, rays.size(), kValueTolerance, kEdgeShare * double(rays.size()),
+                        differences[differences.size() / 2])};
+}
+
+}  // namespace relidar::cli
